@@ -1,0 +1,21 @@
+//! Time as an argument: the wall clock, or a virtual one that a session can run faster than.
+//!
+//! Imports nothing.
+
+mod monotonic;
+mod virtual_clock;
+
+pub use monotonic::MonotonicClock;
+pub use virtual_clock::VirtualClock;
+
+/// Nanoseconds since an arbitrary origin that never moves backwards.
+pub type Nanoseconds = u64;
+
+/// A source of time that can also be waited on. Everything that waits takes one of these.
+pub trait Clock: Send + Sync {
+    /// The time now.
+    fn now_ns(&self) -> Nanoseconds;
+
+    /// Returns at `deadline_ns` or as soon after it as the scheduler allows; at once if it passed.
+    fn sleep_until(&self, deadline_ns: Nanoseconds);
+}

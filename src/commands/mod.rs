@@ -1,0 +1,3 @@
+//! One file per subcommand: arguments, a call into the library, printing.
+//!
+//! May import everything; nobody imports it.

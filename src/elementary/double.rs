@@ -1,0 +1,19 @@
+use super::Scalar;
+
+/// `libm` is plain Rust: the same bits on every platform, which the system's own is not.
+impl Scalar for f64 {
+    #[inline(always)]
+    fn from_f64(value: f64) -> Self {
+        value
+    }
+
+    #[inline(always)]
+    fn abs(self) -> Self {
+        f64::abs(self)
+    }
+
+    #[inline(always)]
+    fn sin_cos(self) -> (Self, Self) {
+        libm::sincos(self)
+    }
+}

@@ -1,0 +1,22 @@
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+/// What the equations of motion need of a number, so that they are written once for the `f64` of
+/// the emulator and for the `f32` lanes of the simulation.
+pub trait Scalar:
+    Copy
+    + PartialOrd
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
+    /// The nearest representable value.
+    fn from_f64(value: f64) -> Self;
+
+    /// The magnitude.
+    fn abs(self) -> Self;
+
+    /// Sine and cosine of an angle in radians.
+    fn sin_cos(self) -> (Self, Self);
+}

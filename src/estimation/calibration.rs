@@ -1,0 +1,49 @@
+use serde::{Deserialize, Serialize};
+
+use crate::qube::{Measurement, RAD_PER_COUNT};
+
+/// How one rig's counts become angles and volts: signs differ from rig to rig, zeros from day to day.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// The arm encoder's count in the middle between the stops.
+    pub theta_zero_counts: i32,
+    /// The pendulum encoder's count while it hangs.
+    pub alpha_zero_counts: i32,
+    /// The arm's encoder counts against the convention.
+    pub theta_inverted: bool,
+    /// The pendulum's encoder counts against the convention.
+    pub alpha_inverted: bool,
+    /// A positive voltage turns the arm towards negative theta.
+    pub voltage_inverted: bool,
+}
+
+impl Calibration {
+    /// Signs as the convention has them, zeros at zero.
+    pub const IDENTITY: Self = Self {
+        theta_zero_counts: 0,
+        alpha_zero_counts: 0,
+        theta_inverted: false,
+        alpha_inverted: false,
+        voltage_inverted: false,
+    };
+
+    /// Theta and alpha in rad. Differences wrap, so a counter that overflows does no harm.
+    #[must_use]
+    pub fn angles_rad(&self, measurement: &Measurement) -> (f64, f64) {
+        let angle = |counts: i32, zero: i32, inverted: bool| {
+            let angle = f64::from(counts.wrapping_sub(zero)) * RAD_PER_COUNT;
+            if inverted { -angle } else { angle }
+        };
+        (
+            angle(measurement.theta_counts, self.theta_zero_counts, self.theta_inverted),
+            angle(measurement.alpha_counts, self.alpha_zero_counts, self.alpha_inverted),
+        )
+    }
+
+    /// The voltage to send for a wanted voltage.
+    #[must_use]
+    pub fn device_mv(&self, voltage_mv: i16) -> i16 {
+        if self.voltage_inverted { voltage_mv.saturating_neg() } else { voltage_mv }
+    }
+}

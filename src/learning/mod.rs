@@ -1,0 +1,4 @@
+//! PPO: collect, advantage, gradients, optimiser, trainer, curve.
+//!
+//! May import `simulation`, `policy`, `safety`, `qube`, `elementary`; never `device` or `control`: training
+//! cannot move the motor.

@@ -1,0 +1,106 @@
+use super::{DomainParameters, State};
+use crate::elementary::Scalar;
+
+/// The equations of motion of one Qube, with the products of its parameters that they use.
+///
+/// Source: Eilers 2019, equation 5.1 (`M_p`, `L_r` ... as in [`DomainParameters`]):
+///
+/// ```text
+/// (M_p L_r^2 + 1/4 M_p L_p^2 sin^2 a + J_r) th'' + (1/2 M_p L_p L_r cos a) a''
+///     + (1/2 M_p L_p^2 sin a cos a) th' a' - (1/2 M_p L_p L_r sin a) a'^2 + D_r th' = k_m (V - k_m th') / R_m
+/// (1/2 M_p L_p L_r cos a) th'' + (J_p + 1/4 M_p L_p^2) a''
+///     - (1/4 M_p L_p^2 cos a sin a) th'^2 + 1/2 M_p L_p g sin a + D_p a' = 0
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dynamics<T = f64> {
+    /// M_p L_r^2 + J_r.
+    pub arm_inertia: T,
+    /// 1/4 M_p L_p^2.
+    pub quarter_inertia: T,
+    /// 1/2 M_p L_p L_r.
+    pub coupling: T,
+    /// J_p + 1/4 M_p L_p^2.
+    pub pendulum_inertia: T,
+    /// 1/2 M_p L_p g.
+    pub gravity_torque: T,
+    /// k_m / R_m: torque per volt.
+    pub torque_per_volt: T,
+    /// k_m^2 / R_m + D_r: everything that brakes the arm in proportion to its velocity.
+    pub arm_damping: T,
+    /// D_p.
+    pub pendulum_damping: T,
+}
+
+/// theta'' and alpha'' in rad/s^2.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Acceleration<T = f64> {
+    /// Of the arm.
+    pub theta: T,
+    /// Of the pendulum.
+    pub alpha: T,
+}
+
+impl<T: Scalar> Dynamics<T> {
+    /// The products for these parameters, computed in `f64` and rounded once.
+    #[must_use]
+    pub fn new(parameters: &DomainParameters) -> Self {
+        let p = parameters;
+        let quarter_inertia = 0.25 * p.pendulum_mass_kg * p.pendulum_length_m * p.pendulum_length_m;
+        Self {
+            arm_inertia: T::from_f64(
+                p.pendulum_mass_kg * p.rotary_length_m * p.rotary_length_m
+                    + p.rotary_inertia_kg_m2(),
+            ),
+            quarter_inertia: T::from_f64(quarter_inertia),
+            coupling: T::from_f64(
+                0.5 * p.pendulum_mass_kg * p.pendulum_length_m * p.rotary_length_m,
+            ),
+            pendulum_inertia: T::from_f64(p.pendulum_inertia_kg_m2() + quarter_inertia),
+            gravity_torque: T::from_f64(
+                0.5 * p.pendulum_mass_kg * p.pendulum_length_m * p.gravity_m_s2,
+            ),
+            torque_per_volt: T::from_f64(p.motor_back_emf_v_s / p.motor_resistance_ohm),
+            arm_damping: T::from_f64(
+                p.motor_back_emf_v_s * p.motor_back_emf_v_s / p.motor_resistance_ohm
+                    + p.rotary_damping_n_m_s,
+            ),
+            pendulum_damping: T::from_f64(p.pendulum_damping_n_m_s),
+        }
+    }
+
+    /// Solves the two equations for the accelerations, with the motor at `voltage_v`.
+    #[inline(always)]
+    pub fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T> {
+        let (sin, cos) = state.alpha.sin_cos();
+        let (theta_dot, alpha_dot) = (state.theta_dot, state.alpha_dot);
+
+        // Mass matrix [[m11, m12], [m12, m22]] and right-hand sides.
+        let m11 = self.arm_inertia + self.quarter_inertia * sin * sin;
+        let m12 = self.coupling * cos;
+        let m22 = self.pendulum_inertia;
+        let centrifugal = self.quarter_inertia * sin * cos * theta_dot;
+        let rhs1 = self.torque_per_volt * voltage_v
+            - self.arm_damping * theta_dot
+            - (centrifugal + centrifugal) * alpha_dot
+            + self.coupling * sin * alpha_dot * alpha_dot;
+        let rhs2 =
+            centrifugal * theta_dot - self.gravity_torque * sin - self.pendulum_damping * alpha_dot;
+
+        let inverse_determinant = T::from_f64(1.0) / (m11 * m22 - m12 * m12);
+        Acceleration {
+            theta: (m22 * rhs1 - m12 * rhs2) * inverse_determinant,
+            alpha: (m11 * rhs2 - m12 * rhs1) * inverse_determinant,
+        }
+    }
+
+    /// Kinetic plus potential energy in J; zero potential at the height of the arm.
+    pub fn energy(&self, state: &State<T>) -> T {
+        let (sin, cos) = state.alpha.sin_cos();
+        let (theta_dot, alpha_dot) = (state.theta_dot, state.alpha_dot);
+        let half = T::from_f64(0.5);
+        half * (self.arm_inertia + self.quarter_inertia * sin * sin) * theta_dot * theta_dot
+            + self.coupling * cos * theta_dot * alpha_dot
+            + half * self.pendulum_inertia * alpha_dot * alpha_dot
+            - self.gravity_torque * cos
+    }
+}

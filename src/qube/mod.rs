@@ -1,0 +1,25 @@
+//! What a Qube is: parameters with units, equations of motion, integrator, encoder, reward, limits.
+//!
+//! One copy of the physics serves the simulation, the emulator and the tools. Pure: no randomness,
+//! no I/O. May import `elementary`.
+//!
+//! Conventions everywhere: theta is the rotary arm, alpha the pendulum, **alpha = 0 hangs,
+//! alpha = pi stands**, angles in rad, velocities in rad/s, the action is the motor voltage in V.
+
+mod dynamics;
+mod encoder;
+mod integrator;
+mod limits;
+mod measurement;
+mod parameters;
+mod reward;
+mod state;
+
+pub use dynamics::{Acceleration, Dynamics};
+pub use encoder::{COUNTS_PER_REVOLUTION, RAD_PER_COUNT, angle_rad, counts};
+pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
+pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
+pub use measurement::{Measurement, Status};
+pub use parameters::{DomainParameter, DomainParameters, ParameterError};
+pub use reward::RewardWeights;
+pub use state::{State, wrap_angle};

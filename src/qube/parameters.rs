@@ -1,0 +1,232 @@
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// The nine quantities xi that a simulation may draw anew for each trajectory.
+///
+/// The inertias of the two poles follow from masses and lengths and are never drawn on their own.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DomainParameters {
+    /// g, m/s^2.
+    #[serde(rename = "g")]
+    pub gravity_m_s2: f64,
+    /// R_m, ohm.
+    #[serde(rename = "R_m")]
+    pub motor_resistance_ohm: f64,
+    /// k_m, V s.
+    #[serde(rename = "k_m")]
+    pub motor_back_emf_v_s: f64,
+    /// D_r, N m s.
+    #[serde(rename = "D_r")]
+    pub rotary_damping_n_m_s: f64,
+    /// D_p, N m s.
+    #[serde(rename = "D_p")]
+    pub pendulum_damping_n_m_s: f64,
+    /// M_r, kg.
+    #[serde(rename = "M_r")]
+    pub rotary_mass_kg: f64,
+    /// M_p, kg.
+    #[serde(rename = "M_p")]
+    pub pendulum_mass_kg: f64,
+    /// L_r, m.
+    #[serde(rename = "L_r")]
+    pub rotary_length_m: f64,
+    /// L_p, m.
+    #[serde(rename = "L_p")]
+    pub pendulum_length_m: f64,
+}
+
+/// A name for each of the nine, in the order of the thesis's table 5.1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum DomainParameter {
+    /// g.
+    Gravity,
+    /// R_m.
+    MotorResistance,
+    /// k_m.
+    MotorBackEmf,
+    /// D_r.
+    RotaryDamping,
+    /// D_p.
+    PendulumDamping,
+    /// M_r.
+    RotaryMass,
+    /// M_p.
+    PendulumMass,
+    /// L_r.
+    RotaryLength,
+    /// L_p.
+    PendulumLength,
+}
+
+/// Why a set of domain parameters is no Qube.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ParameterError {
+    /// Gravity, resistance, a mass or a length that is not above zero.
+    #[error("{symbol} = {value} is not physical: it must be above 0")]
+    NotPositive {
+        /// The parameter's symbol.
+        symbol: &'static str,
+        /// What it was.
+        value: f64,
+    },
+    /// A damping or the motor constant below zero.
+    #[error("{symbol} = {value} is not physical: it must not be below 0")]
+    Negative {
+        /// The parameter's symbol.
+        symbol: &'static str,
+        /// What it was.
+        value: f64,
+    },
+    /// Not a finite number.
+    #[error("{symbol} = {value} is not a finite number")]
+    NotFinite {
+        /// The parameter's symbol.
+        symbol: &'static str,
+        /// What it was.
+        value: f64,
+    },
+}
+
+impl DomainParameter {
+    /// All nine, in order.
+    pub const ALL: [Self; 9] = [
+        Self::Gravity,
+        Self::MotorResistance,
+        Self::MotorBackEmf,
+        Self::RotaryDamping,
+        Self::PendulumDamping,
+        Self::RotaryMass,
+        Self::PendulumMass,
+        Self::RotaryLength,
+        Self::PendulumLength,
+    ];
+
+    /// The symbol as files and tables write it: `g`, `R_m`, `k_m`, `D_r`, `D_p`, `M_r`, `M_p`, `L_r`, `L_p`.
+    #[must_use]
+    pub fn symbol(self) -> &'static str {
+        ["g", "R_m", "k_m", "D_r", "D_p", "M_r", "M_p", "L_r", "L_p"][self as usize]
+    }
+
+    /// The parameter with this symbol.
+    #[must_use]
+    pub fn from_symbol(symbol: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|parameter| parameter.symbol() == symbol)
+    }
+
+    /// Whether zero is allowed: a Qube without damping or motor exists on paper, one without mass does not.
+    #[must_use]
+    pub fn may_be_zero(self) -> bool {
+        matches!(self, Self::MotorBackEmf | Self::RotaryDamping | Self::PendulumDamping)
+    }
+}
+
+impl DomainParameters {
+    /// The values on the name plate (thesis, table 5.1).
+    pub const NOMINAL: Self = Self {
+        gravity_m_s2: 9.81,
+        motor_resistance_ohm: 8.4,
+        motor_back_emf_v_s: 0.042,
+        rotary_damping_n_m_s: 5e-6,
+        pendulum_damping_n_m_s: 1e-6,
+        rotary_mass_kg: 0.095,
+        pendulum_mass_kg: 0.024,
+        rotary_length_m: 0.085,
+        pendulum_length_m: 0.129,
+    };
+
+    /// The value of one parameter, in its SI unit.
+    #[must_use]
+    pub fn get(&self, parameter: DomainParameter) -> f64 {
+        match parameter {
+            DomainParameter::Gravity => self.gravity_m_s2,
+            DomainParameter::MotorResistance => self.motor_resistance_ohm,
+            DomainParameter::MotorBackEmf => self.motor_back_emf_v_s,
+            DomainParameter::RotaryDamping => self.rotary_damping_n_m_s,
+            DomainParameter::PendulumDamping => self.pendulum_damping_n_m_s,
+            DomainParameter::RotaryMass => self.rotary_mass_kg,
+            DomainParameter::PendulumMass => self.pendulum_mass_kg,
+            DomainParameter::RotaryLength => self.rotary_length_m,
+            DomainParameter::PendulumLength => self.pendulum_length_m,
+        }
+    }
+
+    /// Sets one parameter, in its SI unit.
+    pub fn set(&mut self, parameter: DomainParameter, value: f64) {
+        *match parameter {
+            DomainParameter::Gravity => &mut self.gravity_m_s2,
+            DomainParameter::MotorResistance => &mut self.motor_resistance_ohm,
+            DomainParameter::MotorBackEmf => &mut self.motor_back_emf_v_s,
+            DomainParameter::RotaryDamping => &mut self.rotary_damping_n_m_s,
+            DomainParameter::PendulumDamping => &mut self.pendulum_damping_n_m_s,
+            DomainParameter::RotaryMass => &mut self.rotary_mass_kg,
+            DomainParameter::PendulumMass => &mut self.pendulum_mass_kg,
+            DomainParameter::RotaryLength => &mut self.rotary_length_m,
+            DomainParameter::PendulumLength => &mut self.pendulum_length_m,
+        } = value;
+    }
+
+    /// Says what is not physical about these values, if anything is.
+    ///
+    /// # Errors
+    /// The first parameter that is not finite, not above zero, or below zero.
+    pub fn check(&self) -> Result<(), ParameterError> {
+        for parameter in DomainParameter::ALL {
+            let (symbol, value) = (parameter.symbol(), self.get(parameter));
+            if !value.is_finite() {
+                return Err(ParameterError::NotFinite { symbol, value });
+            }
+            if value < 0.0 && parameter.may_be_zero() {
+                return Err(ParameterError::Negative { symbol, value });
+            }
+            if value <= 0.0 && !parameter.may_be_zero() {
+                return Err(ParameterError::NotPositive { symbol, value });
+            }
+        }
+        Ok(())
+    }
+
+    /// J_r = M_r L_r^2 / 12, kg m^2.
+    #[must_use]
+    pub fn rotary_inertia_kg_m2(&self) -> f64 {
+        self.rotary_mass_kg * self.rotary_length_m * self.rotary_length_m / 12.0
+    }
+
+    /// J_p = M_p L_p^2 / 12, kg m^2.
+    #[must_use]
+    pub fn pendulum_inertia_kg_m2(&self) -> f64 {
+        self.pendulum_mass_kg * self.pendulum_length_m * self.pendulum_length_m / 12.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_parameter_is_set_and_read_under_its_own_name() {
+        let mut parameters = DomainParameters::NOMINAL;
+        for (index, parameter) in DomainParameter::ALL.into_iter().enumerate() {
+            parameters.set(parameter, 1.0 + index as f64);
+            assert_eq!(DomainParameter::from_symbol(parameter.symbol()), Some(parameter));
+        }
+        let values = DomainParameter::ALL.map(|parameter| parameters.get(parameter));
+        assert_eq!(values, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
+    }
+
+    #[test]
+    fn what_is_not_physical_is_named() {
+        let mut parameters = DomainParameters::NOMINAL;
+        assert_eq!(parameters.check(), Ok(()));
+        parameters.pendulum_mass_kg = 0.0;
+        assert_eq!(
+            parameters.check(),
+            Err(ParameterError::NotPositive { symbol: "M_p", value: 0.0 })
+        );
+        parameters.pendulum_mass_kg = f64::NAN;
+        assert!(matches!(parameters.check(), Err(ParameterError::NotFinite { symbol: "M_p", .. })));
+        parameters =
+            DomainParameters { pendulum_damping_n_m_s: -1e-9, ..DomainParameters::NOMINAL };
+        assert!(matches!(parameters.check(), Err(ParameterError::Negative { symbol: "D_p", .. })));
+    }
+}

@@ -1,0 +1,46 @@
+use std::f64::consts::PI;
+
+use serde::{Deserialize, Serialize};
+
+/// Where the pendulum is: theta the arm, alpha the pendulum (0 hangs, pi stands).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct State<T = f64> {
+    /// Angle of the arm, rad.
+    pub theta: T,
+    /// Angle of the pendulum, rad; 0 hangs, pi stands.
+    pub alpha: T,
+    /// Velocity of the arm, rad/s.
+    pub theta_dot: T,
+    /// Velocity of the pendulum, rad/s.
+    pub alpha_dot: T,
+}
+
+impl State {
+    /// Whether every entry is a number.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        [self.theta, self.alpha, self.theta_dot, self.alpha_dot]
+            .iter()
+            .all(|entry| entry.is_finite())
+    }
+}
+
+/// The same angle in (-pi, pi].
+#[must_use]
+pub fn wrap_angle(angle_rad: f64) -> f64 {
+    let turns = ((angle_rad - PI) / (2.0 * PI)).ceil();
+    angle_rad - 2.0 * PI * turns
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wrapped_angles_lie_in_the_half_open_interval() {
+        assert_eq!(wrap_angle(PI), PI);
+        assert!((wrap_angle(-PI) - PI).abs() < 1e-15);
+        assert!((wrap_angle(3.5 * PI) + 0.5 * PI).abs() < 1e-14);
+        assert_eq!(wrap_angle(0.25), 0.25);
+    }
+}

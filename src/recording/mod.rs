@@ -1,0 +1,3 @@
+//! Rollouts as MCAP files: schemas, the writer thread, the reader, recovery after a crash.
+//!
+//! May import `telemetry`, `qube`.

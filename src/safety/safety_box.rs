@@ -1,0 +1,109 @@
+use std::f64::consts::PI;
+
+use serde::{Deserialize, Serialize};
+
+use crate::elementary::Scalar;
+use crate::qube::State;
+
+/// The box a state must stay inside; a rollout ends at once when it is left.
+///
+/// Only theta is close to a hardware stop; the other three keep behaviour safe.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SafetyBox<T = f64> {
+    /// Largest |theta|, rad.
+    pub theta: T,
+    /// Largest |alpha|, rad.
+    pub alpha: T,
+    /// Largest |theta_dot|, rad/s.
+    pub theta_dot: T,
+    /// Largest |alpha_dot|, rad/s.
+    pub alpha_dot: T,
+}
+
+/// Which side of the box was left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Limit {
+    /// |theta|.
+    Theta,
+    /// |alpha|.
+    Alpha,
+    /// |theta_dot|.
+    ThetaDot,
+    /// |alpha_dot|.
+    AlphaDot,
+}
+
+impl SafetyBox {
+    /// The thesis's limits (section 5.1).
+    pub const THESIS: Self = Self { theta: 2.3, alpha: 4.0 * PI, theta_dot: 30.0, alpha_dot: 40.0 };
+
+    /// The same box in another number type.
+    #[must_use]
+    pub fn cast<T: Scalar>(&self) -> SafetyBox<T> {
+        SafetyBox {
+            theta: T::from_f64(self.theta),
+            alpha: T::from_f64(self.alpha),
+            theta_dot: T::from_f64(self.theta_dot),
+            alpha_dot: T::from_f64(self.alpha_dot),
+        }
+    }
+
+    /// The first limit that a state does not keep; what is not a number keeps none.
+    #[must_use]
+    pub fn violation(&self, state: &State) -> Option<Limit> {
+        let keeps = |value: f64, limit: f64| value.abs() < limit;
+        if !keeps(state.theta, self.theta) {
+            Some(Limit::Theta)
+        } else if !keeps(state.alpha, self.alpha) {
+            Some(Limit::Alpha)
+        } else if !keeps(state.theta_dot, self.theta_dot) {
+            Some(Limit::ThetaDot)
+        } else if !keeps(state.alpha_dot, self.alpha_dot) {
+            Some(Limit::AlphaDot)
+        } else {
+            None
+        }
+    }
+}
+
+impl<T: Scalar> SafetyBox<T> {
+    /// Whether a state keeps all limits, without a branch: for loops over many pendulums.
+    #[inline(always)]
+    pub fn contains(&self, state: &State<T>) -> bool {
+        (state.theta.abs() < self.theta)
+            & (state.alpha.abs() < self.alpha)
+            & (state.theta_dot.abs() < self.theta_dot)
+            & (state.alpha_dot.abs() < self.alpha_dot)
+    }
+}
+
+impl Default for SafetyBox {
+    fn default() -> Self {
+        Self::THESIS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_limit_is_named_on_both_sides_and_for_nan() {
+        let inside = State { theta: 2.29, alpha: -12.5, theta_dot: 29.9, alpha_dot: -39.9 };
+        assert_eq!(SafetyBox::THESIS.violation(&inside), None);
+        assert!(SafetyBox::THESIS.contains(&inside));
+        for sign in [1.0, -1.0, f64::NAN] {
+            for (state, limit) in [
+                (State { theta: 2.3 * sign, ..inside }, Limit::Theta),
+                (State { alpha: 12.57 * sign, ..inside }, Limit::Alpha),
+                (State { theta_dot: 30.0 * sign, ..inside }, Limit::ThetaDot),
+                (State { alpha_dot: 40.0 * sign, ..inside }, Limit::AlphaDot),
+            ] {
+                assert_eq!(SafetyBox::THESIS.violation(&state), Some(limit));
+                assert!(!SafetyBox::THESIS.contains(&state));
+            }
+        }
+    }
+}

@@ -1,0 +1,3 @@
+//! Gaussian-process regression and acquisition functions.
+//!
+//! Knows vectors of `f64` and nothing of Qubes; imports no other room.

@@ -1,0 +1,130 @@
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::Phase;
+use crate::estimation::{Calibration, EstimatorSettings};
+use crate::qube::RewardWeights;
+use crate::safety::{Limit, SafetyBox};
+
+/// Everything beside measurements and policy that decides what the tick does: with these three a
+/// recording can be run again.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TickSettings {
+    /// Counts to angles, wanted to sent voltage.
+    pub calibration: Calibration,
+    /// How velocities are estimated.
+    pub estimator: EstimatorSettings,
+    /// The box that ends the rollout.
+    pub safety_box: SafetyBox,
+    /// Steps that the policy has.
+    pub max_steps: u32,
+    /// Where the arm starts, rad.
+    pub start_theta_rad: f64,
+}
+
+/// What is known of a rollout before it starts.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RolloutHeader {
+    /// Version of this record.
+    pub format: u32,
+    /// The session's name, or `run`.
+    pub session: String,
+    /// The candidate's number in its session.
+    pub candidate: Option<u32>,
+    /// The rollout's number for its candidate.
+    pub rollout: u32,
+    /// 0, or which repetition of a void rollout this is.
+    pub attempt: u32,
+    /// The candidate's psi by name; empty where there is none.
+    pub psi: BTreeMap<String, f64>,
+    /// The seed of the run.
+    pub seed: u64,
+    /// Wall-clock start, ns since 1970; none under a virtual clock.
+    pub started_unix_ns: Option<u64>,
+    /// Version of this program.
+    pub program_version: String,
+    /// The revision it was built from, or `unknown`.
+    pub git_revision: String,
+    /// The device, as it named itself: kind, serial, firmware version, protocol version, port.
+    pub device: BTreeMap<String, String>,
+    /// Name of the policy.
+    pub policy: String,
+    /// What decides the tick.
+    pub settings: TickSettings,
+    /// The weights of the reward that the return is computed with.
+    pub reward: RewardWeights,
+}
+
+/// How a rollout ended. Only `Completed` and `LeftBox` are results; the others are void or stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind", content = "detail")]
+pub enum Ending {
+    /// All steps were taken.
+    Completed,
+    /// The state left the safety box.
+    LeftBox(Limit),
+    /// Somebody asked to stop.
+    Stopped,
+    /// A fault of timing, link or machine.
+    Fault(Fault),
+}
+
+/// The named faults. Each is latched: the motor is off and stays off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fault {
+    /// No valid sample for longer than may be held over.
+    NoSample,
+    /// The port is gone.
+    LinkGone,
+    /// The device's watchdog switched the motor off.
+    WatchdogTripped,
+    /// The device said it is not armed in the middle of a rollout.
+    NotArmed,
+    /// The amplifier reports a fault.
+    Amplifier,
+    /// Too many ticks in a row were late.
+    TooLate,
+    /// The controller asked for a voltage that is not a number.
+    NotANumber,
+    /// Arm and pendulum did not come to rest in time.
+    SettlingTimedOut,
+    /// The arm did not stop in time.
+    BrakingTimedOut,
+    /// The arm's middle was not found in time.
+    HomingTimedOut,
+}
+
+/// What is known of a rollout when it is over; the return is not here, it is computed from the ticks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RolloutOutcome {
+    /// How it ended.
+    pub ending: Ending,
+    /// What the tick was doing then.
+    pub phase: Phase,
+    /// Steps that the policy took.
+    pub steps: u32,
+    /// Ticks that were late by more than a whole period, or without a valid sample.
+    pub missed_deadlines: u32,
+    /// Records that the recorder had no room for: above 0, the file has gaps.
+    pub records_lost: u64,
+    /// Wake-up lateness, microseconds.
+    pub lateness_us: LatencySummary,
+    /// From sample to act by the device's clock, microseconds.
+    pub sample_to_act_us: LatencySummary,
+}
+
+/// Percentiles of a latency.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LatencySummary {
+    /// Median.
+    pub p50: f64,
+    /// 99 %.
+    pub p99: f64,
+    /// 99.9 %.
+    pub p999: f64,
+    /// Largest.
+    pub max: f64,
+}

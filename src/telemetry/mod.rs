@@ -1,0 +1,9 @@
+//! Plain records that leave the tick, and the header of a rollout.
+//!
+//! May import `qube`, `safety`, `estimation`.
+
+mod header;
+mod record;
+
+pub use header::{Ending, Fault, LatencySummary, RolloutHeader, RolloutOutcome, TickSettings};
+pub use record::{Phase, TickRecord};
