@@ -2,3 +2,7 @@
 //! classical controller (energy swing-up + balance), which needs no training.
 //!
 //! May import `qube` and `elementary`; never `learning`: what is deployed runs without the trainer.
+
+mod classical;
+
+pub use classical::{ClassicalController, ClassicalGains};
