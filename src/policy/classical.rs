@@ -90,7 +90,7 @@ impl ClassicalController {
     }
 
     fn swing_up(&self, state: &State) -> f64 {
-        let (_, cos) = state.alpha.sin_cos();
+        let (_, cos) = Scalar::sin_cos(state.alpha);
         let (theta_dot, alpha_dot) = (state.theta_dot, state.alpha_dot);
         // What the pendulum lacks to stand at rest. Its motion across the arm counts, also the part
         // that the arm lends it; the arm's own energy does not.

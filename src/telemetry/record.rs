@@ -28,6 +28,8 @@ pub struct TickRecord {
     pub lateness_ns: u64,
     /// Whole periods that were skipped before this tick because the one before ran late.
     pub skipped_periods: u32,
+    /// Whether somebody had asked to stop by the time the tick woke.
+    pub stop_requested: bool,
     /// The sample, or none when no valid one came in time and the last voltage was held over.
     pub measurement: Option<Measurement>,
     /// The estimated state that the controller saw.
