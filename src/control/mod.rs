@@ -2,3 +2,31 @@
 //!
 //! May import `clock`, `device`, `estimation`, `policy`, `safety`, `telemetry`, `qube`; never
 //! anything that allocates, locks or touches a file.
+//!
+//! Reading order: [`Tick`] decides, [`drive`] runs it against a device and a clock,
+//! [`ControlThread`] gives it a thread of its own.
+
+mod drive;
+mod homing;
+mod latency;
+mod motion;
+mod realtime;
+mod settling;
+mod thread;
+mod tick;
+mod watch;
+
+pub use drive::{DriveReport, drive};
+pub use homing::{Homing, HomingMethod, HomingSettings};
+pub use motion::{Motion, TickInput, TickOutput};
+pub use realtime::{RealtimeReport, enter_realtime};
+pub use thread::{ControlThread, ThreadGone};
+pub use tick::Tick;
+
+/// Records that the ring from the tick to the recorder holds: more than the longest rollout has
+/// ticks (15 s of settling, 6 s of running, 1 s of braking), so that even a stalled recorder
+/// loses nothing.
+pub const RING_CAPACITY: usize = 4096;
+
+#[cfg(test)]
+mod plant_device;

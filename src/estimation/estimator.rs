@@ -1,7 +1,9 @@
+use std::f64::consts::PI;
+
 use serde::{Deserialize, Serialize};
 
 use super::{Calibration, FilterGains, VelocityFilter};
-use crate::qube::{Measurement, State};
+use crate::qube::{COUNTS_PER_REVOLUTION, Measurement, RAD_PER_COUNT, State, wrap_angle};
 
 /// How velocities are estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,6 +69,23 @@ impl Estimator {
         }
         previous.state
     }
+
+    /// Counts the pendulum's whole turns from here on, so that alpha lies in (-pi, pi] now, and
+    /// returns the state as it reads then. Velocities are kept.
+    pub fn forget_whole_turns(&mut self) -> State {
+        let Some(previous) = &mut self.previous else {
+            return State::default();
+        };
+        let turns =
+            ((previous.state.alpha - wrap_angle(previous.state.alpha)) / (2.0 * PI)).round();
+        let turns_counts = turns as i32 * COUNTS_PER_REVOLUTION;
+        let moved = if self.calibration.alpha_inverted { -turns_counts } else { turns_counts };
+        self.calibration.alpha_zero_counts = self.calibration.alpha_zero_counts.wrapping_add(moved);
+        // The same count under the new zero, so that the next difference does not see a jump.
+        previous.state.alpha -= f64::from(turns_counts) * RAD_PER_COUNT;
+        previous.alpha.move_to(previous.state.alpha);
+        previous.state
+    }
 }
 
 #[cfg(test)]
@@ -93,6 +112,30 @@ mod tests {
         assert!((state.alpha - 4.95).abs() < 0.004, "{state:?}");
         assert!((state.theta_dot - 2.0).abs() < 0.31, "{state:?}");
         assert!((state.alpha_dot - 5.0).abs() < 0.31, "{state:?}");
+    }
+
+    #[test]
+    fn forgetting_whole_turns_moves_alpha_and_nothing_else() {
+        for alpha_inverted in [false, true] {
+            let calibration = Calibration { alpha_inverted, ..Calibration::IDENTITY };
+            let mut estimator = Estimator::new(EstimatorSettings::default(), calibration);
+            let at = |tick: u64| Measurement {
+                device_time_us: tick * 10_000,
+                alpha_counts: 3 * COUNTS_PER_REVOLUTION + 7 + tick as i32,
+                ..Measurement::default()
+            };
+            let mut undisturbed = estimator;
+            undisturbed.update(&at(0));
+            undisturbed.update(&at(1));
+            estimator.update(&at(0));
+            let before = estimator.update(&at(1));
+            let after = estimator.forget_whole_turns();
+            assert!((after.alpha - wrap_angle(before.alpha)).abs() < 1e-9);
+            assert_eq!(after.alpha_dot, before.alpha_dot);
+            let (next, expected) = (estimator.update(&at(2)), undisturbed.update(&at(2)));
+            assert!((next.alpha - wrap_angle(expected.alpha)).abs() < 1e-9);
+            assert!((next.alpha_dot - expected.alpha_dot).abs() < 1e-9);
+        }
     }
 
     #[test]

@@ -46,6 +46,11 @@ impl<T: Scalar> VelocityFilter<T> {
         Self { angle, velocity: T::from_f64(0.0) }
     }
 
+    /// Takes this as the last angle without a change of velocity: for a zero that moved.
+    pub fn move_to(&mut self, angle: T) {
+        self.angle = angle;
+    }
+
     /// Takes the next angle and returns the velocity in angle units per second.
     #[inline(always)]
     pub fn update(&mut self, angle: T, gains: &FilterGains<T>) -> T {

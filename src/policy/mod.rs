@@ -6,3 +6,22 @@
 mod classical;
 
 pub use classical::{ClassicalController, ClassicalGains};
+
+use crate::qube::State;
+
+/// A controller that is ready to run: nothing in it allocates.
+#[derive(Clone, Debug)]
+pub enum Policy {
+    /// Energy swing-up and balance.
+    Classical(ClassicalController),
+}
+
+impl Policy {
+    /// The voltage for a state, V. Whether it is one at all is the caller's to check.
+    #[must_use]
+    pub fn voltage_v(&mut self, state: &State) -> f64 {
+        match self {
+            Self::Classical(controller) => controller.voltage_v(state),
+        }
+    }
+}

@@ -1,6 +1,7 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 use super::Phase;
 use crate::estimation::{Calibration, EstimatorSettings};
@@ -72,29 +73,42 @@ pub enum Ending {
 }
 
 /// The named faults. Each is latched: the motor is off and stays off.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fault {
     /// No valid sample for longer than may be held over.
+    #[error("no valid sample for more than 35 ms")]
     NoSample,
     /// The port is gone.
+    #[error("the port is gone (unplugged?)")]
     LinkGone,
     /// The device's watchdog switched the motor off.
+    #[error("the device's watchdog switched the motor off")]
     WatchdogTripped,
     /// The device said it is not armed in the middle of a rollout.
+    #[error("the device was disarmed in the middle of a motion")]
     NotArmed,
     /// The amplifier reports a fault.
+    #[error("the amplifier reports a fault")]
     Amplifier,
     /// Too many ticks in a row were late.
+    #[error("five ticks in a row were more than 10 ms late")]
     TooLate,
     /// The controller asked for a voltage that is not a number.
+    #[error("the policy asked for a voltage that is not a number")]
     NotANumber,
     /// Arm and pendulum did not come to rest in time.
+    #[error("arm and pendulum did not come to rest within 15 s")]
     SettlingTimedOut,
     /// The arm did not stop in time.
+    #[error("the arm did not stop within 1 s of braking")]
     BrakingTimedOut,
-    /// The arm's middle was not found in time.
+    /// The arm's stops were not found in time.
+    #[error("the arm's stops were not found within 60 s")]
     HomingTimedOut,
+    /// The arm's stops are not as far apart as a Qube's: something is in its way.
+    #[error("the arm's stops are not as far apart as a Qube's (is something in its way?)")]
+    TravelBlocked,
 }
 
 /// What is known of a rollout when it is over; the return is not here, it is computed from the ticks.

@@ -1,0 +1,144 @@
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::latency::LatencyHistogram;
+use super::{Motion, TickInput};
+use crate::clock::Clock;
+use crate::device::{Device, DeviceError, LinkFault};
+use crate::qube::{CONTROL_PERIOD_NS, Measurement};
+use crate::telemetry::{Phase, RolloutOutcome, TickRecord};
+
+/// How long a tick waits for its sample, ns. Past this the last voltage is held over, so that the
+/// act still leaves well before the next tick.
+const SAMPLE_TIMEOUT_NS: u64 = 6_000_000;
+
+/// What came of driving one motion to its end.
+#[derive(Debug)]
+pub struct DriveReport {
+    /// How it ended, with its latencies.
+    pub outcome: RolloutOutcome,
+    /// The last measurement, if there was any.
+    pub last_measurement: Option<Measurement>,
+    /// Whether the device confirmed that its amplifier is off. Where it did not, its watchdog
+    /// switches it off within 50 ms.
+    pub disarmed: Result<(), DeviceError>,
+}
+
+/// Arms the device and runs one motion at 100 Hz on absolute deadlines until it ends; then disarms,
+/// whatever happened.
+///
+/// Each turn reads in one order: wait, read, decide, write, record. Nothing in it allocates, locks,
+/// logs or waits for the recorder: `records` is a wait-free ring, and a full one is counted. A
+/// motion that nobody records has none.
+///
+/// # Errors
+/// The device could not be armed; nothing has moved then.
+pub fn drive(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    motion: &mut dyn Motion,
+    mut records: Option<&mut rtrb::Producer<TickRecord>>,
+    stop: &AtomicBool,
+) -> Result<DriveReport, DeviceError> {
+    let mut lateness = LatencyHistogram::new();
+    let mut sample_to_act = LatencyHistogram::new();
+    let mut turns = Turns::default();
+
+    device.arm()?;
+    let mut deadline_ns = clock.now_ns() + CONTROL_PERIOD_NS;
+    let mut skipped_periods = 0;
+    let (ending, phase) = loop {
+        // Wait for the deadline.
+        clock.sleep_until(deadline_ns);
+        let woke_ns = clock.now_ns();
+        let lateness_ns = woke_ns.saturating_sub(deadline_ns);
+        lateness.record(lateness_ns);
+
+        // Read.
+        let sample = device.sample(woke_ns + SAMPLE_TIMEOUT_NS);
+        let input = TickInput {
+            deadline_ns,
+            lateness_ns,
+            skipped_periods,
+            stop_requested: stop.load(Ordering::Relaxed),
+            measurement: sample.ok(),
+            link_gone: sample == Err(LinkFault::Gone),
+        };
+
+        // Decide: estimate, guard, policy, limit.
+        let output = motion.decide(&input);
+
+        // Write. An act that does not get through leaves the last voltage until the watchdog acts;
+        // the next sample says so.
+        if output.ending.is_none() {
+            let _ = device.act(motion.device_mv(output.voltage_mv));
+        }
+        let turnaround_ns = clock.now_ns() - woke_ns;
+
+        // Record.
+        let record = TickRecord {
+            tick: turns.ticks,
+            phase: output.phase,
+            deadline_ns,
+            lateness_ns,
+            skipped_periods,
+            stop_requested: input.stop_requested,
+            measurement: input.measurement,
+            state: output.state,
+            wanted_v: output.wanted_v,
+            voltage_mv: output.voltage_mv,
+            turnaround_ns,
+        };
+        let pushed = records.as_mut().is_none_or(|records| records.push(record).is_ok());
+        turns.count(&record, pushed);
+        if let Some(latency_us) = input.measurement.and_then(|sample| sample.sample_to_act_us) {
+            sample_to_act.record(u64::from(latency_us) * 1000);
+        }
+        if let Some(ending) = output.ending {
+            break (ending, output.phase);
+        }
+
+        // The next deadline. Whole periods that have passed are skipped, never made up in a burst.
+        deadline_ns += CONTROL_PERIOD_NS;
+        let behind_ns = clock.now_ns().saturating_sub(deadline_ns);
+        skipped_periods = (behind_ns / CONTROL_PERIOD_NS) as u32;
+        deadline_ns += u64::from(skipped_periods) * CONTROL_PERIOD_NS;
+    };
+
+    // The last act may have left a voltage; the amplifier goes off before anything else happens.
+    let disarmed = device.disarm();
+    Ok(DriveReport {
+        outcome: RolloutOutcome {
+            ending,
+            phase,
+            steps: turns.steps,
+            missed_deadlines: turns.missed_deadlines,
+            records_lost: turns.records_lost,
+            lateness_us: lateness.summary(),
+            sample_to_act_us: sample_to_act.summary(),
+        },
+        last_measurement: turns.last_measurement,
+        disarmed,
+    })
+}
+
+/// What is counted over the turns of one motion.
+#[derive(Debug, Default)]
+struct Turns {
+    ticks: u32,
+    steps: u32,
+    missed_deadlines: u32,
+    records_lost: u64,
+    last_measurement: Option<Measurement>,
+}
+
+impl Turns {
+    fn count(&mut self, record: &TickRecord, pushed: bool) {
+        self.ticks += 1;
+        self.steps += u32::from(record.phase == Phase::Running);
+        self.missed_deadlines += record.skipped_periods;
+        self.missed_deadlines +=
+            u32::from(record.measurement.is_none() || record.lateness_ns > CONTROL_PERIOD_NS);
+        self.records_lost += u64::from(!pushed);
+        self.last_measurement = record.measurement.or(self.last_measurement);
+    }
+}

@@ -1,0 +1,410 @@
+use serde::{Deserialize, Serialize};
+
+use super::settling::settling_voltage;
+use super::watch::{Alarm, Watch};
+use super::{Motion, TickInput, TickOutput};
+use crate::estimation::{Calibration, Estimator, EstimatorSettings};
+use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, Measurement, RAD_PER_COUNT, State};
+use crate::safety::gate;
+use crate::telemetry::{Ending, Fault, Phase};
+
+/// Most ticks for the whole of homing: 60 s.
+const MAX_TICKS: u32 = 6000;
+
+/// How fast the arm looks for its stops, rad/s: slow enough to touch them without a hit.
+const SEEK_RAD_S: f64 = 1.5;
+
+/// How far ahead of the arm its moving target may run, rad: against a stop that pushes with 1 V.
+const SEEK_LEAD_RAD: f64 = 0.6;
+
+/// An arm that gains no more than this against its drive stands at a stop, rad ...
+const PROGRESS_RAD: f64 = 0.01;
+
+/// ... when it has not for this many ticks: longer than two swings of the pendulum, whose pull may
+/// lift the arm off the stop for a while.
+const BLOCKED_TICKS: u32 = 120;
+
+/// How far the travel between the stops may differ from the nominal one, as a fraction.
+const TRAVEL_TOLERANCE: f64 = 0.1;
+
+/// Ticks that the arm has to come back to the middle: 1.5 s.
+const CENTRING_TICKS: u32 = 150;
+
+/// Ticks over which the pendulum's swing is judged: more than one period of it (0.53 s).
+const SWING_TICKS: u32 = 80;
+
+/// A pendulum that moves over no more counts than this hangs still.
+const STILL_COUNTS: i32 = 4;
+
+/// Where the middle of the arm comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HomingMethod {
+    /// Half-way between the two hard stops, which the arm touches slowly.
+    #[default]
+    Stops,
+    /// Where the arm is when homing starts: somebody put it into the middle by hand.
+    Here,
+}
+
+/// How homing is done.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HomingSettings {
+    /// Where the middle comes from.
+    pub method: HomingMethod,
+    /// Signs of the rig; the zeros are what homing finds.
+    pub signs: Calibration,
+    /// Velocities for the motion itself.
+    pub estimator: EstimatorSettings,
+}
+
+impl Default for HomingSettings {
+    fn default() -> Self {
+        Self {
+            method: HomingMethod::default(),
+            signs: Calibration::IDENTITY,
+            estimator: EstimatorSettings::default(),
+        }
+    }
+}
+
+/// Finds the arm's middle and the count at which the pendulum hangs: encoders count from wherever
+/// they were switched on.
+#[derive(Debug)]
+pub struct Homing {
+    settings: HomingSettings,
+    estimator: Option<Estimator>,
+    /// Zeros as of the first sample; theta and alpha below are relative to them.
+    provisional: Calibration,
+    watch: Watch,
+    stage: Stage,
+    ticks: u32,
+    seek: Option<Seek>,
+    centring_ticks: u32,
+    swing: Swing,
+    state: State,
+    voltage_mv: i16,
+    found: Option<Calibration>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Stop {
+    Negative,
+    Positive { negative_rad: f64 },
+}
+
+impl Stop {
+    fn direction(self) -> f64 {
+        match self {
+            Self::Negative => -1.0,
+            Self::Positive { .. } => 1.0,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Stage {
+    /// Towards the stop at negative theta, then towards the other.
+    Seek { stop: Stop },
+    /// Back to the middle and hold there, while the pendulum swings freely about where it hangs.
+    Centre { middle_rad: f64 },
+    /// Calm the pendulum about that angle.
+    Calm { middle_rad: f64, hanging_rad: f64 },
+}
+
+/// A stop that is being looked for.
+#[derive(Clone, Copy, Debug)]
+struct Seek {
+    /// Where the arm is drawn to; it moves ahead of the arm.
+    target_rad: f64,
+    furthest_rad: f64,
+    /// Ticks since the arm last gained ground.
+    blocked_ticks: u32,
+}
+
+/// Extremes of the pendulum's angle over windows of more than one of its periods.
+#[derive(Clone, Copy, Debug, Default)]
+struct Swing {
+    ticks: u32,
+    lowest_rad: f64,
+    highest_rad: f64,
+}
+
+/// The pendulum's swing over one whole window.
+#[derive(Clone, Copy, Debug)]
+struct Window {
+    middle_rad: f64,
+    is_still: bool,
+}
+
+impl Swing {
+    /// Takes one more angle; gives the window that it completes.
+    fn update(&mut self, alpha_rad: f64) -> Option<Window> {
+        if self.ticks == 0 {
+            (self.lowest_rad, self.highest_rad) = (alpha_rad, alpha_rad);
+        }
+        self.lowest_rad = self.lowest_rad.min(alpha_rad);
+        self.highest_rad = self.highest_rad.max(alpha_rad);
+        self.ticks += 1;
+        if self.ticks < SWING_TICKS {
+            return None;
+        }
+        self.ticks = 0;
+        Some(Window {
+            middle_rad: 0.5 * (self.lowest_rad + self.highest_rad),
+            is_still: self.highest_rad - self.lowest_rad <= f64::from(STILL_COUNTS) * RAD_PER_COUNT,
+        })
+    }
+}
+
+impl Homing {
+    /// A homing that has not begun.
+    #[must_use]
+    pub fn new(settings: &HomingSettings) -> Self {
+        let stage = match settings.method {
+            HomingMethod::Stops => Stage::Seek { stop: Stop::Negative },
+            HomingMethod::Here => Stage::Centre { middle_rad: 0.0 },
+        };
+        Self {
+            settings: *settings,
+            estimator: None,
+            provisional: settings.signs,
+            watch: Watch::default(),
+            stage,
+            ticks: 0,
+            seek: None,
+            centring_ticks: 0,
+            swing: Swing::default(),
+            state: State::default(),
+            voltage_mv: 0,
+            found: None,
+        }
+    }
+
+    /// Signs and zeros, once homing has completed.
+    #[must_use]
+    pub fn calibration(&self) -> Option<Calibration> {
+        self.found
+    }
+
+    fn estimate(&mut self, measurement: &Measurement) -> State {
+        let estimator = self.estimator.get_or_insert_with(|| {
+            self.provisional.theta_zero_counts = measurement.theta_counts;
+            self.provisional.alpha_zero_counts = measurement.alpha_counts;
+            Estimator::new(self.settings.estimator, self.provisional)
+        });
+        estimator.update(measurement)
+    }
+
+    /// Moves on to the next stage where one has reached its end.
+    fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
+        match self.stage {
+            Stage::Seek { stop } => {
+                let at_stop_rad = self.seek(stop)?;
+                self.seek = None;
+                self.stage = match stop {
+                    Stop::Negative => {
+                        Stage::Seek { stop: Stop::Positive { negative_rad: at_stop_rad } }
+                    }
+                    Stop::Positive { negative_rad } => {
+                        let travel_rad = at_stop_rad - negative_rad;
+                        if (travel_rad / (2.0 * HARD_STOP_RAD) - 1.0).abs() > TRAVEL_TOLERANCE {
+                            return Some(Ending::Fault(Fault::TravelBlocked));
+                        }
+                        Stage::Centre { middle_rad: 0.5 * (at_stop_rad + negative_rad) }
+                    }
+                };
+            }
+            Stage::Centre { middle_rad } => {
+                self.centring_ticks += 1;
+                if self.centring_ticks <= CENTRING_TICKS {
+                    self.swing = Swing::default();
+                } else if let Some(window) = self.swing.update(self.state.alpha) {
+                    self.stage = Stage::Calm { middle_rad, hanging_rad: window.middle_rad };
+                }
+            }
+            Stage::Calm { middle_rad, .. } => {
+                let off_middle_rad = self.state.theta - middle_rad;
+                if let Some(window) = self.swing.update(self.state.alpha)
+                    && window.is_still
+                    && off_middle_rad.abs() < 0.1
+                {
+                    let off_hanging_rad = self.state.alpha - window.middle_rad;
+                    self.found = Some(self.zeros(measurement, off_middle_rad, off_hanging_rad));
+                    return Some(Ending::Completed);
+                }
+            }
+        }
+        None
+    }
+
+    /// Moves the target on towards a stop; gives where the stop is once the arm stands at it.
+    fn seek(&mut self, stop: Stop) -> Option<f64> {
+        let theta = self.state.theta;
+        let seek = self.seek.get_or_insert(Seek {
+            target_rad: theta,
+            furthest_rad: theta,
+            blocked_ticks: 0,
+        });
+        let direction = stop.direction();
+        let ahead_rad = direction * (seek.target_rad - theta) + SEEK_RAD_S * CONTROL_PERIOD_S;
+        seek.target_rad = theta + direction * ahead_rad.min(SEEK_LEAD_RAD);
+        seek.blocked_ticks += 1;
+        if direction * (theta - seek.furthest_rad) > PROGRESS_RAD {
+            (seek.furthest_rad, seek.blocked_ticks) = (theta, 0);
+        }
+        (seek.blocked_ticks >= BLOCKED_TICKS).then_some(seek.furthest_rad)
+    }
+
+    /// The counts at the middle of the arm and at the hanging pendulum.
+    fn zeros(
+        &self,
+        measurement: &Measurement,
+        off_middle_rad: f64,
+        off_hanging_rad: f64,
+    ) -> Calibration {
+        let back = |counts: i32, off_rad: f64, inverted: bool| {
+            let off_counts = (off_rad / RAD_PER_COUNT).round() as i32;
+            counts.wrapping_sub(if inverted { -off_counts } else { off_counts })
+        };
+        let signs = &self.settings.signs;
+        Calibration {
+            theta_zero_counts: back(measurement.theta_counts, off_middle_rad, signs.theta_inverted),
+            alpha_zero_counts: back(
+                measurement.alpha_counts,
+                off_hanging_rad,
+                signs.alpha_inverted,
+            ),
+            ..*signs
+        }
+    }
+
+    fn wanted_voltage(&self) -> f64 {
+        match self.stage {
+            Stage::Seek { .. } => {
+                let target_rad = self.seek.map_or(self.state.theta, |seek| seek.target_rad);
+                settling_voltage(&self.state, target_rad)
+            }
+            Stage::Centre { middle_rad } => {
+                let arm_only = State { alpha: 0.0, alpha_dot: 0.0, ..self.state };
+                settling_voltage(&arm_only, middle_rad)
+            }
+            Stage::Calm { middle_rad, hanging_rad } => {
+                let alpha = self.state.alpha - hanging_rad;
+                settling_voltage(&State { alpha, ..self.state }, middle_rad)
+            }
+        }
+    }
+
+    fn output(&self, wanted_v: Option<f64>, ending: Option<Ending>) -> TickOutput {
+        TickOutput {
+            phase: Phase::Settling,
+            state: self.state,
+            wanted_v,
+            voltage_mv: self.voltage_mv,
+            ending,
+        }
+    }
+
+    fn off(&mut self, ending: Ending) -> TickOutput {
+        self.voltage_mv = 0;
+        self.output(None, Some(ending))
+    }
+}
+
+impl Motion for Homing {
+    fn decide(&mut self, input: &TickInput) -> TickOutput {
+        self.ticks += 1 + input.skipped_periods;
+
+        // The arm is slow here: a fault that would brake a rollout can switch off at once.
+        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
+            return self.off(Ending::Fault(fault));
+        }
+        if input.stop_requested {
+            return self.off(Ending::Stopped);
+        }
+        if self.ticks > MAX_TICKS {
+            return self.off(Ending::Fault(Fault::HomingTimedOut));
+        }
+        let Some(measurement) = &input.measurement else {
+            return self.output(None, None);
+        };
+        self.state = self.estimate(measurement);
+        if let Some(ending) = self.advance(measurement) {
+            return self.off(ending);
+        }
+        let wanted_v = self.wanted_voltage();
+        self.voltage_mv = gate(wanted_v).unwrap_or(0);
+        self.output(Some(wanted_v), None)
+    }
+
+    fn device_mv(&self, voltage_mv: i16) -> i16 {
+        self.settings.signs.device_mv(voltage_mv)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use super::super::drive;
+    use super::super::plant_device::{Mishap, PlantDevice};
+    use super::*;
+    use crate::qube::counts;
+
+    fn home(device: &mut PlantDevice, settings: &HomingSettings) -> (Ending, Option<Calibration>) {
+        let clock = device.clock.clone();
+        let mut homing = Homing::new(settings);
+        let report = drive(device, &clock, &mut homing, None, &AtomicBool::new(false)).unwrap();
+        assert!(!device.armed);
+        (report.outcome.ending, homing.calibration())
+    }
+
+    #[test]
+    fn the_middle_and_the_hanging_count_are_found_from_anywhere() {
+        for (theta, alpha) in [(-2.0, 0.3), (0.4, -0.2), (2.3, 0.0)] {
+            let mut device = PlantDevice::new(State { theta, alpha, ..State::default() });
+            device.offset_counts = 12_345;
+            let (ending, found) = home(&mut device, &HomingSettings::default());
+            assert_eq!(ending, Ending::Completed);
+            let found = found.unwrap();
+            assert!((found.theta_zero_counts - 12_345).abs() <= 3, "{found:?}");
+            assert!((found.alpha_zero_counts - 12_345).abs() <= 3, "{found:?}");
+            assert!(device.state.theta.abs() < 0.1);
+        }
+    }
+
+    #[test]
+    fn homing_by_hand_takes_the_place_where_the_arm_is() {
+        let mut device = PlantDevice::new(State { theta: 0.5, ..State::default() });
+        let settings = HomingSettings { method: HomingMethod::Here, ..HomingSettings::default() };
+        let (ending, found) = home(&mut device, &settings);
+        assert_eq!(ending, Ending::Completed);
+        assert!((found.unwrap().theta_zero_counts - counts(0.5)).abs() <= 3);
+        assert!(device.furthest_rad < 0.7, "homing by hand does not look for stops");
+    }
+
+    #[test]
+    fn an_arm_that_does_not_move_has_no_travel() {
+        let frozen = TickInput {
+            measurement: Some(Measurement {
+                status: crate::qube::Status { armed: true, ..Default::default() },
+                ..Measurement::default()
+            }),
+            ..TickInput::default()
+        };
+        let mut homing = Homing::new(&HomingSettings::default());
+        let ending = (0..10_000).find_map(|_| homing.decide(&frozen).ending);
+        assert_eq!(ending, Some(Ending::Fault(Fault::TravelBlocked)));
+        assert_eq!(homing.calibration(), None);
+    }
+
+    #[test]
+    fn a_lost_link_ends_homing() {
+        let mut device = PlantDevice::new(State::default());
+        device.mishap = Box::new(|tick| (tick > 50).then_some(Mishap::Lost));
+        let (ending, found) = home(&mut device, &HomingSettings::default());
+        assert_eq!((ending, found), (Ending::Fault(Fault::NoSample), None));
+    }
+}

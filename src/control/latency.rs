@@ -1,0 +1,37 @@
+use hdrhistogram::Histogram;
+
+use crate::telemetry::LatencySummary;
+
+/// Largest latency that is told apart, ns; what is above counts as this.
+const LARGEST_NS: u64 = 10_000_000_000;
+
+/// Latencies of one motion. Made before the first tick; recording into it does not allocate.
+#[derive(Clone, Debug)]
+pub struct LatencyHistogram {
+    nanoseconds: Histogram<u64>,
+}
+
+impl LatencyHistogram {
+    /// An empty one, two significant digits.
+    pub fn new() -> Self {
+        let nanoseconds =
+            Histogram::new_with_bounds(1, LARGEST_NS, 2).expect("constant bounds are valid");
+        Self { nanoseconds }
+    }
+
+    /// Adds one latency in ns.
+    pub fn record(&mut self, latency_ns: u64) {
+        self.nanoseconds.saturating_record(latency_ns);
+    }
+
+    /// Percentiles in microseconds; all 0 where nothing was recorded.
+    pub fn summary(&self) -> LatencySummary {
+        let microseconds = |quantile| self.nanoseconds.value_at_quantile(quantile) as f64 / 1000.0;
+        LatencySummary {
+            p50: microseconds(0.5),
+            p99: microseconds(0.99),
+            p999: microseconds(0.999),
+            max: self.nanoseconds.max() as f64 / 1000.0,
+        }
+    }
+}

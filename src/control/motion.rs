@@ -1,0 +1,44 @@
+use crate::qube::{Measurement, State};
+use crate::telemetry::{Ending, Phase};
+
+/// What one tick knows. All of it is recorded, so that a recording can be decided again.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TickInput {
+    /// When the tick was due, by the host's clock, ns.
+    pub deadline_ns: u64,
+    /// How long after that it woke, ns.
+    pub lateness_ns: u64,
+    /// Whole periods that were skipped before this tick.
+    pub skipped_periods: u32,
+    /// Whether somebody asks to stop.
+    pub stop_requested: bool,
+    /// The sample, or none when no valid one came in time.
+    pub measurement: Option<Measurement>,
+    /// The port itself is gone; no later sample will come.
+    pub link_gone: bool,
+}
+
+/// What one tick decides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickOutput {
+    /// What the tick was doing.
+    pub phase: Phase,
+    /// The estimated state.
+    pub state: State,
+    /// What the controller asked for, V; none while held over or switched off.
+    pub wanted_v: Option<f64>,
+    /// What to send, mV, by the convention's sign.
+    pub voltage_mv: i16,
+    /// The motion is over: send nothing more, switch the amplifier off.
+    pub ending: Option<Ending>,
+}
+
+/// Something that moves the arm tick by tick: a rollout or a homing. Pure: the same inputs give
+/// the same outputs, bit for bit.
+pub trait Motion: Send {
+    /// Decides one tick. Does not allocate, lock, log or wait.
+    fn decide(&mut self, input: &TickInput) -> TickOutput;
+
+    /// The voltage as the device's wiring wants it, mV.
+    fn device_mv(&self, voltage_mv: i16) -> i16;
+}

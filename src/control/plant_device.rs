@@ -1,0 +1,127 @@
+//! A Qube for this room's tests: the equations of motion behind the device trait, with no wire
+//! between, so that faults can be placed at chosen ticks.
+
+use crate::clock::{Clock, Nanoseconds, VirtualClock};
+use crate::device::{Device, DeviceError, Identity, LinkFault};
+use crate::qube::{
+    CONTROL_PERIOD_NS, DomainParameters, Dynamics, HARD_STOP_RAD, Measurement, State, Status,
+    counts, runge_kutta_4,
+};
+
+/// What happens at a tick instead of a clean sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mishap {
+    /// No answer.
+    Lost,
+    /// The port is gone.
+    Gone,
+    /// The tick's answer takes this long, ns.
+    Slow(u64),
+    /// The device reports this status.
+    Reports(Status),
+}
+
+pub struct PlantDevice {
+    pub state: State,
+    pub clock: VirtualClock,
+    pub mishap: Box<dyn Fn(u32) -> Option<Mishap> + Send>,
+    /// Counts that both encoders show at zero angle.
+    pub offset_counts: i32,
+    pub armed: bool,
+    pub voltages_mv: Vec<i16>,
+    pub furthest_rad: f64,
+    dynamics: Dynamics,
+    simulated_ns: Nanoseconds,
+    voltage_mv: i16,
+    samples: u32,
+}
+
+impl PlantDevice {
+    pub fn new(state: State) -> Self {
+        Self {
+            state,
+            clock: VirtualClock::default(),
+            mishap: Box::new(|_| None),
+            offset_counts: 0,
+            armed: false,
+            voltages_mv: Vec::new(),
+            furthest_rad: 0.0,
+            dynamics: Dynamics::new(&DomainParameters::NOMINAL),
+            simulated_ns: 0,
+            voltage_mv: 0,
+            samples: 0,
+        }
+    }
+
+    fn catch_up(&mut self) {
+        let now_ns = self.clock.now_ns();
+        while self.simulated_ns < now_ns {
+            let step_ns = (now_ns - self.simulated_ns).min(CONTROL_PERIOD_NS / 5);
+            let voltage_v = f64::from(self.voltage_mv) * 1e-3;
+            let step_s = step_ns as f64 * 1e-9;
+            self.state = runge_kutta_4(&self.dynamics, self.state, voltage_v, step_s);
+            if self.state.theta.abs() > HARD_STOP_RAD {
+                self.state.theta = self.state.theta.clamp(-HARD_STOP_RAD, HARD_STOP_RAD);
+                self.state.theta_dot = 0.0;
+            }
+            self.furthest_rad = self.furthest_rad.max(self.state.theta.abs());
+            self.simulated_ns += step_ns;
+        }
+    }
+}
+
+impl Device for PlantDevice {
+    fn hello(&mut self) -> Result<Identity, DeviceError> {
+        Ok(Identity {
+            kind: "plant".into(),
+            serial: String::new(),
+            firmware_version: String::new(),
+            protocol_version: 0,
+            port: "none".into(),
+        })
+    }
+
+    fn arm(&mut self) -> Result<(), DeviceError> {
+        self.armed = true;
+        Ok(())
+    }
+
+    fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+        self.catch_up();
+        let tick = self.samples;
+        self.samples += 1;
+        let mut status = Status { armed: self.armed, ..Status::default() };
+        match (self.mishap)(tick) {
+            Some(Mishap::Lost) => {
+                self.clock.sleep_until(deadline_ns);
+                return Err(LinkFault::Timeout);
+            }
+            Some(Mishap::Gone) => return Err(LinkFault::Gone),
+            Some(Mishap::Slow(duration_ns)) => self.clock.advance(duration_ns),
+            Some(Mishap::Reports(reported)) => status = reported,
+            None => {}
+        }
+        Ok(Measurement {
+            device_time_us: self.simulated_ns / 1000,
+            theta_counts: counts(self.state.theta) + self.offset_counts,
+            alpha_counts: counts(self.state.alpha) + self.offset_counts,
+            status,
+            applied_mv: self.voltage_mv,
+            ..Measurement::default()
+        })
+    }
+
+    fn act(&mut self, voltage_mv: i16) -> Result<(), LinkFault> {
+        self.catch_up();
+        self.voltage_mv = voltage_mv;
+        self.voltages_mv.push(voltage_mv);
+        Ok(())
+    }
+
+    fn disarm(&mut self) -> Result<(), DeviceError> {
+        self.catch_up();
+        self.armed = false;
+        self.voltage_mv = 0;
+        Ok(())
+    }
+}

@@ -1,0 +1,346 @@
+use super::settling::{RestDetector, settling_voltage};
+use super::watch::{Alarm, Watch};
+use super::{Motion, TickInput, TickOutput};
+use crate::estimation::Estimator;
+use crate::policy::Policy;
+use crate::qube::{CONTROL_PERIOD_S, State};
+use crate::safety::{brake_voltage, gate};
+use crate::telemetry::{Ending, Fault, Phase, TickSettings};
+
+/// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
+const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
+
+/// Most ticks for braking: 1 s.
+const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
+
+/// Below this the arm counts as stopped, rad/s ...
+const STOPPED_RAD_S: f64 = 0.5;
+
+/// ... when it stays so for this many ticks.
+const STOPPED_TICKS: u32 = 3;
+
+/// An arm that is still faster than this at the end of braking does not obey the motor, rad/s.
+const RUNAWAY_RAD_S: f64 = 5.0;
+
+/// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it.
+///
+/// The same code runs on the machine, beside the emulator, in virtual time and in replay.
+#[derive(Debug)]
+pub struct Tick {
+    settings: TickSettings,
+    policy: Policy,
+    estimator: Estimator,
+    watch: Watch,
+    rest: RestDetector,
+    phase: Phase,
+    periods_in_phase: u32,
+    stopped_ticks: u32,
+    /// Why braking began; what the rollout ends with.
+    reason: Ending,
+    state: State,
+    voltage_mv: i16,
+}
+
+impl Tick {
+    /// A rollout that starts with settling.
+    #[must_use]
+    pub fn new(settings: &TickSettings, policy: Policy) -> Self {
+        Self {
+            settings: *settings,
+            policy,
+            estimator: Estimator::new(settings.estimator, settings.calibration),
+            watch: Watch::default(),
+            rest: RestDetector::default(),
+            phase: Phase::Settling,
+            periods_in_phase: 0,
+            stopped_ticks: 0,
+            reason: Ending::Completed,
+            state: State::default(),
+            voltage_mv: 0,
+        }
+    }
+
+    /// Moves on to the next phase where the state or the clock asks for it.
+    fn advance(&mut self, input: &TickInput) {
+        if input.stop_requested && self.phase != Phase::Braking {
+            return self.brake(Ending::Stopped);
+        }
+        match self.phase {
+            Phase::Settling => {
+                if self.rest.at_rest(&self.state, self.settings.start_theta_rad) {
+                    // The box counts whole turns of the pendulum from the start of each rollout.
+                    self.state = self.estimator.forget_whole_turns();
+                    self.enter(Phase::Running);
+                } else if self.periods_in_phase >= MAX_SETTLING_TICKS {
+                    self.brake(Ending::Fault(Fault::SettlingTimedOut));
+                }
+            }
+            Phase::Running => {
+                if self.periods_in_phase >= self.settings.max_steps {
+                    self.brake(Ending::Completed);
+                } else if let Some(limit) = self.settings.safety_box.violation(&self.state) {
+                    self.brake(Ending::LeftBox(limit));
+                }
+            }
+            Phase::Braking => {}
+        }
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        self.phase = phase;
+        self.periods_in_phase = 0;
+    }
+
+    fn brake(&mut self, reason: Ending) {
+        self.reason = reason;
+        self.enter(Phase::Braking);
+    }
+
+    /// Whether braking is over, and with what the rollout ends then.
+    fn braked(&mut self) -> Option<Ending> {
+        let speed_rad_s = self.state.theta_dot.abs();
+        self.stopped_ticks = if speed_rad_s < STOPPED_RAD_S { self.stopped_ticks + 1 } else { 0 };
+        if self.stopped_ticks >= STOPPED_TICKS {
+            Some(self.reason)
+        } else if self.periods_in_phase < MAX_BRAKING_TICKS {
+            None
+        } else if speed_rad_s > RUNAWAY_RAD_S {
+            Some(Ending::Fault(Fault::BrakingTimedOut))
+        } else {
+            Some(self.reason)
+        }
+    }
+
+    fn wanted_voltage(&mut self) -> f64 {
+        match self.phase {
+            Phase::Settling => settling_voltage(&self.state, self.settings.start_theta_rad),
+            Phase::Running => self.policy.voltage_v(&self.state),
+            Phase::Braking => brake_voltage(self.state.theta_dot),
+        }
+    }
+
+    fn off(&mut self, ending: Ending) -> TickOutput {
+        self.voltage_mv = 0;
+        TickOutput { wanted_v: None, ending: Some(ending), ..self.output() }
+    }
+
+    fn output(&self) -> TickOutput {
+        TickOutput {
+            phase: self.phase,
+            state: self.state,
+            wanted_v: None,
+            voltage_mv: self.voltage_mv,
+            ending: None,
+        }
+    }
+}
+
+impl Motion for Tick {
+    fn decide(&mut self, input: &TickInput) -> TickOutput {
+        self.periods_in_phase += input.skipped_periods;
+
+        // Watch the link, the clock and the device's own flags.
+        match self.watch.check(input) {
+            Some(Alarm::Zero(fault)) => return self.off(Ending::Fault(fault)),
+            Some(Alarm::Brake(fault)) if self.phase != Phase::Braking => {
+                self.brake(Ending::Fault(fault));
+            }
+            _ => {}
+        }
+
+        // Estimate. Without a sample the last voltage is held over.
+        let Some(measurement) = &input.measurement else {
+            self.periods_in_phase += 1;
+            return self.output();
+        };
+        self.state = self.estimator.update(measurement);
+
+        // Guard: leave the phase where the state asks for it.
+        self.advance(input);
+        if self.phase == Phase::Braking
+            && let Some(ending) = self.braked()
+        {
+            return self.off(ending);
+        }
+
+        // Decide, and let nothing through that is not a voltage.
+        let mut wanted_v = self.wanted_voltage();
+        self.voltage_mv = match gate(wanted_v) {
+            Ok(voltage_mv) => voltage_mv,
+            Err(_) => {
+                self.brake(Ending::Fault(Fault::NotANumber));
+                wanted_v = brake_voltage(self.state.theta_dot);
+                gate(wanted_v).unwrap_or(0)
+            }
+        };
+        self.periods_in_phase += 1;
+        TickOutput { wanted_v: Some(wanted_v), ..self.output() }
+    }
+
+    fn device_mv(&self, voltage_mv: i16) -> i16 {
+        self.settings.calibration.device_mv(voltage_mv)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+    use std::sync::atomic::AtomicBool;
+
+    use super::super::plant_device::{Mishap, PlantDevice};
+    use super::super::{DriveReport, RING_CAPACITY, drive};
+    use super::*;
+    use crate::estimation::{Calibration, EstimatorSettings};
+    use crate::policy::{ClassicalController, ClassicalGains};
+    use crate::qube::{Status, wrap_angle};
+    use crate::safety::{Limit, SafetyBox};
+    use crate::telemetry::TickRecord;
+
+    fn settings() -> TickSettings {
+        TickSettings {
+            calibration: Calibration::IDENTITY,
+            estimator: EstimatorSettings::default(),
+            safety_box: SafetyBox::THESIS,
+            max_steps: 600,
+            start_theta_rad: 0.05,
+        }
+    }
+
+    fn classical() -> Policy {
+        Policy::Classical(ClassicalController::new(ClassicalGains::default()))
+    }
+
+    fn rollout(
+        device: &mut PlantDevice,
+        policy: Policy,
+        stop: bool,
+    ) -> (DriveReport, Vec<TickRecord>) {
+        let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
+        let mut tick = Tick::new(&settings(), policy);
+        let clock = device.clock.clone();
+        let stop = AtomicBool::new(stop);
+        let report = drive(device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
+        assert!(!device.armed, "the amplifier stays on");
+        (report, std::iter::from_fn(|| consumer.pop().ok()).collect())
+    }
+
+    #[test]
+    fn a_rollout_settles_swings_up_and_stops() {
+        let mut device = PlantDevice::new(State { theta: -1.0, alpha: 0.4, ..State::default() });
+        let (report, records) = rollout(&mut device, classical(), false);
+        assert_eq!(report.outcome.ending, Ending::Completed);
+        assert_eq!(report.outcome.steps, 600);
+        assert_eq!(report.outcome.missed_deadlines, 0);
+        let running: Vec<_> = records.iter().filter(|r| r.phase == Phase::Running).collect();
+        assert_eq!(running.len(), 600);
+        assert!((running[0].state.theta - 0.05).abs() < 0.1);
+        assert!(wrap_angle(running[599].state.alpha - PI).abs() < 0.2);
+        assert_eq!(records.last().map(|r| r.phase), Some(Phase::Braking));
+    }
+
+    #[test]
+    fn a_pendulum_that_was_left_turned_round_starts_at_alpha_near_zero() {
+        let mut device = PlantDevice::new(State { alpha: 6.0 * PI, ..State::default() });
+        let (report, records) = rollout(&mut device, classical(), false);
+        assert_eq!(report.outcome.ending, Ending::Completed);
+        let first = records.iter().find(|r| r.phase == Phase::Running).unwrap();
+        assert!(first.state.alpha.abs() < 0.05, "{:?}", first.state);
+        assert!(first.state.alpha_dot.abs() < 0.5, "{:?}", first.state);
+    }
+
+    #[test]
+    fn a_policy_that_pushes_outward_leaves_the_box_and_is_braked() {
+        let outward = ClassicalGains {
+            pump_v_per_j: 0.0,
+            centring_v_per_rad: -100.0,
+            damping_v_s_per_rad: 0.0,
+            ..ClassicalGains::default()
+        };
+        let mut device = PlantDevice::new(State::default());
+        let policy = Policy::Classical(ClassicalController::new(outward));
+        let (report, records) = rollout(&mut device, policy, false);
+        assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Theta));
+        let braking = records.iter().find(|r| r.phase == Phase::Braking).unwrap();
+        assert!(f64::from(braking.voltage_mv) * braking.state.theta_dot < 0.0);
+        assert!(device.voltages_mv.iter().all(|voltage_mv| voltage_mv.abs() <= 5000));
+    }
+
+    #[test]
+    fn a_policy_that_asks_for_no_number_is_braked_and_named() {
+        let broken = ClassicalGains {
+            pump_limit_v: 0.0,
+            pump_v_per_j: f64::NAN,
+            ..ClassicalGains::default()
+        };
+        let mut device = PlantDevice::new(State::default());
+        let policy = Policy::Classical(ClassicalController::new(broken));
+        let (report, _) = rollout(&mut device, policy, false);
+        assert_eq!(report.outcome.ending, Ending::Fault(Fault::NotANumber));
+    }
+
+    #[test]
+    fn a_stop_brakes_at_once() {
+        let mut device = PlantDevice::new(State { theta: 1.0, ..State::default() });
+        let (report, records) = rollout(&mut device, classical(), true);
+        assert_eq!(report.outcome.ending, Ending::Stopped);
+        assert!(records.len() <= 4, "{} ticks after the stop", records.len());
+    }
+
+    #[test]
+    fn lost_samples_are_held_over_and_a_silent_link_ends_the_rollout() {
+        let mut device = PlantDevice::new(State::default());
+        device.mishap = Box::new(|tick| (tick % 20 < 2).then_some(Mishap::Lost));
+        let (report, records) = rollout(&mut device, classical(), false);
+        assert_eq!(report.outcome.ending, Ending::Completed);
+        let held = records.iter().filter(|record| record.measurement.is_none()).count();
+        assert!(held > 60);
+        assert_eq!(report.outcome.missed_deadlines as usize, held);
+
+        let mut device = PlantDevice::new(State::default());
+        device.mishap = Box::new(|tick| (tick >= 100).then_some(Mishap::Lost));
+        let (report, records) = rollout(&mut device, classical(), false);
+        assert_eq!(report.outcome.ending, Ending::Fault(Fault::NoSample));
+        assert_eq!(records.len(), 104);
+    }
+
+    #[test]
+    fn a_stalled_answer_skips_whole_periods_and_never_bursts() {
+        let mut device = PlantDevice::new(State::default());
+        device.mishap = Box::new(|tick| (tick == 150).then_some(Mishap::Slow(34_000_000)));
+        let (report, records) = rollout(&mut device, classical(), false);
+        assert_eq!(report.outcome.ending, Ending::Completed);
+        assert_eq!(records[151].skipped_periods, 2);
+        assert_eq!(records[151].deadline_ns - records[150].deadline_ns, 30_000_000);
+        assert_eq!(records[151].lateness_ns, 4_000_000);
+        assert_eq!(records[152].deadline_ns - records[151].deadline_ns, 10_000_000);
+        assert_eq!(report.outcome.missed_deadlines, 2);
+        assert_eq!(report.outcome.steps, 598);
+    }
+
+    #[test]
+    fn faults_of_link_and_machine_switch_off_without_another_act() {
+        let armed = Status { armed: true, ..Status::default() };
+        for (mishap, fault) in [
+            (Mishap::Gone, Fault::LinkGone),
+            (Mishap::Reports(Status::default()), Fault::NotArmed),
+            (Mishap::Reports(Status { watchdog_tripped: true, ..armed }), Fault::WatchdogTripped),
+            (Mishap::Reports(Status { amplifier_fault: true, ..armed }), Fault::Amplifier),
+        ] {
+            let mut device = PlantDevice::new(State::default());
+            device.mishap = Box::new(move |tick| (tick == 70).then_some(mishap));
+            let (report, records) = rollout(&mut device, classical(), false);
+            assert_eq!(report.outcome.ending, Ending::Fault(fault));
+            assert_eq!(records.len(), 71);
+            assert_eq!(device.voltages_mv.len(), 70);
+        }
+    }
+
+    #[test]
+    fn the_same_rollout_gives_the_same_records() {
+        let run = || {
+            let mut device = PlantDevice::new(State { theta: 0.7, ..State::default() });
+            rollout(&mut device, classical(), false).1
+        };
+        assert_eq!(run(), run());
+    }
+}
