@@ -1,0 +1,19 @@
+//! Tells the program which revision it was built from, so that each recording can name it.
+
+use std::process::Command;
+
+fn main() {
+    let revision = git(&["rev-parse", "--short=12", "HEAD"]).unwrap_or_else(|| "unknown".into());
+    println!("cargo:rustc-env=QUBE_HIL_GIT_REVISION={revision}");
+    println!("cargo:rerun-if-changed=build.rs");
+    if let Some(directory) = git(&["rev-parse", "--absolute-git-dir"]) {
+        println!("cargo:rerun-if-changed={directory}/logs/HEAD");
+    }
+}
+
+/// What git prints, or none where there is no git or no repository (a released archive).
+fn git(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").args(arguments).output().ok()?;
+    let printed = String::from_utf8(output.stdout).ok()?.trim().to_owned();
+    (output.status.success() && !printed.is_empty()).then_some(printed)
+}
