@@ -1,0 +1,244 @@
+//! What comes next, computed from the ledger alone: a session that was killed at any instant goes
+//! on exactly where it was.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Entry, Purpose};
+
+/// How much a session does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Extent {
+    /// Points that the search starts from.
+    pub initial_candidates: u32,
+    /// Points that the search proposes after those.
+    pub iterations: u32,
+    /// Rollouts that value one candidate.
+    pub rollouts: u32,
+    /// Rollouts that verify the answer.
+    pub verification_rollouts: u32,
+    /// How often a rollout that ended by a fault is tried again before the session stops.
+    pub repetitions: u32,
+}
+
+/// One step of the session.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Choose this many psi.
+    Propose {
+        /// How many.
+        count: u32,
+        /// Why.
+        purpose: Purpose,
+    },
+    /// Train these candidates' policies; they do not depend on each other.
+    Train {
+        /// Their numbers.
+        candidates: Vec<u32>,
+    },
+    /// Run one rollout.
+    Rollout {
+        /// The candidate.
+        candidate: u32,
+        /// Its rollout.
+        rollout: u32,
+        /// Which try.
+        attempt: u32,
+    },
+    /// The rollout has failed as often as it may.
+    GiveUp {
+        /// The candidate.
+        candidate: u32,
+        /// Its rollout.
+        rollout: u32,
+    },
+    /// The answer is verified.
+    Done,
+}
+
+/// What the ledger says of one candidate.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    /// Its number.
+    pub number: u32,
+    /// Why it was proposed.
+    pub purpose: Purpose,
+    /// Its psi.
+    pub psi: Vec<f64>,
+    /// Whether its policy is on disk.
+    pub trained: bool,
+    /// The rollouts that have come to a result: number and attempt, in order.
+    pub finished: Vec<(u32, u32)>,
+    /// Tries of the current rollout so far, and how many of those count against the limit.
+    void: (u32, u32),
+}
+
+/// The candidates of a ledger, in order.
+#[must_use]
+pub fn candidates(entries: &[Entry]) -> Vec<Candidate> {
+    let mut candidates: Vec<Candidate> = Vec::new();
+    for entry in entries {
+        match *entry {
+            Entry::Proposed { candidate, purpose, ref psi } => candidates.push(Candidate {
+                number: candidate,
+                purpose,
+                psi: psi.clone(),
+                trained: false,
+                finished: Vec::new(),
+                void: (0, 0),
+            }),
+            Entry::Trained { candidate } => {
+                if let Some(it) = candidates.get_mut(candidate as usize) {
+                    it.trained = true;
+                }
+            }
+            Entry::RolloutFinished { candidate, rollout, attempt } => {
+                if let Some(it) = candidates.get_mut(candidate as usize) {
+                    it.finished.push((rollout, attempt));
+                    it.void = (0, 0);
+                }
+            }
+            Entry::RolloutVoid { candidate, counts, .. } => {
+                if let Some(it) = candidates.get_mut(candidate as usize) {
+                    it.void.0 += 1;
+                    it.void.1 += u32::from(counts);
+                }
+            }
+        }
+    }
+    candidates
+}
+
+/// The next step after these entries.
+#[must_use]
+pub fn next_step(entries: &[Entry], extent: &Extent) -> Step {
+    let candidates = candidates(entries);
+    let searched = extent.initial_candidates + extent.iterations;
+    let count = candidates.len() as u32;
+
+    // All initial points are proposed and trained together, so that training can use all cores.
+    if count < extent.initial_candidates {
+        let count = extent.initial_candidates - count;
+        return Step::Propose { count, purpose: Purpose::Initial };
+    }
+    let untrained: Vec<u32> =
+        candidates.iter().filter(|it| !it.trained).map(|it| it.number).collect();
+    if !untrained.is_empty() {
+        return Step::Train { candidates: untrained };
+    }
+    for it in &candidates {
+        let wanted = match it.purpose {
+            Purpose::Verification => extent.verification_rollouts,
+            Purpose::Initial | Purpose::Search => extent.rollouts,
+        };
+        let rollout = it.finished.len() as u32;
+        if rollout < wanted {
+            let (candidate, (attempt, counted)) = (it.number, it.void);
+            return if counted > extent.repetitions {
+                Step::GiveUp { candidate, rollout }
+            } else {
+                Step::Rollout { candidate, rollout, attempt }
+            };
+        }
+    }
+    if count < searched {
+        Step::Propose { count: 1, purpose: Purpose::Search }
+    } else if count == searched {
+        Step::Propose { count: 1, purpose: Purpose::Verification }
+    } else {
+        Step::Done
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EXTENT: Extent = Extent {
+        initial_candidates: 3,
+        iterations: 2,
+        rollouts: 2,
+        verification_rollouts: 4,
+        repetitions: 3,
+    };
+
+    /// Does what is asked, with a fault now and then, and returns the ledger.
+    fn session(fault_every: u32) -> Vec<Entry> {
+        let mut entries: Vec<Entry> = Vec::new();
+        let mut tries = 0;
+        loop {
+            match next_step(&entries, &EXTENT) {
+                Step::Propose { count, purpose } => {
+                    for _ in 0..count {
+                        let candidate = candidates(&entries).len() as u32;
+                        entries.push(Entry::Proposed { candidate, purpose, psi: vec![0.0] });
+                    }
+                }
+                Step::Train { candidates } => {
+                    entries.extend(
+                        candidates.into_iter().map(|candidate| Entry::Trained { candidate }),
+                    );
+                }
+                Step::Rollout { candidate, rollout, attempt } => {
+                    tries += 1;
+                    entries.push(if tries % fault_every == 0 {
+                        Entry::RolloutVoid { candidate, rollout, attempt, counts: true }
+                    } else {
+                        Entry::RolloutFinished { candidate, rollout, attempt }
+                    });
+                }
+                Step::GiveUp { .. } => panic!("gave up"),
+                Step::Done => return entries,
+            }
+        }
+    }
+
+    #[test]
+    fn every_candidate_gets_its_rollouts_and_the_answer_is_verified_last() {
+        for fault_every in [2, 5, 1000] {
+            let candidates = candidates(&session(fault_every));
+            assert_eq!(candidates.len(), 6);
+            assert!(candidates[..5].iter().all(|it| it.finished.len() == 2));
+            assert_eq!(candidates[5].purpose, Purpose::Verification);
+            assert_eq!(candidates[5].finished.len(), 4);
+        }
+    }
+
+    #[test]
+    fn each_prefix_of_a_ledger_goes_on_to_the_same_end() {
+        let whole = session(1000);
+        for length in 0..whole.len() {
+            let next = next_step(&whole[..length], &EXTENT);
+            let (candidate, ok) = match (&whole[length], next) {
+                (Entry::Proposed { purpose, .. }, Step::Propose { purpose: wanted, .. }) => {
+                    (0, *purpose == wanted)
+                }
+                (Entry::Trained { candidate }, Step::Train { candidates }) => {
+                    (*candidate, candidates[0] == *candidate)
+                }
+                (
+                    Entry::RolloutFinished { candidate, rollout, .. },
+                    Step::Rollout { candidate: c, rollout: r, .. },
+                ) => (*candidate, *candidate == c && *rollout == r),
+                _ => (0, false),
+            };
+            assert!(ok, "after {length} entries, candidate {candidate}");
+        }
+    }
+
+    #[test]
+    fn four_faults_of_one_rollout_end_the_session_and_stops_do_not_count() {
+        let mut entries = session(1000)[..6].to_vec();
+        for attempt in 0..10 {
+            entries.push(Entry::RolloutVoid { candidate: 0, rollout: 0, attempt, counts: false });
+        }
+        for attempt in 10..14 {
+            assert_eq!(
+                next_step(&entries, &EXTENT),
+                Step::Rollout { candidate: 0, rollout: 0, attempt }
+            );
+            entries.push(Entry::RolloutVoid { candidate: 0, rollout: 0, attempt, counts: true });
+        }
+        assert_eq!(next_step(&entries, &EXTENT), Step::GiveUp { candidate: 0, rollout: 0 });
+    }
+}
