@@ -7,7 +7,8 @@
 //!
 //! The coefficients are minimax fits of this project: iteratively reweighted least squares
 //! (Lawson's algorithm) in double precision on 4000 Chebyshev-spaced points, the quotient
-//! linearised with the denominator of the round before; then rounded once. The error bounds in the
+//! linearised with the denominator of the round before; then rounded, for cos one after the other
+//! with the rest fitted again. The error bounds in the
 //! documentation include `f32` rounding and are tested on dense grids.
 
 use super::Scalar;
@@ -25,7 +26,7 @@ pub fn tanh(x: f32) -> f32 {
     let s = x * x;
     let numerator = (-6.134_338e-9_f32)
         .mul_add(s, 7.157_679e-6)
-        .mul_add(s, 2.695_739_9e-3)
+        .mul_add(s, 2.695_739_8e-3)
         .mul_add(s, 1.271_166_4e-1)
         .mul_add(s, 1.0);
     let denominator =
@@ -56,10 +57,10 @@ pub fn sin_cos(x: f32) -> (f32, f32) {
         .mul_add(s, 8.333_016e-3)
         .mul_add(s, -1.666_665_7e-1);
     let sin = sin.mul_add(s * r, r);
-    let cos = 2.319_282_7e-5_f32
-        .mul_add(s, -1.385_586_3e-3)
-        .mul_add(s, 4.166_398e-2)
-        .mul_add(s, -4.999_993_2e-1)
+    let cos = 2.315_998_4e-5_f32
+        .mul_add(s, -1.385_441_6e-3)
+        .mul_add(s, 4.166_379_6e-2)
+        .mul_add(s, -4.999_992_5e-1)
         .mul_add(s, 1.0);
     (f32::from_bits(sin.to_bits() ^ sign), f32::from_bits(cos.to_bits() ^ sign))
 }
