@@ -11,6 +11,7 @@ mod encoder;
 mod integrator;
 mod limits;
 mod measurement;
+mod observation;
 mod parameters;
 mod reward;
 mod state;
@@ -20,6 +21,7 @@ pub use encoder::{COUNTS_PER_REVOLUTION, RAD_PER_COUNT, angle_rad, counts, quant
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
 pub use measurement::{Measurement, Status};
+pub use observation::{OBSERVATION_SIZE, observation};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
 pub use reward::RewardWeights;
 pub use state::{State, wrap_angle};
