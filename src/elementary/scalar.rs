@@ -17,6 +17,16 @@ pub trait Scalar:
     /// The magnitude.
     fn abs(self) -> Self;
 
+    /// `self * factor + summand`: rounded once for `f32`, whose kernels run where that is one fast
+    /// instruction; rounded twice for `f64`, which runs outside of them.
+    fn mul_add(self, factor: Self, summand: Self) -> Self;
+
+    /// The largest integer that is not above.
+    fn floor(self) -> Self;
+
     /// Sine and cosine of an angle in radians.
     fn sin_cos(self) -> (Self, Self);
+
+    /// e to this power.
+    fn exp(self) -> Self;
 }

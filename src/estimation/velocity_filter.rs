@@ -43,7 +43,13 @@ impl<T: Scalar> VelocityFilter<T> {
     /// A filter at rest at an angle.
     #[inline(always)]
     pub fn at_rest(angle: T) -> Self {
-        Self { angle, velocity: T::from_f64(0.0) }
+        Self::at(angle, T::from_f64(0.0))
+    }
+
+    /// A filter that has just seen this angle and given this velocity: nothing else is its state.
+    #[inline(always)]
+    pub fn at(angle: T, velocity: T) -> Self {
+        Self { angle, velocity }
     }
 
     /// Takes this as the last angle without a change of velocity: for a zero that moved.

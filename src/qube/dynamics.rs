@@ -75,21 +75,21 @@ impl<T: Scalar> Dynamics<T> {
         let (theta_dot, alpha_dot) = (state.theta_dot, state.alpha_dot);
 
         // Mass matrix [[m11, m12], [m12, m22]] and right-hand sides.
-        let m11 = self.arm_inertia + self.quarter_inertia * sin * sin;
+        let quarter_sin = self.quarter_inertia * sin;
+        let m11 = quarter_sin.mul_add(sin, self.arm_inertia);
         let m12 = self.coupling * cos;
         let m22 = self.pendulum_inertia;
-        let centrifugal = self.quarter_inertia * sin * cos * theta_dot;
-        let rhs1 = self.torque_per_volt * voltage_v
-            - self.arm_damping * theta_dot
-            - (centrifugal + centrifugal) * alpha_dot
-            + self.coupling * sin * alpha_dot * alpha_dot;
-        let rhs2 =
-            centrifugal * theta_dot - self.gravity_torque * sin - self.pendulum_damping * alpha_dot;
+        let centrifugal = quarter_sin * cos * theta_dot;
+        let motor = (-self.arm_damping).mul_add(theta_dot, self.torque_per_volt * voltage_v);
+        let swing = (self.coupling * sin).mul_add(alpha_dot, -(centrifugal + centrifugal));
+        let rhs1 = swing.mul_add(alpha_dot, motor);
+        let gravity = (-self.gravity_torque).mul_add(sin, centrifugal * theta_dot);
+        let rhs2 = (-self.pendulum_damping).mul_add(alpha_dot, gravity);
 
-        let inverse_determinant = T::from_f64(1.0) / (m11 * m22 - m12 * m12);
+        let inverse_determinant = T::from_f64(1.0) / m11.mul_add(m22, -(m12 * m12));
         Acceleration {
-            theta: (m22 * rhs1 - m12 * rhs2) * inverse_determinant,
-            alpha: (m11 * rhs2 - m12 * rhs1) * inverse_determinant,
+            theta: m22.mul_add(rhs1, -(m12 * rhs2)) * inverse_determinant,
+            alpha: m11.mul_add(rhs2, -(m12 * rhs1)) * inverse_determinant,
         }
     }
 

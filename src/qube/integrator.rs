@@ -55,10 +55,10 @@ pub fn runge_kutta_4<T: Scalar>(
 #[inline(always)]
 fn moved<T: Scalar>(state: &State<T>, rate: &State<T>, duration_s: T) -> State<T> {
     State {
-        theta: state.theta + duration_s * rate.theta,
-        alpha: state.alpha + duration_s * rate.alpha,
-        theta_dot: state.theta_dot + duration_s * rate.theta_dot,
-        alpha_dot: state.alpha_dot + duration_s * rate.alpha_dot,
+        theta: duration_s.mul_add(rate.theta, state.theta),
+        alpha: duration_s.mul_add(rate.alpha, state.alpha),
+        theta_dot: duration_s.mul_add(rate.theta_dot, state.theta_dot),
+        alpha_dot: duration_s.mul_add(rate.alpha_dot, state.alpha_dot),
     }
 }
 

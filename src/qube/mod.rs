@@ -11,15 +11,17 @@ mod encoder;
 mod integrator;
 mod limits;
 mod measurement;
+mod observation;
 mod parameters;
 mod reward;
 mod state;
 
 pub use dynamics::{Acceleration, Dynamics};
-pub use encoder::{COUNTS_PER_REVOLUTION, RAD_PER_COUNT, angle_rad, counts};
+pub use encoder::{COUNTS_PER_REVOLUTION, RAD_PER_COUNT, angle_rad, counts, quantised};
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
 pub use measurement::{Measurement, Status};
+pub use observation::{OBSERVATION_SIZE, observation};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
 pub use reward::RewardWeights;
 pub use state::{State, wrap_angle};

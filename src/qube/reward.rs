@@ -1,23 +1,24 @@
 use serde::{Deserialize, Serialize};
 
 use super::{State, wrap_angle};
+use crate::elementary::Scalar;
 
 /// Weights of r(s, a) = exp(-(e^T Q e + R V^2)) with e = s - [0, pi, 0, 0], alpha wrapped.
 ///
 /// The thesis's formula 5.2 drops the minus sign; without it the reward is unbounded.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RewardWeights {
+pub struct RewardWeights<T = f64> {
     /// Q_11, 1/rad^2.
-    pub theta: f64,
+    pub theta: T,
     /// Q_22, 1/rad^2.
-    pub alpha: f64,
+    pub alpha: T,
     /// Q_33, s^2/rad^2.
-    pub theta_dot: f64,
+    pub theta_dot: T,
     /// Q_44, s^2/rad^2.
-    pub alpha_dot: f64,
+    pub alpha_dot: T,
     /// R, 1/V^2.
-    pub voltage: f64,
+    pub voltage: T,
 }
 
 impl RewardWeights {
@@ -25,16 +26,31 @@ impl RewardWeights {
     pub const THESIS: Self =
         Self { theta: 0.2, alpha: 1.0, theta_dot: 0.02, alpha_dot: 0.005, voltage: 0.003 };
 
+    /// The same weights in another number type.
+    #[must_use]
+    pub fn cast<T: Scalar>(&self) -> RewardWeights<T> {
+        RewardWeights {
+            theta: T::from_f64(self.theta),
+            alpha: T::from_f64(self.alpha),
+            theta_dot: T::from_f64(self.theta_dot),
+            alpha_dot: T::from_f64(self.alpha_dot),
+            voltage: T::from_f64(self.voltage),
+        }
+    }
+}
+
+impl<T: Scalar> RewardWeights<T> {
     /// The reward of one step, in (0, 1], for the state before the step and the voltage applied in it.
     #[must_use]
-    pub fn reward(&self, state: &State, voltage_v: f64) -> f64 {
-        let alpha_error = wrap_angle(state.alpha - std::f64::consts::PI);
-        let cost = self.theta * state.theta * state.theta
-            + self.alpha * alpha_error * alpha_error
-            + self.theta_dot * state.theta_dot * state.theta_dot
-            + self.alpha_dot * state.alpha_dot * state.alpha_dot
-            + self.voltage * voltage_v * voltage_v;
-        libm::exp(-cost)
+    #[inline(always)]
+    pub fn reward(&self, state: &State<T>, voltage_v: T) -> T {
+        let alpha_error = wrap_angle(state.alpha - T::from_f64(std::f64::consts::PI));
+        let cost = self.voltage * voltage_v * voltage_v;
+        let cost = (self.alpha_dot * state.alpha_dot).mul_add(state.alpha_dot, cost);
+        let cost = (self.theta_dot * state.theta_dot).mul_add(state.theta_dot, cost);
+        let cost = (self.alpha * alpha_error).mul_add(alpha_error, cost);
+        let cost = (self.theta * state.theta).mul_add(state.theta, cost);
+        (-cost).exp()
     }
 }
 

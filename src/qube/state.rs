@@ -2,6 +2,8 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
+use crate::elementary::Scalar;
+
 /// Where the pendulum is: theta the arm, alpha the pendulum (0 hangs, pi stands).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct State<T = f64> {
@@ -27,9 +29,11 @@ impl State {
 
 /// The same angle in (-pi, pi].
 #[must_use]
-pub fn wrap_angle(angle_rad: f64) -> f64 {
-    let turns = ((angle_rad - PI) / (2.0 * PI)).ceil();
-    angle_rad - 2.0 * PI * turns
+#[inline(always)]
+pub fn wrap_angle<T: Scalar>(angle_rad: T) -> T {
+    let half_turn = T::from_f64(PI);
+    let turns_down = ((half_turn - angle_rad) * T::from_f64(0.5 / PI)).floor();
+    T::from_f64(2.0 * PI).mul_add(turns_down, angle_rad)
 }
 
 #[cfg(test)]

@@ -2,3 +2,20 @@
 //! pendulums at once.
 //!
 //! May import `qube`, `elementary`, `estimation`, `safety`.
+
+mod block;
+mod distribution;
+mod domain_distribution;
+mod evaluation;
+mod pendulums;
+mod psi;
+mod settings;
+mod trajectory;
+
+pub use distribution::{Distribution, DistributionError, REACH};
+pub use domain_distribution::{DomainDistribution, Family};
+pub use evaluation::{Actor, DEFAULT_STARTS, Evaluation, evaluate};
+pub use pendulums::{LANES_MULTIPLE, Pendulums, Progress};
+pub use psi::{PSI_DIMENSIONS, Psi, PsiDimension, PsiError};
+pub use settings::{SensorModel, SimulationSettings};
+pub use trajectory::{START_REACH_RAD, Trajectory};

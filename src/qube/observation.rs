@@ -1,0 +1,24 @@
+use super::State;
+use crate::elementary::Scalar;
+
+/// Numbers in an [`observation`].
+pub const OBSERVATION_SIZE: usize = 6;
+
+/// What a policy sees of a state: [sin theta, cos theta, sin alpha, cos alpha, 0.1 theta_dot,
+/// 0.05 alpha_dot].
+///
+/// The thesis does not say what its policies saw. Angles enter without their jump at a full turn,
+/// velocities scaled to about one.
+#[inline(always)]
+pub fn observation<T: Scalar>(state: &State<T>) -> [T; OBSERVATION_SIZE] {
+    let (sin_theta, cos_theta) = state.theta.sin_cos();
+    let (sin_alpha, cos_alpha) = state.alpha.sin_cos();
+    [
+        sin_theta,
+        cos_theta,
+        sin_alpha,
+        cos_alpha,
+        T::from_f64(0.1) * state.theta_dot,
+        T::from_f64(0.05) * state.alpha_dot,
+    ]
+}

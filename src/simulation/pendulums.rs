@@ -1,0 +1,178 @@
+use super::block::{BLOCK, Block, Observe, Step, Surroundings};
+use super::{SensorModel, SimulationSettings, Trajectory};
+use crate::elementary::{Level, Scalar, dispatch_at};
+use crate::estimation::FilterGains;
+use crate::qube::{CONTROL_PERIOD_S, Dynamics, OBSERVATION_SIZE, State, observation, quantised};
+
+/// The number of lanes is a multiple of this.
+pub const LANES_MULTIPLE: usize = BLOCK;
+
+/// How a lane's trajectory stands after a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Progress {
+    /// It goes on.
+    #[default]
+    Running,
+    /// It has left the safety box: it earns nothing more, and its value is 0.
+    LeftBox,
+    /// Its 600 steps are over: whoever learns from it bootstraps its value.
+    TimeUp,
+}
+
+/// Many pendulums at once, in lanes, in `f32`: each with its own parameters and its own trajectory,
+/// all of them advancing one control period with each [`Self::step`].
+///
+/// Slices over lanes have length [`Self::lanes`]; observations are feature-major, `[6][lanes]`:
+/// feature `f` of lane `i` is entry `f * lanes + i`. A lane's numbers depend on its own
+/// trajectory and voltages alone, and are the same bits on every instruction set.
+#[derive(Clone, Debug)]
+pub struct Pendulums {
+    blocks: Vec<Block>,
+    surroundings: Surroundings,
+    level: Level,
+}
+
+impl Pendulums {
+    /// At least `lanes` pendulums (rounded up to a multiple of [`LANES_MULTIPLE`]), nominal and
+    /// hanging at rest until they are [`restarted`](Self::restart).
+    #[must_use]
+    pub fn new(lanes: usize, settings: &SimulationSettings) -> Self {
+        let filter = match settings.sensors {
+            SensorModel::TrueState => None,
+            SensorModel::Encoders { estimator } => {
+                Some(FilterGains::new(estimator.corner_rad_s, CONTROL_PERIOD_S).cast())
+            }
+        };
+        Self {
+            blocks: vec![Block::hanging(); lanes.div_ceil(BLOCK)],
+            surroundings: Surroundings {
+                filter,
+                reward: settings.reward.cast(),
+                safety_box: settings.safety_box.cast(),
+            },
+            level: Level::best(),
+        }
+    }
+
+    /// The same, computed with this instruction set (for comparisons; see
+    /// [`crate::elementary::dispatch_at`]).
+    #[must_use]
+    pub fn at_level(mut self, level: Level) -> Self {
+        self.level = level;
+        self
+    }
+
+    /// How many pendulums there are.
+    #[must_use]
+    pub fn lanes(&self) -> usize {
+        self.blocks.len() * BLOCK
+    }
+
+    /// Puts a new trajectory into a lane, at its step 0.
+    ///
+    /// The lane's entries in an array of observations are as they were; see [`Self::observe_lane`].
+    ///
+    /// # Panics
+    /// If there is no such lane.
+    pub fn restart(&mut self, lane: usize, trajectory: &Trajectory) {
+        let start = &trajectory.start;
+        let state: State<f32> = State {
+            theta: f32::from_f64(start.theta),
+            alpha: f32::from_f64(start.alpha),
+            theta_dot: f32::from_f64(start.theta_dot),
+            alpha_dot: f32::from_f64(start.alpha_dot),
+        };
+        // The estimator takes the first measurement as one at rest, here as on the machine.
+        let seen = match self.surroundings.filter {
+            None => state,
+            Some(_) => State {
+                theta: quantised(state.theta),
+                alpha: quantised(state.alpha),
+                theta_dot: 0.0,
+                alpha_dot: 0.0,
+            },
+        };
+        let dynamics = Dynamics::new(&trajectory.parameters);
+        self.blocks[lane / BLOCK].restart(lane % BLOCK, &dynamics, &state, &seen);
+    }
+
+    /// Writes what is observed now in all lanes to `observations`, `[6][lanes]`.
+    ///
+    /// # Panics
+    /// If the length is another.
+    pub fn observe(&self, observations: &mut [f32]) {
+        assert_eq!(observations.len(), OBSERVATION_SIZE * self.lanes(), "observations: [6][lanes]");
+        let (observations, _) = observations.as_chunks_mut();
+        dispatch_at(self.level, Observe { blocks: &self.blocks, observations });
+    }
+
+    /// Writes what is observed now in one lane to its entries of `observations`, `[6][lanes]`: after
+    /// a restart.
+    ///
+    /// # Panics
+    /// If there is no such lane or the length is another.
+    pub fn observe_lane(&self, lane: usize, observations: &mut [f32]) {
+        assert_eq!(observations.len(), OBSERVATION_SIZE * self.lanes(), "observations: [6][lanes]");
+        let observed = observation(&self.blocks[lane / BLOCK].seen(lane % BLOCK));
+        for (feature, value) in observed.into_iter().enumerate() {
+            observations[feature * self.lanes() + lane] = value;
+        }
+    }
+
+    /// One control period of all lanes.
+    ///
+    /// `voltages_v` is limited to the motor's +-5 V. Written are: the `rewards` of the states before
+    /// the step with these voltages; how each trajectory stands now; and the `observations`,
+    /// `[6][lanes]`, of the states after the step, also of those that end with it.
+    ///
+    /// A lane that has ended runs on into the meaningless until it is restarted; nothing of it
+    /// reaches other lanes. A state that is not a number counts as outside of the box.
+    ///
+    /// # Panics
+    /// If a slice has another length.
+    pub fn step(
+        &mut self,
+        voltages_v: &[f32],
+        rewards: &mut [f32],
+        progress: &mut [Progress],
+        observations: &mut [f32],
+    ) {
+        let lanes = self.lanes();
+        assert_eq!(voltages_v.len(), lanes, "voltages_v: [lanes]");
+        assert_eq!(rewards.len(), lanes, "rewards: [lanes]");
+        assert_eq!(progress.len(), lanes, "progress: [lanes]");
+        assert_eq!(observations.len(), OBSERVATION_SIZE * lanes, "observations: [6][lanes]");
+        let (voltages_v, _) = voltages_v.as_chunks();
+        let (rewards, _) = rewards.as_chunks_mut();
+        let (progress, _) = progress.as_chunks_mut();
+        let (observations, _) = observations.as_chunks_mut();
+        let step = Step {
+            blocks: &mut self.blocks,
+            surroundings: &self.surroundings,
+            voltages_v,
+            rewards,
+            progress,
+            observations,
+        };
+        dispatch_at(self.level, step);
+    }
+
+    /// The true state in a lane.
+    ///
+    /// # Panics
+    /// If there is no such lane.
+    #[must_use]
+    pub fn state(&self, lane: usize) -> State<f32> {
+        self.blocks[lane / BLOCK].state(lane % BLOCK)
+    }
+
+    /// What sensors and estimator make of the state in a lane.
+    ///
+    /// # Panics
+    /// If there is no such lane.
+    #[must_use]
+    pub fn seen(&self, lane: usize) -> State<f32> {
+        self.blocks[lane / BLOCK].seen(lane % BLOCK)
+    }
+}

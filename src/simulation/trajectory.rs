@@ -1,0 +1,63 @@
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::DomainDistribution;
+use crate::qube::{DomainParameters, State};
+
+/// Start angles are uniform within this of hanging, in rad, at rest: in training and evaluation
+/// alike. (The thesis does not say.)
+pub const START_REACH_RAD: f64 = 0.1;
+
+/// What is drawn for one trajectory: its Qube and where it starts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trajectory {
+    /// xi.
+    pub parameters: DomainParameters,
+    /// The state at step 0.
+    pub start: State,
+}
+
+impl Trajectory {
+    /// The trajectory with this number under this seed. Each has a random stream of its own, so
+    /// that it is the same whatever was drawn before, and on however many threads.
+    #[must_use]
+    pub fn draw(distribution: &DomainDistribution, seed: u64, number: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(number);
+        let mut angle = || START_REACH_RAD * (2.0 * rng.random::<f64>() - 1.0);
+        let start = State { theta: angle(), alpha: angle(), ..State::default() };
+        Self { parameters: distribution.sample(&mut rng), start }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::Family;
+
+    #[test]
+    fn a_trajectory_depends_on_its_seed_and_number_alone() {
+        let distribution = DomainDistribution::handcrafted(Family::Normal);
+        let draw = |seed, number| Trajectory::draw(&distribution, seed, number);
+        assert_eq!(draw(1, 5), draw(1, 5));
+        assert_ne!(draw(1, 5), draw(1, 6));
+        assert_ne!(draw(1, 5), draw(2, 5));
+    }
+
+    #[test]
+    fn start_is_the_same_under_every_distribution_and_fills_its_range() {
+        let (mut lowest, mut highest) = (f64::MAX, f64::MIN);
+        for number in 0..1000 {
+            let nominal = Trajectory::draw(&DomainDistribution::nominal(), 9, number);
+            let other =
+                Trajectory::draw(&DomainDistribution::handcrafted(Family::Normal), 9, number);
+            assert_eq!(nominal.start, other.start);
+            assert_eq!((nominal.start.theta_dot, nominal.start.alpha_dot), (0.0, 0.0));
+            for angle in [nominal.start.theta, nominal.start.alpha] {
+                lowest = lowest.min(angle);
+                highest = highest.max(angle);
+            }
+        }
+        assert!((-0.1..-0.099).contains(&lowest) && (0.099..0.1).contains(&highest));
+    }
+}
