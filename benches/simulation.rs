@@ -1,0 +1,70 @@
+//! Control steps per second of the randomised simulation, with reward, observation and box.
+//!
+//! `cargo bench --bench simulation`; pin it to one core for figures to compare.
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use qube_hil::elementary::Level;
+use qube_hil::estimation::EstimatorSettings;
+use qube_hil::qube::OBSERVATION_SIZE;
+use qube_hil::simulation::{
+    DomainDistribution, Family, Pendulums, Progress, SensorModel, SimulationSettings, Trajectory,
+};
+
+/// Many swing-ups' worth of states: voltages alternate slowly, so that the pendulums keep moving
+/// inside the box, and what leaves it starts again.
+fn control_steps(criterion: &mut Criterion) {
+    let encoders = SensorModel::Encoders { estimator: EstimatorSettings::default() };
+    for (name, sensors) in [("true_state", SensorModel::TrueState), ("encoders", encoders)] {
+        let settings = SimulationSettings { sensors, ..SimulationSettings::default() };
+        let mut group = criterion.benchmark_group(format!("control_step/{name}"));
+        for level in Level::ALL.into_iter().filter(|level| level.is_available()) {
+            for lanes in [80, 512] {
+                bench_level(&mut group, &settings, level, lanes);
+            }
+        }
+        group.finish();
+    }
+}
+
+fn bench_level(
+    group: &mut criterion::BenchmarkGroup<'_, criterion::measurement::WallTime>,
+    settings: &SimulationSettings,
+    level: Level,
+    lanes: usize,
+) {
+    let distribution = DomainDistribution::handcrafted(Family::Normal);
+    let mut pendulums = Pendulums::new(lanes, settings).at_level(level);
+    let mut next_trajectory = 0;
+    let mut restart = |pendulums: &mut Pendulums, lane| {
+        pendulums.restart(lane, &Trajectory::draw(&distribution, 1, next_trajectory));
+        next_trajectory += 1;
+    };
+    for lane in 0..lanes {
+        restart(&mut pendulums, lane);
+    }
+    let mut voltages_v = vec![0.0_f32; lanes];
+    let mut rewards = vec![0.0; lanes];
+    let mut progress = vec![Progress::Running; lanes];
+    let mut observations = vec![0.0; OBSERVATION_SIZE * lanes];
+    let mut steps = 0_usize;
+    group.throughput(Throughput::Elements(lanes as u64));
+    group.bench_function(BenchmarkId::new(format!("{level:?}"), lanes), |bencher| {
+        bencher.iter(|| {
+            if steps % 25 == 0 {
+                for (lane, voltage_v) in voltages_v.iter_mut().enumerate() {
+                    *voltage_v = if (steps / 25 + lane) % 2 == 0 { 1.5 } else { -1.5 };
+                }
+            }
+            steps += 1;
+            pendulums.step(&voltages_v, &mut rewards, &mut progress, &mut observations);
+            for (lane, progress) in progress.iter().enumerate() {
+                if *progress != Progress::Running {
+                    restart(&mut pendulums, lane);
+                }
+            }
+        });
+    });
+}
+
+criterion_group!(benches, control_steps);
+criterion_main!(benches);
