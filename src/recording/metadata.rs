@@ -1,0 +1,55 @@
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use super::wire_format::CRC_32;
+
+/// Name of the metadata record with the rollout's header.
+pub(super) const HEADER: &str = "rollout";
+/// Name of the metadata record with the rollout's outcome.
+pub(super) const OUTCOME: &str = "outcome";
+/// Name of the metadata record of a file that was made whole.
+pub(super) const RECOVERED: &str = "recovered";
+
+/// MCAP puts no checksum on metadata, and a cut-off file has none over its data section either.
+const CHECKSUM: &str = "crc32";
+
+/// One entry for each field of a struct, its value as JSON text, and a checksum over all of them.
+/// None if the value would not come back as it is (a number that is not finite).
+pub(super) fn to_map<T>(value: &T) -> Option<BTreeMap<String, String>>
+where
+    T: Serialize + DeserializeOwned + PartialEq,
+{
+    let Ok(Value::Object(fields)) = serde_json::to_value(value) else { return None };
+    let mut map: BTreeMap<String, String> =
+        fields.into_iter().map(|(name, value)| (name, value.to_string())).collect();
+    map.insert(CHECKSUM.to_owned(), checksum(&map));
+    let restored: T = from_map(&map).ok()?;
+    (restored == *value).then_some(map)
+}
+
+/// The struct again.
+pub(super) fn from_map<T: DeserializeOwned>(map: &BTreeMap<String, String>) -> Result<T, String> {
+    if map.get(CHECKSUM) != Some(&checksum(map)) {
+        return Err("its checksum does not fit".to_owned());
+    }
+    let mut fields = serde_json::Map::new();
+    for (name, text) in map.iter().filter(|(name, _)| *name != CHECKSUM) {
+        let value = serde_json::from_str(text).map_err(|error| format!("{name}: {error}"))?;
+        fields.insert(name.clone(), value);
+    }
+    serde_json::from_value(Value::Object(fields)).map_err(|error| error.to_string())
+}
+
+fn checksum(map: &BTreeMap<String, String>) -> String {
+    let mut digest = CRC_32.digest();
+    for (name, value) in map.iter().filter(|(name, _)| *name != CHECKSUM) {
+        for part in [name, value] {
+            digest.update(&(part.len() as u64).to_le_bytes());
+            digest.update(part.as_bytes());
+        }
+    }
+    format!("{:08x}", digest.finalize())
+}

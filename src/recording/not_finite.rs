@@ -1,0 +1,68 @@
+use std::fmt::Write as _;
+
+/// Numbers that JSON cannot write (NaN of any kind, infinities), kept by name and bits in one text
+/// beside the fields: `wanted_v=7ff8000000000000 ...`.
+///
+/// A string in the field itself would break the schema's `number` just in the tick that matters
+/// most, and `null` would not say which of them it was.
+#[derive(Debug, Default)]
+pub(super) struct NotFinite {
+    text: String,
+}
+
+impl NotFinite {
+    /// The value if JSON can write it; otherwise none, and its bits are kept.
+    pub(super) fn keep(&mut self, name: &str, value: f64) -> Option<f64> {
+        if value.is_finite() {
+            return Some(value);
+        }
+        self.keep_bits(name, value.to_bits());
+        None
+    }
+
+    /// Keeps the bits of a number of another type.
+    pub(super) fn keep_bits(&mut self, name: &str, bits: u64) {
+        let separator = if self.text.is_empty() { "" } else { " " };
+        // Writing to a String cannot fail.
+        let _ = write!(self.text, "{separator}{name}={bits:016x}");
+    }
+
+    /// The text for the message, none while every number was finite.
+    pub(super) fn into_text(self) -> Option<String> {
+        (!self.text.is_empty()).then_some(self.text)
+    }
+}
+
+/// The number of a field that went through [`NotFinite::keep`]; none if it was never written.
+pub(super) fn restore(name: &str, finite: Option<f64>, not_finite: Option<&str>) -> Option<f64> {
+    finite.or_else(|| restore_bits(name, not_finite).map(f64::from_bits))
+}
+
+/// The bits that went through [`NotFinite::keep_bits`].
+pub(super) fn restore_bits(name: &str, not_finite: Option<&str>) -> Option<u64> {
+    not_finite?.split(' ').find_map(|entry| {
+        let bits = entry.strip_prefix(name)?.strip_prefix('=')?;
+        u64::from_str_radix(bits, 16).ok()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_number_comes_back_with_its_bits() {
+        let values =
+            [1.5, f64::NAN, -f64::NAN, f64::INFINITY, f64::from_bits(0x7ff0_dead_beef_0001)];
+        let names = ["a", "ab", "b", "c", "d"];
+        let mut not_finite = NotFinite::default();
+        let kept: Vec<_> = names.iter().zip(values).map(|(n, v)| not_finite.keep(n, v)).collect();
+        let text = not_finite.into_text();
+        for ((name, value), kept) in names.iter().zip(values).zip(kept) {
+            let restored = restore(name, kept, text.as_deref()).map(f64::to_bits);
+            assert_eq!(restored, Some(value.to_bits()), "{name}");
+        }
+        assert_eq!(restore("e", None, text.as_deref()), None);
+        assert_eq!(NotFinite::default().into_text(), None);
+    }
+}

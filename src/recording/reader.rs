@@ -1,0 +1,133 @@
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use super::scan::{Scan, scan};
+use super::wire_format::MAGIC;
+use super::{FORMAT_VERSION, RecordingError, Unreadable, metadata};
+use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
+
+/// The largest file that is read. A rollout of some 20 s has about half a megabyte.
+const MAX_FILE_BYTES: u64 = 1 << 28;
+
+/// A rollout as it was recorded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    /// What was known before it started.
+    pub header: RolloutHeader,
+    /// The bytes of the policy file.
+    pub policy: Vec<u8>,
+    /// Every tick, bit for bit.
+    pub ticks: Vec<TickRecord>,
+    /// How it ended; none if the recording was cut off before.
+    pub outcome: Option<RolloutOutcome>,
+    /// Whether the file is as it was finished.
+    pub completeness: Completeness,
+}
+
+/// Whether something of a recording is missing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Completeness {
+    /// Nothing is missing and every byte is as it was written.
+    Whole,
+    /// The file was cut off: its program was killed, the disk was full, the power went.
+    CutOff {
+        /// Bytes of the file that could not be used.
+        lost_bytes: u64,
+        /// Where and why reading stopped or left something out.
+        reason: String,
+    },
+    /// The file was made whole after it had been cut off.
+    Recovered,
+}
+
+impl Recording {
+    /// Whether ticks are missing between the first and the last: lost by the recorder or damaged.
+    #[must_use]
+    pub fn has_gaps(&self) -> bool {
+        self.ticks.windows(2).any(|pair| pair[1].tick != pair[0].tick.wrapping_add(1))
+            || self.ticks.first().is_some_and(|first| first.tick != 0)
+    }
+}
+
+/// Reads a recording and checks every byte of it. One that was cut off gives what is whole of it.
+///
+/// # Errors
+/// The file cannot be read; it is no recording; it was finished and then changed or damaged.
+pub fn read(path: &Path) -> Result<Recording, RecordingError> {
+    let bytes = read_bytes(path)?;
+    parse(&bytes).map_err(|why| RecordingError::Unreadable { path: path.to_owned(), why })
+}
+
+pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>, RecordingError> {
+    let read_error = |source| RecordingError::Read { path: path.to_owned(), source };
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(read_error)?;
+    file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(read_error)?;
+    Ok(bytes)
+}
+
+/// As [`read`], from memory. Safe for bytes of any origin: memory stays within a few times the
+/// limit of a file, and nothing is executed.
+///
+/// # Errors
+/// As [`read`].
+pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
+    let scan = checked_scan(bytes)?;
+    if let Some(damage) = scan.damage.first()
+        && is_finished(bytes)
+    {
+        let (offset, what) = (damage.offset as u64, damage.what.clone());
+        return Err(Unreadable::Damaged { offset, what });
+    }
+    recording(scan)
+}
+
+/// Whether the bytes end as a finished recording does.
+fn is_finished(bytes: &[u8]) -> bool {
+    bytes.len() > MAGIC.len() && bytes.ends_with(MAGIC)
+}
+
+pub(super) fn checked_scan(bytes: &[u8]) -> Result<Scan, Unreadable> {
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        return Err(Unreadable::TooLarge { bytes: bytes.len() as u64, limit: MAX_FILE_BYTES });
+    }
+    if !bytes.starts_with(MAGIC) {
+        let cut = MAGIC.starts_with(bytes);
+        return Err(if cut { Unreadable::CutOffAtStart } else { Unreadable::NotMcap });
+    }
+    Ok(scan(bytes))
+}
+
+/// The recording that a scan found, whatever it had to leave out.
+pub(super) fn recording(mut scan: Scan) -> Result<Recording, Unreadable> {
+    let missing = |missing| {
+        if scan.closed { Unreadable::Foreign { missing } } else { Unreadable::CutOffAtStart }
+    };
+    let header = scan
+        .metadata
+        .get(metadata::HEADER)
+        .ok_or_else(|| missing("it has no metadata `rollout`"))?;
+    let format = header.get("format").cloned().unwrap_or_default();
+    if format != FORMAT_VERSION.to_string() {
+        return Err(Unreadable::OtherFormat { found: format, expected: FORMAT_VERSION });
+    }
+    let damaged = |record: &str, what| Unreadable::Damaged {
+        offset: 0,
+        what: format!("the metadata `{record}`: {what}"),
+    };
+    let header = metadata::from_map(header).map_err(|what| damaged(metadata::HEADER, what))?;
+    let outcome = match scan.metadata.get(metadata::OUTCOME) {
+        Some(map) => {
+            Some(metadata::from_map(map).map_err(|what| damaged(metadata::OUTCOME, what))?)
+        }
+        None => None,
+    };
+    let policy = scan.policy.take().ok_or_else(|| missing("it has no policy attached"))?;
+    let completeness = match scan.first_damage() {
+        Some(reason) => Completeness::CutOff { lost_bytes: scan.lost_bytes, reason },
+        None if scan.metadata.contains_key(metadata::RECOVERED) => Completeness::Recovered,
+        None => Completeness::Whole,
+    };
+    Ok(Recording { header, policy, ticks: scan.ticks, outcome, completeness })
+}

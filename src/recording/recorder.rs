@@ -1,0 +1,222 @@
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+
+use super::writer::Sink;
+use super::{RecordingError, RolloutWriter};
+use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
+
+/// How often the ring is emptied.
+const POLL: Duration = Duration::from_millis(10);
+
+/// The longest that a tick waits for its block to be full. With [`POLL`] and the writing itself
+/// well below the promised 250 ms.
+const OLDEST_UNFLUSHED: Duration = Duration::from_millis(120);
+
+/// The thread that takes ticks from the control thread's ring and writes them.
+///
+/// The control thread never waits for it: while the disk stalls, ticks wait in the ring; when
+/// writing fails, the recorder goes on emptying the ring and reports at the end.
+///
+/// Dropped without [`finish`](Self::finish), it leaves a cut-off recording with every tick that it
+/// was given.
+#[derive(Debug)]
+pub struct Recorder {
+    path: PathBuf,
+    outcome: Option<Sender<RolloutOutcome>>,
+    failed: Arc<AtomicBool>,
+    thread: Option<JoinHandle<Result<(), RecordingError>>>,
+}
+
+impl Recorder {
+    /// Makes the file, writes header and policy and starts the thread. `ticks` is the end of the
+    /// control thread's ring.
+    ///
+    /// # Errors
+    /// As [`RolloutWriter::create`]; no thread can be started.
+    pub fn start(
+        path: &Path,
+        header: RolloutHeader,
+        policy: &[u8],
+        ticks: rtrb::Consumer<TickRecord>,
+    ) -> Result<Self, RecordingError> {
+        let in_real_time = header.started_unix_ns.is_some();
+        let writer = RolloutWriter::<File>::create(path, header, policy)?;
+        Self::spawn(path, writer, ticks, in_real_time)
+    }
+
+    fn spawn<W: Sink + Send + 'static>(
+        path: &Path,
+        writer: RolloutWriter<W>,
+        ticks: rtrb::Consumer<TickRecord>,
+        in_real_time: bool,
+    ) -> Result<Self, RecordingError> {
+        let failed = Arc::new(AtomicBool::new(false));
+        let (sender, receiver) = crossbeam_channel::bounded(1);
+        let worker = Worker {
+            writer: Some(writer),
+            ticks,
+            outcome: receiver,
+            failed: Arc::clone(&failed),
+            in_real_time,
+        };
+        let thread = Builder::new()
+            .name("recorder".to_owned())
+            .spawn(move || worker.run())
+            .map_err(|source| RecordingError::write(path, source))?;
+        Ok(Self { path: path.to_owned(), outcome: Some(sender), failed, thread: Some(thread) })
+    }
+
+    /// Whether writing has failed: the rollout can go on, but its recording is cut off.
+    #[must_use]
+    pub fn has_failed(&self) -> bool {
+        self.failed.load(Ordering::Relaxed)
+    }
+
+    /// Writes what is still in the ring and the outcome, closes the file, and returns its path when
+    /// it would survive a loss of power. Nothing may be put into the ring any more.
+    ///
+    /// # Errors
+    /// What went wrong while writing, at whatever tick: a full disk, any other failure.
+    pub fn finish(mut self, outcome: RolloutOutcome) -> Result<PathBuf, RecordingError> {
+        if let Some(sender) = self.outcome.take() {
+            // A thread that has gone says why when it is joined.
+            let _ = sender.send(outcome);
+        }
+        self.join()?;
+        Ok(self.path.clone())
+    }
+
+    fn join(&mut self) -> Result<(), RecordingError> {
+        match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(result)) => result,
+            Some(Err(_)) | None => Err(RecordingError::Stopped { path: self.path.clone() }),
+        }
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        self.outcome = None;
+        if self.thread.is_some()
+            && let Err(error) = self.join()
+        {
+            tracing::error!("{error}");
+        }
+    }
+}
+
+struct Worker<W: Sink> {
+    /// None after a failure.
+    writer: Option<RolloutWriter<W>>,
+    ticks: rtrb::Consumer<TickRecord>,
+    outcome: Receiver<RolloutOutcome>,
+    failed: Arc<AtomicBool>,
+    in_real_time: bool,
+}
+
+impl<W: Sink> Worker<W> {
+    fn run(mut self) -> Result<(), RecordingError> {
+        let mut result = Ok(());
+        let mut block_opened = None;
+        loop {
+            let order = self.outcome.recv_timeout(POLL);
+            let written = self.write_waiting(&mut block_opened);
+            if let Err(error) = written {
+                self.failed.store(true, Ordering::Relaxed);
+                // Dropped, so that what the disk has taken is closed and synced now.
+                self.writer = None;
+                result = Err(error);
+            }
+            match order {
+                Ok(outcome) => {
+                    result?;
+                    return match self.writer.take() {
+                        Some(writer) => writer.finish(&outcome).map(drop),
+                        None => Ok(()),
+                    };
+                }
+                Err(RecvTimeoutError::Disconnected) => return result,
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+        }
+    }
+
+    /// Writes what is in the ring, and the open block once it is old.
+    fn write_waiting(&mut self, block_opened: &mut Option<Instant>) -> Result<(), RecordingError> {
+        while let Ok(tick) = self.ticks.pop() {
+            if let Some(writer) = &mut self.writer {
+                writer.write(&tick)?;
+            }
+        }
+        let Some(writer) = &mut self.writer else { return Ok(()) };
+        // Simulated time has no such limit: its blocks depend on ticks alone.
+        if !self.in_real_time || !writer.has_open_block() {
+            *block_opened = None;
+            return Ok(());
+        }
+        if block_opened.get_or_insert_with(Instant::now).elapsed() >= OLDEST_UNFLUSHED {
+            writer.flush()?;
+            *block_opened = None;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{self, Write};
+
+    use super::super::samples::{POLICY, header, outcome, tick};
+    use super::*;
+
+    /// A disk that takes the header and then nothing more.
+    struct FullDisk {
+        writes_left: u32,
+    }
+
+    impl Write for FullDisk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if self.writes_left == 0 {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            self.writes_left -= 1;
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Sink for FullDisk {
+        fn sync(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_full_disk_never_stops_the_ring_and_is_told_at_the_end() {
+        let path = Path::new("full.mcap");
+        let disk = FullDisk { writes_left: 1 };
+        let writer = RolloutWriter::begin(disk, path, header(), POLICY).unwrap();
+        let (mut producer, consumer) = rtrb::RingBuffer::new(16);
+        let recorder = Recorder::spawn(path, writer, consumer, false).unwrap();
+        for number in 0..200 {
+            while producer.is_full() {
+                std::thread::yield_now();
+            }
+            producer.push(tick(number)).unwrap();
+        }
+        while !recorder.has_failed() {
+            std::thread::yield_now();
+        }
+        let error = recorder.finish(outcome()).unwrap_err();
+        assert!(matches!(error, RecordingError::DiskFull { .. }), "{error}");
+    }
+}

@@ -1,0 +1,267 @@
+use std::collections::{BTreeMap, HashMap};
+use std::io::Read;
+
+use super::POLICY_ATTACHMENT;
+use super::tick_messages::{
+    CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TickMessages, TimingMessage,
+};
+use super::wire_format::{CRC_32, FRAME_BYTES, Fields, Frame, MAGIC, frame, opcode};
+use super::writer::topic;
+use crate::telemetry::TickRecord;
+
+/// Most bytes that one block may have uncompressed; ours have some 20 kB. Keeps a hostile file from
+/// taking the memory.
+const MAX_BLOCK_BYTES: u64 = 1 << 22;
+
+/// Most ticks of one rollout: three hours. For the same reason.
+const MAX_TICKS: usize = 1_080_000;
+
+/// Everything that could be read of a file, and everything that could not.
+#[derive(Default)]
+pub(super) struct Scan {
+    /// Metadata records by name.
+    pub(super) metadata: HashMap<String, BTreeMap<String, String>>,
+    pub(super) policy: Option<Vec<u8>>,
+    pub(super) ticks: Vec<TickRecord>,
+    /// What does not fit, in the order of the file.
+    pub(super) damage: Vec<Damage>,
+    /// Bytes of the file that gave nothing.
+    pub(super) lost_bytes: u64,
+    /// Whether the file goes on to its proper end.
+    pub(super) closed: bool,
+    channels: HashMap<u16, String>,
+}
+
+/// A record that is not what was written.
+#[derive(Clone, Debug)]
+pub(super) struct Damage {
+    pub(super) offset: usize,
+    pub(super) what: String,
+}
+
+/// Reads all that is whole. `bytes` start with the magic.
+///
+/// Blocks stand for themselves: one that is damaged is left out and reading goes on behind it.
+pub(super) fn scan(bytes: &[u8]) -> Scan {
+    let mut scan = Scan::default();
+    let mut offset = MAGIC.len();
+    let mut summary_start = None;
+    while offset < bytes.len() {
+        let Some(record) = frame(bytes, offset) else {
+            scan.lose(offset, bytes.len() - offset, "the file ends within a record");
+            return scan;
+        };
+        match record.opcode {
+            opcode::DATA_END => {
+                let stored = Fields(record.body).u32();
+                if record.body.len() != 4 || stored != Some(CRC_32.checksum(&bytes[..offset])) {
+                    scan.note(offset, "the checksum over everything before does not fit");
+                }
+                summary_start = Some(record.end());
+            }
+            opcode::FOOTER => {
+                scan.footer(bytes, &record, summary_start);
+                return scan;
+            }
+            // What follows the data is an index of it under a checksum of its own.
+            _ if summary_start.is_some() => {}
+            0 => {
+                scan.lose(offset, bytes.len() - offset, "no record starts with a zero");
+                return scan;
+            }
+            _ => {
+                if let Err(what) = scan.record(&record) {
+                    scan.lose(offset, record.end() - offset, what);
+                }
+            }
+        }
+        offset = record.end();
+    }
+    scan
+}
+
+impl Scan {
+    /// Where and why the file is not as it was finished; none if it is.
+    pub(super) fn first_damage(&self) -> Option<String> {
+        match self.damage.first() {
+            Some(damage) => Some(format!("at byte {}: {}", damage.offset, damage.what)),
+            None if self.closed => None,
+            None => Some("the end is missing".to_owned()),
+        }
+    }
+
+    fn note(&mut self, offset: usize, what: impl Into<String>) {
+        self.damage.push(Damage { offset, what: what.into() });
+    }
+
+    fn lose(&mut self, offset: usize, bytes: usize, what: impl Into<String>) {
+        self.lost_bytes += bytes as u64;
+        self.note(offset, what);
+    }
+
+    fn footer(&mut self, bytes: &[u8], record: &Frame<'_>, summary_start: Option<usize>) {
+        // The checksum covers the summary and the footer up to itself.
+        let covered = FRAME_BYTES + 16;
+        let stored = record.body.get(16..).and_then(|rest| Fields(rest).u32());
+        let sound = record.body.len() == 20
+            && summary_start.is_some_and(|start| {
+                let covered = &bytes[start..record.offset + covered];
+                stored == Some(CRC_32.checksum(covered))
+            });
+        if !sound {
+            self.note(record.offset, "the checksum over the index does not fit");
+        }
+        if bytes[record.end()..] == *MAGIC {
+            self.closed = true;
+        } else {
+            self.note(record.end(), "the file does not end where it should");
+        }
+    }
+
+    fn record(&mut self, record: &Frame<'_>) -> Result<(), String> {
+        match record.opcode {
+            opcode::CHUNK => self.block(record.body),
+            opcode::ATTACHMENT => self.attachment(record.body),
+            opcode::METADATA => {
+                let mut fields = Fields(record.body);
+                let (Some(name), Some(map)) = (fields.text(), fields.map()) else {
+                    return Err("a metadata record is malformed".to_owned());
+                };
+                self.metadata.insert(name.to_owned(), map);
+                Ok(())
+            }
+            // The indexes of a block repeat what the block says; nothing is read from them.
+            opcode::HEADER | opcode::MESSAGE_INDEX => Ok(()),
+            other => Err(format!("a record of unknown kind {other:#04x}")),
+        }
+    }
+
+    fn attachment(&mut self, body: &[u8]) -> Result<(), String> {
+        let malformed = || "an attachment is malformed".to_owned();
+        let (covered, stored) = body.split_last_chunk().ok_or_else(malformed)?;
+        if u32::from_le_bytes(*stored) != CRC_32.checksum(covered) {
+            return Err("the checksum of an attachment does not fit".to_owned());
+        }
+        let mut fields = Fields(covered);
+        let (Some(_log_time), Some(_create_time), Some(name), Some(_media_type), Some(length)) =
+            (fields.u64(), fields.u64(), fields.text(), fields.text(), fields.u64())
+        else {
+            return Err(malformed());
+        };
+        if length != fields.0.len() as u64 {
+            return Err(malformed());
+        }
+        if name == POLICY_ATTACHMENT {
+            self.policy = Some(fields.0.to_vec());
+        }
+        Ok(())
+    }
+
+    /// Takes all ticks of a block, or none.
+    fn block(&mut self, body: &[u8]) -> Result<(), String> {
+        let content = decompress(body)?;
+        let mut channels = Vec::new();
+        let mut ticks = Vec::new();
+        let mut messages = TickMessages::default();
+        let mut open = None;
+        let mut offset = 0;
+        while offset < content.len() {
+            let record = frame(&content, offset).ok_or("a block ends within a record")?;
+            offset = record.end();
+            let mut fields = Fields(record.body);
+            match record.opcode {
+                opcode::CHANNEL => {
+                    let id = fields.u16().zip(fields.u16()).map(|(id, _schema)| id);
+                    let (Some(id), Some(topic)) = (id, fields.text()) else {
+                        return Err("a channel is malformed".to_owned());
+                    };
+                    channels.push((id, topic.to_owned()));
+                }
+                opcode::SCHEMA => {}
+                opcode::MESSAGE => {
+                    let ids = fields.u16().zip(fields.u32());
+                    let (Some((id, tick)), Some(_), Some(_)) = (ids, fields.u64(), fields.u64())
+                    else {
+                        return Err("a message is malformed".to_owned());
+                    };
+                    let declared = channels.iter().find(|(known, _)| *known == id);
+                    let topic = declared
+                        .map(|(_, topic)| topic)
+                        .or_else(|| self.channels.get(&id))
+                        .ok_or("a message of an unknown channel")?;
+                    let message = Message { topic, json: fields.0 };
+                    if let Some(timing) = message.take_into(&mut messages)? {
+                        let whole = std::mem::take(&mut messages);
+                        let record = whole.into_record(tick, &timing);
+                        ticks.push(record.ok_or("a tick lacks one of its messages")?);
+                        open = None;
+                    } else if *open.get_or_insert(tick) != tick {
+                        return Err("messages of two ticks are mixed".to_owned());
+                    }
+                }
+                other => return Err(format!("a block holds a record of kind {other:#04x}")),
+            }
+        }
+        if self.ticks.len() + ticks.len() > MAX_TICKS {
+            return Err(format!("more than {MAX_TICKS} ticks"));
+        }
+        self.ticks.extend(ticks);
+        self.channels.extend(channels);
+        Ok(())
+    }
+}
+
+struct Message<'a> {
+    topic: &'a str,
+    json: &'a [u8],
+}
+
+impl Message<'_> {
+    /// Puts the message to the others of its tick; the last one of a tick comes back.
+    fn take_into(&self, messages: &mut TickMessages) -> Result<Option<TimingMessage>, String> {
+        match self.topic {
+            topic::MEASUREMENT => {
+                messages.measurement = Some(self.parse::<MeasurementMessage>()?);
+            }
+            topic::STATE => messages.state = Some(self.parse::<StateMessage>()?),
+            topic::COMMAND => messages.command = Some(self.parse::<CommandMessage>()?),
+            topic::SAFETY => messages.safety = Some(self.parse::<SafetyMessage>()?),
+            topic::TIMING => return Ok(Some(self.parse()?)),
+            // Pictures are for viewers.
+            _ => {}
+        }
+        Ok(None)
+    }
+
+    fn parse<T: serde::de::DeserializeOwned>(&self) -> Result<T, String> {
+        serde_json::from_slice(self.json)
+            .map_err(|error| format!("a message of {} is malformed: {error}", self.topic))
+    }
+}
+
+/// The records of a chunk.
+fn decompress(body: &[u8]) -> Result<Vec<u8>, String> {
+    let mut fields = Fields(body);
+    let (Some(_start), Some(_end), Some(size), Some(checksum), Some(compression), Some(length)) =
+        (fields.u64(), fields.u64(), fields.u64(), fields.u32(), fields.text(), fields.u64())
+    else {
+        return Err("the header of a block is malformed".to_owned());
+    };
+    if length != fields.0.len() as u64 {
+        return Err("a block has another length than it says".to_owned());
+    }
+    if compression != "lz4" {
+        return Err(format!("a block is compressed as `{compression}`, not by this program"));
+    }
+    if size > MAX_BLOCK_BYTES {
+        return Err(format!("a block of {size} bytes is larger than {MAX_BLOCK_BYTES}"));
+    }
+    let mut content = Vec::new();
+    lz4::Decoder::new(fields.0)
+        .and_then(|decoder| decoder.take(size + 1).read_to_end(&mut content))
+        .map_err(|error| format!("a block cannot be decompressed ({error})"))?;
+    if content.len() as u64 != size || checksum != CRC_32.checksum(&content) {
+        return Err("the checksum of a block does not fit".to_owned());
+    }
+    Ok(content)
+}

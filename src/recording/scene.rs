@@ -1,0 +1,229 @@
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use crate::qube::{DomainParameters, State};
+
+// What Foxglove's 3-D panel needs: a tree of frames for each tick, and once the bodies that hang in
+// them. Field names and schema names are Foxglove's (foxglove.FrameTransforms, foxglove.SceneUpdate).
+//
+// Frames: `qube` stands on the table, z up, x where theta = 0 points. `arm` turns by theta about z.
+// `pendulum` sits at the arm's tip and turns by alpha about the arm's axis x; its z points away
+// from the tip's lower end, so that alpha = 0 hangs and positive alpha swings towards positive theta.
+
+const BASE: &str = "qube";
+const ARM: &str = "arm";
+const PENDULUM: &str = "pendulum";
+
+/// Height of the arm above the table, m: for the picture only.
+const ARM_HEIGHT_M: f64 = 0.2;
+
+#[derive(Clone, Copy, Serialize, JsonSchema)]
+struct Time {
+    sec: u64,
+    nsec: u32,
+}
+
+#[derive(Clone, Copy, Serialize, JsonSchema)]
+struct Vector3 {
+    x: f64,
+    y: f64,
+    z: f64,
+}
+
+#[derive(Clone, Copy, Serialize, JsonSchema)]
+struct Quaternion {
+    x: f64,
+    y: f64,
+    z: f64,
+    w: f64,
+}
+
+#[derive(Serialize, JsonSchema)]
+struct FrameTransform {
+    timestamp: Time,
+    parent_frame_id: &'static str,
+    child_frame_id: &'static str,
+    translation: Vector3,
+    rotation: Quaternion,
+}
+
+/// Where arm and pendulum are.
+#[derive(Serialize, JsonSchema)]
+#[schemars(title = "foxglove.FrameTransforms")]
+pub(super) struct FrameTransforms {
+    transforms: [FrameTransform; 2],
+}
+
+#[derive(Serialize, JsonSchema)]
+struct Pose {
+    position: Vector3,
+    orientation: Quaternion,
+}
+
+#[derive(Serialize, JsonSchema)]
+struct Color {
+    r: f64,
+    g: f64,
+    b: f64,
+    a: f64,
+}
+
+#[derive(Serialize, JsonSchema)]
+struct Cube {
+    pose: Pose,
+    size: Vector3,
+    color: Color,
+}
+
+#[derive(Serialize, JsonSchema)]
+struct Duration {
+    sec: i32,
+    nsec: u32,
+}
+
+#[derive(Serialize, JsonSchema)]
+struct Entity {
+    timestamp: Time,
+    frame_id: &'static str,
+    id: &'static str,
+    lifetime: Duration,
+    frame_locked: bool,
+    cubes: [Cube; 1],
+}
+
+/// The bodies that hang in the frames: base, arm, pendulum.
+#[derive(Serialize, JsonSchema)]
+#[schemars(title = "foxglove.SceneUpdate")]
+pub(super) struct SceneUpdate {
+    entities: [Entity; 3],
+}
+
+fn time(time_ns: u64) -> Time {
+    Time { sec: time_ns / 1_000_000_000, nsec: (time_ns % 1_000_000_000) as u32 }
+}
+
+const UPRIGHT: Quaternion = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
+
+impl FrameTransforms {
+    /// The frames of one state. A state that is no number is drawn at zero: JSON has no NaN.
+    pub(super) fn new(state: &State, log_time_ns: u64) -> Self {
+        let half = |angle: f64| if angle.is_finite() { 0.5 * angle } else { 0.0 };
+        let (half_theta, half_alpha) = (half(state.theta), half(state.alpha));
+        let timestamp = time(log_time_ns);
+        let arm_length_m = DomainParameters::NOMINAL.rotary_length_m;
+        Self {
+            transforms: [
+                FrameTransform {
+                    timestamp,
+                    parent_frame_id: BASE,
+                    child_frame_id: ARM,
+                    translation: Vector3 { x: 0.0, y: 0.0, z: ARM_HEIGHT_M },
+                    rotation: Quaternion {
+                        z: libm::sin(half_theta),
+                        w: libm::cos(half_theta),
+                        ..UPRIGHT
+                    },
+                },
+                FrameTransform {
+                    timestamp,
+                    parent_frame_id: ARM,
+                    child_frame_id: PENDULUM,
+                    translation: Vector3 { x: arm_length_m, y: 0.0, z: 0.0 },
+                    rotation: Quaternion {
+                        x: libm::sin(half_alpha),
+                        w: libm::cos(half_alpha),
+                        ..UPRIGHT
+                    },
+                },
+            ],
+        }
+    }
+}
+
+impl SceneUpdate {
+    /// Boxes of the nominal lengths.
+    pub(super) fn new(log_time_ns: u64) -> Self {
+        let nominal = DomainParameters::NOMINAL;
+        let (arm, pendulum) = (nominal.rotary_length_m, nominal.pendulum_length_m);
+        let entity = |frame_id, center, size, color| Entity {
+            timestamp: time(log_time_ns),
+            frame_id,
+            id: frame_id,
+            lifetime: Duration { sec: 0, nsec: 0 },
+            frame_locked: true,
+            cubes: [Cube { pose: Pose { position: center, orientation: UPRIGHT }, size, color }],
+        };
+        let gray = Color { r: 0.3, g: 0.3, b: 0.32, a: 1.0 };
+        let silver = Color { r: 0.75, g: 0.75, b: 0.78, a: 1.0 };
+        let red = Color { r: 0.8, g: 0.1, b: 0.1, a: 1.0 };
+        let body_m = ARM_HEIGHT_M - 0.01;
+        Self {
+            entities: [
+                entity(
+                    BASE,
+                    Vector3 { x: 0.0, y: 0.0, z: 0.5 * body_m },
+                    Vector3 { x: 0.1, y: 0.1, z: body_m },
+                    gray,
+                ),
+                entity(
+                    ARM,
+                    Vector3 { x: 0.5 * arm, y: 0.0, z: 0.0 },
+                    Vector3 { x: arm, y: 0.01, z: 0.01 },
+                    silver,
+                ),
+                entity(
+                    PENDULUM,
+                    Vector3 { x: 0.005, y: 0.0, z: -0.5 * pendulum },
+                    Vector3 { x: 0.008, y: 0.008, z: pendulum },
+                    red,
+                ),
+            ],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    fn rotate(q: Quaternion, v: [f64; 3]) -> [f64; 3] {
+        let cross = |a: [f64; 3], b: [f64; 3]| {
+            [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+        };
+        let axis = [q.x, q.y, q.z];
+        let t = cross(axis, v).map(|x| 2.0 * x);
+        let u = cross(axis, t);
+        [v[0] + q.w * t[0] + u[0], v[1] + q.w * t[1] + u[1], v[2] + q.w * t[2] + u[2]]
+    }
+
+    /// The pendulum's free end in the base frame.
+    fn tip(theta: f64, alpha: f64) -> [f64; 3] {
+        let state = State { theta, alpha, ..State::default() };
+        let [arm, pendulum] = FrameTransforms::new(&state, 0).transforms;
+        let length = DomainParameters::NOMINAL.pendulum_length_m;
+        let in_arm = rotate(pendulum.rotation, [0.0, 0.0, -length]);
+        let in_arm = [in_arm[0] + pendulum.translation.x, in_arm[1], in_arm[2]];
+        let in_base = rotate(arm.rotation, in_arm);
+        [in_base[0], in_base[1], in_base[2] + arm.translation.z]
+    }
+
+    #[test]
+    fn the_tip_is_where_the_angles_say() {
+        let (arm, length) = (
+            DomainParameters::NOMINAL.rotary_length_m,
+            DomainParameters::NOMINAL.pendulum_length_m,
+        );
+        for (theta, alpha, expected) in [
+            (0.0, 0.0, [arm, 0.0, ARM_HEIGHT_M - length]),
+            (0.0, PI, [arm, 0.0, ARM_HEIGHT_M + length]),
+            (0.0, FRAC_PI_2, [arm, length, ARM_HEIGHT_M]),
+            (FRAC_PI_2, 0.0, [0.0, arm, ARM_HEIGHT_M - length]),
+            (FRAC_PI_2, FRAC_PI_2, [-length, arm, ARM_HEIGHT_M]),
+        ] {
+            for (found, expected) in tip(theta, alpha).into_iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-15, "{theta} {alpha}: {found} {expected}");
+            }
+        }
+    }
+}

@@ -1,0 +1,359 @@
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Attachment, Compression, McapError, WriteOptions};
+use schemars::generate::SchemaSettings;
+use schemars::{JsonSchema, Schema};
+use serde::Serialize;
+
+use super::scene::{FrameTransforms, SceneUpdate};
+use super::tick_messages::{
+    CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TimingMessage,
+};
+use super::{POLICY_ATTACHMENT, RecordingError, metadata};
+use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
+
+/// Ticks in one block: a tenth of a second. By ticks and not by the clock, so that the bytes of a
+/// simulated rollout do not depend on how fast it was simulated.
+const TICKS_PER_BLOCK: u32 = 10;
+
+/// Where a recording goes.
+pub trait Sink: Write {
+    /// Returns when what was written would survive a loss of power.
+    ///
+    /// # Errors
+    /// The storage failed.
+    fn sync(&mut self) -> io::Result<()>;
+}
+
+impl Sink for File {
+    fn sync(&mut self) -> io::Result<()> {
+        self.sync_all()
+    }
+}
+
+impl Sink for Vec<u8> {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+type Mcap<W> = mcap::Writer<NoSeek<BufWriter<W>>>;
+
+/// Writes one rollout, block by block.
+///
+/// The same header, policy, ticks and outcome give the same bytes. Dropped without
+/// [`finish`](Self::finish), it leaves a cut-off recording with every tick that it was given.
+pub struct RolloutWriter<W: Sink> {
+    path: PathBuf,
+    /// None only once finished: the drop of an `mcap::Writer` would close the file as if it were whole.
+    mcap: Option<Mcap<W>>,
+    channels: Channels,
+    header: RolloutHeader,
+    /// Deadline of the first tick.
+    origin_ns: Option<u64>,
+    /// The last tick and its log time.
+    last: (TickRecord, u64),
+    ticks_in_block: u32,
+    json: Vec<u8>,
+}
+
+struct Channels {
+    measurement: u16,
+    state: u16,
+    command: u16,
+    safety: u16,
+    transforms: u16,
+    timing: u16,
+}
+
+/// Topics of the channels.
+pub(super) mod topic {
+    pub(crate) const MEASUREMENT: &str = "/measurement";
+    pub(crate) const STATE: &str = "/state";
+    pub(crate) const COMMAND: &str = "/command";
+    pub(crate) const SAFETY: &str = "/safety";
+    pub(crate) const TRANSFORMS: &str = "/tf";
+    pub(crate) const SCENE: &str = "/scene";
+    /// The last of each tick: with it the tick is whole.
+    pub(crate) const TIMING: &str = "/timing";
+}
+
+impl RolloutWriter<File> {
+    /// Makes the file and writes header and policy, so that even a rollout that is killed in its
+    /// first tick says what it was. `policy` are the bytes of the policy file.
+    ///
+    /// # Errors
+    /// The file exists already or cannot be written; the header holds a number that is not finite.
+    pub fn create(
+        path: &Path,
+        header: RolloutHeader,
+        policy: &[u8],
+    ) -> Result<Self, RecordingError> {
+        let file = OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .open(path)
+            .map_err(|source| RecordingError::Create { path: path.to_owned(), source })?;
+        let writer = Self::begin(file, path, header, policy)?;
+        // The name itself has to survive too.
+        sync_directory(path).map_err(|source| RecordingError::write(path, source))?;
+        Ok(writer)
+    }
+}
+
+impl<W: Sink> RolloutWriter<W> {
+    /// As [`create`](RolloutWriter::create), into any sink; `path` is only named in errors.
+    ///
+    /// # Errors
+    /// The sink failed; the header holds a number that is not finite.
+    pub fn begin(
+        sink: W,
+        path: &Path,
+        header: RolloutHeader,
+        policy: &[u8],
+    ) -> Result<Self, RecordingError> {
+        let fields = metadata::to_map(&header).ok_or_else(|| RecordingError::NotFinite {
+            path: path.to_owned(),
+            record: metadata::HEADER,
+        })?;
+        Self::open(sink, path.to_owned(), header, fields, policy)
+            .map_err(|error| RecordingError::write(path, io_error(error)))
+    }
+
+    fn open(
+        sink: W,
+        path: PathBuf,
+        header: RolloutHeader,
+        fields: BTreeMap<String, String>,
+        policy: &[u8],
+    ) -> Result<Self, McapError> {
+        // A chunk's header would be written before its content and corrected by seeking back: a
+        // kill in between leaves nonsense. Without seeking, each block is handed over as a whole.
+        let mut mcap = WriteOptions::new()
+            .compression(Some(Compression::Lz4))
+            .chunk_size(None)
+            .disable_seeking(true)
+            .library(concat!("qube-hil ", env!("CARGO_PKG_VERSION")))
+            .create(NoSeek::new(BufWriter::with_capacity(1 << 16, sink)))?;
+        mcap.write_metadata(&Metadata { name: metadata::HEADER.to_owned(), metadata: fields })?;
+        let started_ns = header.started_unix_ns.unwrap_or(0);
+        mcap.attach(&Attachment {
+            log_time: started_ns,
+            create_time: started_ns,
+            name: POLICY_ATTACHMENT.to_owned(),
+            media_type: "application/octet-stream".to_owned(),
+            data: policy.into(),
+        })?;
+        let channels = Channels {
+            measurement: add_channel::<MeasurementMessage, W>(&mut mcap, topic::MEASUREMENT)?,
+            state: add_channel::<StateMessage, W>(&mut mcap, topic::STATE)?,
+            command: add_channel::<CommandMessage, W>(&mut mcap, topic::COMMAND)?,
+            safety: add_channel::<SafetyMessage, W>(&mut mcap, topic::SAFETY)?,
+            transforms: add_channel::<FrameTransforms, W>(&mut mcap, topic::TRANSFORMS)?,
+            timing: add_channel::<TimingMessage, W>(&mut mcap, topic::TIMING)?,
+        };
+        let scene = add_channel::<SceneUpdate, W>(&mut mcap, topic::SCENE)?;
+        let last = (TickRecord::default(), started_ns);
+        let json = Vec::with_capacity(1024);
+        let mut writer = Self {
+            path,
+            mcap: Some(mcap),
+            channels,
+            header,
+            origin_ns: None,
+            last,
+            ticks_in_block: 0,
+            json,
+        };
+        writer.message(scene, &SceneUpdate::new(started_ns))?;
+        writer.close_block()?;
+        Ok(writer)
+    }
+
+    /// Adds one tick. It reaches the operating system when its block is full or flushed.
+    ///
+    /// # Errors
+    /// The sink failed; nothing more can be written then.
+    pub fn write(&mut self, tick: &TickRecord) -> Result<(), RecordingError> {
+        self.try_write(tick).map_err(|error| RecordingError::write(&self.path, io_error(error)))
+    }
+
+    fn try_write(&mut self, tick: &TickRecord) -> Result<(), McapError> {
+        let origin_ns = *self.origin_ns.get_or_insert(tick.deadline_ns);
+        let started_ns = self.header.started_unix_ns.unwrap_or(0);
+        let log_time_ns = started_ns.saturating_add(tick.deadline_ns.saturating_sub(origin_ns));
+        self.last = (*tick, log_time_ns);
+        if let Some(measurement) = &tick.measurement {
+            let message = MeasurementMessage::new(measurement, &self.header);
+            self.message(self.channels.measurement, &message)?;
+        }
+        self.message(self.channels.state, &StateMessage::new(&tick.state))?;
+        self.message(self.channels.command, &CommandMessage::new(tick))?;
+        self.message(self.channels.safety, &SafetyMessage::new(tick))?;
+        let transforms = FrameTransforms::new(&tick.state, log_time_ns);
+        self.message(self.channels.transforms, &transforms)?;
+        self.message(self.channels.timing, &TimingMessage::new(tick))?;
+        self.ticks_in_block += 1;
+        if self.ticks_in_block >= TICKS_PER_BLOCK {
+            self.close_block()?;
+        }
+        Ok(())
+    }
+
+    /// Hands everything written so far to the operating system, where a kill cannot reach it.
+    ///
+    /// # Errors
+    /// The sink failed.
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
+        self.close_block().map_err(|error| RecordingError::write(&self.path, io_error(error)))
+    }
+
+    /// Whether ticks wait for their block to be full.
+    #[must_use]
+    pub fn has_open_block(&self) -> bool {
+        self.ticks_in_block > 0
+    }
+
+    /// Closes the recording with its outcome, index and checksums, waits until it would survive a
+    /// loss of power, and gives the sink back.
+    ///
+    /// # Errors
+    /// The sink failed, or the outcome holds a number that is not finite: the recording is then
+    /// cut off and says so when it is read.
+    pub fn finish(self, outcome: &RolloutOutcome) -> Result<W, RecordingError> {
+        self.close(Some(outcome), None)
+    }
+
+    /// Closes a recording that was cut off: with the outcome if there is one, and a record of what
+    /// was lost.
+    pub(super) fn finish_recovered(
+        self,
+        outcome: Option<&RolloutOutcome>,
+        lost: BTreeMap<String, String>,
+    ) -> Result<W, RecordingError> {
+        let record = Metadata { name: metadata::RECOVERED.to_owned(), metadata: lost };
+        self.close(outcome, Some(record))
+    }
+
+    fn close(
+        mut self,
+        outcome: Option<&RolloutOutcome>,
+        recovered: Option<Metadata>,
+    ) -> Result<W, RecordingError> {
+        let path = std::mem::take(&mut self.path);
+        let mut records: Vec<Metadata> = recovered.into_iter().collect();
+        let mut ending = None;
+        if let Some(outcome) = outcome {
+            let Some(metadata) = metadata::to_map(outcome) else {
+                return Err(RecordingError::NotFinite { path, record: metadata::OUTCOME });
+            };
+            records.push(Metadata { name: metadata::OUTCOME.to_owned(), metadata });
+            let text = Some(ending_text(outcome.ending));
+            ending = Some(SafetyMessage { ending: text, ..SafetyMessage::new(&self.last.0) });
+        }
+        self.try_close(&records, ending).map_err(|source| RecordingError::write(&path, source))
+    }
+
+    fn try_close(
+        mut self,
+        records: &[Metadata],
+        ending: Option<SafetyMessage>,
+    ) -> Result<W, io::Error> {
+        if let Some(ending) = ending {
+            self.message(self.channels.safety, &ending).map_err(io_error)?;
+        }
+        self.close_block().map_err(io_error)?;
+        let Some(mut mcap) = self.mcap.take() else { return Err(closed()) };
+        for record in records {
+            mcap.write_metadata(record).map_err(io_error)?;
+        }
+        mcap.finish().map_err(io_error)?;
+        let mut sink =
+            mcap.into_inner().into_inner().into_inner().map_err(io::IntoInnerError::into_error)?;
+        sink.sync()?;
+        Ok(sink)
+    }
+
+    fn message<T: Serialize>(&mut self, channel_id: u16, message: &T) -> Result<(), McapError> {
+        let (tick, log_time) = (&self.last.0, self.last.1);
+        let header = MessageHeader {
+            channel_id,
+            sequence: tick.tick,
+            log_time,
+            publish_time: log_time.saturating_add(tick.lateness_ns),
+        };
+        self.json.clear();
+        serde_json::to_writer(&mut self.json, message).map_err(io::Error::from)?;
+        let mcap = self.mcap.as_mut().ok_or_else(closed)?;
+        mcap.write_to_known_channel(&header, &self.json)
+    }
+
+    fn close_block(&mut self) -> Result<(), McapError> {
+        self.ticks_in_block = 0;
+        self.mcap.as_mut().ok_or_else(closed)?.flush()
+    }
+}
+
+impl<W: Sink> Drop for RolloutWriter<W> {
+    fn drop(&mut self) {
+        if let Some(mut mcap) = self.mcap.take() {
+            // Nobody is left to hear of an error; a recording without its end says so itself.
+            let _ = mcap.flush();
+            if let Ok(mut sink) = mcap.into_inner().into_inner().into_inner() {
+                let _ = sink.sync();
+            }
+        }
+    }
+}
+
+fn add_channel<T: JsonSchema, W: Sink>(mcap: &mut Mcap<W>, topic: &str) -> Result<u16, McapError> {
+    let schema = schema_of::<T>();
+    let name = schema.get("title").and_then(|title| title.as_str()).unwrap_or(topic);
+    let id = mcap.add_schema(name, "jsonschema", schema.as_value().to_string().as_bytes())?;
+    mcap.add_channel(id, topic, "json", &BTreeMap::new())
+}
+
+fn schema_of<T: JsonSchema>() -> Schema {
+    SchemaSettings::draft07()
+        .with(|settings| settings.inline_subschemas = true)
+        .into_generator()
+        .into_root_schema_for::<T>()
+}
+
+fn ending_text(ending: Ending) -> String {
+    match serde_json::to_value(ending) {
+        Ok(value) => {
+            let part = |name| value.get(name).and_then(|part| part.as_str());
+            match (part("kind"), part("detail")) {
+                (Some(kind), Some(detail)) => format!("{kind}: {detail}"),
+                (Some(kind), None) => kind.to_owned(),
+                _ => value.to_string(),
+            }
+        }
+        Err(_) => format!("{ending:?}"),
+    }
+}
+
+fn closed() -> io::Error {
+    io::Error::other("the recording is closed already")
+}
+
+fn io_error(error: McapError) -> io::Error {
+    match error {
+        McapError::Io(error) => error,
+        other => io::Error::other(other),
+    }
+}
+
+/// Makes the file's entry in its directory durable.
+pub(super) fn sync_directory(path: &Path) -> io::Result<()> {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => File::open(parent)?.sync_all(),
+        _ => File::open(".")?.sync_all(),
+    }
+}
