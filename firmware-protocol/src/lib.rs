@@ -30,7 +30,7 @@ pub use reply::{
 };
 pub use request::{ParseError, Request};
 pub use sequence::is_newer;
-pub use timing::{BAUD_RATE, BITS_PER_BYTE, NO_ACT_US, WATCHDOG_MS};
+pub use timing::{BAUD_RATE, BITS_PER_BYTE, NO_ACT_US, WATCHDOG_MS, WATCHDOG_POLL_MS};
 
 /// The version of this protocol. Raised whenever anything in `PROTOCOL.md` changes meaning.
 pub const PROTOCOL_VERSION: u16 = 1;

@@ -7,5 +7,9 @@ pub const BITS_PER_BYTE: u32 = 10;
 /// Without an arm or an accepted act for this long the device switches its amplifier off, in ms.
 pub const WATCHDOG_MS: u16 = 50;
 
+/// A device looks at its watchdog at least this often, in ms: the amplifier is off at most this
+/// much later than [`WATCHDOG_MS`].
+pub const WATCHDOG_POLL_MS: u16 = 5;
+
 /// `sample_to_act_us` when no act followed the previous sample.
 pub const NO_ACT_US: u16 = 0xFFFF;
