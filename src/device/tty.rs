@@ -1,8 +1,8 @@
 use std::os::fd::AsFd;
-use std::os::unix::fs::FileTypeExt;
 use std::sync::Arc;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags};
 use rustix::io::Errno;
 use serialport::{ErrorKind, TTYPort};
 
@@ -33,13 +33,6 @@ impl Tty {
     /// No such port, in use, not permitted, not a serial port.
     pub fn open(port: &str, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
         let io_error = |source| DeviceError::Io { port: port.to_owned(), source };
-        let not_a_port = || DeviceError::NotAQube {
-            port: port.to_owned(),
-            reason: "it is not a serial port".to_owned(),
-        };
-        if std::fs::metadata(port).is_ok_and(|metadata| !metadata.file_type().is_char_device()) {
-            return Err(not_a_port());
-        }
         let mut tty = serialport::new(port, firmware_protocol::BAUD_RATE)
             .dtr_on_open(true)
             .open_native()
@@ -121,8 +114,17 @@ fn open_error(port: &str, error: serialport::Error) -> DeviceError {
         }
         ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => DeviceError::NotPermitted { port },
         ErrorKind::NoDevice => DeviceError::Busy { holder: holder_of(&port), port },
+        _ if is_no_terminal(&port) => {
+            DeviceError::NotAQube { port, reason: "it is not a serial port".to_owned() }
+        }
         _ => DeviceError::Io { port, source: error.into() },
     }
+}
+
+/// The library's error for a file or a folder is the operating system's "not a typewriter".
+fn is_no_terminal(port: &str) -> bool {
+    let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
+    rustix::fs::open(port, flags, Mode::empty()).is_ok_and(|file| !rustix::termios::isatty(file))
 }
 
 fn available_ports() -> String {
