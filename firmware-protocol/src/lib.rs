@@ -1,2 +1,39 @@
-//! The wire between a computer and the microcontroller at a Quanser Qube.
+//! The wire between a computer and the microcontroller at a Quanser Qube: messages, framing,
+//! scaling, version.
+//!
+//! Why it exists: host and emulator share nothing but this crate, and the microcontroller's
+//! program is written against the same `PROTOCOL.md` and `golden.txt`. It does no I/O, keeps no
+//! clock, allocates nothing and imports nothing of the project.
+//!
+//! ```
+//! use firmware_protocol::{Decoder, Request};
+//!
+//! let encoded = Request::Act { voltage_mv: -1500 }.encode(7);
+//! let mut decoder = Decoder::new();
+//! let frame = encoded.as_bytes().iter().find_map(|&byte| decoder.push(byte)).unwrap().unwrap();
+//! assert_eq!(frame.sequence, 7);
+//! assert_eq!(Request::parse(&frame), Ok(Request::Act { voltage_mv: -1500 }));
+//! ```
 #![no_std]
+
+mod fields;
+mod frame;
+mod reply;
+mod request;
+pub mod scaling;
+mod sequence;
+mod timing;
+
+pub use frame::{Decoder, EncodedFrame, Frame, FrameError, MAX_FRAME_BYTES, MAX_PAYLOAD_BYTES};
+pub use reply::{
+    DeviceKind, DeviceState, DisarmReply, HelloReply, RefusalReason, Reply, SampleReply, StatusBits,
+};
+pub use request::{ParseError, Request};
+pub use sequence::is_newer;
+pub use timing::{BAUD_RATE, BITS_PER_BYTE, NO_ACT_US, WATCHDOG_MS, WATCHDOG_POLL_MS};
+
+/// The version of this protocol. Raised whenever anything in `PROTOCOL.md` changes meaning.
+pub const PROTOCOL_VERSION: u16 = 1;
+
+/// What a Qube's first two SPI bytes say; anything else is no Qube.
+pub const QUBE_MODULE_ID: u16 = 0x0309;

@@ -4,6 +4,19 @@
 //! May import `clock`, `qube` and the crate `firmware_protocol`. The emulator never imports the
 //! host side of the link: shared code would hide faults of the protocol.
 
+pub mod emulator;
+mod in_process;
+mod port_fd;
+mod port_holder;
+mod serial_link;
+mod transport;
+mod tty;
+
+pub use in_process::InProcessWire;
+pub use serial_link::SerialLink;
+pub use transport::Transport;
+pub use tty::Tty;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 

@@ -1,0 +1,313 @@
+use crate::EncodedFrame;
+use crate::Frame;
+use crate::ParseError;
+use crate::fields::{Reader, Writer};
+
+const HELLO_REPLY: u8 = 0x81;
+const ARM_REPLY: u8 = 0x82;
+const SAMPLE_REPLY: u8 = 0x83;
+const DISARM_REPLY: u8 = 0x85;
+const REFUSAL: u8 = 0x8F;
+
+/// What the device sends. Each carries the sequence number of the request that it answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reply {
+    /// To a hello.
+    Hello(HelloReply),
+    /// To an arm that was accepted.
+    Arm {
+        /// When the watchdog began to count, by the device's clock, microseconds.
+        device_time_us: u32,
+    },
+    /// To a sample.
+    Sample(SampleReply),
+    /// To a disarm.
+    Disarm(DisarmReply),
+    /// To a request that was not carried out.
+    Refusal {
+        /// Type of the request.
+        refused_type: u8,
+        /// Why.
+        reason: RefusalReason,
+    },
+}
+
+/// Who is there. Type, length and first field are the same in every version of the protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HelloReply {
+    /// The version that the device speaks.
+    pub protocol_version: u16,
+    /// Its firmware's version: major, minor, patch.
+    pub firmware_version: [u8; 3],
+    /// What it is: a [`DeviceKind`], or a number that this version has no name for.
+    pub kind: u8,
+    /// What its Qube answers; [`QUBE_MODULE_ID`](crate::QUBE_MODULE_ID) or there is no Qube.
+    pub module_id: u16,
+    /// Serial number of the board.
+    pub serial: [u8; 8],
+    /// For the next arm; 0 when there is none.
+    pub nonce: u32,
+    /// How long the watchdog waits, ms.
+    pub watchdog_ms: u16,
+    /// Frames dropped since the device started, modulo 2^16.
+    pub dropped_frames: u16,
+}
+
+/// One sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SampleReply {
+    /// When the encoders were read, by the device's clock, microseconds modulo 2^32.
+    pub device_time_us: u32,
+    /// Encoder of the arm.
+    pub theta_counts: i32,
+    /// Encoder of the pendulum.
+    pub alpha_counts: i32,
+    /// Velocity of the arm by the tachometer, counts/s.
+    pub tachometer_counts_s: i32,
+    /// Motor current, mA.
+    pub current_ma: i16,
+    /// The device's flags.
+    pub status: StatusBits,
+    /// The voltage at the motor, mV, as the motor word has it; 0 while the amplifier is off.
+    pub applied_mv: i16,
+    /// Sequence number of the last act that was accepted, or of the arm when none was since.
+    pub last_act_sequence: u16,
+    /// From the previous sample to the first act accepted after it, microseconds, at most 65 534;
+    /// [`NO_ACT_US`](crate::NO_ACT_US) when there was none.
+    pub sample_to_act_us: u16,
+}
+
+/// The answer to a disarm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DisarmReply {
+    /// The state after it.
+    pub state: DeviceState,
+    /// For the next arm; 0 when a hello must come first.
+    pub nonce: u32,
+    /// Frames dropped since the device started, modulo 2^16.
+    pub dropped_frames: u16,
+}
+
+/// One bit each; bits 5 to 7 are 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StatusBits(pub u8);
+
+impl StatusBits {
+    /// Bit 0: the amplifier follows acts.
+    pub const ARMED: u8 = 1 << 0;
+    /// Bit 1: the watchdog tripped since the last arm.
+    pub const WATCHDOG_TRIPPED: u8 = 1 << 1;
+    /// Bit 2: the Qube reports a fault of its amplifier.
+    pub const AMPLIFIER_FAULT: u8 = 1 << 2;
+    /// Bit 3: the Qube detects a stall.
+    pub const STALL_DETECTED: u8 = 1 << 3;
+    /// Bit 4: the stall lasted and the Qube switched its motor off.
+    pub const STALL_ERROR: u8 = 1 << 4;
+
+    /// Whether a bit is set.
+    #[must_use]
+    pub fn has(self, bit: u8) -> bool {
+        self.0 & bit != 0
+    }
+}
+
+macro_rules! wire_enum {
+    ($(#[$meta:meta])* $name:ident { $($(#[$variant_meta:meta])* $variant:ident = $value:literal,)* }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum $name { $($(#[$variant_meta])* $variant = $value,)* }
+
+        impl $name {
+            /// All of them, in the order of their numbers.
+            pub const ALL: &[Self] = &[$(Self::$variant),*];
+
+            /// The one with this number on the wire.
+            #[must_use]
+            pub fn from_wire(value: u8) -> Option<Self> {
+                match value { $($value => Some(Self::$variant),)* _ => None }
+            }
+        }
+    };
+}
+
+wire_enum! {
+    /// What kind of device speaks.
+    DeviceKind {
+        /// A program that behaves like a Qube.
+        Emulator = 1,
+        /// Arduino Uno, Nano.
+        Atmega328p = 2,
+        /// Arduino Mega.
+        Atmega2560 = 3,
+    }
+}
+
+wire_enum! {
+    /// The states of a device; `PROTOCOL.md` has the table of transitions.
+    DeviceState {
+        /// Started, or greeted by another version. The motor is off.
+        Idle = 0,
+        /// Greeted. The motor is off.
+        Greeted = 1,
+        /// Acts reach the motor.
+        Armed = 2,
+        /// The watchdog switched the motor off. Latched.
+        Tripped = 3,
+        /// The amplifier or the Qube failed; the motor is off. Latched.
+        Faulted = 4,
+    }
+}
+
+wire_enum! {
+    /// Why a request was not carried out.
+    RefusalReason {
+        /// No hello of this version came before.
+        NotGreeted = 1,
+        /// Not armed.
+        NotArmed = 2,
+        /// The watchdog tripped: hello and arm first.
+        WatchdogTripped = 3,
+        /// A fault is latched or lasts: hello and arm when its cause is gone.
+        Faulted = 4,
+        /// The nonce is not the last one given, or was used.
+        WrongNonce = 5,
+        /// Armed already.
+        AlreadyArmed = 6,
+        /// The act is not newer than the last one accepted.
+        StaleSequence = 7,
+        /// More than 5000 mV, either way.
+        VoltageOutOfRange = 8,
+        /// The Qube does not answer the microcontroller.
+        QubeAbsent = 9,
+        /// The payload is longer or shorter than that of its type.
+        WrongLength = 10,
+        /// No request has this type.
+        UnknownType = 11,
+    }
+}
+
+impl RefusalReason {
+    /// A few words for a message.
+    #[must_use]
+    pub fn describe(self) -> &'static str {
+        match self {
+            Self::NotGreeted => "no hello came before",
+            Self::NotArmed => "it is not armed",
+            Self::WatchdogTripped => "its watchdog tripped; greet and arm it again",
+            Self::Faulted => "its amplifier reports a fault; remove the cause, greet and arm again",
+            Self::WrongNonce => "the nonce is used or wrong; greet it again",
+            Self::AlreadyArmed => "it is armed already",
+            Self::StaleSequence => "the command is not newer than the last",
+            Self::VoltageOutOfRange => "the voltage is out of range",
+            Self::QubeAbsent => "its Qube does not answer; check power and the SPI wires",
+            Self::WrongLength => "the message has another length there",
+            Self::UnknownType => "it does not know this message",
+        }
+    }
+}
+
+impl Reply {
+    /// The type on the wire.
+    #[must_use]
+    pub fn message_type(&self) -> u8 {
+        match self {
+            Self::Hello(_) => HELLO_REPLY,
+            Self::Arm { .. } => ARM_REPLY,
+            Self::Sample(_) => SAMPLE_REPLY,
+            Self::Disarm(_) => DISARM_REPLY,
+            Self::Refusal { .. } => REFUSAL,
+        }
+    }
+
+    /// The bytes to send in answer to the request with this sequence number.
+    #[must_use]
+    pub fn encode(&self, sequence: u16) -> EncodedFrame {
+        let mut payload = Writer::new();
+        match self {
+            Self::Hello(hello) => {
+                payload.put(hello.protocol_version.to_le_bytes());
+                payload.put(hello.firmware_version);
+                payload.put([hello.kind]);
+                payload.put(hello.module_id.to_le_bytes());
+                payload.put(hello.serial);
+                payload.put(hello.nonce.to_le_bytes());
+                payload.put(hello.watchdog_ms.to_le_bytes());
+                payload.put(hello.dropped_frames.to_le_bytes());
+            }
+            Self::Arm { device_time_us } => payload.put(device_time_us.to_le_bytes()),
+            Self::Sample(sample) => {
+                payload.put(sample.device_time_us.to_le_bytes());
+                payload.put(sample.theta_counts.to_le_bytes());
+                payload.put(sample.alpha_counts.to_le_bytes());
+                payload.put(sample.tachometer_counts_s.to_le_bytes());
+                payload.put(sample.current_ma.to_le_bytes());
+                payload.put([sample.status.0]);
+                payload.put(sample.applied_mv.to_le_bytes());
+                payload.put(sample.last_act_sequence.to_le_bytes());
+                payload.put(sample.sample_to_act_us.to_le_bytes());
+            }
+            Self::Disarm(disarm) => {
+                payload.put([disarm.state as u8]);
+                payload.put(disarm.nonce.to_le_bytes());
+                payload.put(disarm.dropped_frames.to_le_bytes());
+            }
+            Self::Refusal { refused_type, reason } => payload.put([*refused_type, *reason as u8]),
+        }
+        EncodedFrame::new(self.message_type(), sequence, payload.as_bytes())
+    }
+
+    /// The reply that a frame holds.
+    ///
+    /// # Errors
+    /// A type that no reply has, a payload of another length, a number without a meaning.
+    pub fn parse(frame: &Frame) -> Result<Self, ParseError> {
+        let message_type = frame.message_type;
+        let bad_field = ParseError::BadField(message_type);
+        let length = match message_type {
+            HELLO_REPLY => 24,
+            ARM_REPLY => 4,
+            SAMPLE_REPLY => 25,
+            DISARM_REPLY => 7,
+            REFUSAL => 2,
+            other => return Err(ParseError::UnknownType(other)),
+        };
+        if frame.payload().len() != length {
+            return Err(ParseError::WrongLength(message_type));
+        }
+        let mut fields = Reader::new(frame.payload());
+        Ok(match message_type {
+            HELLO_REPLY => Self::Hello(HelloReply {
+                protocol_version: fields.u16(),
+                firmware_version: fields.take(),
+                kind: fields.u8(),
+                module_id: fields.u16(),
+                serial: fields.take(),
+                nonce: fields.u32(),
+                watchdog_ms: fields.u16(),
+                dropped_frames: fields.u16(),
+            }),
+            ARM_REPLY => Self::Arm { device_time_us: fields.u32() },
+            SAMPLE_REPLY => Self::Sample(SampleReply {
+                device_time_us: fields.u32(),
+                theta_counts: fields.i32(),
+                alpha_counts: fields.i32(),
+                tachometer_counts_s: fields.i32(),
+                current_ma: fields.i16(),
+                status: StatusBits(fields.u8()),
+                applied_mv: fields.i16(),
+                last_act_sequence: fields.u16(),
+                sample_to_act_us: fields.u16(),
+            }),
+            DISARM_REPLY => Self::Disarm(DisarmReply {
+                state: DeviceState::from_wire(fields.u8()).ok_or(bad_field)?,
+                nonce: fields.u32(),
+                dropped_frames: fields.u16(),
+            }),
+            _ => Self::Refusal {
+                refused_type: fields.u8(),
+                reason: RefusalReason::from_wire(fields.u8()).ok_or(bad_field)?,
+            },
+        })
+    }
+}

@@ -1,0 +1,112 @@
+use core::fmt;
+
+use crate::EncodedFrame;
+use crate::Frame;
+use crate::fields::{Reader, Writer};
+
+const HELLO: u8 = 0x01;
+const ARM: u8 = 0x02;
+const SAMPLE: u8 = 0x03;
+const ACT: u8 = 0x04;
+const DISARM: u8 = 0x05;
+
+/// What the computer sends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request {
+    /// Who is there? Switches the motor off, whatever the state.
+    Hello {
+        /// The version that the computer speaks.
+        protocol_version: u16,
+    },
+    /// Lets the amplifier follow acts, starting at 0 V.
+    Arm {
+        /// From the last hello or disarm reply; good for one arm.
+        nonce: u32,
+    },
+    /// Asks for one sample.
+    Sample,
+    /// A motor voltage. Not answered, unless refused.
+    Act {
+        /// In mV, -5000 to 5000.
+        voltage_mv: i16,
+    },
+    /// Switches the amplifier off.
+    Disarm,
+}
+
+/// Why a valid frame is no message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ParseError {
+    /// No message of this direction has this type.
+    UnknownType(u8),
+    /// The payload is longer or shorter than that of its type.
+    WrongLength(u8),
+    /// A field holds a value that has no meaning.
+    BadField(u8),
+}
+
+impl fmt::Display for ParseError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownType(message_type) => {
+                write!(formatter, "no message has the type 0x{message_type:02x}")
+            }
+            Self::WrongLength(message_type) => {
+                write!(formatter, "a message of type 0x{message_type:02x} has another length")
+            }
+            Self::BadField(message_type) => {
+                write!(formatter, "a message of type 0x{message_type:02x} has a meaningless field")
+            }
+        }
+    }
+}
+
+impl core::error::Error for ParseError {}
+
+impl Request {
+    /// The type on the wire.
+    #[must_use]
+    pub fn message_type(&self) -> u8 {
+        match self {
+            Self::Hello { .. } => HELLO,
+            Self::Arm { .. } => ARM,
+            Self::Sample => SAMPLE,
+            Self::Act { .. } => ACT,
+            Self::Disarm => DISARM,
+        }
+    }
+
+    /// The bytes to send.
+    #[must_use]
+    pub fn encode(&self, sequence: u16) -> EncodedFrame {
+        let mut payload = Writer::new();
+        match *self {
+            Self::Hello { protocol_version } => payload.put(protocol_version.to_le_bytes()),
+            Self::Arm { nonce } => payload.put(nonce.to_le_bytes()),
+            Self::Act { voltage_mv } => payload.put(voltage_mv.to_le_bytes()),
+            Self::Sample | Self::Disarm => {}
+        }
+        EncodedFrame::new(self.message_type(), sequence, payload.as_bytes())
+    }
+
+    /// The request that a frame holds.
+    ///
+    /// # Errors
+    /// A type that no request has, or a payload of another length.
+    pub fn parse(frame: &Frame) -> Result<Self, ParseError> {
+        let mut fields = Reader::new(frame.payload());
+        let (length, request) = match frame.message_type {
+            HELLO => (2, Self::Hello { protocol_version: fields.u16() }),
+            ARM => (4, Self::Arm { nonce: fields.u32() }),
+            SAMPLE => (0, Self::Sample),
+            ACT => (2, Self::Act { voltage_mv: fields.i16() }),
+            DISARM => (0, Self::Disarm),
+            other => return Err(ParseError::UnknownType(other)),
+        };
+        if frame.payload().len() == length {
+            Ok(request)
+        } else {
+            Err(ParseError::WrongLength(frame.message_type))
+        }
+    }
+}

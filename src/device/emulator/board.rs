@@ -1,0 +1,363 @@
+use firmware_protocol::scaling::{
+    MAX_VOLTAGE_MV, current_ma, motor_counts, motor_voltage_mv, tachometer_counts_s,
+};
+use firmware_protocol::{
+    Decoder, DeviceKind, DeviceState, DisarmReply, EncodedFrame, Frame, HelloReply, NO_ACT_US,
+    PROTOCOL_VERSION, ParseError, QUBE_MODULE_ID, RefusalReason, Reply, Request, SampleReply,
+    StatusBits, WATCHDOG_MS, is_newer,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{EmulatorFault, EmulatorSettings, Plant};
+
+const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
+
+/// Types from here on are replies; a device that hears one hears another device, or an echo.
+const FIRST_REPLY_TYPE: u8 = 0x80;
+
+/// Keeps the nonces' random stream apart from the plant's.
+const NONCE_STREAM: u64 = 1;
+
+/// The microcontroller's program over an emulated Qube: bytes in, bytes out, its own clock.
+///
+/// Does no I/O: whoever owns it moves its clock and hands it bytes at the time they arrive.
+#[derive(Clone, Debug)]
+pub struct Board {
+    settings: EmulatorSettings,
+    plant: Plant,
+    decoder: Decoder,
+    nonces: ChaCha8Rng,
+    now_us: u64,
+    state: DeviceState,
+    /// For the next arm; 0 is none.
+    nonce: u32,
+    watchdog_tripped: bool,
+    fault_began: bool,
+    stall_error: bool,
+    frozen_alpha_counts: Option<i32>,
+    watchdog_fed_us: u64,
+    motor_counts: i16,
+    last_act_sequence: u16,
+    previous_sample_us: Option<u64>,
+    sample_to_act_us: u16,
+    dropped_frames: u16,
+    replies: u32,
+}
+
+impl Board {
+    /// A board that has just started, its Qube at rest.
+    #[must_use]
+    pub fn new(settings: EmulatorSettings) -> Self {
+        let mut nonces = ChaCha8Rng::seed_from_u64(settings.seed);
+        nonces.set_stream(NONCE_STREAM);
+        let mut board = Self {
+            plant: Plant::new(settings.parameters, settings.seed),
+            settings,
+            decoder: Decoder::new(),
+            nonces,
+            now_us: 0,
+            state: DeviceState::Idle,
+            nonce: 0,
+            watchdog_tripped: false,
+            fault_began: false,
+            stall_error: false,
+            frozen_alpha_counts: None,
+            watchdog_fed_us: 0,
+            motor_counts: 0,
+            last_act_sequence: 0,
+            previous_sample_us: None,
+            sample_to_act_us: NO_ACT_US,
+            dropped_frames: 0,
+            replies: 0,
+        };
+        board.advance_to(0);
+        board
+    }
+
+    /// Lets time pass. The watchdog and a fault strike at their own instants on the way.
+    pub fn advance_to(&mut self, now_us: u64) {
+        while let Some(event_us) = self.next_event_us().filter(|event_us| *event_us <= now_us) {
+            self.now_us = self.now_us.max(event_us);
+            if self.watchdog_deadline_us() == Some(event_us) {
+                self.watchdog_tripped = true;
+                self.leave_armed(DeviceState::Tripped);
+            } else {
+                self.begin_fault();
+            }
+        }
+        self.now_us = self.now_us.max(now_us);
+    }
+
+    /// When something happens next even if nobody says anything: the owner calls
+    /// [`advance_to`](Self::advance_to) then.
+    #[must_use]
+    pub fn next_event_us(&self) -> Option<u64> {
+        let fault_us =
+            self.settings.fault.filter(|_| !self.fault_began).map(|fault| fault.onset_us());
+        match (self.watchdog_deadline_us(), fault_us) {
+            (Some(watchdog_us), Some(fault_us)) => Some(watchdog_us.min(fault_us)),
+            (watchdog_us, fault_us) => watchdog_us.or(fault_us),
+        }
+    }
+
+    fn watchdog_deadline_us(&self) -> Option<u64> {
+        (self.state == DeviceState::Armed).then_some(self.watchdog_fed_us + WATCHDOG_US)
+    }
+
+    /// Takes a byte that has arrived by now; the reply, if it makes one, starts at once.
+    pub fn receive(&mut self, byte: u8) -> Option<EncodedFrame> {
+        let decoded = self.decoder.push(byte)?;
+        if self.has_begun(|fault| matches!(fault, EmulatorFault::Silent { .. })) {
+            return None;
+        }
+        let frame = match decoded {
+            Ok(frame) if frame.message_type < FIRST_REPLY_TYPE => frame,
+            Ok(_) | Err(_) => {
+                self.dropped_frames = self.dropped_frames.wrapping_add(1);
+                return None;
+            }
+        };
+        let reply = self.answer(&frame)?.encode(frame.sequence);
+        self.replies = self.replies.wrapping_add(1);
+        Some(reply)
+    }
+
+    /// Whether the cable has been pulled.
+    #[must_use]
+    pub fn is_unplugged(&self) -> bool {
+        self.has_begun(|fault| matches!(fault, EmulatorFault::Unplugged { .. }))
+    }
+
+    /// Whether the wire flips a bit of the reply that was made last.
+    #[must_use]
+    pub fn garbles_reply(&self) -> bool {
+        match self.settings.fault {
+            Some(EmulatorFault::Garble { every }) => self.replies.is_multiple_of(every),
+            _ => false,
+        }
+    }
+
+    /// The Qube as it really is now; nobody on the other side of the wire can know.
+    pub fn plant(&mut self) -> &Plant {
+        self.plant.advance_to(self.now_us);
+        &self.plant
+    }
+
+    /// The state it is in.
+    #[must_use]
+    pub fn state(&self) -> DeviceState {
+        self.state
+    }
+
+    /// The board's clock, microseconds since its start.
+    #[must_use]
+    pub fn now_us(&self) -> u64 {
+        self.now_us
+    }
+
+    fn answer(&mut self, frame: &Frame) -> Option<Reply> {
+        let request = match Request::parse(frame) {
+            Ok(request) => request,
+            Err(ParseError::UnknownType(_)) => {
+                return Some(refusal(frame, RefusalReason::UnknownType));
+            }
+            Err(ParseError::WrongLength(_) | ParseError::BadField(_)) => {
+                return Some(refusal(frame, RefusalReason::WrongLength));
+            }
+        };
+        let answered = match request {
+            Request::Hello { protocol_version } => Ok(Some(self.hello(protocol_version))),
+            Request::Arm { nonce } => self.arm(nonce, frame.sequence).map(Some),
+            Request::Sample => self.sample().map(Some),
+            Request::Act { voltage_mv } => self.act(voltage_mv, frame.sequence).map(|()| None),
+            Request::Disarm => Ok(Some(self.disarm())),
+        };
+        answered.unwrap_or_else(|reason| Some(refusal(frame, reason)))
+    }
+
+    fn hello(&mut self, host_version: u16) -> Reply {
+        let version = match self.settings.fault {
+            Some(EmulatorFault::WrongVersion) => PROTOCOL_VERSION + 1,
+            _ => PROTOCOL_VERSION,
+        };
+        let understood = host_version == version;
+        self.leave_armed(if understood { DeviceState::Greeted } else { DeviceState::Idle });
+        self.nonce = if understood { self.new_nonce() } else { 0 };
+        self.previous_sample_us = None;
+        Reply::Hello(HelloReply {
+            protocol_version: version,
+            firmware_version: firmware_version(),
+            kind: DeviceKind::Emulator as u8,
+            module_id: if self.qube_absent() { 0 } else { QUBE_MODULE_ID },
+            serial: self.settings.seed.to_be_bytes(),
+            nonce: self.nonce,
+            watchdog_ms: WATCHDOG_MS,
+            dropped_frames: self.dropped_frames,
+        })
+    }
+
+    fn arm(&mut self, nonce: u32, sequence: u16) -> Result<Reply, RefusalReason> {
+        match self.state {
+            DeviceState::Idle => return Err(RefusalReason::NotGreeted),
+            DeviceState::Armed => return Err(RefusalReason::AlreadyArmed),
+            DeviceState::Tripped => return Err(RefusalReason::WatchdogTripped),
+            DeviceState::Faulted => return Err(RefusalReason::Faulted),
+            DeviceState::Greeted => {}
+        }
+        if nonce == 0 || nonce != self.nonce {
+            return Err(RefusalReason::WrongNonce);
+        }
+        if self.qube_absent() {
+            return Err(RefusalReason::QubeAbsent);
+        }
+        if self.amplifier_fault() {
+            return Err(RefusalReason::Faulted);
+        }
+        self.nonce = 0;
+        self.stall_error = false;
+        self.watchdog_tripped = false;
+        self.state = DeviceState::Armed;
+        self.watchdog_fed_us = self.now_us;
+        self.last_act_sequence = sequence;
+        Ok(Reply::Arm { device_time_us: self.now_us as u32 })
+    }
+
+    fn sample(&mut self) -> Result<Reply, RefusalReason> {
+        if self.state == DeviceState::Idle {
+            return Err(RefusalReason::NotGreeted);
+        }
+        if self.qube_absent() {
+            return Err(RefusalReason::QubeAbsent);
+        }
+        self.plant.advance_to(self.now_us);
+        let sample = SampleReply {
+            device_time_us: self.now_us as u32,
+            theta_counts: self.plant.theta_counts(),
+            alpha_counts: self.frozen_alpha_counts.unwrap_or_else(|| self.plant.alpha_counts()),
+            tachometer_counts_s: tachometer_counts_s(self.plant.tachometer_raw()),
+            current_ma: current_ma(self.plant.current_raw()),
+            status: self.status(),
+            applied_mv: motor_voltage_mv(self.motor_counts),
+            last_act_sequence: self.last_act_sequence,
+            sample_to_act_us: self.sample_to_act_us,
+        };
+        self.previous_sample_us = Some(self.now_us);
+        self.sample_to_act_us = NO_ACT_US;
+        Ok(Reply::Sample(sample))
+    }
+
+    fn act(&mut self, voltage_mv: i16, sequence: u16) -> Result<(), RefusalReason> {
+        match self.state {
+            DeviceState::Idle => return Err(RefusalReason::NotGreeted),
+            DeviceState::Greeted => return Err(RefusalReason::NotArmed),
+            DeviceState::Tripped => return Err(RefusalReason::WatchdogTripped),
+            DeviceState::Faulted => return Err(RefusalReason::Faulted),
+            DeviceState::Armed => {}
+        }
+        if !is_newer(sequence, self.last_act_sequence) {
+            return Err(RefusalReason::StaleSequence);
+        }
+        if !(-MAX_VOLTAGE_MV..=MAX_VOLTAGE_MV).contains(&voltage_mv) {
+            return Err(RefusalReason::VoltageOutOfRange);
+        }
+        self.last_act_sequence = sequence;
+        self.watchdog_fed_us = self.now_us;
+        if let Some(sample_us) = self.previous_sample_us.take() {
+            let elapsed_us = (self.now_us - sample_us).min(u64::from(NO_ACT_US) - 1);
+            self.sample_to_act_us = elapsed_us as u16;
+        }
+        self.drive(motor_counts(voltage_mv));
+        Ok(())
+    }
+
+    fn disarm(&mut self) -> Reply {
+        if self.state == DeviceState::Armed {
+            self.leave_armed(DeviceState::Greeted);
+            self.nonce = self.new_nonce();
+        }
+        Reply::Disarm(DisarmReply {
+            state: self.state,
+            nonce: self.nonce,
+            dropped_frames: self.dropped_frames,
+        })
+    }
+
+    /// Switches the motor off and takes another state.
+    fn leave_armed(&mut self, next: DeviceState) {
+        self.drive(0);
+        self.state = next;
+    }
+
+    fn drive(&mut self, motor_counts: i16) {
+        self.plant.advance_to(self.now_us);
+        self.motor_counts = motor_counts;
+        self.plant.set_voltage(f64::from(motor_voltage_mv(motor_counts)) * 1e-3);
+    }
+
+    fn new_nonce(&mut self) -> u32 {
+        loop {
+            let nonce = self.nonces.random::<u32>();
+            if nonce != 0 && nonce != self.nonce {
+                return nonce;
+            }
+        }
+    }
+
+    fn begin_fault(&mut self) {
+        self.fault_began = true;
+        self.plant.advance_to(self.now_us);
+        let fails_the_qube = match self.settings.fault {
+            Some(EmulatorFault::FrozenAlpha { .. }) => {
+                self.frozen_alpha_counts = Some(self.plant.alpha_counts());
+                false
+            }
+            Some(EmulatorFault::BlockedArm { .. }) => {
+                self.plant.block_arm();
+                false
+            }
+            Some(EmulatorFault::StallError { .. }) => {
+                self.stall_error = true;
+                true
+            }
+            Some(EmulatorFault::AmplifierFault { .. } | EmulatorFault::QubeAbsent { .. }) => true,
+            _ => false,
+        };
+        if fails_the_qube && self.state == DeviceState::Armed {
+            self.leave_armed(DeviceState::Faulted);
+        }
+    }
+
+    fn has_begun(&self, which: impl Fn(&EmulatorFault) -> bool) -> bool {
+        self.fault_began && self.settings.fault.as_ref().is_some_and(which)
+    }
+
+    fn qube_absent(&self) -> bool {
+        self.has_begun(|fault| matches!(fault, EmulatorFault::QubeAbsent { .. }))
+    }
+
+    fn amplifier_fault(&self) -> bool {
+        self.has_begun(|fault| matches!(fault, EmulatorFault::AmplifierFault { .. }))
+    }
+
+    fn status(&self) -> StatusBits {
+        let bit = |bit: u8, is_set: bool| if is_set { bit } else { 0 };
+        StatusBits(
+            bit(StatusBits::ARMED, self.state == DeviceState::Armed)
+                | bit(StatusBits::WATCHDOG_TRIPPED, self.watchdog_tripped)
+                | bit(StatusBits::AMPLIFIER_FAULT, self.amplifier_fault())
+                | bit(StatusBits::STALL_DETECTED, self.stall_error)
+                | bit(StatusBits::STALL_ERROR, self.stall_error),
+        )
+    }
+}
+
+fn refusal(frame: &Frame, reason: RefusalReason) -> Reply {
+    Reply::Refusal { refused_type: frame.message_type, reason }
+}
+
+/// The program's own version, since the emulator is released with it.
+fn firmware_version() -> [u8; 3] {
+    let mut parts = env!("CARGO_PKG_VERSION").split('.').map(|part| part.parse().unwrap_or(0));
+    std::array::from_fn(|_| parts.next().unwrap_or(0))
+}

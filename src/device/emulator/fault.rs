@@ -1,0 +1,158 @@
+use std::fmt;
+use std::str::FromStr;
+
+use thiserror::Error;
+
+/// Something that goes wrong with an emulated Qube; each is known to happen to real ones.
+///
+/// Times are seconds of the device's clock. As text: `silent@2`, `garble@10`, `wrong-version` ...
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum EmulatorFault {
+    /// From then on its program answers nothing and does nothing but its watchdog.
+    Silent {
+        /// From when on, s.
+        after_s: f64,
+    },
+    /// One bit of each n-th reply arrives flipped.
+    Garble {
+        /// The n.
+        every: u32,
+    },
+    /// Its firmware is of the next protocol version.
+    WrongVersion,
+    /// The pendulum's encoder cable is loose: its count stays.
+    FrozenAlpha {
+        /// From when on, s.
+        after_s: f64,
+    },
+    /// Something holds the arm. At up to 5 V the Qube's own stall detection says nothing.
+    BlockedArm {
+        /// From when on, s.
+        after_s: f64,
+    },
+    /// The Qube reports a fault of its amplifier, for good.
+    AmplifierFault {
+        /// From when on, s.
+        after_s: f64,
+    },
+    /// The Qube reports a stall and switches its motor off; arming anew clears it.
+    StallError {
+        /// When, s.
+        after_s: f64,
+    },
+    /// The Qube does not answer the board any more.
+    QubeAbsent {
+        /// From when on, s.
+        after_s: f64,
+    },
+    /// The USB cable is pulled.
+    Unplugged {
+        /// When, s.
+        after_s: f64,
+    },
+}
+
+/// A text that names no fault.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error(
+    "{text} is no fault. There are: silent@S, garble@N, wrong-version, frozen-alpha@S, blocked-arm@S, \
+     amplifier@S, stall@S, qube-absent@S, unplug@S (S seconds after the start, N each n-th reply)"
+)]
+pub struct UnknownFault {
+    /// The text.
+    pub text: String,
+}
+
+impl EmulatorFault {
+    /// When it begins, in microseconds of the device's clock.
+    #[must_use]
+    pub fn onset_us(&self) -> u64 {
+        match *self {
+            Self::Garble { .. } | Self::WrongVersion => 0,
+            Self::Silent { after_s }
+            | Self::FrozenAlpha { after_s }
+            | Self::BlockedArm { after_s }
+            | Self::AmplifierFault { after_s }
+            | Self::StallError { after_s }
+            | Self::QubeAbsent { after_s }
+            | Self::Unplugged { after_s } => (after_s * 1e6) as u64,
+        }
+    }
+}
+
+impl fmt::Display for EmulatorFault {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Silent { after_s } => write!(formatter, "silent@{after_s}"),
+            Self::Garble { every } => write!(formatter, "garble@{every}"),
+            Self::WrongVersion => write!(formatter, "wrong-version"),
+            Self::FrozenAlpha { after_s } => write!(formatter, "frozen-alpha@{after_s}"),
+            Self::BlockedArm { after_s } => write!(formatter, "blocked-arm@{after_s}"),
+            Self::AmplifierFault { after_s } => write!(formatter, "amplifier@{after_s}"),
+            Self::StallError { after_s } => write!(formatter, "stall@{after_s}"),
+            Self::QubeAbsent { after_s } => write!(formatter, "qube-absent@{after_s}"),
+            Self::Unplugged { after_s } => write!(formatter, "unplug@{after_s}"),
+        }
+    }
+}
+
+impl FromStr for EmulatorFault {
+    type Err = UnknownFault;
+
+    fn from_str(text: &str) -> Result<Self, UnknownFault> {
+        let unknown = || UnknownFault { text: text.to_owned() };
+        let (name, value) = match text.split_once('@') {
+            Some((name, value)) => (name, Some(value)),
+            None => (text, None),
+        };
+        let seconds = || {
+            value
+                .and_then(|value| value.parse::<f64>().ok())
+                .filter(|after_s| after_s.is_finite() && *after_s >= 0.0)
+                .ok_or_else(unknown)
+        };
+        Ok(match name {
+            "silent" => Self::Silent { after_s: seconds()? },
+            "garble" => Self::Garble {
+                every: value
+                    .and_then(|value| value.parse().ok())
+                    .filter(|every| *every > 0)
+                    .ok_or_else(unknown)?,
+            },
+            "wrong-version" if value.is_none() => Self::WrongVersion,
+            "frozen-alpha" => Self::FrozenAlpha { after_s: seconds()? },
+            "blocked-arm" => Self::BlockedArm { after_s: seconds()? },
+            "amplifier" => Self::AmplifierFault { after_s: seconds()? },
+            "stall" => Self::StallError { after_s: seconds()? },
+            "qube-absent" => Self::QubeAbsent { after_s: seconds()? },
+            "unplug" => Self::Unplugged { after_s: seconds()? },
+            _ => return Err(unknown()),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_fault_is_read_as_it_is_written() {
+        for text in [
+            "silent@2",
+            "garble@10",
+            "wrong-version",
+            "frozen-alpha@0.5",
+            "blocked-arm@1",
+            "amplifier@3",
+            "stall@3",
+            "qube-absent@0",
+            "unplug@1.25",
+        ] {
+            assert_eq!(text.parse::<EmulatorFault>().unwrap().to_string(), text);
+        }
+        for text in ["", "silent", "silent@-1", "silent@nan", "garble@0", "wrong-version@1", "x@1"]
+        {
+            assert_eq!(text.parse::<EmulatorFault>(), Err(UnknownFault { text: text.to_owned() }));
+        }
+    }
+}

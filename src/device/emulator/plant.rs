@@ -1,0 +1,233 @@
+use firmware_protocol::scaling::{
+    CURRENT_COUNTS_PER_A, CURRENT_ZERO, TACHOMETER_COUNTS_S_TICKS, TACHOMETER_NEGATIVE,
+    TACHOMETER_STILL,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::qube::{
+    DomainParameters, Dynamics, HARD_STOP_RAD, RAD_PER_COUNT, State, counts, runge_kutta_4,
+};
+
+/// Longest integration step: 6e-6 rad off at the worst speeds of a swing-up, a five hundredth of
+/// an encoder count.
+const MAX_STEP_US: u64 = 5_000;
+
+/// While the arm touches something each step ends in an impact: finer, so that it stays put.
+const CONTACT_STEP_US: u64 = 500;
+
+/// How far from the middle the arm may stand at the start, rad.
+const START_RANGE_RAD: f64 = 1.0;
+
+/// How far from zero the counters may start.
+const START_COUNTS: i32 = 10_000;
+
+/// The mechanics and electronics of a Qube: a voltage goes in, counts and readings come out.
+///
+/// An amplifier that is off is taken as 0 V, that is, the motor brakes by its own back-EMF as at
+/// 0 V; what a real amplifier does there is not published.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    parameters: DomainParameters,
+    dynamics: Dynamics,
+    state: State,
+    voltage_v: f64,
+    time_us: u64,
+    theta_offset_counts: i32,
+    alpha_offset_counts: i32,
+    arm_blocked: bool,
+}
+
+impl Plant {
+    /// A Qube at rest: pendulum hanging, arm and counters somewhere that the seed decides.
+    #[must_use]
+    pub fn new(parameters: DomainParameters, seed: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let theta = random.random_range(-START_RANGE_RAD..=START_RANGE_RAD);
+        Self {
+            parameters,
+            dynamics: Dynamics::new(&parameters),
+            state: State { theta, ..State::default() },
+            voltage_v: 0.0,
+            time_us: 0,
+            theta_offset_counts: random.random_range(-START_COUNTS..=START_COUNTS),
+            alpha_offset_counts: random.random_range(-START_COUNTS..=START_COUNTS),
+            arm_blocked: false,
+        }
+    }
+
+    /// Lets time pass up to `time_us` since the start; time never goes back.
+    pub fn advance_to(&mut self, time_us: u64) {
+        while self.time_us < time_us {
+            let longest_us = if self.touches() { CONTACT_STEP_US } else { MAX_STEP_US };
+            let step_us = longest_us.min(time_us - self.time_us);
+            let before = self.state;
+            let step_s = step_us as f64 * 1e-6;
+            self.state = runge_kutta_4(&self.dynamics, before, self.voltage_v, step_s);
+            self.time_us += step_us;
+            if self.arm_blocked {
+                self.stop_arm_at(before.theta);
+            } else if self.state.theta.abs() > HARD_STOP_RAD {
+                self.stop_arm_at(HARD_STOP_RAD.copysign(self.state.theta));
+            }
+        }
+    }
+
+    fn touches(&self) -> bool {
+        self.arm_blocked || self.state.theta.abs() >= HARD_STOP_RAD
+    }
+
+    /// An inelastic impact of the arm. The pendulum swings freely about its bearing, so its own
+    /// momentum m12 theta' + m22 alpha' is the same before and after.
+    fn stop_arm_at(&mut self, theta: f64) {
+        let coupling = self.dynamics.coupling * self.state.alpha.cos();
+        self.state.alpha_dot += coupling / self.dynamics.pendulum_inertia * self.state.theta_dot;
+        self.state.theta = theta;
+        self.state.theta_dot = 0.0;
+    }
+
+    /// The motor's voltage from now on, V.
+    pub fn set_voltage(&mut self, voltage_v: f64) {
+        self.voltage_v = voltage_v;
+    }
+
+    /// Holds the arm where it is from now on.
+    pub fn block_arm(&mut self) {
+        self.arm_blocked = true;
+        self.stop_arm_at(self.state.theta);
+    }
+
+    /// Where it really is; nobody on the other side of the wire can know.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// Encoder of the arm.
+    #[must_use]
+    pub fn theta_counts(&self) -> i32 {
+        counts(self.state.theta).wrapping_add(self.theta_offset_counts)
+    }
+
+    /// Encoder of the pendulum.
+    #[must_use]
+    pub fn alpha_counts(&self) -> i32 {
+        counts(self.state.alpha).wrapping_add(self.alpha_offset_counts)
+    }
+
+    /// The 24-bit tachometer: ticks of 25 ns between edges of the arm's encoder, and direction.
+    #[must_use]
+    pub fn tachometer_raw(&self) -> u32 {
+        let counts_s = self.state.theta_dot / RAD_PER_COUNT;
+        let ticks = f64::from(TACHOMETER_COUNTS_S_TICKS) / counts_s.abs();
+        if ticks >= f64::from(TACHOMETER_STILL) {
+            return TACHOMETER_STILL;
+        }
+        let direction = if counts_s < 0.0 { TACHOMETER_NEGATIVE } else { 0 };
+        direction | ticks.round().max(1.0) as u32
+    }
+
+    /// The motor current (V - k_m theta') / R_m as the Qube's converter reads it.
+    #[must_use]
+    pub fn current_raw(&self) -> u16 {
+        let back_emf_v = self.parameters.motor_back_emf_v_s * self.state.theta_dot;
+        let current_a = (self.voltage_v - back_emf_v) / self.parameters.motor_resistance_ohm;
+        let raw = f64::from(CURRENT_ZERO) + current_a * f64::from(CURRENT_COUNTS_PER_A);
+        raw.round().clamp(0.0, f64::from(u16::MAX)) as u16
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::control_step;
+    use firmware_protocol::scaling::{current_ma, tachometer_counts_s};
+
+    fn nominal(seed: u64) -> Plant {
+        Plant::new(DomainParameters::NOMINAL, seed)
+    }
+
+    #[test]
+    fn seeds_decide_where_it_stands_and_it_stays_there() {
+        let mut starts = Vec::new();
+        for seed in 0..50 {
+            let mut plant = nominal(seed);
+            let start = plant.state();
+            assert!(start.theta.abs() <= START_RANGE_RAD);
+            plant.advance_to(1_000_000);
+            assert_eq!(plant.state(), start);
+            starts.push((start.theta.to_bits(), plant.theta_counts(), plant.alpha_counts()));
+        }
+        assert_eq!(
+            starts,
+            (0..50)
+                .map(nominal)
+                .map(|plant| {
+                    (plant.state().theta.to_bits(), plant.theta_counts(), plant.alpha_counts())
+                })
+                .collect::<Vec<_>>()
+        );
+        starts.dedup();
+        assert_eq!(starts.len(), 50);
+    }
+
+    #[test]
+    fn it_moves_as_the_shared_physics_do_however_time_is_cut() {
+        let (mut whole, mut cut) = (nominal(3), nominal(3));
+        let mut reference = whole.state();
+        for tick in 1..=50_u64 {
+            let voltage_v = if tick % 10 < 5 { 4.0 } else { -4.0 };
+            whole.set_voltage(voltage_v);
+            cut.set_voltage(voltage_v);
+            whole.advance_to(tick * 10_000);
+            cut.advance_to(tick * 10_000 - 9_137);
+            cut.advance_to(tick * 10_000 - 20);
+            cut.advance_to(tick * 10_000);
+            reference = control_step(&whole.dynamics, reference, voltage_v);
+        }
+        for state in [whole.state(), cut.state()] {
+            assert!((state.theta - reference.theta).abs() < 1e-5);
+            assert!((state.alpha - reference.alpha).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn the_arm_never_passes_its_stops_and_rests_against_them() {
+        for voltage_v in [5.0, -5.0] {
+            let mut plant = nominal(1);
+            plant.set_voltage(voltage_v);
+            for step in 1..=20_000_u64 {
+                plant.advance_to(step * 1_000);
+                assert!(plant.state().theta.abs() <= HARD_STOP_RAD);
+            }
+            let state = plant.state();
+            assert!((state.theta - HARD_STOP_RAD.copysign(voltage_v)).abs() < 1e-3, "{state:?}");
+            assert!(state.theta_dot.abs() < 0.1, "{state:?}");
+        }
+    }
+
+    #[test]
+    fn a_blocked_arm_draws_the_current_of_a_stalled_motor() {
+        let mut plant = nominal(1);
+        plant.block_arm();
+        plant.set_voltage(4.2);
+        let theta = plant.state().theta;
+        plant.advance_to(500_000);
+        assert_eq!(plant.state().theta, theta);
+        assert_eq!(current_ma(plant.current_raw()), 500);
+        assert_eq!(tachometer_counts_s(plant.tachometer_raw()), 0);
+    }
+
+    #[test]
+    fn the_tachometer_agrees_with_the_counter() {
+        for voltage_v in [3.0, -3.0] {
+            let mut plant = nominal(2);
+            plant.set_voltage(voltage_v);
+            plant.advance_to(60_000);
+            let tachometer = f64::from(tachometer_counts_s(plant.tachometer_raw()));
+            let exact = plant.state().theta_dot / RAD_PER_COUNT;
+            assert!(exact.abs() > 100.0);
+            assert!((tachometer - exact).abs() <= 1.0 + 1e-3 * exact.abs());
+        }
+    }
+}

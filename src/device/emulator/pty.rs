@@ -1,0 +1,174 @@
+use std::ffi::OsStr;
+use std::io;
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::ffi::OsStrExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use rustix::event::{EventfdFlags, Timespec, epoll, eventfd};
+use rustix::io::Errno;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+
+use super::{Board, EmulatorSettings};
+use crate::clock::{Clock, MonotonicClock, Nanoseconds};
+
+const MASTER: u64 = 0;
+const STOP: u64 = 1;
+
+/// An emulated Qube behind a real pty, served by a thread of its own at wall-clock speed until it
+/// is dropped. Open [`port`](Self::port) as if it were a serial port.
+#[derive(Debug)]
+pub struct EmulatedQube {
+    port: PathBuf,
+    link: Option<PathBuf>,
+    stop: Arc<OwnedFd>,
+    server: Option<JoinHandle<io::Result<()>>>,
+}
+
+impl EmulatedQube {
+    /// Opens a pty and starts serving it.
+    ///
+    /// # Errors
+    /// The operating system has no more ptys or threads.
+    pub fn spawn(settings: EmulatorSettings) -> io::Result<Self> {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+        grantpt(&master)?;
+        unlockpt(&master)?;
+        // On Linux the master's attributes are the port's. Raw from the start: until the host sets
+        // it so itself, an echo would send the board its own replies.
+        let mut attributes = tcgetattr(&master)?;
+        attributes.make_raw();
+        tcsetattr(&master, OptionalActions::Now, &attributes)?;
+        rustix::io::ioctl_fionbio(&master, true)?;
+        let name = ptsname(&master, Vec::new())?;
+        let port = PathBuf::from(OsStr::from_bytes(name.as_bytes()));
+
+        let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
+        let ready = epoll::create(epoll::CreateFlags::CLOEXEC)?;
+        // Edge-triggered: while no host has the port open the master reports a hang-up all the
+        // time, and a level-triggered wait would spin on it.
+        let edges = epoll::EventFlags::IN | epoll::EventFlags::ET;
+        epoll::add(&ready, &master, epoll::EventData::new_u64(MASTER), edges)?;
+        epoll::add(&ready, &*stop, epoll::EventData::new_u64(STOP), epoll::EventFlags::IN)?;
+
+        let server = std::thread::Builder::new()
+            .name("emulated-qube".into())
+            .spawn(move || serve(&master, &ready, Board::new(settings)))?;
+        Ok(Self { port, link: None, stop, server: Some(server) })
+    }
+
+    /// The port's path.
+    #[must_use]
+    pub fn port(&self) -> &Path {
+        &self.port
+    }
+
+    /// Gives the port a second name, a symbolic link that goes when the Qube goes. An old symbolic
+    /// link is replaced, anything else is left alone.
+    ///
+    /// # Errors
+    /// There is a file of that name, or none may be made there.
+    pub fn link_as(&mut self, link: &Path) -> io::Result<()> {
+        match std::fs::symlink_metadata(link) {
+            Ok(metadata) if metadata.file_type().is_symlink() => std::fs::remove_file(link)?,
+            Ok(_) => {
+                return Err(io::Error::new(
+                    io::ErrorKind::AlreadyExists,
+                    format!("{} exists and is no symbolic link; choose another", link.display()),
+                ));
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(error) => return Err(error),
+        }
+        std::os::unix::fs::symlink(&self.port, link)?;
+        self.link = Some(link.to_owned());
+        Ok(())
+    }
+
+    /// Waits until the Qube is gone of itself: unplugged by a fault, or its pty failed.
+    ///
+    /// # Errors
+    /// The pty failed.
+    pub fn wait(mut self) -> io::Result<()> {
+        match self.server.take().map(JoinHandle::join) {
+            Some(Ok(served)) => served,
+            Some(Err(panic)) => std::panic::resume_unwind(panic),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Drop for EmulatedQube {
+    fn drop(&mut self) {
+        // The counter cannot be full: this is its only write.
+        let _ = rustix::io::write(&*self.stop, &1_u64.to_ne_bytes());
+        if let Some(server) = self.server.take() {
+            let _ = server.join();
+        }
+        if let Some(link) = &self.link
+            && std::fs::read_link(link).is_ok_and(|target| target == self.port)
+        {
+            let _ = std::fs::remove_file(link);
+        }
+    }
+}
+
+fn serve(master: &OwnedFd, ready: &OwnedFd, mut board: Board) -> io::Result<()> {
+    let clock = MonotonicClock;
+    let start_ns = clock.now_ns();
+    let board_time_us = |now_ns: Nanoseconds| (now_ns - start_ns) / 1000;
+    let mut events = Vec::with_capacity(2);
+    loop {
+        board.advance_to(board_time_us(clock.now_ns()));
+        exchange(master, &mut board)?;
+        if board.is_unplugged() {
+            return Ok(());
+        }
+        let timeout = board.next_event_us().map(|event_us| {
+            let event_ns = start_ns + event_us * 1000;
+            let wait_ns = event_ns.saturating_sub(clock.now_ns());
+            Timespec {
+                tv_sec: (wait_ns / 1_000_000_000) as i64,
+                tv_nsec: (wait_ns % 1_000_000_000) as _,
+            }
+        });
+        events.clear();
+        match epoll::wait(ready, rustix::buffer::spare_capacity(&mut events), timeout.as_ref()) {
+            Ok(_) | Err(Errno::INTR) => {}
+            Err(error) => return Err(error.into()),
+        }
+        if events.iter().any(|event| event.data.u64() == STOP) {
+            return Ok(());
+        }
+    }
+}
+
+/// Reads until nothing is left, as edge-triggered waiting demands, and answers.
+fn exchange(master: &impl AsFd, board: &mut Board) -> io::Result<()> {
+    let mut buffer = [0; 256];
+    loop {
+        let received = match rustix::io::read(master, &mut buffer) {
+            // EIO: nobody has the port open.
+            Ok(0) | Err(Errno::AGAIN | Errno::IO) => return Ok(()),
+            Ok(length) => &buffer[..length],
+            Err(Errno::INTR) => continue,
+            Err(error) => return Err(error.into()),
+        };
+        for &byte in received {
+            let Some(reply) = board.receive(byte) else { continue };
+            let mut bytes = [0; firmware_protocol::MAX_FRAME_BYTES];
+            let bytes = &mut bytes[..reply.as_bytes().len()];
+            bytes.copy_from_slice(reply.as_bytes());
+            if board.garbles_reply() {
+                bytes[1] ^= 0x10;
+            }
+            match rustix::io::write(master, bytes) {
+                // A host that does not read loses bytes, as on a real line.
+                Ok(_) | Err(Errno::AGAIN | Errno::IO | Errno::INTR) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+}

@@ -1,0 +1,144 @@
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use firmware_protocol::{BAUD_RATE, BITS_PER_BYTE};
+
+use super::emulator::{Board, EmulatorSettings};
+use super::{LinkFault, SerialLink, Transport};
+use crate::clock::{Clock, Nanoseconds, VirtualClock};
+
+/// Time of one byte on the line: 20 microseconds.
+const BYTE_NS: Nanoseconds = 1_000_000_000 * BITS_PER_BYTE as u64 / BAUD_RATE as u64;
+
+/// From the last byte of a request to the first of its reply: what an 8-bit microcontroller at
+/// 16 MHz needs to check one frame and build another.
+const TURNAROUND_NS: Nanoseconds = 100_000;
+
+/// How long a hello may stay without an answer. There is nothing that boots.
+const BOOT_TIME_NS: Nanoseconds = 1_000_000_000;
+
+/// An emulated board on a line of memory, in virtual time.
+///
+/// Each byte takes its time at the line's rate in either direction, and a reply starts a fixed
+/// turnaround after its request. Writing takes no time, as with a port's buffer; reading moves the
+/// clock to the arrival of what is read, or to the deadline.
+#[derive(Debug)]
+pub struct InProcessWire {
+    board: Board,
+    clock: VirtualClock,
+    to_board: Line,
+    to_host: Line,
+}
+
+/// Bytes under way, each with the time at which it has arrived.
+#[derive(Debug, Default)]
+struct Line {
+    free_ns: Nanoseconds,
+    under_way: VecDeque<(Nanoseconds, u8)>,
+}
+
+impl Line {
+    fn send(&mut self, bytes: &[u8], from_ns: Nanoseconds) {
+        self.free_ns = self.free_ns.max(from_ns);
+        for &byte in bytes {
+            self.free_ns += BYTE_NS;
+            self.under_way.push_back((self.free_ns, byte));
+        }
+    }
+
+    fn receive_by(&mut self, time_ns: Nanoseconds) -> Option<(Nanoseconds, u8)> {
+        self.under_way.pop_front_if(|(arrival_ns, _)| *arrival_ns <= time_ns)
+    }
+}
+
+impl InProcessWire {
+    /// A board that starts now.
+    #[must_use]
+    pub fn new(settings: EmulatorSettings, clock: VirtualClock) -> Self {
+        Self {
+            board: Board::new(settings),
+            clock,
+            to_board: Line::default(),
+            to_host: Line::default(),
+        }
+    }
+
+    /// The board as it is now, for tests that need to see what no host can.
+    pub fn board(&mut self) -> &mut Board {
+        self.run_board_until(self.clock.now_ns());
+        &mut self.board
+    }
+
+    /// Lets the board do all it does up to a time.
+    fn run_board_until(&mut self, time_ns: Nanoseconds) {
+        while let Some((arrival_ns, byte)) = self.to_board.receive_by(time_ns) {
+            self.board.advance_to(arrival_ns / 1000);
+            let Some(reply) = self.board.receive(byte) else { continue };
+            self.to_host.send(reply.as_bytes(), arrival_ns + TURNAROUND_NS);
+            if self.board.garbles_reply()
+                && let Some((_, last)) = self.to_host.under_way.iter_mut().nth_back(1)
+            {
+                *last ^= 0x10;
+            }
+        }
+        self.board.advance_to(time_ns / 1000);
+    }
+}
+
+impl Transport for InProcessWire {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        let deadline_ns = deadline_ns.max(self.clock.now_ns());
+        let wake_ns = loop {
+            if let Some((arrival_ns, _)) = self.to_host.under_way.front() {
+                break (*arrival_ns).min(deadline_ns);
+            }
+            // One byte at a time, so that a reply is read before what follows it is sent.
+            match self.to_board.under_way.front() {
+                Some((arrival_ns, _)) if *arrival_ns <= deadline_ns => {
+                    self.run_board_until(*arrival_ns);
+                }
+                _ => break deadline_ns,
+            }
+        };
+        self.clock.sleep_until(wake_ns);
+        let now_ns = self.clock.now_ns();
+        self.run_board_until(now_ns);
+        if self.board.is_unplugged() {
+            return Err(LinkFault::Gone);
+        }
+        let mut length = 0;
+        while let Some(place) = buffer.get_mut(length)
+            && let Some((_, byte)) = self.to_host.receive_by(now_ns)
+        {
+            *place = byte;
+            length += 1;
+        }
+        Ok(length)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        let now_ns = self.clock.now_ns();
+        self.run_board_until(now_ns);
+        if self.board.is_unplugged() {
+            return Err(LinkFault::Gone);
+        }
+        self.to_board.send(bytes, now_ns);
+        Ok(())
+    }
+
+    fn name(&self) -> &str {
+        "in-process"
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        BOOT_TIME_NS
+    }
+}
+
+impl SerialLink<InProcessWire> {
+    /// An emulated Qube in this very process, in virtual time, behind the same link as a real one.
+    #[must_use]
+    pub fn in_process(settings: EmulatorSettings, clock: VirtualClock) -> Self {
+        Self::new(InProcessWire::new(settings, clock.clone()), Arc::new(clock))
+    }
+}

@@ -1,0 +1,38 @@
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
+
+/// An open port that lends its file descriptor, which the owner's type only gives as a number.
+#[derive(Debug)]
+pub(super) struct PortFd<P>(P);
+
+impl<P: AsRawFd> PortFd<P> {
+    pub(super) fn new(port: P) -> Self {
+        Self(port)
+    }
+
+    /// Asks the driver to hand bytes over as they come: an FTDI adapter else holds them back for
+    /// up to 16 ms. Ports that know no such mode, ptys for one, are left as they are.
+    pub(super) fn ask_for_low_latency(&self) {
+        // struct serial_struct of <linux/serial.h>: 72 bytes at most, `flags` its fifth int.
+        const FLAGS: usize = 4;
+        const ASYNC_LOW_LATENCY: i32 = 1 << 13;
+        let mut settings = [0_i32; 32];
+        let fd = self.0.as_raw_fd();
+        // SAFETY: the descriptor is open as long as `self`, and the kernel writes one
+        // serial_struct, which is smaller than `settings`.
+        let got = unsafe { libc::ioctl(fd, libc::TIOCGSERIAL, settings.as_mut_ptr()) };
+        if got != 0 || settings[FLAGS] & ASYNC_LOW_LATENCY != 0 {
+            return;
+        }
+        settings[FLAGS] |= ASYNC_LOW_LATENCY;
+        // SAFETY: as above; the kernel only reads what it wrote before, one flag changed.
+        unsafe { libc::ioctl(fd, libc::TIOCSSERIAL, settings.as_ptr()) };
+    }
+}
+
+impl<P: AsRawFd> AsFd for PortFd<P> {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        // SAFETY: the port owns its descriptor and keeps it open as long as it lives, and the
+        // borrow cannot outlive it.
+        unsafe { BorrowedFd::borrow_raw(self.0.as_raw_fd()) }
+    }
+}

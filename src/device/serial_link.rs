@@ -1,0 +1,366 @@
+use std::sync::Arc;
+
+use firmware_protocol::{
+    Decoder, DeviceKind, HelloReply, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason,
+    Reply, Request, SampleReply, StatusBits,
+};
+
+use super::{Device, DeviceError, Identity, LinkFault, Transport};
+use crate::clock::{Clock, Nanoseconds};
+use crate::qube::{Measurement, Status};
+
+const MS: Nanoseconds = 1_000_000;
+
+/// A booting device hears nothing, so hellos are repeated at this interval.
+const HELLO_INTERVAL_NS: Nanoseconds = 100 * MS;
+
+/// How long a device that has answered before may take to answer a hello.
+const HELLO_TIME_NS: Nanoseconds = 1000 * MS;
+
+/// How long an arm or a disarm may stay without an answer before it is sent again.
+const ANSWER_TIME_NS: Nanoseconds = 100 * MS;
+
+/// How often arm and disarm are tried: a frame may be lost on a healthy line.
+const ATTEMPTS: u32 = 3;
+
+/// Several of the largest frame: what one read of the port may bring.
+const READ_BYTES: usize = 256;
+
+/// The host's end of the wire: a [`Device`] over any [`Transport`].
+///
+/// A reply is taken only when it carries the sequence number of the request in hand; those that
+/// come late are dropped.
+pub struct SerialLink<T: Transport> {
+    transport: T,
+    clock: Arc<dyn Clock>,
+    decoder: Decoder,
+    sequence: u16,
+    /// For the next arm, while one is valid.
+    nonce: Option<u32>,
+    has_answered: bool,
+    motor: Motor,
+    device_time: DeviceTime,
+    /// The last write was cut short: a delimiter must close the broken frame before the next.
+    broken_frame: bool,
+    heard: Heard,
+}
+
+/// What the device last said of its amplifier.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Motor {
+    Off,
+    Armed,
+    Tripped,
+}
+
+/// What came in since the first hello, to say what is wrong with a port that is no Qube's.
+#[derive(Clone, Copy, Debug, Default)]
+struct Heard {
+    bytes: u64,
+    requests: u64,
+}
+
+/// The device's 32-bit clock made 64 bits wide. Right as long as two samples are less than 71
+/// minutes apart.
+#[derive(Clone, Copy, Debug, Default)]
+struct DeviceTime {
+    time_us: Option<u64>,
+}
+
+impl DeviceTime {
+    fn unwrap_us(&mut self, raw_us: u32) -> u64 {
+        let time_us = match self.time_us {
+            None => u64::from(raw_us),
+            Some(last_us) => last_us + u64::from(raw_us.wrapping_sub(last_us as u32)),
+        };
+        self.time_us = Some(time_us);
+        time_us
+    }
+}
+
+impl<T: Transport> SerialLink<T> {
+    /// A link over an open wire. The clock is the one that the transport's deadlines mean.
+    #[must_use]
+    pub fn new(transport: T, clock: Arc<dyn Clock>) -> Self {
+        Self {
+            transport,
+            clock,
+            decoder: Decoder::new(),
+            sequence: 0,
+            nonce: None,
+            has_answered: false,
+            motor: Motor::Off,
+            device_time: DeviceTime::default(),
+            broken_frame: false,
+            heard: Heard::default(),
+        }
+    }
+
+    /// The wire below.
+    pub fn transport(&mut self) -> &mut T {
+        &mut self.transport
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        let written = self.transport.write(bytes);
+        self.broken_frame = written == Err(LinkFault::Full);
+        written
+    }
+
+    /// Sends a request under a new sequence number, which it returns.
+    fn send(&mut self, request: Request) -> Result<u16, LinkFault> {
+        if self.broken_frame {
+            self.write(&[0])?;
+        }
+        self.sequence = self.sequence.wrapping_add(1);
+        self.write(request.encode(self.sequence).as_bytes())?;
+        Ok(self.sequence)
+    }
+
+    /// Waits for the reply with this sequence number. Everything older is dropped, except that the
+    /// refusal of an act is taken note of.
+    fn await_reply(&mut self, sequence: u16, deadline_ns: Nanoseconds) -> Result<Reply, LinkFault> {
+        let mut buffer = [0; READ_BYTES];
+        loop {
+            let length = self.transport.read(&mut buffer, deadline_ns)?;
+            if length == 0 {
+                return Err(LinkFault::Timeout);
+            }
+            self.heard.bytes += length as u64;
+            let mut awaited = None;
+            for &byte in &buffer[..length] {
+                let Some(Ok(frame)) = self.decoder.push(byte) else { continue };
+                match Reply::parse(&frame) {
+                    Ok(reply) if frame.sequence == sequence => awaited = Some(reply),
+                    Ok(Reply::Refusal { refused_type, reason }) => {
+                        self.note_refusal(refused_type, reason);
+                    }
+                    Ok(_) => {}
+                    Err(_) if Request::parse(&frame).is_ok() => self.heard.requests += 1,
+                    Err(_) => {}
+                }
+            }
+            if let Some(reply) = awaited {
+                return Ok(reply);
+            }
+            if self.clock.now_ns() >= deadline_ns {
+                return Err(LinkFault::Timeout);
+            }
+        }
+    }
+
+    fn note_refusal(&mut self, refused_type: u8, reason: RefusalReason) {
+        if refused_type != (Request::Act { voltage_mv: 0 }).message_type() {
+            return;
+        }
+        match reason {
+            RefusalReason::WatchdogTripped => self.motor = Motor::Tripped,
+            RefusalReason::NotGreeted | RefusalReason::NotArmed | RefusalReason::Faulted => {
+                self.motor = Motor::Off;
+            }
+            _ => {}
+        }
+    }
+
+    fn exchange(&mut self, request: Request, wait_ns: Nanoseconds) -> Result<Reply, LinkFault> {
+        let sequence = self.send(request)?;
+        let deadline_ns = self.clock.now_ns() + wait_ns;
+        self.await_reply(sequence, deadline_ns)
+    }
+
+    /// Repeats hellos until one is answered or the time is over.
+    fn greet(&mut self, wait_ns: Nanoseconds) -> Result<HelloReply, DeviceError> {
+        self.nonce = None;
+        self.motor = Motor::Off;
+        self.device_time = DeviceTime::default();
+        let end_ns = self.clock.now_ns() + wait_ns;
+        let mut hellos = 0;
+        while self.clock.now_ns() < end_ns {
+            // A delimiter first: what a terminal or a dead program left half sent ends here.
+            self.broken_frame = true;
+            let left_ns = end_ns - self.clock.now_ns();
+            let hello = Request::Hello { protocol_version: PROTOCOL_VERSION };
+            hellos += 1;
+            match self.exchange(hello, HELLO_INTERVAL_NS.min(left_ns)) {
+                Ok(Reply::Hello(reply)) => return Ok(reply),
+                Ok(_) | Err(LinkFault::Timeout) => {}
+                // A port that takes no more bytes: nobody reads at its other end.
+                Err(LinkFault::Full) => {
+                    self.clock.sleep_until(self.clock.now_ns() + HELLO_INTERVAL_NS.min(left_ns));
+                }
+                Err(fault) => return Err(self.link_error(fault)),
+            }
+        }
+        Err(self.not_a_qube(self.silence(hellos, wait_ns)))
+    }
+
+    fn silence(&self, hellos: u32, wait_ns: Nanoseconds) -> String {
+        if self.heard.requests > 0 {
+            "it echoes what it is sent".into()
+        } else if self.heard.bytes > 0 {
+            format!(
+                "it sent {} bytes that are no answer (another device, or another baud rate)",
+                self.heard.bytes
+            )
+        } else {
+            format!("no answer to {hellos} hellos in {:.1} s", wait_ns as f64 * 1e-9)
+        }
+    }
+
+    fn name(&self) -> String {
+        self.transport.name().to_owned()
+    }
+
+    fn not_a_qube(&self, reason: String) -> DeviceError {
+        DeviceError::NotAQube { port: self.name(), reason }
+    }
+
+    fn link_error(&self, fault: LinkFault) -> DeviceError {
+        DeviceError::Link { port: self.name(), fault }
+    }
+
+    fn refused(&self, action: &'static str, reason: RefusalReason) -> DeviceError {
+        DeviceError::Refused { port: self.name(), action, reason: reason.describe().into() }
+    }
+
+    fn accept(&mut self, reply: &HelloReply) -> Result<Identity, DeviceError> {
+        if reply.protocol_version != PROTOCOL_VERSION {
+            return Err(DeviceError::VersionMismatch {
+                port: self.name(),
+                theirs: reply.protocol_version,
+                ours: PROTOCOL_VERSION,
+            });
+        }
+        if reply.module_id != QUBE_MODULE_ID {
+            return Err(self.not_a_qube(format!(
+                "the board answers, but the Qube behind it does not (module id 0x{:04x} instead of \
+                 0x{QUBE_MODULE_ID:04x}); check its power and the SPI wires",
+                reply.module_id
+            )));
+        }
+        self.nonce = Some(reply.nonce);
+        let [major, minor, patch] = reply.firmware_version;
+        Ok(Identity {
+            kind: kind_name(reply.kind),
+            serial: format!("{:016x}", u64::from_be_bytes(reply.serial)),
+            firmware_version: format!("{major}.{minor}.{patch}"),
+            protocol_version: reply.protocol_version,
+            port: self.name(),
+        })
+    }
+
+    fn measurement(&mut self, sample: &SampleReply) -> Measurement {
+        let status = Status {
+            armed: sample.status.has(StatusBits::ARMED),
+            watchdog_tripped: sample.status.has(StatusBits::WATCHDOG_TRIPPED),
+            amplifier_fault: sample.status.has(StatusBits::AMPLIFIER_FAULT),
+            stall_detected: sample.status.has(StatusBits::STALL_DETECTED),
+            stall_error: sample.status.has(StatusBits::STALL_ERROR),
+        };
+        if self.motor == Motor::Armed && !status.armed {
+            self.motor = if status.watchdog_tripped { Motor::Tripped } else { Motor::Off };
+        }
+        Measurement {
+            device_time_us: self.device_time.unwrap_us(sample.device_time_us),
+            theta_counts: sample.theta_counts,
+            alpha_counts: sample.alpha_counts,
+            tachometer_counts_s: sample.tachometer_counts_s,
+            current_a: f32::from(sample.current_ma) * 1e-3,
+            status,
+            applied_mv: sample.applied_mv,
+            sample_to_act_us: (sample.sample_to_act_us != NO_ACT_US)
+                .then_some(u32::from(sample.sample_to_act_us)),
+        }
+    }
+}
+
+impl<T: Transport> Device for SerialLink<T> {
+    fn hello(&mut self) -> Result<Identity, DeviceError> {
+        let wait_ns = if self.has_answered { HELLO_TIME_NS } else { self.transport.boot_time_ns() };
+        let reply = self.greet(wait_ns)?;
+        self.has_answered = true;
+        self.accept(&reply)
+    }
+
+    /// Arms; when the answer is lost, greets and arms anew.
+    fn arm(&mut self) -> Result<(), DeviceError> {
+        let Some(mut nonce) = self.nonce.take() else {
+            return Err(self.refused("arm", RefusalReason::NotGreeted));
+        };
+        for attempt in 1.. {
+            match self.exchange(Request::Arm { nonce }, ANSWER_TIME_NS) {
+                Ok(Reply::Arm { .. }) => break,
+                Ok(Reply::Refusal { reason, .. }) => return Err(self.refused("arm", reason)),
+                Ok(_) | Err(LinkFault::Timeout | LinkFault::Full) if attempt < ATTEMPTS => {
+                    let reply = self.greet(HELLO_TIME_NS)?;
+                    self.accept(&reply)?;
+                    nonce = self.nonce.take().unwrap_or(0);
+                }
+                Ok(_) => return Err(self.not_a_qube("an arm got another answer".into())),
+                Err(fault) => return Err(self.link_error(fault)),
+            }
+        }
+        self.motor = Motor::Armed;
+        Ok(())
+    }
+
+    fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+        let sequence = self.send(Request::Sample)?;
+        match self.await_reply(sequence, deadline_ns)? {
+            Reply::Sample(sample) => Ok(self.measurement(&sample)),
+            // It restarted, so it knows of no hello.
+            Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => {
+                self.motor = Motor::Off;
+                Err(LinkFault::NotArmed)
+            }
+            _ => Err(LinkFault::Timeout),
+        }
+    }
+
+    fn act(&mut self, voltage_mv: i16) -> Result<(), LinkFault> {
+        match self.motor {
+            Motor::Armed => self.send(Request::Act { voltage_mv }).map(|_| ()),
+            Motor::Tripped => Err(LinkFault::WatchdogTripped),
+            Motor::Off => Err(LinkFault::NotArmed),
+        }
+    }
+
+    fn disarm(&mut self) -> Result<(), DeviceError> {
+        self.motor = Motor::Off;
+        for attempt in 1.. {
+            match self.exchange(Request::Disarm, ANSWER_TIME_NS) {
+                Ok(Reply::Disarm(reply)) => {
+                    self.nonce = (reply.nonce != 0).then_some(reply.nonce);
+                    break;
+                }
+                Ok(Reply::Refusal { reason, .. }) => return Err(self.refused("disarm", reason)),
+                Ok(_) | Err(LinkFault::Timeout | LinkFault::Full) if attempt < ATTEMPTS => {}
+                Ok(_) => return Err(self.not_a_qube("a disarm got another answer".into())),
+                Err(fault) => return Err(self.link_error(fault)),
+            }
+        }
+        Ok(())
+    }
+}
+
+impl<T: Transport> Drop for SerialLink<T> {
+    /// Whoever drops an armed link, by a panic for instance, leaves the motor off at once and not
+    /// only when the watchdog says so.
+    fn drop(&mut self) {
+        if self.motor == Motor::Armed {
+            let _ = self.send(Request::Disarm);
+        }
+    }
+}
+
+fn kind_name(kind: u8) -> String {
+    match DeviceKind::from_wire(kind) {
+        Some(DeviceKind::Emulator) => "emulator".into(),
+        Some(DeviceKind::Atmega328p) => "atmega328p".into(),
+        Some(DeviceKind::Atmega2560) => "atmega2560".into(),
+        None => format!("kind {kind}"),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,207 @@
+use firmware_protocol::DeviceState;
+
+use super::*;
+use crate::clock::VirtualClock;
+use crate::device::InProcessWire;
+use crate::device::emulator::{EmulatorFault, EmulatorSettings};
+
+fn link(fault: Option<EmulatorFault>) -> (SerialLink<InProcessWire>, VirtualClock) {
+    let clock = VirtualClock::default();
+    let settings = EmulatorSettings { fault, seed: 7, ..EmulatorSettings::default() };
+    (SerialLink::in_process(settings, clock.clone()), clock)
+}
+
+fn armed(fault: Option<EmulatorFault>) -> (SerialLink<InProcessWire>, VirtualClock) {
+    let (mut link, clock) = link(fault);
+    link.hello().unwrap();
+    link.arm().unwrap();
+    (link, clock)
+}
+
+fn sample(link: &mut SerialLink<InProcessWire>, clock: &VirtualClock) -> Measurement {
+    link.sample(clock.now_ns() + 10 * MS).unwrap()
+}
+
+#[test]
+fn the_hello_names_the_emulator() {
+    let identity = link(None).0.hello().unwrap();
+    assert_eq!(identity.kind, "emulator");
+    assert_eq!(identity.serial, "0000000000000007");
+    assert_eq!(identity.firmware_version, env!("CARGO_PKG_VERSION"));
+    assert_eq!(identity.protocol_version, PROTOCOL_VERSION);
+}
+
+#[test]
+fn acts_turn_the_arm_and_show_in_the_next_sample() {
+    let (mut link, clock) = armed(None);
+    let start = sample(&mut link, &clock);
+    assert_eq!((start.applied_mv, start.sample_to_act_us), (0, None));
+    let start_ns = clock.now_ns();
+    let mut last = start;
+    for tick in 1..=20 {
+        link.act(2000).unwrap();
+        clock.sleep_until(start_ns + tick * 10 * MS);
+        last = sample(&mut link, &clock);
+        assert!(last.status.armed);
+        assert_eq!(last.applied_mv, 1994);
+        // Turnaround 100 us, reply 640 us, act 180 us: what the line costs.
+        assert_eq!(last.sample_to_act_us, Some(920));
+    }
+    assert_eq!(last.device_time_us - start.device_time_us, 200_000 + 740 + 140);
+    assert!(last.theta_counts - start.theta_counts > 100);
+    assert!(last.tachometer_counts_s > 0);
+}
+
+#[test]
+fn the_watchdog_trips_and_only_hello_and_arm_leave_that() {
+    let (mut link, clock) = armed(None);
+    link.act(1000).unwrap();
+    clock.advance(60 * MS);
+    let tripped = sample(&mut link, &clock);
+    assert!(tripped.status.watchdog_tripped && !tripped.status.armed);
+    assert_eq!(tripped.applied_mv, 0);
+    assert_eq!(link.act(1000), Err(LinkFault::WatchdogTripped));
+    link.disarm().unwrap();
+    assert!(matches!(link.arm(), Err(DeviceError::Refused { action: "arm", .. })));
+    link.hello().unwrap();
+    link.arm().unwrap();
+    let again = sample(&mut link, &clock);
+    assert!(again.status.armed && !again.status.watchdog_tripped);
+}
+
+#[test]
+fn a_disarmed_device_arms_again_without_a_hello() {
+    let (mut link, clock) = armed(None);
+    link.disarm().unwrap();
+    assert!(!sample(&mut link, &clock).status.armed);
+    assert_eq!(link.act(1000), Err(LinkFault::NotArmed));
+    link.arm().unwrap();
+    assert!(sample(&mut link, &clock).status.armed);
+}
+
+#[test]
+fn arming_needs_a_hello() {
+    assert!(matches!(link(None).0.arm(), Err(DeviceError::Refused { action: "arm", .. })));
+}
+
+#[test]
+fn a_sample_waits_no_longer_than_its_deadline_and_a_late_reply_is_dropped() {
+    let (mut link, clock) = armed(None);
+    let first = sample(&mut link, &clock);
+    let before_ns = clock.now_ns();
+    let too_soon_ns = before_ns + 300_000;
+    assert_eq!(link.sample(too_soon_ns), Err(LinkFault::Timeout));
+    assert_eq!(clock.now_ns(), too_soon_ns);
+    clock.advance(MS);
+    let next = sample(&mut link, &clock);
+    assert!(next.device_time_us > first.device_time_us + 1000);
+}
+
+#[test]
+fn a_garbled_reply_is_a_timeout_and_the_next_one_is_read() {
+    let (mut link, clock) = armed(Some(EmulatorFault::Garble { every: 5 }));
+    let mut outcomes = Vec::new();
+    for _ in 0..20 {
+        outcomes.push(link.sample(clock.now_ns() + 2 * MS).is_ok());
+        link.act(0).unwrap();
+    }
+    assert_eq!(outcomes.iter().filter(|is_ok| !**is_ok).count(), 4, "{outcomes:?}");
+}
+
+#[test]
+fn what_is_no_qube_is_named() {
+    let reason = |fault| match link(Some(fault)).0.hello() {
+        Err(error) => error.to_string(),
+        Ok(identity) => panic!("{identity:?}"),
+    };
+    assert!(reason(EmulatorFault::Silent { after_s: 0.0 }).contains("no answer to 10 hellos"));
+    assert!(reason(EmulatorFault::QubeAbsent { after_s: 0.0 }).contains("module id 0x0000"));
+    assert!(
+        reason(EmulatorFault::WrongVersion).contains("speaks protocol version 2, this program 1")
+    );
+    assert!(reason(EmulatorFault::Garble { every: 1 }).contains("bytes that are no answer"));
+    assert!(reason(EmulatorFault::Unplugged { after_s: 0.0 }).contains("the port is gone"));
+}
+
+#[test]
+fn faults_of_the_qube_switch_the_motor_off_and_are_told() {
+    for (fault, clears) in [
+        (EmulatorFault::AmplifierFault { after_s: 0.02 }, false),
+        (EmulatorFault::StallError { after_s: 0.02 }, true),
+    ] {
+        let (mut link, clock) = armed(Some(fault));
+        link.act(3000).unwrap();
+        clock.advance(20 * MS);
+        let measurement = sample(&mut link, &clock);
+        assert!(!measurement.status.armed && !measurement.status.watchdog_tripped);
+        assert_eq!(measurement.applied_mv, 0);
+        assert_eq!(measurement.status.amplifier_fault, !clears);
+        assert_eq!(measurement.status.stall_error, clears);
+        assert_eq!(link.act(3000), Err(LinkFault::NotArmed));
+        link.hello().unwrap();
+        assert_eq!(link.arm().is_ok(), clears);
+    }
+}
+
+#[test]
+fn a_frozen_encoder_stays_while_the_arm_moves() {
+    let (mut link, clock) = armed(Some(EmulatorFault::FrozenAlpha { after_s: 0.0 }));
+    let start = sample(&mut link, &clock);
+    for _ in 0..20 {
+        link.act(5000).unwrap();
+        clock.advance(10 * MS);
+        let moved = sample(&mut link, &clock);
+        assert_eq!(moved.alpha_counts, start.alpha_counts);
+    }
+    assert_ne!(sample(&mut link, &clock).theta_counts, start.theta_counts);
+}
+
+#[test]
+fn an_unplugged_port_is_gone() {
+    let (mut link, clock) = armed(Some(EmulatorFault::Unplugged { after_s: 0.05 }));
+    clock.advance(60 * MS);
+    assert_eq!(link.sample(clock.now_ns() + MS), Err(LinkFault::Gone));
+    assert_eq!(link.act(0), Err(LinkFault::Gone));
+}
+
+/// A wire that outlives its link.
+struct Lent<'a>(&'a mut InProcessWire);
+
+impl Transport for Lent<'_> {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        self.0.read(buffer, deadline_ns)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        self.0.write(bytes)
+    }
+
+    fn name(&self) -> &str {
+        self.0.name()
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        self.0.boot_time_ns()
+    }
+}
+
+#[test]
+fn a_dropped_link_leaves_the_motor_off() {
+    let clock = VirtualClock::default();
+    let mut wire = InProcessWire::new(EmulatorSettings::default(), clock.clone());
+    let mut link = SerialLink::new(Lent(&mut wire), Arc::new(clock.clone()));
+    link.hello().unwrap();
+    link.arm().unwrap();
+    link.act(3000).unwrap();
+    drop(link);
+    clock.advance(MS);
+    assert_eq!(wire.board().state(), DeviceState::Greeted);
+}
+
+#[test]
+fn device_time_goes_on_beyond_32_bits() {
+    let mut time = DeviceTime::default();
+    assert_eq!(time.unwrap_us(u32::MAX - 9), u64::from(u32::MAX) - 9);
+    assert_eq!(time.unwrap_us(90), u64::from(u32::MAX) + 91);
+    assert_eq!(time.unwrap_us(89), 2 * (u64::from(u32::MAX) + 1) + 89);
+}

@@ -1,0 +1,136 @@
+use std::os::fd::AsFd;
+use std::sync::Arc;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags};
+use rustix::io::Errno;
+use serialport::{ErrorKind, TTYPort};
+
+use super::port_fd::PortFd;
+use super::port_holder::holder_of;
+use super::{DeviceError, LinkFault, SerialLink, Transport};
+use crate::clock::{Clock, Nanoseconds};
+
+/// An Uno or Mega restarts when its port is opened and its bootloader listens for up to two
+/// seconds before the program starts.
+const BOOT_TIME_NS: Nanoseconds = 3_000_000_000;
+
+/// A pty has no modem lines, so that nothing behind it restarts.
+const PTY_BOOT_TIME_NS: Nanoseconds = 1_000_000_000;
+
+/// A serial port of the operating system, exclusively open.
+pub struct Tty {
+    fd: PortFd<TTYPort>,
+    name: String,
+    clock: Arc<dyn Clock>,
+    has_modem_lines: bool,
+}
+
+impl Tty {
+    /// Opens a port at the protocol's rate and takes its low-latency mode where it has one.
+    ///
+    /// # Errors
+    /// No such port, in use, not permitted, not a serial port.
+    pub fn open(port: &str, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
+        let io_error = |source| DeviceError::Io { port: port.to_owned(), source };
+        let mut tty = serialport::new(port, firmware_protocol::BAUD_RATE)
+            .dtr_on_open(true)
+            .open_native()
+            .map_err(|error| open_error(port, error))?;
+        let has_modem_lines = serialport::SerialPort::read_carrier_detect(&mut tty).is_ok();
+        let fd = PortFd::new(tty);
+        rustix::io::ioctl_fionbio(&fd, true).map_err(|error| io_error(error.into()))?;
+        fd.ask_for_low_latency();
+        Ok(Self { fd, name: port.to_owned(), clock, has_modem_lines })
+    }
+
+    /// How long to wait, none when the deadline has passed.
+    fn timeout(&self, deadline_ns: Nanoseconds) -> Timespec {
+        let wait_ns = deadline_ns.saturating_sub(self.clock.now_ns());
+        Timespec {
+            tv_sec: (wait_ns / 1_000_000_000) as i64,
+            tv_nsec: (wait_ns % 1_000_000_000) as _,
+        }
+    }
+}
+
+impl Transport for Tty {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        loop {
+            let timeout = self.timeout(deadline_ns);
+            let mut ready = [PollFd::new(&self.fd, PollFlags::IN)];
+            match poll(&mut ready, Some(&timeout)) {
+                Ok(0) => return Ok(0),
+                Ok(_) => {}
+                Err(Errno::INTR) => continue,
+                Err(_) => return Err(LinkFault::Gone),
+            }
+            // An unplugged port is readable without end: as 0 bytes or as an error.
+            match rustix::io::read(&self.fd, &mut *buffer) {
+                Ok(0) => return Err(LinkFault::Gone),
+                Ok(length) => return Ok(length),
+                Err(Errno::INTR | Errno::AGAIN) if !ready[0].revents().contains(PollFlags::HUP) => {
+                }
+                Err(_) => return Err(LinkFault::Gone),
+            }
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        loop {
+            match rustix::io::write(self.fd.as_fd(), bytes) {
+                Ok(length) if length == bytes.len() => return Ok(()),
+                Ok(_) | Err(Errno::AGAIN) => return Err(LinkFault::Full),
+                Err(Errno::INTR) => {}
+                Err(_) => return Err(LinkFault::Gone),
+            }
+        }
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        if self.has_modem_lines { BOOT_TIME_NS } else { PTY_BOOT_TIME_NS }
+    }
+}
+
+impl SerialLink<Tty> {
+    /// Opens a serial port for a Qube. Nothing is said on it before the first hello.
+    ///
+    /// # Errors
+    /// No such port, in use, not permitted, not a serial port.
+    pub fn open(port: &str, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
+        Ok(Self::new(Tty::open(port, Arc::clone(&clock))?, clock))
+    }
+}
+
+fn open_error(port: &str, error: serialport::Error) -> DeviceError {
+    let port = port.to_owned();
+    match error.kind() {
+        ErrorKind::Io(std::io::ErrorKind::NotFound) => {
+            DeviceError::NoSuchPort { port, available: available_ports() }
+        }
+        ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => DeviceError::NotPermitted { port },
+        ErrorKind::NoDevice => DeviceError::Busy { holder: holder_of(&port), port },
+        _ if is_no_terminal(&port) => {
+            DeviceError::NotAQube { port, reason: "it is not a serial port".to_owned() }
+        }
+        _ => DeviceError::Io { port, source: error.into() },
+    }
+}
+
+/// The library's error for a file or a folder is the operating system's "not a typewriter".
+fn is_no_terminal(port: &str) -> bool {
+    let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
+    rustix::fs::open(port, flags, Mode::empty()).is_ok_and(|file| !rustix::termios::isatty(file))
+}
+
+fn available_ports() -> String {
+    let ports = serialport::available_ports().unwrap_or_default();
+    if ports.is_empty() {
+        return "none".to_owned();
+    }
+    ports.into_iter().map(|port| port.port_name).collect::<Vec<_>>().join(", ")
+}

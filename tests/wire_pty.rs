@@ -1,0 +1,201 @@
+//! The wire over a real pty and the real serial port library, against the emulated Qube.
+//!
+//! Nothing here depends on how busy the machine is: what is judged is judged by the device's clock.
+
+use std::io::{Read, Write};
+use std::sync::Arc;
+use std::time::Duration;
+
+use qube_hil::clock::{Clock, MonotonicClock, Nanoseconds};
+use qube_hil::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings};
+use qube_hil::device::{Device, DeviceError, LinkFault, SerialLink, Tty};
+use qube_hil::qube::Measurement;
+
+/// Long enough for any machine that is merely busy.
+const PATIENCE_NS: Nanoseconds = 5_000_000_000;
+
+fn qube(fault: Option<EmulatorFault>) -> EmulatedQube {
+    EmulatedQube::spawn(EmulatorSettings { fault, seed: 3, ..EmulatorSettings::default() }).unwrap()
+}
+
+fn open(qube: &EmulatedQube) -> SerialLink<Tty> {
+    SerialLink::open(qube.port().to_str().unwrap(), Arc::new(MonotonicClock)).unwrap()
+}
+
+fn sample(link: &mut SerialLink<Tty>) -> Measurement {
+    link.sample(MonotonicClock.now_ns() + PATIENCE_NS).unwrap()
+}
+
+/// Greets and arms until a sample shows the device armed: on a busy machine the watchdog may be
+/// faster than the test.
+fn arm(link: &mut SerialLink<Tty>) {
+    loop {
+        link.hello().unwrap();
+        link.arm().unwrap();
+        if sample(link).status.armed && link.act(0).is_ok() {
+            return;
+        }
+    }
+}
+
+#[test]
+fn an_emulated_qube_is_reached_like_a_real_one() {
+    let qube = qube(None);
+    let mut link = open(&qube);
+    let identity = link.hello().unwrap();
+    assert_eq!(identity.kind, "emulator");
+    assert_eq!(identity.port, qube.port().to_str().unwrap());
+
+    arm(&mut link);
+    let start = sample(&mut link);
+    let mut moved = start;
+    while (moved.theta_counts - start.theta_counts).abs() < 20 {
+        if link.act(3000).is_err() {
+            arm(&mut link);
+        }
+        moved = sample(&mut link);
+    }
+    assert!(moved.theta_counts > start.theta_counts);
+    assert!(moved.device_time_us > start.device_time_us);
+    link.disarm().unwrap();
+    assert!(!sample(&mut link).status.armed);
+}
+
+#[test]
+fn the_watchdog_switches_the_motor_off_and_stays_off() {
+    let qube = qube(None);
+    let mut link = open(&qube);
+    arm(&mut link);
+    let fed = sample(&mut link);
+    link.act(2000).ok();
+    // The act is accepted between `fed` and the first sample after it.
+    let mut since_act_us = 0;
+    let mut tripped = sample(&mut link);
+    if let Some(sample_to_act_us) = tripped.sample_to_act_us {
+        since_act_us = u64::from(sample_to_act_us);
+    }
+    while !tripped.status.watchdog_tripped {
+        let elapsed_us = tripped.device_time_us - fed.device_time_us - since_act_us;
+        assert!(elapsed_us < 55_000, "still armed after {elapsed_us} us");
+        assert!(tripped.status.armed);
+        tripped = sample(&mut link);
+    }
+    let elapsed_us = tripped.device_time_us - fed.device_time_us - since_act_us;
+    assert!(elapsed_us >= 50_000 || since_act_us == 0, "tripped after {elapsed_us} us");
+    assert_eq!(tripped.applied_mv, 0);
+    assert!(!tripped.status.armed);
+    assert_eq!(link.act(1000), Err(LinkFault::WatchdogTripped));
+    assert!(sample(&mut link).status.watchdog_tripped);
+}
+
+#[test]
+fn the_host_may_close_and_open_the_port_again() {
+    let qube = qube(None);
+    for _ in 0..5 {
+        let mut link = open(&qube);
+        link.hello().unwrap();
+    }
+    // A host that dies with half a frame on the line does no harm to the next.
+    let mut port = serialport::new(qube.port().to_str().unwrap(), 500_000).open().unwrap();
+    port.write_all(&[5, 1, 2]).unwrap();
+    drop(port);
+    open(&qube).hello().unwrap();
+}
+
+#[test]
+fn another_version_is_named() {
+    let qube = qube(Some(EmulatorFault::WrongVersion));
+    match open(&qube).hello() {
+        Err(DeviceError::VersionMismatch { theirs: 2, ours: 1, .. }) => {}
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_port_without_a_qube_is_named() {
+    let (mut master, slave) = serialport::TTYPort::pair().unwrap();
+    let port = serialport::SerialPort::name(&slave).unwrap();
+    drop(slave);
+    let mut silent = SerialLink::open(&port, Arc::new(MonotonicClock)).unwrap();
+    let error = silent.hello().unwrap_err().to_string();
+    assert!(error.contains(&port) && error.contains("no answer"), "{error}");
+    drop(silent);
+
+    let mut chatting = SerialLink::open(&port, Arc::new(MonotonicClock)).unwrap();
+    master.write_all(b"login: \0 password: \0").unwrap();
+    let error = chatting.hello().unwrap_err().to_string();
+    assert!(error.contains("bytes that are no answer"), "{error}");
+    drop(chatting);
+
+    let mut echoing = SerialLink::open(&port, Arc::new(MonotonicClock)).unwrap();
+    let echo = std::thread::spawn(move || {
+        let mut buffer = [0; 64];
+        serialport::SerialPort::set_timeout(&mut master, Duration::from_secs(60)).unwrap();
+        // Ends when the last host has closed the port.
+        while let Ok(length) = master.read(&mut buffer) {
+            master.write_all(&buffer[..length]).unwrap();
+        }
+    });
+    let error = echoing.hello().unwrap_err().to_string();
+    assert!(error.contains("it echoes"), "{error}");
+    drop(echoing);
+    echo.join().unwrap();
+}
+
+#[test]
+fn a_port_in_use_is_named_with_its_holder() {
+    let qube = qube(None);
+    let first = open(&qube);
+    let second = SerialLink::open(qube.port().to_str().unwrap(), Arc::new(MonotonicClock));
+    match second.err() {
+        Some(DeviceError::Busy { holder, .. }) => {
+            assert!(holder.contains(&format!("process {} (", std::process::id())), "{holder}");
+        }
+        other => panic!("{other:?}"),
+    }
+    drop(first);
+    open(&qube).hello().unwrap();
+}
+
+#[test]
+fn a_missing_port_and_a_file_are_named() {
+    let open = |port: &str| SerialLink::open(port, Arc::new(MonotonicClock)).err();
+    assert!(matches!(open("/dev/no-such-port"), Some(DeviceError::NoSuchPort { .. })));
+    let file = tempfile::NamedTempFile::new().unwrap();
+    for port in ["/dev/null", "/tmp", file.path().to_str().unwrap()] {
+        match open(port) {
+            Some(DeviceError::NotAQube { reason, .. }) => {
+                assert!(reason.contains("not a serial port"), "{port}: {reason}");
+            }
+            other => panic!("{port}: {other:?}"),
+        }
+    }
+}
+
+#[test]
+fn an_unplugged_qube_is_gone() {
+    let qube = qube(None);
+    let mut link = open(&qube);
+    link.hello().unwrap();
+    drop(qube);
+    assert_eq!(link.sample(MonotonicClock.now_ns() + PATIENCE_NS), Err(LinkFault::Gone));
+    assert!(matches!(link.hello(), Err(DeviceError::Link { fault: LinkFault::Gone, .. })));
+}
+
+#[test]
+fn a_second_name_goes_with_the_qube() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = folder.path().join("qube");
+    let mut qube = qube(None);
+    qube.link_as(&name).unwrap();
+    let mut link = SerialLink::open(name.to_str().unwrap(), Arc::new(MonotonicClock)).unwrap();
+    link.hello().unwrap();
+    drop(link);
+    qube.link_as(&name).unwrap();
+    let file = folder.path().join("file");
+    std::fs::write(&file, "mine").unwrap();
+    assert!(qube.link_as(&file).is_err());
+    drop(qube);
+    assert!(!name.exists());
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
+}
