@@ -1,26 +1,66 @@
 use std::fs;
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 /// Who has this port open, for a message: `process 1234 (name)`, or `another program` where the
 /// user may not see it.
 pub(super) fn holder_of(port: &str) -> String {
-    find_holder(Path::new(port)).unwrap_or_else(|| "another program".to_owned())
+    let port = Path::new(port);
+    let Some(pid) = find_locker(port).or_else(|| find_opener(port)) else {
+        return "another program".to_owned();
+    };
+    match fs::read_to_string(format!("/proc/{pid}/comm")) {
+        Ok(command) => format!("process {pid} ({})", command.trim()),
+        Err(_) => format!("process {pid}"),
+    }
 }
 
-fn find_holder(port: &Path) -> Option<String> {
+/// The process whose file lock refused ours. Everybody may read that list.
+fn find_locker(port: &Path) -> Option<u32> {
+    let port = fs::metadata(port).ok()?;
+    let (major, minor) = (rustix::fs::major(port.dev()), rustix::fs::minor(port.dev()));
+    let file = format!("{major:02x}:{minor:02x}:{}", port.ino());
+    let locks = fs::read_to_string("/proc/locks").ok()?;
+    locks.lines().find_map(|lock| locker(lock, &file))
+}
+
+/// Reads a line such as `1: FLOCK  ADVISORY  WRITE 708 00:14:3 0 EOF`.
+fn locker(lock: &str, file: &str) -> Option<u32> {
+    let mut words = lock.split_whitespace().skip(1);
+    (words.next()? == "FLOCK").then_some(())?;
+    let pid = words.nth(2)?.parse().ok()?;
+    (words.next()? == file).then_some(pid)
+}
+
+/// A process that has the port open; only the user's own can be seen.
+fn find_opener(port: &Path) -> Option<u32> {
     let port = fs::canonicalize(port).ok()?;
-    let processes = fs::read_dir("/proc").ok()?.flatten();
-    for process in processes {
-        let name = process.file_name();
-        let Some(pid) = name.to_str().and_then(|name| name.parse::<u32>().ok()) else { continue };
-        let Ok(descriptors) = fs::read_dir(process.path().join("fd")) else { continue };
-        let has_port = descriptors
+    fs::read_dir("/proc").ok()?.flatten().find_map(|process| {
+        let pid = process.file_name().to_str()?.parse().ok()?;
+        fs::read_dir(process.path().join("fd"))
+            .ok()?
             .flatten()
-            .any(|descriptor| fs::read_link(descriptor.path()).is_ok_and(|target| target == port));
-        if has_port {
-            let command = fs::read_to_string(process.path().join("comm")).unwrap_or_default();
-            return Some(format!("process {pid} ({})", command.trim()));
-        }
+            .any(|descriptor| fs::read_link(descriptor.path()).is_ok_and(|target| target == port))
+            .then_some(pid)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_of_the_lock_list_is_read() {
+        let line = "3: FLOCK  ADVISORY  WRITE 708 00:14:3 0 EOF";
+        assert_eq!(locker(line, "00:14:3"), Some(708));
+        assert_eq!(locker(line, "00:14:4"), None);
+        assert_eq!(locker("1: POSIX  ADVISORY  READ 9 00:14:3 0 EOF", "00:14:3"), None);
+        assert_eq!(locker("", "00:14:3"), None);
     }
-    None
+
+    #[test]
+    fn whoever_has_a_file_open_is_found() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        assert_eq!(find_opener(file.path()), Some(std::process::id()));
+    }
 }

@@ -6,16 +6,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-use rustix::event::{EventfdFlags, Timespec, epoll, eventfd};
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::io::Errno;
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 
 use super::{Board, EmulatorSettings};
-use crate::clock::{Clock, MonotonicClock, Nanoseconds};
+use crate::clock::{Clock, MonotonicClock};
 
-const MASTER: u64 = 0;
-const STOP: u64 = 1;
+/// How often an idle server looks after its port.
+const HOUSEKEEPING_US: u64 = 500_000;
 
 /// An emulated Qube behind a real pty, served by a thread of its own at wall-clock speed until it
 /// is dropped. Open [`port`](Self::port) as if it were a serial port.
@@ -36,26 +36,22 @@ impl EmulatedQube {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&master)?;
         unlockpt(&master)?;
-        // On Linux the master's attributes are the port's. Raw from the start: until the host sets
-        // it so itself, an echo would send the board its own replies.
-        let mut attributes = tcgetattr(&master)?;
+        let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
+        let port_side = ioctl_tiocgptpeer(&master, flags)?;
+        // Raw from the start: until the host sets it so itself, an echo would send the board its
+        // own replies.
+        let mut attributes = tcgetattr(&port_side)?;
         attributes.make_raw();
-        tcsetattr(&master, OptionalActions::Now, &attributes)?;
+        tcsetattr(&port_side, OptionalActions::Now, &attributes)?;
         rustix::io::ioctl_fionbio(&master, true)?;
         let name = ptsname(&master, Vec::new())?;
         let port = PathBuf::from(OsStr::from_bytes(name.as_bytes()));
 
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
-        let ready = epoll::create(epoll::CreateFlags::CLOEXEC)?;
-        // Edge-triggered: while no host has the port open the master reports a hang-up all the
-        // time, and a level-triggered wait would spin on it.
-        let edges = epoll::EventFlags::IN | epoll::EventFlags::ET;
-        epoll::add(&ready, &master, epoll::EventData::new_u64(MASTER), edges)?;
-        epoll::add(&ready, &*stop, epoll::EventData::new_u64(STOP), epoll::EventFlags::IN)?;
-
+        let stopped = Arc::clone(&stop);
         let server = std::thread::Builder::new()
             .name("emulated-qube".into())
-            .spawn(move || serve(&master, &ready, Board::new(settings)))?;
+            .spawn(move || serve(&master, &port_side, &stopped, Board::new(settings)))?;
         Ok(Self { port, link: None, stop, server: Some(server) })
     }
 
@@ -115,43 +111,53 @@ impl Drop for EmulatedQube {
     }
 }
 
-fn serve(master: &OwnedFd, ready: &OwnedFd, mut board: Board) -> io::Result<()> {
+/// `port_side` is the server's own opening of the port. It keeps the pty from hanging up while no
+/// host has it open, and it can take back the exclusive mode that a killed host leaves behind:
+/// while the pty lives the kernel does not, and nobody but root could open the port again. (Hosts
+/// still exclude each other by their file locks, which end with them.)
+fn serve(
+    master: &OwnedFd,
+    port_side: &OwnedFd,
+    stop: &OwnedFd,
+    mut board: Board,
+) -> io::Result<()> {
     let clock = MonotonicClock;
     let start_ns = clock.now_ns();
-    let board_time_us = |now_ns: Nanoseconds| (now_ns - start_ns) / 1000;
-    let mut events = Vec::with_capacity(2);
+    let mut housekeeping_us = 0;
     loop {
-        board.advance_to(board_time_us(clock.now_ns()));
+        let now_us = (clock.now_ns() - start_ns) / 1000;
+        board.advance_to(now_us);
         exchange(master, &mut board)?;
         if board.is_unplugged() {
             return Ok(());
         }
-        let timeout = board.next_event_us().map(|event_us| {
-            let event_ns = start_ns + event_us * 1000;
-            let wait_ns = event_ns.saturating_sub(clock.now_ns());
-            Timespec {
-                tv_sec: (wait_ns / 1_000_000_000) as i64,
-                tv_nsec: (wait_ns % 1_000_000_000) as _,
-            }
-        });
-        events.clear();
-        match epoll::wait(ready, rustix::buffer::spare_capacity(&mut events), timeout.as_ref()) {
+        if now_us >= housekeeping_us {
+            ioctl_tiocnxcl(port_side)?;
+            housekeeping_us = now_us + HOUSEKEEPING_US;
+        }
+        let wake_us = board.next_event_us().unwrap_or(u64::MAX).min(housekeeping_us);
+        let wait_ns = (start_ns + wake_us * 1000).saturating_sub(clock.now_ns());
+        let timeout = Timespec {
+            tv_sec: (wait_ns / 1_000_000_000) as i64,
+            tv_nsec: (wait_ns % 1_000_000_000) as _,
+        };
+        let mut ready = [PollFd::new(master, PollFlags::IN), PollFd::new(stop, PollFlags::IN)];
+        match poll(&mut ready, Some(&timeout)) {
             Ok(_) | Err(Errno::INTR) => {}
             Err(error) => return Err(error.into()),
         }
-        if events.iter().any(|event| event.data.u64() == STOP) {
+        if !ready[1].revents().is_empty() {
             return Ok(());
         }
     }
 }
 
-/// Reads until nothing is left, as edge-triggered waiting demands, and answers.
+/// Reads until nothing is left and answers.
 fn exchange(master: &impl AsFd, board: &mut Board) -> io::Result<()> {
     let mut buffer = [0; 256];
     loop {
         let received = match rustix::io::read(master, &mut buffer) {
-            // EIO: nobody has the port open.
-            Ok(0) | Err(Errno::AGAIN | Errno::IO) => return Ok(()),
+            Ok(0) | Err(Errno::AGAIN) => return Ok(()),
             Ok(length) => &buffer[..length],
             Err(Errno::INTR) => continue,
             Err(error) => return Err(error.into()),
@@ -166,7 +172,7 @@ fn exchange(master: &impl AsFd, board: &mut Board) -> io::Result<()> {
             }
             match rustix::io::write(master, bytes) {
                 // A host that does not read loses bytes, as on a real line.
-                Ok(_) | Err(Errno::AGAIN | Errno::IO | Errno::INTR) => {}
+                Ok(_) | Err(Errno::AGAIN | Errno::INTR) => {}
                 Err(error) => return Err(error.into()),
             }
         }

@@ -1,0 +1,195 @@
+//! `golden.txt` holds the wire's bytes for whoever writes a third speaker, in whatever language.
+//! It must be exactly what this crate produces, and this crate must read it back.
+
+use firmware_protocol::scaling::{
+    current_ma, motor_counts, motor_voltage_mv, motor_word, tachometer_counts_s,
+};
+use firmware_protocol::{
+    Decoder, DeviceKind, DeviceState, DisarmReply, Frame, FrameError, HelloReply, NO_ACT_US,
+    PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Reply, Request, SampleReply, StatusBits,
+    WATCHDOG_MS, is_newer,
+};
+
+const GOLDEN: &str = include_str!("../golden.txt");
+
+fn requests() -> Vec<(&'static str, u16, Request)> {
+    vec![
+        ("hello", 1, Request::Hello { protocol_version: PROTOCOL_VERSION }),
+        ("hello_of_version_2", 2, Request::Hello { protocol_version: 2 }),
+        ("arm", 3, Request::Arm { nonce: 0xDEAD_BEEF }),
+        ("arm_nonce_with_zeros", 0x0400, Request::Arm { nonce: 0x0001_0000 }),
+        ("sample", 4, Request::Sample),
+        ("sample_sequence_0", 0, Request::Sample),
+        ("act_0_mv", 5, Request::Act { voltage_mv: 0 }),
+        ("act_plus_5000_mv", 0xFFFF, Request::Act { voltage_mv: 5000 }),
+        ("act_minus_5000_mv", 0x0100, Request::Act { voltage_mv: -5000 }),
+        ("act_out_of_range", 6, Request::Act { voltage_mv: 5001 }),
+        ("disarm", 7, Request::Disarm),
+    ]
+}
+
+fn replies() -> Vec<(&'static str, u16, Reply)> {
+    let sample = SampleReply {
+        device_time_us: 12_345_678,
+        theta_counts: -250,
+        alpha_counts: 1024,
+        tachometer_counts_s: -3259,
+        current_ma: -119,
+        status: StatusBits(StatusBits::ARMED),
+        applied_mv: -1009,
+        last_act_sequence: 5,
+        sample_to_act_us: 920,
+    };
+    vec![
+        (
+            "hello_reply",
+            1,
+            Reply::Hello(HelloReply {
+                protocol_version: PROTOCOL_VERSION,
+                firmware_version: [0, 1, 0],
+                kind: DeviceKind::Atmega328p as u8,
+                module_id: QUBE_MODULE_ID,
+                serial: [0x01, 0x23, 0x45, 0x67, 0x89, 0xAB, 0xCD, 0xEF],
+                nonce: 0xDEAD_BEEF,
+                watchdog_ms: WATCHDOG_MS,
+                dropped_frames: 2,
+            }),
+        ),
+        ("arm_reply", 3, Reply::Arm { device_time_us: 12_000_000 }),
+        ("sample_reply", 4, Reply::Sample(sample)),
+        (
+            "sample_reply_tripped",
+            8,
+            Reply::Sample(SampleReply {
+                status: StatusBits(StatusBits::WATCHDOG_TRIPPED),
+                applied_mv: 0,
+                sample_to_act_us: NO_ACT_US,
+                ..sample
+            }),
+        ),
+        (
+            "disarm_reply",
+            7,
+            Reply::Disarm(DisarmReply {
+                state: DeviceState::Greeted,
+                nonce: 0x1234_5678,
+                dropped_frames: 2,
+            }),
+        ),
+        (
+            "disarm_reply_tripped",
+            7,
+            Reply::Disarm(DisarmReply { state: DeviceState::Tripped, nonce: 0, dropped_frames: 2 }),
+        ),
+        (
+            "refusal_stale_act",
+            5,
+            Reply::Refusal { refused_type: 0x04, reason: RefusalReason::StaleSequence },
+        ),
+        (
+            "refusal_unknown_type",
+            9,
+            Reply::Refusal { refused_type: 0x42, reason: RefusalReason::UnknownType },
+        ),
+    ]
+}
+
+fn decode(bytes: &[u8]) -> Option<Result<Frame, FrameError>> {
+    let mut decoder = Decoder::new();
+    bytes.iter().fold(None, |last, &byte| decoder.push(byte).or(last))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn bytes(hex: &str) -> Vec<u8> {
+    (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect()
+}
+
+/// The lines of the file that are not comments, split into words.
+fn lines(kind: &str) -> Vec<Vec<&'static str>> {
+    let lines: Vec<Vec<_>> = GOLDEN
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(|line| line.split_whitespace().collect())
+        .filter(|words: &Vec<_>| words.first() == Some(&kind))
+        .collect();
+    assert!(!lines.is_empty(), "golden.txt has no line `{kind}`");
+    lines
+}
+
+fn number<T: TryFrom<i64>>(word: &str) -> T {
+    let value = match word.strip_prefix("0x") {
+        Some(digits) => i64::from_str_radix(digits, 16).unwrap(),
+        None => word.parse().unwrap(),
+    };
+    T::try_from(value).ok().unwrap_or_else(|| panic!("{word} is out of range"))
+}
+
+#[test]
+fn requests_are_written_and_read_as_in_the_file() {
+    let file = lines("request");
+    let expected: Vec<Vec<String>> = requests()
+        .iter()
+        .map(|(name, sequence, request)| {
+            vec!["request".into(), (*name).into(), hex(request.encode(*sequence).as_bytes())]
+        })
+        .collect();
+    assert_eq!(file, expected);
+    for (words, (_, sequence, request)) in file.iter().zip(requests()) {
+        let frame = decode(&bytes(words[2])).unwrap().unwrap();
+        assert_eq!(frame.sequence, sequence);
+        assert_eq!(Request::parse(&frame), Ok(request));
+    }
+}
+
+#[test]
+fn replies_are_written_and_read_as_in_the_file() {
+    let file = lines("reply");
+    let expected: Vec<Vec<String>> = replies()
+        .iter()
+        .map(|(name, sequence, reply)| {
+            vec!["reply".into(), (*name).into(), hex(reply.encode(*sequence).as_bytes())]
+        })
+        .collect();
+    assert_eq!(file, expected);
+    for (words, (_, sequence, reply)) in file.iter().zip(replies()) {
+        let frame = decode(&bytes(words[2])).unwrap().unwrap();
+        assert_eq!(frame.sequence, sequence);
+        assert_eq!(Reply::parse(&frame), Ok(reply));
+    }
+}
+
+#[test]
+fn bad_frames_are_dropped_as_the_file_says() {
+    for words in lines("dropped") {
+        let expected = match words[1] {
+            "garbled" => FrameError::Garbled,
+            "checksum" => FrameError::Checksum,
+            "too_long" => FrameError::TooLong,
+            other => panic!("{other}"),
+        };
+        assert_eq!(decode(&bytes(words[2])), Some(Err(expected)), "{words:?}");
+    }
+}
+
+#[test]
+fn conversions_give_the_numbers_in_the_file() {
+    for words in lines("motor") {
+        let counts = motor_counts(number(words[1]));
+        assert_eq!(counts, number::<i16>(words[2]), "{words:?}");
+        assert_eq!(motor_word(counts), number::<u16>(words[3]), "{words:?}");
+        assert_eq!(motor_voltage_mv(counts), number::<i16>(words[4]), "{words:?}");
+    }
+    for words in lines("current") {
+        assert_eq!(current_ma(number(words[1])), number::<i16>(words[2]), "{words:?}");
+    }
+    for words in lines("tachometer") {
+        assert_eq!(tachometer_counts_s(number(words[1])), number::<i32>(words[2]), "{words:?}");
+    }
+    for words in lines("newer") {
+        let newer = is_newer(number(words[1]), number(words[2]));
+        assert_eq!(u8::from(newer), number::<u8>(words[3]), "{words:?}");
+    }
+}
