@@ -4,24 +4,98 @@
 //! May import `qube` and `elementary`; never `learning`: what is deployed runs without the trainer.
 
 mod classical;
+mod file;
+#[cfg(test)]
+mod file_tests;
+mod network;
+mod training_record;
+
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::path::Path;
 
 pub use classical::{ClassicalController, ClassicalGains};
+pub use file::{FORMAT_VERSION, MAX_FILE_BYTES, PolicyError, PolicyFault};
+pub use network::{LayerWeights, MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
+pub use training_record::{SimulatedSensors, TrainingRecord};
 
 use crate::qube::State;
 
-/// A controller that is ready to run: nothing in it allocates.
+/// What decides the voltage in a rollout. Both kinds travel as the same sort of file, so that a
+/// rollout's recording holds whatever drove it.
 #[derive(Clone, Debug)]
 pub enum Policy {
-    /// Energy swing-up and balance.
+    /// A trained network.
+    Network(NetworkPolicy),
+    /// The classical controller.
     Classical(ClassicalController),
 }
 
+/// A network and where it comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NetworkPolicy {
+    /// The network.
+    pub network: Network,
+    /// How it was trained.
+    pub training: TrainingRecord,
+}
+
 impl Policy {
-    /// The voltage for a state, V. Whether it is one at all is the caller's to check.
+    /// Forgets what an earlier rollout left behind: call it at the start of each.
+    pub fn reset(&mut self) {
+        match self {
+            Self::Network(_) => {}
+            Self::Classical(controller) => controller.reset(),
+        }
+    }
+
+    /// The voltage for a state, V. It allocates nothing; the voltage gate of `safety` limits it.
     #[must_use]
     pub fn voltage_v(&mut self, state: &State) -> f64 {
         match self {
+            Self::Network(policy) => policy.network.voltage_v(state),
             Self::Classical(controller) => controller.voltage_v(state),
         }
+    }
+
+    /// Reads a policy file.
+    ///
+    /// # Errors
+    /// The file cannot be read or is no policy; the message says why and what to do.
+    pub fn load(path: &Path) -> Result<Self, PolicyError> {
+        let unreadable = |source| PolicyError::Unreadable { path: path.to_owned(), source };
+        let mut bytes = Vec::new();
+        let file = File::open(path).map_err(unreadable)?;
+        // One byte more than allowed is enough to see that there are more.
+        file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+        Self::from_bytes(&bytes).map_err(|fault| PolicyError::Bad { path: path.to_owned(), fault })
+    }
+
+    /// Writes a policy file, whole or not at all.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
+        let unwritable = |source| PolicyError::Unwritable { path: path.to_owned(), source };
+        let mut partial = path.as_os_str().to_owned();
+        partial.push(".partial");
+        let mut file = File::create(&partial).map_err(unwritable)?;
+        file.write_all(&self.to_bytes()).map_err(unwritable)?;
+        file.sync_all().map_err(unwritable)?;
+        fs::rename(&partial, path).map_err(unwritable)
+    }
+
+    /// Reads the bytes of a policy file, as a recording has them attached.
+    ///
+    /// # Errors
+    /// They are no policy.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyFault> {
+        file::read(bytes)
+    }
+
+    /// The bytes of its file: the same for the same policy.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        file::write(self)
     }
 }

@@ -1,0 +1,383 @@
+//! A policy as bytes: a safetensors file whose metadata has one entry, `policy`, a JSON document.
+//!
+//! Nothing in it is executed, and everything in it is checked before it is believed. One entry,
+//! because safetensors writes several in no fixed order; so the same policy gives the same bytes.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::path::PathBuf;
+
+use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, View, serialize};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::network::{LayerWeights, NetworkError, bias_name, check_sizes, weight_name};
+use super::{ClassicalController, ClassicalGains, Network, NetworkPolicy, Policy, TrainingRecord};
+
+/// Version of the format. Another one is refused.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// Largest file that is read, in bytes: ten times the largest network within the limits.
+pub const MAX_FILE_BYTES: u64 = 8 << 20;
+
+const METADATA_KEY: &str = "policy";
+
+/// What the network sees, in order: see [`crate::qube::observation`].
+const OBSERVATION_LAYOUT: [&str; 6] =
+    ["sin(theta)", "cos(theta)", "sin(alpha)", "cos(alpha)", "0.1 theta_dot", "0.05 alpha_dot"];
+
+const ACTIVATION: &str = "tanh";
+
+/// Why a policy cannot be had from a file, or put into one.
+#[derive(Debug, Error)]
+pub enum PolicyError {
+    /// The file cannot be read.
+    #[error("{}: cannot be read: {source}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The file is no policy.
+    #[error("{}: {fault}", path.display())]
+    Bad {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        fault: PolicyFault,
+    },
+    /// The file cannot be written.
+    #[error("{}: cannot be written: {source}", path.display())]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+}
+
+/// What is wrong with the bytes of a policy.
+#[derive(Debug, Error)]
+pub enum PolicyFault {
+    /// Too large to be one.
+    #[error(
+        "is larger than {MAX_FILE_BYTES} bytes and so no policy. Give a file that `train` wrote"
+    )]
+    TooLarge,
+    /// Not a safetensors file, or a damaged one.
+    #[error("is no safetensors file, or cut off ({source}). Give a file that `train` wrote")]
+    NotSafetensors {
+        /// The cause.
+        source: SafeTensorError,
+    },
+    /// Some other safetensors file.
+    #[error("has no metadata `{METADATA_KEY}`. Give a file that `train` wrote")]
+    NoMetadata,
+    /// Metadata that cannot be understood.
+    #[error("has metadata that this program does not understand: {source}")]
+    Metadata {
+        /// The cause, with its place.
+        source: serde_json::Error,
+    },
+    /// A format of another time.
+    #[error(
+        "has format version {version}, this program reads version {FORMAT_VERSION}. Train it again or use the program that wrote it"
+    )]
+    Version {
+        /// The file's version.
+        version: u32,
+    },
+    /// The network sees something else.
+    #[error(
+        "was trained for the observation {layout:?}; this program has {OBSERVATION_LAYOUT:?}. Train it again"
+    )]
+    Observation {
+        /// The file's layout.
+        layout: Vec<String>,
+    },
+    /// The network's hidden layers are not of this kind.
+    #[error("has the activation `{activation}`; this program has `{ACTIVATION}`. Train it again")]
+    Activation {
+        /// The file's activation.
+        activation: String,
+    },
+    /// A tensor is not there.
+    #[error("has no tensor `{name}`")]
+    MissingTensor {
+        /// Its name.
+        name: String,
+    },
+    /// A tensor that no policy has.
+    #[error("has an unexpected tensor `{name}`")]
+    UnexpectedTensor {
+        /// Its name.
+        name: String,
+    },
+    /// A tensor of another type or shape.
+    #[error(
+        "holds `{name}` as {dtype} {shape:?} where {expected_dtype} {expected_shape:?} is expected"
+    )]
+    Tensor {
+        /// Its name.
+        name: String,
+        /// Its number type.
+        dtype: Dtype,
+        /// Its shape.
+        shape: Vec<usize>,
+        /// The number type expected.
+        expected_dtype: Dtype,
+        /// The shape expected.
+        expected_shape: Vec<usize>,
+    },
+    /// Numbers that make no network.
+    #[error("holds no network that can run: {0}")]
+    Network(#[from] NetworkError),
+    /// A gain that is not a number.
+    #[error("holds {value} for the gain `{name}`: it must be a finite number")]
+    Gain {
+        /// The gain.
+        name: &'static str,
+        /// What is there.
+        value: f64,
+    },
+}
+
+/// Read before anything else, so that a future version is named as such.
+#[derive(Deserialize)]
+struct VersionOnly {
+    format_version: u32,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Metadata {
+    format_version: u32,
+    controller: ControllerMetadata,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+enum ControllerMetadata {
+    Network {
+        observation: Vec<String>,
+        sizes: Vec<usize>,
+        activation: String,
+        action_scale_v: f32,
+        training: TrainingRecord,
+    },
+    Classical,
+}
+
+pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        return Err(PolicyFault::TooLarge);
+    }
+    let not_safetensors = |source| PolicyFault::NotSafetensors { source };
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(not_safetensors)?;
+    let tensors = SafeTensors::deserialize(bytes).map_err(not_safetensors)?;
+    let json = header.metadata().as_ref().and_then(|metadata| metadata.get(METADATA_KEY));
+    let json = json.ok_or(PolicyFault::NoMetadata)?;
+
+    let not_understood = |source| PolicyFault::Metadata { source };
+    let VersionOnly { format_version } = serde_json::from_str(json).map_err(not_understood)?;
+    if format_version != FORMAT_VERSION {
+        return Err(PolicyFault::Version { version: format_version });
+    }
+    let metadata: Metadata = serde_json::from_str(json).map_err(not_understood)?;
+    match metadata.controller {
+        ControllerMetadata::Network {
+            observation,
+            sizes,
+            activation,
+            action_scale_v,
+            training,
+        } => {
+            if observation != OBSERVATION_LAYOUT {
+                return Err(PolicyFault::Observation { layout: observation });
+            }
+            if activation != ACTIVATION {
+                return Err(PolicyFault::Activation { activation });
+            }
+            let network = Network::new(&sizes, &read_layers(&tensors, &sizes)?, action_scale_v)?;
+            Ok(Policy::Network(NetworkPolicy { network, training }))
+        }
+        ControllerMetadata::Classical => {
+            Ok(Policy::Classical(ClassicalController::new(read_gains(&tensors)?)))
+        }
+    }
+}
+
+pub(super) fn write(policy: &Policy) -> Vec<u8> {
+    let (controller, tensors) = match policy {
+        Policy::Network(NetworkPolicy { network, training }) => (
+            ControllerMetadata::Network {
+                observation: OBSERVATION_LAYOUT.map(str::to_owned).to_vec(),
+                sizes: network.sizes().to_vec(),
+                activation: ACTIVATION.to_owned(),
+                action_scale_v: network.action_scale_v(),
+                training: training.clone(),
+            },
+            layer_tensors(network),
+        ),
+        Policy::Classical(controller) => {
+            (ControllerMetadata::Classical, gain_tensors(controller.gains()))
+        }
+    };
+    let json = serde_json::to_string(&Metadata { format_version: FORMAT_VERSION, controller });
+    let json = json.expect("plain structs with text keys always become JSON");
+    let metadata = HashMap::from([(METADATA_KEY.to_owned(), json)]);
+    serialize(tensors, Some(metadata)).expect("tensors whose bytes follow from their shapes")
+}
+
+/// A tensor on its way into a file.
+struct Tensor {
+    dtype: Dtype,
+    shape: Vec<usize>,
+    bytes: Vec<u8>,
+}
+
+impl View for Tensor {
+    fn dtype(&self) -> Dtype {
+        self.dtype
+    }
+
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        Cow::Borrowed(&self.bytes)
+    }
+
+    fn data_len(&self) -> usize {
+        self.bytes.len()
+    }
+}
+
+fn layer_tensors(network: &Network) -> Vec<(String, Tensor)> {
+    let tensor = |values: &[f32], shape: &[usize]| Tensor {
+        dtype: Dtype::F32,
+        shape: shape.to_vec(),
+        bytes: values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+    };
+    let mut tensors = Vec::new();
+    let layers = network.layers();
+    for (index, (layer, size)) in layers.iter().zip(network.sizes().windows(2)).enumerate() {
+        tensors.push((weight_name(index), tensor(&layer.weight, &[size[1], size[0]])));
+        tensors.push((bias_name(index), tensor(&layer.bias, &[size[1]])));
+    }
+    tensors
+}
+
+fn read_layers(
+    tensors: &SafeTensors<'_>,
+    sizes: &[usize],
+) -> Result<Vec<LayerWeights>, PolicyFault> {
+    check_sizes(sizes)?;
+    let mut expected = Vec::new();
+    let mut layers = Vec::new();
+    for (index, size) in sizes.windows(2).enumerate() {
+        let (weight, bias) = (weight_name(index), bias_name(index));
+        layers.push(LayerWeights {
+            weight: read_f32(tensors, &weight, &[size[1], size[0]])?,
+            bias: read_f32(tensors, &bias, &[size[1]])?,
+        });
+        expected.extend([weight, bias]);
+    }
+    refuse_others(tensors, |name| expected.iter().any(|known| known == name))?;
+    Ok(layers)
+}
+
+/// The gains by name, so that a file says what its numbers mean.
+fn named_gains(gains: &ClassicalGains) -> [(&'static str, &[f64]); 7] {
+    use std::slice::from_ref;
+    [
+        ("pump_v_per_j", from_ref(&gains.pump_v_per_j)),
+        ("pump_limit_v", from_ref(&gains.pump_limit_v)),
+        ("centring_v_per_rad", from_ref(&gains.centring_v_per_rad)),
+        ("damping_v_s_per_rad", from_ref(&gains.damping_v_s_per_rad)),
+        ("balance", &gains.balance),
+        ("catch_rad", from_ref(&gains.catch_rad)),
+        ("lose_rad", from_ref(&gains.lose_rad)),
+    ]
+}
+
+fn gain_tensors(gains: &ClassicalGains) -> Vec<(String, Tensor)> {
+    named_gains(gains)
+        .into_iter()
+        .map(|(name, values)| {
+            let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+            (name.to_owned(), Tensor { dtype: Dtype::F64, shape: vec![values.len()], bytes })
+        })
+        .collect()
+}
+
+fn read_gains(tensors: &SafeTensors<'_>) -> Result<ClassicalGains, PolicyFault> {
+    let one = |name| read_f64::<1>(tensors, name).map(|[value]| value);
+    let gains = ClassicalGains {
+        pump_v_per_j: one("pump_v_per_j")?,
+        pump_limit_v: one("pump_limit_v")?,
+        centring_v_per_rad: one("centring_v_per_rad")?,
+        damping_v_s_per_rad: one("damping_v_s_per_rad")?,
+        balance: read_f64(tensors, "balance")?,
+        catch_rad: one("catch_rad")?,
+        lose_rad: one("lose_rad")?,
+    };
+    let named = named_gains(&gains);
+    for (name, values) in named {
+        if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
+            return Err(PolicyFault::Gain { name, value });
+        }
+    }
+    refuse_others(tensors, |name| named.iter().any(|(known, _)| *known == name))?;
+    Ok(gains)
+}
+
+fn refuse_others(
+    tensors: &SafeTensors<'_>,
+    is_expected: impl Fn(&str) -> bool,
+) -> Result<(), PolicyFault> {
+    match tensors.names().into_iter().filter(|name| !is_expected(name)).min() {
+        Some(name) => Err(PolicyFault::UnexpectedTensor { name: name.to_owned() }),
+        None => Ok(()),
+    }
+}
+
+fn read_f32(
+    tensors: &SafeTensors<'_>,
+    name: &str,
+    shape: &[usize],
+) -> Result<Vec<f32>, PolicyFault> {
+    let (values, _) = tensor_bytes(tensors, name, Dtype::F32, shape)?.as_chunks();
+    Ok(values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect())
+}
+
+fn read_f64<const N: usize>(
+    tensors: &SafeTensors<'_>,
+    name: &str,
+) -> Result<[f64; N], PolicyFault> {
+    let (values, _) = tensor_bytes(tensors, name, Dtype::F64, &[N])?.as_chunks();
+    Ok(std::array::from_fn(|i| f64::from_le_bytes(values[i])))
+}
+
+/// The bytes of a tensor of exactly this type and shape; the format guarantees their number then.
+fn tensor_bytes<'data>(
+    tensors: &SafeTensors<'data>,
+    name: &str,
+    dtype: Dtype,
+    shape: &[usize],
+) -> Result<&'data [u8], PolicyFault> {
+    let tensor =
+        tensors.tensor(name).map_err(|_| PolicyFault::MissingTensor { name: name.to_owned() })?;
+    if tensor.dtype() != dtype || tensor.shape() != shape {
+        return Err(PolicyFault::Tensor {
+            name: name.to_owned(),
+            dtype: tensor.dtype(),
+            shape: tensor.shape().to_vec(),
+            expected_dtype: dtype,
+            expected_shape: shape.to_vec(),
+        });
+    }
+    Ok(tensor.data())
+}

@@ -1,0 +1,176 @@
+//! What a policy file keeps, and that nothing that can be in a file is believed unchecked.
+
+use std::collections::BTreeMap;
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn network_policy() -> Policy {
+    let value = |i: usize| (0.31 * i as f32).sin();
+    let layer = |inputs: usize, outputs: usize| LayerWeights {
+        weight: (0..inputs * outputs).map(value).collect(),
+        bias: (0..outputs).map(value).collect(),
+    };
+    let layers = [layer(6, 5), layer(5, 3), layer(3, 1)];
+    Policy::Network(NetworkPolicy {
+        network: Network::new(&[6, 5, 3, 1], &layers, 5.0).unwrap(),
+        training: TrainingRecord {
+            model: "opt-nominal".to_owned(),
+            psi: Some(BTreeMap::from([("mean_M_p".to_owned(), 0.1 + 0.2)])),
+            seed: u64::MAX,
+            preset: "quick".to_owned(),
+            steps: 4_800_000,
+            gradient_steps: 750_000,
+            sensors: SimulatedSensors::Encoders {
+                corner_rad_s: 200.0,
+                counts_per_revolution: 2048,
+            },
+            best_return: Some(551.3),
+            program_version: "0.1.0".to_owned(),
+        },
+    })
+}
+
+fn classical_policy() -> Policy {
+    Policy::Classical(ClassicalController::new(ClassicalGains::default()))
+}
+
+/// The fault that these bytes have; a test fails when they have none.
+fn fault(bytes: &[u8]) -> String {
+    Policy::from_bytes(bytes).expect_err("these bytes are no policy").to_string()
+}
+
+/// The file with one text in its header replaced by another of the same length.
+fn with_header_text(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
+    assert_eq!(from.len(), to.len());
+    let at = bytes.windows(from.len()).position(|window| window == from.as_bytes());
+    let at = at.unwrap_or_else(|| panic!("the header has no {from}"));
+    let mut changed = bytes.to_vec();
+    changed[at..at + to.len()].copy_from_slice(to.as_bytes());
+    changed
+}
+
+#[test]
+fn a_network_comes_back_bit_for_bit_and_so_do_its_bytes() {
+    let policy = network_policy();
+    let bytes = policy.to_bytes();
+    let Policy::Network(original) = &policy else { unreachable!() };
+    let read = Policy::from_bytes(&bytes).unwrap();
+    assert_eq!(read.to_bytes(), bytes);
+    let Policy::Network(read) = read else { panic!("a classical controller came back") };
+    assert_eq!(&read, original);
+}
+
+#[test]
+fn a_classical_controller_comes_back() {
+    let gains = ClassicalGains { balance: [1.0, 2.0, 3.0, 4.0], ..ClassicalGains::default() };
+    let bytes = Policy::Classical(ClassicalController::new(gains)).to_bytes();
+    match Policy::from_bytes(&bytes).unwrap() {
+        Policy::Classical(controller) => assert_eq!(controller.gains(), &gains),
+        Policy::Network(_) => panic!("a network came back"),
+    }
+}
+
+#[test]
+fn a_policy_is_saved_and_loaded_and_errors_name_the_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("policy.safetensors");
+    network_policy().save(&path).unwrap();
+    assert_eq!(Policy::load(&path).unwrap().to_bytes(), network_policy().to_bytes());
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
+
+    std::fs::write(&path, "no policy").unwrap();
+    let message = Policy::load(&path).unwrap_err().to_string();
+    assert!(message.contains("policy.safetensors: is no safetensors file"), "{message}");
+    let nowhere = directory.path().join("nowhere").join("policy.safetensors");
+    let message = Policy::load(&nowhere).unwrap_err().to_string();
+    assert!(message.contains("nowhere") && message.contains("cannot be read"), "{message}");
+    let message = network_policy().save(&nowhere).unwrap_err().to_string();
+    assert!(message.contains("nowhere") && message.contains("cannot be written"), "{message}");
+}
+
+#[test]
+fn each_kind_of_damage_is_named() {
+    let bytes = network_policy().to_bytes();
+    let classical = classical_policy().to_bytes();
+    let damaged = |from, to| fault(&with_header_text(&bytes, from, to));
+    for (message, expected) in [
+        (fault(&vec![0; MAX_FILE_BYTES as usize + 1]), "larger than"),
+        (fault(&[]), "no safetensors file"),
+        (fault(&bytes[..bytes.len() - 1]), "no safetensors file"),
+        (fault(&[bytes.as_slice(), &[0]].concat()), "no safetensors file"),
+        (damaged("\"policy\"", "\"polizy\""), "no metadata `policy`"),
+        (damaged("format_version\\\":1", "format_version\\\":7"), "format version 7"),
+        (damaged("0.05 alpha_dot", "0.50 alpha_dot"), "0.50 alpha_dot"),
+        (damaged("\\\"tanh\\\"", "\\\"relu\\\""), "activation `relu`"),
+        (damaged("[6,5,3,1]", "[6,5,3,2]"), "[6, 5, 3, 2]"),
+        (damaged("[6,5,3,1]", "[6,5,2,1]"), "`layers.1.weight` as F32 [3, 5]"),
+        (damaged("[6,5,3,1]", "[6,5,1]  "), "`layers.1.weight` as F32 [3, 5]"),
+        (damaged("layers.1.bias", "layers.1.mass"), "no tensor `layers.1.bias`"),
+        (damaged("\"F32\"", "\"I32\""), "I32"),
+        (damaged("\\\"network\\\"", "\\\"netwerk\\\""), "netwerk"),
+        (damaged("action_scale_v\\\":5.0", "action_scale_v\\\":0.0"), "action scale"),
+        (damaged("\\\"seed\\\"", "\\\"sead\\\""), "sead"),
+        (fault(&with_header_text(&classical, "\"balance\"", "\"balanse\"")), "`balance`"),
+    ] {
+        assert!(message.contains(expected), "expected {expected:?} in: {message}");
+    }
+}
+
+#[test]
+fn numbers_that_are_none_are_refused() {
+    let mut bytes = network_policy().to_bytes();
+    let end = bytes.len();
+    bytes[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    assert!(fault(&bytes).contains("holds NaN"), "{}", fault(&bytes));
+    let mut bytes = classical_policy().to_bytes();
+    let end = bytes.len();
+    bytes[end - 8..].copy_from_slice(&f64::INFINITY.to_le_bytes());
+    assert!(fault(&bytes).contains("holds inf for the gain"), "{}", fault(&bytes));
+}
+
+#[test]
+fn a_tensor_too_many_is_refused() {
+    // Two more layers in the tensors than in the sizes.
+    let bytes = network_policy().to_bytes();
+    let fewer = with_header_text(&bytes, "layers.2.weight", "layers.9.weight");
+    assert!(fault(&fewer).contains("no tensor `layers.2.weight`"));
+    let classical = classical_policy().to_bytes();
+    let text = "{\"__metadata__\"";
+    let added =
+        "{\"x\":{\"dtype\":\"F64\",\"shape\":[0],\"data_offsets\":[80,80]},\"__metadata__\"";
+    let header_length = u64::from_le_bytes(classical[..8].try_into().unwrap()) as usize;
+    let header = std::str::from_utf8(&classical[8..8 + header_length]).unwrap();
+    let header = header.replacen(text, added, 1);
+    let mut longer = (header.len() as u64).to_le_bytes().to_vec();
+    longer.extend(header.as_bytes());
+    longer.extend(&classical[8 + header_length..]);
+    assert!(fault(&longer).contains("unexpected tensor `x`"), "{}", fault(&longer));
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+        let _ = Policy::from_bytes(&bytes);
+    }
+
+    #[test]
+    fn no_damage_makes_it_panic_or_lets_a_broken_network_through(
+        changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        classical in any::<bool>(),
+    ) {
+        let mut bytes = if classical { classical_policy() } else { network_policy() }.to_bytes();
+        for (index, byte) in changes {
+            let at = index.index(bytes.len());
+            bytes[at] = byte;
+        }
+        if let Ok(Policy::Network(mut policy)) = Policy::from_bytes(&bytes) {
+            // Finite weights may still be large: but then the output is infinite, not a panic.
+            let _ = policy.network.voltage_v(&State::default());
+            for layer in policy.network.layers() {
+                prop_assert!(layer.weight.iter().chain(&layer.bias).all(|value| value.is_finite()));
+            }
+        }
+    }
+}

@@ -1,0 +1,398 @@
+use thiserror::Error;
+
+use crate::elementary::{InstructionSet, Kernel, dispatch, tanh};
+use crate::qube::{OBSERVATION_SIZE, State, observation};
+
+/// Most hidden layers. With [`MAX_WIDTH`] this bounds an inference to some tens of microseconds, a
+/// small part of the tick.
+pub const MAX_HIDDEN_LAYERS: usize = 4;
+
+/// Widest hidden layer.
+pub const MAX_WIDTH: usize = 256;
+
+/// Rows of weights are padded to a multiple of this: the widest vector's lanes.
+const PADDING: usize = 16;
+
+/// Weights of one layer as files and training hold them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LayerWeights {
+    /// `[outputs][inputs]`, row after row.
+    pub weight: Vec<f32>,
+    /// `[outputs]`.
+    pub bias: Vec<f32>,
+}
+
+/// Why numbers are no network.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum NetworkError {
+    /// Layer sizes that no policy has.
+    #[error(
+        "the network's sizes are {sizes:?}: they must be 6 inputs, 1 to {MAX_HIDDEN_LAYERS} hidden layers of 1 to {MAX_WIDTH}, and 1 output"
+    )]
+    Sizes {
+        /// What was given.
+        sizes: Vec<usize>,
+    },
+    /// An array whose length does not follow from the sizes.
+    #[error("{array} has {length} values where the network's sizes ask for {expected}")]
+    Length {
+        /// The array, as `layers.0.weight`.
+        array: String,
+        /// Its length.
+        length: usize,
+        /// What the sizes ask for.
+        expected: usize,
+    },
+    /// A weight that is not a number.
+    #[error("{array} holds {value} at index {index}: train again, this network is broken")]
+    NotFinite {
+        /// The array, as `layers.0.weight`.
+        array: String,
+        /// Where in it.
+        index: usize,
+        /// What is there.
+        value: f32,
+    },
+    /// A scale that makes no voltage.
+    #[error("the action scale is {action_scale_v} V: it must be above 0 and at most 100")]
+    ActionScale {
+        /// What was given.
+        action_scale_v: f32,
+    },
+}
+
+/// A multilayer perceptron: observation in, tanh in the hidden layers, one linear output, which
+/// times the action scale is the voltage.
+///
+/// Every output starts from its bias and takes its inputs in ascending order, each with one fused
+/// multiply-add: the same bits on any processor. An inference allocates nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Network {
+    sizes: Vec<usize>,
+    action_scale_v: f32,
+    layers: Vec<Layer>,
+    /// Inputs and outputs of the layer at work, each as wide as the widest.
+    activations: [Vec<f32>; 2],
+}
+
+/// One layer, transposed so that neighbouring outputs are neighbours in memory.
+#[derive(Clone, Debug, PartialEq)]
+struct Layer {
+    /// `[inputs][outputs, padded]`.
+    weight: Vec<[f32; PADDING]>,
+    /// `[outputs, padded]`.
+    bias: Vec<[f32; PADDING]>,
+    inputs: usize,
+    outputs: usize,
+}
+
+impl Network {
+    /// A network with these weights; `sizes` from the observation to the output, as 6, 64, 64, 1.
+    ///
+    /// # Errors
+    /// Sizes beyond the limits, arrays of other lengths, numbers that are none.
+    pub fn new(
+        sizes: &[usize],
+        layers: &[LayerWeights],
+        action_scale_v: f32,
+    ) -> Result<Self, NetworkError> {
+        check_sizes(sizes)?;
+        if layers.len() != sizes.len() - 1 {
+            return Err(NetworkError::Length {
+                array: "layers".to_owned(),
+                length: layers.len(),
+                expected: sizes.len() - 1,
+            });
+        }
+        if !(action_scale_v > 0.0 && action_scale_v <= 100.0) {
+            return Err(NetworkError::ActionScale { action_scale_v });
+        }
+        for (index, (weights, size)) in layers.iter().zip(sizes.windows(2)).enumerate() {
+            check_array(&weight_name(index), &weights.weight, size[0] * size[1])?;
+            check_array(&bias_name(index), &weights.bias, size[1])?;
+        }
+        let widest = sizes.iter().max().copied().unwrap_or(0).next_multiple_of(PADDING);
+        let layers = layers.iter().zip(sizes.windows(2));
+        Ok(Self {
+            sizes: sizes.to_vec(),
+            action_scale_v,
+            layers: layers.map(|(layer, size)| Layer::new(layer, size[0], size[1])).collect(),
+            activations: [vec![0.0; widest], vec![0.0; widest]],
+        })
+    }
+
+    /// Numbers of inputs and outputs of the layers, from the observation to the output.
+    #[must_use]
+    pub fn sizes(&self) -> &[usize] {
+        &self.sizes
+    }
+
+    /// Volts for an output of 1.
+    #[must_use]
+    pub fn action_scale_v(&self) -> f32 {
+        self.action_scale_v
+    }
+
+    /// The weights, as they were given.
+    #[must_use]
+    pub fn layers(&self) -> Vec<LayerWeights> {
+        self.layers.iter().map(Layer::weights).collect()
+    }
+
+    /// The voltage for a state, V; not limited.
+    #[must_use]
+    pub fn voltage_v(&mut self, state: &State) -> f64 {
+        let state = State {
+            theta: state.theta as f32,
+            alpha: state.alpha as f32,
+            theta_dot: state.theta_dot as f32,
+            alpha_dot: state.alpha_dot as f32,
+        };
+        f64::from(dispatch(Infer { network: self, input: Input::State(state) }))
+    }
+
+    /// The voltage for an observation, V; not limited. The same bits as for its state.
+    #[must_use]
+    pub fn voltage_of_observation_v(&mut self, observation: &[f32; OBSERVATION_SIZE]) -> f32 {
+        dispatch(Infer { network: self, input: Input::Observation(*observation) })
+    }
+}
+
+/// The name that files and errors give to a layer's weights.
+pub(super) fn weight_name(layer: usize) -> String {
+    format!("layers.{layer}.weight")
+}
+
+/// The name that files and errors give to a layer's biases.
+pub(super) fn bias_name(layer: usize) -> String {
+    format!("layers.{layer}.bias")
+}
+
+/// Says whether these are sizes that a network may have.
+pub(super) fn check_sizes(sizes: &[usize]) -> Result<(), NetworkError> {
+    if let [OBSERVATION_SIZE, hidden @ .., 1] = sizes
+        && (1..=MAX_HIDDEN_LAYERS).contains(&hidden.len())
+        && hidden.iter().all(|width| (1..=MAX_WIDTH).contains(width))
+    {
+        return Ok(());
+    }
+    Err(NetworkError::Sizes { sizes: sizes.to_vec() })
+}
+
+fn check_array(array: &str, values: &[f32], expected: usize) -> Result<(), NetworkError> {
+    if values.len() != expected {
+        return Err(NetworkError::Length {
+            array: array.to_owned(),
+            length: values.len(),
+            expected,
+        });
+    }
+    match values.iter().position(|value| !value.is_finite()) {
+        Some(index) => {
+            Err(NetworkError::NotFinite { array: array.to_owned(), index, value: values[index] })
+        }
+        None => Ok(()),
+    }
+}
+
+impl Layer {
+    fn new(weights: &LayerWeights, inputs: usize, outputs: usize) -> Self {
+        let blocks = outputs.div_ceil(PADDING);
+        let mut weight = vec![[0.0; PADDING]; inputs * blocks];
+        let mut bias = vec![[0.0; PADDING]; blocks];
+        for output in 0..outputs {
+            let (block, lane) = (output / PADDING, output % PADDING);
+            bias[block][lane] = weights.bias[output];
+            for input in 0..inputs {
+                weight[input * blocks + block][lane] = weights.weight[output * inputs + input];
+            }
+        }
+        Self { weight, bias, inputs, outputs }
+    }
+
+    fn weights(&self) -> LayerWeights {
+        let blocks = self.bias.len();
+        let at = |output: usize, input: usize| {
+            self.weight[input * blocks + output / PADDING][output % PADDING]
+        };
+        LayerWeights {
+            weight: (0..self.outputs)
+                .flat_map(|output| (0..self.inputs).map(move |input| at(output, input)))
+                .collect(),
+            bias: (0..self.outputs).map(|o| self.bias[o / PADDING][o % PADDING]).collect(),
+        }
+    }
+
+    /// Weights times `inputs` plus biases into `outputs`, which is padded.
+    #[inline(always)]
+    fn apply(&self, inputs: &[f32], outputs: &mut [f32]) {
+        let blocks = self.bias.len();
+        let (outputs, _) = outputs.as_chunks_mut::<PADDING>();
+        for (block, output) in outputs.iter_mut().take(blocks).enumerate() {
+            let mut sums = self.bias[block];
+            for (input, row) in inputs[..self.inputs].iter().zip(self.weight.chunks_exact(blocks)) {
+                for (sum, weight) in sums.iter_mut().zip(&row[block]) {
+                    *sum = weight.mul_add(*input, *sum);
+                }
+            }
+            *output = sums;
+        }
+    }
+}
+
+enum Input {
+    State(State<f32>),
+    Observation([f32; OBSERVATION_SIZE]),
+}
+
+struct Infer<'a> {
+    network: &'a mut Network,
+    input: Input,
+}
+
+impl Kernel for Infer<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) -> f32 {
+        let Network { action_scale_v, layers, activations: [inputs, outputs], .. } = self.network;
+        let observed = match self.input {
+            Input::State(state) => observation(&state),
+            Input::Observation(observed) => observed,
+        };
+        inputs[..OBSERVATION_SIZE].copy_from_slice(&observed);
+        let last = layers.len() - 1;
+        for layer in &layers[..last] {
+            layer.apply(inputs, outputs);
+            for value in outputs.iter_mut() {
+                *value = tanh(*value);
+            }
+            std::mem::swap(inputs, outputs);
+        }
+        layers[last].apply(inputs, outputs);
+        *action_scale_v * outputs[0]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::elementary::{Level, dispatch_at};
+
+    fn layer(inputs: usize, outputs: usize, seed: f32) -> LayerWeights {
+        let value = |i: usize| (seed + 0.37 * i as f32).sin() * 0.4;
+        LayerWeights {
+            weight: (0..inputs * outputs).map(value).collect(),
+            bias: (0..outputs).map(|i| value(i + 1000)).collect(),
+        }
+    }
+
+    fn network(sizes: &[usize]) -> Network {
+        let layers: Vec<_> =
+            sizes.windows(2).enumerate().map(|(i, s)| layer(s[0], s[1], i as f32)).collect();
+        Network::new(sizes, &layers, 5.0).unwrap()
+    }
+
+    /// The same network in `f64`, written as the textbook does.
+    fn textbook_voltage(network: &Network, state: &State) -> f64 {
+        let mut values = observation(state).to_vec();
+        let layers = network.layers();
+        for (index, layer) in layers.iter().enumerate() {
+            values = layer
+                .bias
+                .iter()
+                .zip(layer.weight.chunks(values.len()))
+                .map(|(bias, row)| {
+                    let products = row.iter().zip(&values).map(|(w, x)| f64::from(*w) * x);
+                    let sum = f64::from(*bias) + products.sum::<f64>();
+                    if index + 1 < layers.len() { sum.tanh() } else { sum }
+                })
+                .collect();
+        }
+        5.0 * values[0]
+    }
+
+    fn states() -> impl Iterator<Item = State> {
+        (0..500).map(|i| {
+            let x = f64::from(i);
+            State {
+                theta: 2.3 * (0.1 * x).sin(),
+                alpha: 12.5 * (0.07 * x).cos(),
+                theta_dot: 30.0 * (0.3 * x).sin(),
+                alpha_dot: 40.0 * (0.5 * x).cos(),
+            }
+        })
+    }
+
+    #[test]
+    fn voltages_are_those_of_the_textbook() {
+        for sizes in [&[6, 64, 64, 1][..], &[6, 7, 1], &[6, 33, 1, 20, 17, 1]] {
+            let mut network = network(sizes);
+            for state in states() {
+                let error = network.voltage_v(&state) - textbook_voltage(&network, &state);
+                assert!(error.abs() < 1e-4, "{sizes:?}: off by {error:e} V");
+            }
+        }
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_same_bits() {
+        let mut network = network(&[6, 64, 64, 1]);
+        for state in states() {
+            let expected = network.voltage_v(&state);
+            let single = State {
+                theta: state.theta as f32,
+                alpha: state.alpha as f32,
+                theta_dot: state.theta_dot as f32,
+                alpha_dot: state.alpha_dot as f32,
+            };
+            for level in Level::ALL {
+                let infer = Infer { network: &mut network, input: Input::State(single) };
+                assert_eq!(f64::from(dispatch_at(level, infer)), expected, "{level:?}");
+            }
+            let observed = observation(&single);
+            assert_eq!(f64::from(network.voltage_of_observation_v(&observed)), expected);
+        }
+    }
+
+    #[test]
+    fn weights_come_back_as_they_were_given() {
+        let layers = [layer(6, 33, 0.0), layer(33, 1, 1.0)];
+        assert_eq!(Network::new(&[6, 33, 1], &layers, 5.0).unwrap().layers(), layers);
+    }
+
+    #[test]
+    fn what_is_no_network_is_refused() {
+        let sizes = [6, 8, 1];
+        let good = [layer(6, 8, 0.0), layer(8, 1, 1.0)];
+        for sizes in [
+            &[][..],
+            &[6],
+            &[6, 1],
+            &[5, 8, 1],
+            &[6, 8, 2],
+            &[6, 0, 1],
+            &[6, 257, 1],
+            &[6, 8, 8, 8, 8, 8, 1],
+        ] {
+            let refused = Network::new(sizes, &good, 5.0);
+            assert_eq!(refused, Err(NetworkError::Sizes { sizes: sizes.to_vec() }));
+        }
+        for scale in [0.0, -5.0, f32::NAN, f32::INFINITY] {
+            let refused = Network::new(&sizes, &good, scale);
+            assert!(matches!(refused, Err(NetworkError::ActionScale { .. })));
+        }
+        let mut bad = good.clone();
+        bad[1].bias[0] = f32::NAN;
+        assert!(matches!(
+            Network::new(&sizes, &bad, 5.0),
+            Err(NetworkError::NotFinite { array, index: 0, .. }) if array == "layers.1.bias"
+        ));
+        bad[0].weight.pop();
+        assert!(matches!(
+            Network::new(&sizes, &bad, 5.0),
+            Err(NetworkError::Length { array, length: 47, expected: 48 }) if array == "layers.0.weight"
+        ));
+        assert!(matches!(Network::new(&sizes, &good[..1], 5.0), Err(NetworkError::Length { .. })));
+    }
+}

@@ -1,0 +1,44 @@
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+/// How a network was trained: kept in its file, shown to people, compared with the machine that it
+/// is about to run on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainingRecord {
+    /// The model: `nominal`, `handcrafted`, `opt-nominal` ...
+    pub model: String,
+    /// Psi by name, for the models that have one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psi: Option<BTreeMap<String, f64>>,
+    /// The seed.
+    pub seed: u64,
+    /// The preset that set budget and settings: `thesis`, `quick` ...
+    pub preset: String,
+    /// Control steps that were simulated to learn from.
+    pub steps: u64,
+    /// Gradient steps of each net.
+    pub gradient_steps: u64,
+    /// How the simulation showed the state.
+    pub sensors: SimulatedSensors,
+    /// Mean return of the deterministic evaluation by which this policy was chosen.
+    pub best_return: Option<f64>,
+    /// Version of the program that trained it.
+    pub program_version: String,
+}
+
+/// The sensor model of a training.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
+pub enum SimulatedSensors {
+    /// True angles and velocities.
+    TrueState,
+    /// Angles in encoder counts, velocities by the estimator's filter.
+    Encoders {
+        /// Corner of that filter, rad/s.
+        corner_rad_s: f64,
+        /// Counts of one revolution.
+        counts_per_revolution: i32,
+    },
+}
