@@ -1,0 +1,429 @@
+use serde::{Deserialize, Serialize};
+
+use super::observation::check;
+use super::random::{quasi_random_point, uniform_point};
+use super::{Best, Observation, SearchBox, SearchError, Strategy};
+use crate::surrogate::{
+    Acquisition, Criterion, Dataset, FitSettings, GaussianProcess, LogExpectedImprovement,
+    LogKnowledgeGradient, LogProbabilityOfImprovement, MaximiserSettings, OnProcess, PosteriorMean,
+    UpperConfidenceBound, maximise, noise_of_means,
+};
+
+/// Bayesian optimisation of the return over the box (BayRn: Eilers 2019, Muratore et al. 2021).
+///
+/// The first points are drawn at random. From then on a Gaussian process is fitted to the mean
+/// returns and the next point maximises an acquisition function; the answer is the maximum of the
+/// posterior mean over the whole box, a point that may never have been tried.
+#[derive(Clone, Debug)]
+pub struct BayRn {
+    search_box: SearchBox,
+    settings: BayRnSettings,
+    seed: u64,
+}
+
+/// What Bayesian optimisation can be told.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BayRnSettings {
+    /// Points drawn before the surrogate is asked.
+    pub initial_points: usize,
+    /// How these are drawn.
+    pub initial_design: InitialDesign,
+    /// What the next point maximises.
+    pub acquisition: AcquisitionKind,
+    /// Standard deviations above the mean, for `upper-confidence-bound`.
+    pub beta: f64,
+    /// What improvement is measured against.
+    pub incumbent: Incumbent,
+    /// What the surrogate takes the noise of a mean return to be.
+    pub noise: NoiseModel,
+    /// The surrogate's form and how it is fitted. Its seed is mixed with the search's.
+    pub surrogate: FitSettings,
+}
+
+impl BayRnSettings {
+    /// As the thesis ran it: expected improvement over the luckiest mean return, one noise
+    /// variance for all candidates.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self {
+            acquisition: AcquisitionKind::ExpectedImprovement,
+            incumbent: Incumbent::LargestObserved,
+            noise: NoiseModel::Shared,
+            ..Self::default()
+        }
+    }
+}
+
+impl Default for BayRnSettings {
+    /// The thesis's search, made honest about noise.
+    fn default() -> Self {
+        Self {
+            initial_points: 15,
+            initial_design: InitialDesign::Uniform,
+            acquisition: AcquisitionKind::ExpectedImprovement,
+            beta: 2.0,
+            incumbent: Incumbent::BestPosteriorMean,
+            noise: NoiseModel::PerCandidate,
+            surrogate: FitSettings::default(),
+        }
+    }
+}
+
+/// How the first points are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum InitialDesign {
+    /// Uniformly at random, as in the thesis.
+    #[default]
+    Uniform,
+    /// By a scrambled Sobol sequence.
+    Sobol,
+}
+
+/// The acquisition functions to choose from. The first two are maximised through their logarithm,
+/// which has the same maximiser.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AcquisitionKind {
+    /// EI.
+    #[default]
+    ExpectedImprovement,
+    /// PI.
+    ProbabilityOfImprovement,
+    /// UCB.
+    UpperConfidenceBound,
+    /// KG: right for noisy returns, and has no incumbent.
+    KnowledgeGradient,
+}
+
+/// What an improvement is measured against.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Incumbent {
+    /// The largest mean return observed: as in the thesis, but with noise the luckiest one.
+    LargestObserved,
+    /// The largest posterior mean among the candidates evaluated.
+    #[default]
+    BestPosteriorMean,
+}
+
+/// What the noise of a candidate's mean return is taken to be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NoiseModel {
+    /// One variance for all candidates, fitted.
+    Shared,
+    /// The fitted variance, and on top each candidate's own, estimated from the spread of its
+    /// returns ([`noise_of_means`]).
+    #[default]
+    PerCandidate,
+}
+
+impl BayRn {
+    /// In a box, with settings, from a seed.
+    ///
+    /// # Errors
+    /// No initial point, no start of the fit, a `beta` that is negative or not finite.
+    pub fn new(
+        search_box: SearchBox,
+        settings: BayRnSettings,
+        seed: u64,
+    ) -> Result<Self, SearchError> {
+        let bad = |reason: &str| Err(SearchError::BadSettings { reason: reason.into() });
+        if settings.initial_points == 0 {
+            return bad("initial_points is 0: the surrogate needs at least one");
+        }
+        if settings.surrogate.starts == 0 {
+            return bad("surrogate.starts is 0: the fit needs at least one");
+        }
+        if !(settings.beta.is_finite() && settings.beta >= 0.0) {
+            return bad("beta must be finite and not negative");
+        }
+        Ok(Self { search_box, settings, seed })
+    }
+
+    /// The surrogate fitted to data: what the search believes.
+    ///
+    /// # Errors
+    /// No data, data that make no sense, or that cannot be fitted.
+    pub fn surrogate(&self, data: &[Observation]) -> Result<GaussianProcess, SearchError> {
+        check(&self.search_box, data)?;
+        let points: Vec<Vec<f64>> = data.iter().map(|o| o.point.clone()).collect();
+        let means: Vec<f64> = data.iter().map(Observation::mean_return).collect();
+        let noise = match self.settings.noise {
+            NoiseModel::Shared => None,
+            NoiseModel::PerCandidate => {
+                let returns: Vec<&[f64]> = data.iter().map(|o| o.returns.as_slice()).collect();
+                noise_of_means(&returns)
+            }
+        };
+        let dataset = Dataset::new(&self.search_box, &points, &means, noise.as_deref())?;
+        let seed = self.settings.surrogate.seed ^ self.seed;
+        Ok(GaussianProcess::fit(dataset, &FitSettings { seed, ..self.settings.surrogate })?)
+    }
+
+    fn initial_point(&self, index: usize) -> Vec<f64> {
+        match self.settings.initial_design {
+            InitialDesign::Uniform => uniform_point(&self.search_box, self.seed, index),
+            InitialDesign::Sobol => quasi_random_point(&self.search_box, self.seed, index),
+        }
+    }
+
+    /// The next point, given what is believed; `index` is its place in the whole search.
+    fn acquire(&self, process: &GaussianProcess, largest_observed: f64, index: usize) -> Vec<f64> {
+        let means = means_at_data(process);
+        let incumbent = match self.settings.incumbent {
+            Incumbent::LargestObserved => largest_observed,
+            Incumbent::BestPosteriorMean => means[0].0,
+        };
+        match self.settings.acquisition {
+            AcquisitionKind::ExpectedImprovement => {
+                self.maximise(&on(process, LogExpectedImprovement { incumbent }), &means, index)
+            }
+            AcquisitionKind::ProbabilityOfImprovement => self.maximise(
+                &on(process, LogProbabilityOfImprovement { incumbent }),
+                &means,
+                index,
+            ),
+            AcquisitionKind::UpperConfidenceBound => {
+                let criterion = UpperConfidenceBound { beta: self.settings.beta };
+                self.maximise(&on(process, criterion), &means, index)
+            }
+            AcquisitionKind::KnowledgeGradient => {
+                self.maximise(&LogKnowledgeGradient::new(process), &means, index)
+            }
+        }
+    }
+
+    fn maximise(&self, acquisition: &dyn Acquisition, means: &Means, index: usize) -> Vec<f64> {
+        let hints: Vec<Vec<f64>> = means.iter().take(HINTS).map(|(_, p)| p.clone()).collect();
+        let seed = self.seed.wrapping_add(index as u64);
+        let settings = MaximiserSettings { seed, ..MaximiserSettings::default() };
+        maximise(acquisition, &self.search_box, &hints, &settings).point
+    }
+}
+
+/// Evaluated points near which the maximiser looks more closely.
+const HINTS: usize = 5;
+
+/// Posterior means at the evaluated points with these points, the best first.
+type Means = Vec<(f64, Vec<f64>)>;
+
+fn means_at_data(process: &GaussianProcess) -> Means {
+    let data = process.data();
+    let mut means: Means = (0..data.len())
+        .map(|i| {
+            let point = data.search_box().from_unit(&data.unit_point(i));
+            (process.mean(&point), point)
+        })
+        .collect();
+    means.sort_by(|a, b| b.0.total_cmp(&a.0));
+    means
+}
+
+fn on<C: Criterion>(process: &GaussianProcess, criterion: C) -> OnProcess<'_, C> {
+    OnProcess { process, criterion }
+}
+
+impl Strategy for BayRn {
+    /// Points after the initial ones are chosen one after the other; each is believed to return
+    /// what the surrogate expects of it before the next is chosen, which takes away the doubt
+    /// there and so drives the next one elsewhere ("kriging believer", Ginsbourger et al. 2010).
+    fn propose(
+        &mut self,
+        data: &[Observation],
+        count: usize,
+    ) -> Result<Vec<Vec<f64>>, SearchError> {
+        check(&self.search_box, data)?;
+        let largest_observed =
+            data.iter().map(Observation::mean_return).fold(f64::NEG_INFINITY, f64::max);
+        let mut believed: Option<GaussianProcess> = None;
+        let mut proposed: Vec<Vec<f64>> = Vec::with_capacity(count);
+        while proposed.len() < count {
+            let index = data.len() + proposed.len();
+            if index < self.settings.initial_points || data.is_empty() {
+                proposed.push(self.initial_point(index));
+                continue;
+            }
+            let process = match believed.take() {
+                Some(process) => process,
+                None => {
+                    let mut process = self.surrogate(data)?;
+                    for pending in &proposed {
+                        process = process.believing(pending, process.mean(pending))?;
+                    }
+                    process
+                }
+            };
+            let point = self.acquire(&process, largest_observed, index);
+            if proposed.len() + 1 < count {
+                believed = Some(process.believing(&point, process.mean(&point))?);
+            }
+            proposed.push(point);
+        }
+        Ok(proposed)
+    }
+
+    fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
+        if data.is_empty() {
+            return Err(SearchError::NothingEvaluated);
+        }
+        let process = self.surrogate(data)?;
+        let evaluated: Vec<f64> = data.iter().map(|o| process.mean(&o.point)).collect();
+        let best_evaluated = (0..data.len())
+            .max_by(|&a, &b| evaluated[a].total_cmp(&evaluated[b]).then(b.cmp(&a)))
+            .ok_or(SearchError::NothingEvaluated)?;
+        let acquisition = on(&process, PosteriorMean);
+        let point = self.maximise(&acquisition, &means_at_data(&process), data.len());
+        let posterior = process.posterior(&point);
+        Ok(Best {
+            point,
+            expected_return: posterior.mean,
+            standard_deviation: Some(posterior.deviation()),
+            best_evaluated,
+            best_evaluated_return: evaluated[best_evaluated],
+        })
+    }
+
+    fn name(&self) -> &'static str {
+        "bayrn"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn search_box() -> SearchBox {
+        SearchBox::new(vec![0.0, -5.0], vec![2.0, 5.0]).unwrap()
+    }
+
+    /// One hump of height 500 at (1.4, 1.0).
+    fn hump(point: &[f64]) -> f64 {
+        500.0 * (-((point[0] - 1.4) / 0.8).powi(2) - ((point[1] - 1.0) / 4.0).powi(2)).exp()
+    }
+
+    fn evaluated(search: &mut BayRn, mut data: Vec<Observation>, until: usize) -> Vec<Observation> {
+        while data.len() < until {
+            let point = search.propose(&data, 1).unwrap().remove(0);
+            let value = hump(&point);
+            data.push(Observation { point, returns: vec![value - 5.0, value + 5.0] });
+        }
+        data
+    }
+
+    fn settings(acquisition: AcquisitionKind) -> BayRnSettings {
+        BayRnSettings { initial_points: 5, acquisition, ..BayRnSettings::default() }
+    }
+
+    #[test]
+    fn every_acquisition_finds_a_smooth_hump() {
+        for acquisition in [
+            AcquisitionKind::ExpectedImprovement,
+            AcquisitionKind::ProbabilityOfImprovement,
+            AcquisitionKind::UpperConfidenceBound,
+            AcquisitionKind::KnowledgeGradient,
+        ] {
+            for base in [
+                settings(acquisition),
+                BayRnSettings { initial_points: 5, acquisition, ..BayRnSettings::thesis() },
+            ] {
+                let mut search = BayRn::new(search_box(), base, 3).unwrap();
+                let data = evaluated(&mut search, Vec::new(), 20);
+                let best = search.best(&data).unwrap();
+                assert!(hump(&best.point) > 495.0, "{acquisition:?} {best:?}");
+                assert!(hump(&data[best.best_evaluated].point) > 480.0);
+                assert!((best.expected_return - 500.0).abs() < 30.0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_resumed_search_goes_on_as_if_nothing_had_happened() {
+        let kind = AcquisitionKind::KnowledgeGradient;
+        let whole = evaluated(&mut BayRn::new(search_box(), settings(kind), 9).unwrap(), vec![], 9);
+        for stopped in [0, 3, 5, 7] {
+            let mut resumed = BayRn::new(search_box(), settings(kind), 9).unwrap();
+            assert_eq!(evaluated(&mut resumed, whole[..stopped].to_vec(), 9), whole);
+        }
+        let other = BayRn::new(search_box(), settings(kind), 10).unwrap().propose(&[], 1).unwrap();
+        assert_ne!(other[0], whole[0].point);
+    }
+
+    #[test]
+    fn a_batch_spreads_out() {
+        for kind in [AcquisitionKind::ExpectedImprovement, AcquisitionKind::KnowledgeGradient] {
+            let mut search = BayRn::new(search_box(), settings(kind), 1).unwrap();
+            let data = evaluated(&mut search, vec![], 8);
+            let batch = search.propose(&data, 6).unwrap();
+            assert_eq!(batch[0], search.propose(&data, 1).unwrap()[0]);
+            let units: Vec<Vec<f64>> = batch.iter().map(|p| search_box().to_unit(p)).collect();
+            for i in 0..units.len() {
+                for j in 0..i {
+                    let apart = units[i].iter().zip(&units[j]).map(|(a, b)| (a - b).abs());
+                    assert!(apart.fold(0.0, f64::max) > 0.01, "{kind:?} {batch:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_batch_may_begin_among_the_initial_points() {
+        let mut search =
+            BayRn::new(search_box(), settings(AcquisitionKind::ExpectedImprovement), 1).unwrap();
+        let data = evaluated(&mut search, vec![], 4);
+        let batch = search.propose(&data, 3).unwrap();
+        assert_eq!(batch[0], search.initial_point(4));
+        assert_eq!(batch.len(), 3);
+        // with nothing evaluated there is nothing to ask the surrogate
+        assert_eq!(search.propose(&[], 8).unwrap()[7], search.initial_point(7));
+    }
+
+    #[test]
+    fn poor_data_have_a_defined_answer() {
+        let mut search = BayRn::new(
+            search_box(),
+            BayRnSettings { initial_points: 1, ..settings(AcquisitionKind::default()) },
+            1,
+        )
+        .unwrap();
+        let at = |x: f64, returns: Vec<f64>| Observation { point: vec![x, 0.0], returns };
+        for data in [
+            vec![at(1.0, vec![7.0])],
+            vec![at(1.0, vec![7.0, 7.0]), at(0.5, vec![7.0, 7.0]), at(1.5, vec![7.0, 7.0])],
+            vec![at(1.0, vec![7.0]), at(1.0, vec![9.0]), at(1.0, vec![8.0])],
+        ] {
+            let point = search.propose(&data, 1).unwrap().remove(0);
+            search_box().check(0, &point).unwrap();
+            let best = search.best(&data).unwrap();
+            assert!(
+                best.expected_return.is_finite() && (6.0..10.0).contains(&best.expected_return)
+            );
+        }
+        assert_eq!(search.best(&[]), Err(SearchError::NothingEvaluated));
+        assert!(search.propose(&[at(3.0, vec![1.0])], 1).is_err());
+        assert!(search.propose(&[at(1.0, vec![f64::NAN])], 1).is_err());
+    }
+
+    #[test]
+    fn senseless_settings_are_named() {
+        for bad in [
+            BayRnSettings { initial_points: 0, ..BayRnSettings::default() },
+            BayRnSettings { beta: f64::NAN, ..BayRnSettings::default() },
+            BayRnSettings {
+                surrogate: FitSettings { starts: 0, ..FitSettings::default() },
+                ..BayRnSettings::default()
+            },
+        ] {
+            assert!(matches!(
+                BayRn::new(search_box(), bad, 0),
+                Err(SearchError::BadSettings { .. })
+            ));
+        }
+        let read = toml::from_str::<BayRnSettings>("acqisition = \"knowledge-gradient\"");
+        assert!(read.unwrap_err().to_string().contains("acqisition"));
+        let read: BayRnSettings = toml::from_str("acquisition = \"knowledge-gradient\"").unwrap();
+        assert_eq!(read.initial_points, 15);
+    }
+}

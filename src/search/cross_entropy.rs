@@ -1,0 +1,104 @@
+use super::observation::check;
+use super::random::{best_evaluated, stream};
+use super::standard_normal::standard_normal;
+use super::{Best, Observation, SearchBox, SearchError, Strategy};
+
+/// The cross-entropy method: a Gaussian with independent coordinates is drawn from, and moved to
+/// the best quarter of each generation (De Boer et al. 2005; used on distributions of simulation
+/// parameters by Vuong et al. 2019).
+///
+/// The Gaussian is truncated to the box, coordinate by coordinate.
+#[derive(Clone, Debug)]
+pub struct CrossEntropy {
+    search_box: SearchBox,
+    seed: u64,
+}
+
+/// Weight of the elite against the Gaussian before it.
+const SMOOTHING: f64 = 0.8;
+/// Least standard deviation, in widths of the box: the search may narrow, but never stands still.
+const LEAST_DEVIATION: f64 = 0.01;
+
+/// Where the next generation is drawn from, on the unit cube.
+struct Gaussian {
+    mean: Vec<f64>,
+    deviation: Vec<f64>,
+}
+
+impl CrossEntropy {
+    /// In a box, from a seed.
+    #[must_use]
+    pub fn new(search_box: SearchBox, seed: u64) -> Self {
+        Self { search_box, seed }
+    }
+
+    /// Candidates in a generation: few enough that a budget of 25 sees several of them.
+    fn generation(&self) -> usize {
+        4 + self.search_box.dimensions() / 2
+    }
+
+    fn elite(&self) -> usize {
+        self.generation().div_ceil(4).max(2)
+    }
+
+    /// The Gaussian after all whole generations in the data.
+    fn gaussian(&self, data: &[Observation]) -> Gaussian {
+        let d = self.search_box.dimensions();
+        let mut gaussian = Gaussian { mean: vec![0.5; d], deviation: vec![0.5; d] };
+        for generation in data.chunks_exact(self.generation()) {
+            let mut ranked: Vec<&Observation> = generation.iter().collect();
+            ranked.sort_by(|a, b| b.mean_return().total_cmp(&a.mean_return()));
+            let elite: Vec<Vec<f64>> =
+                ranked[..self.elite()].iter().map(|o| self.search_box.to_unit(&o.point)).collect();
+            let n = elite.len() as f64;
+            for i in 0..d {
+                let mean = elite.iter().map(|u| u[i]).sum::<f64>() / n;
+                let squares: f64 = elite.iter().map(|u| (u[i] - mean) * (u[i] - mean)).sum();
+                let blend = |old: f64, new: f64| (1.0 - SMOOTHING) * old + SMOOTHING * new;
+                gaussian.mean[i] = blend(gaussian.mean[i], mean);
+                gaussian.deviation[i] =
+                    blend(gaussian.deviation[i], (squares / n).sqrt()).max(LEAST_DEVIATION);
+            }
+        }
+        gaussian
+    }
+}
+
+impl Strategy for CrossEntropy {
+    fn propose(
+        &mut self,
+        data: &[Observation],
+        count: usize,
+    ) -> Result<Vec<Vec<f64>>, SearchError> {
+        check(&self.search_box, data)?;
+        let gaussian = self.gaussian(data);
+        Ok((data.len()..data.len() + count)
+            .map(|index| {
+                let mut random = stream(self.seed, index);
+                let unit: Vec<f64> = gaussian
+                    .mean
+                    .iter()
+                    .zip(&gaussian.deviation)
+                    .map(|(mean, deviation)| {
+                        loop {
+                            // the mean is inside, so at least a fair part of the draws is
+                            let u = mean + deviation * standard_normal(&mut random);
+                            if (0.0..=1.0).contains(&u) {
+                                break u;
+                            }
+                        }
+                    })
+                    .collect();
+                self.search_box.from_unit(&unit)
+            })
+            .collect())
+    }
+
+    fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
+        best_evaluated(&self.search_box, data)
+    }
+
+    fn name(&self) -> &'static str {
+        "cem"
+    }
+}

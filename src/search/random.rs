@@ -1,0 +1,114 @@
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::observation::{check, highest_mean_return};
+use super::{Best, Observation, SearchBox, SearchError, Strategy};
+use crate::surrogate::sobol_point;
+
+/// Points drawn uniformly at random: what every other strategy must beat.
+#[derive(Clone, Debug)]
+pub struct RandomSearch {
+    search_box: SearchBox,
+    seed: u64,
+}
+
+impl RandomSearch {
+    /// In a box, from a seed.
+    #[must_use]
+    pub fn new(search_box: SearchBox, seed: u64) -> Self {
+        Self { search_box, seed }
+    }
+}
+
+impl Strategy for RandomSearch {
+    fn propose(
+        &mut self,
+        data: &[Observation],
+        count: usize,
+    ) -> Result<Vec<Vec<f64>>, SearchError> {
+        check(&self.search_box, data)?;
+        let next = data.len()..data.len() + count;
+        Ok(next.map(|index| uniform_point(&self.search_box, self.seed, index)).collect())
+    }
+
+    fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
+        best_evaluated(&self.search_box, data)
+    }
+
+    fn name(&self) -> &'static str {
+        "random"
+    }
+}
+
+/// A scrambled Sobol sequence: fills the box more evenly than chance does.
+#[derive(Clone, Debug)]
+pub struct SobolSearch {
+    search_box: SearchBox,
+    seed: u64,
+}
+
+impl SobolSearch {
+    /// In a box, scrambled by a seed.
+    #[must_use]
+    pub fn new(search_box: SearchBox, seed: u64) -> Self {
+        Self { search_box, seed }
+    }
+}
+
+impl Strategy for SobolSearch {
+    fn propose(
+        &mut self,
+        data: &[Observation],
+        count: usize,
+    ) -> Result<Vec<Vec<f64>>, SearchError> {
+        check(&self.search_box, data)?;
+        let next = data.len()..data.len() + count;
+        Ok(next.map(|index| quasi_random_point(&self.search_box, self.seed, index)).collect())
+    }
+
+    fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
+        best_evaluated(&self.search_box, data)
+    }
+
+    fn name(&self) -> &'static str {
+        "sobol"
+    }
+}
+
+/// The `index`-th point of a uniform random sequence; each has a stream of its own, so that it
+/// depends on nothing but seed and index.
+pub(super) fn uniform_point(search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
+    let mut random = stream(seed, index);
+    let unit: Vec<f64> = (0..search_box.dimensions()).map(|_| random.random()).collect();
+    search_box.from_unit(&unit)
+}
+
+/// The `index`-th point of a scrambled Sobol sequence.
+pub(super) fn quasi_random_point(search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
+    let scramble: u32 = stream(seed, usize::MAX).random();
+    search_box.from_unit(&sobol_point(index, search_box.dimensions(), scramble))
+}
+
+/// Random numbers that belong to one candidate.
+pub(super) fn stream(seed: u64, index: usize) -> ChaCha8Rng {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(index as u64);
+    random
+}
+
+/// The answer of a strategy without a model: the evaluated candidate with the best mean return.
+pub(super) fn best_evaluated(
+    search_box: &SearchBox,
+    data: &[Observation],
+) -> Result<Best, SearchError> {
+    check(search_box, data)?;
+    let index = highest_mean_return(data)?;
+    let expected_return = data[index].mean_return();
+    Ok(Best {
+        point: data[index].point.clone(),
+        expected_return,
+        standard_deviation: data[index].standard_error(),
+        best_evaluated: index,
+        best_evaluated_return: expected_return,
+    })
+}

@@ -1,0 +1,251 @@
+use nalgebra::DVector;
+
+use super::Acquisition;
+use crate::surrogate::GaussianProcess;
+use crate::surrogate::normal::{log_density, log_distribution, log_improvement};
+
+/// The logarithm of the knowledge gradient: by how much one more *noisy* observation at a point
+/// is expected to raise the best posterior mean, over the points observed and the point itself.
+///
+/// It asks for what the search is judged by (the posterior mean's best), so a lucky sample earns
+/// nothing, and looking again at a doubtful point can be worth more than a new one. Scott, Frazier
+/// and Powell 2011 (KGCP); the expectation of the best of lines `a_i + b_i Z` is exact, by their
+/// upper envelope (Frazier, Powell and Dayanik 2009). Without noise it is the expected improvement
+/// over the best posterior mean.
+pub struct LogKnowledgeGradient<'a> {
+    process: &'a GaussianProcess,
+    /// Posterior means at the n observed points, standardised.
+    means: Vec<f64>,
+    /// Noise variances of the n observations, standardised.
+    noise: DVector<f64>,
+    /// Noise variance expected of the next observation, standardised.
+    next_noise: f64,
+}
+
+/// One line `height + slope z` of the envelope.
+#[derive(Clone, Copy)]
+struct Line {
+    height: f64,
+    slope: f64,
+    /// Which observed point, or n for the new one.
+    index: usize,
+}
+
+impl<'a> LogKnowledgeGradient<'a> {
+    /// On a process; the next observation is taken to be as noisy as the median one. Costs O(n^2).
+    #[must_use]
+    pub fn new(process: &'a GaussianProcess) -> Self {
+        let data = process.data();
+        let noise = process.noise_variances();
+        let means = (0..data.len())
+            .map(|i| {
+                let point = data.search_box().from_unit(&data.unit_point(i));
+                (process.mean(&point) - data.offset()) / data.scale()
+            })
+            .collect();
+        let mut sorted: Vec<f64> = noise.iter().copied().collect();
+        sorted.sort_by(f64::total_cmp);
+        Self { process, means, next_noise: sorted[sorted.len() / 2], noise }
+    }
+
+    fn evaluate(&self, point: &[f64], with_gradient: bool) -> (f64, Vec<f64>) {
+        let data = self.process.data();
+        let (n, scale) = (data.len(), data.scale());
+        let cross = self.process.cross(point);
+        let (posterior, d_mean, d_variance, solved) = self.process.slope_of(&cross);
+        let variance = posterior.variance / (scale * scale);
+        let spread = (variance + self.next_noise).sqrt();
+
+        // covariance of f(x_i) and f(x) given the data: noise_i (K^-1 k)_i, since K = k(X, X) + noise
+        let mut lines: Vec<Line> = (0..n)
+            .map(|index| Line {
+                height: self.means[index],
+                slope: self.noise[index] * solved[index] / spread,
+                index,
+            })
+            .collect();
+        let height = (posterior.mean - data.offset()) / scale;
+        lines.push(Line { height, slope: variance / spread, index: n });
+        let envelope = upper_envelope(lines);
+
+        // sum over neighbours of (b' - b) h(-|c|), c where they cross
+        let crossing = |pair: &[Line]| {
+            let rise = pair[1].slope - pair[0].slope;
+            (rise, (pair[0].height - pair[1].height) / rise)
+        };
+        let terms: Vec<f64> = envelope
+            .windows(2)
+            .map(|pair| {
+                let (rise, at) = crossing(pair);
+                rise.ln() + log_improvement(-at.abs())
+            })
+            .collect();
+        let log_sum = log_sum_exp(&terms);
+        if !with_gradient || !log_sum.is_finite() {
+            return (log_sum + scale.ln(), vec![0.0; d_mean.len()]);
+        }
+
+        let mut by_slope = vec![0.0; n + 1];
+        let mut by_height = 0.0;
+        for pair in envelope.windows(2) {
+            let (_, at) = crossing(pair);
+            let slope_weight = (log_density(at) - log_sum).exp();
+            by_slope[pair[1].index] += slope_weight;
+            by_slope[pair[0].index] -= slope_weight;
+            // the upper line gains height, the lower one loses it
+            let height_weight = (log_distribution(-at.abs()) - log_sum).exp() * at.signum();
+            if pair[1].index == n {
+                by_height += height_weight;
+            } else if pair[0].index == n {
+                by_height -= height_weight;
+            }
+        }
+        let total: f64 = envelope.iter().map(|line| by_slope[line.index] * line.slope).sum();
+        let by_variance = by_slope[n] / spread - total / (2.0 * spread * spread);
+        let mut gradient: Vec<f64> = d_mean
+            .iter()
+            .zip(&d_variance)
+            .map(|(m, v)| by_height * m / scale + by_variance * v / (scale * scale))
+            .collect();
+        if by_slope[..n].iter().any(|g| *g != 0.0) {
+            let pulled: Vec<f64> = by_slope.iter().zip(&self.noise).map(|(g, s)| g * s).collect();
+            let through = self.process.solve(&pulled);
+            let slopes = self.process.pull_back(&cross, through.as_slice(), 1.0 / spread);
+            gradient.iter_mut().zip(slopes).for_each(|(g, s)| *g += s);
+        }
+        (log_sum + scale.ln(), gradient)
+    }
+}
+
+impl Acquisition for LogKnowledgeGradient<'_> {
+    fn value(&self, point: &[f64]) -> f64 {
+        self.evaluate(point, false).0
+    }
+
+    fn value_and_gradient(&self, point: &[f64]) -> (f64, Vec<f64>) {
+        self.evaluate(point, true)
+    }
+}
+
+/// The lines that are the highest somewhere, by rising slope.
+fn upper_envelope(mut lines: Vec<Line>) -> Vec<Line> {
+    lines.sort_by(|a, b| a.slope.total_cmp(&b.slope).then(a.height.total_cmp(&b.height)));
+    let mut kept: Vec<Line> = Vec::with_capacity(lines.len());
+    let crossing = |a: &Line, b: &Line| (a.height - b.height) / (b.slope - a.slope);
+    for line in lines {
+        while let Some(top) = kept.last() {
+            let hidden = top.slope == line.slope
+                || (kept.len() > 1 && crossing(top, &line) <= crossing(&kept[kept.len() - 2], top));
+            if !hidden {
+                break;
+            }
+            kept.pop();
+        }
+        kept.push(line);
+    }
+    kept
+}
+
+fn log_sum_exp(terms: &[f64]) -> f64 {
+    let largest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    if largest.is_finite() {
+        largest + terms.iter().map(|t| (t - largest).exp()).sum::<f64>().ln()
+    } else {
+        f64::NEG_INFINITY
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surrogate::{
+        Criterion, Dataset, Hyperparameters, Kernel, LogExpectedImprovement, SearchBox,
+    };
+
+    fn process(noise_variance: f64) -> GaussianProcess {
+        let search_box = SearchBox::new(vec![-1.0, 10.0], vec![1.0, 30.0]).unwrap();
+        let points: Vec<Vec<f64>> =
+            (0..9).map(|i| vec![(i as f64).sin(), 20.0 + 10.0 * (i as f64 * 1.7).cos()]).collect();
+        let values: Vec<f64> = points.iter().map(|p| 30.0 * (3.0 * p[0]).sin() + p[1]).collect();
+        let own: Vec<f64> = (0..9).map(|i| 20.0 * f64::from(i % 3) * noise_variance).collect();
+        let data = Dataset::new(&search_box, &points, &values, Some(&own)).unwrap();
+        let hyperparameters = Hyperparameters {
+            mean: 0.1,
+            lengthscales: vec![0.3, 0.5],
+            signal_variance: 1.2,
+            noise_variance,
+        };
+        GaussianProcess::new(data, Kernel::Matern52, hyperparameters).unwrap()
+    }
+
+    #[test]
+    fn is_the_mean_over_what_the_next_observation_may_be() {
+        let process = process(0.3);
+        let data = process.data();
+        let acquisition = LogKnowledgeGradient::new(&process);
+        for point in [[0.7, 26.0], [0.1, 12.0]] {
+            let unit = data.search_box().to_unit(&point);
+            let now = process.posterior(&point);
+            let candidates: Vec<Vec<f64>> = (0..data.len())
+                .map(|i| data.search_box().from_unit(&data.unit_point(i)))
+                .chain([point.to_vec()])
+                .collect();
+            let best = |process: &GaussianProcess| {
+                candidates.iter().map(|c| process.mean(c)).fold(f64::NEG_INFINITY, f64::max)
+            };
+            // the integral over the next value, by the midpoint rule in the normal's quantity z
+            let spread = (now.variance / data.scale().powi(2) + acquisition.next_noise).sqrt();
+            let h = 0.005;
+            let mut gain = 0.0;
+            for k in -1200..1200 {
+                let z = (f64::from(k) + 0.5) * h;
+                let value = (now.mean - data.offset()) / data.scale() + spread * z;
+                let own = acquisition.next_noise - process.hyperparameters().noise_variance;
+                let next = data.extended(&unit, value, own);
+                let after =
+                    GaussianProcess::new(next, Kernel::Matern52, process.hyperparameters().clone())
+                        .unwrap();
+                gain += h * log_density(z).exp() * (best(&after) - best(&process));
+            }
+            let ours = acquisition.value(&point).exp();
+            assert!((ours / gain - 1.0).abs() < 2e-4, "{ours} {gain}");
+        }
+    }
+
+    #[test]
+    fn gradient_is_that_of_finite_differences() {
+        for noise_variance in [1e-4, 0.05, 0.8] {
+            let process = process(noise_variance);
+            let acquisition = LogKnowledgeGradient::new(&process);
+            for point in [[0.7, 26.0], [0.1, 12.0], [-0.4, 19.0]] {
+                let (value, gradient) = acquisition.value_and_gradient(&point);
+                assert_eq!(value, acquisition.value(&point));
+                for d in 0..2 {
+                    let h = 1e-6 * process.data().search_box().width(d);
+                    let shifted = |t: f64| {
+                        let mut shifted = point;
+                        shifted[d] += t;
+                        acquisition.value(&shifted)
+                    };
+                    let numeric = (shifted(h) - shifted(-h)) / (2.0 * h);
+                    let close = (gradient[d] - numeric).abs() < 1e-5 * (1.0 + numeric.abs());
+                    assert!(close, "{noise_variance} {point:?} {d}: {} {numeric}", gradient[d]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn without_noise_it_is_the_expected_improvement_of_the_mean() {
+        let process = process(1e-9);
+        let acquisition = LogKnowledgeGradient::new(&process);
+        let data = process.data();
+        let point = [0.7, 26.0];
+        let posterior = process.posterior(&point);
+        let incumbent = data.offset()
+            + data.scale() * acquisition.means.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let expected =
+            LogExpectedImprovement { incumbent }.score(posterior.mean, posterior.deviation());
+        assert!((acquisition.value(&point) - expected.value).abs() < 1e-4);
+    }
+}

@@ -1,0 +1,54 @@
+use super::{Criterion, Score};
+use crate::surrogate::normal::{density, distribution, log_improvement, tail};
+
+/// The logarithm of the expected improvement, exact where EI itself underflows to a plain without
+/// slopes (Ament et al. 2023). It has the same maximiser.
+#[derive(Clone, Copy, Debug)]
+pub struct LogExpectedImprovement {
+    /// What is to be improved on, in the values' units.
+    pub incumbent: f64,
+}
+
+impl Criterion for LogExpectedImprovement {
+    fn score(&self, mean: f64, deviation: f64) -> Score {
+        let z = (mean - self.incumbent) / deviation;
+        // distribution / h and density / h, where h = density + z distribution
+        let (by_mean, by_deviation) = if z > -1.0 {
+            let improvement = density(z) + z * distribution(z);
+            (distribution(z) / improvement, density(z) / improvement)
+        } else {
+            let tail = tail(z);
+            (tail.mills / tail.improvement, 1.0 / tail.improvement)
+        };
+        Score {
+            value: deviation.ln() + log_improvement(z),
+            d_mean: by_mean / deviation,
+            d_deviation: by_deviation / deviation,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surrogate::{Criterion, ExpectedImprovement};
+
+    #[test]
+    fn is_the_logarithm_and_goes_on_where_it_ends() {
+        let (log, plain) =
+            (LogExpectedImprovement { incumbent: 1.0 }, ExpectedImprovement { incumbent: 1.0 });
+        for mean in [-20.0, -3.0, 0.9, 1.0, 4.0] {
+            let (log, plain) = (log.score(mean, 0.7).value, plain.score(mean, 0.7).value);
+            assert!((log - plain.ln()).abs() < 1e-11 * (1.0 + log.abs()));
+        }
+        assert!(log.score(-500.0, 1.0).value < -1e5);
+    }
+
+    #[test]
+    fn derivatives() {
+        let criterion = LogExpectedImprovement { incumbent: 2.0 };
+        for mean in [-60.0, -30.0, -9.0, 0.0, 1.15, 1.25, 1.9, 2.5, 9.0] {
+            super::super::check_derivatives(&criterion, mean, 0.8);
+        }
+    }
+}

@@ -1,0 +1,54 @@
+use super::{Criterion, Score};
+use crate::surrogate::normal::{density, distribution, log_density, log_distribution};
+
+/// `PI = Phi((mu - f) / sigma)` over an incumbent `f` (Kushner 1964).
+#[derive(Clone, Copy, Debug)]
+pub struct ProbabilityOfImprovement {
+    /// What is to be improved on, in the values' units.
+    pub incumbent: f64,
+}
+
+impl Criterion for ProbabilityOfImprovement {
+    fn score(&self, mean: f64, deviation: f64) -> Score {
+        let z = (mean - self.incumbent) / deviation;
+        let slope = density(z) / deviation;
+        Score { value: distribution(z), d_mean: slope, d_deviation: -z * slope }
+    }
+}
+
+/// The logarithm of the probability of improvement; it has the same maximiser, and slopes where
+/// the probability itself is 0 or 1 in double precision.
+#[derive(Clone, Copy, Debug)]
+pub struct LogProbabilityOfImprovement {
+    /// What is to be improved on, in the values' units.
+    pub incumbent: f64,
+}
+
+impl Criterion for LogProbabilityOfImprovement {
+    fn score(&self, mean: f64, deviation: f64) -> Score {
+        let z = (mean - self.incumbent) / deviation;
+        let value = log_distribution(z);
+        let slope = (log_density(z) - value).exp() / deviation;
+        Score { value, d_mean: slope, d_deviation: -z * slope }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn derivatives_and_logarithm() {
+        let (plain, log) = (
+            ProbabilityOfImprovement { incumbent: 2.0 },
+            LogProbabilityOfImprovement { incumbent: 2.0 },
+        );
+        for mean in [-6.0, 0.0, 1.9, 2.5, 5.0] {
+            super::super::check_derivatives(&plain, mean, 0.8);
+            super::super::check_derivatives(&log, mean, 0.8);
+            let (plain, log) = (plain.score(mean, 0.8).value, log.score(mean, 0.8).value);
+            assert!((plain.ln() - log).abs() < 1e-11 * (1.0 + log.abs()));
+        }
+        assert_eq!(plain.score(2.0, 3.0).value, 0.5);
+    }
+}

@@ -1,0 +1,26 @@
+use super::{Criterion, Score};
+
+/// `UCB = mu + beta sigma` (Srinivas et al. 2010, who write the root of their beta).
+#[derive(Clone, Copy, Debug)]
+pub struct UpperConfidenceBound {
+    /// Standard deviations above the mean.
+    pub beta: f64,
+}
+
+impl Criterion for UpperConfidenceBound {
+    fn score(&self, mean: f64, deviation: f64) -> Score {
+        Score { value: mean + self.beta * deviation, d_mean: 1.0, d_deviation: self.beta }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn derivatives() {
+        let criterion = UpperConfidenceBound { beta: 2.0 };
+        super::super::check_derivatives(&criterion, 1.0, 0.5);
+        assert_eq!(criterion.score(1.0, 0.5).value, 2.0);
+    }
+}

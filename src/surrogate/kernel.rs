@@ -1,0 +1,56 @@
+use serde::{Deserialize, Serialize};
+
+/// A stationary covariance function of the scaled distance
+/// `r^2 = sum_d (x_d - x'_d)^2 / l_d^2` (ARD: one lengthscale `l_d` per dimension).
+///
+/// Both are correlations: the signal variance multiplies them. Formulas: Rasmussen and Williams
+/// 2006, equations 4.9 and 4.17.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kernel {
+    /// `(1 + s + s^2/3) exp(-s)` with `s = sqrt(5) r`: functions that can be derived twice.
+    #[default]
+    Matern52,
+    /// `exp(-r^2/2)`: functions that can be derived without end.
+    SquaredExponential,
+}
+
+impl Kernel {
+    /// The correlation at a squared scaled distance, and its slope `-2 d/d(r^2)` there, which is
+    /// what all gradients are made of:
+    /// `dk/dl_d = slope * delta_d^2 / l_d^3` and `dk/dx_d = -slope * delta_d / l_d^2`.
+    #[inline]
+    #[must_use]
+    pub fn correlation_and_slope(self, squared_distance: f64) -> (f64, f64) {
+        match self {
+            Self::Matern52 => {
+                let s = (5.0 * squared_distance).sqrt();
+                let decay = (-s).exp();
+                ((1.0 + s + s * s / 3.0) * decay, 5.0 / 3.0 * (1.0 + s) * decay)
+            }
+            Self::SquaredExponential => {
+                let value = (-0.5 * squared_distance).exp();
+                (value, value)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slope_is_the_derivative() {
+        for kernel in [Kernel::Matern52, Kernel::SquaredExponential] {
+            assert_eq!(kernel.correlation_and_slope(0.0).0, 1.0);
+            for squared in [0.01, 0.3, 2.0, 9.0] {
+                let h = 1e-6 * squared;
+                let value = |at| kernel.correlation_and_slope(at).0;
+                let numeric = -(value(squared + h) - value(squared - h)) / h;
+                let (_, slope) = kernel.correlation_and_slope(squared);
+                assert!((slope - numeric).abs() < 1e-7 * slope, "{kernel:?} {squared}");
+            }
+        }
+    }
+}

@@ -1,0 +1,211 @@
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::lbfgs::{Tolerances, minimise};
+use super::{Acquisition, SearchBox};
+
+/// How hard a maximum is sought.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MaximiserSettings {
+    /// Quasi-random points at which the value alone is looked at.
+    pub raw: usize,
+    /// The best of these from which the gradient is followed.
+    pub starts: usize,
+    /// Seed of the random points.
+    pub seed: u64,
+}
+
+impl Default for MaximiserSettings {
+    fn default() -> Self {
+        Self { raw: 512, starts: 10, seed: 0 }
+    }
+}
+
+/// A maximum over a box.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Maximum {
+    /// Where, in the box's own units.
+    pub point: Vec<f64>,
+    /// The value there.
+    pub value: f64,
+}
+
+/// Half widths, on the unit cube, of the clouds that are drawn around each hint.
+const CLOUDS: [f64; 3] = [0.2, 0.05, 0.01];
+/// Points in each cloud.
+const CLOUD_POINTS: usize = 8;
+/// Starts are at least this far apart in some coordinate of the unit cube while others are left.
+const APART: f64 = 0.03;
+
+/// Maximises an acquisition over the box: Owen-scrambled Sobol points and clouds around the
+/// `hints` (points in the box's own units near which a maximum is likely, such as the best ones
+/// known), then bounded L-BFGS from the best of them.
+#[must_use]
+pub fn maximise(
+    acquisition: &dyn Acquisition,
+    search_box: &SearchBox,
+    hints: &[Vec<f64>],
+    settings: &MaximiserSettings,
+) -> Maximum {
+    let d = search_box.dimensions();
+    let mut candidates: Vec<(f64, Vec<f64>)> = raw_points(search_box, hints, settings)
+        .into_iter()
+        .map(|unit| {
+            let value = acquisition.value(&search_box.from_unit(&unit));
+            (if value.is_nan() { f64::NEG_INFINITY } else { value }, unit)
+        })
+        .collect();
+    candidates.sort_by(|a, b| b.0.total_cmp(&a.0));
+
+    let tolerances = Tolerances { gradient: 1e-8, decrease: 1e-11, iterations: 100 };
+    let negative = |unit: &[f64], gradient: &mut [f64]| {
+        let (value, slopes) = acquisition.value_and_gradient(&search_box.from_unit(unit));
+        for (i, (to, slope)) in gradient.iter_mut().zip(slopes).enumerate() {
+            *to = -slope * search_box.width(i);
+        }
+        -value
+    };
+    let (lower, upper) = (vec![0.0; d], vec![1.0; d]);
+    let mut best = candidates[0].clone();
+    for start in spread_out(&candidates, settings.starts.max(1)) {
+        let found = minimise(negative, start, &lower, &upper, tolerances);
+        if -found.value > best.0 {
+            best = (-found.value, found.point);
+        }
+    }
+    Maximum { point: search_box.from_unit(&best.1), value: best.0 }
+}
+
+fn raw_points(
+    search_box: &SearchBox,
+    hints: &[Vec<f64>],
+    settings: &MaximiserSettings,
+) -> Vec<Vec<f64>> {
+    let d = search_box.dimensions();
+    let mut random = ChaCha8Rng::seed_from_u64(settings.seed);
+    let scramble: u32 = random.random();
+    let mut points: Vec<Vec<f64>> =
+        (0..settings.raw.max(1)).map(|i| sobol_point(i, d, scramble)).collect();
+    for hint in hints {
+        let unit = search_box.to_unit(hint);
+        for half_width in CLOUDS {
+            for _ in 0..CLOUD_POINTS {
+                let near = |u: &f64| {
+                    (u + half_width * (2.0 * random.random::<f64>() - 1.0)).clamp(0.0, 1.0)
+                };
+                points.push(unit.iter().map(near).collect());
+            }
+        }
+        points.push(unit);
+    }
+    points
+}
+
+/// The `index`-th point of an Owen-scrambled Sobol sequence on the unit cube (Burley 2020). There
+/// are 65536 of them; beyond, the scrambling changes.
+#[must_use]
+pub fn sobol_point(index: usize, dimensions: usize, seed: u32) -> Vec<f64> {
+    let (round, index) = (index >> 16, index & 0xffff);
+    let seed = seed.wrapping_add((round as u32).wrapping_mul(0x9e37_79b9));
+    (0..dimensions)
+        .map(|d| {
+            // the crate's direction numbers end at 256 dimensions
+            let (block, d) =
+                (d as u32 / sobol_burley::NUM_DIMENSIONS, d as u32 % sobol_burley::NUM_DIMENSIONS);
+            f64::from(sobol_burley::sample(index as u32, d, seed.wrapping_add(block)))
+        })
+        .collect()
+}
+
+/// The first `count` of a sorted list that keep apart, filled up with the first of the others.
+fn spread_out(sorted: &[(f64, Vec<f64>)], count: usize) -> Vec<&[f64]> {
+    let mut chosen: Vec<&[f64]> = Vec::with_capacity(count);
+    let mut left = Vec::new();
+    for (_, point) in sorted {
+        let apart = |other: &&[f64]| point.iter().zip(*other).any(|(a, b)| (a - b).abs() > APART);
+        if chosen.len() == count {
+            break;
+        }
+        if chosen.iter().all(apart) {
+            chosen.push(point);
+        } else {
+            left.push(point.as_slice());
+        }
+    }
+    let missing = count - chosen.len();
+    chosen.extend(left.into_iter().take(missing));
+    chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Many humps; the highest at (0.2, 3.0), one unit above the others.
+    struct Humps;
+
+    impl Acquisition for Humps {
+        fn value(&self, point: &[f64]) -> f64 {
+            self.value_and_gradient(point).0
+        }
+
+        fn value_and_gradient(&self, point: &[f64]) -> (f64, Vec<f64>) {
+            let mut value = 0.0;
+            let mut gradient = vec![0.0; 2];
+            for (center, height) in
+                [([0.2, 3.0], 3.0), ([0.8, 1.0], 2.0), ([0.7, 4.0], 2.0), ([0.1, 0.3], 2.0)]
+            {
+                let offset = [(point[0] - center[0]) / 0.1, (point[1] - center[1]) / 0.5];
+                let hump = height * (-0.5 * (offset[0] * offset[0] + offset[1] * offset[1])).exp();
+                value += hump;
+                gradient[0] -= hump * offset[0] / 0.1;
+                gradient[1] -= hump * offset[1] / 0.5;
+            }
+            (value, gradient)
+        }
+    }
+
+    #[test]
+    fn finds_the_highest_hump_whatever_the_seed() {
+        let search_box = SearchBox::new(vec![0.0, 0.0], vec![1.0, 5.0]).unwrap();
+        for seed in 0..20 {
+            let settings = MaximiserSettings { raw: 64, starts: 4, seed };
+            let found = maximise(&Humps, &search_box, &[], &settings);
+            assert!(
+                (found.point[0] - 0.2).abs() < 1e-3 && (found.point[1] - 3.0).abs() < 1e-2,
+                "{found:?}"
+            );
+            assert_eq!(found, maximise(&Humps, &search_box, &[], &settings));
+        }
+    }
+
+    /// Rises towards a corner, and is nowhere finite beyond it.
+    struct Corner;
+
+    impl Acquisition for Corner {
+        fn value(&self, point: &[f64]) -> f64 {
+            point[0] - point[1]
+        }
+
+        fn value_and_gradient(&self, point: &[f64]) -> (f64, Vec<f64>) {
+            (self.value(point), vec![1.0, -1.0])
+        }
+    }
+
+    #[test]
+    fn reaches_a_corner_of_the_box_exactly() {
+        let search_box = SearchBox::new(vec![-3.0, 2.0], vec![-1.0, 9.0]).unwrap();
+        let found =
+            maximise(&Corner, &search_box, &[vec![-2.0, 3.0]], &MaximiserSettings::default());
+        assert_eq!(found.point, [-1.0, 2.0]);
+    }
+
+    #[test]
+    fn sobol_points_go_on_beyond_their_tables() {
+        for (index, dimensions) in [(0, 1), (65_535, 3), (65_536, 3), (7, 300)] {
+            let point = sobol_point(index, dimensions, 1);
+            assert!(point.len() == dimensions && point.iter().all(|u| (0.0..1.0).contains(u)));
+        }
+        assert_ne!(sobol_point(0, 3, 1), sobol_point(65_536, 3, 1));
+    }
+}

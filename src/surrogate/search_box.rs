@@ -1,0 +1,164 @@
+use serde::{Deserialize, Serialize};
+
+use super::SurrogateError;
+
+/// A box of finite, non-empty intervals; the space that is searched.
+///
+/// Points are `d` coordinates in the box's own units; the surrogate works on the unit cube.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Bounds", into = "Bounds")]
+pub struct SearchBox {
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+}
+
+/// The box as written in a file; becomes a [`SearchBox`] only when it is a valid one.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Bounds {
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+}
+
+impl SearchBox {
+    /// A box from its `d` lower and `d` upper bounds.
+    ///
+    /// # Errors
+    /// No dimensions, lists of different length, a bound that is not finite, `lower >= upper`.
+    pub fn new(lower: Vec<f64>, upper: Vec<f64>) -> Result<Self, SurrogateError> {
+        if lower.len() != upper.len() {
+            return Err(SurrogateError::BoundsDiffer { lower: lower.len(), upper: upper.len() });
+        }
+        if lower.is_empty() {
+            return Err(SurrogateError::NoDimensions);
+        }
+        for (dimension, (&lower, &upper)) in lower.iter().zip(&upper).enumerate() {
+            if !lower.is_finite() || !upper.is_finite() || !(upper - lower).is_finite() {
+                return Err(SurrogateError::BoundNotFinite { dimension, lower, upper });
+            }
+            if lower >= upper {
+                return Err(SurrogateError::LowerNotBelowUpper { dimension, lower, upper });
+            }
+        }
+        Ok(Self { lower, upper })
+    }
+
+    /// The unit cube of `dimensions` dimensions.
+    ///
+    /// # Errors
+    /// No dimensions.
+    pub fn unit(dimensions: usize) -> Result<Self, SurrogateError> {
+        Self::new(vec![0.0; dimensions], vec![1.0; dimensions])
+    }
+
+    /// Number of dimensions `d`.
+    #[must_use]
+    pub fn dimensions(&self) -> usize {
+        self.lower.len()
+    }
+
+    /// The `d` lower bounds.
+    #[must_use]
+    pub fn lower(&self) -> &[f64] {
+        &self.lower
+    }
+
+    /// The `d` upper bounds.
+    #[must_use]
+    pub fn upper(&self) -> &[f64] {
+        &self.upper
+    }
+
+    /// Length of the interval of one dimension.
+    #[must_use]
+    pub fn width(&self, dimension: usize) -> f64 {
+        self.upper[dimension] - self.lower[dimension]
+    }
+
+    /// Coordinates on the unit cube of a point given in the box's own units.
+    #[must_use]
+    pub fn to_unit(&self, point: &[f64]) -> Vec<f64> {
+        point.iter().enumerate().map(|(d, &x)| (x - self.lower[d]) / self.width(d)).collect()
+    }
+
+    /// The point at coordinates of the unit cube, in the box's own units. Never outside the box,
+    /// whatever rounding does.
+    #[must_use]
+    pub fn from_unit(&self, unit: &[f64]) -> Vec<f64> {
+        unit.iter()
+            .enumerate()
+            .map(|(d, &u)| (self.lower[d] + u * self.width(d)).clamp(self.lower[d], self.upper[d]))
+            .collect()
+    }
+
+    /// Checks that a point has `d` coordinates and lies in the box, bounds included.
+    ///
+    /// # Errors
+    /// Another number of coordinates, or one that is NaN or outside; `index` names the point.
+    pub fn check(&self, index: usize, point: &[f64]) -> Result<(), SurrogateError> {
+        let expected = self.dimensions();
+        if point.len() != expected {
+            return Err(SurrogateError::WrongDimension { index, expected, got: point.len() });
+        }
+        for (dimension, &value) in point.iter().enumerate() {
+            let (lower, upper) = (self.lower[dimension], self.upper[dimension]);
+            if !(lower..=upper).contains(&value) {
+                return Err(SurrogateError::OutsideBox { index, dimension, value, lower, upper });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl TryFrom<Bounds> for SearchBox {
+    type Error = SurrogateError;
+
+    fn try_from(bounds: Bounds) -> Result<Self, SurrogateError> {
+        Self::new(bounds.lower, bounds.upper)
+    }
+}
+
+impl From<SearchBox> for Bounds {
+    fn from(search_box: SearchBox) -> Self {
+        Self { lower: search_box.lower, upper: search_box.upper }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bad_bounds_are_named() {
+        assert_eq!(SearchBox::new(vec![], vec![]), Err(SurrogateError::NoDimensions));
+        assert_eq!(
+            SearchBox::new(vec![0.0], vec![1.0, 2.0]),
+            Err(SurrogateError::BoundsDiffer { lower: 1, upper: 2 })
+        );
+        for (lower, upper) in [(1.0, 1.0), (2.0, 1.0)] {
+            assert_eq!(
+                SearchBox::new(vec![0.0, lower], vec![1.0, upper]),
+                Err(SurrogateError::LowerNotBelowUpper { dimension: 1, lower, upper })
+            );
+        }
+        for bad in [f64::NAN, f64::INFINITY, f64::MAX] {
+            let found = SearchBox::new(vec![-bad], vec![bad]);
+            assert!(matches!(found, Err(SurrogateError::BoundNotFinite { dimension: 0, .. })));
+        }
+        let read = toml::from_str::<SearchBox>("lower = [1.0]\nupper = [0.0]");
+        assert!(read.unwrap_err().to_string().contains("lower bound 1 >= upper bound 0"));
+    }
+
+    #[test]
+    fn points_survive_the_way_to_the_unit_cube_and_stay_inside() {
+        let search_box = SearchBox::new(vec![0.019, -3.0], vec![0.029, 7.0]).unwrap();
+        let point = search_box.from_unit(&[0.25, 1.0]);
+        assert_eq!(point[1], 7.0);
+        let unit = search_box.to_unit(&point);
+        assert!((unit[0] - 0.25).abs() < 1e-12 && (unit[1] - 1.0).abs() < 1e-12);
+        assert_eq!(search_box.check(0, &search_box.from_unit(&[1.0 + 1e-12, -1e-12])), Ok(()));
+        assert!(search_box.check(3, &[0.02, 8.0]).unwrap_err().to_string().contains("point 3"));
+        assert!(search_box.check(0, &[f64::NAN, 0.0]).is_err());
+        assert!(search_box.check(0, &[0.02]).is_err());
+    }
+}
