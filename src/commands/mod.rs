@@ -1,3 +1,111 @@
 //! One file per subcommand: arguments, a call into the library, printing.
 //!
 //! May import everything; nobody imports it.
+
+mod device_arguments;
+mod emulate;
+mod exit;
+mod failures;
+mod output;
+mod run;
+mod session;
+mod session_progress;
+mod session_table;
+mod stop;
+mod train;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+
+use output::Output;
+
+use crate::control::RealtimeReport;
+use crate::session::Latencies;
+use crate::telemetry::LatencySummary;
+
+/// Hardware-in-the-loop for the Quanser Qube: policies are trained over a distribution of
+/// simulations, run on the pendulum, and Bayesian optimisation adapts the distribution to what the
+/// machine paid back.
+///
+/// Without a command nothing moves. `qube-hil session` does the whole method on an emulated Qube.
+#[derive(Debug, Parser)]
+#[command(name = "qube-hil", version, max_term_width = 100)]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Command,
+
+    /// Print the result as one JSON object on the last line of stdout
+    #[arg(long, global = true)]
+    json: bool,
+
+    /// Say more on stderr (twice: say everything)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Session(session::Arguments),
+    Train(train::Arguments),
+    Run(run::Arguments),
+    Emulate(emulate::Arguments),
+}
+
+/// Reads the command line, does what it says, and turns the outcome into the exit code.
+#[must_use]
+pub fn main() -> ExitCode {
+    let command_line = CommandLine::parse();
+    log_to_stderr(command_line.verbose);
+    let output = Output::new(command_line.json);
+    let outcome = match command_line.command {
+        Command::Session(arguments) => session::run(arguments, &output),
+        Command::Train(arguments) => train::run(arguments, &output),
+        Command::Run(arguments) => run::run(arguments, &output),
+        Command::Emulate(arguments) => emulate::run(&arguments, &output),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => failure.report(),
+    }
+}
+
+fn log_to_stderr(verbose: u8) {
+    let level = ["warn", "info", "debug"][usize::from(verbose.min(2))];
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .without_time()
+        .with_target(false)
+        .init();
+}
+
+/// A folder under `logs/` that is named after a command and the time.
+fn dated_folder(command: &str) -> PathBuf {
+    let now = jiff::Timestamp::now().strftime("%Y%m%d-%H%M%S");
+    PathBuf::from("logs").join(format!("{command}-{now}"))
+}
+
+/// Says what the control thread was refused, each with its cure.
+fn warn_without_realtime(realtime: &RealtimeReport) {
+    for refusal in [&realtime.scheduling, &realtime.memory].into_iter().flatten() {
+        eprintln!("warning: {refusal}");
+    }
+}
+
+/// The timing of all ticks, as lines for people.
+fn timing_lines(latencies: &Latencies) -> String {
+    let line = |name: &str, summary: LatencySummary| {
+        format!(
+            "{name:21} p50 {:6.0}  p99 {:6.0}  p99.9 {:6.0}  max {:6.0} us\n",
+            summary.p50, summary.p99, summary.p999, summary.max
+        )
+    };
+    let (missed, ticks) = (latencies.missed_deadlines(), latencies.ticks());
+    line("wake-up lateness", latencies.lateness_us())
+        + &line("sample to act", latencies.sample_to_act_us())
+        + &format!("missed deadlines: {missed} of {ticks} ticks\n")
+}

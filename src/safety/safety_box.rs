@@ -35,6 +35,17 @@ pub enum Limit {
     AlphaDot,
 }
 
+impl std::fmt::Display for Limit {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(match self {
+            Self::Theta => "theta",
+            Self::Alpha => "alpha",
+            Self::ThetaDot => "theta_dot",
+            Self::AlphaDot => "alpha_dot",
+        })
+    }
+}
+
 impl SafetyBox {
     /// The thesis's limits (section 5.1).
     pub const THESIS: Self = Self { theta: 2.3, alpha: 4.0 * PI, theta_dot: 30.0, alpha_dot: 40.0 };

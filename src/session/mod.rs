@@ -1,9 +1,30 @@
 //! The orchestrator: the algorithm, the ledger on disk, resume, executors.
 //!
-//! May import every room but `commands`.
+//! May import every room but `commands`. Reading order: [`next_step`] says what comes next,
+//! [`Session`] does it, [`Rig`] is the Qube it is done on, [`judge`] says what a recording is worth.
 
+mod configuration;
+mod error;
+mod folder;
+mod header;
+mod latencies;
 mod ledger;
+mod orchestrator;
 mod plan;
+mod rig;
+mod seeds;
+mod settings;
+mod training;
+mod verdict;
 
+pub use configuration::ConfigurationError;
+pub use error::SessionError;
+pub use folder::{FolderError, SessionFolder, write_whole};
+pub use header::RolloutPlan;
+pub use latencies::Latencies;
 pub use ledger::{Entry, Ledger, LedgerError, Purpose};
+pub use orchestrator::{Progress, Session, named};
 pub use plan::{Candidate, Extent, Step, candidates, next_step};
+pub use rig::{ClockChoice, DeviceChoice, Recorded, Rig, RigError, RigSettings};
+pub use settings::{Model, SessionSettings};
+pub use verdict::{Verdict, judge, judge_recording};

@@ -7,7 +7,7 @@ use super::{Entry, Purpose};
 
 /// How much a session does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct Extent {
     /// Points that the search starts from.
     pub initial_candidates: u32,
@@ -19,6 +19,27 @@ pub struct Extent {
     pub verification_rollouts: u32,
     /// How often a rollout that ended by a fault is tried again before the session stops.
     pub repetitions: u32,
+}
+
+impl Extent {
+    /// A session of minutes.
+    pub const QUICK: Self = Self {
+        initial_candidates: 6,
+        iterations: 4,
+        rollouts: 2,
+        verification_rollouts: 5,
+        repetitions: 3,
+    };
+
+    /// The thesis's: 15 points and 10 iterations, five rollouts each.
+    pub const THESIS: Self =
+        Self { initial_candidates: 15, iterations: 10, rollouts: 5, ..Self::QUICK };
+}
+
+impl Default for Extent {
+    fn default() -> Self {
+        Self::QUICK
+    }
 }
 
 /// One step of the session.

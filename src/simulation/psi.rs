@@ -49,6 +49,12 @@ pub struct Psi([f64; 8]);
 /// Why numbers or a file are no psi.
 #[derive(Debug, Error)]
 pub enum PsiError {
+    /// A point of another space.
+    #[error("a psi has 8 entries, not {dimensions}: {}", names())]
+    WrongLength {
+        /// Entries that it had.
+        dimensions: usize,
+    },
     /// A value outside the box, or not a number.
     #[error("{name} = {value} is outside its range: give a value from {lower} to {upper}")]
     OutsideTheBox {
@@ -178,6 +184,16 @@ struct PsiTable {
     mean_rotary_length: f64,
     #[serde(rename = "std_L_r")]
     std_rotary_length: f64,
+}
+
+/// From a search's point, in the order of [`PSI_DIMENSIONS`].
+impl TryFrom<&[f64]> for Psi {
+    type Error = PsiError;
+
+    fn try_from(point: &[f64]) -> Result<Self, PsiError> {
+        let dimensions = point.len();
+        Self::new(point.try_into().map_err(|_| PsiError::WrongLength { dimensions })?)
+    }
 }
 
 impl TryFrom<PsiTable> for Psi {

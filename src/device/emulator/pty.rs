@@ -83,16 +83,10 @@ impl EmulatedQube {
         Ok(())
     }
 
-    /// Waits until the Qube is gone of itself: unplugged by a fault, or its pty failed.
-    ///
-    /// # Errors
-    /// The pty failed.
-    pub fn wait(mut self) -> io::Result<()> {
-        match self.server.take().map(JoinHandle::join) {
-            Some(Ok(served)) => served,
-            Some(Err(panic)) => std::panic::resume_unwind(panic),
-            None => Ok(()),
-        }
+    /// Whether the Qube is gone of itself: unplugged by a fault, or its pty failed.
+    #[must_use]
+    pub fn is_gone(&self) -> bool {
+        self.server.as_ref().is_none_or(JoinHandle::is_finished)
     }
 }
 

@@ -1,0 +1,53 @@
+use std::path::PathBuf;
+use std::time::Duration;
+
+use serde_json::json;
+
+use super::exit::Failure;
+use super::output::Output;
+use super::stop::Stop;
+use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings};
+
+/// Be a Qube: serve an emulated one on a pty that any program can open as a serial port
+///
+/// It has the nominal parameters, quantised encoders that start at unknown counts, hard stops, and
+/// the latched watchdog of the real firmware. It runs until it is stopped.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil emulate --link /tmp/qube &\n  \
+    qube-hil run --device /tmp/qube --policy classical\n  \
+    qube-hil emulate --fault silent@10s      # stops answering after 10 s")]
+pub struct Arguments {
+    /// A symbolic link to make to the pty, so that its name is known beforehand
+    #[arg(long, value_name = "PATH")]
+    link: Option<PathBuf>,
+
+    /// Decides where the arm stands at the start and where the counters begin
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+
+    /// Something to go wrong
+    #[arg(long, value_name = "FAULT")]
+    fault: Option<EmulatorFault>,
+}
+
+/// Serves until a signal comes or the pty is gone.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let stop = Stop::on_signals()?;
+    let settings = EmulatorSettings {
+        seed: arguments.seed,
+        fault: arguments.fault,
+        ..EmulatorSettings::default()
+    };
+    let mut qube = EmulatedQube::spawn(settings)
+        .map_err(|error| Failure::failed(format!("no emulated Qube can be served: {error}")))?;
+    if let Some(link) = &arguments.link {
+        qube.link_as(link).map_err(|error| Failure::usage(format!("--link: {error}")))?;
+    }
+    let port = qube.port().display().to_string();
+    output.print(&port, &json!({ "port": port, "link": arguments.link }));
+    while !stop.requested() && !qube.is_gone() {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    Ok(())
+}

@@ -1,0 +1,52 @@
+//! Which exit code each of the library's errors stands for.
+
+use super::exit::Failure;
+use super::stop::Stop;
+use crate::recording::RecordingError;
+use crate::session::{FolderError, RigError, SessionError};
+
+/// Of a rig.
+pub fn rig(error: RigError, stop: &Stop) -> Failure {
+    match error {
+        RigError::Stopped => stop.failure("stopped while homing"),
+        RigError::Homing(_) | RigError::ThreadGone(_) => Failure::fault(error),
+        RigError::Recording(error) => recording(&error),
+        RigError::Emulator(_) | RigError::Thread(_) => Failure::failed(error),
+        RigError::VirtualPort { .. } | RigError::Device(_) | RigError::Policy(_) => {
+            Failure::usage(error)
+        }
+    }
+}
+
+/// Of a recording.
+pub fn recording(error: &RecordingError) -> Failure {
+    match error {
+        RecordingError::DiskFull { .. } | RecordingError::Write { .. } => Failure::failed(error),
+        RecordingError::Create { .. } => Failure::usage(error),
+        _ => Failure::data_lost(error),
+    }
+}
+
+/// Of a session's folder.
+pub fn folder(error: &FolderError) -> Failure {
+    match error {
+        FolderError::Io { .. } => Failure::failed(error),
+        _ => Failure::usage(error),
+    }
+}
+
+/// Of a session.
+pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
+    match error {
+        SessionError::Stopped => stop.failure(format!("stopped; go on with {resume}")),
+        _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
+        SessionError::GivenUp { .. } => Failure::fault(error),
+        SessionError::Rig(error) => rig(error, stop),
+        SessionError::Recording(error) => recording(&error),
+        SessionError::Folder(error) => folder(&error),
+        SessionError::Ledger(_) | SessionError::Training(_) | SessionError::Search(_) => {
+            Failure::failed(error)
+        }
+        SessionError::Policy(_) | SessionError::Psi(_) => Failure::usage(error),
+    }
+}

@@ -1,0 +1,189 @@
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use super::device_arguments::DeviceArguments;
+use super::exit::Failure;
+use super::output::Output;
+use super::stop::Stop;
+use super::{dated_folder, failures, timing_lines, warn_without_realtime};
+use crate::estimation::EstimatorSettings;
+use crate::policy::{ClassicalController, ClassicalGains, Policy};
+use crate::recording::read;
+use crate::safety::SafetyBox;
+use crate::session::{Latencies, Rig, RolloutPlan, Verdict, judge_recording};
+use crate::telemetry::Ending;
+
+/// Run a policy on the Qube and log it: homing, then for each rollout settling, six seconds of
+/// policy, braking
+///
+/// Exit code 0 also when a rollout left the safety box: that is a result. 4 when a fault ended the
+/// last one.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil run --policy classical                       # a swing-up at once, nothing trained\n  \
+    qube-hil run --policy policies/nominal.safetensors --rollouts 5\n  \
+    qube-hil run --policy best.safetensors --device /dev/ttyACM0 --out logs/monday")]
+pub struct Arguments {
+    /// A policy file, or `classical` for the built-in energy swing-up with balance
+    #[arg(long, value_name = "FILE|classical")]
+    policy: String,
+
+    /// How many rollouts
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    rollouts: u32,
+
+    /// Folder for the recordings [default: logs/run-DATE-TIME]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+
+    /// Decides where the arm starts and what the emulated Qube is like
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+
+    /// Corner of the velocity filter, rad/s (50 is the thesis's set-up)
+    #[arg(long, default_value_t = EstimatorSettings::default().corner_rad_s, value_parser = positive)]
+    filter: f64,
+
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
+        _ => Err("give a number above 0".into()),
+    }
+}
+
+/// Runs the rollouts and prints what they earned.
+pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
+    let policy = policy_file(&arguments.policy)?;
+    let stop = Stop::on_signals()?;
+    let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("run"));
+    std::fs::create_dir_all(&directory)
+        .map_err(|error| Failure::usage(format!("--out {}: {error}", directory.display())))?;
+
+    let estimator = EstimatorSettings { corner_rad_s: arguments.filter };
+    let settings = arguments.device.rig_settings(arguments.seed, estimator);
+    eprintln!("homing: the arm looks for its stops");
+    let mut rig = Rig::open(&settings, &stop.flag).map_err(|error| failures::rig(error, &stop))?;
+    warn_without_realtime(rig.realtime());
+
+    let mut results = Results::default();
+    for rollout in 0..arguments.rollouts {
+        let plan = RolloutPlan {
+            session: "run".into(),
+            candidate: None,
+            rollout,
+            attempt: 0,
+            psi: Default::default(),
+            seed: arguments.seed,
+            policy: arguments.policy.clone(),
+            estimator,
+            safety_box: SafetyBox::THESIS,
+        };
+        let path = directory.join(format!("rollout-{rollout}.mcap"));
+        let recorded = rig
+            .rollout(&path, plan.header(), &policy)
+            .map_err(|error| failures::rig(error, &stop))?;
+        results.add(&recorded.path)?;
+        if stop.requested() {
+            break;
+        }
+        let last = rollout + 1 == arguments.rollouts;
+        if matches!(recorded.outcome.ending, Ending::Fault(_)) && !last {
+            rig.start_again().map_err(|error| failures::rig(error, &stop))?;
+        }
+    }
+    output.print(&results.text(), &results.json());
+    if stop.requested() {
+        return Err(stop.failure("stopped; the recordings are whole up to here"));
+    }
+    match results.fault {
+        Some(fault) => {
+            Err(Failure::fault(format!("the last rollout was ended by a fault: {fault}")))
+        }
+        None => Ok(()),
+    }
+}
+
+fn policy_file(name: &str) -> Result<Vec<u8>, Failure> {
+    if name == "classical" {
+        let controller = ClassicalController::new(ClassicalGains::default());
+        return Ok(Policy::Classical(controller).to_bytes());
+    }
+    Policy::load(Path::new(name)).map_err(Failure::usage).map(|policy| policy.to_bytes())
+}
+
+/// What the rollouts came to, read back from their recordings.
+#[derive(Debug, Default)]
+struct Results {
+    lines: String,
+    returns: Vec<f64>,
+    ended_early: Vec<Option<String>>,
+    success: Vec<bool>,
+    recordings: Vec<PathBuf>,
+    latencies: Latencies,
+    /// Why the last rollout is void, if a fault made it so.
+    fault: Option<String>,
+}
+
+impl Results {
+    fn add(&mut self, path: &Path) -> Result<(), Failure> {
+        let recording = read(path).map_err(Failure::data_lost)?;
+        self.latencies.add(&recording.ticks);
+        let rollout = self.returns.len();
+        let _ = match judge_recording(&recording) {
+            Verdict::Result { return_, success, outcome } => {
+                let ended_early = match outcome.ending {
+                    Ending::LeftBox(limit) => Some(format!("left the box: {limit}")),
+                    _ => None,
+                };
+                let word = match &ended_early {
+                    Some(reason) => format!("{reason} after {} steps", outcome.steps),
+                    None if success => "success".into(),
+                    None => "not standing at the end".into(),
+                };
+                self.fault = None;
+                self.returns.push(return_);
+                self.ended_early.push(ended_early);
+                self.success.push(success);
+                writeln!(self.lines, "rollout {rollout}: return {return_:6.1}  {word}")
+            }
+            Verdict::Void { reason, counts } => {
+                self.fault = counts.then(|| reason.clone());
+                self.returns.push(0.0);
+                self.success.push(false);
+                let line = writeln!(self.lines, "rollout {rollout}: void  {reason}");
+                self.ended_early.push(Some(reason));
+                line
+            }
+        };
+        self.recordings.push(path.to_owned());
+        Ok(())
+    }
+
+    fn text(&self) -> String {
+        let directory = self.recordings.first().and_then(|path| path.parent());
+        format!(
+            "{}{}recordings in {}",
+            self.lines,
+            timing_lines(&self.latencies),
+            directory.unwrap_or(Path::new(".")).display()
+        )
+    }
+
+    fn json(&self) -> Value {
+        json!({
+            "returns": self.returns,
+            "ended_early": self.ended_early,
+            "success": self.success,
+            "missed_deadlines": self.latencies.missed_deadlines(),
+            "lateness_us": self.latencies.lateness_us(),
+            "sample_to_act_us": self.latencies.sample_to_act_us(),
+            "recordings": self.recordings,
+        })
+    }
+}

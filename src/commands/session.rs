@@ -1,0 +1,121 @@
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::ValueEnum;
+use serde_json::{Value, json};
+
+use super::dated_folder;
+use super::device_arguments::DeviceArguments;
+use super::exit::Failure;
+use super::failures;
+use super::output::Output;
+use super::session_progress::SessionProgress;
+use super::session_table::SessionTable;
+use super::stop::Stop;
+use crate::session::{Session, SessionFolder, SessionSettings};
+
+/// Do the whole method: search the distribution of simulations whose policies earn most on the Qube
+///
+/// Policies are trained in randomised simulation, run on the Qube at 100 Hz, every rollout is
+/// logged, the surrogate is updated, and the answer's policy is verified on the Qube. Without
+/// arguments this happens on an emulated Qube and takes some minutes. Whatever ends it, --resume
+/// goes on without losing or repeating a finished rollout.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil session                                  # on the emulated Qube\n  \
+    qube-hil session --device /dev/ttyACM0 --preset thesis --out logs/monday\n  \
+    qube-hil session --resume logs/monday             # after Ctrl-C, a crash, or a fault\n  \
+    qube-hil session --clock virtual --seed 3 --json  # as fast as the processor can")]
+pub struct Arguments {
+    /// How much is done: `quick` takes minutes, `thesis` is the published extent and budget
+    #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
+    preset: Preset,
+
+    /// A TOML file whose entries replace the preset's (as a session's own session.toml)
+    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
+    config: Option<PathBuf>,
+
+    /// Everything random follows from it
+    #[arg(long, conflicts_with = "resume")]
+    seed: Option<u64>,
+
+    /// Folder for the session, which must not exist [default: logs/session-DATE-TIME]
+    #[arg(long, value_name = "DIR", conflicts_with = "resume")]
+    out: Option<PathBuf>,
+
+    /// Go on with a session from its folder
+    #[arg(long, value_name = "DIR")]
+    resume: Option<PathBuf>,
+
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+/// How much a session does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Preset {
+    /// 6 points, 4 iterations, 2 rollouts each, quick training
+    Quick,
+    /// 15 points, 10 iterations, 5 rollouts each, the thesis's training budget
+    Thesis,
+}
+
+/// Runs or resumes a session and prints its table.
+pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
+    let started = Instant::now();
+    let (folder, settings) = match &arguments.resume {
+        Some(directory) => resumed(directory)?,
+        None => begun(&arguments)?,
+    };
+    let stop = Stop::on_signals()?;
+    let rig_settings = crate::session::RigSettings {
+        homing: settings.homing,
+        ..arguments.device.rig_settings(settings.seed, settings.estimator)
+    };
+    let resume = format!("qube-hil session --resume {}", folder.root().display());
+    eprintln!("session in {}", folder.root().display());
+
+    let failed = |error| failures::session(error, &stop, &resume);
+    let mut progress = SessionProgress::new(&settings);
+    let mut session =
+        Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
+            .map_err(failed)?;
+    let ended = session.run(&mut |news| progress.tell(&news));
+    progress.finish();
+    let table = SessionTable::read(&mut session).map_err(failed)?;
+    if let Err(error) = ended {
+        // What is finished can be seen, whatever ended the session.
+        eprintln!("{}", table.text());
+        return Err(failed(error));
+    }
+    let mut result: Value = table.json();
+    result["wall_s"] = json!(started.elapsed().as_secs_f64());
+    output.print(&table.text(), &result);
+    Ok(())
+}
+
+fn begun(arguments: &Arguments) -> Result<(SessionFolder, SessionSettings), Failure> {
+    let preset = match arguments.preset {
+        Preset::Quick => SessionSettings::quick(),
+        Preset::Thesis => SessionSettings::thesis(),
+    };
+    let mut settings = match &arguments.config {
+        Some(path) => preset.overridden_by(path).map_err(Failure::usage)?,
+        None => preset,
+    };
+    settings.seed = arguments.seed.unwrap_or(settings.seed);
+    let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("session"));
+    settings.name = directory
+        .file_name()
+        .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
+    let configuration = settings.to_toml().map_err(Failure::failed)?;
+    let folder = SessionFolder::create(&directory, &configuration)
+        .map_err(|error| failures::folder(&error))?;
+    Ok((folder, settings))
+}
+
+fn resumed(directory: &Path) -> Result<(SessionFolder, SessionSettings), Failure> {
+    let folder = SessionFolder::open(directory).map_err(|error| failures::folder(&error))?;
+    let settings = SessionSettings::load(&folder.configuration()).map_err(Failure::usage)?;
+    Ok((folder, settings))
+}

@@ -1,0 +1,107 @@
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::warn_without_realtime;
+use crate::session::{Progress, Purpose, SessionSettings, Verdict};
+use crate::telemetry::Ending;
+
+/// What the operator sees on stderr while a session runs: a line for each thing that is finished,
+/// and one live line for training.
+pub struct SessionProgress {
+    bar: ProgressBar,
+    last_candidate: u32,
+    /// Best return so far of each candidate in training, and its update.
+    training: BTreeMap<u32, (u32, f64)>,
+    connected: bool,
+}
+
+impl SessionProgress {
+    /// For a session of this extent.
+    pub fn new(settings: &SessionSettings) -> Self {
+        let bar = ProgressBar::new_spinner();
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
+            bar.set_style(style);
+        }
+        bar.enable_steady_tick(Duration::from_millis(120));
+        let last_candidate = settings.extent.initial_candidates + settings.extent.iterations;
+        Self { bar, last_candidate, training: BTreeMap::new(), connected: false }
+    }
+
+    /// Shows one piece of news.
+    pub fn tell(&mut self, news: &Progress) {
+        match news {
+            Progress::Proposed { candidate, purpose } => {
+                let why = match purpose {
+                    Purpose::Initial => "an initial point",
+                    Purpose::Search => "proposed by the search",
+                    Purpose::Verification => "the search's answer, to be verified",
+                };
+                self.line(format!("candidate {candidate} of {}: {why}", self.last_candidate));
+            }
+            Progress::Training { candidate, update } => {
+                let best = self.training.entry(*candidate).or_insert((0, f64::MIN));
+                *best = (update.update + 1, best.1.max(update.mean_return));
+                let each: Vec<String> = self
+                    .training
+                    .iter()
+                    .map(|(candidate, (update, best))| {
+                        format!("{candidate} (update {update}, best {best:.0})")
+                    })
+                    .collect();
+                self.bar.set_message(format!("training candidate {}", each.join(", ")));
+            }
+            Progress::Trained { candidate, best_return } => {
+                self.training.remove(candidate);
+                self.bar.set_message("");
+                if let Some(best_return) = best_return {
+                    self.line(format!(
+                        "candidate {candidate}: trained, earns {best_return:.0} in its simulations"
+                    ));
+                }
+            }
+            Progress::Connected(rig) => {
+                if !self.connected {
+                    let identity = rig.identity();
+                    self.line(format!(
+                        "connected to {} {} at {}; the arm is homed",
+                        identity.kind, identity.serial, identity.port
+                    ));
+                    self.bar.suspend(|| warn_without_realtime(rig.realtime()));
+                }
+                self.connected = true;
+            }
+            Progress::Rollout { candidate, rollout, attempt, verdict } => {
+                let again =
+                    if *attempt > 0 { format!(" (try {})", attempt + 1) } else { String::new() };
+                let came_to = describe(verdict);
+                self.line(format!("candidate {candidate}, rollout {rollout}{again}: {came_to}"));
+            }
+        }
+    }
+
+    /// Clears the live line.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    fn line(&self, text: String) {
+        // Without a terminal the bar is hidden and would swallow the line.
+        if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
+    }
+}
+
+/// A verdict in words.
+fn describe(verdict: &Verdict) -> String {
+    match verdict {
+        Verdict::Void { reason, .. } => format!("void, {reason}"),
+        Verdict::Result { return_, success, outcome } => match outcome.ending {
+            Ending::LeftBox(limit) => {
+                format!("{return_:.0}, left the box by {limit} after {} steps", outcome.steps)
+            }
+            _ if *success => format!("{return_:.0}, stands"),
+            _ => format!("{return_:.0}, does not stand"),
+        },
+    }
+}

@@ -1,0 +1,58 @@
+//! Ctrl-C, SIGTERM and SIGHUP: the motor is braked, the state is kept, and the exit code says which.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+use super::exit::Failure;
+
+/// A request to stop, set by a signal.
+#[derive(Clone, Debug)]
+pub struct Stop {
+    /// Watched by the control thread and by training.
+    pub flag: Arc<AtomicBool>,
+    signal: Arc<AtomicUsize>,
+}
+
+impl Stop {
+    /// Takes over the signals. A second Ctrl-C ends the program at once; the device's watchdog then
+    /// switches the motor off.
+    pub fn on_signals() -> Result<Self, Failure> {
+        let flag = Arc::new(AtomicBool::new(false));
+        let signal = Arc::new(AtomicUsize::new(0));
+        let handlers =
+            |error: String| Failure::failed(format!("signals cannot be handled: {error}"));
+        let (interrupt, interrupted_by) = (Arc::clone(&flag), Arc::clone(&signal));
+        ctrlc::set_handler(move || {
+            interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
+            if interrupt.swap(true, Ordering::Relaxed) {
+                std::process::exit(128 + SIGINT);
+            }
+            eprintln!(
+                "\nstopping: the arm is braked and the state is kept (again to stop at once)"
+            );
+        })
+        .map_err(|error| handlers(error.to_string()))?;
+        for kind in [SIGTERM, SIGHUP] {
+            signal_hook::flag::register_usize(kind, Arc::clone(&signal), kind as usize)
+                .and_then(|_| signal_hook::flag::register(kind, Arc::clone(&flag)))
+                .map_err(|error| handlers(error.to_string()))?;
+        }
+        Ok(Self { flag, signal })
+    }
+
+    /// Whether somebody asked to stop.
+    pub fn requested(&self) -> bool {
+        self.flag.load(Ordering::Relaxed)
+    }
+
+    /// The failure that ends a stopped command.
+    pub fn failure(&self, message: impl ToString) -> Failure {
+        let signal = match self.signal.load(Ordering::Relaxed) {
+            0 => SIGINT,
+            signal => signal as i32,
+        };
+        Failure::interrupted(signal, message)
+    }
+}

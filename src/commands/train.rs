@@ -1,0 +1,151 @@
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+
+use super::exit::Failure;
+use super::failures;
+use super::output::Output;
+use super::stop::Stop;
+use crate::learning::{Origin, TrainError, TrainSettings, train};
+use crate::session::{named, write_whole};
+use crate::simulation::{DomainDistribution, Family, Psi};
+
+/// Train one policy in randomised simulation
+///
+/// The same model, preset and seed give the same file, byte for byte.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil train --model nominal --out policies/mine.safetensors\n  \
+    qube-hil train --model handcrafted --preset thesis --seed 4\n  \
+    qube-hil train --model psi --psi psi.toml      # a distribution of your own")]
+pub struct Arguments {
+    /// What the simulations' parameters are drawn from
+    #[arg(long, value_enum, default_value_t = Model::Nominal)]
+    model: Model,
+
+    /// Means and standard deviations of masses and lengths, for --model psi
+    #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
+    psi: Option<PathBuf>,
+
+    /// `quick` stops as soon as the policy is good, `thesis` spends the published budget
+    #[arg(long, value_enum, default_value_t = Preset::Quick)]
+    preset: Preset,
+
+    /// Everything random follows from it
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+
+    /// Where the policy goes
+    #[arg(long, value_name = "FILE", default_value = "policy.safetensors")]
+    out: PathBuf,
+}
+
+/// The models of the thesis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Model {
+    /// The name plate's values, always the same
+    Nominal,
+    /// All nine parameters vary by a fifth
+    Handcrafted,
+    /// Masses and lengths vary by a fifth
+    NominalHandcrafted,
+    /// Masses and lengths as --psi says, the other five nominal
+    Psi,
+}
+
+/// How much training.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Preset {
+    /// Seconds
+    Quick,
+    /// 100 updates of 48 000 transitions
+    Thesis,
+}
+
+/// Trains and saves.
+pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
+    let distribution = distribution(&arguments)?;
+    let settings = match arguments.preset {
+        Preset::Quick => TrainSettings::quick(),
+        Preset::Thesis => TrainSettings::thesis(),
+    };
+    let stop = Stop::on_signals()?;
+    let bar = ProgressBar::new(u64::from(settings.updates));
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} update {pos} of {len}  {msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(200));
+
+    let started = Instant::now();
+    let mut best_return = f64::NEG_INFINITY;
+    let trained = train(&distribution, &settings, arguments.seed, None, &stop.flag, |update| {
+        best_return = best_return.max(update.mean_return);
+        bar.set_position(u64::from(update.update) + 1);
+        bar.set_message(format!("best return {best_return:.1}"));
+    });
+    bar.finish_and_clear();
+    let trained = trained.map_err(|error| match error {
+        TrainError::Stopped => stop.failure("stopped; nothing was written"),
+        other => Failure::failed(other),
+    })?;
+    let wall_s = started.elapsed().as_secs_f64();
+
+    let path = arguments.out.display().to_string();
+    let (best_return, final_return) = (trained.best_return, trained.final_return);
+    let returns: Vec<f64> = trained.curve.iter().map(|update| update.mean_return).collect();
+    let last = trained.curve.last();
+    let result = json!({
+        "best_return": best_return,
+        "final_return": final_return,
+        "evaluations": returns,
+        "steps": last.map(|update| update.steps),
+        "gradient_steps": last.map(|update| update.gradient_steps),
+        "wall_s": wall_s,
+        "policy": path,
+    });
+    let policy = trained.into_policy(origin(&arguments)?);
+    write_whole(&arguments.out, &policy.to_bytes()).map_err(|error| failures::folder(&error))?;
+    let text = format!(
+        "best return {best_return:.1}, last {final_return:.1}, after {} updates in {wall_s:.1} s: \
+         {path}",
+        returns.len(),
+    );
+    output.print(&text, &result);
+    Ok(())
+}
+
+fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
+    let name = |value: &dyn std::fmt::Debug| format!("{value:?}").to_lowercase();
+    let psi = match &arguments.psi {
+        Some(path) => Some(Psi::load(path).map_err(Failure::usage)?),
+        None => None,
+    };
+    Ok(Origin {
+        model: match arguments.model {
+            Model::NominalHandcrafted => "nominal-handcrafted".into(),
+            Model::Psi => "opt-nominal".into(),
+            other => name(&other),
+        },
+        psi: psi.map(|psi| named(psi.values())),
+        preset: name(&arguments.preset),
+    })
+}
+
+fn distribution(arguments: &Arguments) -> Result<DomainDistribution, Failure> {
+    Ok(match (arguments.model, &arguments.psi) {
+        (Model::Nominal, None) => DomainDistribution::nominal(),
+        (Model::Handcrafted, None) => DomainDistribution::handcrafted(Family::Normal),
+        (Model::NominalHandcrafted, None) => {
+            DomainDistribution::nominal_handcrafted(Family::Normal)
+        }
+        (Model::Psi, Some(path)) => {
+            let psi = Psi::load(path).map_err(Failure::usage)?;
+            DomainDistribution::opt_nominal(&psi, Family::Normal)
+        }
+        (Model::Psi, None) => return Err(Failure::usage("--model psi needs --psi FILE")),
+        (_, Some(_)) => return Err(Failure::usage("--psi goes with --model psi only")),
+    })
+}

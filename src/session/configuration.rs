@@ -1,0 +1,168 @@
+//! `session.toml`: read with every misspelt key named, and laid over a preset.
+
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+use toml::{Table, Value};
+
+use super::SessionSettings;
+
+/// What is wrong with a configuration.
+#[derive(Debug, Error)]
+pub enum ConfigurationError {
+    /// It cannot be read.
+    #[error("{path} cannot be read: {source}")]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// It is no TOML, has a key that does not exist, or a value of another type.
+    #[error("{path}: {}", source.to_string().trim_end())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What and in which line.
+        source: Box<toml::de::Error>,
+    },
+    /// A value that cannot be.
+    #[error("{path}: {reason}")]
+    OutOfRange {
+        /// The file.
+        path: PathBuf,
+        /// Which value, and what it may be.
+        reason: String,
+    },
+    /// It cannot be written as TOML.
+    #[error("the configuration cannot be written: {0}")]
+    Unwritable(#[from] toml::ser::Error),
+}
+
+impl SessionSettings {
+    /// Reads a whole configuration.
+    ///
+    /// # Errors
+    /// It cannot be read or is no configuration.
+    pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
+        Self::default().overridden_by(path)
+    }
+
+    /// These settings with the entries of a file instead of their own.
+    ///
+    /// # Errors
+    /// The file cannot be read, or holds something that is no setting.
+    pub fn overridden_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigurationError::Unreadable { path: path.to_owned(), source })?;
+        let invalid = |source| ConfigurationError::Invalid {
+            path: path.to_owned(),
+            source: Box::new(source),
+        };
+        // First on its own: an error then names the file's own line.
+        toml::from_str::<Self>(&text).map_err(invalid)?;
+        let mut table: Table = Table::try_from(self)?;
+        lay_over(&mut table, toml::from_str(&text).map_err(invalid)?);
+        let settings: Self = table.try_into().map_err(invalid)?;
+        settings
+            .check()
+            .map_err(|reason| ConfigurationError::OutOfRange { path: path.to_owned(), reason })?;
+        Ok(settings)
+    }
+
+    /// The whole configuration as TOML.
+    ///
+    /// # Errors
+    /// A number that TOML cannot hold.
+    pub fn to_toml(&self) -> Result<String, ConfigurationError> {
+        Ok(toml::to_string_pretty(self)?)
+    }
+
+    /// Says in words what cannot be, if anything cannot.
+    fn check(&self) -> Result<(), String> {
+        let positive = [
+            ("estimator.corner_rad_s", self.estimator.corner_rad_s),
+            ("safety_box.theta", self.safety_box.theta),
+            ("safety_box.alpha", self.safety_box.alpha),
+            ("safety_box.theta_dot", self.safety_box.theta_dot),
+            ("safety_box.alpha_dot", self.safety_box.alpha_dot),
+        ];
+        for (name, value) in positive {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(format!("{name} = {value}: give a number above 0"));
+            }
+        }
+        let counts = [
+            ("extent.initial_candidates", self.extent.initial_candidates, 1000),
+            ("extent.rollouts", self.extent.rollouts, 1000),
+            ("extent.verification_rollouts", self.extent.verification_rollouts, 1000),
+        ];
+        for (name, value, most) in counts {
+            if !(1..=most).contains(&value) {
+                return Err(format!("{name} = {value}: give a number from 1 to {most}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn lay_over(below: &mut Table, above: Table) {
+    for (key, value) in above {
+        match (below.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
+            (_, value) => {
+                below.insert(key, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn overridden(text: &str) -> Result<SessionSettings, ConfigurationError> {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("my.toml");
+        std::fs::write(&path, text).unwrap();
+        SessionSettings::thesis().overridden_by(&path)
+    }
+
+    #[test]
+    fn a_file_replaces_what_it_names_and_leaves_the_rest_of_the_preset() {
+        let settings = overridden("seed = 7\n[extent]\nrollouts = 3\n").unwrap();
+        let thesis = SessionSettings::thesis();
+        assert_eq!(settings.seed, 7);
+        assert_eq!(settings.extent.rollouts, 3);
+        assert_eq!(settings.extent.iterations, thesis.extent.iterations);
+        assert_eq!(settings.training, thesis.training);
+    }
+
+    #[test]
+    fn what_is_written_reads_back_the_same() {
+        for settings in [SessionSettings::quick(), SessionSettings::thesis()] {
+            let again = overridden(&settings.to_toml().unwrap()).unwrap();
+            assert_eq!(again, settings);
+        }
+    }
+
+    #[test]
+    fn a_misspelt_key_is_an_error_with_its_line() {
+        let message = overridden("seed = 7\nsed = 8\n").unwrap_err().to_string();
+        assert!(message.contains("my.toml") && message.contains("line 2"), "{message}");
+        let message = overridden("[extent]\nrolouts = 8\n").unwrap_err().to_string();
+        assert!(message.contains("rolouts") && message.contains("line 2"), "{message}");
+    }
+
+    #[test]
+    fn values_that_cannot_be_are_named() {
+        for (text, name) in [
+            ("[estimator]\ncorner_rad_s = 0.0\n", "estimator.corner_rad_s"),
+            ("[safety_box]\ntheta = nan\n", "safety_box.theta"),
+            ("[extent]\nrollouts = 0\n", "extent.rollouts"),
+        ] {
+            let message = overridden(text).unwrap_err().to_string();
+            assert!(message.contains(name), "{message}");
+        }
+    }
+}

@@ -1,0 +1,55 @@
+use thiserror::Error;
+
+use super::{FolderError, LedgerError, RigError};
+use crate::learning::TrainError;
+use crate::policy::PolicyError;
+use crate::recording::RecordingError;
+use crate::search::SearchError;
+use crate::simulation::PsiError;
+
+/// Why a session ended early. What was finished until then is on disk.
+#[derive(Debug, Error)]
+pub enum SessionError {
+    /// Somebody asked to stop.
+    #[error("stopped")]
+    Stopped,
+    /// A rollout failed as often as it may.
+    #[error(
+        "rollout {rollout} of candidate {candidate} was ended by a fault {tries} times, last: {reason}. \
+         The motor is off; look at the Qube, then --resume"
+    )]
+    GivenUp {
+        /// The candidate.
+        candidate: u32,
+        /// Its rollout.
+        rollout: u32,
+        /// How often it was tried.
+        tries: u32,
+        /// The last fault.
+        reason: String,
+    },
+    /// The ledger.
+    #[error(transparent)]
+    Ledger(#[from] LedgerError),
+    /// The folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// The Qube.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// A recording.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// A policy.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// A psi.
+    #[error(transparent)]
+    Psi(#[from] PsiError),
+    /// The search.
+    #[error(transparent)]
+    Search(#[from] SearchError),
+    /// Training.
+    #[error(transparent)]
+    Training(#[from] TrainError),
+}

@@ -1,0 +1,66 @@
+use std::collections::BTreeMap;
+
+use super::seeds::start_theta_rad;
+use crate::estimation::{Calibration, EstimatorSettings};
+use crate::qube::{MAX_STEPS, RewardWeights};
+use crate::safety::SafetyBox;
+use crate::telemetry::{RolloutHeader, TickSettings};
+
+/// Version of the rollout's header.
+const FORMAT: u32 = 1;
+
+/// What a rollout is: its place among the others, its policy, the rules it runs under.
+#[derive(Clone, Debug)]
+pub struct RolloutPlan {
+    /// The session's name, or `run`.
+    pub session: String,
+    /// The candidate in its session.
+    pub candidate: Option<u32>,
+    /// The rollout of this candidate.
+    pub rollout: u32,
+    /// Which try.
+    pub attempt: u32,
+    /// The candidate's psi by name.
+    pub psi: BTreeMap<String, f64>,
+    /// The seed of the session; the start of each rollout follows from it.
+    pub seed: u64,
+    /// Name of the policy.
+    pub policy: String,
+    /// How velocities are estimated.
+    pub estimator: EstimatorSettings,
+    /// The box that ends the rollout.
+    pub safety_box: SafetyBox,
+}
+
+impl RolloutPlan {
+    /// The header as far as it is known before a rig fills in device, calibration and time.
+    #[must_use]
+    pub fn header(&self) -> RolloutHeader {
+        RolloutHeader {
+            format: FORMAT,
+            session: self.session.clone(),
+            candidate: self.candidate,
+            rollout: self.rollout,
+            attempt: self.attempt,
+            psi: self.psi.clone(),
+            seed: self.seed,
+            started_unix_ns: None,
+            program_version: env!("CARGO_PKG_VERSION").into(),
+            git_revision: env!("QUBE_HIL_GIT_REVISION").into(),
+            device: BTreeMap::new(),
+            policy: self.policy.clone(),
+            settings: TickSettings {
+                calibration: Calibration::IDENTITY,
+                estimator: self.estimator,
+                safety_box: self.safety_box,
+                max_steps: MAX_STEPS as u32,
+                start_theta_rad: start_theta_rad(
+                    self.seed,
+                    self.candidate.unwrap_or(0),
+                    self.rollout,
+                ),
+            },
+            reward: RewardWeights::THESIS,
+        }
+    }
+}

@@ -1,0 +1,86 @@
+use crate::qube::CONTROL_PERIOD_NS;
+use crate::telemetry::{LatencySummary, TickRecord};
+
+/// The timing of many ticks, of one rollout or of a whole session.
+#[derive(Clone, Debug, Default)]
+pub struct Latencies {
+    lateness_us: Vec<f64>,
+    sample_to_act_us: Vec<f64>,
+    missed_deadlines: u64,
+}
+
+impl Latencies {
+    /// Adds the ticks of one recording.
+    pub fn add(&mut self, ticks: &[TickRecord]) {
+        for tick in ticks {
+            self.lateness_us.push(tick.lateness_ns as f64 / 1000.0);
+            self.sample_to_act_us
+                .extend(tick.measurement.and_then(|sample| sample.sample_to_act_us).map(f64::from));
+            self.missed_deadlines += u64::from(tick.skipped_periods);
+            self.missed_deadlines +=
+                u64::from(tick.measurement.is_none() || tick.lateness_ns > CONTROL_PERIOD_NS);
+        }
+    }
+
+    /// Ticks that were skipped, late by more than a period, or without a valid sample.
+    #[must_use]
+    pub fn missed_deadlines(&self) -> u64 {
+        self.missed_deadlines
+    }
+
+    /// Ticks counted.
+    #[must_use]
+    pub fn ticks(&self) -> usize {
+        self.lateness_us.len()
+    }
+
+    /// How late ticks woke, microseconds.
+    #[must_use]
+    pub fn lateness_us(&self) -> LatencySummary {
+        summary(&self.lateness_us)
+    }
+
+    /// From sample to act by the device's clock, microseconds.
+    #[must_use]
+    pub fn sample_to_act_us(&self) -> LatencySummary {
+        summary(&self.sample_to_act_us)
+    }
+}
+
+/// Percentiles by nearest rank; zeros where there is nothing.
+fn summary(values: &[f64]) -> LatencySummary {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let rank = |fraction: f64| {
+        let rank = (fraction * sorted.len() as f64).ceil() as usize;
+        sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
+    };
+    LatencySummary { p50: rank(0.5), p99: rank(0.99), p999: rank(0.999), max: rank(1.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_values_that_occurred() {
+        let values: Vec<f64> = (1..=1000).rev().map(f64::from).collect();
+        let expected = LatencySummary { p50: 500.0, p99: 990.0, p999: 999.0, max: 1000.0 };
+        assert_eq!(summary(&values), expected);
+        assert_eq!(summary(&[]), LatencySummary::default());
+    }
+
+    #[test]
+    fn late_skipped_and_blind_ticks_are_missed_deadlines() {
+        let mut latencies = Latencies::default();
+        let sampled = TickRecord { measurement: Some(Default::default()), ..TickRecord::default() };
+        latencies.add(&[
+            sampled,
+            TickRecord { skipped_periods: 2, ..sampled },
+            TickRecord { lateness_ns: CONTROL_PERIOD_NS + 1, ..sampled },
+            TickRecord { measurement: None, ..sampled },
+        ]);
+        assert_eq!(latencies.missed_deadlines(), 4);
+        assert_eq!(latencies.ticks(), 4);
+    }
+}

@@ -1,0 +1,360 @@
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::folder::write_whole;
+use super::seeds::{Purpose as SeedFor, derived_seed};
+use super::training::{Job, News, train_all};
+use super::{
+    Candidate, ClockChoice, Entry, Ledger, Purpose, Rig, RigSettings, RolloutPlan, SessionError,
+    SessionFolder, SessionSettings, Step, Verdict, candidates, judge, next_step,
+};
+use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
+use crate::policy::Policy;
+use crate::search::Observation;
+use crate::simulation::PSI_DIMENSIONS;
+
+/// What a session tells while it runs.
+pub enum Progress<'a> {
+    /// A psi was chosen.
+    Proposed {
+        /// The candidate's number.
+        candidate: u32,
+        /// Why.
+        purpose: Purpose,
+    },
+    /// One more update of a candidate's training.
+    Training {
+        /// The candidate's number.
+        candidate: u32,
+        /// How it went.
+        update: &'a TrainUpdate,
+    },
+    /// A candidate's policy is on disk.
+    Trained {
+        /// The candidate's number.
+        candidate: u32,
+        /// Its return in simulation; none where an earlier run had trained it.
+        best_return: Option<f64>,
+    },
+    /// The device is opened and homed.
+    Connected(&'a Rig),
+    /// A rollout has ended.
+    Rollout {
+        /// The candidate's number.
+        candidate: u32,
+        /// The rollout's number.
+        rollout: u32,
+        /// Which try.
+        attempt: u32,
+        /// What it is worth.
+        verdict: &'a Verdict,
+    },
+}
+
+/// A session in its folder: the algorithm of the method's section 1, one step at a time.
+pub struct Session {
+    folder: SessionFolder,
+    ledger: Ledger,
+    settings: SessionSettings,
+    rig_settings: RigSettings,
+    rig: Option<Rig>,
+    verdicts: HashMap<(u32, u32, u32), Verdict>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Session {
+    /// Takes up a session where its ledger ends; an empty ledger is a new one.
+    ///
+    /// # Errors
+    /// The ledger is damaged or cannot be opened.
+    pub fn open(
+        folder: SessionFolder,
+        settings: SessionSettings,
+        rig_settings: RigSettings,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, SessionError> {
+        let ledger = Ledger::open(&folder.ledger())?;
+        Ok(Self {
+            folder,
+            ledger,
+            settings,
+            rig_settings,
+            rig: None,
+            verdicts: HashMap::new(),
+            stop,
+        })
+    }
+
+    /// Goes on until the answer is verified, a fault stops it, or somebody does.
+    ///
+    /// # Errors
+    /// Whatever ends a session early. What was finished until then is on disk.
+    pub fn run(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), SessionError> {
+        loop {
+            if self.stop.load(Ordering::Relaxed) {
+                return Err(SessionError::Stopped);
+            }
+            match next_step(self.ledger.entries(), &self.settings.extent) {
+                Step::Propose { count, purpose } => self.propose(count, purpose, tell)?,
+                Step::Train { candidates } => self.train(&candidates, tell)?,
+                Step::Rollout { candidate, rollout, attempt } => {
+                    self.rollout(candidate, rollout, attempt, tell)?;
+                }
+                Step::GiveUp { candidate, rollout } => {
+                    return Err(self.given_up(candidate, rollout));
+                }
+                Step::Done => return Ok(()),
+            }
+        }
+    }
+
+    /// The session's folder.
+    #[must_use]
+    pub fn folder(&self) -> &SessionFolder {
+        &self.folder
+    }
+
+    /// The candidates so far, each with what its rollouts earned.
+    ///
+    /// # Errors
+    /// A recording cannot be read.
+    pub fn valued_candidates(&mut self) -> Result<Vec<(Candidate, Vec<Verdict>)>, SessionError> {
+        let mut valued = Vec::new();
+        for candidate in candidates(self.ledger.entries()) {
+            let mut verdicts = Vec::new();
+            for &(rollout, attempt) in &candidate.finished {
+                verdicts.push(self.verdict(candidate.number, rollout, attempt)?);
+            }
+            valued.push((candidate, verdicts));
+        }
+        Ok(valued)
+    }
+
+    fn propose(
+        &mut self,
+        count: u32,
+        purpose: Purpose,
+        tell: &mut dyn FnMut(Progress),
+    ) -> Result<(), SessionError> {
+        let mut strategy = self.settings.search()?;
+        let chosen = match purpose {
+            Purpose::Initial => {
+                // All of them each time, so that a crash between two of them changes nothing.
+                let all = self.settings.extent.initial_candidates;
+                let points = strategy.propose(&[], all as usize)?;
+                points.into_iter().skip((all - count) as usize).collect()
+            }
+            Purpose::Search => strategy.propose(&self.observations()?, count as usize)?,
+            Purpose::Verification => vec![strategy.best(&self.observations()?)?.point],
+        };
+        for psi in chosen {
+            let candidate = candidates(self.ledger.entries()).len() as u32;
+            self.ledger.append(Entry::Proposed { candidate, purpose, psi })?;
+            tell(Progress::Proposed { candidate, purpose });
+        }
+        Ok(())
+    }
+
+    /// The surrogate's data set: computed from ledger and recordings, stored nowhere.
+    fn observations(&mut self) -> Result<Vec<Observation>, SessionError> {
+        let returns = |verdicts: Vec<Verdict>| {
+            verdicts.iter().filter_map(Verdict::return_).collect::<Vec<f64>>()
+        };
+        Ok(self
+            .valued_candidates()?
+            .into_iter()
+            .filter(|(candidate, verdicts)| {
+                candidate.purpose != Purpose::Verification && !verdicts.is_empty()
+            })
+            .map(|(candidate, verdicts)| Observation {
+                point: candidate.psi,
+                returns: returns(verdicts),
+            })
+            .collect())
+    }
+
+    fn train(
+        &mut self,
+        numbers: &[u32],
+        tell: &mut dyn FnMut(Progress),
+    ) -> Result<(), SessionError> {
+        let all = candidates(self.ledger.entries());
+        let mut jobs = Vec::new();
+        for &number in numbers {
+            self.folder.make_candidate(number)?;
+            // Policy files appear whole or not at all: one that is there was trained before a crash.
+            if !self.folder.policy(number).exists() {
+                let candidate = &all[number as usize];
+                jobs.push(Job {
+                    candidate: number,
+                    distribution: self.settings.distribution(&candidate.psi)?,
+                    seed: derived_seed(self.settings.seed, SeedFor::Training { candidate: number }),
+                });
+            }
+        }
+        let mut failed = None;
+        let (folder, settings) = (&self.folder, &self.settings);
+        train_all(&jobs, &self.settings.training, &self.stop, |news| match news {
+            News::Update { candidate, update } => {
+                tell(Progress::Training { candidate, update: &update });
+            }
+            News::Finished { candidate, result } => {
+                let saved = result.map_err(SessionError::from).and_then(|trained| {
+                    let best_return = trained.best_return;
+                    let psi = &all[candidate as usize].psi;
+                    save(folder, candidate, trained, settings.origin(psi))?;
+                    Ok(best_return)
+                });
+                match saved {
+                    Ok(best_return) => {
+                        tell(Progress::Trained { candidate, best_return: Some(best_return) });
+                    }
+                    Err(error) => failed = Some(error),
+                }
+            }
+        });
+        if let Some(error) = failed {
+            return Err(error);
+        }
+        // In the order of their numbers, whichever was trained first.
+        for &candidate in numbers {
+            self.ledger.append(Entry::Trained { candidate })?;
+        }
+        Ok(())
+    }
+
+    fn rollout(
+        &mut self,
+        candidate: u32,
+        rollout: u32,
+        attempt: u32,
+        tell: &mut dyn FnMut(Progress),
+    ) -> Result<(), SessionError> {
+        let path = self.folder.rollout(candidate, rollout, attempt);
+        // A recording that is there already was made before a crash: it is judged, never overwritten.
+        if !path.exists() {
+            self.perform(candidate, rollout, attempt, &path, tell)?;
+        }
+        let verdict = judge(&path)?;
+        tell(Progress::Rollout { candidate, rollout, attempt, verdict: &verdict });
+        let entry = match verdict {
+            Verdict::Result { .. } => Entry::RolloutFinished { candidate, rollout, attempt },
+            Verdict::Void { counts, .. } => {
+                Entry::RolloutVoid { candidate, rollout, attempt, counts }
+            }
+        };
+        self.ledger.append(entry)?;
+        if verdict.is_fault()
+            && let Some(rig) = &mut self.rig
+        {
+            rig.start_again()?;
+        }
+        self.verdicts.insert((candidate, rollout, attempt), verdict);
+        Ok(())
+    }
+
+    fn perform(
+        &mut self,
+        candidate: u32,
+        rollout: u32,
+        attempt: u32,
+        path: &Path,
+        tell: &mut dyn FnMut(Progress),
+    ) -> Result<(), SessionError> {
+        let policy_path = self.folder.policy(candidate);
+        let policy = Policy::load(&policy_path)?.to_bytes();
+        let psi = candidates(self.ledger.entries())[candidate as usize].psi.clone();
+        let plan = RolloutPlan {
+            session: self.settings.name.clone(),
+            candidate: Some(candidate),
+            rollout,
+            attempt,
+            psi: named(&psi),
+            seed: self.settings.seed,
+            policy: format!("candidate {candidate}"),
+            estimator: self.settings.estimator,
+            safety_box: self.settings.safety_box,
+        };
+        let rig = self.ready_rig(SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
+        rig.rollout(path, plan.header(), &policy)?;
+        Ok(())
+    }
+
+    /// The rig, opened on its first use. Under virtual time each rollout has a new one that follows
+    /// from the seed alone, so that a session that was resumed repeats byte for byte.
+    fn ready_rig(
+        &mut self,
+        emulator: SeedFor,
+        tell: &mut dyn FnMut(Progress),
+    ) -> Result<&Rig, SessionError> {
+        if self.rig_settings.clock == ClockChoice::Virtual {
+            self.rig_settings.emulator.seed = derived_seed(self.settings.seed, emulator);
+            self.rig = None;
+        }
+        let rig = match self.rig.take() {
+            Some(rig) => rig,
+            None => {
+                let rig = Rig::open(&self.rig_settings, &self.stop)?;
+                tell(Progress::Connected(&rig));
+                rig
+            }
+        };
+        Ok(self.rig.insert(rig))
+    }
+
+    fn verdict(
+        &mut self,
+        candidate: u32,
+        rollout: u32,
+        attempt: u32,
+    ) -> Result<Verdict, SessionError> {
+        let key = (candidate, rollout, attempt);
+        if let Some(verdict) = self.verdicts.get(&key) {
+            return Ok(verdict.clone());
+        }
+        let verdict = judge(&self.folder.rollout(candidate, rollout, attempt))?;
+        self.verdicts.insert(key, verdict.clone());
+        Ok(verdict)
+    }
+
+    fn given_up(&mut self, candidate: u32, rollout: u32) -> SessionError {
+        let last = self.ledger.entries().iter().rev().find_map(|entry| match *entry {
+            Entry::RolloutVoid { candidate: c, rollout: r, attempt, counts: true }
+                if (c, r) == (candidate, rollout) =>
+            {
+                Some(self.folder.rollout(candidate, rollout, attempt))
+            }
+            _ => None,
+        });
+        let reason = last.and_then(|path| judge(&path).ok()).and_then(Verdict::into_reason);
+        SessionError::GivenUp {
+            candidate,
+            rollout,
+            tries: self.settings.extent.repetitions + 1,
+            reason: reason.unwrap_or_else(|| "unknown".into()),
+        }
+    }
+}
+
+fn save(
+    folder: &SessionFolder,
+    candidate: u32,
+    trained: Trained,
+    origin: Origin,
+) -> Result<(), SessionError> {
+    write_whole(&folder.curve(candidate), curve_csv(&trained.curve).as_bytes())?;
+    write_whole(&folder.policy(candidate), &trained.into_policy(origin).to_bytes())?;
+    Ok(())
+}
+
+/// A psi with its names.
+#[must_use]
+pub fn named(psi: &[f64]) -> BTreeMap<String, f64> {
+    PSI_DIMENSIONS
+        .iter()
+        .map(|dimension| dimension.name.to_owned())
+        .zip(psi.iter().copied())
+        .collect()
+}

@@ -1,0 +1,91 @@
+//! Every random choice of a session follows from its one seed and from what the choice is for,
+//! never from what was drawn before: a session that is resumed draws the same.
+
+use rand::{RngExt as _, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Where the arm may start, rad: as in training.
+const START_REACH_RAD: f64 = 0.1;
+
+/// What a random stream is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// Where the arm starts in a rollout of a candidate.
+    Start {
+        /// The candidate.
+        candidate: u32,
+        /// Its rollout.
+        rollout: u32,
+    },
+    /// The training of a candidate.
+    Training {
+        /// The candidate.
+        candidate: u32,
+    },
+    /// The emulated Qube of one try of one rollout, under virtual time.
+    Emulator {
+        /// The candidate.
+        candidate: u32,
+        /// Its rollout.
+        rollout: u32,
+        /// Which try.
+        attempt: u32,
+    },
+}
+
+/// The stream's number: the kind in the highest byte, then candidate, rollout and try.
+fn stream(purpose: Purpose) -> u64 {
+    let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
+        kind << 56
+            | u64::from(candidate) << 32
+            | u64::from(rollout & 0xffff) << 16
+            | u64::from(attempt & 0xffff)
+    };
+    match purpose {
+        Purpose::Start { candidate, rollout } => number(1, candidate, rollout, 0),
+        Purpose::Training { candidate } => number(2, candidate, 0, 0),
+        Purpose::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
+    }
+}
+
+fn random(session_seed: u64, purpose: Purpose) -> ChaCha8Rng {
+    let mut random = ChaCha8Rng::seed_from_u64(session_seed);
+    random.set_stream(stream(purpose));
+    random
+}
+
+/// A seed of its own for this purpose.
+#[must_use]
+pub fn derived_seed(session_seed: u64, purpose: Purpose) -> u64 {
+    random(session_seed, purpose).random()
+}
+
+/// Where the arm starts, rad: the same for each try of a rollout.
+#[must_use]
+pub fn start_theta_rad(session_seed: u64, candidate: u32, rollout: u32) -> f64 {
+    random(session_seed, Purpose::Start { candidate, rollout })
+        .random_range(-START_REACH_RAD..START_REACH_RAD)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn purposes_do_not_share_a_stream() {
+        let mut purposes = Vec::new();
+        for candidate in 0..4 {
+            purposes.push(Purpose::Training { candidate });
+            for rollout in 0..4 {
+                purposes.push(Purpose::Start { candidate, rollout });
+                for attempt in 0..4 {
+                    purposes.push(Purpose::Emulator { candidate, rollout, attempt });
+                }
+            }
+        }
+        let mut seeds: Vec<u64> = purposes.iter().map(|&it| derived_seed(7, it)).collect();
+        seeds.sort_unstable();
+        seeds.dedup();
+        assert_eq!(seeds.len(), purposes.len());
+    }
+}

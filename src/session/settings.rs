@@ -1,0 +1,120 @@
+use serde::{Deserialize, Serialize};
+
+use super::Extent;
+use crate::control::HomingSettings;
+use crate::estimation::EstimatorSettings;
+use crate::learning::{Origin, TrainSettings};
+use crate::safety::SafetyBox;
+use crate::search::{BayRnSettings, SearchBox, SearchError, Strategy, StrategyKind};
+use crate::simulation::{DomainDistribution, Family, PSI_DIMENSIONS, Psi, PsiError};
+
+/// What the parameters are drawn from that psi does not cover: g, R_m, k_m, D_r, D_p.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Model {
+    /// Nominal: `opt-nominal` in the thesis's table 5.3.
+    #[default]
+    OptNominal,
+    /// Normal with a fifth of the nominal as standard deviation: `opt-handcrafted`.
+    OptHandcrafted,
+}
+
+/// Everything that decides a session, as `session.toml` holds it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SessionSettings {
+    /// The session's name.
+    pub name: String,
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// The five parameters that psi does not cover.
+    pub model: Model,
+    /// Shape of the distributions that psi gives mean and standard deviation of.
+    pub family: Family,
+    /// How much is done.
+    pub extent: Extent,
+    /// How velocities are estimated on the Qube.
+    pub estimator: EstimatorSettings,
+    /// The box that ends a rollout.
+    pub safety_box: SafetyBox,
+    /// How the arm's middle is found.
+    pub homing: HomingSettings,
+    /// How psi is searched.
+    pub strategy: StrategyKind,
+    /// How BayRn does it.
+    pub bayrn: BayRnSettings,
+    /// How policies are trained.
+    pub training: TrainSettings,
+}
+
+impl SessionSettings {
+    /// A session of minutes: fewer points, two rollouts each, the quick training.
+    #[must_use]
+    pub fn quick() -> Self {
+        Self {
+            name: String::new(),
+            seed: 0,
+            model: Model::OptNominal,
+            family: Family::Normal,
+            extent: Extent::QUICK,
+            estimator: EstimatorSettings::default(),
+            safety_box: SafetyBox::THESIS,
+            homing: HomingSettings::default(),
+            strategy: StrategyKind::BayRn,
+            bayrn: BayRnSettings::default(),
+            training: TrainSettings::quick(),
+        }
+    }
+
+    /// The thesis's own extent and training budget.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self { extent: Extent::THESIS, training: TrainSettings::thesis(), ..Self::quick() }
+    }
+
+    /// The strategy that chooses psi.
+    ///
+    /// # Errors
+    /// The settings make no strategy.
+    pub fn search(&self) -> Result<Box<dyn Strategy>, SearchError> {
+        let lower = PSI_DIMENSIONS.iter().map(|dimension| dimension.lower).collect();
+        let upper = PSI_DIMENSIONS.iter().map(|dimension| dimension.upper).collect();
+        let search_box = SearchBox::new(lower, upper)?;
+        self.strategy.build(&search_box, &self.bayrn, self.seed)
+    }
+
+    /// The simulations of one psi.
+    ///
+    /// # Errors
+    /// The psi is outside its box.
+    pub fn distribution(&self, psi: &[f64]) -> Result<DomainDistribution, PsiError> {
+        let psi = Psi::try_from(psi)?;
+        Ok(match self.model {
+            Model::OptNominal => DomainDistribution::opt_nominal(&psi, self.family),
+            Model::OptHandcrafted => DomainDistribution::opt_handcrafted(&psi, self.family),
+        })
+    }
+
+    /// What a policy's file says of where it comes from.
+    #[must_use]
+    pub fn origin(&self, psi: &[f64]) -> Origin {
+        let model = match self.model {
+            Model::OptNominal => "opt-nominal",
+            Model::OptHandcrafted => "opt-handcrafted",
+        };
+        let preset = if self.training == TrainSettings::quick() {
+            "quick"
+        } else if self.training == TrainSettings::thesis() {
+            "thesis"
+        } else {
+            "custom"
+        };
+        Origin { model: model.into(), psi: Some(super::named(psi)), preset: preset.into() }
+    }
+}
+
+impl Default for SessionSettings {
+    fn default() -> Self {
+        Self::quick()
+    }
+}

@@ -1,0 +1,107 @@
+use std::f64::consts::PI;
+use std::path::Path;
+
+use crate::qube::wrap_angle;
+use crate::recording::{Completeness, Recording, RecordingError, read, return_of};
+use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
+
+/// A return below this is no success (method of the thesis, section 5.2).
+const SUCCESS_RETURN: f64 = 400.0;
+
+/// The pendulum must be within this of upright, rad ...
+const UPRIGHT_RAD: f64 = 0.2;
+
+/// ... in each of so many last steps.
+const UPRIGHT_STEPS: usize = 100;
+
+/// What a recording is worth; computed from its ticks each time it is asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Verdict {
+    /// A rollout that came to a result, good or bad.
+    Result {
+        /// Sum of the rewards.
+        return_: f64,
+        /// It did not end early, stood for its last second, and earned enough.
+        success: bool,
+        /// How it ended, with its latencies.
+        outcome: RolloutOutcome,
+    },
+    /// No result: cut off, stopped, with gaps, or ended by a fault.
+    Void {
+        /// Why, in words.
+        reason: String,
+        /// Whether it counts against the limit of repetitions.
+        counts: bool,
+    },
+}
+
+impl Verdict {
+    /// What the rollout earned; none where it has no result.
+    #[must_use]
+    pub fn return_(&self) -> Option<f64> {
+        match self {
+            Self::Result { return_, .. } => Some(*return_),
+            Self::Void { .. } => None,
+        }
+    }
+
+    /// Whether a fault made it void.
+    #[must_use]
+    pub fn is_fault(&self) -> bool {
+        matches!(self, Self::Void { counts: true, .. })
+    }
+
+    /// Why it is void.
+    #[must_use]
+    pub fn into_reason(self) -> Option<String> {
+        match self {
+            Self::Result { .. } => None,
+            Self::Void { reason, .. } => Some(reason),
+        }
+    }
+}
+
+/// Reads a recording and judges it.
+///
+/// # Errors
+/// The file cannot be read at all, or a byte of it has changed.
+pub fn judge(path: &Path) -> Result<Verdict, RecordingError> {
+    Ok(judge_recording(&read(path)?))
+}
+
+/// Judges a recording that has been read.
+#[must_use]
+pub fn judge_recording(recording: &Recording) -> Verdict {
+    let Some(outcome) = &recording.outcome else {
+        return Verdict::Void { reason: "cut off".into(), counts: false };
+    };
+    if !matches!(recording.completeness, Completeness::Whole) {
+        return Verdict::Void { reason: "cut off".into(), counts: false };
+    }
+    match outcome.ending {
+        Ending::Stopped => Verdict::Void { reason: "stopped".into(), counts: false },
+        Ending::Fault(fault) => Verdict::Void { reason: fault.to_string(), counts: true },
+        _ if recording.has_gaps() => {
+            Verdict::Void { reason: "the recorder lost ticks".into(), counts: true }
+        }
+        Ending::Completed | Ending::LeftBox(_) => {
+            let return_ = return_of(&recording.ticks, &recording.header.reward);
+            let success = outcome.ending == Ending::Completed
+                && return_ >= SUCCESS_RETURN
+                && stands(&recording.ticks);
+            Verdict::Result { return_, success, outcome: outcome.clone() }
+        }
+    }
+}
+
+/// Whether the pendulum stood in each of the last steps.
+fn stands(ticks: &[TickRecord]) -> bool {
+    let last: Vec<_> = ticks
+        .iter()
+        .rev()
+        .filter(|tick| tick.phase == Phase::Running)
+        .take(UPRIGHT_STEPS)
+        .collect();
+    last.len() == UPRIGHT_STEPS
+        && last.iter().all(|tick| wrap_angle(tick.state.alpha - PI).abs() < UPRIGHT_RAD)
+}

@@ -1,0 +1,140 @@
+//! The tick is sacred: from its first deadline to its last act nothing on the control thread
+//! allocates, over a real pty as well as in virtual time.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::clock::{Clock, MonotonicClock, VirtualClock};
+use qube_hil::control::{Homing, HomingMethod, HomingSettings, Motion, RING_CAPACITY, Tick, drive};
+use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
+use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
+use qube_hil::estimation::{Calibration, EstimatorSettings};
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::qube::Measurement;
+use qube_hil::safety::SafetyBox;
+use qube_hil::telemetry::{Ending, TickSettings};
+
+thread_local! {
+    static IN_THE_LOOP: Cell<bool> = const { Cell::new(false) };
+    static ALLOCATIONS: Cell<u32> = const { Cell::new(0) };
+}
+
+/// The system's allocator, counting what this thread asks for while it is in the loop.
+struct Counting;
+
+fn count() {
+    if IN_THE_LOOP.get() {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+    }
+}
+
+// SAFETY: every call is handed on unchanged to the system's allocator, which keeps the contract.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: as this function's caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: as this function's caller promises.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: as this function's caller promises.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// A device that knows when the loop is running: from the end of arming to the start of disarming.
+struct Watched<D>(D);
+
+impl<D: Device> Device for Watched<D> {
+    fn hello(&mut self) -> Result<Identity, DeviceError> {
+        self.0.hello()
+    }
+
+    fn arm(&mut self) -> Result<(), DeviceError> {
+        let armed = self.0.arm();
+        IN_THE_LOOP.set(true);
+        armed
+    }
+
+    fn sample(&mut self, deadline_ns: u64) -> Result<Measurement, LinkFault> {
+        self.0.sample(deadline_ns)
+    }
+
+    fn act(&mut self, voltage_mv: i16) -> Result<(), LinkFault> {
+        self.0.act(voltage_mv)
+    }
+
+    fn disarm(&mut self) -> Result<(), DeviceError> {
+        IN_THE_LOOP.set(false);
+        self.0.disarm()
+    }
+}
+
+/// Drives a motion to its end and returns how it ended and what the loop allocated.
+fn driven(device: impl Device, clock: &dyn Clock, motion: &mut dyn Motion) -> (Ending, u32) {
+    let mut device = Watched(device);
+    device.hello().expect("an emulated Qube answers");
+    let (mut producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
+    ALLOCATIONS.set(0);
+    let stop = AtomicBool::new(false);
+    let report = drive(&mut device, clock, motion, Some(&mut producer), &stop).expect("it arms");
+    (report.outcome.ending, ALLOCATIONS.get())
+}
+
+fn rollout(max_steps: u32) -> Tick {
+    let settings = TickSettings {
+        calibration: Calibration::IDENTITY,
+        estimator: EstimatorSettings::default(),
+        safety_box: SafetyBox::THESIS,
+        max_steps,
+        start_theta_rad: 0.0,
+    };
+    Tick::new(&settings, Policy::Classical(ClassicalController::new(ClassicalGains::default())))
+}
+
+#[test]
+fn an_allocation_in_the_loop_is_counted() {
+    IN_THE_LOOP.set(true);
+    ALLOCATIONS.set(0);
+    drop(std::hint::black_box(Box::new(1)));
+    IN_THE_LOOP.set(false);
+    assert_eq!(ALLOCATIONS.get(), 2);
+}
+
+#[test]
+fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
+    for homing in [true, false] {
+        let qube = EmulatedQube::spawn(EmulatorSettings::default()).expect("a pty");
+        let port = qube.port().to_string_lossy().into_owned();
+        let device = SerialLink::open(&port, Arc::new(MonotonicClock)).expect("the pty opens");
+        let settings = HomingSettings { method: HomingMethod::Here, ..HomingSettings::default() };
+        let (ending, allocations) = if homing {
+            driven(device, &MonotonicClock, &mut Homing::new(&settings))
+        } else {
+            driven(device, &MonotonicClock, &mut rollout(100))
+        };
+        // Uncalibrated, the rollout may end by a timeout of settling; allocations are counted all the same.
+        println!("{ending:?}");
+        assert_eq!(allocations, 0);
+    }
+}
+
+#[test]
+fn a_rollout_in_virtual_time_allocates_nothing() {
+    let clock = VirtualClock::default();
+    let device = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
+    let (_, allocations) = driven(device, &clock, &mut rollout(600));
+    assert_eq!(allocations, 0);
+}
