@@ -52,16 +52,14 @@ pub fn sin_cos(x: f32) -> (f32, f32) {
     // An odd number of half turns changes both signs.
     let sign = shifted.to_bits() << 31;
     let s = r * r;
-    let sin = 2.599_903_1e-6_f32
-        .mul_add(s, -1.980_654_7e-4)
-        .mul_add(s, 8.333_016e-3)
-        .mul_add(s, -1.666_665_7e-1);
-    let sin = sin.mul_add(s * r, r);
-    let cos = 2.315_998_4e-5_f32
-        .mul_add(s, -1.385_441_6e-3)
-        .mul_add(s, 4.166_379_6e-2)
-        .mul_add(s, -4.999_992_5e-1)
-        .mul_add(s, 1.0);
+    // Halves of the polynomials apart: they do not wait for each other.
+    let s2 = s * s;
+    let sin_high = 2.599_903_1e-6_f32.mul_add(s, -1.980_654_7e-4);
+    let sin_low = 8.333_016e-3_f32.mul_add(s, -1.666_665_7e-1);
+    let sin = sin_high.mul_add(s2, sin_low).mul_add(s * r, r);
+    let cos_high = 2.315_998_4e-5_f32.mul_add(s, -1.385_441_6e-3);
+    let cos_low = 4.166_379_6e-2_f32.mul_add(s, -4.999_992_5e-1);
+    let cos = cos_high.mul_add(s2, cos_low).mul_add(s, 1.0);
     (f32::from_bits(sin.to_bits() ^ sign), f32::from_bits(cos.to_bits() ^ sign))
 }
 

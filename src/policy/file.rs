@@ -159,14 +159,18 @@ struct Metadata {
 #[derive(Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 enum ControllerMetadata {
-    Network {
-        observation: Vec<String>,
-        sizes: Vec<usize>,
-        activation: String,
-        action_scale_v: f32,
-        training: TrainingRecord,
-    },
+    Network(Box<NetworkMetadata>),
     Classical,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NetworkMetadata {
+    observation: Vec<String>,
+    sizes: Vec<usize>,
+    activation: String,
+    action_scale_v: f32,
+    training: TrainingRecord,
 }
 
 pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
@@ -186,13 +190,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
     }
     let metadata: Metadata = serde_json::from_str(json).map_err(not_understood)?;
     match metadata.controller {
-        ControllerMetadata::Network {
-            observation,
-            sizes,
-            activation,
-            action_scale_v,
-            training,
-        } => {
+        ControllerMetadata::Network(metadata) => {
+            let NetworkMetadata { observation, sizes, activation, action_scale_v, training } =
+                *metadata;
             if observation != OBSERVATION_LAYOUT {
                 return Err(PolicyFault::Observation { layout: observation });
             }
@@ -211,13 +211,13 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
 pub(super) fn write(policy: &Policy) -> Vec<u8> {
     let (controller, tensors) = match policy {
         Policy::Network(NetworkPolicy { network, training }) => (
-            ControllerMetadata::Network {
+            ControllerMetadata::Network(Box::new(NetworkMetadata {
                 observation: OBSERVATION_LAYOUT.map(str::to_owned).to_vec(),
                 sizes: network.sizes().to_vec(),
                 activation: ACTIVATION.to_owned(),
                 action_scale_v: network.action_scale_v(),
                 training: training.clone(),
-            },
+            })),
             layer_tensors(network),
         ),
         Policy::Classical(controller) => {

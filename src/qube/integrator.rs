@@ -42,7 +42,8 @@ pub fn runge_kutta_4<T: Scalar>(
     let k3 = rate(&moved(&state, &k2, half));
     let k4 = rate(&moved(&state, &k3, step_s));
     let sixth = step_s * T::from_f64(1.0 / 6.0);
-    let mean = |a: T, b: T, c: T, d: T| a + b + b + c + c + d;
+    let two = T::from_f64(2.0);
+    let mean = |a: T, b: T, c: T, d: T| two.mul_add(b + c, a + d);
     let weighted = State {
         theta: mean(k1.theta, k2.theta, k3.theta, k4.theta),
         alpha: mean(k1.alpha, k2.alpha, k3.alpha, k4.alpha),

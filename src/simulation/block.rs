@@ -1,3 +1,8 @@
+#![allow(
+    clippy::needless_range_loop,
+    reason = "a lane indexes many arrays at once, and plain index loops become vector code"
+)]
+
 use super::pendulums::Progress;
 use crate::elementary::{InstructionSet, Kernel};
 use crate::estimation::{FilterGains, VelocityFilter};

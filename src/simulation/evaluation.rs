@@ -79,3 +79,60 @@ pub fn evaluate(
     }
     evaluation
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{Dynamics, RewardWeights, control_step};
+    use crate::safety::SafetyBox;
+    use crate::simulation::Family;
+
+    /// Turns the arm with 3 V and damps with the observed velocity.
+    fn pushing(observations: &[f32], voltages_v: &mut [f32]) {
+        let lanes = voltages_v.len();
+        for (lane, voltage_v) in voltages_v.iter_mut().enumerate() {
+            *voltage_v = 3.0 - 2.0 * observations[4 * lanes + lane];
+        }
+    }
+
+    #[test]
+    fn returns_are_those_of_plain_rollouts_in_f64() {
+        let distribution = DomainDistribution::handcrafted(Family::Normal);
+        let settings = SimulationSettings::default();
+        let evaluation = evaluate(&mut pushing, &distribution, &settings, 5, 20);
+        assert_eq!(evaluation.returns.len(), 20);
+        for (number, (return_, steps)) in
+            evaluation.returns.iter().zip(&evaluation.steps).enumerate()
+        {
+            let Trajectory { parameters, start } =
+                Trajectory::draw(&distribution, 5, number as u64);
+            let dynamics = Dynamics::new(&parameters);
+            let (mut state, mut earned, mut taken) = (start, 0.0, 0);
+            while taken < MAX_STEPS as u32 && SafetyBox::THESIS.contains(&state) {
+                let voltage_v = (3.0 - 2.0 * 0.1 * state.theta_dot).clamp(-5.0, 5.0);
+                earned += RewardWeights::THESIS.reward(&state, voltage_v);
+                state = control_step(&dynamics, state, voltage_v);
+                taken += 1;
+            }
+            assert!((return_ - earned).abs() < 1e-4, "{number}: {return_} instead of {earned}");
+            assert_eq!(*steps, taken, "{number}");
+            assert!(taken < MAX_STEPS as u32, "3 V push the arm out of the box");
+        }
+    }
+
+    #[test]
+    fn a_trajectory_earns_the_same_among_few_and_many() {
+        let distribution = DomainDistribution::nominal_handcrafted(Family::Uniform);
+        let settings = SimulationSettings::default();
+        let few = evaluate(&mut pushing, &distribution, &settings, 5, 3);
+        let many = evaluate(&mut pushing, &distribution, &settings, 5, 50);
+        assert_eq!(few.returns[..], many.returns[..3]);
+    }
+
+    #[test]
+    fn mean_and_deviation_are_over_trajectories() {
+        let evaluation = Evaluation { returns: vec![1.0, 3.0], steps: vec![600, 600] };
+        assert_eq!(evaluation.mean_return(), 2.0);
+        assert_eq!(evaluation.return_standard_deviation(), 1.0);
+    }
+}
