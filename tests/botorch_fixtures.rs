@@ -210,7 +210,10 @@ fn at_given_hyperparameters(
 /// Equal to 1e-9, relative.
 fn close(name: &str, what: &str, ours: f64, theirs: f64) {
     let error = (ours - theirs).abs() / theirs.abs();
-    assert!(error < 1e-9, "{name}: {what} is {ours}, BoTorch has {theirs} (relative {error:e})");
+    assert!(
+        ours == theirs || error < 1e-9,
+        "{name}: {what} is {ours}, BoTorch has {theirs} (relative {error:e})"
+    );
 }
 
 /// Logarithms of numbers that are equal to 1e-9, relative; or equal to that themselves.
