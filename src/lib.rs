@@ -13,6 +13,7 @@ pub mod elementary;
 pub mod estimation;
 pub mod learning;
 pub mod policy;
+pub mod preflight;
 pub mod qube;
 pub mod recording;
 pub mod replay;

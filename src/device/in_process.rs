@@ -30,19 +30,28 @@ pub struct InProcessWire {
     to_host: Line,
 }
 
+/// What a port's buffer holds; bytes that find it full are lost, as they are there.
+const BUFFER_BYTES: usize = 4096;
+
 /// Bytes under way, each with the time at which it has arrived.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Line {
     free_ns: Nanoseconds,
     under_way: VecDeque<(Nanoseconds, u8)>,
 }
 
 impl Line {
+    fn new() -> Self {
+        Self { free_ns: 0, under_way: VecDeque::with_capacity(BUFFER_BYTES) }
+    }
+
     fn send(&mut self, bytes: &[u8], from_ns: Nanoseconds) {
         self.free_ns = self.free_ns.max(from_ns);
         for &byte in bytes {
             self.free_ns += BYTE_NS;
-            self.under_way.push_back((self.free_ns, byte));
+            if self.under_way.len() < BUFFER_BYTES {
+                self.under_way.push_back((self.free_ns, byte));
+            }
         }
     }
 
@@ -55,12 +64,7 @@ impl InProcessWire {
     /// A board that starts now.
     #[must_use]
     pub fn new(settings: EmulatorSettings, clock: VirtualClock) -> Self {
-        Self {
-            board: Board::new(settings),
-            clock,
-            to_board: Line::default(),
-            to_host: Line::default(),
-        }
+        Self { board: Board::new(settings), clock, to_board: Line::new(), to_host: Line::new() }
     }
 
     /// The board as it is now, for tests that need to see what no host can.

@@ -185,6 +185,7 @@ impl Board {
         self.leave_armed(if understood { DeviceState::Greeted } else { DeviceState::Idle });
         self.nonce = if understood { self.new_nonce() } else { 0 };
         self.previous_sample_us = None;
+        self.sample_to_act_us = NO_ACT_US;
         Reply::Hello(HelloReply {
             protocol_version: version,
             firmware_version: firmware_version(),

@@ -1,0 +1,102 @@
+use firmware_protocol::scaling::{MAX_VOLTAGE_MV, motor_counts, motor_voltage_mv};
+use firmware_protocol::{NO_ACT_US, RefusalReason, Request};
+
+use super::{Deviation, Speaker, ensure};
+
+/// Up to 1 V, at edges of the motor's counts.
+const VOLTAGES_MV: [i16; 8] = [1000, -1000, 12, 13, -13, 500, -500, 0];
+
+pub(super) fn unarmed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    speaker.greet()?;
+    speaker.refused(Request::Act { voltage_mv: 500 }, RefusalReason::NotArmed)?;
+    let sample = speaker.sample()?;
+    ensure!(sample.applied_mv == 0, "{} mV at a motor that is off", sample.applied_mv);
+    ensure!(sample.sample_to_act_us == NO_ACT_US, "a refused act counts as one");
+    Ok(())
+}
+
+pub(super) fn act(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    speaker.arm()?;
+    let mut before = speaker.sample_armed()?;
+    ensure!(before.sample_to_act_us == NO_ACT_US, "it tells of an act that never was");
+    for voltage_mv in VOLTAGES_MV {
+        let sequence = speaker.send(Request::Act { voltage_mv })?;
+        // A second one does not change the time from the sample to the first.
+        let newer = speaker.send(Request::Act { voltage_mv })?;
+        let after = speaker.sample_armed()?;
+        let expected_mv = motor_voltage_mv(motor_counts(voltage_mv));
+        ensure!(
+            after.applied_mv == expected_mv,
+            "an act of {voltage_mv} mV shows as {} instead of {expected_mv} mV",
+            after.applied_mv
+        );
+        ensure!(
+            after.last_act_sequence == newer,
+            "the last act was {newer} (after {sequence}), it says {}",
+            after.last_act_sequence
+        );
+        let between_us = after.device_time_us.wrapping_sub(before.device_time_us);
+        ensure!(
+            after.sample_to_act_us != NO_ACT_US && u32::from(after.sample_to_act_us) <= between_us,
+            "sample to act took {} us of {between_us} us between two samples",
+            after.sample_to_act_us
+        );
+        before = after;
+    }
+    let idle = speaker.sample_armed()?;
+    ensure!(idle.sample_to_act_us == NO_ACT_US, "it tells of an act that never was");
+    Ok(())
+}
+
+pub(super) fn out_of_range(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    speaker.arm()?;
+    let valid = speaker.send(Request::Act { voltage_mv: 500 })?;
+    for voltage_mv in [MAX_VOLTAGE_MV + 1, -MAX_VOLTAGE_MV - 1, i16::MAX, i16::MIN] {
+        speaker.refused(Request::Act { voltage_mv }, RefusalReason::VoltageOutOfRange)?;
+    }
+    let sample = speaker.sample_armed()?;
+    ensure!(
+        sample.applied_mv == motor_voltage_mv(motor_counts(500))
+            && sample.last_act_sequence == valid,
+        "a refused act changed something: {sample:?}"
+    );
+    Ok(())
+}
+
+pub(super) fn replayed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    speaker.arm()?;
+    let old = speaker.send(Request::Act { voltage_mv: 500 })?;
+    let newest = speaker.send(Request::Act { voltage_mv: 250 })?;
+    let replay = Request::Act { voltage_mv: 500 };
+    for sequence in [old, newest, old.wrapping_sub(1), newest.wrapping_add(0x8000)] {
+        speaker.send_bytes(replay.encode(sequence).as_bytes())?;
+        speaker.refusal_of(
+            sequence,
+            replay.message_type(),
+            "a replayed Act",
+            RefusalReason::StaleSequence,
+        )?;
+    }
+    let sample = speaker.sample_armed()?;
+    ensure!(
+        sample.applied_mv == motor_voltage_mv(motor_counts(250))
+            && sample.last_act_sequence == newest,
+        "a replayed act changed something: {sample:?}"
+    );
+    Ok(())
+}
+
+pub(super) fn sequence_wrap(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    speaker.set_sequence(u16::MAX - 5);
+    speaker.arm()?;
+    for _ in 0..4 {
+        let sequence = speaker.send(Request::Act { voltage_mv: 0 })?;
+        let sample = speaker.sample_armed()?;
+        ensure!(
+            sample.last_act_sequence == sequence,
+            "act {sequence} was not accepted after {}",
+            sample.last_act_sequence
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,80 @@
+use firmware_protocol::{PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Request, WATCHDOG_MS};
+
+use super::{Deviation, Speaker, ensure};
+
+/// How old a sample may be when it is asked for, and what else may lie between two clocks.
+const SLACK_US: u64 = 6_000;
+
+pub(super) fn hello(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    let reply = speaker.greet()?;
+    ensure!(reply.protocol_version == PROTOCOL_VERSION, "it speaks {reply:?}");
+    ensure!(reply.watchdog_ms == WATCHDOG_MS, "its watchdog waits {} ms", reply.watchdog_ms);
+    ensure!(
+        reply.module_id == QUBE_MODULE_ID,
+        "its Qube answers 0x{:04x} instead of 0x{QUBE_MODULE_ID:04x}",
+        reply.module_id
+    );
+    ensure!(reply.nonce != 0, "its nonce is 0");
+    Ok(())
+}
+
+pub(super) fn fresh_nonce(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    let mut last = speaker.greet()?.nonce;
+    for _ in 0..20 {
+        let nonce = speaker.greet()?.nonce;
+        ensure!(nonce != 0 && nonce != last, "the nonce {nonce} came after {last}");
+        last = nonce;
+    }
+    Ok(())
+}
+
+pub(super) fn version_mismatch(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    let valid = speaker.greet()?.nonce;
+    for version in [0, PROTOCOL_VERSION + 1, u16::MAX] {
+        let reply = speaker.greet_as(version)?;
+        ensure!(reply.protocol_version == PROTOCOL_VERSION, "it says it speaks {reply:?}");
+        ensure!(reply.nonce == 0, "it gave a nonce to a host of version {version}");
+        for request in
+            [Request::Sample, Request::Arm { nonce: valid }, Request::Act { voltage_mv: 0 }]
+        {
+            speaker.refused(request, RefusalReason::NotGreeted)?;
+        }
+    }
+    Ok(())
+}
+
+pub(super) fn sample(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    speaker.greet()?;
+    let mut last = speaker.sample()?;
+    ensure!(!last.status.has(firmware_protocol::StatusBits::ARMED), "it is armed by a hello");
+    ensure!(last.applied_mv == 0, "{} mV at a motor that is off", last.applied_mv);
+    for _ in 0..20 {
+        let sample = speaker.sample()?;
+        let elapsed_us = sample.device_time_us.wrapping_sub(last.device_time_us);
+        ensure!(elapsed_us < 1 << 31, "its clock went back by {} us", elapsed_us.wrapping_neg());
+        ensure!(sample.status.0 >> 5 == 0, "reserved bits are set: {:08b}", sample.status.0);
+        ensure!(sample.sample_to_act_us == 0xFFFF, "it tells of an act that never was");
+        last = sample;
+    }
+    Ok(())
+}
+
+pub(super) fn device_clock(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    speaker.greet()?;
+    let first_asked_ns = speaker.now_ns();
+    let first = speaker.sample()?;
+    let first_answered_ns = speaker.now_ns();
+    speaker.wait_ns(500_000_000);
+    let second_asked_ns = speaker.now_ns();
+    let second = speaker.sample()?;
+    let second_answered_ns = speaker.now_ns();
+
+    let elapsed_us = u64::from(second.device_time_us.wrapping_sub(first.device_time_us));
+    let least_us = (second_asked_ns - first_answered_ns) / 1000 * 99 / 100 - SLACK_US;
+    let most_us = (second_answered_ns - first_asked_ns) / 1000 * 101 / 100 + SLACK_US;
+    ensure!(
+        (least_us..=most_us).contains(&elapsed_us),
+        "{elapsed_us} us by its clock are between {least_us} and {most_us} us by the computer's"
+    );
+    Ok(())
+}

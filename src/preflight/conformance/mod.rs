@@ -1,0 +1,215 @@
+//! Does a device keep what `PROTOCOL.md` promises? Named checks over a raw wire, for any device:
+//! the emulator, the firmware, a third implementation.
+//!
+//! They speak through the protocol crate and a transport only, not through the host's link, whose
+//! own faults could hide a device's. The motor gets at most 1 V for a few milliseconds. What is
+//! timed is timed by the device's clock, so that a busy computer fails no device.
+
+mod acting;
+mod arming;
+mod framing;
+mod greeting;
+mod speaker;
+mod watchdog;
+
+use thiserror::Error;
+
+pub use speaker::Speaker;
+
+use crate::device::LinkFault;
+
+/// One promise of the protocol and how it is tested.
+#[derive(Clone, Copy, Debug)]
+pub struct ConformanceCheck {
+    /// A name that stays.
+    pub name: &'static str,
+    /// What the device must do, in a sentence.
+    pub promise: &'static str,
+    run: fn(&mut Speaker<'_>) -> Result<(), Deviation>,
+}
+
+/// How a device differs from the protocol.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum Deviation {
+    /// It did something else.
+    #[error("{0}")]
+    Wrong(String),
+    /// A request was not answered at all.
+    #[error("{0} was not answered")]
+    Silent(&'static str),
+    /// The wire failed.
+    #[error("the wire failed: {0}")]
+    Link(#[from] LinkFault),
+    /// The computer was too slow, so the watchdog tripped in the middle: try again.
+    #[error("the watchdog tripped again and again before the check was through")]
+    Disturbed,
+}
+
+/// How often a check is begun anew because the computer was too slow for the watchdog.
+const ATTEMPTS: u32 = 20;
+
+impl ConformanceCheck {
+    /// Puts the device to this check. Leaves its motor off.
+    ///
+    /// # Errors
+    /// How it differs.
+    pub fn run(&self, speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+        let mut result = Err(Deviation::Disturbed);
+        for _ in 0..ATTEMPTS {
+            speaker.fence()?;
+            result = (self.run)(speaker);
+            if result != Err(Deviation::Disturbed) {
+                break;
+            }
+        }
+        let left_off = speaker.fence();
+        result.and(left_off)
+    }
+}
+
+/// All checks, in an order that begins with what the others need.
+pub const CHECKS: &[ConformanceCheck] = &[
+    ConformanceCheck {
+        name: "hello",
+        promise: "a hello is answered with version, identity, watchdog time and a nonce",
+        run: greeting::hello,
+    },
+    ConformanceCheck {
+        name: "fresh-nonce",
+        promise: "each hello gives another nonce",
+        run: greeting::fresh_nonce,
+    },
+    ConformanceCheck {
+        name: "version-mismatch",
+        promise: "a hello of another version is answered, and nothing else is done after it",
+        run: greeting::version_mismatch,
+    },
+    ConformanceCheck {
+        name: "sample",
+        promise: "a sample is answered while the motor is off, its clock runs and reserved bits are 0",
+        run: greeting::sample,
+    },
+    ConformanceCheck {
+        name: "device-clock",
+        promise: "the device's clock runs as fast as the computer's, within 1 %",
+        run: greeting::device_clock,
+    },
+    ConformanceCheck {
+        name: "arm",
+        promise: "the right nonce arms, at 0 V; disarming switches off and gives a new nonce",
+        run: arming::arm,
+    },
+    ConformanceCheck {
+        name: "wrong-nonce",
+        promise: "a wrong nonce does not arm and leaves the right one valid",
+        run: arming::wrong_nonce,
+    },
+    ConformanceCheck {
+        name: "replayed-arm",
+        promise: "a nonce arms once",
+        run: arming::replayed_arm,
+    },
+    ConformanceCheck {
+        name: "arm-twice",
+        promise: "an armed device refuses to be armed and does not feed its watchdog",
+        run: arming::arm_twice,
+    },
+    ConformanceCheck {
+        name: "hello-disarms",
+        promise: "a hello switches an armed device off",
+        run: arming::hello_disarms,
+    },
+    ConformanceCheck {
+        name: "act-unarmed",
+        promise: "an act on a device that is not armed is refused",
+        run: acting::unarmed,
+    },
+    ConformanceCheck {
+        name: "act",
+        promise: "an act reaches the motor, quantised, and shows in the next sample with its times",
+        run: acting::act,
+    },
+    ConformanceCheck {
+        name: "act-out-of-range",
+        promise: "more than 5000 mV are refused and change nothing",
+        run: acting::out_of_range,
+    },
+    ConformanceCheck {
+        name: "replayed-act",
+        promise: "an act that is not newer than the last is refused and changes nothing",
+        run: acting::replayed,
+    },
+    ConformanceCheck {
+        name: "sequence-wrap",
+        promise: "sequence numbers go on from 65535 to 0",
+        run: acting::sequence_wrap,
+    },
+    ConformanceCheck {
+        name: "watchdog",
+        promise: "50 ms to 55 ms after the last act the motor is off, samples or not",
+        run: watchdog::on_time,
+    },
+    ConformanceCheck {
+        name: "watchdog-after-arm",
+        promise: "the watchdog runs from arming on, also when no act comes",
+        run: watchdog::after_arm,
+    },
+    ConformanceCheck {
+        name: "watchdog-not-fed-by-refused",
+        promise: "refused acts do not feed the watchdog",
+        run: watchdog::not_fed_by_refused,
+    },
+    ConformanceCheck {
+        name: "watchdog-fed",
+        promise: "acts keep the device armed",
+        run: watchdog::fed,
+    },
+    ConformanceCheck {
+        name: "watchdog-latch",
+        promise: "only hello and arm leave the tripped state",
+        run: watchdog::latch,
+    },
+    ConformanceCheck {
+        name: "garbage",
+        promise: "garbage is dropped in silence and counted, and the next request is answered",
+        run: framing::garbage,
+    },
+    ConformanceCheck {
+        name: "flipped-bits",
+        promise: "a frame with any bit flipped does nothing",
+        run: framing::flipped_bits,
+    },
+    ConformanceCheck {
+        name: "truncated-frame",
+        promise: "a frame cut off anywhere does nothing and harms no other",
+        run: framing::truncated,
+    },
+    ConformanceCheck {
+        name: "unknown-type",
+        promise: "an unknown type and a wrong length are refused by their names",
+        run: framing::unknown,
+    },
+    ConformanceCheck {
+        name: "reply-type",
+        promise: "frames of the reply types are dropped in silence and counted",
+        run: framing::reply_types,
+    },
+    ConformanceCheck {
+        name: "back-to-back",
+        promise: "two requests in one go are both answered, in order",
+        run: framing::back_to_back,
+    },
+];
+
+/// Fails a check unless a condition holds.
+macro_rules! ensure {
+    ($condition:expr, $($message:tt)+) => {
+        if !$condition {
+            return Err($crate::preflight::conformance::Deviation::Wrong(format!($($message)+)));
+        }
+    };
+}
+use ensure;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,20 @@
+//! The emulated Qube keeps every promise of the protocol over a real pty too.
+
+use std::sync::Arc;
+
+use qube_hil::clock::MonotonicClock;
+use qube_hil::device::Tty;
+use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
+use qube_hil::preflight::conformance::{CHECKS, Speaker};
+
+#[test]
+fn the_emulator_conforms_over_a_pty() {
+    let qube = EmulatedQube::spawn(EmulatorSettings::default()).unwrap();
+    let mut tty = Tty::open(qube.port().to_str().unwrap(), Arc::new(MonotonicClock)).unwrap();
+    let mut speaker = Speaker::new(&mut tty, &MonotonicClock);
+    for check in CHECKS {
+        if let Err(deviation) = check.run(&mut speaker) {
+            panic!("{} ({}): {deviation}", check.name, check.promise);
+        }
+    }
+}

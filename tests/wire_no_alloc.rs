@@ -1,0 +1,45 @@
+//! `sample` and `act` run inside the tick, so they allocate nothing: on a pty nor in process.
+
+use std::sync::Arc;
+
+use assert_no_alloc::{AllocDisabler, assert_no_alloc};
+use qube_hil::clock::{Clock, MonotonicClock, VirtualClock};
+use qube_hil::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings};
+use qube_hil::device::{Device, SerialLink};
+
+#[global_allocator]
+static ALLOCATOR: AllocDisabler = AllocDisabler;
+
+/// Ticks of a device that answers, does not answer in time, refuses, and disappears.
+fn tick_often(device: &mut dyn Device, clock: &dyn Clock) {
+    for patience_ns in [2_000_000_000, 0, 100_000, 2_000_000_000] {
+        for voltage_mv in [100, -100, 6000] {
+            let _ = device.sample(clock.now_ns() + patience_ns);
+            let _ = device.act(voltage_mv);
+        }
+    }
+}
+
+#[test]
+fn a_tick_on_a_pty_does_not_allocate() {
+    let qube = EmulatedQube::spawn(EmulatorSettings::default()).unwrap();
+    let port = qube.port().to_str().unwrap();
+    let mut link = SerialLink::open(port, Arc::new(MonotonicClock)).unwrap();
+    link.hello().unwrap();
+    link.arm().unwrap();
+    assert_no_alloc(|| tick_often(&mut link, &MonotonicClock));
+    drop(qube);
+    assert_no_alloc(|| tick_often(&mut link, &MonotonicClock));
+}
+
+#[test]
+fn a_tick_in_process_does_not_allocate() {
+    for fault in [None, Some(EmulatorFault::Garble { every: 2 })] {
+        let clock = VirtualClock::default();
+        let settings = EmulatorSettings { fault, ..EmulatorSettings::default() };
+        let mut link = SerialLink::in_process(settings, clock.clone());
+        link.hello().unwrap_or_else(|error| panic!("{error}"));
+        let _ = link.arm();
+        assert_no_alloc(|| tick_often(&mut link, &clock));
+    }
+}
