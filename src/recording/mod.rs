@@ -39,6 +39,6 @@ pub const FORMAT_VERSION: u32 = 1;
 pub const POLICY_ATTACHMENT: &str = "policy.safetensors";
 
 #[cfg(test)]
-mod samples;
+pub(crate) mod samples;
 #[cfg(test)]
 mod tests;

@@ -1,4 +1,4 @@
-//! Rollouts for the tests of this room.
+//! Rollouts for the tests of this room and of those who read recordings.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,9 +11,9 @@ use crate::telemetry::{
     Ending, LatencySummary, Phase, RolloutHeader, RolloutOutcome, TickRecord, TickSettings,
 };
 
-pub(super) const POLICY: &[u8] = b"not a policy, but these very bytes";
+pub(crate) const POLICY: &[u8] = b"not a policy, but these very bytes";
 
-pub(super) fn header() -> RolloutHeader {
+pub(crate) fn header() -> RolloutHeader {
     RolloutHeader {
         format: FORMAT_VERSION,
         session: "test".to_owned(),
@@ -38,7 +38,7 @@ pub(super) fn header() -> RolloutHeader {
     }
 }
 
-pub(super) fn outcome() -> RolloutOutcome {
+pub(crate) fn outcome() -> RolloutOutcome {
     RolloutOutcome {
         ending: Ending::LeftBox(Limit::Theta),
         phase: Phase::Braking,

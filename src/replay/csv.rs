@@ -1,0 +1,178 @@
+use thiserror::Error;
+
+use super::MotionSample;
+use crate::qube::State;
+
+/// The columns that a motion needs, in the order of [`MotionSample`]'s numbers.
+const COLUMNS: [&str; 6] =
+    ["time_s", "theta_rad", "alpha_rad", "theta_dot_rad_s", "alpha_dot_rad_s", "voltage_v"];
+
+/// The longest time between two rows, s. Over a longer one nothing is known of the voltage.
+const MAX_GAP_S: f64 = 1.0;
+
+/// Why a text is no table of a motion. Lines count from 1, the header's.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum CsvError {
+    /// A column that is needed is not there.
+    #[error("the column `{column}` is missing; the header has: {found}")]
+    MissingColumn {
+        /// Its name.
+        column: &'static str,
+        /// The header.
+        found: String,
+    },
+    /// Something that is not a finite number.
+    #[error("line {line}: `{text}` in column `{column}` is not a number")]
+    BadNumber {
+        /// Where.
+        line: usize,
+        /// The column's name.
+        column: &'static str,
+        /// What stands there.
+        text: String,
+    },
+    /// A row that ends before its last column.
+    #[error("line {line} ends before column `{column}`")]
+    ShortRow {
+        /// Where.
+        line: usize,
+        /// The first column that is missing.
+        column: &'static str,
+    },
+    /// A header with less than two rows.
+    #[error("there are {rows} rows of numbers; a motion needs two")]
+    TooFewRows {
+        /// How many there are.
+        rows: usize,
+    },
+    /// Time that does not grow.
+    #[error("line {line}: time goes from {before_s} s to {time_s} s; it has to grow")]
+    TimeBackwards {
+        /// Where.
+        line: usize,
+        /// The row before.
+        before_s: f64,
+        /// This row.
+        time_s: f64,
+    },
+    /// Rows are missing.
+    #[error("line {line}: nothing is known for {gap_s} s before it; cut the file there")]
+    Gap {
+        /// Where.
+        line: usize,
+        /// How long.
+        gap_s: f64,
+    },
+}
+
+/// Reads a table with a header. The last row's voltage may be empty: nothing follows it.
+pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
+    // Some programs start a text with a byte-order mark.
+    let text = text.trim_start_matches('\u{feff}');
+    let mut lines = text
+        .lines()
+        .enumerate()
+        .map(|(index, line)| (index + 1, line))
+        .filter(|(_, line)| !line.trim().is_empty())
+        .peekable();
+    let header = lines.next().map_or("", |(_, line)| line);
+    let names: Vec<&str> = header.split(',').map(str::trim).collect();
+    let mut places = [0; COLUMNS.len()];
+    for (place, column) in places.iter_mut().zip(COLUMNS) {
+        *place = names.iter().position(|name| *name == column).ok_or_else(|| {
+            CsvError::MissingColumn { column, found: names.join(", ").chars().take(200).collect() }
+        })?;
+    }
+    let mut samples: Vec<MotionSample> = Vec::new();
+    while let Some((line, row)) = lines.next() {
+        let sample = parse_row(line, row, &places, lines.peek().is_none())?;
+        if let Some(last) = samples.last() {
+            let (before_s, time_s) = (last.time_s, sample.time_s);
+            if time_s <= before_s {
+                return Err(CsvError::TimeBackwards { line, before_s, time_s });
+            }
+            if time_s - before_s > MAX_GAP_S {
+                return Err(CsvError::Gap { line, gap_s: time_s - before_s });
+            }
+        }
+        samples.push(sample);
+    }
+    if samples.len() < 2 {
+        return Err(CsvError::TooFewRows { rows: samples.len() });
+    }
+    Ok(samples)
+}
+
+fn parse_row(
+    line: usize,
+    row: &str,
+    places: &[usize; COLUMNS.len()],
+    is_last: bool,
+) -> Result<MotionSample, CsvError> {
+    let fields: Vec<&str> = row.split(',').map(str::trim).collect();
+    let number = |index: usize| {
+        let column = COLUMNS[index];
+        let text = *fields.get(places[index]).ok_or(CsvError::ShortRow { line, column })?;
+        let is_voltage = index + 1 == COLUMNS.len();
+        if text.is_empty() && is_voltage && is_last {
+            return Ok(0.0);
+        }
+        text.parse::<f64>()
+            .ok()
+            .filter(|number| number.is_finite())
+            .ok_or_else(|| CsvError::BadNumber { line, column, text: text.to_owned() })
+    };
+    Ok(MotionSample {
+        time_s: number(0)?,
+        state: State {
+            theta: number(1)?,
+            alpha: number(2)?,
+            theta_dot: number(3)?,
+            alpha_dot: number(4)?,
+        },
+        voltage_v: number(5)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEADER: &str = "time_s,theta_rad,alpha_rad,theta_dot_rad_s,alpha_dot_rad_s,voltage_v\n";
+
+    fn parse(rows: &str) -> Result<Vec<MotionSample>, CsvError> {
+        parse_csv(&format!("{HEADER}{rows}"))
+    }
+
+    #[test]
+    fn reads_columns_in_any_order_with_strangers_between() {
+        let text = "\u{feff}voltage_v, note, alpha_dot_rad_s,theta_dot_rad_s,alpha_rad,theta_rad,time_s\r\n\
+                    5,x,4,3,2,1,0\r\n\r\n,y,8,7,6,5,0.5\r\n";
+        let samples = parse_csv(text).unwrap();
+        let state = State { theta: 1.0, alpha: 2.0, theta_dot: 3.0, alpha_dot: 4.0 };
+        assert_eq!(samples[0], MotionSample { time_s: 0.0, state, voltage_v: 5.0 });
+        assert_eq!(samples[1].time_s, 0.5);
+        assert_eq!(samples.len(), 2);
+    }
+
+    #[test]
+    fn every_fault_is_named_with_its_line() {
+        let cases = [
+            ("0,0,0,0,0,1\n0.1,0,x,0,0,\n", "line 3: `x` in column `alpha_rad` is not a number"),
+            ("0,0,0,0,0,1\n0.1,0,0,nan,0,\n", "line 3: `nan` in column `theta_dot_rad_s`"),
+            ("0,0,0,0,0,\n0.1,0,0,0,0,\n", "line 2: `` in column `voltage_v` is not a number"),
+            ("0,0,0\n", "line 2 ends before column `theta_dot_rad_s`"),
+            ("", "there are 0 rows"),
+            ("0,0,0,0,0,1\n", "there are 1 rows"),
+            ("0.1,0,0,0,0,1\n0.1,0,0,0,0,1\n", "line 3: time goes from 0.1 s to 0.1 s"),
+            ("0,0,0,0,0,1\n9,0,0,0,0,1\n", "line 3: nothing is known for 9 s"),
+        ];
+        for (rows, expected) in cases {
+            let message = parse(rows).unwrap_err().to_string();
+            assert!(message.starts_with(expected), "{message}");
+        }
+        let message = parse_csv("time_s,theta_rad\n0,0\n").unwrap_err().to_string();
+        assert_eq!(message, "the column `alpha_rad` is missing; the header has: time_s, theta_rad");
+        assert!(matches!(parse_csv(""), Err(CsvError::MissingColumn { .. })));
+    }
+}

@@ -1,0 +1,228 @@
+use crate::control::{Motion, Tick, TickInput};
+use crate::policy::Policy;
+use crate::recording::{Recording, return_of};
+use crate::telemetry::{Ending, Fault, TickRecord};
+
+/// What came of running a recording again.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rerun {
+    /// The return from the recorded states and voltages.
+    pub return_recorded: f64,
+    /// The return from the states and voltages that came out again.
+    pub return_recomputed: f64,
+    /// Ticks whose decision was compared.
+    pub actions_compared: usize,
+    /// Ticks that decided otherwise: another voltage wanted or sent, another phase or state.
+    pub actions_different: usize,
+    /// The first of them.
+    pub first_difference: Option<Difference>,
+    /// Ticks that could not be compared, because some before them are missing.
+    pub not_compared: usize,
+    /// How the rollout ended again; none where it is cut off.
+    pub ending: Option<Ending>,
+}
+
+/// One tick that decided otherwise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Difference {
+    /// As it was recorded.
+    pub recorded: TickRecord,
+    /// As it came out again.
+    pub recomputed: TickRecord,
+}
+
+impl Rerun {
+    /// Whether everything came out again, bit for bit.
+    #[must_use]
+    pub fn agrees(&self) -> bool {
+        self.actions_different == 0
+            && self.not_compared == 0
+            && self.return_recorded.to_bits() == self.return_recomputed.to_bits()
+    }
+}
+
+/// Gives the recorded measurements and times to the tick that ran on the machine, and compares what
+/// it decides. `policy` is the one attached to the recording.
+///
+/// Where ticks are missing (the recorder had no room, a block is damaged) comparing ends: the
+/// filters' memory is lost with them.
+#[must_use]
+pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
+    let mut tick = Tick::new(&recording.header.settings, policy);
+    let outcome_ending = recording.outcome.as_ref().map(|outcome| outcome.ending);
+    let ended_by_link = outcome_ending == Some(Ending::Fault(Fault::LinkGone));
+    let whole = recording.ticks.iter().zip(0..).take_while(|(tick, number)| tick.tick == *number);
+    let compared: Vec<&TickRecord> = whole.map(|(tick, _)| tick).collect();
+
+    let mut recomputed = Vec::with_capacity(compared.len());
+    let mut ending = None;
+    for (index, recorded) in compared.iter().enumerate() {
+        let is_last = index + 1 == recording.ticks.len();
+        let output = tick.decide(&TickInput {
+            deadline_ns: recorded.deadline_ns,
+            lateness_ns: recorded.lateness_ns,
+            skipped_periods: recorded.skipped_periods,
+            stop_requested: recorded.stop_requested,
+            measurement: recorded.measurement,
+            // Not a field of its own: the port is gone only in the tick that ends for it.
+            link_gone: is_last && ended_by_link,
+        });
+        recomputed.push(TickRecord {
+            phase: output.phase,
+            state: output.state,
+            wanted_v: output.wanted_v,
+            voltage_mv: output.voltage_mv,
+            ..**recorded
+        });
+        ending = output.ending;
+    }
+
+    let differences: Vec<Difference> = compared
+        .iter()
+        .zip(&recomputed)
+        .filter(|(recorded, recomputed)| !same_decision(recorded, recomputed))
+        .map(|(recorded, recomputed)| Difference { recorded: **recorded, recomputed: *recomputed })
+        .collect();
+    Rerun {
+        return_recorded: return_of(&recording.ticks, &recording.header.reward),
+        return_recomputed: return_of(&recomputed, &recording.header.reward),
+        actions_compared: compared.len(),
+        actions_different: differences.len(),
+        first_difference: differences.first().copied(),
+        not_compared: recording.ticks.len() - compared.len(),
+        ending,
+    }
+}
+
+fn same_decision(a: &TickRecord, b: &TickRecord) -> bool {
+    let bits = |tick: &TickRecord| {
+        let state = tick.state;
+        let numbers = [state.theta, state.alpha, state.theta_dot, state.alpha_dot];
+        (tick.phase, tick.voltage_mv, numbers.map(number_bits), tick.wanted_v.map(number_bits))
+    };
+    bits(a) == bits(b)
+}
+
+/// Bits of a number. Which of the many NaN an operation gives is left to the processor, and it does
+/// not matter: none of them is sent.
+fn number_bits(number: f64) -> u64 {
+    if number.is_nan() { f64::NAN.to_bits() } else { number.to_bits() }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::policy::{ClassicalController, ClassicalGains};
+    use crate::qube::{
+        CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, State, Status, control_step,
+        counts,
+    };
+    use crate::recording::samples::{POLICY, header, outcome};
+    use crate::recording::{RolloutWriter, parse};
+    use crate::telemetry::{Phase, RolloutHeader, RolloutOutcome};
+
+    fn classical(gains: ClassicalGains) -> Policy {
+        Policy::Classical(ClassicalController::new(gains))
+    }
+
+    /// A rollout on an ideal plant, as it comes back from its file. Each 13th sample is lost.
+    fn recorded_rollout(policy: Policy, link_breaks_at: Option<u32>) -> Recording {
+        let mut header: RolloutHeader = header();
+        header.settings.max_steps = 300;
+        header.settings.calibration.theta_zero_counts = 0;
+        let mut writer =
+            RolloutWriter::begin(Vec::new(), Path::new("memory"), header.clone(), POLICY).unwrap();
+        let dynamics = Dynamics::<f64>::new(&DomainParameters::NOMINAL);
+        let mut plant = State { theta: 0.3, alpha: 0.1, ..State::default() };
+        let mut tick = Tick::new(&header.settings, policy);
+        for number in 0.. {
+            let link_gone = link_breaks_at == Some(number);
+            let status = Status { armed: true, ..Status::default() };
+            let measurement = (number % 13 != 5 && !link_gone).then(|| Measurement {
+                device_time_us: u64::from(number) * 10_000,
+                theta_counts: counts(plant.theta),
+                alpha_counts: counts(plant.alpha),
+                status,
+                ..Measurement::default()
+            });
+            let deadline_ns = u64::from(number) * CONTROL_PERIOD_NS;
+            let input = TickInput { deadline_ns, measurement, link_gone, ..TickInput::default() };
+            let output = tick.decide(&input);
+            let record = TickRecord {
+                tick: number,
+                phase: output.phase,
+                deadline_ns,
+                measurement,
+                state: output.state,
+                wanted_v: output.wanted_v,
+                voltage_mv: output.voltage_mv,
+                ..TickRecord::default()
+            };
+            writer.write(&record).unwrap();
+            if let Some(ending) = output.ending {
+                let outcome = RolloutOutcome { ending, ..outcome() };
+                return parse(&writer.finish(&outcome).unwrap()).unwrap();
+            }
+            plant = control_step(&dynamics, plant, f64::from(output.voltage_mv) / 1000.0);
+        }
+        unreachable!()
+    }
+
+    #[test]
+    fn every_decision_comes_out_again_bit_for_bit() {
+        let recording = recorded_rollout(classical(ClassicalGains::default()), None);
+        let rerun = rerun(&recording, classical(ClassicalGains::default()));
+        assert!(rerun.agrees(), "{rerun:?}");
+        assert!(rerun.actions_compared > 300);
+        assert!(rerun.return_recorded > 1.0);
+        assert_eq!(rerun.ending, Some(Ending::Completed));
+    }
+
+    #[test]
+    fn a_rollout_that_lost_its_link_comes_out_again() {
+        let recording = recorded_rollout(classical(ClassicalGains::default()), Some(200));
+        let outcome = recording.outcome.clone().unwrap();
+        assert_eq!(outcome.ending, Ending::Fault(Fault::LinkGone));
+        let rerun = rerun(&recording, classical(ClassicalGains::default()));
+        assert!(rerun.agrees(), "{rerun:?}");
+        assert_eq!(rerun.ending, Some(outcome.ending));
+    }
+
+    #[test]
+    fn another_policy_and_another_voltage_are_found() {
+        let recording = recorded_rollout(classical(ClassicalGains::default()), None);
+        let gains = ClassicalGains::default();
+        let other =
+            ClassicalGains { centring_v_per_rad: gains.centring_v_per_rad * 1.001, ..gains };
+        let differs = rerun(&recording, classical(other));
+        assert!(differs.actions_different > 50 && !differs.agrees(), "{differs:?}");
+
+        let mut changed = recording.clone();
+        let place = changed.ticks.iter().rposition(|tick| tick.phase == Phase::Running).unwrap();
+        changed.ticks[place].voltage_mv += 1;
+        let differs = rerun(&changed, classical(gains));
+        assert_eq!(differs.actions_different, 1);
+        let first = differs.first_difference.unwrap();
+        assert_eq!(first.recorded.tick as usize, place);
+        assert_eq!(first.recorded.voltage_mv, first.recomputed.voltage_mv + 1);
+
+        let mut changed = recording;
+        changed.ticks[40].measurement =
+            Some(Measurement { theta_counts: 500, ..changed.ticks[40].measurement.unwrap() });
+        let differs = rerun(&changed, classical(gains));
+        assert_eq!(differs.first_difference.unwrap().recorded.tick, 40);
+    }
+
+    #[test]
+    fn behind_missing_ticks_nothing_is_compared() {
+        let mut recording = recorded_rollout(classical(ClassicalGains::default()), None);
+        let ticks = recording.ticks.len();
+        recording.ticks.remove(100);
+        let rerun = rerun(&recording, classical(ClassicalGains::default()));
+        assert_eq!((rerun.actions_compared, rerun.not_compared), (100, ticks - 101));
+        assert_eq!(rerun.actions_different, 0);
+        assert!(!rerun.agrees());
+    }
+}
