@@ -2,3 +2,6 @@
 //!
 //! May import `simulation`, `policy`, `safety`, `qube`, `elementary`; never `device` or `control`: training
 //! cannot move the motor.
+
+mod kernels;
+mod network;
