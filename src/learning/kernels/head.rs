@@ -1,6 +1,6 @@
 use super::sum::sum;
 use crate::elementary::{InstructionSet, exp};
-use crate::learning::network::{Inputs, LOG_STD, Network, Row, WIDTH};
+use crate::learning::network::{CONSTANT, INPUTS, Inputs, LOG_STD, Network, Row, WIDTH};
 
 /// 64 transitions, as the gradient wants them.
 #[derive(Clone, Debug)]
@@ -15,6 +15,16 @@ pub(in crate::learning) struct Minibatch {
     pub advantage: Row,
     /// What the value net should say.
     pub return_: Row,
+}
+
+impl Minibatch {
+    /// Nothing but the constant 1 that carries the first layer's bias.
+    pub const EMPTY: Self = {
+        let mut inputs = [[0.0; WIDTH]; INPUTS];
+        inputs[CONSTANT] = [1.0; WIDTH];
+        let zero = [0.0; WIDTH];
+        Self { inputs, action: zero, log_probability: zero, advantage: zero, return_: zero }
+    };
 }
 
 /// What a net is trained for: the loss, as a function of the net's output.
