@@ -1,6 +1,5 @@
 use super::kernels::{AdamStep, Gradient, Head, Minibatch, Moments, Workspace};
-use super::network::{Network, WIDTH};
-use super::transition::Transition;
+use super::network::Network;
 use crate::elementary::dispatch;
 
 /// A net and the optimiser that trains it.
@@ -16,6 +15,8 @@ pub(super) struct Learner {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StepSettings {
     pub learning_rate: f32,
+    pub beta_1: f32,
+    pub beta_2: f32,
     pub adam_epsilon: f32,
     pub largest_gradient_norm: f32,
 }
@@ -50,6 +51,8 @@ impl Learner {
             gradient: &self.gradient,
             moments: &mut self.moments,
             learning_rate: settings.learning_rate,
+            beta_1: settings.beta_1,
+            beta_2: settings.beta_2,
             epsilon: settings.adam_epsilon,
             largest_norm: settings.largest_gradient_norm,
         });

@@ -3,11 +3,6 @@ use super::sum::sum_lanes;
 use crate::elementary::{InstructionSet, Kernel};
 use crate::learning::network::Network;
 
-/// Decay of the first moment.
-const BETA_1: f32 = 0.9;
-/// Decay of the second moment.
-const BETA_2: f32 = 0.999;
-
 /// What Adam remembers of the gradients (Kingma and Ba 2015).
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::learning) struct Moments {
@@ -29,6 +24,10 @@ pub(in crate::learning) struct AdamStep<'a> {
     pub gradient: &'a Network,
     pub moments: &'a mut Moments,
     pub learning_rate: f32,
+    /// Decay of the first moment.
+    pub beta_1: f32,
+    /// Decay of the second moment.
+    pub beta_2: f32,
     /// Added to the square root of the second moment.
     pub epsilon: f32,
     pub largest_norm: f32,
@@ -42,11 +41,12 @@ impl Kernel for AdamStep<'_> {
         let norm = norm::<I>(self.gradient);
         let scale = if norm > self.largest_norm { self.largest_norm / norm } else { 1.0 };
 
+        let (beta_1, beta_2) = (self.beta_1, self.beta_2);
         self.moments.steps += 1;
         let steps = self.moments.steps as f64;
         let step_size =
-            f64::from(self.learning_rate) / (1.0 - libm::pow(f64::from(BETA_1), steps));
-        let inverse_root = 1.0 / libm::sqrt(1.0 - libm::pow(f64::from(BETA_2), steps));
+            f64::from(self.learning_rate) / (1.0 - libm::pow(f64::from(beta_1), steps));
+        let inverse_root = 1.0 / libm::sqrt(1.0 - libm::pow(f64::from(beta_2), steps));
         let (step_size, inverse_root) = (step_size as f32, inverse_root as f32);
 
         let parameters = self.network.slices_mut().into_iter();
@@ -60,8 +60,8 @@ impl Kernel for AdamStep<'_> {
                 parameters.iter_mut().zip(gradient).zip(moments)
             {
                 let gradient = gradient * scale;
-                *first = multiply_add::<I>(BETA_1, *first, (1.0 - BETA_1) * gradient);
-                *second = multiply_add::<I>(BETA_2, *second, (1.0 - BETA_2) * gradient * gradient);
+                *first = multiply_add::<I>(beta_1, *first, (1.0 - beta_1) * gradient);
+                *second = multiply_add::<I>(beta_2, *second, (1.0 - beta_2) * gradient * gradient);
                 let denominator = multiply_add::<I>(second.sqrt(), inverse_root, self.epsilon);
                 *parameter -= step_size * *first / denominator;
             }

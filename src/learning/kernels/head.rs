@@ -48,6 +48,7 @@ pub(in crate::learning) trait Head {
 pub(in crate::learning) struct PolicyHead {
     /// The ratio stays within 1 +- this.
     pub clip: f32,
+    pub dual: f32,
     /// Weight of the entropy bonus.
     pub entropy_weight: f32,
 }
@@ -86,7 +87,7 @@ impl Head for PolicyHead {
             let advantage = minibatch.advantage[i];
             let bounded = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
             // Where the clipped term is the smaller one, the objective is flat.
-            let is_flat = bounded * advantage < ratio * advantage;
+            let is_flat = (bounded * advantage < ratio * advantage) | (ratio > self.dual);
             let by_log_probability = if is_flat { 0.0 } else { -MEAN * advantage * ratio };
             by_output[i] = by_log_probability * z * inverse_std;
             by_log_stds[i] = by_log_probability * (z * z - 1.0);
