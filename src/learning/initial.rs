@@ -1,7 +1,8 @@
 use rand::Rng;
 
-use super::network::{LOG_STD, Network, OBSERVATION, Row, WIDTH};
+use super::network::{LOG_STD, Network, Row, WIDTH};
 use super::random::normal_pair;
+use crate::qube::OBSERVATION_SIZE;
 
 /// Gain of the hidden layers, as is usual for PPO.
 const HIDDEN_GAIN: f64 = std::f64::consts::SQRT_2;
@@ -10,7 +11,7 @@ impl Network {
     /// Orthogonal weights, zero biases. A small `output_gain` lets a policy start near 0 V.
     pub fn orthogonal(generator: &mut impl Rng, output_gain: f64, log_std: f32) -> Self {
         let mut network = Self::ZERO;
-        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.first[..OBSERVATION]);
+        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.first[..OBSERVATION_SIZE]);
         orthonormal_rows(generator, HIDDEN_GAIN, &mut network.second);
         orthonormal_rows(generator, output_gain, std::slice::from_mut(&mut network.last));
         network.tail[LOG_STD] = log_std;
@@ -58,6 +59,6 @@ mod tests {
         let length: f32 = network.last.iter().map(|a| a * a).sum::<f32>().sqrt();
         assert!((length - 0.01).abs() < 1e-7);
         assert_eq!(network.tail[LOG_STD], -0.5);
-        assert_eq!(network.first[OBSERVATION..], [[0.0; WIDTH]; 2]);
+        assert_eq!(network.first[OBSERVATION_SIZE..], [[0.0; WIDTH]; 2]);
     }
 }

@@ -8,6 +8,7 @@ pub(super) struct Learner {
     pub network: Network,
     pub moments: Moments,
     gradient: Network,
+    pub norm: f32,
     workspace: Workspace,
 }
 
@@ -28,6 +29,7 @@ impl Learner {
             network,
             moments: Moments::ZERO,
             gradient: Network::ZERO,
+            norm: 0.0,
             workspace: Workspace::ZERO,
         })
     }
@@ -46,7 +48,7 @@ impl Learner {
             workspace: &mut self.workspace,
             gradient: &mut self.gradient,
         });
-        dispatch(AdamStep {
+        self.norm = dispatch(AdamStep {
             network: &mut self.network,
             gradient: &self.gradient,
             moments: &mut self.moments,

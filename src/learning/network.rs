@@ -1,15 +1,14 @@
+use crate::qube::OBSERVATION_SIZE;
+
 /// Neurons of each hidden layer, and samples of a minibatch: the width of every kernel.
 pub(super) const WIDTH: usize = 64;
-
-/// Entries of an observation.
-pub(super) const OBSERVATION: usize = 6;
 
 /// Rows that enter the first layer: the observation, a constant 1 that carries the bias, and a
 /// row of zeros that makes eight, so that tiles divide it.
 pub(super) const INPUTS: usize = 8;
 
 /// The row of the constant 1.
-pub(super) const CONSTANT: usize = OBSERVATION;
+pub(super) const CONSTANT: usize = OBSERVATION_SIZE;
 
 /// A row across neurons or across the samples of a minibatch.
 pub(super) type Row = [f32; WIDTH];

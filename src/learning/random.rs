@@ -9,22 +9,27 @@ pub(super) enum Stream {
     Weights,
     /// Order of the minibatches of one update.
     Shuffle { update: u32 },
-    /// Everything drawn for the trajectories that start in one lane during one update.
-    Trajectories { update: u32, lane: u16 },
+    /// One trajectory: its start and Qube, or the noise on its actions.
+    Trajectory { update: u32, lane: usize, number: u16, noise: bool },
 }
 
 impl Stream {
-    /// The generator of this stream.
-    pub fn generator(self, seed: u64) -> ChaCha8Rng {
-        let number = match self {
+    /// The number of the stream, another for each use.
+    pub fn number(self) -> u64 {
+        match self {
             Self::Weights => 0,
             Self::Shuffle { update } => 1 << 62 | u64::from(update),
-            Self::Trajectories { update, lane } => {
-                1 << 63 | u64::from(update) << 16 | u64::from(lane)
+            Self::Trajectory { update, lane, number, noise } => {
+                let trajectory = u64::from(update) << 28 | (lane as u64) << 12 | u64::from(number);
+                1 << 63 | trajectory << 1 | u64::from(noise)
             }
-        };
+        }
+    }
+
+    /// The generator of this stream.
+    pub fn generator(self, seed: u64) -> ChaCha8Rng {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
-        generator.set_stream(number);
+        generator.set_stream(self.number());
         generator
     }
 }
@@ -53,13 +58,19 @@ mod tests {
 
     #[test]
     fn streams_differ() {
+        let trajectory =
+            |update, lane, number, noise| Stream::Trajectory { update, lane, number, noise };
         let streams = [
             Stream::Weights,
             Stream::Shuffle { update: 0 },
             Stream::Shuffle { update: 1 },
-            Stream::Trajectories { update: 0, lane: 0 },
-            Stream::Trajectories { update: 0, lane: 1 },
-            Stream::Trajectories { update: 1, lane: 0 },
+            trajectory(0, 0, 0, false),
+            trajectory(1, 0, 0, false),
+            trajectory(0, 1, 0, false),
+            trajectory(0, 0, 1, false),
+            trajectory(0, 0, 0, true),
+            trajectory(0, 0, 599, false),
+            trajectory(0, 1, 0, true),
         ];
         let mut first: Vec<u64> = streams.map(|s| s.generator(5).random()).to_vec();
         first.sort_unstable();

@@ -1,5 +1,6 @@
 use super::kernels::Minibatch;
-use super::network::{CONSTANT, Inputs, OBSERVATION, WIDTH};
+use super::network::{CONSTANT, INPUTS, Inputs, WIDTH};
+use crate::qube::OBSERVATION_SIZE;
 
 /// How a trajectory went on after a transition.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -19,7 +20,7 @@ pub(super) enum Continuation {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Transition {
-    pub observation: [f32; OBSERVATION],
+    pub observation: [f32; OBSERVATION_SIZE],
     /// As drawn, in units of the net's output.
     pub action: f32,
     /// Log probability density of the action.
@@ -55,9 +56,16 @@ pub(super) fn estimate_advantages(transitions: &mut [Transition], discount: f32,
     }
 }
 
+/// Inputs of the first layer with nothing observed yet, only the constant 1 that carries the bias.
+pub(super) fn constant_inputs() -> Inputs {
+    let mut inputs = [[0.0; WIDTH]; INPUTS];
+    inputs[CONSTANT] = [1.0; WIDTH];
+    inputs
+}
+
 /// Observations of up to 64 samples as the first layer wants them; the rest stays zero.
-pub(super) fn inputs<'a>(observations: impl Iterator<Item = &'a [f32; OBSERVATION]>) -> Inputs {
-    let mut inputs = Minibatch::EMPTY.inputs;
+pub(super) fn inputs<'a>(observations: impl Iterator<Item = &'a [f32; OBSERVATION_SIZE]>) -> Inputs {
+    let mut inputs = constant_inputs();
     for (sample, observation) in observations.enumerate() {
         for (row, &entry) in inputs.iter_mut().zip(observation) {
             row[sample] = entry;
@@ -69,7 +77,14 @@ pub(super) fn inputs<'a>(observations: impl Iterator<Item = &'a [f32; OBSERVATIO
 impl Minibatch {
     /// The transitions with these indices.
     pub fn gather(transitions: &[Transition], indices: &[u32; WIDTH]) -> Self {
-        let mut minibatch = Self::EMPTY;
+        let zero = [0.0; WIDTH];
+        let mut minibatch = Self {
+            inputs: constant_inputs(),
+            action: zero,
+            log_probability: zero,
+            advantage: zero,
+            return_: zero,
+        };
         for (sample, &index) in indices.iter().enumerate() {
             let transition = &transitions[index as usize];
             for (row, &entry) in minibatch.inputs.iter_mut().zip(&transition.observation) {
@@ -147,7 +162,7 @@ mod tests {
             Minibatch::gather(&transitions, &std::array::from_fn(|sample| 99 - sample as u32));
         for sample in 0..WIDTH {
             let base = 10.0 * (99 - sample) as f32;
-            for entry in 0..OBSERVATION {
+            for entry in 0..OBSERVATION_SIZE {
                 assert_eq!(minibatch.inputs[entry][sample], base + entry as f32);
             }
             assert_eq!(minibatch.inputs[CONSTANT][sample], 1.0);

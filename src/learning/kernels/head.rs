@@ -1,6 +1,6 @@
 use super::sum::sum;
 use crate::elementary::{InstructionSet, exp};
-use crate::learning::network::{CONSTANT, INPUTS, Inputs, LOG_STD, Network, Row, WIDTH};
+use crate::learning::network::{Inputs, LOG_STD, Network, Row, WIDTH};
 
 /// 64 transitions, as the gradient wants them.
 #[derive(Clone, Debug)]
@@ -15,16 +15,6 @@ pub(in crate::learning) struct Minibatch {
     pub advantage: Row,
     /// What the value net should say.
     pub return_: Row,
-}
-
-impl Minibatch {
-    /// Nothing but the constant 1 that carries the first layer's bias.
-    pub const EMPTY: Self = {
-        let mut inputs = [[0.0; WIDTH]; INPUTS];
-        inputs[CONSTANT] = [1.0; WIDTH];
-        let zero = [0.0; WIDTH];
-        Self { inputs, action: zero, log_probability: zero, advantage: zero, return_: zero }
-    };
 }
 
 /// What a net is trained for: the loss, as a function of the net's output.
@@ -49,6 +39,8 @@ pub(in crate::learning) struct PolicyHead {
     /// The ratio stays within 1 +- this.
     pub clip: f32,
     pub dual: f32,
+    pub kl: f32,
+    pub spo: f32,
     /// Weight of the entropy bonus.
     pub entropy_weight: f32,
 }
@@ -83,12 +75,14 @@ impl Head for PolicyHead {
         for i in 0..WIDTH {
             let z = (minibatch.action[i] - output[i]) * inverse_std;
             let log_ratio = gaussian_log_probability(z, log_std) - minibatch.log_probability[i];
-            let ratio = exp(log_ratio);
+            let ratio = exp(log_ratio.min(10.0));
             let advantage = minibatch.advantage[i];
             let bounded = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
             // Where the clipped term is the smaller one, the objective is flat.
             let is_flat = (bounded * advantage < ratio * advantage) | (ratio > self.dual);
             let by_log_probability = if is_flat { 0.0 } else { -MEAN * advantage * ratio };
+            let by_log_probability = if self.spo > 0.0 { -MEAN * ratio * (advantage - advantage.abs() * self.spo * (ratio - 1.0)) } else { by_log_probability };
+            let by_log_probability = by_log_probability + MEAN * self.kl * (ratio - 1.0);
             by_output[i] = by_log_probability * z * inverse_std;
             by_log_stds[i] = by_log_probability * (z * z - 1.0);
             divergences[i] = (ratio - 1.0) - log_ratio;

@@ -1,6 +1,7 @@
 use super::*;
 use crate::elementary::dispatch_at;
-use crate::learning::network::{CONSTANT, LOG_STD, Network, OBSERVATION, WIDTH};
+use crate::learning::network::{CONSTANT, LOG_STD, Network, WIDTH};
+use crate::qube::OBSERVATION_SIZE;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -12,7 +13,7 @@ fn example() -> (Network, Minibatch) {
     }
     let mut row = |low: f32, high: f32| std::array::from_fn(|_| rng.random_range(low..high));
     let mut inputs = [[0.0; WIDTH]; 8];
-    inputs[..OBSERVATION].fill_with(|| row(-1.0, 1.0));
+    inputs[..OBSERVATION_SIZE].fill_with(|| row(-1.0, 1.0));
     inputs[CONSTANT] = [1.0; WIDTH];
     let minibatch = Minibatch {
         inputs,
