@@ -2,3 +2,26 @@
 //!
 //! May import `simulation`, `policy`, `safety`, `qube`, `elementary`; never `device` or `control`: training
 //! cannot move the motor.
+
+mod actor;
+mod checkpoint;
+mod collect;
+mod curve;
+mod error;
+mod export;
+mod initial;
+mod kernels;
+mod learner;
+mod network;
+mod optimise;
+mod random;
+mod settings;
+mod train;
+mod trainer;
+mod transition;
+
+pub use checkpoint::Checkpointing;
+pub use curve::{TrainUpdate, curve_csv};
+pub use error::TrainError;
+pub use settings::TrainSettings;
+pub use train::{Origin, Trained, train};

@@ -1,0 +1,193 @@
+use std::collections::HashMap;
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensors};
+
+use super::curve::TrainUpdate;
+use super::learner::Learner;
+use super::network::Network;
+use super::trainer::Trainer;
+use super::{TrainError, TrainSettings};
+
+/// Changes when the content of a checkpoint does.
+const VERSION: &str = "1";
+
+/// Where a training keeps itself, so that it can go on after an interruption.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Checkpointing {
+    /// The file. When it exists, training goes on from it; when training is finished, it is removed.
+    pub path: PathBuf,
+    /// Updates between two writings.
+    pub every: u32,
+}
+
+impl Checkpointing {
+    /// Whether it is time to write after so many updates.
+    pub(super) fn is_due(&self, updates: usize) -> bool {
+        updates.is_multiple_of(self.every.max(1) as usize)
+    }
+
+    /// Removes the file of a training that is finished.
+    pub(super) fn remove(&self) -> Result<(), TrainError> {
+        match fs::remove_file(&self.path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(self.file_error(error)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes everything that the next update depends on. The file is replaced as a whole: after a
+    /// crash it is the old one or the new one.
+    pub(super) fn write(&self, trainer: &Trainer<'_>) -> Result<(), TrainError> {
+        let bytes = to_bytes(trainer).map_err(|error| self.damaged(error.to_string()))?;
+        replace_file(&self.path, &bytes).map_err(|error| self.file_error(error))
+    }
+
+    /// Puts a new trainer where the file left off; does nothing when there is no file.
+    pub(super) fn resume(&self, trainer: &mut Trainer<'_>) -> Result<(), TrainError> {
+        let bytes = match fs::read(&self.path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+            Err(error) => return Err(self.file_error(error)),
+        };
+        let damaged = |error: safetensors::SafeTensorError| self.damaged(error.to_string());
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
+        let found = header.metadata().clone().unwrap_or_default();
+        for (what, expected) in identity(trainer) {
+            match found.get(what) {
+                Some(value) if *value == expected => {}
+                Some(_) => {
+                    return Err(TrainError::CheckpointOfAnother {
+                        path: self.path.clone(),
+                        what,
+                    });
+                }
+                None => return Err(self.damaged(format!("it does not tell its {what}"))),
+            }
+        }
+        let tensors = SafeTensors::deserialize(&bytes).map_err(damaged)?;
+        from_tensors(&tensors, trainer).map_err(|reason| self.damaged(reason))
+    }
+
+    fn file_error(&self, source: io::Error) -> TrainError {
+        TrainError::CheckpointFile { path: self.path.clone(), source }
+    }
+
+    fn damaged(&self, reason: String) -> TrainError {
+        TrainError::CheckpointDamaged { path: self.path.clone(), reason }
+    }
+}
+
+/// What must be equal for a training to go on, by the name that a user knows it by.
+fn identity(trainer: &Trainer<'_>) -> [(&'static str, String); 4] {
+    // The number of threads changes nothing.
+    let settings = TrainSettings { threads: 0, ..trainer.settings.clone() };
+    [
+        ("format version", VERSION.to_owned()),
+        ("seed", trainer.seed.to_string()),
+        ("settings", format!("{settings:?}")),
+        ("distribution", format!("{:?}", trainer.distribution)),
+    ]
+}
+
+/// The nets and moments, by their names in the file.
+fn networks<'a>(trainer: &'a Trainer<'_>) -> [(&'static str, &'a Network); 7] {
+    let (policy, value) = (&trainer.policy, &trainer.value);
+    [
+        ("policy", &policy.network),
+        ("policy.first_moment", &policy.moments.first),
+        ("policy.second_moment", &policy.moments.second),
+        ("value", &value.network),
+        ("value.first_moment", &value.moments.first),
+        ("value.second_moment", &value.moments.second),
+        ("best", &trainer.best),
+    ]
+}
+
+fn to_bytes(trainer: &Trainer<'_>) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+    let mut contents: Vec<(&str, Dtype, Vec<u8>)> = networks(trainer)
+        .into_iter()
+        .map(|(name, network)| {
+            let values = network.slices().into_iter().flatten();
+            (name, Dtype::F32, values.flat_map(|value| value.to_le_bytes()).collect())
+        })
+        .collect();
+    let curve = trainer.curve.iter().flat_map(TrainUpdate::to_array);
+    contents.push(("curve", Dtype::F64, curve.flat_map(f64::to_le_bytes).collect()));
+    let best_return = trainer.best_return.to_le_bytes().to_vec();
+    contents.push(("best_return", Dtype::F64, best_return));
+    let counters = [trainer.policy.moments.steps, trainer.value.moments.steps];
+    let counters = counters.into_iter().flat_map(u64::to_le_bytes).collect();
+    contents.push(("counters", Dtype::U64, counters));
+
+    let views = contents.iter().map(|(name, dtype, bytes)| {
+        let count = bytes.len() * 8 / dtype.bitsize();
+        TensorView::new(*dtype, vec![count], bytes).map(|view| (*name, view))
+    });
+    let views: Vec<_> = views.collect::<Result<_, _>>()?;
+    let metadata: HashMap<String, String> =
+        identity(trainer).into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    safetensors::serialize(views, Some(metadata))
+}
+
+fn from_tensors(tensors: &SafeTensors<'_>, trainer: &mut Trainer<'_>) -> Result<(), String> {
+    let bytes = |name: &str, dtype: Dtype| {
+        let tensor = tensors.tensor(name).map_err(|error| error.to_string())?;
+        if tensor.dtype() == dtype {
+            Ok(tensor.data())
+        } else {
+            Err(format!("{name} is of type {:?}", tensor.dtype()))
+        }
+    };
+    let network = |name: &str, network: &mut Network| {
+        let (values, _) = bytes(name, Dtype::F32)?.as_chunks::<4>();
+        let count: usize = network.slices().iter().map(|slice| slice.len()).sum();
+        if values.len() != count {
+            return Err(format!("{name} has {} values instead of {count}", values.len()));
+        }
+        let mut values = values.iter().map(|bytes| f32::from_le_bytes(*bytes));
+        for slice in network.slices_mut() {
+            slice.fill_with(|| values.next().unwrap_or_default());
+        }
+        Ok(())
+    };
+    let learner = |name: &str, learner: &mut Learner| {
+        network(name, &mut learner.network)?;
+        network(&format!("{name}.first_moment"), &mut learner.moments.first)?;
+        network(&format!("{name}.second_moment"), &mut learner.moments.second)
+    };
+    learner("policy", &mut trainer.policy)?;
+    learner("value", &mut trainer.value)?;
+    network("best", &mut trainer.best)?;
+
+    let numbers = |name: &str| {
+        let (numbers, _) = bytes(name, Dtype::F64)?.as_chunks::<8>();
+        Ok::<_, String>(numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect::<Vec<_>>())
+    };
+    let [best_return] = numbers("best_return")?[..] else {
+        return Err("best_return is not one number".to_owned());
+    };
+    trainer.best_return = best_return;
+    let curve = numbers("curve")?;
+    trainer.curve = curve.as_chunks().0.iter().map(TrainUpdate::from_array).collect();
+    let (counters, _) = bytes("counters", Dtype::U64)?.as_chunks::<8>();
+    let counters: Vec<u64> = counters.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect();
+    let [policy_steps, value_steps] = counters[..] else {
+        return Err("counters are not two numbers".to_owned());
+    };
+    trainer.policy.moments.steps = policy_steps;
+    trainer.value.moments.steps = value_steps;
+    Ok(())
+}
+
+fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(".new");
+    let new = path.with_file_name(name);
+    let mut file = fs::File::create(&new)?;
+    file.write_all(bytes)?;
+    file.sync_all()?;
+    fs::rename(&new, path)
+}

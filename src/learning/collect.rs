@@ -1,0 +1,168 @@
+use std::ops::Range;
+
+use rand_chacha::ChaCha8Rng;
+
+use super::TrainSettings;
+use super::actor::{VOLTS_PER_OUTPUT, outputs};
+use super::kernels::{Forward, gaussian_log_probability};
+use super::network::{LOG_STD, Network, WIDTH};
+use super::random::{Stream, normal_pair};
+use super::transition::{Continuation, Transition, estimate_advantages, inputs};
+use crate::elementary::{dispatch, exp};
+use crate::qube::{MAX_STEPS, OBSERVATION_SIZE};
+use crate::simulation::{DomainDistribution, Pendulums, Progress, Trajectory};
+
+/// The transitions of one update, lane after lane and each lane in order of time.
+pub(super) struct Batch {
+    pub transitions: Vec<Transition>,
+    /// Trajectories begun.
+    pub trajectories: u32,
+}
+
+/// What is collected with.
+#[derive(Clone, Copy)]
+pub(super) struct Collector<'a> {
+    pub policy: &'a Network,
+    pub value: &'a Network,
+    pub distribution: &'a DomainDistribution,
+    pub settings: &'a TrainSettings,
+    pub seed: u64,
+    pub update: u32,
+}
+
+impl Collector<'_> {
+    /// Collects with all lanes, spread over `threads`. The result does not depend on how many.
+    pub fn collect(&self, threads: usize) -> Batch {
+        let lanes = usize::from(self.settings.pendulums);
+        let share = lanes.div_ceil(threads.max(1)).next_multiple_of(16);
+        let parts: Vec<Batch> = std::thread::scope(|scope| {
+            let workers: Vec<_> = (share..lanes)
+                .step_by(share)
+                .map(|start| {
+                    scope.spawn(move || self.collect_lanes(start..lanes.min(start + share)))
+                })
+                .collect();
+            let first = self.collect_lanes(0..lanes.min(share));
+            let rest = workers.into_iter().map(|worker| match worker.join() {
+                Ok(batch) => batch,
+                Err(panic) => std::panic::resume_unwind(panic),
+            });
+            std::iter::once(first).chain(rest).collect()
+        });
+        let trajectories = parts.iter().map(|part| part.trajectories).sum();
+        let mut parts = parts.into_iter().map(|part| part.transitions);
+        let mut transitions = parts.next().unwrap_or_default();
+        parts.for_each(|part| transitions.extend(part));
+        Batch { transitions, trajectories }
+    }
+
+    fn collect_lanes(&self, lanes: Range<usize>) -> Batch {
+        let mut pendulums = Pendulums::new(lanes.len(), &self.settings.simulation);
+        let width = pendulums.lanes();
+        let mut explorers: Vec<Explorer> = lanes.clone().map(|lane| self.explorer(lane, 0)).collect();
+        for (lane, explorer) in explorers.iter().enumerate() {
+            pendulums.restart(lane, &explorer.trajectory);
+        }
+        let mut observations = vec![0.0; OBSERVATION_SIZE * width];
+        let mut means = vec![0.0; width];
+        let mut voltages_v = vec![0.0; width];
+        let mut rewards = vec![0.0; width];
+        let mut progress = vec![Progress::Running; width];
+        let mut transitions = vec![Transition::default(); lanes.len() * MAX_STEPS];
+        let mut cut: Vec<(usize, [f32; OBSERVATION_SIZE])> = Vec::new();
+        let log_std = self.policy.tail[LOG_STD];
+        let (std, inverse_std) = (exp(log_std), exp(-log_std));
+
+        pendulums.observe(&mut observations);
+        for step in 0..MAX_STEPS {
+            outputs(self.policy, &observations, &mut means);
+            for (lane, explorer) in explorers.iter_mut().enumerate() {
+                let action = std.mul_add(explorer.noise(), means[lane]);
+                voltages_v[lane] = VOLTS_PER_OUTPUT * action;
+                let transition = &mut transitions[lane * MAX_STEPS + step];
+                transition.observation = observation(&observations, lane, width);
+                transition.action = action;
+                let z = (action - means[lane]) * inverse_std;
+                transition.log_probability = gaussian_log_probability(z, log_std);
+            }
+            pendulums.step(&voltages_v, &mut rewards, &mut progress, &mut observations);
+            for (lane, explorer) in explorers.iter_mut().enumerate() {
+                let index = lane * MAX_STEPS + step;
+                let transition = &mut transitions[index];
+                transition.reward = rewards[lane];
+                let is_last = step + 1 == MAX_STEPS;
+                transition.continuation = match progress[lane] {
+                    Progress::LeftBox => Continuation::LeftBox,
+                    Progress::TimeUp => Continuation::Cut,
+                    Progress::Running if is_last => Continuation::Cut,
+                    Progress::Running => continue,
+                };
+                if transition.continuation == Continuation::Cut {
+                    cut.push((index, observation(&observations, lane, width)));
+                }
+                if !is_last {
+                    *explorer = self.explorer(lanes.start + lane, explorer.number + 1);
+                    pendulums.restart(lane, &explorer.trajectory);
+                    pendulums.observe_lane(lane, &mut observations);
+                }
+            }
+        }
+        self.appraise(&mut transitions, &cut);
+        let trajectories = explorers.iter().map(|explorer| u32::from(explorer.number) + 1).sum();
+        Batch { transitions, trajectories }
+    }
+
+    /// Fills in values, advantages and returns.
+    fn appraise(&self, transitions: &mut [Transition], cut: &[(usize, [f32; OBSERVATION_SIZE])]) {
+        for block in transitions.chunks_mut(WIDTH) {
+            let inputs = inputs(block.iter().map(|transition| &transition.observation));
+            let values = dispatch(Forward { network: self.value, inputs: &inputs });
+            for (transition, value) in block.iter_mut().zip(values) {
+                transition.value = value;
+            }
+        }
+        for block in cut.chunks(WIDTH) {
+            let inputs = inputs(block.iter().map(|(_, observation)| observation));
+            let values = dispatch(Forward { network: self.value, inputs: &inputs });
+            for (&(index, _), value) in block.iter().zip(values) {
+                transitions[index].value_after = value;
+            }
+        }
+        for lane in transitions.chunks_mut(MAX_STEPS) {
+            estimate_advantages(lane, self.settings.discount, self.settings.trace_decay);
+        }
+    }
+
+    fn explorer(&self, lane: usize, number: u16) -> Explorer {
+        let stream = |noise| Stream::Trajectory { update: self.update, lane, number, noise };
+        Explorer {
+            trajectory: Trajectory::draw(self.distribution, self.seed, stream(false).number()),
+            number,
+            generator: stream(true).generator(self.seed),
+            spare: None,
+        }
+    }
+}
+
+/// A trajectory and the noise that is added to its actions.
+struct Explorer {
+    trajectory: Trajectory,
+    /// How many were in this lane before, in this update.
+    number: u16,
+    generator: ChaCha8Rng,
+    spare: Option<f32>,
+}
+
+impl Explorer {
+    fn noise(&mut self) -> f32 {
+        self.spare.take().unwrap_or_else(|| {
+            let [one, other] = normal_pair(&mut self.generator);
+            self.spare = Some(other as f32);
+            one as f32
+        })
+    }
+}
+
+fn observation(observations: &[f32], lane: usize, lanes: usize) -> [f32; OBSERVATION_SIZE] {
+    std::array::from_fn(|feature| observations[feature * lanes + lane])
+}

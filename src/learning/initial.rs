@@ -1,0 +1,64 @@
+use rand::Rng;
+
+use super::network::{LOG_STD, Network, Row, WIDTH};
+use super::random::normal_pair;
+use crate::qube::OBSERVATION_SIZE;
+
+/// Gain of the hidden layers, as is usual for PPO.
+const HIDDEN_GAIN: f64 = std::f64::consts::SQRT_2;
+
+impl Network {
+    /// Orthogonal weights, zero biases. A small `output_gain` lets a policy start near 0 V.
+    pub fn orthogonal(generator: &mut impl Rng, output_gain: f64, log_std: f32) -> Self {
+        let mut network = Self::ZERO;
+        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.first[..OBSERVATION_SIZE]);
+        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.second);
+        orthonormal_rows(generator, output_gain, std::slice::from_mut(&mut network.last));
+        network.tail[LOG_STD] = log_std;
+        network
+    }
+}
+
+/// Fills rows with orthogonal vectors of length `gain`: Gram and Schmidt on normal draws.
+fn orthonormal_rows(generator: &mut impl Rng, gain: f64, rows: &mut [Row]) {
+    let mut basis: Vec<Vec<f64>> = Vec::with_capacity(rows.len());
+    for row in rows {
+        let mut vector: Vec<f64> =
+            (0..WIDTH / 2).flat_map(|_| normal_pair(generator)).collect();
+        // Twice, because once loses orthogonality where the remainder is short.
+        for _ in 0..2 {
+            for direction in &basis {
+                let along: f64 = vector.iter().zip(direction).map(|(a, b)| a * b).sum();
+                vector.iter_mut().zip(direction).for_each(|(a, b)| *a -= along * b);
+            }
+        }
+        let length = libm::sqrt(vector.iter().map(|a| a * a).sum());
+        vector.iter_mut().for_each(|a| *a /= length);
+        for (weight, &a) in row.iter_mut().zip(&vector) {
+            *weight = (gain * a) as f32;
+        }
+        basis.push(vector);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::learning::random::Stream;
+
+    #[test]
+    fn rows_are_orthogonal_and_as_long_as_the_gain() {
+        let network = Network::orthogonal(&mut Stream::Weights.generator(3), 0.01, -0.5);
+        for (i, a) in network.second.iter().enumerate() {
+            for (j, b) in network.second.iter().enumerate() {
+                let product: f32 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+                let expected = if i == j { 2.0 } else { 0.0 };
+                assert!((product - expected).abs() < 1e-5, "{i} {j}: {product}");
+            }
+        }
+        let length: f32 = network.last.iter().map(|a| a * a).sum::<f32>().sqrt();
+        assert!((length - 0.01).abs() < 1e-7);
+        assert_eq!(network.tail[LOG_STD], -0.5);
+        assert_eq!(network.first[OBSERVATION_SIZE..], [[0.0; WIDTH]; 2]);
+    }
+}

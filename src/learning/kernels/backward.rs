@@ -1,0 +1,99 @@
+use super::forward::{first_hidden, first_hidden_by_sample, output, second_hidden};
+use super::head::{Head, Minibatch};
+use super::multiply_add;
+use super::product::{Left, product};
+use super::sum::sum;
+use crate::elementary::{InstructionSet, Kernel};
+use crate::learning::network::{LOG_STD, Network, OUTPUT_BIAS, Row, WIDTH};
+
+/// The gradient of a head's mean loss over one minibatch, by every parameter.
+pub(in crate::learning) struct Gradient<'a, H> {
+    pub network: &'a Network,
+    pub minibatch: &'a Minibatch,
+    pub head: &'a H,
+    pub workspace: &'a mut Workspace,
+    /// The result; overwritten.
+    pub gradient: &'a mut Network,
+}
+
+/// Activations and their derivatives, kept between calls so that they stay in cache.
+#[derive(Debug)]
+#[repr(C, align(64))]
+pub(in crate::learning) struct Workspace {
+    /// `[neuron][sample]`; read by the second layer.
+    hidden_1: [Row; WIDTH],
+    /// `[sample][neuron]`; read by the weight gradient.
+    hidden_1_by_sample: [Row; WIDTH],
+    /// `[neuron][sample]`; from the second layer's product on, its loss derivative.
+    hidden_2: [Row; WIDTH],
+    /// Loss derivative by the first layer's sums, `[sample][neuron]`.
+    by_sum_1: [Row; WIDTH],
+}
+
+impl Workspace {
+    pub const ZERO: Self = Self {
+        hidden_1: [[0.0; WIDTH]; WIDTH],
+        hidden_1_by_sample: [[0.0; WIDTH]; WIDTH],
+        hidden_2: [[0.0; WIDTH]; WIDTH],
+        by_sum_1: [[0.0; WIDTH]; WIDTH],
+    };
+}
+
+impl<H: Head> Kernel for Gradient<'_, H> {
+    type Output = H::Statistics;
+
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) -> H::Statistics {
+        let Self { network, minibatch, head, workspace, gradient } = self;
+        let Workspace { hidden_1, hidden_1_by_sample, hidden_2, by_sum_1 } = workspace;
+
+        first_hidden::<I>(network, &minibatch.inputs, hidden_1);
+        first_hidden_by_sample::<I>(network, &minibatch.inputs, hidden_1_by_sample);
+        second_hidden::<I>(network, hidden_1, hidden_2);
+        let output = output::<I>(network, hidden_2);
+
+        let mut by_output = [0.0; WIDTH];
+        let by_log_std = &mut gradient.tail[LOG_STD];
+        let statistics =
+            head.differentiate::<I>(network, minibatch, &output, &mut by_output, by_log_std);
+
+        gradient.tail[OUTPUT_BIAS] = sum(&by_output);
+        through_output::<I>(network, &by_output, hidden_2, gradient);
+        let by_sum_2 = &*hidden_2;
+        product::<I, _, _>(Left::ByRow(by_sum_2), hidden_1_by_sample, None, &mut gradient.second);
+        product::<I, _, _>(Left::ByTerm(by_sum_2), &network.second, None, by_sum_1);
+        through_tanh::<I>(hidden_1_by_sample.as_flattened(), by_sum_1.as_flattened_mut());
+        product::<I, _, _>(Left::ByRow(&minibatch.inputs), by_sum_1, None, &mut gradient.first);
+        statistics
+    }
+}
+
+/// Turns the second hidden layer into the loss derivative by its sums, row by row, and takes the
+/// two gradients that are sums over samples on the way.
+#[inline(always)]
+fn through_output<I: InstructionSet>(
+    network: &Network,
+    by_output: &Row,
+    hidden_2: &mut [Row; WIDTH],
+    gradient: &mut Network,
+) {
+    for (neuron, hidden) in hidden_2.iter_mut().enumerate() {
+        let weight = network.last[neuron];
+        let mut by_weight = [0.0; WIDTH];
+        for i in 0..WIDTH {
+            by_weight[i] = hidden[i] * by_output[i];
+            let slope = multiply_add::<I>(-hidden[i], hidden[i], 1.0);
+            hidden[i] = weight * by_output[i] * slope;
+        }
+        gradient.last[neuron] = sum(&by_weight);
+        gradient.second_bias[neuron] = sum(hidden);
+    }
+}
+
+/// From the derivative by tanh's values to that by its arguments: times 1 - tanh^2.
+#[inline(always)]
+fn through_tanh<I: InstructionSet>(values: &[f32], derivatives: &mut [f32]) {
+    for (derivative, &value) in derivatives.iter_mut().zip(values) {
+        *derivative *= multiply_add::<I>(-value, value, 1.0);
+    }
+}

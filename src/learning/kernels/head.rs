@@ -1,0 +1,127 @@
+use super::sum::sum;
+use crate::elementary::{InstructionSet, exp};
+use crate::learning::network::{Inputs, LOG_STD, Network, Row, WIDTH};
+
+/// 64 transitions, as the gradient wants them.
+#[derive(Clone, Debug)]
+pub(in crate::learning) struct Minibatch {
+    /// `[input][sample]`.
+    pub inputs: Inputs,
+    /// The action as it was drawn, in units of the net's output (before scale and clipping).
+    pub action: Row,
+    /// Its log probability under the policy that drew it.
+    pub log_probability: Row,
+    /// Its advantage, normalised or not.
+    pub advantage: Row,
+    /// What the value net should say.
+    pub return_: Row,
+}
+
+/// What a net is trained for: the loss, as a function of the net's output.
+pub(in crate::learning) trait Head {
+    /// What it tells about the minibatch.
+    type Statistics;
+
+    /// Writes the derivative of the mean loss by each output, and by the log std into `tail`.
+    fn differentiate<I: InstructionSet>(
+        &self,
+        network: &Network,
+        minibatch: &Minibatch,
+        output: &Row,
+        by_output: &mut Row,
+        by_log_std: &mut f32,
+    ) -> Self::Statistics;
+}
+
+/// PPO's clipped objective (Schulman 2017, equation 7) for a Gaussian whose mean is the output.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::learning) struct PolicyHead {
+    /// The ratio stays within 1 +- this.
+    pub clip: f32,
+    pub dual: f32,
+    pub kl: f32,
+    pub spo: f32,
+    /// Weight of the entropy bonus.
+    pub entropy_weight: f32,
+}
+
+/// How far the policy is from the one that collected, over one minibatch.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(in crate::learning) struct PolicyStatistics {
+    /// Mean of (r - 1) - ln r, r the ratio of probabilities: an unbiased, nonnegative estimate.
+    pub approximate_kl: f32,
+    /// Share of samples outside the clip range.
+    pub clip_fraction: f32,
+}
+
+impl Head for PolicyHead {
+    type Statistics = PolicyStatistics;
+
+    #[inline(always)]
+    fn differentiate<I: InstructionSet>(
+        &self,
+        network: &Network,
+        minibatch: &Minibatch,
+        output: &Row,
+        by_output: &mut Row,
+        by_log_std: &mut f32,
+    ) -> PolicyStatistics {
+        const MEAN: f32 = 1.0 / WIDTH as f32;
+        let log_std = network.tail[LOG_STD];
+        let inverse_std = exp(-log_std);
+        let mut by_log_stds = [0.0; WIDTH];
+        let mut divergences = [0.0; WIDTH];
+        let mut clipped = [0.0; WIDTH];
+        for i in 0..WIDTH {
+            let z = (minibatch.action[i] - output[i]) * inverse_std;
+            let log_ratio = gaussian_log_probability(z, log_std) - minibatch.log_probability[i];
+            let ratio = exp(log_ratio.min(10.0));
+            let advantage = minibatch.advantage[i];
+            let bounded = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
+            // Where the clipped term is the smaller one, the objective is flat.
+            let is_flat = (bounded * advantage < ratio * advantage) | (ratio > self.dual);
+            let by_log_probability = if is_flat { 0.0 } else { -MEAN * advantage * ratio };
+            let by_log_probability = if self.spo > 0.0 { -MEAN * ratio * (advantage - advantage.abs() * self.spo * (ratio - 1.0)) } else { by_log_probability };
+            let by_log_probability = by_log_probability + MEAN * self.kl * (ratio - 1.0);
+            by_output[i] = by_log_probability * z * inverse_std;
+            by_log_stds[i] = by_log_probability * (z * z - 1.0);
+            divergences[i] = (ratio - 1.0) - log_ratio;
+            clipped[i] = if bounded == ratio { 0.0 } else { 1.0 };
+        }
+        *by_log_std = sum(&by_log_stds) - self.entropy_weight;
+        PolicyStatistics {
+            approximate_kl: sum(&divergences) * MEAN,
+            clip_fraction: sum(&clipped) * MEAN,
+        }
+    }
+}
+
+/// ln of the normal density at `z` standard deviations from the mean.
+#[inline(always)]
+pub(in crate::learning) fn gaussian_log_probability(z: f32, log_std: f32) -> f32 {
+    /// ln(2 pi) / 2.
+    const NORMALISATION: f32 = 0.918_938_5;
+    -0.5 * z * z - log_std - NORMALISATION
+}
+
+/// Half the mean squared error of the value.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::learning) struct ValueHead;
+
+impl Head for ValueHead {
+    type Statistics = ();
+
+    #[inline(always)]
+    fn differentiate<I: InstructionSet>(
+        &self,
+        _network: &Network,
+        minibatch: &Minibatch,
+        output: &Row,
+        by_output: &mut Row,
+        _by_log_std: &mut f32,
+    ) {
+        for i in 0..WIDTH {
+            by_output[i] = (output[i] - minibatch.return_[i]) / WIDTH as f32;
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! The arithmetic of learning: everything that runs 750 000 times for one policy.
+//!
+//! Activations lie feature by feature, `[feature][64 samples]`, hidden weights
+//! `[neuron][neuron before]`. Then one kernel ([`product`]) does every product without packing,
+//! and only the first hidden layer is needed a second time sample by sample.
+//!
+//! Each file is plain loops over arrays of fixed size; `crate::elementary` compiles them for each
+//! instruction set. Sums run in one fixed order, so AVX-512 and AVX2 give the same bits. Processors
+//! without a fused multiply-add round once more and give others.
+
+mod adam;
+mod backward;
+mod forward;
+mod head;
+mod product;
+mod sum;
+#[cfg(test)]
+mod tests;
+
+pub(super) use adam::{AdamStep, Moments};
+pub(super) use backward::{Gradient, Workspace};
+pub(super) use forward::Forward;
+pub(super) use head::{gaussian_log_probability, Head, Minibatch, PolicyHead, PolicyStatistics, ValueHead};
+
+use crate::elementary::{InstructionSet, Level};
+
+/// `a b + c`, fused wherever the processor has such an instruction; elsewhere `mul_add` is a
+/// library call, and two roundings are the lesser evil.
+#[inline(always)]
+fn multiply_add<I: InstructionSet>(a: f32, b: f32, c: f32) -> f32 {
+    if matches!(I::LEVEL, Level::Plain) && !cfg!(target_arch = "aarch64") {
+        a * b + c
+    } else {
+        a.mul_add(b, c)
+    }
+}

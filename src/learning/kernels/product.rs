@@ -1,0 +1,92 @@
+use super::multiply_add;
+use crate::elementary::InstructionSet;
+use crate::elementary::Level;
+use crate::learning::network::{Row, WIDTH};
+
+/// The left factor of a product, as it lies in memory.
+#[derive(Clone, Copy)]
+pub(super) enum Left<'a, const ROWS: usize, const TERMS: usize> {
+    /// `[row][term]`.
+    ByRow(&'a [[f32; TERMS]; ROWS]),
+    /// `[term][row]`.
+    ByTerm(&'a [[f32; ROWS]; TERMS]),
+}
+
+/// `result[row][..] = start[row] + sum over terms of left(row, term) right[term][..]`
+///
+/// The one kernel behind every product of the nets: rows of the right factor are vectors, entries
+/// of the left one are broadcast, so neither is packed or transposed. Each entry is summed in the
+/// order of the terms whatever the tile, so the tile does not change a bit.
+#[inline(always)]
+pub(super) fn product<I: InstructionSet, const ROWS: usize, const TERMS: usize>(
+    left: Left<'_, ROWS, TERMS>,
+    right: &[Row; TERMS],
+    start: Option<&[f32; ROWS]>,
+    result: &mut [Row; ROWS],
+) {
+    // The sums of a tile fill half of the registers, which hides the latency of four cycles. The
+    // shapes are those that the compiler unrolls into registers; 8 x 32 it does not.
+    match I::LEVEL {
+        Level::Avx512 => tiled::<I, 4, 64, ROWS, TERMS>(left, right, start, result),
+        Level::Avx2 => tiled::<I, 4, 16, ROWS, TERMS>(left, right, start, result),
+        Level::Plain => tiled::<I, 4, 8, ROWS, TERMS>(left, right, start, result),
+    }
+}
+
+#[inline(always)]
+fn tiled<
+    I: InstructionSet,
+    const TALL: usize,
+    const WIDE: usize,
+    const ROWS: usize,
+    const TERMS: usize,
+>(
+    left: Left<'_, ROWS, TERMS>,
+    right: &[Row; TERMS],
+    start: Option<&[f32; ROWS]>,
+    result: &mut [Row; ROWS],
+) {
+    const { assert!(ROWS.is_multiple_of(TALL) && WIDTH.is_multiple_of(WIDE)) };
+    for (tile, result) in result.as_chunks_mut::<TALL>().0.iter_mut().enumerate() {
+        for column in 0..WIDTH / WIDE {
+            let mut sums = [[0.0; WIDE]; TALL];
+            if let Some(start) = start {
+                sums = start.as_chunks::<TALL>().0[tile].map(|start| [start; WIDE]);
+            }
+            match left {
+                Left::ByRow(left) => {
+                    let left = &left.as_chunks::<TALL>().0[tile];
+                    for (term, right) in right.iter().enumerate() {
+                        let right = &right.as_chunks::<WIDE>().0[column];
+                        for (sum, left) in sums.iter_mut().zip(left) {
+                            accumulate::<I, WIDE>(sum, left[term], right);
+                        }
+                    }
+                }
+                Left::ByTerm(left) => {
+                    for (left, right) in left.iter().zip(right) {
+                        let left = &left.as_chunks::<TALL>().0[tile];
+                        let right = &right.as_chunks::<WIDE>().0[column];
+                        for (sum, &left) in sums.iter_mut().zip(left) {
+                            accumulate::<I, WIDE>(sum, left, right);
+                        }
+                    }
+                }
+            }
+            for (result, sum) in result.iter_mut().zip(&sums) {
+                result.as_chunks_mut::<WIDE>().0[column] = *sum;
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn accumulate<I: InstructionSet, const WIDE: usize>(
+    sum: &mut [f32; WIDE],
+    left: f32,
+    right: &[f32; WIDE],
+) {
+    for (sum, &right) in sum.iter_mut().zip(right) {
+        *sum = multiply_add::<I>(left, right, *sum);
+    }
+}

@@ -1,0 +1,63 @@
+use super::kernels::{AdamStep, Gradient, Head, Minibatch, Moments, Workspace};
+use super::network::Network;
+use crate::elementary::dispatch;
+
+/// A net and the optimiser that trains it.
+#[derive(Debug)]
+pub(super) struct Learner {
+    pub network: Network,
+    pub moments: Moments,
+    gradient: Network,
+    pub norm: f32,
+    workspace: Workspace,
+}
+
+/// What one gradient step needs besides the minibatch.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StepSettings {
+    pub learning_rate: f32,
+    pub beta_1: f32,
+    pub beta_2: f32,
+    pub adam_epsilon: f32,
+    pub largest_gradient_norm: f32,
+}
+
+impl Learner {
+    /// A learner that has not yet learned.
+    pub fn new(network: Network) -> Box<Self> {
+        Box::new(Self {
+            network,
+            moments: Moments::ZERO,
+            gradient: Network::ZERO,
+            norm: 0.0,
+            workspace: Workspace::ZERO,
+        })
+    }
+
+    /// One step of Adam down the gradient of the head's loss over a minibatch.
+    pub fn step<H: Head>(
+        &mut self,
+        minibatch: &Minibatch,
+        head: &H,
+        settings: &StepSettings,
+    ) -> H::Statistics {
+        let statistics = dispatch(Gradient {
+            network: &self.network,
+            minibatch,
+            head,
+            workspace: &mut self.workspace,
+            gradient: &mut self.gradient,
+        });
+        self.norm = dispatch(AdamStep {
+            network: &mut self.network,
+            gradient: &self.gradient,
+            moments: &mut self.moments,
+            learning_rate: settings.learning_rate,
+            beta_1: settings.beta_1,
+            beta_2: settings.beta_2,
+            epsilon: settings.adam_epsilon,
+            largest_norm: settings.largest_gradient_norm,
+        });
+        statistics
+    }
+}

@@ -1,0 +1,129 @@
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rand::RngExt;
+
+use super::TrainSettings;
+use super::kernels::{Minibatch, PolicyHead, ValueHead};
+use super::learner::{Learner, StepSettings};
+use super::network::{LOG_STD, WIDTH};
+use super::random::Stream;
+use super::transition::Transition;
+
+/// What happened to the policy while it was optimised on one batch.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct PolicyProgress {
+    /// Mean over the minibatches.
+    pub approximate_kl: f64,
+    /// Largest of all minibatches.
+    pub largest_kl: f64,
+    /// Mean over the minibatches.
+    pub clip_fraction: f64,
+    /// Gradient steps.
+    pub steps: u32,
+}
+
+/// The order in which the minibatches of one update pick transitions: for every epoch a
+/// permutation. The policy and the value net follow the same.
+pub(super) struct Order {
+    generator: rand_chacha::ChaCha8Rng,
+    indices: Vec<u32>,
+}
+
+impl Order {
+    pub fn new(transitions: usize, seed: u64, update: u32) -> Self {
+        Self {
+            generator: Stream::Shuffle { update }.generator(seed),
+            indices: (0..transitions as u32).collect(),
+        }
+    }
+
+    /// Shuffles, and gives the indices minibatch by minibatch.
+    pub fn next_epoch(&mut self) -> &[[u32; WIDTH]] {
+        for last in (1..self.indices.len()).rev() {
+            self.indices.swap(last, self.generator.random_range(0..=last as u32) as usize);
+        }
+        self.indices.as_chunks().0
+    }
+}
+
+/// Improves the policy on a batch by PPO's clipped objective. Ends early when `stop` is set.
+pub(super) fn optimise_policy(
+    policy: &mut Learner,
+    transitions: &[Transition],
+    order: &mut Order,
+    settings: &TrainSettings,
+    update: u32,
+    stop: &AtomicBool,
+) -> PolicyProgress {
+    let head = PolicyHead {
+        clip: settings.clip,
+        dual: settings.dual,
+        kl: settings.kl,
+        spo: settings.spo,
+        entropy_weight: settings.entropy_weight,
+    };
+    let step = step_settings(settings, update);
+    let mut progress = PolicyProgress::default();
+    for _ in 0..settings.epochs {
+        for indices in order.next_epoch() {
+            if stop.load(Ordering::Relaxed) {
+                return progress;
+            }
+            let mut minibatch = Minibatch::gather(transitions, indices);
+            normalise(&mut minibatch.advantage);
+            let statistics = policy.step(&minibatch, &head, &step);
+            let log_std = &mut policy.network.tail[LOG_STD];
+            *log_std = log_std.max(settings.smallest_log_std);
+
+            let kl = f64::from(statistics.approximate_kl);
+            if std::env::var("TRACE").is_ok() { eprintln!("{update} {} {kl:.4} {:.3} {:.3}", progress.steps, statistics.clip_fraction, policy.norm); }
+            progress.approximate_kl += kl;
+            progress.largest_kl = progress.largest_kl.max(kl);
+            progress.clip_fraction += f64::from(statistics.clip_fraction);
+            progress.steps += 1;
+        }
+    }
+    progress.approximate_kl /= f64::from(progress.steps.max(1));
+    progress.clip_fraction /= f64::from(progress.steps.max(1));
+    progress
+}
+
+/// Fits the value net to the returns of a batch. Ends early when `stop` is set.
+pub(super) fn optimise_value(
+    value: &mut Learner,
+    transitions: &[Transition],
+    order: &mut Order,
+    settings: &TrainSettings,
+    update: u32,
+    stop: &AtomicBool,
+) {
+    let step = step_settings(settings, update);
+    for _ in 0..settings.epochs {
+        for indices in order.next_epoch() {
+            if stop.load(Ordering::Relaxed) {
+                return;
+            }
+            value.step(&Minibatch::gather(transitions, indices), &ValueHead, &step);
+        }
+    }
+}
+
+fn step_settings(settings: &TrainSettings, update: u32) -> StepSettings {
+    StepSettings {
+        learning_rate: settings.learning_rate_at(update),
+        beta_1: settings.adam_beta_1,
+        beta_2: settings.adam_beta_2,
+        adam_epsilon: settings.adam_epsilon,
+        largest_gradient_norm: settings.largest_gradient_norm,
+    }
+}
+
+/// Shifts and scales to mean 0 and standard deviation 1.
+fn normalise(values: &mut [f32; WIDTH]) {
+    let mean = values.iter().sum::<f32>() / WIDTH as f32;
+    let variance = values.iter().map(|v| (v - mean) * (v - mean)).sum::<f32>() / WIDTH as f32;
+    let scale = 1.0 / (variance.sqrt() + 1e-8);
+    for value in values {
+        *value = (*value - mean) * scale;
+    }
+}

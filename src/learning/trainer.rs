@@ -1,0 +1,159 @@
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::actor::NetworkActor;
+use super::collect::{Batch, Collector};
+use super::curve::TrainUpdate;
+use super::learner::Learner;
+use super::network::{LOG_STD, Network};
+use super::optimise::{Order, PolicyProgress, optimise_policy, optimise_value};
+use super::random::Stream;
+use super::transition::Transition;
+use super::{TrainError, TrainSettings};
+use crate::simulation::{DomainDistribution, evaluate};
+use super::export::exported;
+use super::train::Trained;
+
+/// Gain of the policy's output layer at the start: near 0 V everywhere.
+const POLICY_GAIN: f64 = 0.01;
+/// Gain of the value net's output layer at the start.
+const VALUE_GAIN: f64 = 1.0;
+
+/// Seed of the fixed starts (and Qubes) on which every policy is evaluated during training.
+const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
+
+/// A training between two updates.
+pub(super) struct Trainer<'a> {
+    pub distribution: &'a DomainDistribution,
+    pub settings: &'a TrainSettings,
+    pub seed: u64,
+    pub policy: Box<Learner>,
+    pub value: Box<Learner>,
+    pub best: Network,
+    pub best_return: f64,
+    pub curve: Vec<TrainUpdate>,
+}
+
+impl<'a> Trainer<'a> {
+    pub fn new(distribution: &'a DomainDistribution, settings: &'a TrainSettings, seed: u64) -> Self {
+        let mut generator = Stream::Weights.generator(seed);
+        let policy = Network::orthogonal(&mut generator, POLICY_GAIN, settings.first_log_std);
+        let value = Network::orthogonal(&mut generator, VALUE_GAIN, 0.0);
+        Self {
+            distribution,
+            settings,
+            seed,
+            best: policy.clone(),
+            best_return: f64::NEG_INFINITY,
+            policy: Learner::new(policy),
+            value: Learner::new(value),
+            curve: Vec::new(),
+        }
+    }
+
+    /// One round of Algorithm 1 (Eilers 2019): collect, optimise, evaluate.
+    pub fn update(&mut self, stop: &AtomicBool) -> Result<&TrainUpdate, TrainError> {
+        let update = self.curve.len() as u32;
+        let collector = Collector {
+            policy: &self.policy.network,
+            value: &self.value.network,
+            distribution: self.distribution,
+            settings: self.settings,
+            seed: self.seed,
+            update,
+        };
+        let batch = collector.collect(self.settings.threads);
+        let progress = self.optimise(&batch.transitions, update, stop);
+        if stop.load(Ordering::Relaxed) {
+            return Err(TrainError::Stopped);
+        }
+        let evaluation = evaluate(
+            &mut NetworkActor(&self.policy.network),
+            self.distribution,
+            &self.settings.simulation,
+            EVALUATION_SEED,
+            self.settings.evaluation_starts.into(),
+        );
+        let mean_return = evaluation.mean_return();
+        if mean_return > self.best_return {
+            self.best_return = mean_return;
+            self.best = self.policy.network.clone();
+        }
+        let earlier = self.curve.last().map_or(0, |last| last.steps);
+        self.curve.push(TrainUpdate {
+            update,
+            mean_return,
+            worst_return: evaluation.returns.iter().copied().fold(f64::INFINITY, f64::min),
+            training_return: training_return(&batch),
+            trajectories: batch.trajectories,
+            approximate_kl: progress.approximate_kl,
+            largest_kl: progress.largest_kl,
+            clip_fraction: progress.clip_fraction,
+            explained_variance: explained_variance(&batch.transitions),
+            log_std: self.policy.network.tail[LOG_STD].into(),
+            learning_rate: self.settings.learning_rate_at(update).into(),
+            steps: earlier + batch.transitions.len() as u64,
+            gradient_steps: self.policy.moments.steps,
+        });
+        Ok(&self.curve[update as usize])
+    }
+
+    /// Both nets learn from the same minibatches but share nothing else, so that each can have a
+    /// processor of its own.
+    fn optimise(
+        &mut self,
+        transitions: &[Transition],
+        update: u32,
+        stop: &AtomicBool,
+    ) -> PolicyProgress {
+        let (settings, seed) = (self.settings, self.seed);
+        let order = || Order::new(transitions.len(), seed, update);
+        let (policy, value) = (&mut self.policy, &mut self.value);
+        let mut fit_value =
+            || optimise_value(value, transitions, &mut order(), settings, update, stop);
+        let mut improve_policy =
+            || optimise_policy(policy, transitions, &mut order(), settings, update, stop);
+        if settings.threads > 1 {
+            std::thread::scope(|scope| {
+                scope.spawn(fit_value);
+                improve_policy()
+            })
+        } else {
+            fit_value();
+            improve_policy()
+        }
+    }
+
+    /// What came of it.
+    ///
+    /// # Errors
+    /// Weights that are not numbers.
+    pub fn into_trained(self) -> Result<Trained, TrainError> {
+        Ok(Trained {
+            network: exported(&self.best)?,
+            best_return: self.best_return,
+            final_return: self.curve.last().map_or(f64::NEG_INFINITY, |last| last.mean_return),
+            sensors: self.settings.simulation.sensors,
+            seed: self.seed,
+            curve: self.curve,
+        })
+    }
+
+    /// Whether there is nothing left to do.
+    pub fn is_finished(&self) -> bool {
+        self.curve.len() >= self.settings.updates as usize
+            || self.settings.enough.is_some_and(|enough| self.best_return >= enough)
+    }
+}
+
+fn training_return(batch: &Batch) -> f64 {
+    let rewards: f64 = batch.transitions.iter().map(|t| f64::from(t.reward)).sum();
+    rewards / batch.transitions.len() as f64 * crate::qube::MAX_STEPS as f64
+}
+
+fn explained_variance(transitions: &[Transition]) -> f64 {
+    let variance = |of: fn(&Transition) -> f64| {
+        let mean = transitions.iter().map(of).sum::<f64>() / transitions.len() as f64;
+        transitions.iter().map(|t| (of(t) - mean) * (of(t) - mean)).sum::<f64>()
+    };
+    1.0 - variance(|t| f64::from(t.return_ - t.value)) / variance(|t| f64::from(t.return_))
+}
