@@ -59,10 +59,7 @@ impl Checkpointing {
             match found.get(what) {
                 Some(value) if *value == expected => {}
                 Some(_) => {
-                    return Err(TrainError::CheckpointOfAnother {
-                        path: self.path.clone(),
-                        what,
-                    });
+                    return Err(TrainError::CheckpointOfAnother { path: self.path.clone(), what });
                 }
                 None => return Err(self.damaged(format!("it does not tell its {what}"))),
             }

@@ -59,7 +59,8 @@ impl Collector<'_> {
     fn collect_lanes(&self, lanes: Range<usize>) -> Batch {
         let mut pendulums = Pendulums::new(lanes.len(), &self.settings.simulation);
         let width = pendulums.lanes();
-        let mut explorers: Vec<Explorer> = lanes.clone().map(|lane| self.explorer(lane, 0)).collect();
+        let mut explorers: Vec<Explorer> =
+            lanes.clone().map(|lane| self.explorer(lane, 0)).collect();
         for (lane, explorer) in explorers.iter().enumerate() {
             pendulums.restart(lane, &explorer.trajectory);
         }

@@ -124,7 +124,8 @@ mod tests {
 
     #[test]
     fn a_line_has_as_many_fields_as_the_header() {
-        let csv = curve_csv(&[TrainUpdate { update: 3, mean_return: 541.5, ..TrainUpdate::default() }]);
+        let csv =
+            curve_csv(&[TrainUpdate { update: 3, mean_return: 541.5, ..TrainUpdate::default() }]);
         let lines: Vec<&str> = csv.lines().collect();
         assert_eq!(lines.len(), 2);
         assert_eq!(lines[0].split(',').count(), lines[1].split(',').count());

@@ -23,8 +23,7 @@ impl Network {
 fn orthonormal_rows(generator: &mut impl Rng, gain: f64, rows: &mut [Row]) {
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(rows.len());
     for row in rows {
-        let mut vector: Vec<f64> =
-            (0..WIDTH / 2).flat_map(|_| normal_pair(generator)).collect();
+        let mut vector: Vec<f64> = (0..WIDTH / 2).flat_map(|_| normal_pair(generator)).collect();
         // Twice, because once loses orthogonality where the remainder is short.
         for _ in 0..2 {
             for direction in &basis {

@@ -3,15 +3,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::actor::NetworkActor;
 use super::collect::{Batch, Collector};
 use super::curve::TrainUpdate;
+use super::export::exported;
 use super::learner::Learner;
 use super::network::{LOG_STD, Network};
 use super::optimise::{Order, PolicyProgress, optimise_policy, optimise_value};
 use super::random::Stream;
+use super::train::Trained;
 use super::transition::Transition;
 use super::{TrainError, TrainSettings};
 use crate::simulation::{DomainDistribution, evaluate};
-use super::export::exported;
-use super::train::Trained;
 
 /// Gain of the policy's output layer at the start: near 0 V everywhere.
 const POLICY_GAIN: f64 = 0.01;
@@ -34,7 +34,11 @@ pub(super) struct Trainer<'a> {
 }
 
 impl<'a> Trainer<'a> {
-    pub fn new(distribution: &'a DomainDistribution, settings: &'a TrainSettings, seed: u64) -> Self {
+    pub fn new(
+        distribution: &'a DomainDistribution,
+        settings: &'a TrainSettings,
+        seed: u64,
+    ) -> Self {
         let mut generator = Stream::Weights.generator(seed);
         let policy = Network::orthogonal(&mut generator, POLICY_GAIN, settings.first_log_std);
         let value = Network::orthogonal(&mut generator, VALUE_GAIN, 0.0);

@@ -64,7 +64,9 @@ pub(super) fn constant_inputs() -> Inputs {
 }
 
 /// Observations of up to 64 samples as the first layer wants them; the rest stays zero.
-pub(super) fn inputs<'a>(observations: impl Iterator<Item = &'a [f32; OBSERVATION_SIZE]>) -> Inputs {
+pub(super) fn inputs<'a>(
+    observations: impl Iterator<Item = &'a [f32; OBSERVATION_SIZE]>,
+) -> Inputs {
     let mut inputs = constant_inputs();
     for (sample, observation) in observations.enumerate() {
         for (row, &entry) in inputs.iter_mut().zip(observation) {

@@ -44,8 +44,7 @@ impl Kernel for AdamStep<'_> {
         let (beta_1, beta_2) = (self.beta_1, self.beta_2);
         self.moments.steps += 1;
         let steps = self.moments.steps as f64;
-        let step_size =
-            f64::from(self.learning_rate) / (1.0 - libm::pow(f64::from(beta_1), steps));
+        let step_size = f64::from(self.learning_rate) / (1.0 - libm::pow(f64::from(beta_1), steps));
         let inverse_root = 1.0 / libm::sqrt(1.0 - libm::pow(f64::from(beta_2), steps));
         let (step_size, inverse_root) = (step_size as f32, inverse_root as f32);
 

@@ -81,7 +81,11 @@ impl Head for PolicyHead {
             // Where the clipped term is the smaller one, the objective is flat.
             let is_flat = (bounded * advantage < ratio * advantage) | (ratio > self.dual);
             let by_log_probability = if is_flat { 0.0 } else { -MEAN * advantage * ratio };
-            let by_log_probability = if self.spo > 0.0 { -MEAN * ratio * (advantage - advantage.abs() * self.spo * (ratio - 1.0)) } else { by_log_probability };
+            let by_log_probability = if self.spo > 0.0 {
+                -MEAN * ratio * (advantage - advantage.abs() * self.spo * (ratio - 1.0))
+            } else {
+                by_log_probability
+            };
             let by_log_probability = by_log_probability + MEAN * self.kl * (ratio - 1.0);
             by_output[i] = by_log_probability * z * inverse_std;
             by_log_stds[i] = by_log_probability * (z * z - 1.0);

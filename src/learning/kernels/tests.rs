@@ -35,14 +35,57 @@ fn timing() {
             let mut best = f64::MAX;
             for _ in 0..20 {
                 let start = std::time::Instant::now();
-                for _ in 0..300 { f(); }
+                for _ in 0..300 {
+                    f();
+                }
                 best = best.min(start.elapsed().as_secs_f64() / 300.0);
             }
             println!("{level:?} {name} {:.2} us", best * 1e6);
         };
-        time("policy gradient", &mut || { dispatch_at(level, Gradient { network: &network, minibatch: &minibatch, head: &PolicyHead { dual: 3.0, clip: 0.1, entropy_weight: 0.0 }, workspace: &mut workspace, gradient: &mut gradient }); });
-        time("value gradient", &mut || { dispatch_at(level, Gradient { network: &network, minibatch: &minibatch, head: &ValueHead, workspace: &mut workspace, gradient: &mut gradient }); });
-        time("forward", &mut || { std::hint::black_box(dispatch_at(level, Forward { network: &network, inputs: &minibatch.inputs })); });
-        time("adam", &mut || { dispatch_at(level, AdamStep { network: &mut network, gradient: &gradient, moments: &mut moments, beta_1: 0.9, beta_2: 0.999, learning_rate: 1e-4, epsilon: 1e-5, largest_norm: 0.5 }); });
+        time("policy gradient", &mut || {
+            dispatch_at(
+                level,
+                Gradient {
+                    network: &network,
+                    minibatch: &minibatch,
+                    head: &PolicyHead { dual: 3.0, clip: 0.1, entropy_weight: 0.0 },
+                    workspace: &mut workspace,
+                    gradient: &mut gradient,
+                },
+            );
+        });
+        time("value gradient", &mut || {
+            dispatch_at(
+                level,
+                Gradient {
+                    network: &network,
+                    minibatch: &minibatch,
+                    head: &ValueHead,
+                    workspace: &mut workspace,
+                    gradient: &mut gradient,
+                },
+            );
+        });
+        time("forward", &mut || {
+            std::hint::black_box(dispatch_at(
+                level,
+                Forward { network: &network, inputs: &minibatch.inputs },
+            ));
+        });
+        time("adam", &mut || {
+            dispatch_at(
+                level,
+                AdamStep {
+                    network: &mut network,
+                    gradient: &gradient,
+                    moments: &mut moments,
+                    beta_1: 0.9,
+                    beta_2: 0.999,
+                    learning_rate: 1e-4,
+                    epsilon: 1e-5,
+                    largest_norm: 0.5,
+                },
+            );
+        });
     }
 }
