@@ -1,11 +1,14 @@
-//! Time as an argument: the wall clock, or a virtual one that a session can run faster than.
+//! Time as an argument: the wall clock, or a virtual one that a session can run faster than; and
+//! what a thread needs to keep time, from the operating system.
 //!
 //! Imports nothing.
 
 mod monotonic;
+mod realtime;
 mod virtual_clock;
 
 pub use monotonic::MonotonicClock;
+pub use realtime::{RealtimeReport, enter_realtime};
 pub use virtual_clock::VirtualClock;
 
 /// Nanoseconds since an arbitrary origin that never moves backwards.

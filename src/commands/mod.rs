@@ -22,7 +22,7 @@ use tracing_subscriber::EnvFilter;
 
 use output::Output;
 
-use crate::control::RealtimeReport;
+use crate::clock::RealtimeReport;
 use crate::session::Latencies;
 use crate::telemetry::LatencySummary;
 

@@ -10,7 +10,6 @@ mod drive;
 mod homing;
 mod latency;
 mod motion;
-mod realtime;
 mod settling;
 mod thread;
 mod tick;
@@ -19,7 +18,6 @@ mod watch;
 pub use drive::{DriveReport, drive};
 pub use homing::{Homing, HomingMethod, HomingSettings};
 pub use motion::{Motion, TickInput, TickOutput};
-pub use realtime::{RealtimeReport, enter_realtime};
 pub use thread::{ControlThread, ThreadGone};
 pub use tick::Tick;
 

@@ -5,8 +5,8 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use thiserror::Error;
 
-use super::{DriveReport, Homing, HomingSettings, RealtimeReport, Tick, drive, enter_realtime};
-use crate::clock::Clock;
+use super::{DriveReport, Homing, HomingSettings, Tick, drive};
+use crate::clock::{Clock, RealtimeReport, enter_realtime};
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::Calibration;
 use crate::policy::Policy;

@@ -5,8 +5,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use thiserror::Error;
 
-use crate::clock::{Clock, MonotonicClock, VirtualClock};
-use crate::control::{ControlThread, HomingSettings, RING_CAPACITY, RealtimeReport, ThreadGone};
+use crate::clock::{Clock, MonotonicClock, RealtimeReport, VirtualClock};
+use crate::control::{ControlThread, HomingSettings, RING_CAPACITY, ThreadGone};
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{Device, DeviceError, Identity, SerialLink};
 use crate::estimation::Calibration;

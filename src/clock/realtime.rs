@@ -1,4 +1,4 @@
-//! Asking the operating system for real time. The one place of this room with `unsafe`.
+//! Asking the operating system for real time. The one file of this room with `unsafe`.
 
 use rustix::mm::{MlockAllFlags, mlockall};
 
