@@ -50,9 +50,9 @@ fn bench_level(
     group.throughput(Throughput::Elements(lanes as u64));
     group.bench_function(BenchmarkId::new(format!("{level:?}"), lanes), |bencher| {
         bencher.iter(|| {
-            if steps % 25 == 0 {
+            if steps.is_multiple_of(25) {
                 for (lane, voltage_v) in voltages_v.iter_mut().enumerate() {
-                    *voltage_v = if (steps / 25 + lane) % 2 == 0 { 1.5 } else { -1.5 };
+                    *voltage_v = if (steps / 25 + lane).is_multiple_of(2) { 1.5 } else { -1.5 };
                 }
             }
             steps += 1;

@@ -11,7 +11,7 @@ use crate::qube::DomainParameter;
 /// zero is above zero in every draw. A tenth rather than nothing, because the integrator's step
 /// still resolves an arm of a tenth of its length, and not one of a hundredth; symmetric, so that
 /// the mean of the draws is the mean asked for.
-pub const REACH: f64 = 0.9;
+pub const TRUNCATION: f64 = 0.9;
 
 /// How one domain parameter is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,7 +22,7 @@ pub enum Distribution {
         /// The value.
         value: f64,
     },
-    /// Normal, drawn again while farther from the mean than [`REACH`] times the mean.
+    /// Normal, drawn again while farther from the mean than [`TRUNCATION`] times the mean.
     Normal {
         /// Its mean.
         mean: f64,
@@ -30,7 +30,7 @@ pub enum Distribution {
         standard_deviation: f64,
     },
     /// Uniform with this mean and standard deviation (a half-width of sqrt(3) standard deviations),
-    /// its half-width cut to [`REACH`] times the mean.
+    /// its half-width cut to [`TRUNCATION`] times the mean.
     Uniform {
         /// Its mean.
         mean: f64,
@@ -106,7 +106,7 @@ impl Distribution {
     }
 
     /// One draw. For a distribution that passes [`Self::check`] at least 63 % of the normal draws
-    /// lie within reach, so that this ends soon.
+    /// lie within it, so that this ends soon.
     pub fn sample(&self, rng: &mut impl rand::Rng) -> f64 {
         match *self {
             Self::Constant { value } => value,
@@ -116,13 +116,13 @@ impl Distribution {
                 }
                 loop {
                     let deviation = standard_deviation * standard_normal(rng);
-                    if deviation.abs() <= REACH * mean {
+                    if deviation.abs() <= TRUNCATION * mean {
                         return mean + deviation;
                     }
                 }
             }
             Self::Uniform { mean, standard_deviation } => {
-                let half_width = (sqrt(3.0) * standard_deviation).min(REACH * mean);
+                let half_width = (sqrt(3.0) * standard_deviation).min(TRUNCATION * mean);
                 mean + half_width * (2.0 * rng.random::<f64>() - 1.0)
             }
         }

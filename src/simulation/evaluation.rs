@@ -1,9 +1,6 @@
 use super::{DomainDistribution, Pendulums, Progress, SimulationSettings, Trajectory};
 use crate::qube::{MAX_STEPS, OBSERVATION_SIZE};
 
-/// Starts of an evaluation during training.
-pub const DEFAULT_STARTS: usize = 100;
-
 /// Whatever chooses voltages for many pendulums at once.
 pub trait Actor {
     /// Voltages in V for `observations`, `[6][lanes]`; `voltages_v` has `lanes` entries, a multiple
@@ -44,6 +41,9 @@ impl Evaluation {
 
 /// Runs an actor through the trajectories 0 to `starts` - 1 of a seed, each to its end, and adds up
 /// what they earn. The same seed gives the same plants and starts to every actor.
+///
+/// 100 starts choose a policy during training; a figure to publish takes 1000 or more, of a fresh
+/// seed.
 pub fn evaluate(
     actor: &mut impl Actor,
     distribution: &DomainDistribution,

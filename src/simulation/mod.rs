@@ -12,9 +12,9 @@ mod psi;
 mod settings;
 mod trajectory;
 
-pub use distribution::{Distribution, DistributionError, REACH};
+pub use distribution::{Distribution, DistributionError, TRUNCATION};
 pub use domain_distribution::{DomainDistribution, Family};
-pub use evaluation::{Actor, DEFAULT_STARTS, Evaluation, evaluate};
+pub use evaluation::{Actor, Evaluation, evaluate};
 pub use pendulums::{LANES_MULTIPLE, Pendulums, Progress};
 pub use psi::{PSI_DIMENSIONS, Psi, PsiDimension, PsiError};
 pub use settings::{SensorModel, SimulationSettings};
