@@ -1,0 +1,80 @@
+//! What the next candidate costs: fitting the surrogate and maximising the acquisition.
+//!
+//! `cargo bench --bench surrogate`, pinned to one core (`taskset -c 1`) where ratios matter. The
+//! data are those of a synthetic return over eight dimensions with noise.
+
+use std::hint::black_box;
+
+use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use qube_hil::surrogate::{
+    Dataset, FitSettings, GaussianProcess, LogExpectedImprovement, LogKnowledgeGradient,
+    MaximiserSettings, MeanFunction, OnProcess, PriorSet, SearchBox, maximise, sobol_point,
+};
+
+const DIMENSIONS: usize = 8;
+
+/// A return-like hump over the unit cube with noise of standard deviation 15.
+fn data(n: usize) -> Dataset {
+    let search_box = SearchBox::unit(DIMENSIONS).expect("eight dimensions");
+    let centre = [0.3, 0.6, 0.5, 0.4, 0.7, 0.2, 0.5, 0.5];
+    let weight = [3.0, 2.0, 2.5, 0.5, 1.0, 1.5, 0.1, 0.05];
+    let points: Vec<Vec<f64>> = (0..n).map(|i| sobol_point(i, DIMENSIONS, 1)).collect();
+    let values: Vec<f64> = points
+        .iter()
+        .enumerate()
+        .map(|(i, x)| {
+            let bowl: f64 = (0..DIMENSIONS).map(|d| weight[d] * (x[d] - centre[d]).powi(2)).sum();
+            let noise: f64 = sobol_point(i, 12, 7).iter().sum::<f64>() - 6.0;
+            540.0 * (-bowl).exp() + 20.0 * (6.0 * x[0]).sin() + 15.0 * noise
+        })
+        .collect();
+    Dataset::new(&search_box, &points, &values, None).expect("finite values inside the box")
+}
+
+/// What BoTorch is timed with: gamma priors, a constant mean.
+fn settings() -> FitSettings {
+    FitSettings {
+        mean: MeanFunction::Constant,
+        priors: PriorSet::Gamma,
+        ..FitSettings::default()
+    }
+}
+
+fn fitted(n: usize) -> GaussianProcess {
+    GaussianProcess::fit(data(n), &settings()).expect("noise keeps the covariance definite")
+}
+
+fn fit(c: &mut Criterion) {
+    let mut group = c.benchmark_group("fit");
+    for n in [25, 100, 500, 1000] {
+        group.sample_size(if n < 100 { 30 } else { 10 });
+        group.bench_with_input(BenchmarkId::from_parameter(n), &data(n), |b, data| {
+            b.iter(|| GaussianProcess::fit(black_box(data.clone()), &settings()));
+        });
+    }
+    group.finish();
+}
+
+fn maximise_acquisition(c: &mut Criterion) {
+    let mut group = c.benchmark_group("maximise");
+    let settings = MaximiserSettings::default();
+    for n in [25, 100, 500, 1000] {
+        group.sample_size(if n < 100 { 30 } else { 10 });
+        let process = fitted(n);
+        let search_box = process.data().search_box().clone();
+        group.bench_with_input(BenchmarkId::new("log-ei", n), &process, |b, process| {
+            let incumbent = process.data().largest_value();
+            let acquisition =
+                OnProcess { process, criterion: LogExpectedImprovement { incumbent } };
+            b.iter(|| maximise(black_box(&acquisition), &search_box, &[], &settings));
+        });
+        group.bench_with_input(BenchmarkId::new("log-kg", n), &process, |b, process| {
+            let acquisition = LogKnowledgeGradient::new(process);
+            b.iter(|| maximise(black_box(&acquisition), &search_box, &[], &settings));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, fit, maximise_acquisition);
+criterion_main!(benches);
