@@ -3,6 +3,7 @@
 //! Nothing here depends on how busy the machine is: what is judged is judged by the device's clock.
 
 use std::io::{Read, Write};
+use std::os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -61,31 +62,24 @@ fn an_emulated_qube_is_reached_like_a_real_one() {
     assert!(!sample(&mut link).status.armed);
 }
 
+/// When it trips is for `wire_conformance` to judge.
 #[test]
 fn the_watchdog_switches_the_motor_off_and_stays_off() {
     let qube = qube(None);
     let mut link = open(&qube);
     arm(&mut link);
-    let fed = sample(&mut link);
-    link.act(2000).ok();
-    // The act is accepted between `fed` and the first sample after it.
-    let mut since_act_us = 0;
-    let mut tripped = sample(&mut link);
-    if let Some(sample_to_act_us) = tripped.sample_to_act_us {
-        since_act_us = u64::from(sample_to_act_us);
-    }
+    let armed = sample(&mut link);
+    let mut tripped = armed;
     while !tripped.status.watchdog_tripped {
-        let elapsed_us = tripped.device_time_us - fed.device_time_us - since_act_us;
-        assert!(elapsed_us < 55_000, "still armed after {elapsed_us} us");
-        assert!(tripped.status.armed);
+        assert!(tripped.device_time_us < armed.device_time_us + 55_000);
         tripped = sample(&mut link);
     }
-    let elapsed_us = tripped.device_time_us - fed.device_time_us - since_act_us;
-    assert!(elapsed_us >= 50_000 || since_act_us == 0, "tripped after {elapsed_us} us");
     assert_eq!(tripped.applied_mv, 0);
     assert!(!tripped.status.armed);
     assert_eq!(link.act(1000), Err(LinkFault::WatchdogTripped));
+    assert!(matches!(link.arm(), Err(DeviceError::Refused { .. })));
     assert!(sample(&mut link).status.watchdog_tripped);
+    arm(&mut link);
 }
 
 #[test]
@@ -100,6 +94,32 @@ fn the_host_may_close_and_open_the_port_again() {
     port.write_all(&[5, 1, 2]).unwrap();
     drop(port);
     open(&qube).hello().unwrap();
+}
+
+/// A killed host leaves the port in exclusive mode; only root could open it again if the emulator
+/// did not take that back. (Tests often run as root, so the mode itself is looked at.)
+#[test]
+fn a_killed_host_does_not_lock_the_port() {
+    let qube = qube(None);
+    let port = serialport::new(qube.port().to_str().unwrap(), 500_000).open_native().unwrap();
+    // SAFETY: `into_raw_fd` gave up the descriptor, so this is its only owner.
+    let killed = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
+    drop(killed);
+    let look = std::fs::File::options().read(true).write(true).open(qube.port());
+    let is_exclusive = |port: &std::fs::File| {
+        let mut exclusive: libc::c_int = 0;
+        // SAFETY: the descriptor is open and the kernel writes one int.
+        let asked = unsafe { libc::ioctl(port.as_raw_fd(), libc::TIOCGEXCL, &mut exclusive) };
+        assert_eq!(asked, 0);
+        exclusive != 0
+    };
+    let end_ns = MonotonicClock.now_ns() + PATIENCE_NS;
+    while look.as_ref().is_ok_and(is_exclusive)
+        || SerialLink::open(qube.port().to_str().unwrap(), Arc::new(MonotonicClock)).is_err()
+    {
+        assert!(MonotonicClock.now_ns() < end_ns, "the port stays locked");
+        std::thread::sleep(Duration::from_millis(10));
+    }
 }
 
 #[test]

@@ -150,12 +150,6 @@ impl Board {
         self.state
     }
 
-    /// The board's clock, microseconds since its start.
-    #[must_use]
-    pub fn now_us(&self) -> u64 {
-        self.now_us
-    }
-
     fn answer(&mut self, frame: &Frame) -> Option<Reply> {
         let request = match Request::parse(frame) {
             Ok(request) => request,
@@ -362,3 +356,6 @@ fn firmware_version() -> [u8; 3] {
     let mut parts = env!("CARGO_PKG_VERSION").split('.').map(|part| part.parse().unwrap_or(0));
     std::array::from_fn(|_| parts.next().unwrap_or(0))
 }
+
+#[cfg(test)]
+mod tests;

@@ -15,7 +15,7 @@ use super::{Board, EmulatorSettings};
 use crate::clock::{Clock, MonotonicClock};
 
 /// How often an idle server looks after its port.
-const HOUSEKEEPING_US: u64 = 500_000;
+const HOUSEKEEPING_US: u64 = 100_000;
 
 /// An emulated Qube behind a real pty, served by a thread of its own at wall-clock speed until it
 /// is dropped. Open [`port`](Self::port) as if it were a serial port.

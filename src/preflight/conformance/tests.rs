@@ -1,7 +1,9 @@
+use firmware_protocol::{Decoder, RefusalReason, Reply, SampleReply};
+
 use super::*;
-use crate::clock::VirtualClock;
-use crate::device::InProcessWire;
+use crate::clock::{Nanoseconds, VirtualClock};
 use crate::device::emulator::{EmulatorFault, EmulatorSettings};
+use crate::device::{InProcessWire, Transport};
 
 fn failures(fault: Option<EmulatorFault>) -> Vec<&'static str> {
     let clock = VirtualClock::default();
@@ -33,6 +35,117 @@ fn a_device_that_does_not_conform_is_found() {
     let version = failures(Some(EmulatorFault::WrongVersion));
     assert!(version.contains(&"hello") && version.contains(&"version-mismatch"), "{version:?}");
     assert!(!failures(Some(EmulatorFault::Garble { every: 7 })).is_empty());
+}
+
+/// A device that is right but for what `distort` does to its replies; `false` swallows one.
+struct Mutant {
+    wire: InProcessWire,
+    decoder: Decoder,
+    distort: fn(&mut u16, &mut Reply) -> bool,
+}
+
+impl Transport for Mutant {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        let mut byte = [0];
+        while self.wire.read(&mut byte, deadline_ns)? > 0 {
+            let Some(Ok(frame)) = self.decoder.push(byte[0]) else { continue };
+            let (mut sequence, mut reply) = (frame.sequence, Reply::parse(&frame).unwrap());
+            if (self.distort)(&mut sequence, &mut reply) {
+                let encoded = reply.encode(sequence);
+                let length = encoded.as_bytes().len();
+                buffer[..length].copy_from_slice(encoded.as_bytes());
+                return Ok(length);
+            }
+        }
+        Ok(0)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        self.wire.write(bytes)
+    }
+
+    fn name(&self) -> &str {
+        "mutant"
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        self.wire.boot_time_ns()
+    }
+}
+
+fn refuses(reply: &Reply, which: RefusalReason) -> bool {
+    matches!(reply, Reply::Refusal { reason, .. } if *reason == which)
+}
+
+fn distort_sample(reply: &mut Reply, distort: fn(&mut SampleReply)) -> bool {
+    if let Reply::Sample(sample) = reply {
+        distort(sample);
+    }
+    true
+}
+
+type Distortion = fn(&mut u16, &mut Reply) -> bool;
+
+/// What a third implementation may get wrong, and the check that must find it.
+const DISTORTIONS: &[(&str, Distortion)] = &[
+    ("hello", |_, reply| {
+        if let Reply::Hello(hello) = reply {
+            hello.watchdog_ms = 100;
+        }
+        true
+    }),
+    ("fresh-nonce", |_, reply| {
+        if let Reply::Hello(hello) = reply {
+            hello.nonce = 1;
+        }
+        true
+    }),
+    ("sample", |_, reply| distort_sample(reply, |sample| sample.status.0 |= 0x80)),
+    ("device-clock", |_, reply| {
+        distort_sample(reply, |sample| {
+            sample.device_time_us -= sample.device_time_us / 20;
+        })
+    }),
+    ("replayed-arm", |_, reply| !refuses(reply, RefusalReason::WrongNonce)),
+    ("arm-twice", |_, reply| !refuses(reply, RefusalReason::AlreadyArmed)),
+    ("act-unarmed", |_, reply| !refuses(reply, RefusalReason::NotArmed)),
+    ("act", |_, reply| distort_sample(reply, |sample| sample.applied_mv /= 2)),
+    ("act", |_, reply| distort_sample(reply, |sample| sample.sample_to_act_us = 0xFFFF)),
+    ("act", |_, reply| distort_sample(reply, |sample| sample.last_act_sequence ^= 1)),
+    ("act-out-of-range", |_, reply| !refuses(reply, RefusalReason::VoltageOutOfRange)),
+    ("replayed-act", |_, reply| !refuses(reply, RefusalReason::StaleSequence)),
+    ("watchdog", |_, reply| distort_sample(reply, |sample| sample.device_time_us *= 2)),
+    ("watchdog-latch", |_, reply| !refuses(reply, RefusalReason::WatchdogTripped)),
+    ("garbage", |_, reply| {
+        if let Reply::Hello(hello) = reply {
+            hello.dropped_frames = 0;
+        }
+        true
+    }),
+    ("unknown-type", |_, reply| !refuses(reply, RefusalReason::UnknownType)),
+    ("unknown-type", |_, reply| !refuses(reply, RefusalReason::WrongLength)),
+    ("back-to-back", |sequence, reply| {
+        if matches!(reply, Reply::Disarm(_)) {
+            *sequence = sequence.wrapping_sub(1);
+        }
+        true
+    }),
+];
+
+#[test]
+fn each_wrong_answer_is_found_by_the_check_for_it() {
+    for (index, (name, distort)) in DISTORTIONS.iter().enumerate() {
+        let clock = VirtualClock::default();
+        let wire = InProcessWire::new(EmulatorSettings::default(), clock.clone());
+        let mut mutant = Mutant { wire, decoder: Decoder::new(), distort: *distort };
+        let mut speaker = Speaker::new(&mut mutant, &clock);
+        let check = CHECKS.iter().find(|check| check.name == *name).unwrap();
+        let result = check.run(&mut speaker);
+        assert!(
+            matches!(result, Err(Deviation::Wrong(_) | Deviation::Silent(_))),
+            "distortion {index} passed {name}: {result:?}"
+        );
+    }
 }
 
 #[test]
