@@ -1,0 +1,66 @@
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::exit::Failure;
+use super::output::Output;
+use super::replay::recording_failure;
+use crate::recording::{Recovered, recover};
+
+/// Make a cut-off recording whole: save every tick of it into a new file
+///
+/// The old file stays as it is. Exit code 0 when it was whole already, 3 when something of the
+/// rollout is lost.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil recover logs/monday/rollout-3.mcap\n  \
+    qube-hil recover rollout-3.mcap --out saved.mcap && qube-hil replay saved.mcap")]
+pub struct Arguments {
+    /// The recording that was cut off or damaged
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+
+    /// The new file [default: FILE with `.recovered.mcap` at its end]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// Saves what is whole and says what is not.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let out = arguments.out.clone().unwrap_or_else(|| recovered_name(&arguments.file));
+    let recovered = recover(&arguments.file, &out).map_err(|error| recording_failure(&error))?;
+    let path = arguments.file.display();
+    match recovered {
+        Recovered::WasWhole => {
+            output.print(
+                &format!("{path} is whole; nothing was written"),
+                &json!({ "path": arguments.file, "was_whole": true, "recovered": null }),
+            );
+            Ok(())
+        }
+        Recovered::Saved { ticks, lost_bytes, has_outcome } => {
+            output.print(
+                &format!("{}: {ticks} ticks saved", out.display()),
+                &json!({
+                    "path": arguments.file,
+                    "was_whole": false,
+                    "recovered": out,
+                    "ticks": ticks,
+                    "lost_bytes": lost_bytes,
+                    "has_outcome": has_outcome,
+                }),
+            );
+            if lost_bytes == 0 && has_outcome {
+                return Ok(());
+            }
+            let outcome = if has_outcome { "is" } else { "is not" };
+            Err(Failure::data_lost(format!(
+                "{path}: {lost_bytes} bytes could not be saved; how the rollout ended {outcome} known"
+            )))
+        }
+    }
+}
+
+fn recovered_name(file: &Path) -> PathBuf {
+    file.with_extension("recovered.mcap")
+}

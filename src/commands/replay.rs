@@ -1,0 +1,311 @@
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde_json::json;
+
+use super::exit::Failure;
+use super::output::Output;
+use crate::policy::Policy;
+use crate::qube::DomainParameters;
+use crate::recording::{Completeness, Recording, RecordingError, read};
+use crate::replay::{AngleError, MotionLog, Rerun, plot_svg, rerun, simulate_beside};
+
+/// Run recordings again: recompute the return, put the recorded measurements through the very tick
+/// that ran on the Qube, and compare every voltage bit for bit
+///
+/// With --simulate, the simulator gets the recorded voltages and is laid beside the recorded
+/// motion. That also takes CSV files with the columns time_s, theta_rad, alpha_rad,
+/// theta_dot_rad_s, alpha_dot_rad_s, voltage_v.
+///
+/// Exit code 3 when a recording was cut off or something came out differently.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil replay logs/monday/*.mcap\n  \
+    qube-hil replay --simulate --plot plots logs/monday/rollout-0.mcap\n  \
+    qube-hil replay --simulate --parameters identified.toml chirp.csv")]
+pub struct Arguments {
+    /// Recordings (.mcap), with --simulate also tables (.csv)
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+
+    /// Lay the simulator beside each recording, in open loop
+    #[arg(long)]
+    simulate: bool,
+
+    /// A TOML file with domain parameters for the simulator (g, R_m, k_m, D_r, D_p, M_r, M_p, L_r,
+    /// L_p); those that it does not name are nominal
+    #[arg(long, value_name = "FILE", requires = "simulate")]
+    parameters: Option<PathBuf>,
+
+    /// A folder for one picture (.svg) of each recording with the simulator beside it
+    #[arg(long, value_name = "DIR", requires = "simulate")]
+    plot: Option<PathBuf>,
+}
+
+/// What is said of one file.
+#[derive(Default, Serialize)]
+struct Report {
+    path: PathBuf,
+    return_recorded: Option<f64>,
+    return_recomputed: Option<f64>,
+    actions_compared: usize,
+    actions_different: usize,
+    /// What is wrong, if anything is.
+    problem: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rmse: Option<Rmse>,
+}
+
+/// What is wrong with one file, and what that makes of the command.
+struct Problem {
+    failure: fn(String) -> Failure,
+    what: String,
+}
+
+impl Problem {
+    fn usage(what: impl ToString) -> Self {
+        Self { failure: |what| Failure::usage(what), what: what.to_string() }
+    }
+
+    fn failed(what: impl ToString) -> Self {
+        Self { failure: |what| Failure::failed(what), what: what.to_string() }
+    }
+
+    fn data_lost(what: impl ToString) -> Self {
+        Self { failure: |what| Failure::data_lost(what), what: what.to_string() }
+    }
+}
+
+#[derive(Clone, Copy, Serialize)]
+struct Rmse {
+    theta_rad: f64,
+    alpha_rad: f64,
+}
+
+/// Replays every file and prints what came of each; the first thing that is wrong decides the exit
+/// code.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let parameters = match &arguments.parameters {
+        Some(path) => read_parameters(path)?,
+        None => DomainParameters::NOMINAL,
+    };
+    if let Some(folder) = &arguments.plot {
+        fs::create_dir_all(folder)
+            .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;
+    }
+    let mut text = String::new();
+    let mut reports = Vec::new();
+    let mut problems = Vec::new();
+    for path in &arguments.files {
+        let mut report = Report { path: path.clone(), ..Report::default() };
+        if let Err(problem) = replay_file(arguments, &parameters, &mut report, &mut text) {
+            report.problem = Some(problem.what.clone());
+            problems.push(problem);
+        }
+        reports.push(report);
+    }
+    if text.is_empty() {
+        text.push_str("nothing was replayed");
+    }
+    let errors: Vec<Rmse> = reports.iter().filter_map(|report| report.rmse).collect();
+    let result = match overall(&errors) {
+        Some(rmse) => {
+            if errors.len() > 1 {
+                let _ = writeln!(text, "all: {}", rmse_text(rmse));
+            }
+            json!({ "recordings": reports, "rmse": rmse })
+        }
+        None => json!({ "recordings": reports }),
+    };
+    output.print(&text, &result);
+    let all: Vec<&str> = problems.iter().map(|problem| problem.what.as_str()).collect();
+    match problems.first() {
+        Some(first) => Err((first.failure)(all.join("\n"))),
+        None => Ok(()),
+    }
+}
+
+fn replay_file(
+    arguments: &Arguments,
+    parameters: &DomainParameters,
+    report: &mut Report,
+    text: &mut String,
+) -> Result<(), Problem> {
+    let path = report.path.clone();
+    let is_csv = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
+    if is_csv && !arguments.simulate {
+        return Err(Problem::usage(format!(
+            "{}: a table has no policy to run again; add --simulate to lay the simulator beside it",
+            path.display()
+        )));
+    }
+    let mut problem = None;
+    let log = if is_csv {
+        MotionLog::read(&path).map_err(Problem::usage)?
+    } else {
+        let recording = read(&path).map_err(|error| recording_problem(&error))?;
+        problem = rerun_recording(&recording, report, text)?.err();
+        match MotionLog::of_recording(&recording) {
+            Some(log) => log,
+            // Nothing to simulate: settling failed, or it was cut off before.
+            None => return problem.map_or(Ok(()), Err),
+        }
+    };
+    if arguments.simulate {
+        simulate_file(arguments, parameters, &log, report, text)?;
+    }
+    problem.map_or(Ok(()), Err)
+}
+
+/// Runs the tick again. The outer error is that it cannot be run, the inner one that it differs or
+/// that something is missing.
+fn rerun_recording(
+    recording: &Recording,
+    report: &mut Report,
+    text: &mut String,
+) -> Result<Result<(), Problem>, Problem> {
+    let path = report.path.display().to_string();
+    let policy = Policy::from_bytes(&recording.policy)
+        .map_err(|error| Problem::usage(format!("{path}: its policy cannot be run: {error}")))?;
+    let rerun = rerun(recording, policy);
+    report.return_recorded = Some(rerun.return_recorded);
+    report.return_recomputed = Some(rerun.return_recomputed);
+    report.actions_compared = rerun.actions_compared;
+    report.actions_different = rerun.actions_different;
+    let same = rerun.actions_compared - rerun.actions_different;
+    let _ = writeln!(
+        text,
+        "{path}: return {:.2}, recomputed {:.2}; {same} of {} actions are the same bit for bit",
+        rerun.return_recorded,
+        rerun.return_recomputed,
+        recording.ticks.len(),
+    );
+    Ok(findings(recording, &rerun)
+        .map_or(Ok(()), |what| Err(Problem::data_lost(format!("{path}: {what}")))))
+}
+
+/// What is wrong with a recording, if anything is.
+fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
+    if let Some(difference) = &rerun.first_difference {
+        let (recorded, recomputed) = (&difference.recorded, &difference.recomputed);
+        return Some(format!(
+            "{} of {} actions come out differently, first in tick {}: {} mV were sent, {} mV come out",
+            rerun.actions_different,
+            rerun.actions_compared,
+            recorded.tick,
+            recorded.voltage_mv,
+            recomputed.voltage_mv,
+        ));
+    }
+    if rerun.not_compared > 0 {
+        return Some(format!(
+            "ticks are missing; the {} after them cannot be compared",
+            rerun.not_compared
+        ));
+    }
+    match (&recording.completeness, &recording.outcome) {
+        (Completeness::CutOff { lost_bytes, reason }, _) => Some(format!(
+            "cut off, {lost_bytes} bytes lost ({reason}). `qube-hil recover` makes it whole"
+        )),
+        (Completeness::Recovered, None) => {
+            Some("recovered; how the rollout ended is not known".to_owned())
+        }
+        (_, Some(outcome)) if rerun.ending != Some(outcome.ending) => Some(format!(
+            "it ended with {:?}, and comes out with {:?}",
+            outcome.ending, rerun.ending
+        )),
+        _ => None,
+    }
+}
+
+fn simulate_file(
+    arguments: &Arguments,
+    parameters: &DomainParameters,
+    log: &MotionLog,
+    report: &mut Report,
+    text: &mut String,
+) -> Result<(), Problem> {
+    let path = report.path.display().to_string();
+    let open_loop = simulate_beside(log, parameters)
+        .map_err(|error| Problem::usage(format!("{path}: {error}")))?;
+    let AngleError { theta_rad, alpha_rad } = open_loop.rmse;
+    let rmse = Rmse { theta_rad, alpha_rad };
+    report.rmse = Some(rmse);
+    let _ = writeln!(text, "{path}: {}", rmse_text(rmse));
+    if let Some(folder) = &arguments.plot {
+        let name = picture_name(&arguments.files, &report.path);
+        let picture = folder.join(format!("{name}.svg"));
+        let svg = plot_svg(&name, log, &open_loop).map_err(Problem::failed)?;
+        fs::write(&picture, svg)
+            .map_err(|error| Problem::failed(format!("{}: {error}", picture.display())))?;
+    }
+    Ok(())
+}
+
+/// The file's own name; with its number in front where several files have the same name.
+fn picture_name(files: &[PathBuf], path: &Path) -> String {
+    let name = path.file_stem().unwrap_or_default();
+    let is_unique = files.iter().filter(|file| file.file_stem() == Some(name)).count() == 1;
+    match files.iter().position(|file| file == path) {
+        Some(number) if !is_unique => format!("{number}-{}", name.to_string_lossy()),
+        _ => name.to_string_lossy().into_owned(),
+    }
+}
+
+fn rmse_text(rmse: Rmse) -> String {
+    format!(
+        "the simulator in open loop is off by {:.3} rad in theta and {:.3} rad in alpha (RMS)",
+        rmse.theta_rad, rmse.alpha_rad
+    )
+}
+
+/// Over several recordings, each counting alike.
+fn overall(errors: &[Rmse]) -> Option<Rmse> {
+    let mean = |angle: fn(&Rmse) -> f64| {
+        let squares: f64 = errors.iter().map(|rmse| angle(rmse).powi(2)).sum();
+        (squares / errors.len() as f64).sqrt()
+    };
+    (!errors.is_empty()).then(|| Rmse {
+        theta_rad: mean(|rmse| rmse.theta_rad),
+        alpha_rad: mean(|rmse| rmse.alpha_rad),
+    })
+}
+
+/// Nominal parameters, with those that a TOML file names in their place.
+fn read_parameters(path: &Path) -> Result<DomainParameters, Failure> {
+    let usage = |why: String| Failure::usage(format!("--parameters {}: {why}", path.display()));
+    let text = fs::read_to_string(path).map_err(|error| usage(error.to_string()))?;
+    let given: toml::Table =
+        text.parse().map_err(|error: toml::de::Error| usage(error.to_string()))?;
+    let mut table = toml::Table::try_from(DomainParameters::NOMINAL)
+        .map_err(|error| usage(error.to_string()))?;
+    table.extend(given);
+    let parameters: DomainParameters =
+        table.try_into().map_err(|error| usage(error.to_string()))?;
+    parameters.check().map_err(|error| usage(error.to_string()))?;
+    Ok(parameters)
+}
+
+fn recording_problem(error: &RecordingError) -> Problem {
+    if is_bad_input(error) { Problem::usage(error) } else { Problem::failed(error) }
+}
+
+/// The exit code of what went wrong with a recording.
+pub fn recording_failure(error: &RecordingError) -> Failure {
+    if is_bad_input(error) { Failure::usage(error) } else { Failure::failed(error) }
+}
+
+/// A bad file is bad input; a disk that fails is a failure.
+fn is_bad_input(error: &RecordingError) -> bool {
+    match error {
+        RecordingError::Create { .. }
+        | RecordingError::Read { .. }
+        | RecordingError::Unreadable { .. } => true,
+        RecordingError::DiskFull { .. }
+        | RecordingError::Write { .. }
+        | RecordingError::NotFinite { .. }
+        | RecordingError::Stopped { .. } => false,
+    }
+}
