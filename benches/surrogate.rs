@@ -33,11 +33,7 @@ fn data(n: usize) -> Dataset {
 
 /// What BoTorch is timed with: gamma priors, a constant mean.
 fn settings() -> FitSettings {
-    FitSettings {
-        mean: MeanFunction::Constant,
-        priors: PriorSet::Gamma,
-        ..FitSettings::default()
-    }
+    FitSettings { mean: MeanFunction::Constant, priors: PriorSet::Gamma, ..FitSettings::default() }
 }
 
 fn fitted(n: usize) -> GaussianProcess {

@@ -7,6 +7,8 @@ mod emulate;
 mod exit;
 mod failures;
 mod output;
+mod recover;
+mod replay;
 mod run;
 mod session;
 mod session_progress;
@@ -52,6 +54,8 @@ enum Command {
     Train(train::Arguments),
     Run(run::Arguments),
     Emulate(emulate::Arguments),
+    Replay(replay::Arguments),
+    Recover(recover::Arguments),
 }
 
 /// Reads the command line, does what it says, and turns the outcome into the exit code.
@@ -65,6 +69,8 @@ pub fn main() -> ExitCode {
         Command::Train(arguments) => train::run(arguments, &output),
         Command::Run(arguments) => run::run(arguments, &output),
         Command::Emulate(arguments) => emulate::run(&arguments, &output),
+        Command::Replay(arguments) => replay::run(&arguments, &output),
+        Command::Recover(arguments) => recover::run(&arguments, &output),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -152,17 +152,22 @@ impl Results {
                 self.success.push(success);
                 writeln!(self.lines, "rollout {rollout}: return {return_:6.1}  {word}")
             }
-            Verdict::Void { reason, counts } => {
-                self.fault = counts.then(|| reason.clone());
-                self.returns.push(0.0);
-                self.success.push(false);
-                let line = writeln!(self.lines, "rollout {rollout}: void  {reason}");
-                self.ended_early.push(Some(reason));
-                line
+            Verdict::Void { reason } => {
+                self.fault = Some(reason.clone());
+                self.no_result(format!("void: {reason}"))
             }
+            Verdict::Unfinished => self.no_result("stopped".into()),
         };
         self.recordings.push(path.to_owned());
         Ok(())
+    }
+
+    fn no_result(&mut self, why: String) -> std::fmt::Result {
+        let rollout = self.returns.len();
+        self.returns.push(0.0);
+        self.success.push(false);
+        self.ended_early.push(Some(why.clone()));
+        writeln!(self.lines, "rollout {rollout}: {why}")
     }
 
     fn text(&self) -> String {

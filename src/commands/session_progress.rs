@@ -95,7 +95,8 @@ impl SessionProgress {
 /// A verdict in words.
 fn describe(verdict: &Verdict) -> String {
     match verdict {
-        Verdict::Void { reason, .. } => format!("void, {reason}"),
+        Verdict::Void { reason } => format!("void: {reason}"),
+        Verdict::Unfinished => "stopped".into(),
         Verdict::Result { return_, success, outcome } => match outcome.ending {
             Ending::LeftBox(limit) => {
                 format!("{return_:.0}, left the box by {limit} after {} steps", outcome.steps)

@@ -135,6 +135,18 @@ impl SessionFolder {
         std::fs::create_dir_all(&path).map_err(io(&path))
     }
 
+    /// Gives a recording that never came to an end another name, so that the rollout can be done
+    /// again under its own. It is kept: what a crash leaves may say why.
+    ///
+    /// # Errors
+    /// It cannot be renamed.
+    pub fn put_aside(&self, recording: &Path) -> Result<(), FolderError> {
+        let free =
+            (1..).map(|number| recording.with_extension(format!("unfinished-{number}.mcap")));
+        let aside = free.into_iter().find(|path| !path.exists()).unwrap_or_default();
+        std::fs::rename(recording, &aside).map_err(io(recording))
+    }
+
     fn candidate(&self, candidate: u32) -> PathBuf {
         self.root.join("candidates").join(format!("{candidate:03}"))
     }

@@ -36,7 +36,7 @@ pub enum Entry {
         /// Which try it was.
         attempt: u32,
     },
-    /// A rollout has no result: a fault, a stop, a crash. Its recording is kept.
+    /// A fault ended a rollout. Its recording is kept.
     RolloutVoid {
         /// The candidate's number.
         candidate: u32,
@@ -44,8 +44,6 @@ pub enum Entry {
         rollout: u32,
         /// Which try it was.
         attempt: u32,
-        /// Whether this try counts against the limit: a fault does, a stop by the operator does not.
-        counts: bool,
     },
 }
 
@@ -203,7 +201,7 @@ mod tests {
         vec![
             Entry::Proposed { candidate: 0, purpose: Purpose::Initial, psi: vec![0.1, 1.0 / 3.0] },
             Entry::Trained { candidate: 0 },
-            Entry::RolloutVoid { candidate: 0, rollout: 0, attempt: 0, counts: true },
+            Entry::RolloutVoid { candidate: 0, rollout: 0, attempt: 0 },
             Entry::RolloutFinished { candidate: 0, rollout: 0, attempt: 1 },
         ]
     }

@@ -233,23 +233,28 @@ impl Session {
         tell: &mut dyn FnMut(Progress),
     ) -> Result<(), SessionError> {
         let path = self.folder.rollout(candidate, rollout, attempt);
-        // A recording that is there already was made before a crash: it is judged, never overwritten.
+        // A recording that is there already was made before a crash or a stop. A whole one is taken
+        // over; one without an end is put aside.
+        if path.exists() && judge(&path)? == Verdict::Unfinished {
+            self.folder.put_aside(&path)?;
+        }
         if !path.exists() {
             self.perform(candidate, rollout, attempt, &path, tell)?;
         }
         let verdict = judge(&path)?;
         tell(Progress::Rollout { candidate, rollout, attempt, verdict: &verdict });
-        let entry = match verdict {
-            Verdict::Result { .. } => Entry::RolloutFinished { candidate, rollout, attempt },
-            Verdict::Void { counts, .. } => {
-                Entry::RolloutVoid { candidate, rollout, attempt, counts }
+        match verdict {
+            Verdict::Result { .. } => {
+                self.ledger.append(Entry::RolloutFinished { candidate, rollout, attempt })?;
             }
-        };
-        self.ledger.append(entry)?;
-        if verdict.is_fault()
-            && let Some(rig) = &mut self.rig
-        {
-            rig.start_again()?;
+            Verdict::Void { .. } => {
+                self.ledger.append(Entry::RolloutVoid { candidate, rollout, attempt })?;
+                if let Some(rig) = &mut self.rig {
+                    rig.start_again()?;
+                }
+            }
+            // The stop is still set and ends the session; --resume does the rollout again.
+            Verdict::Unfinished => {}
         }
         self.verdicts.insert((candidate, rollout, attempt), verdict);
         Ok(())
@@ -320,21 +325,13 @@ impl Session {
     }
 
     fn given_up(&mut self, candidate: u32, rollout: u32) -> SessionError {
-        let last = self.ledger.entries().iter().rev().find_map(|entry| match *entry {
-            Entry::RolloutVoid { candidate: c, rollout: r, attempt, counts: true }
-                if (c, r) == (candidate, rollout) =>
-            {
-                Some(self.folder.rollout(candidate, rollout, attempt))
-            }
-            _ => None,
-        });
-        let reason = last.and_then(|path| judge(&path).ok()).and_then(Verdict::into_reason);
-        SessionError::GivenUp {
-            candidate,
-            rollout,
-            tries: self.settings.extent.repetitions + 1,
-            reason: reason.unwrap_or_else(|| "unknown".into()),
-        }
+        let tries = self.settings.extent.repetitions + 1;
+        let last = judge(&self.folder.rollout(candidate, rollout, tries - 1));
+        let reason = match last {
+            Ok(Verdict::Void { reason }) => reason,
+            Ok(_) | Err(_) => "its recording cannot be read".into(),
+        };
+        SessionError::GivenUp { candidate, rollout, tries, reason }
     }
 }
 

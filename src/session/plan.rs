@@ -90,8 +90,8 @@ pub struct Candidate {
     pub trained: bool,
     /// The rollouts that have come to a result: number and attempt, in order.
     pub finished: Vec<(u32, u32)>,
-    /// Tries of the current rollout so far, and how many of those count against the limit.
-    void: (u32, u32),
+    /// Tries of the current rollout that a fault ended.
+    void: u32,
 }
 
 /// The candidates of a ledger, in order.
@@ -106,7 +106,7 @@ pub fn candidates(entries: &[Entry]) -> Vec<Candidate> {
                 psi: psi.clone(),
                 trained: false,
                 finished: Vec::new(),
-                void: (0, 0),
+                void: 0,
             }),
             Entry::Trained { candidate } => {
                 if let Some(it) = candidates.get_mut(candidate as usize) {
@@ -116,13 +116,12 @@ pub fn candidates(entries: &[Entry]) -> Vec<Candidate> {
             Entry::RolloutFinished { candidate, rollout, attempt } => {
                 if let Some(it) = candidates.get_mut(candidate as usize) {
                     it.finished.push((rollout, attempt));
-                    it.void = (0, 0);
+                    it.void = 0;
                 }
             }
-            Entry::RolloutVoid { candidate, counts, .. } => {
+            Entry::RolloutVoid { candidate, .. } => {
                 if let Some(it) = candidates.get_mut(candidate as usize) {
-                    it.void.0 += 1;
-                    it.void.1 += u32::from(counts);
+                    it.void += 1;
                 }
             }
         }
@@ -154,8 +153,8 @@ pub fn next_step(entries: &[Entry], extent: &Extent) -> Step {
         };
         let rollout = it.finished.len() as u32;
         if rollout < wanted {
-            let (candidate, (attempt, counted)) = (it.number, it.void);
-            return if counted > extent.repetitions {
+            let (candidate, attempt) = (it.number, it.void);
+            return if attempt > extent.repetitions {
                 Step::GiveUp { candidate, rollout }
             } else {
                 Step::Rollout { candidate, rollout, attempt }
@@ -203,7 +202,7 @@ mod tests {
                 Step::Rollout { candidate, rollout, attempt } => {
                     tries += 1;
                     entries.push(if tries % fault_every == 0 {
-                        Entry::RolloutVoid { candidate, rollout, attempt, counts: true }
+                        Entry::RolloutVoid { candidate, rollout, attempt }
                     } else {
                         Entry::RolloutFinished { candidate, rollout, attempt }
                     });
@@ -248,18 +247,14 @@ mod tests {
     }
 
     #[test]
-    fn four_faults_of_one_rollout_end_the_session_and_stops_do_not_count() {
+    fn four_faults_of_one_rollout_end_the_session() {
         let mut entries = session(1000)[..6].to_vec();
-        for attempt in 0..10 {
-            entries.push(Entry::RolloutVoid { candidate: 0, rollout: 0, attempt, counts: false });
+        let (candidate, rollout) = (0, 0);
+        for attempt in 0..4 {
+            let step = next_step(&entries, &EXTENT);
+            assert_eq!(step, Step::Rollout { candidate, rollout, attempt });
+            entries.push(Entry::RolloutVoid { candidate, rollout, attempt });
         }
-        for attempt in 10..14 {
-            assert_eq!(
-                next_step(&entries, &EXTENT),
-                Step::Rollout { candidate: 0, rollout: 0, attempt }
-            );
-            entries.push(Entry::RolloutVoid { candidate: 0, rollout: 0, attempt, counts: true });
-        }
-        assert_eq!(next_step(&entries, &EXTENT), Step::GiveUp { candidate: 0, rollout: 0 });
+        assert_eq!(next_step(&entries, &EXTENT), Step::GiveUp { candidate, rollout });
     }
 }

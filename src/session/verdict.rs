@@ -26,13 +26,15 @@ pub enum Verdict {
         /// How it ended, with its latencies.
         outcome: RolloutOutcome,
     },
-    /// No result: cut off, stopped, with gaps, or ended by a fault.
+    /// A fault ended it, or the recording has gaps: kept, not given to the surrogate, repeated a
+    /// limited number of times.
     Void {
         /// Why, in words.
         reason: String,
-        /// Whether it counts against the limit of repetitions.
-        counts: bool,
     },
+    /// It never came to an end: the program was killed, or somebody stopped it. Nobody's fault;
+    /// it is done again as if it had not begun.
+    Unfinished,
 }
 
 impl Verdict {
@@ -41,22 +43,7 @@ impl Verdict {
     pub fn return_(&self) -> Option<f64> {
         match self {
             Self::Result { return_, .. } => Some(*return_),
-            Self::Void { .. } => None,
-        }
-    }
-
-    /// Whether a fault made it void.
-    #[must_use]
-    pub fn is_fault(&self) -> bool {
-        matches!(self, Self::Void { counts: true, .. })
-    }
-
-    /// Why it is void.
-    #[must_use]
-    pub fn into_reason(self) -> Option<String> {
-        match self {
-            Self::Result { .. } => None,
-            Self::Void { reason, .. } => Some(reason),
+            Self::Void { .. } | Self::Unfinished => None,
         }
     }
 }
@@ -72,18 +59,13 @@ pub fn judge(path: &Path) -> Result<Verdict, RecordingError> {
 /// Judges a recording that has been read.
 #[must_use]
 pub fn judge_recording(recording: &Recording) -> Verdict {
-    let Some(outcome) = &recording.outcome else {
-        return Verdict::Void { reason: "cut off".into(), counts: false };
+    let (Some(outcome), Completeness::Whole) = (&recording.outcome, &recording.completeness) else {
+        return Verdict::Unfinished;
     };
-    if !matches!(recording.completeness, Completeness::Whole) {
-        return Verdict::Void { reason: "cut off".into(), counts: false };
-    }
     match outcome.ending {
-        Ending::Stopped => Verdict::Void { reason: "stopped".into(), counts: false },
-        Ending::Fault(fault) => Verdict::Void { reason: fault.to_string(), counts: true },
-        _ if recording.has_gaps() => {
-            Verdict::Void { reason: "the recorder lost ticks".into(), counts: true }
-        }
+        Ending::Stopped => Verdict::Unfinished,
+        Ending::Fault(fault) => Verdict::Void { reason: fault.to_string() },
+        _ if recording.has_gaps() => Verdict::Void { reason: "the recorder lost ticks".into() },
         Ending::Completed | Ending::LeftBox(_) => {
             let return_ = return_of(&recording.ticks, &recording.header.reward);
             let success = outcome.ending == Ending::Completed
