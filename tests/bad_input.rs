@@ -1,0 +1,139 @@
+//! Bad input: one clear sentence on stderr (what, where, what to do), the agreed exit code, and
+//! nothing on stdout.
+
+use std::io::Write;
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
+
+fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
+    command.current_dir(directory).args(arguments).output().expect("it runs")
+}
+
+/// Runs the program and checks exit code, silence on stdout, and each word on stderr.
+fn refused(directory: &Path, arguments: &[&str], code: i32, words: &[&str]) {
+    let output = qube_hil(directory, arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {stderr}");
+    assert!(output.stdout.is_empty(), "{arguments:?} printed a result");
+    for word in words {
+        assert!(stderr.contains(word), "{arguments:?}: {word:?} is missing in: {stderr}");
+    }
+}
+
+#[test]
+fn ports_that_are_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = |port: &str, words: &[&str]| {
+        let arguments = ["run", "--policy", "classical", "--device", port];
+        refused(directory.path(), &arguments, 2, words);
+    };
+    run("/dev/ttyNOWHERE", &["no such port", "/dev/ttyNOWHERE", "plugged in"]);
+    run("/dev/null", &["/dev/null"]);
+}
+
+#[test]
+fn a_port_in_use_is_named_with_its_holder() {
+    let directory = tempfile::tempdir().unwrap();
+    let qube = EmulatedQube::spawn(EmulatorSettings::default()).unwrap();
+    let port = qube.port().to_str().unwrap();
+    let clock = std::sync::Arc::new(qube_hil::clock::MonotonicClock);
+    let _held = qube_hil::device::SerialLink::open(port, clock).unwrap();
+    let own = std::process::id().to_string();
+    let arguments = ["run", "--policy", "classical", "--device", port];
+    refused(directory.path(), &arguments, 2, &["in use", port, &own]);
+}
+
+#[test]
+fn policies_that_are_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("bad.safetensors");
+    let run = |words: &[&str]| {
+        let arguments = ["run", "--policy", "bad.safetensors", "--clock", "virtual"];
+        refused(directory.path(), &arguments, 2, words);
+    };
+    run(&["bad.safetensors"]);
+    std::fs::write(&path, b"not a policy at all").unwrap();
+    run(&["bad.safetensors"]);
+
+    // A shipped policy with its first weight turned into NaN, and one with another width.
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors");
+    let whole = std::fs::read(shipped).unwrap();
+    let header = 8 + u64::from_le_bytes(whole[..8].try_into().unwrap()) as usize;
+    let mut with_nan = whole.clone();
+    with_nan[header..header + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&path, &with_nan).unwrap();
+    run(&["bad.safetensors", "NaN"]);
+    let text = String::from_utf8_lossy(&whole[..header]).replace("[64,64]", "[63,64]");
+    let mut other_shape = text.into_bytes();
+    other_shape.extend_from_slice(&whole[header..]);
+    std::fs::write(&path, &other_shape).unwrap();
+    run(&["bad.safetensors"]);
+}
+
+#[test]
+fn configurations_that_are_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("my.toml");
+    let session = |text: &str, words: &[&str]| {
+        std::fs::write(&path, text).unwrap();
+        let arguments =
+            ["session", "--clock", "virtual", "--config", "my.toml", "--out", "session"];
+        refused(directory.path(), &arguments, 2, words);
+        assert!(!directory.path().join("session").exists(), "a session was begun all the same");
+    };
+    session("seed = 1\nsede = 2\n", &["my.toml", "line 2", "sede"]);
+    session("[extent]\nrollouts = 0\n", &["my.toml", "extent.rollouts"]);
+    session("[training]\nupdates = \"many\"\n", &["my.toml", "line 2"]);
+}
+
+#[test]
+fn a_psi_outside_its_box() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut file = std::fs::File::create(directory.path().join("psi.toml")).unwrap();
+    let text = "mean_M_p = 0.5\nstd_M_p = 0.001\nmean_M_r = 0.1\nstd_M_r = 0.001\n\
+                mean_L_p = 0.13\nstd_L_p = 0.001\nmean_L_r = 0.08\nstd_L_r = 0.001\n";
+    file.write_all(text.as_bytes()).unwrap();
+    let arguments = ["train", "--model", "psi", "--psi", "psi.toml"];
+    refused(directory.path(), &arguments, 2, &["psi.toml", "mean_M_p", "0.5", "0.019"]);
+    refused(directory.path(), &["train", "--model", "psi"], 2, &["--psi"]);
+}
+
+#[test]
+fn recordings_that_are_torn_or_changed() {
+    let directory = tempfile::tempdir().unwrap();
+    let made = qube_hil(
+        directory.path(),
+        &["run", "--policy", "classical", "--clock", "virtual", "--out", "run"],
+    );
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let whole = std::fs::read(directory.path().join("run/rollout-0.mcap")).unwrap();
+    let path = directory.path().join("changed.mcap");
+
+    std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+    let torn = qube_hil(directory.path(), &["replay", "changed.mcap"]);
+    assert_eq!(torn.status.code(), Some(3), "{}", String::from_utf8_lossy(&torn.stderr));
+
+    let mut changed = whole.clone();
+    changed[whole.len() / 2] ^= 0x20;
+    std::fs::write(&path, &changed).unwrap();
+    let changed = qube_hil(directory.path(), &["replay", "changed.mcap"]);
+    assert_ne!(changed.status.code(), Some(0));
+    let stderr = String::from_utf8_lossy(&changed.stderr);
+    assert!(stderr.contains("changed.mcap"), "{stderr}");
+}
+
+#[test]
+fn folders_that_cannot_be() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::create_dir(directory.path().join("taken")).unwrap();
+    let out = ["session", "--clock", "virtual", "--out", "taken"];
+    refused(directory.path(), &out, 2, &["taken", "exists", "--resume"]);
+    let resume = ["session", "--clock", "virtual", "--resume", "taken"];
+    refused(directory.path(), &resume, 2, &["taken", "no session"]);
+    let port = ["session", "--clock", "virtual", "--device", "/dev/ttyUSB0", "--out", "new"];
+    refused(directory.path(), &port, 2, &["--clock virtual", "/dev/ttyUSB0"]);
+}
