@@ -7,7 +7,9 @@
 //!
 //! All paths compute the same bits as long as a kernel sums in a fixed order: vector
 //! instructions round like scalar ones, and `mul_add` is correctly rounded everywhere. The price is
-//! paid by x86 processors without FMA (before 2013) alone, where `mul_add` is a slow library call.
+//! paid by x86 processors without FMA (before 2013) alone, where `mul_add` is a slow library call: a
+//! kernel that need not repeat bit for bit there may look at [`InstructionSet::LEVEL`] and do
+//! without.
 //!
 //! Trap: everything that a kernel calls must be `#[inline(always)]` or small enough to be inlined.
 //! What is not is compiled without the instruction set, where `mul_add` is that library call.
@@ -19,7 +21,7 @@ pub trait Kernel {
 
     /// The body. Implementations must be `#[inline(always)]`, or they run on the plain path.
     ///
-    /// `I` tells what it is compiled for, where that decides a tile's size.
+    /// `I` tells what it is compiled for, where that decides a tile's shape.
     fn run<I: InstructionSet>(self) -> Self::Output;
 }
 
@@ -27,10 +29,6 @@ pub trait Kernel {
 pub trait InstructionSet {
     /// Which one.
     const LEVEL: Level;
-    /// `f32` values in one vector register.
-    const LANES: usize;
-    /// Vector registers there are.
-    const REGISTERS: usize;
 }
 
 /// The instruction sets that there is code for, best first.
@@ -106,8 +104,6 @@ struct Plain;
 
 impl InstructionSet for Plain {
     const LEVEL: Level = Level::Plain;
-    const LANES: usize = 4;
-    const REGISTERS: usize = if cfg!(target_arch = "aarch64") { 32 } else { 16 };
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -118,16 +114,12 @@ mod x86 {
 
     impl InstructionSet for Avx512 {
         const LEVEL: Level = Level::Avx512;
-        const LANES: usize = 16;
-        const REGISTERS: usize = 32;
     }
 
     struct Avx2;
 
     impl InstructionSet for Avx2 {
         const LEVEL: Level = Level::Avx2;
-        const LANES: usize = 8;
-        const REGISTERS: usize = 16;
     }
 
     #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,fma")]

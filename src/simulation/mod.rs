@@ -8,6 +8,8 @@ mod distribution;
 mod domain_distribution;
 mod evaluation;
 mod pendulums;
+#[cfg(test)]
+mod pendulums_tests;
 mod psi;
 mod settings;
 mod trajectory;

@@ -1,0 +1,254 @@
+//! The lanes against the `f64` equations, the scalar bits, and the estimator of the machine.
+
+use super::{
+    DomainDistribution, Family, Pendulums, Progress, SensorModel, SimulationSettings, Trajectory,
+};
+use crate::elementary::Level;
+use crate::estimation::{Calibration, Estimator, EstimatorSettings};
+use crate::qube::{
+    DomainParameters, Dynamics, MAX_STEPS, Measurement, OBSERVATION_SIZE, RAD_PER_COUNT,
+    RewardWeights, State, control_step, counts, observation,
+};
+use crate::safety::SafetyBox;
+
+/// Pendulums with their in- and outputs.
+struct Bench {
+    pendulums: Pendulums,
+    voltages_v: Vec<f32>,
+    rewards: Vec<f32>,
+    progress: Vec<Progress>,
+    observations: Vec<f32>,
+}
+
+impl Bench {
+    fn new(lanes: usize, settings: &SimulationSettings) -> Self {
+        let pendulums = Pendulums::new(lanes, settings);
+        let lanes = pendulums.lanes();
+        Self {
+            pendulums,
+            voltages_v: vec![0.0; lanes],
+            rewards: vec![0.0; lanes],
+            progress: vec![Progress::Running; lanes],
+            observations: vec![0.0; OBSERVATION_SIZE * lanes],
+        }
+    }
+
+    fn step(&mut self) {
+        self.pendulums.step(
+            &self.voltages_v,
+            &mut self.rewards,
+            &mut self.progress,
+            &mut self.observations,
+        );
+    }
+}
+
+/// A trajectory that starts anywhere in the given part of the box, with a drawn Qube; all
+/// numbers exact in `f32`.
+fn anywhere(number: u64, reach: &State) -> Trajectory {
+    let distribution = DomainDistribution::handcrafted(Family::Normal);
+    let trajectory = Trajectory::draw(&distribution, 11, number);
+    let spread = |salt: f64| f64::from((12.9898 * salt * (number + 1) as f64).sin() as f32);
+    let exact = |value: f64| f64::from(value as f32);
+    Trajectory {
+        start: State {
+            theta: exact(reach.theta * spread(1.0)),
+            alpha: exact(reach.alpha * spread(2.0)),
+            theta_dot: exact(reach.theta_dot * spread(3.0)),
+            alpha_dot: exact(reach.alpha_dot * spread(4.0)),
+        },
+        ..trajectory
+    }
+}
+
+fn voltage_v(lane: usize) -> f32 {
+    5.0 * (0.7 * lane as f32).sin()
+}
+
+#[test]
+fn a_step_is_within_a_microradian_of_the_same_step_in_f64() {
+    let lanes = 8192;
+    // One turn either way: farther out the last bit of an f32 alone is that large.
+    let reach = State { theta: 2.3, alpha: 6.3, theta_dot: 20.0, alpha_dot: 21.0 };
+    let mut bench = Bench::new(lanes, &SimulationSettings::default());
+    let (mut worst_angle, mut worst_velocity) = (0.0_f64, 0.0_f64);
+    for lane in 0..lanes {
+        bench.pendulums.restart(lane, &anywhere(lane as u64, &reach));
+        bench.voltages_v[lane] = voltage_v(lane);
+    }
+    bench.step();
+    for lane in 0..lanes {
+        let Trajectory { parameters, start } = anywhere(lane as u64, &reach);
+        let exact = control_step(&Dynamics::new(&parameters), start, voltage_v(lane).into());
+        let single = bench.pendulums.state(lane);
+        worst_angle = worst_angle
+            .max((f64::from(single.theta) - exact.theta).abs())
+            .max((f64::from(single.alpha) - exact.alpha).abs());
+        worst_velocity = worst_velocity
+            .max((f64::from(single.theta_dot) - exact.theta_dot).abs())
+            .max((f64::from(single.alpha_dot) - exact.alpha_dot).abs());
+        let reward = RewardWeights::THESIS.reward(&start, voltage_v(lane).into());
+        assert!((f64::from(bench.rewards[lane]) - reward).abs() < 1e-6);
+        let observed = observation(&exact);
+        for (feature, value) in observed.into_iter().enumerate() {
+            let error = f64::from(bench.observations[feature * lanes + lane]) - value;
+            assert!(error.abs() < 1e-5, "feature {feature} is off by {error:e}");
+        }
+    }
+    println!("worst: {worst_angle:e} rad, {worst_velocity:e} rad/s");
+    assert!(worst_angle <= 1e-6, "{worst_angle:e} rad");
+    assert!(worst_velocity <= 1e-4, "{worst_velocity:e} rad/s");
+}
+
+#[test]
+fn every_instruction_set_computes_the_bits_of_the_scalar_equations() {
+    let reach = State { theta: 2.3, alpha: 12.5, theta_dot: 30.0, alpha_dot: 40.0 };
+    let weights = RewardWeights::THESIS.cast::<f32>();
+    let safety_box = SafetyBox::THESIS.cast::<f32>();
+    for level in Level::ALL {
+        let lanes = 64;
+        let mut bench = Bench::new(lanes, &SimulationSettings::default());
+        bench.pendulums = bench.pendulums.clone().at_level(level);
+        for lane in 0..lanes {
+            bench.pendulums.restart(lane, &anywhere(lane as u64, &reach));
+            bench.voltages_v[lane] = voltage_v(lane);
+        }
+        for _ in 0..20 {
+            let before: Vec<_> = (0..lanes).map(|lane| bench.pendulums.state(lane)).collect();
+            bench.step();
+            for (lane, before) in before.into_iter().enumerate() {
+                let parameters = anywhere(lane as u64, &reach).parameters;
+                let voltage_v = voltage_v(lane);
+                let after = control_step(&Dynamics::new(&parameters), before, voltage_v);
+                assert_eq!(bench.pendulums.state(lane), after, "{level:?}, lane {lane}");
+                assert_eq!(bench.rewards[lane], weights.reward(&before, voltage_v));
+                let left = bench.progress[lane] == Progress::LeftBox;
+                assert_eq!(left, !safety_box.contains(&after));
+                for (feature, value) in observation(&after).into_iter().enumerate() {
+                    assert_eq!(bench.observations[feature * lanes + lane], value);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_lane_knows_nothing_of_the_others() {
+    let reach = State { theta: 1.0, alpha: 3.0, theta_dot: 5.0, alpha_dot: 5.0 };
+    let mut few = Bench::new(16, &SimulationSettings::default());
+    let mut many = Bench::new(96, &SimulationSettings::default());
+    few.pendulums.restart(3, &anywhere(3, &reach));
+    for lane in 0..96 {
+        many.pendulums.restart(lane, &anywhere(100 + lane as u64, &reach));
+        many.voltages_v[lane] = f32::NAN;
+    }
+    many.pendulums.restart(77, &anywhere(3, &reach));
+    few.voltages_v[3] = 1.0;
+    many.voltages_v[77] = 1.0;
+    for _ in 0..50 {
+        few.step();
+        many.step();
+        assert_eq!(few.pendulums.state(3), many.pendulums.state(77));
+        assert_eq!(few.rewards[3], many.rewards[77]);
+    }
+}
+
+#[test]
+fn a_trajectory_ends_at_the_box_at_what_is_not_a_number_and_after_600_steps() {
+    let mut bench = Bench::new(16, &SimulationSettings::default());
+    let nominal = DomainDistribution::nominal();
+    for lane in 0..16 {
+        bench.pendulums.restart(lane, &Trajectory::draw(&nominal, 1, lane as u64));
+    }
+    bench.voltages_v[1] = 5.0;
+    bench.voltages_v[2] = f32::NAN;
+    bench.voltages_v[4] = -1e9;
+    bench.voltages_v[5] = -5.0;
+    bench.pendulums.restart(5, &Trajectory::draw(&nominal, 1, 4));
+    for step in 1..=MAX_STEPS {
+        bench.step();
+        assert_eq!(bench.pendulums.state(4), bench.pendulums.state(5), "limited to 5 V");
+        assert_eq!(bench.progress[2], Progress::LeftBox);
+        if step == 1 {
+            assert_eq!(bench.progress[1], Progress::Running);
+        }
+        if step == 100 {
+            assert_eq!(bench.progress[1], Progress::LeftBox);
+            assert!(bench.pendulums.state(1).theta >= 2.3);
+        }
+        let last = step == MAX_STEPS;
+        let expected = if last { Progress::TimeUp } else { Progress::Running };
+        assert_eq!(bench.progress[0], expected, "step {step}");
+    }
+    bench.pendulums.restart(0, &Trajectory::draw(&nominal, 1, 0));
+    bench.step();
+    assert_eq!(bench.progress[0], Progress::Running);
+}
+
+#[test]
+fn encoders_show_what_the_estimator_of_the_machine_makes_of_the_counts() {
+    let estimator_settings = EstimatorSettings { corner_rad_s: 50.0 };
+    let settings = SimulationSettings {
+        sensors: SensorModel::Encoders { estimator: estimator_settings },
+        ..SimulationSettings::default()
+    };
+    let mut bench = Bench::new(16, &settings);
+    let trajectory = anywhere(3, &State { theta: 0.5, alpha: 3.0, ..State::default() });
+    bench.pendulums.restart(3, &trajectory);
+    bench.pendulums.observe_lane(3, &mut bench.observations);
+    let mut estimator = Estimator::new(estimator_settings, Calibration::IDENTITY);
+    for step in 0..300_u64 {
+        let state = bench.pendulums.state(3);
+        let expected = estimator.update(&Measurement {
+            device_time_us: 10_000 * step,
+            theta_counts: counts(state.theta.into()),
+            alpha_counts: counts(state.alpha.into()),
+            ..Measurement::default()
+        });
+        let seen = bench.pendulums.seen(3);
+        assert!((f64::from(seen.theta) - expected.theta).abs() < 1e-5, "step {step}");
+        assert!((f64::from(seen.alpha) - expected.alpha).abs() < 1e-5, "step {step}");
+        assert!((f64::from(seen.theta_dot) - expected.theta_dot).abs() < 1e-3, "step {step}");
+        assert!((f64::from(seen.alpha_dot) - expected.alpha_dot).abs() < 1e-3, "step {step}");
+        assert!((seen.alpha - state.alpha).abs() < RAD_PER_COUNT as f32 * 1.001);
+        for (feature, value) in observation(&seen).into_iter().enumerate() {
+            assert_eq!(bench.observations[feature * 16 + 3], value);
+        }
+        bench.voltages_v[3] = voltage_v(step as usize / 30);
+        bench.step();
+    }
+}
+
+#[test]
+fn observing_writes_what_the_step_wrote() {
+    let mut bench = Bench::new(32, &SimulationSettings::default());
+    for lane in 0..32 {
+        let reach = State { theta: 1.0, alpha: 3.0, theta_dot: 5.0, alpha_dot: 5.0 };
+        bench.pendulums.restart(lane, &anywhere(lane as u64, &reach));
+    }
+    bench.step();
+    let mut again = vec![0.0; bench.observations.len()];
+    bench.pendulums.observe(&mut again);
+    assert_eq!(again, bench.observations);
+    let mut lane_by_lane = vec![0.0; bench.observations.len()];
+    for lane in 0..32 {
+        bench.pendulums.observe_lane(lane, &mut lane_by_lane);
+    }
+    assert_eq!(lane_by_lane, bench.observations);
+}
+
+#[test]
+fn lanes_come_in_whole_blocks_and_start_as_nominal_qubes_at_rest() {
+    let bench = Bench::new(17, &SimulationSettings::default());
+    assert_eq!(bench.pendulums.lanes(), 32);
+    let mut same = Bench::new(17, &SimulationSettings::default());
+    same.pendulums.restart(
+        20,
+        &Trajectory { parameters: DomainParameters::NOMINAL, start: State::default() },
+    );
+    same.voltages_v = vec![2.0; 32];
+    for _ in 0..10 {
+        same.step();
+    }
+    assert_eq!(same.pendulums.state(20), same.pendulums.state(21));
+}
