@@ -45,7 +45,7 @@ const ROOMS: &[Room] = &[
         tests_may_import: &["estimation", "safety"],
     },
     room("simulation", &["qube", "elementary", "estimation", "safety"]),
-    room("learning", &["simulation", "policy", "safety", "qube", "elementary"]),
+    room("learning", &["simulation", "policy", "estimation", "safety", "qube", "elementary"]),
     room("surrogate", &[]),
     room("search", &["surrogate"]),
     room("device", &["clock", "qube", "firmware_protocol"]),

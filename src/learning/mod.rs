@@ -1,7 +1,7 @@
 //! PPO: collect, advantage, gradients, optimiser, trainer, curve.
 //!
-//! May import `simulation`, `policy`, `safety`, `qube`, `elementary`; never `device` or `control`: training
-//! cannot move the motor.
+//! May import `simulation`, `policy`, `estimation`, `safety`, `qube`, `elementary`; never `device`
+//! or `control`: training cannot move the motor.
 
 mod actor;
 mod checkpoint;

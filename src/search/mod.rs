@@ -12,7 +12,7 @@ mod random;
 mod standard_normal;
 mod strategy;
 
-pub use crate::surrogate::SearchBox;
+use crate::surrogate::SearchBox;
 pub use bayrn::{AcquisitionKind, BayRn, BayRnSettings, Incumbent, InitialDesign, NoiseModel};
 pub use cmaes::CmaEs;
 pub use cross_entropy::CrossEntropy;

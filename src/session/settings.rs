@@ -5,8 +5,9 @@ use crate::control::HomingSettings;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Origin, TrainSettings};
 use crate::safety::SafetyBox;
-use crate::search::{BayRnSettings, SearchBox, SearchError, Strategy, StrategyKind};
+use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
 use crate::simulation::{DomainDistribution, Family, PSI_DIMENSIONS, Psi, PsiError};
+use crate::surrogate::SearchBox;
 
 /// What the parameters are drawn from that psi does not cover: g, R_m, k_m, D_r, D_p.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
