@@ -56,12 +56,6 @@ pub struct TrainSettings {
 }
 
 impl TrainSettings {
-    /// Enough for a policy that stands: ends as soon as one is good.
-    #[must_use]
-    pub fn quick() -> Self {
-        Self { updates: 30, enough: Some(540.0), ..Self::thesis() }
-    }
-
     /// The published budget (Eilers 2019, section 5): 100 updates of 48 000 transitions and 7500
     /// gradient steps of each net.
     #[must_use]
