@@ -8,7 +8,6 @@ pub(super) struct Learner {
     pub network: Network,
     pub moments: Moments,
     gradient: Network,
-    pub norm: f32,
     workspace: Workspace,
 }
 
@@ -29,7 +28,6 @@ impl Learner {
             network,
             moments: Moments::ZERO,
             gradient: Network::ZERO,
-            norm: 0.0,
             workspace: Workspace::ZERO,
         })
     }
@@ -48,7 +46,7 @@ impl Learner {
             workspace: &mut self.workspace,
             gradient: &mut self.gradient,
         });
-        self.norm = dispatch(AdamStep {
+        dispatch(AdamStep {
             network: &mut self.network,
             gradient: &self.gradient,
             moments: &mut self.moments,

@@ -16,6 +16,8 @@ mod network;
 mod optimise;
 mod random;
 mod settings;
+#[cfg(test)]
+mod tests;
 mod train;
 mod trainer;
 mod transition;

@@ -57,10 +57,8 @@ pub(super) fn optimise_policy(
 ) -> PolicyProgress {
     let head = PolicyHead {
         clip: settings.clip,
-        dual: settings.dual,
-        kl: settings.kl,
-        spo: settings.spo,
         entropy_weight: settings.entropy_weight,
+        kl_weight: settings.kl_weight,
     };
     let step = step_settings(settings, update);
     let mut progress = PolicyProgress::default();
@@ -76,12 +74,6 @@ pub(super) fn optimise_policy(
             *log_std = log_std.max(settings.smallest_log_std);
 
             let kl = f64::from(statistics.approximate_kl);
-            if std::env::var("TRACE").is_ok() {
-                eprintln!(
-                    "{update} {} {kl:.4} {:.3} {:.3}",
-                    progress.steps, statistics.clip_fraction, policy.norm
-                );
-            }
             progress.approximate_kl += kl;
             progress.largest_kl = progress.largest_kl.max(kl);
             progress.clip_fraction += f64::from(statistics.clip_fraction);

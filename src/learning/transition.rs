@@ -122,10 +122,10 @@ mod tests {
     fn with_lambda_one_the_return_is_the_discounted_sum_of_rewards_up_to_the_end() {
         use Continuation::{Cut, LeftBox, Next};
         let mut transitions = lane(&[
-            (1.0, 0.3, Next, 0.0),
-            (2.0, 0.1, LeftBox, 9.0),
-            (4.0, 0.7, Next, 0.0),
-            (8.0, 0.2, Next, 0.0),
+            (1.0, 0.25, Next, 0.0),
+            (2.0, 0.125, LeftBox, 9.0),
+            (4.0, 0.75, Next, 0.0),
+            (8.0, 0.5, Next, 0.0),
             (16.0, 0.5, Cut, 32.0),
         ]);
         estimate_advantages(&mut transitions, 0.5, 1.0);

@@ -38,11 +38,11 @@ pub(in crate::learning) trait Head {
 pub(in crate::learning) struct PolicyHead {
     /// The ratio stays within 1 +- this.
     pub clip: f32,
-    pub dual: f32,
-    pub kl: f32,
-    pub spo: f32,
     /// Weight of the entropy bonus.
     pub entropy_weight: f32,
+    /// Weight of a penalty on the divergence from the policy that collected; its gradient is the
+    /// mean of (r - 1) times that of ln r.
+    pub kl_weight: f32,
 }
 
 /// How far the policy is from the one that collected, over one minibatch.
@@ -67,6 +67,8 @@ impl Head for PolicyHead {
         by_log_std: &mut f32,
     ) -> PolicyStatistics {
         const MEAN: f32 = 1.0 / WIDTH as f32;
+        // A ratio beyond e^10 says no more than that the policy has left; e^88 would overflow.
+        const LARGEST_LOG_RATIO: f32 = 10.0;
         let log_std = network.tail[LOG_STD];
         let inverse_std = exp(-log_std);
         let mut by_log_stds = [0.0; WIDTH];
@@ -75,18 +77,13 @@ impl Head for PolicyHead {
         for i in 0..WIDTH {
             let z = (minibatch.action[i] - output[i]) * inverse_std;
             let log_ratio = gaussian_log_probability(z, log_std) - minibatch.log_probability[i];
-            let ratio = exp(log_ratio.min(10.0));
+            let ratio = exp(log_ratio.min(LARGEST_LOG_RATIO));
             let advantage = minibatch.advantage[i];
             let bounded = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
             // Where the clipped term is the smaller one, the objective is flat.
-            let is_flat = (bounded * advantage < ratio * advantage) | (ratio > self.dual);
-            let by_log_probability = if is_flat { 0.0 } else { -MEAN * advantage * ratio };
-            let by_log_probability = if self.spo > 0.0 {
-                -MEAN * ratio * (advantage - advantage.abs() * self.spo * (ratio - 1.0))
-            } else {
-                by_log_probability
-            };
-            let by_log_probability = by_log_probability + MEAN * self.kl * (ratio - 1.0);
+            let is_flat = bounded * advantage < ratio * advantage;
+            let by_objective = if is_flat { 0.0 } else { -advantage * ratio };
+            let by_log_probability = MEAN * (by_objective + self.kl_weight * (ratio - 1.0));
             by_output[i] = by_log_probability * z * inverse_std;
             by_log_stds[i] = by_log_probability * (z * z - 1.0);
             divergences[i] = (ratio - 1.0) - log_ratio;

@@ -1,9 +1,12 @@
-use super::*;
-use crate::elementary::dispatch_at;
-use crate::learning::network::{CONSTANT, LOG_STD, Network, WIDTH};
-use crate::qube::OBSERVATION_SIZE;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::elementary::dispatch_at;
+use crate::learning::network::{CONSTANT, INPUTS, LOG_STD, Network, OUTPUT_BIAS, WIDTH};
+use crate::qube::OBSERVATION_SIZE;
+
+const POLICY: PolicyHead = PolicyHead { clip: 0.1, entropy_weight: 0.01, kl_weight: 0.3 };
 
 fn example() -> (Network, Minibatch) {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
@@ -11,81 +14,243 @@ fn example() -> (Network, Minibatch) {
     for slice in network.slices_mut() {
         slice.fill_with(|| rng.random_range(-0.3..0.3));
     }
+    network.first[INPUTS - 1] = [0.0; WIDTH];
+    network.tail[2..].fill(0.0);
     let mut row = |low: f32, high: f32| std::array::from_fn(|_| rng.random_range(low..high));
-    let mut inputs = [[0.0; WIDTH]; 8];
+    let mut inputs = [[0.0; WIDTH]; INPUTS];
     inputs[..OBSERVATION_SIZE].fill_with(|| row(-1.0, 1.0));
     inputs[CONSTANT] = [1.0; WIDTH];
     let minibatch = Minibatch {
         inputs,
         action: row(-1.0, 1.0),
-        log_probability: row(-1.3, -0.7),
+        log_probability: row(-1.5, -0.5),
         advantage: row(-2.0, 2.0),
         return_: row(0.0, 3.0),
     };
     (network, minibatch)
 }
-#[test]
-fn timing() {
-    let (mut network, minibatch) = example();
-    let mut workspace = Box::new(Workspace::ZERO);
-    let mut gradient = Box::new(Network::ZERO);
-    let mut moments = Box::new(Moments::ZERO);
-    for level in crate::elementary::Level::ALL {
-        let mut time = |name: &str, f: &mut dyn FnMut()| {
-            let mut best = f64::MAX;
-            for _ in 0..20 {
-                let start = std::time::Instant::now();
-                for _ in 0..300 {
-                    f();
-                }
-                best = best.min(start.elapsed().as_secs_f64() / 300.0);
-            }
-            println!("{level:?} {name} {:.2} us", best * 1e6);
+
+fn gradient_at<H: Head>(level: Level, head: &H) -> (Network, H::Statistics) {
+    let (network, minibatch) = example();
+    let mut gradient = Network::ZERO;
+    let statistics = dispatch_at(
+        level,
+        Gradient {
+            network: &network,
+            minibatch: &minibatch,
+            head,
+            workspace: &mut Workspace::ZERO,
+            gradient: &mut gradient,
+        },
+    );
+    (gradient, statistics)
+}
+
+fn available() -> impl Iterator<Item = Level> {
+    Level::ALL.into_iter().filter(|level| {
+        if !level.is_available() {
+            println!("{level:?} is not available here and was not checked");
+        }
+        level.is_available()
+    })
+}
+
+/// The nets and losses in `f64`, as the textbook writes them.
+mod textbook {
+    use super::*;
+
+    /// Outputs of the net whose parameters are `p`, in the order of [`Network::slices`].
+    fn outputs(p: &[f64], minibatch: &Minibatch) -> Vec<f64> {
+        let second = INPUTS * WIDTH;
+        let second_bias = second + WIDTH * WIDTH;
+        let last = second_bias + WIDTH;
+        let tail = last + WIDTH;
+        (0..WIDTH)
+            .map(|sample| {
+                let first: Vec<f64> = (0..WIDTH)
+                    .map(|neuron| {
+                        let products = (0..INPUTS).map(|input| {
+                            p[input * WIDTH + neuron] * f64::from(minibatch.inputs[input][sample])
+                        });
+                        products.sum::<f64>().tanh()
+                    })
+                    .collect();
+                let products = (0..WIDTH).map(|neuron| {
+                    let row = &p[second + neuron * WIDTH..][..WIDTH];
+                    let sum: f64 = row.iter().zip(&first).map(|(w, h)| w * h).sum();
+                    p[last + neuron] * (sum + p[second_bias + neuron]).tanh()
+                });
+                products.sum::<f64>() + p[tail + OUTPUT_BIAS]
+            })
+            .collect()
+    }
+
+    pub fn value_loss(p: &[f64], minibatch: &Minibatch) -> f64 {
+        let outputs = outputs(p, minibatch);
+        let squares =
+            outputs.iter().zip(minibatch.return_).map(|(v, r)| (v - f64::from(r)).powi(2));
+        squares.sum::<f64>() / (2.0 * WIDTH as f64)
+    }
+
+    pub fn policy_loss(p: &[f64], minibatch: &Minibatch) -> f64 {
+        let log_std = p[p.len() - 16 + LOG_STD];
+        let clip = f64::from(POLICY.clip);
+        let mut sum = 0.0;
+        for (i, mean) in outputs(p, minibatch).into_iter().enumerate() {
+            let z = (f64::from(minibatch.action[i]) - mean) / log_std.exp();
+            let log_probability = -0.5 * z * z - log_std - 0.5 * (2.0 * std::f64::consts::PI).ln();
+            let log_ratio = log_probability - f64::from(minibatch.log_probability[i]);
+            let ratio = log_ratio.exp();
+            let advantage = f64::from(minibatch.advantage[i]);
+            let clipped = ratio.clamp(1.0 - clip, 1.0 + clip);
+            sum -= (ratio * advantage).min(clipped * advantage);
+            sum += f64::from(POLICY.kl_weight) * (ratio - 1.0 - log_ratio);
+        }
+        sum / WIDTH as f64 - f64::from(POLICY.entropy_weight) * log_std
+    }
+}
+
+/// Central differences in `f64`, for each parameter that is in use.
+fn check_by_finite_differences(gradient: &Network, loss: fn(&[f64], &Minibatch) -> f64) {
+    let (network, minibatch) = example();
+    let mut parameters: Vec<f64> =
+        network.slices().into_iter().flatten().map(|&value| value.into()).collect();
+    let gradient: Vec<f32> = gradient.slices().into_iter().flatten().copied().collect();
+    let largest = gradient.iter().fold(0.0_f32, |largest, g| largest.max(g.abs()));
+    assert!(largest > 1e-2, "the example has no gradient to check");
+    // All parameters outside of the big layer, and every 37th of it.
+    let big_layer = INPUTS * WIDTH..(INPUTS + WIDTH) * WIDTH;
+    for index in (0..parameters.len()).filter(|i| !big_layer.contains(i) || i % 37 == 0) {
+        let at = parameters[index];
+        let mut loss_at = |value: f64| {
+            parameters[index] = value;
+            loss(&parameters, &minibatch)
         };
-        time("policy gradient", &mut || {
-            dispatch_at(
-                level,
-                Gradient {
-                    network: &network,
-                    minibatch: &minibatch,
-                    head: &PolicyHead { dual: 3.0, clip: 0.1, entropy_weight: 0.0 },
-                    workspace: &mut workspace,
-                    gradient: &mut gradient,
-                },
-            );
-        });
-        time("value gradient", &mut || {
-            dispatch_at(
-                level,
-                Gradient {
-                    network: &network,
-                    minibatch: &minibatch,
-                    head: &ValueHead,
-                    workspace: &mut workspace,
-                    gradient: &mut gradient,
-                },
-            );
-        });
-        time("forward", &mut || {
-            std::hint::black_box(dispatch_at(
-                level,
-                Forward { network: &network, inputs: &minibatch.inputs },
-            ));
-        });
-        time("adam", &mut || {
-            dispatch_at(
-                level,
-                AdamStep {
-                    network: &mut network,
-                    gradient: &gradient,
-                    moments: &mut moments,
-                    beta_1: 0.9,
-                    beta_2: 0.999,
-                    learning_rate: 1e-4,
-                    epsilon: 1e-5,
-                    largest_norm: 0.5,
-                },
-            );
-        });
+        const STEP: f64 = 1e-5;
+        let difference = (loss_at(at + STEP) - loss_at(at - STEP)) / (2.0 * STEP);
+        parameters[index] = at;
+        let error = (f64::from(gradient[index]) - difference).abs();
+        assert!(error < 2e-5, "parameter {index}: {} instead of {difference}", gradient[index]);
+    }
+}
+
+#[test]
+fn gradients_of_the_policy_are_those_of_finite_differences_on_every_path() {
+    for level in available() {
+        let (gradient, statistics) = gradient_at(level, &POLICY);
+        check_by_finite_differences(&gradient, textbook::policy_loss);
+        assert!((0.3..0.95).contains(&statistics.clip_fraction), "both sides of the clip are seen");
+        assert!(statistics.approximate_kl > 0.0);
+    }
+}
+
+#[test]
+fn gradients_of_the_value_net_are_those_of_finite_differences_on_every_path() {
+    for level in available() {
+        check_by_finite_differences(&gradient_at(level, &ValueHead).0, textbook::value_loss);
+    }
+}
+
+/// Some steps of Adam along real gradients.
+fn trained_at(level: Level) -> (Network, Vec<f32>) {
+    let (mut network, minibatch) = example();
+    let (mut gradient, mut moments) = (Network::ZERO, Moments::ZERO);
+    let norms = (0..20).map(|_| {
+        dispatch_at(
+            level,
+            Gradient {
+                network: &network,
+                minibatch: &minibatch,
+                head: &POLICY,
+                workspace: &mut Workspace::ZERO,
+                gradient: &mut gradient,
+            },
+        );
+        dispatch_at(level, adam_step(&mut network, &gradient, &mut moments))
+    });
+    let norms = norms.collect();
+    (network, norms)
+}
+
+fn adam_step<'a>(
+    network: &'a mut Network,
+    gradient: &'a Network,
+    moments: &'a mut Moments,
+) -> AdamStep<'a> {
+    AdamStep {
+        network,
+        gradient,
+        moments,
+        learning_rate: 1e-3,
+        beta_1: 0.9,
+        beta_2: 0.999,
+        epsilon: 1e-5,
+        largest_norm: 0.5,
+    }
+}
+
+#[test]
+fn avx512_and_avx2_give_the_same_bits() {
+    if !(Level::Avx512.is_available() && Level::Avx2.is_available()) {
+        println!("this processor does not have both: nothing was compared");
+        return;
+    }
+    let (wide, narrow) = (trained_at(Level::Avx512), trained_at(Level::Avx2));
+    assert_eq!(wide, narrow);
+    let (example, _) = example();
+    assert_ne!(wide.0, example, "nothing was learned");
+}
+
+#[test]
+fn the_plain_path_differs_by_rounding_only() {
+    let (best, plain) = (trained_at(Level::best()).0, trained_at(Level::Plain).0);
+    for (a, b) in best.slices().into_iter().zip(plain.slices()) {
+        for (a, b) in a.iter().zip(b) {
+            assert!((a - b).abs() < 1e-3, "{a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn adam_follows_the_formulas_of_its_paper_after_shortening_the_gradient() {
+    let mut network = Network::ZERO;
+    let (mut gradient, mut moments) = (Network::ZERO, Moments::ZERO);
+    let (mut parameter, mut m, mut v) = (0.0_f64, 0.0_f64, 0.0_f64);
+    for (step, (g, h)) in [(0.1, 0.0), (-0.3, 0.2), (3.0, 4.0), (0.0, 0.0)].into_iter().enumerate()
+    {
+        gradient.second[3][5] = g;
+        gradient.tail[LOG_STD] = h;
+        let norm = dispatch_at(Level::best(), adam_step(&mut network, &gradient, &mut moments));
+        let expected = f64::from(g * g + h * h).sqrt();
+        assert!((f64::from(norm) - expected).abs() < 1e-6);
+        let g = f64::from(g) * (0.5 / expected).min(1.0);
+        m = 0.9 * m + 0.1 * g;
+        v = 0.999 * v + 0.001 * g * g;
+        let t = step as i32 + 1;
+        let (m_hat, v_hat) = (m / (1.0 - 0.9_f64.powi(t)), v / (1.0 - 0.999_f64.powi(t)));
+        parameter -= 1e-3 * m_hat / (v_hat.sqrt() + 1e-5);
+        assert!((f64::from(network.second[3][5]) - parameter).abs() < 1e-6, "step {step}");
+    }
+    assert_eq!(network.second[3][6], 0.0);
+}
+
+#[test]
+fn forward_gives_what_the_gradient_sees() {
+    let (network, minibatch) = example();
+    for level in available() {
+        let output = dispatch_at(level, Forward { network: &network, inputs: &minibatch.inputs });
+        let value_minibatch = Minibatch { return_: output, ..minibatch.clone() };
+        let mut gradient = Network::ZERO;
+        dispatch_at(
+            level,
+            Gradient {
+                network: &network,
+                minibatch: &value_minibatch,
+                head: &ValueHead,
+                workspace: &mut Workspace::ZERO,
+                gradient: &mut gradient,
+            },
+        );
+        assert_eq!(gradient, Network::ZERO, "{level:?}: no error, no gradient");
     }
 }

@@ -1,0 +1,122 @@
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::*;
+use crate::simulation::{DomainDistribution, Family};
+
+/// Small enough for a test, large enough that each part of the trainer has something to do.
+fn small() -> TrainSettings {
+    TrainSettings {
+        updates: 3,
+        pendulums: 48,
+        epochs: 1,
+        evaluation_starts: 20,
+        ..TrainSettings::quick()
+    }
+}
+
+fn train_small(
+    settings: &TrainSettings,
+    seed: u64,
+    checkpointing: Option<&Checkpointing>,
+    stop_after: u32,
+) -> Result<Trained, TrainError> {
+    let stop = AtomicBool::new(false);
+    let distribution = DomainDistribution::handcrafted(Family::Normal);
+    train(&distribution, settings, seed, checkpointing, &stop, |update| {
+        stop.store(update.update + 1 == stop_after, Ordering::Relaxed);
+    })
+}
+
+#[test]
+fn the_same_seed_gives_the_same_policy_on_one_and_on_two_threads() {
+    let one = train_small(&small(), 5, None, u32::MAX).unwrap();
+    let two = train_small(&TrainSettings { threads: 2, ..small() }, 5, None, u32::MAX).unwrap();
+    assert_eq!(one, two);
+    assert_eq!(one.curve.len(), 3);
+    let other = train_small(&small(), 6, None, u32::MAX).unwrap();
+    assert_ne!(one.network, other.network);
+}
+
+#[test]
+fn a_training_that_was_interrupted_goes_on_to_the_same_policy() {
+    let folder = tempfile::tempdir().unwrap();
+    let checkpointing = Checkpointing { path: folder.path().join("checkpoint"), every: 1 };
+    let whole = train_small(&small(), 8, None, u32::MAX).unwrap();
+    for stop_after in [1, 2] {
+        let stopped = train_small(&small(), 8, Some(&checkpointing), stop_after);
+        assert!(matches!(stopped, Err(TrainError::Stopped)));
+        assert!(checkpointing.path.exists());
+    }
+    let resumed =
+        train_small(&TrainSettings { threads: 2, ..small() }, 8, Some(&checkpointing), u32::MAX);
+    assert_eq!(resumed.unwrap(), whole);
+    assert!(!checkpointing.path.exists(), "a finished training leaves no checkpoint");
+}
+
+#[test]
+fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("checkpoint");
+    let checkpointing = Checkpointing { path: path.clone(), every: 1 };
+    assert!(train_small(&small(), 1, Some(&checkpointing), 1).is_err());
+    let other_seed = train_small(&small(), 2, Some(&checkpointing), u32::MAX);
+    assert!(matches!(other_seed, Err(TrainError::CheckpointOfAnother { what: "seed", .. })));
+    let other_settings = TrainSettings { clip: 0.2, ..small() };
+    let other_settings = train_small(&other_settings, 1, Some(&checkpointing), u32::MAX);
+    assert!(matches!(
+        other_settings,
+        Err(TrainError::CheckpointOfAnother { what: "settings", .. })
+    ));
+
+    let bytes = std::fs::read(&path).unwrap();
+    for damaged in [&bytes[..bytes.len() - 1], &bytes[..100], &[], b"{}"] {
+        std::fs::write(&path, damaged).unwrap();
+        let refused = train_small(&small(), 1, Some(&checkpointing), u32::MAX);
+        assert!(matches!(refused, Err(TrainError::CheckpointDamaged { .. })), "{}", damaged.len());
+    }
+}
+
+#[test]
+fn a_stop_that_is_set_ends_the_training_within_the_update() {
+    let stop = AtomicBool::new(true);
+    let distribution = DomainDistribution::nominal();
+    let settings = TrainSettings::thesis();
+    let stopped = train(&distribution, &settings, 0, None, &stop, |_| panic!("an update was done"));
+    assert!(matches!(stopped, Err(TrainError::Stopped)));
+}
+
+#[test]
+fn settings_out_of_range_are_named() {
+    let refused = |settings: TrainSettings| match train_small(&settings, 0, None, u32::MAX) {
+        Err(TrainError::Setting { name, .. }) => name,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(refused(TrainSettings { updates: 0, ..small() }), "updates");
+    assert_eq!(refused(TrainSettings { pendulums: 0, ..small() }), "pendulums");
+    assert_eq!(refused(TrainSettings { pendulums: 40, ..small() }), "pendulums modulo 16");
+    assert_eq!(refused(TrainSettings { learning_rate: f32::NAN, ..small() }), "learning_rate");
+    assert_eq!(refused(TrainSettings { clip: 0.0, ..small() }), "clip");
+    assert_eq!(refused(TrainSettings { evaluation_starts: 0, ..small() }), "evaluation_starts");
+    assert_eq!(refused(TrainSettings { threads: 0, ..small() }), "threads");
+    assert!(TrainSettings::thesis().check().is_ok() && TrainSettings::quick().check().is_ok());
+}
+
+#[test]
+fn the_thesis_preset_has_the_published_budget() {
+    let thesis = TrainSettings::thesis();
+    let transitions = usize::from(thesis.pendulums) * crate::qube::MAX_STEPS;
+    assert_eq!(transitions, 48_000);
+    assert_eq!(thesis.updates, 100);
+    assert_eq!(transitions / network::WIDTH * thesis.epochs as usize * 100, 750_000);
+    assert_eq!((thesis.discount, thesis.trace_decay, thesis.clip), (0.99, 0.95, 0.1));
+    assert_eq!(thesis.learning_rate, 5e-4);
+}
+
+#[test]
+fn the_quick_preset_learns_to_swing_up_and_stand() {
+    let stop = AtomicBool::new(false);
+    let distribution = DomainDistribution::nominal();
+    let trained = train(&distribution, &TrainSettings::quick(), 0, None, &stop, |_| {}).unwrap();
+    assert!(trained.best_return >= 540.0, "best return {}", trained.best_return);
+    assert!(trained.curve[0].mean_return < 100.0, "there was nothing to learn");
+}
