@@ -40,7 +40,9 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     match error {
         SessionError::Stopped => stop.failure(format!("stopped; go on with {resume}")),
         _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
-        SessionError::GivenUp { .. } => Failure::fault(error),
+        SessionError::GivenUp { .. } | SessionError::NotStartedAgain { .. } => {
+            Failure::fault(error)
+        }
         SessionError::Rig(error) => rig(error, stop),
         SessionError::Recording(error) => recording(&error),
         SessionError::Folder(error) => folder(&error),

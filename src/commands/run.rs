@@ -94,7 +94,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         }
         let last = rollout + 1 == arguments.rollouts;
         if matches!(recorded.outcome.ending, Ending::Fault(_)) && !last {
-            rig.start_again().map_err(|error| failures::rig(error, &stop))?;
+            rig.start_again().map_err(|error| {
+                Failure::fault(format!(
+                    "a fault ended rollout {rollout}, and the Qube cannot be started again: {error}"
+                ))
+            })?;
         }
     }
     output.print(&results.text(), &results.json());

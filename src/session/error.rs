@@ -28,6 +28,21 @@ pub enum SessionError {
         /// The last fault.
         reason: String,
     },
+    /// A fault ended a rollout, and the Qube could not be started again after it.
+    #[error(
+        "a fault ended rollout {rollout} of candidate {candidate} ({fault}), and the Qube cannot be \
+         started again: {source}. The motor is off; mend that, then --resume"
+    )]
+    NotStartedAgain {
+        /// The candidate.
+        candidate: u32,
+        /// Its rollout.
+        rollout: u32,
+        /// What ended it.
+        fault: String,
+        /// Why it cannot go on.
+        source: Box<RigError>,
+    },
     /// The ledger.
     #[error(transparent)]
     Ledger(#[from] LedgerError),

@@ -243,14 +243,19 @@ impl Session {
         }
         let verdict = judge(&path)?;
         tell(Progress::Rollout { candidate, rollout, attempt, verdict: &verdict });
-        match verdict {
+        match &verdict {
             Verdict::Result { .. } => {
                 self.ledger.append(Entry::RolloutFinished { candidate, rollout, attempt })?;
             }
-            Verdict::Void { .. } => {
+            Verdict::Void { reason } => {
                 self.ledger.append(Entry::RolloutVoid { candidate, rollout, attempt })?;
                 if let Some(rig) = &mut self.rig {
-                    rig.start_again()?;
+                    rig.start_again().map_err(|source| SessionError::NotStartedAgain {
+                        candidate,
+                        rollout,
+                        fault: reason.clone(),
+                        source: Box::new(source),
+                    })?;
                 }
             }
             // The stop is still set and ends the session; --resume does the rollout again.
