@@ -1,3 +1,5 @@
+use std::f64::consts::PI;
+
 use serde::{Deserialize, Serialize};
 
 use super::settling::settling_voltage;
@@ -27,14 +29,17 @@ const BLOCKED_TICKS: u32 = 120;
 /// How far the travel between the stops may differ from the nominal one, as a fraction.
 const TRAVEL_TOLERANCE: f64 = 0.1;
 
-/// Ticks that the arm has to come back to the middle: 1.5 s.
-const CENTRING_TICKS: u32 = 150;
-
 /// Ticks over which the pendulum's swing is judged: more than one period of it (0.53 s).
 const SWING_TICKS: u32 = 80;
 
-/// A pendulum that moves over no more counts than this hangs still.
-const STILL_COUNTS: i32 = 4;
+/// A pendulum that swings farther than this may be going round; its swing has no middle, rad.
+const LARGEST_SWING_RAD: f64 = 1.8 * PI;
+
+/// A pendulum that moves over no more than four counts hangs still, rad.
+const STILL_RAD: f64 = 4.5 * RAD_PER_COUNT;
+
+/// An arm within this of where it should be is there, rad: friction may hold it a little off.
+const NEAR_MIDDLE_RAD: f64 = 0.1;
 
 /// Where the middle of the arm comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -79,9 +84,12 @@ pub struct Homing {
     provisional: Calibration,
     watch: Watch,
     stage: Stage,
+    /// The middle between the stops, once it is known.
+    middle_rad: Option<f64>,
+    /// Where the pendulum hangs, as far as it is known.
+    hanging_rad: f64,
     ticks: u32,
     seek: Option<Seek>,
-    centring_ticks: u32,
     swing: Swing,
     state: State,
     voltage_mv: i16,
@@ -105,12 +113,12 @@ impl Stop {
 
 #[derive(Clone, Copy, Debug)]
 enum Stage {
+    /// Hold the arm until the pendulum swings about one point, which is where it hangs.
+    Observe,
+    /// Calm the pendulum about that point, with the arm in the middle as far as it is known.
+    Calm,
     /// Towards the stop at negative theta, then towards the other.
     Seek { stop: Stop },
-    /// Back to the middle and hold there, while the pendulum swings freely about where it hangs.
-    Centre { middle_rad: f64 },
-    /// Calm the pendulum about that angle.
-    Calm { middle_rad: f64, hanging_rad: f64 },
 }
 
 /// A stop that is being looked for.
@@ -135,7 +143,7 @@ struct Swing {
 #[derive(Clone, Copy, Debug)]
 struct Window {
     middle_rad: f64,
-    is_still: bool,
+    width_rad: f64,
 }
 
 impl Swing {
@@ -153,7 +161,7 @@ impl Swing {
         self.ticks = 0;
         Some(Window {
             middle_rad: 0.5 * (self.lowest_rad + self.highest_rad),
-            is_still: self.highest_rad - self.lowest_rad <= f64::from(STILL_COUNTS) * RAD_PER_COUNT,
+            width_rad: self.highest_rad - self.lowest_rad,
         })
     }
 }
@@ -162,19 +170,20 @@ impl Homing {
     /// A homing that has not begun.
     #[must_use]
     pub fn new(settings: &HomingSettings) -> Self {
-        let stage = match settings.method {
-            HomingMethod::Stops => Stage::Seek { stop: Stop::Negative },
-            HomingMethod::Here => Stage::Centre { middle_rad: 0.0 },
+        let middle_rad = match settings.method {
+            HomingMethod::Stops => None,
+            HomingMethod::Here => Some(0.0),
         };
         Self {
             settings: *settings,
             estimator: None,
             provisional: settings.signs,
             watch: Watch::default(),
-            stage,
+            stage: Stage::Observe,
+            middle_rad,
+            hanging_rad: 0.0,
             ticks: 0,
             seek: None,
-            centring_ticks: 0,
             swing: Swing::default(),
             state: State::default(),
             voltage_mv: 0,
@@ -200,39 +209,45 @@ impl Homing {
     /// Moves on to the next stage where one has reached its end.
     fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
         match self.stage {
+            Stage::Observe => {
+                if let Some(window) = self.swing.update(self.state.alpha)
+                    && window.width_rad < LARGEST_SWING_RAD
+                {
+                    self.hanging_rad = window.middle_rad;
+                    self.stage = Stage::Calm;
+                }
+            }
+            Stage::Calm => {
+                let off_middle_rad = self.state.theta - self.calm_rad();
+                if let Some(window) = self.swing.update(self.state.alpha)
+                    && window.width_rad <= STILL_RAD
+                    && off_middle_rad.abs() < NEAR_MIDDLE_RAD
+                {
+                    self.hanging_rad = window.middle_rad;
+                    if self.middle_rad.is_some() {
+                        self.found = Some(self.zeros(measurement, off_middle_rad));
+                        return Some(Ending::Completed);
+                    }
+                    self.stage = Stage::Seek { stop: Stop::Negative };
+                }
+            }
             Stage::Seek { stop } => {
                 let at_stop_rad = self.seek(stop)?;
                 self.seek = None;
-                self.stage = match stop {
+                match stop {
                     Stop::Negative => {
-                        Stage::Seek { stop: Stop::Positive { negative_rad: at_stop_rad } }
+                        let stop = Stop::Positive { negative_rad: at_stop_rad };
+                        self.stage = Stage::Seek { stop };
                     }
                     Stop::Positive { negative_rad } => {
                         let travel_rad = at_stop_rad - negative_rad;
                         if (travel_rad / (2.0 * HARD_STOP_RAD) - 1.0).abs() > TRAVEL_TOLERANCE {
                             return Some(Ending::Fault(Fault::TravelBlocked));
                         }
-                        Stage::Centre { middle_rad: 0.5 * (at_stop_rad + negative_rad) }
+                        self.middle_rad = Some(0.5 * (at_stop_rad + negative_rad));
+                        self.swing = Swing::default();
+                        self.stage = Stage::Calm;
                     }
-                };
-            }
-            Stage::Centre { middle_rad } => {
-                self.centring_ticks += 1;
-                if self.centring_ticks <= CENTRING_TICKS {
-                    self.swing = Swing::default();
-                } else if let Some(window) = self.swing.update(self.state.alpha) {
-                    self.stage = Stage::Calm { middle_rad, hanging_rad: window.middle_rad };
-                }
-            }
-            Stage::Calm { middle_rad, .. } => {
-                let off_middle_rad = self.state.theta - middle_rad;
-                if let Some(window) = self.swing.update(self.state.alpha)
-                    && window.is_still
-                    && off_middle_rad.abs() < 0.1
-                {
-                    let off_hanging_rad = self.state.alpha - window.middle_rad;
-                    self.found = Some(self.zeros(measurement, off_middle_rad, off_hanging_rad));
-                    return Some(Ending::Completed);
                 }
             }
         }
@@ -258,12 +273,8 @@ impl Homing {
     }
 
     /// The counts at the middle of the arm and at the hanging pendulum.
-    fn zeros(
-        &self,
-        measurement: &Measurement,
-        off_middle_rad: f64,
-        off_hanging_rad: f64,
-    ) -> Calibration {
+    fn zeros(&self, measurement: &Measurement, off_middle_rad: f64) -> Calibration {
+        let off_hanging_rad = self.state.alpha - self.hanging_rad;
         let back = |counts: i32, off_rad: f64, inverted: bool| {
             let off_counts = (off_rad / RAD_PER_COUNT).round() as i32;
             counts.wrapping_sub(if inverted { -off_counts } else { off_counts })
@@ -280,19 +291,21 @@ impl Homing {
         }
     }
 
+    /// Where the arm is held while the pendulum comes to rest: in the middle, or where it was.
+    fn calm_rad(&self) -> f64 {
+        self.middle_rad.unwrap_or(0.0)
+    }
+
     fn wanted_voltage(&self) -> f64 {
+        let seen = State { alpha: self.state.alpha - self.hanging_rad, ..self.state };
         match self.stage {
+            Stage::Observe => {
+                let arm_only = State { alpha: 0.0, alpha_dot: 0.0, ..seen };
+                settling_voltage(&arm_only, self.calm_rad())
+            }
+            Stage::Calm => settling_voltage(&seen, self.calm_rad()),
             Stage::Seek { .. } => {
-                let target_rad = self.seek.map_or(self.state.theta, |seek| seek.target_rad);
-                settling_voltage(&self.state, target_rad)
-            }
-            Stage::Centre { middle_rad } => {
-                let arm_only = State { alpha: 0.0, alpha_dot: 0.0, ..self.state };
-                settling_voltage(&arm_only, middle_rad)
-            }
-            Stage::Calm { middle_rad, hanging_rad } => {
-                let alpha = self.state.alpha - hanging_rad;
-                settling_voltage(&State { alpha, ..self.state }, middle_rad)
+                settling_voltage(&seen, self.seek.map_or(seen.theta, |seek| seek.target_rad))
             }
         }
     }
@@ -351,7 +364,7 @@ mod tests {
     use super::super::drive;
     use super::super::plant_device::{Mishap, PlantDevice};
     use super::*;
-    use crate::qube::counts;
+    use crate::qube::{COUNTS_PER_REVOLUTION, counts};
 
     fn home(device: &mut PlantDevice, settings: &HomingSettings) -> (Ending, Option<Calibration>) {
         let clock = device.clock.clone();
@@ -363,14 +376,22 @@ mod tests {
 
     #[test]
     fn the_middle_and_the_hanging_count_are_found_from_anywhere() {
-        for (theta, alpha) in [(-2.0, 0.3), (0.4, -0.2), (2.3, 0.0)] {
-            let mut device = PlantDevice::new(State { theta, alpha, ..State::default() });
+        // At rest, swinging, fallen from upright a moment ago, and still going round.
+        for (theta, alpha, alpha_dot) in [
+            (-2.0, 0.3, 0.0),
+            (0.4, -0.2, 5.0),
+            (2.3, 0.0, 0.0),
+            (0.5, 3.0, 2.0),
+            (-1.0, 1.0, 25.0),
+        ] {
+            let mut device = PlantDevice::new(State { theta, alpha, theta_dot: 0.0, alpha_dot });
             device.offset_counts = 12_345;
             let (ending, found) = home(&mut device, &HomingSettings::default());
             assert_eq!(ending, Ending::Completed);
             let found = found.unwrap();
             assert!((found.theta_zero_counts - 12_345).abs() <= 3, "{found:?}");
-            assert!((found.alpha_zero_counts - 12_345).abs() <= 3, "{found:?}");
+            let off_counts = (found.alpha_zero_counts - 12_345).rem_euclid(COUNTS_PER_REVOLUTION);
+            assert!(off_counts <= 3 || off_counts >= COUNTS_PER_REVOLUTION - 3, "{found:?}");
             assert!(device.state.theta.abs() < 0.1);
         }
     }
