@@ -2,7 +2,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::reader::{checked_scan, read_bytes, recording};
-use super::writer::sync_directory;
 use super::{RecordingError, RolloutWriter};
 
 /// What became of a cut-off recording.
@@ -43,7 +42,6 @@ pub fn recover(damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError
         ("reason".to_owned(), damage),
     ]);
     writer.finish_recovered(recording.outcome.as_ref(), lost)?;
-    sync_directory(saved).map_err(|source| RecordingError::write(saved, source))?;
     let has_outcome = recording.outcome.is_some();
     Ok(Recovered::Saved { ticks: recording.ticks.len(), lost_bytes, has_outcome })
 }

@@ -351,7 +351,7 @@ fn io_error(error: McapError) -> io::Error {
 }
 
 /// Makes the file's entry in its directory durable.
-pub(super) fn sync_directory(path: &Path) -> io::Result<()> {
+fn sync_directory(path: &Path) -> io::Result<()> {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => File::open(parent)?.sync_all(),
         _ => File::open(".")?.sync_all(),

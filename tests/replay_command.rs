@@ -1,0 +1,107 @@
+//! `replay` and `recover` as their users meet them: exit codes, JSON, one clear sentence.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn qube_hil(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_qube-hil")).args(arguments).output().unwrap()
+}
+
+/// A rollout of the classical controller in virtual time.
+fn recorded(folder: &Path) -> PathBuf {
+    let folder = folder.to_str().unwrap();
+    let run = qube_hil(&["run", "--policy", "classical", "--clock", "virtual", "--out", folder]);
+    assert!(run.status.success(), "{run:?}");
+    Path::new(folder).join("rollout-0.mcap")
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    let stdout = String::from_utf8(output.stdout.clone()).unwrap();
+    serde_json::from_str(stdout.lines().last().unwrap()).unwrap()
+}
+
+#[test]
+fn a_rollout_comes_out_again_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = recorded(folder.path());
+    let path = path.to_str().unwrap();
+    let output = qube_hil(&["replay", "--json", path]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let recording = &json(&output)["recordings"][0];
+    assert_eq!(recording["path"], path);
+    assert_eq!(recording["return_recorded"], recording["return_recomputed"]);
+    assert!(recording["return_recorded"].as_f64().unwrap() > 300.0, "{recording}");
+    assert!(recording["actions_compared"].as_u64().unwrap() > 600);
+    assert_eq!(recording["actions_different"], 0);
+
+    let plots = folder.path().join("plots");
+    let output =
+        qube_hil(&["replay", "--simulate", "--plot", plots.to_str().unwrap(), "--json", path]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(json(&output)["recordings"][0]["rmse"]["theta_rad"].is_number());
+    assert!(fs::read_to_string(plots.join("rollout-0.svg")).unwrap().starts_with("<svg"));
+}
+
+#[test]
+fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = recorded(folder.path());
+    let whole = fs::read(&path).unwrap();
+    let file = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        fs::write(&path, bytes).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let mut bytes = whole.clone();
+    bytes[whole.len() / 3] ^= 4;
+    let changed = file("changed.mcap", &bytes);
+    let output = qube_hil(&["replay", &changed]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("changed or damaged"), "{}", stderr(&output));
+
+    let cut = file("cut.mcap", &whole[..whole.len() / 2]);
+    let output = qube_hil(&["replay", "--json", &cut]);
+    assert_eq!(output.status.code(), Some(3));
+    assert!(stderr(&output).contains("qube-hil recover"), "{}", stderr(&output));
+    assert_eq!(json(&output)["recordings"][0]["actions_different"], 0);
+
+    let output = qube_hil(&["recover", "--json", &cut]);
+    assert_eq!(output.status.code(), Some(3));
+    let saved = json(&output);
+    assert!(saved["ticks"].as_u64().unwrap() > 100, "{saved}");
+    let output = qube_hil(&["replay", "--json", saved["recovered"].as_str().unwrap()]);
+    assert_eq!(json(&output)["recordings"][0]["actions_compared"], saved["ticks"]);
+
+    let output = qube_hil(&["recover", path.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "a whole file is left alone");
+}
+
+#[test]
+fn bad_input_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("table.csv");
+    fs::write(&table, "time_s,theta_rad\n0,0\n").unwrap();
+    let table = table.to_str().unwrap();
+    let misspelt = folder.path().join("parameters.toml");
+    fs::write(&misspelt, "M_q = 0.03\n").unwrap();
+    let misspelt = misspelt.to_str().unwrap();
+    for (arguments, expected) in [
+        (vec!["replay", table], "add --simulate"),
+        (vec!["replay", "--simulate", table], "the column `alpha_rad` is missing"),
+        (vec!["replay", misspelt], "no MCAP file"),
+        (vec!["replay", "nowhere.mcap"], "nowhere.mcap"),
+        (vec!["replay", "--simulate", "--parameters", misspelt, table], "unknown field `M_q`"),
+        (vec!["recover", "nowhere.mcap"], "nowhere.mcap"),
+    ] {
+        let output = qube_hil(&arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
+    }
+}
