@@ -1,5 +1,3 @@
-use std::f64::consts::PI;
-
 use serde::{Deserialize, Serialize};
 
 use super::settling::settling_voltage;
@@ -32,8 +30,12 @@ const TRAVEL_TOLERANCE: f64 = 0.1;
 /// Ticks over which the pendulum's swing is judged: more than one period of it (0.53 s).
 const SWING_TICKS: u32 = 80;
 
-/// A pendulum that swings farther than this may be going round; its swing has no middle, rad.
-const LARGEST_SWING_RAD: f64 = 1.8 * PI;
+/// A swing wider than this is waited for: while it decays fast, its extremes have no middle, rad.
+const LARGEST_SWING_RAD: f64 = 1.5;
+
+/// How gently the arm is held meanwhile, V/rad. An arm that gives way lets the motor's back-EMF take
+/// the pendulum's energy, within 8 s of a fall from upright; one that is held firmly keeps it.
+const LOOSE_HOLD_V_PER_RAD: f64 = 0.3;
 
 /// A pendulum that moves over no more than four counts hangs still, rad.
 const STILL_RAD: f64 = 4.5 * RAD_PER_COUNT;
@@ -113,7 +115,7 @@ impl Stop {
 
 #[derive(Clone, Copy, Debug)]
 enum Stage {
-    /// Hold the arm until the pendulum swings about one point, which is where it hangs.
+    /// Wait, the arm loosely held, until the pendulum swings about one point: there it hangs.
     Observe,
     /// Calm the pendulum about that point, with the arm in the middle as far as it is known.
     Calm,
@@ -299,10 +301,7 @@ impl Homing {
     fn wanted_voltage(&self) -> f64 {
         let seen = State { alpha: self.state.alpha - self.hanging_rad, ..self.state };
         match self.stage {
-            Stage::Observe => {
-                let arm_only = State { alpha: 0.0, alpha_dot: 0.0, ..seen };
-                settling_voltage(&arm_only, self.calm_rad())
-            }
+            Stage::Observe => -LOOSE_HOLD_V_PER_RAD * (seen.theta - self.calm_rad()),
             Stage::Calm => settling_voltage(&seen, self.calm_rad()),
             Stage::Seek { .. } => {
                 settling_voltage(&seen, self.seek.map_or(seen.theta, |seek| seek.target_rad))

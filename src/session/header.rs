@@ -3,11 +3,9 @@ use std::collections::BTreeMap;
 use super::seeds::start_theta_rad;
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{MAX_STEPS, RewardWeights};
+use crate::recording::FORMAT_VERSION;
 use crate::safety::SafetyBox;
 use crate::telemetry::{RolloutHeader, TickSettings};
-
-/// Version of the rollout's header.
-const FORMAT: u32 = 1;
 
 /// What a rollout is: its place among the others, its policy, the rules it runs under.
 #[derive(Clone, Debug)]
@@ -37,7 +35,7 @@ impl RolloutPlan {
     #[must_use]
     pub fn header(&self) -> RolloutHeader {
         RolloutHeader {
-            format: FORMAT,
+            format: FORMAT_VERSION,
             session: self.session.clone(),
             candidate: self.candidate,
             rollout: self.rollout,
