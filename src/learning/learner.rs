@@ -1,12 +1,14 @@
 use super::kernels::{AdamStep, Gradient, Head, Minibatch, Moments, Workspace};
 use super::network::Network;
-use crate::elementary::dispatch;
+use crate::elementary::{Level, dispatch_at};
 
 /// A net and the optimiser that trains it.
 #[derive(Debug)]
 pub(super) struct Learner {
     pub network: Network,
     pub moments: Moments,
+    /// What its steps are computed with.
+    pub level: Level,
     gradient: Network,
     workspace: Workspace,
 }
@@ -27,6 +29,7 @@ impl Learner {
         Box::new(Self {
             network,
             moments: Moments::ZERO,
+            level: Level::best(),
             gradient: Network::ZERO,
             workspace: Workspace::ZERO,
         })
@@ -39,14 +42,15 @@ impl Learner {
         head: &H,
         settings: &StepSettings,
     ) -> H::Statistics {
-        let statistics = dispatch(Gradient {
+        let gradient = Gradient {
             network: &self.network,
             minibatch,
             head,
             workspace: &mut self.workspace,
             gradient: &mut self.gradient,
-        });
-        dispatch(AdamStep {
+        };
+        let statistics = dispatch_at(self.level, gradient);
+        let step = AdamStep {
             network: &mut self.network,
             gradient: &self.gradient,
             moments: &mut self.moments,
@@ -55,7 +59,8 @@ impl Learner {
             beta_2: settings.beta_2,
             epsilon: settings.adam_epsilon,
             largest_norm: settings.largest_gradient_norm,
-        });
+        };
+        dispatch_at(self.level, step);
         statistics
     }
 }

@@ -21,9 +21,11 @@ mod tests;
 mod train;
 mod trainer;
 mod transition;
+mod workbench;
 
 pub use checkpoint::Checkpointing;
 pub use curve::{TrainUpdate, curve_csv};
 pub use error::TrainError;
 pub use settings::TrainSettings;
 pub use train::{Origin, Trained, train};
+pub use workbench::Workbench;

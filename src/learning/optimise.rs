@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rand::RngExt;
 
 use super::TrainSettings;
-use super::kernels::{Minibatch, PolicyHead, ValueHead};
+use super::kernels::{Minibatch, PolicyHead, PolicyStatistics, ValueHead};
 use super::learner::{Learner, StepSettings};
 use super::network::{LOG_STD, WIDTH};
 use super::random::Stream;
@@ -55,11 +55,7 @@ pub(super) fn optimise_policy(
     update: u32,
     stop: &AtomicBool,
 ) -> PolicyProgress {
-    let head = PolicyHead {
-        clip: settings.clip,
-        entropy_weight: settings.entropy_weight,
-        kl_weight: settings.kl_weight,
-    };
+    let head = policy_head(settings);
     let step = step_settings(settings, update);
     let mut progress = PolicyProgress::default();
     for _ in 0..settings.epochs {
@@ -67,12 +63,8 @@ pub(super) fn optimise_policy(
             if stop.load(Ordering::Relaxed) {
                 return progress;
             }
-            let mut minibatch = Minibatch::gather(transitions, indices);
-            normalise(&mut minibatch.advantage);
-            let statistics = policy.step(&minibatch, &head, &step);
-            let log_std = &mut policy.network.tail[LOG_STD];
-            *log_std = log_std.max(settings.smallest_log_std);
-
+            let statistics =
+                policy_step(policy, transitions, indices, &head, &step, settings.smallest_log_std);
             let kl = f64::from(statistics.approximate_kl);
             progress.approximate_kl += kl;
             progress.largest_kl = progress.largest_kl.max(kl);
@@ -100,12 +92,49 @@ pub(super) fn optimise_value(
             if stop.load(Ordering::Relaxed) {
                 return;
             }
-            value.step(&Minibatch::gather(transitions, indices), &ValueHead, &step);
+            value_step(value, transitions, indices, &step);
         }
     }
 }
 
-fn step_settings(settings: &TrainSettings, update: u32) -> StepSettings {
+/// One gradient step of the policy.
+pub(super) fn policy_step(
+    policy: &mut Learner,
+    transitions: &[Transition],
+    indices: &[u32; WIDTH],
+    head: &PolicyHead,
+    settings: &StepSettings,
+    smallest_log_std: f32,
+) -> PolicyStatistics {
+    let mut minibatch = Minibatch::gather(transitions, indices);
+    normalise(&mut minibatch.advantage);
+    let statistics = policy.step(&minibatch, head, settings);
+    let log_std = &mut policy.network.tail[LOG_STD];
+    *log_std = log_std.max(smallest_log_std);
+    statistics
+}
+
+/// One gradient step of the value net.
+pub(super) fn value_step(
+    value: &mut Learner,
+    transitions: &[Transition],
+    indices: &[u32; WIDTH],
+    settings: &StepSettings,
+) {
+    value.step(&Minibatch::gather(transitions, indices), &ValueHead, settings);
+}
+
+/// The policy's loss as the settings ask for it.
+pub(super) fn policy_head(settings: &TrainSettings) -> PolicyHead {
+    PolicyHead {
+        clip: settings.clip,
+        entropy_weight: settings.entropy_weight,
+        kl_weight: settings.kl_weight,
+    }
+}
+
+/// What the gradient steps of an update have in common.
+pub(super) fn step_settings(settings: &TrainSettings, update: u32) -> StepSettings {
     StepSettings {
         learning_rate: settings.learning_rate_at(update),
         beta_1: settings.adam_beta_1,

@@ -43,7 +43,8 @@ pub struct TrainSettings {
     pub adam_epsilon: f32,
     /// Logarithm of the policy's standard deviation at the start, in units of the net's output.
     pub first_log_std: f32,
-    /// And the smallest that it may become.
+    /// And the smallest that it may become. Without it the standard deviation shrinks until a
+    /// gradient step moves the mean by as much, and the policy collapses (docs/learning.md).
     pub smallest_log_std: f32,
     /// Fixed starts of the evaluation after each update.
     pub evaluation_starts: u16,
@@ -65,7 +66,7 @@ impl TrainSettings {
             pendulums: 80,
             epochs: 10,
             learning_rate: 5e-4,
-            last_learning_rate: 0.0,
+            last_learning_rate: 1e-4,
             discount: 0.99,
             trace_decay: 0.95,
             clip: 0.1,
@@ -125,11 +126,11 @@ impl TrainSettings {
         bounded("threads", self.threads, 1..=1024, "at least 1")
     }
 
-    /// The search's budget between two hardware runs: seconds instead of a minute. Fewer
-    /// pendulums, so that the policy is improved after every 9600 transitions.
+    /// A policy in seconds: 60 updates of 9600 transitions, each of which may move the policy
+    /// farther. For trying things out and for searches that train many policies.
     #[must_use]
     pub fn quick() -> Self {
-        Self { updates: 60, pendulums: 16, ..Self::thesis() }
+        Self { updates: 60, pendulums: 16, clip: 0.2, ..Self::thesis() }
     }
 
     /// Learning rate of an update.

@@ -11,7 +11,7 @@ use super::random::Stream;
 use super::train::Trained;
 use super::transition::Transition;
 use super::{TrainError, TrainSettings};
-use crate::simulation::{DomainDistribution, evaluate};
+use crate::simulation::{DomainDistribution, Evaluation, evaluate};
 
 /// Gain of the policy's output layer at the start: near 0 V everywhere.
 const POLICY_GAIN: f64 = 0.01;
@@ -57,26 +57,12 @@ impl<'a> Trainer<'a> {
     /// One round of Algorithm 1 (Eilers 2019): collect, optimise, evaluate.
     pub fn update(&mut self, stop: &AtomicBool) -> Result<&TrainUpdate, TrainError> {
         let update = self.curve.len() as u32;
-        let collector = Collector {
-            policy: &self.policy.network,
-            value: &self.value.network,
-            distribution: self.distribution,
-            settings: self.settings,
-            seed: self.seed,
-            update,
-        };
-        let batch = collector.collect(self.settings.threads);
+        let batch = self.collector().collect(self.settings.threads);
         let progress = self.optimise(&batch.transitions, update, stop);
         if stop.load(Ordering::Relaxed) {
             return Err(TrainError::Stopped);
         }
-        let evaluation = evaluate(
-            &mut NetworkActor(&self.policy.network),
-            self.distribution,
-            &self.settings.simulation,
-            EVALUATION_SEED,
-            self.settings.evaluation_starts.into(),
-        );
+        let evaluation = self.evaluate();
         let mean_return = evaluation.mean_return();
         if mean_return > self.best_return {
             self.best_return = mean_return;
@@ -99,6 +85,29 @@ impl<'a> Trainer<'a> {
             gradient_steps: self.policy.moments.steps,
         });
         Ok(&self.curve[update as usize])
+    }
+
+    /// What collects the next update's batch.
+    pub fn collector(&self) -> Collector<'_> {
+        Collector {
+            policy: &self.policy.network,
+            value: &self.value.network,
+            distribution: self.distribution,
+            settings: self.settings,
+            seed: self.seed,
+            update: self.curve.len() as u32,
+        }
+    }
+
+    /// Runs the policy without exploration from the fixed starts.
+    pub fn evaluate(&self) -> Evaluation {
+        evaluate(
+            &mut NetworkActor(&self.policy.network),
+            self.distribution,
+            &self.settings.simulation,
+            EVALUATION_SEED,
+            self.settings.evaluation_starts.into(),
+        )
     }
 
     /// Both nets learn from the same minibatches but share nothing else, so that each can have a

@@ -2,7 +2,7 @@ use super::forward::{first_hidden, first_hidden_by_sample, output, second_hidden
 use super::head::{Head, Minibatch};
 use super::multiply_add;
 use super::product::{Left, product};
-use super::sum::sum;
+use super::sum::{sum, sum_lanes};
 use crate::elementary::{InstructionSet, Kernel};
 use crate::learning::network::{LOG_STD, Network, OUTPUT_BIAS, Row, WIDTH};
 
@@ -70,6 +70,8 @@ impl<H: Head> Kernel for Gradient<'_, H> {
 
 /// Turns the second hidden layer into the loss derivative by its sums, row by row, and takes the
 /// two gradients that are sums over samples on the way.
+///
+/// Partial sums go to a table first: summing each row up at once would make every row wait for it.
 #[inline(always)]
 fn through_output<I: InstructionSet>(
     network: &Network,
@@ -77,16 +79,26 @@ fn through_output<I: InstructionSet>(
     hidden_2: &mut [Row; WIDTH],
     gradient: &mut Network,
 ) {
+    let mut by_weights = [[0.0; 16]; WIDTH];
+    let mut by_biases = [[0.0; 16]; WIDTH];
     for (neuron, hidden) in hidden_2.iter_mut().enumerate() {
         let weight = network.last[neuron];
-        let mut by_weight = [0.0; WIDTH];
-        for i in 0..WIDTH {
-            by_weight[i] = hidden[i] * by_output[i];
-            let slope = multiply_add::<I>(-hidden[i], hidden[i], 1.0);
-            hidden[i] = weight * by_output[i] * slope;
+        let (mut by_weight, mut by_bias) = ([0.0; 16], [0.0; 16]);
+        for quarter in 0..WIDTH / 16 {
+            for lane in 0..16 {
+                let sample = quarter * 16 + lane;
+                let value = hidden[sample];
+                by_weight[lane] = multiply_add::<I>(value, by_output[sample], by_weight[lane]);
+                let slope = multiply_add::<I>(-value, value, 1.0);
+                hidden[sample] = weight * by_output[sample] * slope;
+                by_bias[lane] += hidden[sample];
+            }
         }
-        gradient.last[neuron] = sum(&by_weight);
-        gradient.second_bias[neuron] = sum(hidden);
+        (by_weights[neuron], by_biases[neuron]) = (by_weight, by_bias);
+    }
+    for neuron in 0..WIDTH {
+        gradient.last[neuron] = sum_lanes(&by_weights[neuron]);
+        gradient.second_bias[neuron] = sum_lanes(&by_biases[neuron]);
     }
 }
 

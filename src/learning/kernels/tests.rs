@@ -32,14 +32,14 @@ fn example() -> (Network, Minibatch) {
 
 fn gradient_at<H: Head>(level: Level, head: &H) -> (Network, H::Statistics) {
     let (network, minibatch) = example();
-    let mut gradient = Network::ZERO;
+    let (mut gradient, mut workspace) = (Network::ZERO, Workspace::ZERO);
     let statistics = dispatch_at(
         level,
         Gradient {
             network: &network,
             minibatch: &minibatch,
             head,
-            workspace: &mut Workspace::ZERO,
+            workspace: &mut workspace,
             gradient: &mut gradient,
         },
     );
@@ -155,6 +155,7 @@ fn gradients_of_the_value_net_are_those_of_finite_differences_on_every_path() {
 fn trained_at(level: Level) -> (Network, Vec<f32>) {
     let (mut network, minibatch) = example();
     let (mut gradient, mut moments) = (Network::ZERO, Moments::ZERO);
+    let mut workspace = Workspace::ZERO;
     let norms = (0..20).map(|_| {
         dispatch_at(
             level,
@@ -162,7 +163,7 @@ fn trained_at(level: Level) -> (Network, Vec<f32>) {
                 network: &network,
                 minibatch: &minibatch,
                 head: &POLICY,
-                workspace: &mut Workspace::ZERO,
+                workspace: &mut workspace,
                 gradient: &mut gradient,
             },
         );
@@ -240,14 +241,14 @@ fn forward_gives_what_the_gradient_sees() {
     for level in available() {
         let output = dispatch_at(level, Forward { network: &network, inputs: &minibatch.inputs });
         let value_minibatch = Minibatch { return_: output, ..minibatch.clone() };
-        let mut gradient = Network::ZERO;
+        let (mut gradient, mut workspace) = (Network::ZERO, Workspace::ZERO);
         dispatch_at(
             level,
             Gradient {
                 network: &network,
                 minibatch: &value_minibatch,
                 head: &ValueHead,
-                workspace: &mut Workspace::ZERO,
+                workspace: &mut workspace,
                 gradient: &mut gradient,
             },
         );

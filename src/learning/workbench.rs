@@ -1,0 +1,78 @@
+use std::sync::atomic::AtomicBool;
+
+use super::collect::Batch;
+use super::network::WIDTH;
+use super::optimise::{policy_head, policy_step, step_settings, value_step};
+use super::trainer::Trainer;
+use super::{TrainError, TrainSettings};
+use crate::elementary::Level;
+use crate::simulation::DomainDistribution;
+
+/// The parts of a training one by one, for benchmarks and profiles.
+pub struct Workbench<'a> {
+    trainer: Trainer<'a>,
+    batch: Batch,
+    /// Where in the batch the next minibatch starts.
+    next: usize,
+}
+
+impl<'a> Workbench<'a> {
+    /// A training before its first update, with one batch collected.
+    ///
+    /// # Errors
+    /// A setting out of range.
+    pub fn new(
+        distribution: &'a DomainDistribution,
+        settings: &'a TrainSettings,
+        seed: u64,
+    ) -> Result<Self, TrainError> {
+        settings.check()?;
+        let trainer = Trainer::new(distribution, settings, seed);
+        let batch = trainer.collector().collect(settings.threads);
+        Ok(Self { trainer, batch, next: 0 })
+    }
+
+    /// The same, with gradient steps computed by this instruction set.
+    #[must_use]
+    pub fn at_level(mut self, level: Level) -> Self {
+        self.trainer.policy.level = level;
+        self.trainer.value.level = level;
+        self
+    }
+
+    /// Collects one batch.
+    pub fn collect(&mut self) {
+        self.batch = self.trainer.collector().collect(self.trainer.settings.threads);
+    }
+
+    /// One gradient step of both nets on the next minibatch.
+    pub fn gradient_step(&mut self) {
+        // A stride that meets every transition, as far apart as shuffling would have them.
+        const STRIDE: usize = 7919;
+        let count = self.batch.transitions.len();
+        let start = self.next;
+        let indices: [u32; WIDTH] =
+            std::array::from_fn(|sample| ((start + sample * STRIDE) % count) as u32);
+        self.next = (start + WIDTH * STRIDE) % count;
+        let (trainer, transitions) = (&mut self.trainer, &self.batch.transitions);
+        let step = step_settings(trainer.settings, 0);
+        let head = policy_head(trainer.settings);
+        let smallest_log_std = trainer.settings.smallest_log_std;
+        policy_step(&mut trainer.policy, transitions, &indices, &head, &step, smallest_log_std);
+        value_step(&mut trainer.value, transitions, &indices, &step);
+    }
+
+    /// One evaluation: the mean return.
+    #[must_use]
+    pub fn evaluate(&self) -> f64 {
+        self.trainer.evaluate().mean_return()
+    }
+
+    /// One whole update.
+    ///
+    /// # Errors
+    /// None unless training itself has one.
+    pub fn update(&mut self) -> Result<(), TrainError> {
+        self.trainer.update(&AtomicBool::new(false)).map(|_| ())
+    }
+}
