@@ -33,7 +33,7 @@ pub struct TrainUpdate {
 
 impl TrainUpdate {
     /// All fields in order; the whole numbers among them are exact up to 2^53.
-    pub(super) fn to_array(&self) -> [f64; 13] {
+    pub(super) fn to_array(self) -> [f64; 13] {
         [
             self.update.into(),
             self.mean_return,

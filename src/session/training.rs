@@ -53,7 +53,7 @@ pub fn train_all(
                     let candidate = job.candidate;
                     let result =
                         train(&job.distribution, settings, job.seed, None, stop, |update| {
-                            let _ = sender.send(News::Update { candidate, update: update.clone() });
+                            let _ = sender.send(News::Update { candidate, update: *update });
                         });
                     let _ = sender.send(News::Finished { candidate, result });
                 }
