@@ -85,9 +85,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             safety_box: SafetyBox::THESIS,
         };
         let path = directory.join(format!("rollout-{rollout}.mcap"));
-        let recorded = rig
-            .rollout(&path, plan.header(), &policy)
-            .map_err(|error| failures::rig(error, &stop))?;
+        let recorded = rig.rollout(&path, plan.header(), &policy).map_err(|error| {
+            // What was finished before it is on disk, and worth seeing.
+            eprint!("{}", results.lines);
+            failures::rig(error, &stop)
+        })?;
         results.add(&recorded.path)?;
         if stop.requested() {
             break;

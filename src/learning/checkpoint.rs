@@ -111,7 +111,7 @@ fn to_bytes(trainer: &Trainer<'_>) -> Result<Vec<u8>, safetensors::SafeTensorErr
             (name, Dtype::F32, values.flat_map(|value| value.to_le_bytes()).collect())
         })
         .collect();
-    let curve = trainer.curve.iter().flat_map(TrainUpdate::to_array);
+    let curve = trainer.curve.iter().flat_map(|update| update.to_array());
     contents.push(("curve", Dtype::F64, curve.flat_map(f64::to_le_bytes).collect()));
     let best_return = trainer.best_return.to_le_bytes().to_vec();
     contents.push(("best_return", Dtype::F64, best_return));

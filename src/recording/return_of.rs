@@ -12,7 +12,7 @@ pub fn return_of(ticks: &[TickRecord], weights: &RewardWeights) -> f64 {
         .iter()
         .filter(|tick| tick.phase == Phase::Running)
         .map(|tick| weights.reward(&tick.state, f64::from(tick.voltage_mv) / 1000.0))
-        .sum()
+        .fold(0.0, |sum, reward| sum + reward)
 }
 
 #[cfg(test)]
