@@ -1,0 +1,73 @@
+//! A fault in the middle of a session: the motor is off, the rollout is void and kept, and the
+//! session can be resumed once the fault is mended. In virtual time.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::session::{
+    ClockChoice, DeviceChoice, Entry, Extent, Ledger, RigSettings, Session, SessionError,
+    SessionFolder, SessionSettings, Verdict, judge,
+};
+
+fn settings() -> SessionSettings {
+    let mut settings = SessionSettings::quick();
+    settings.extent = Extent {
+        initial_candidates: 2,
+        iterations: 0,
+        rollouts: 1,
+        verification_rollouts: 1,
+        repetitions: 3,
+    };
+    settings.training.updates = 1;
+    settings.training.pendulums = 16;
+    settings.training.epochs = 1;
+    settings
+}
+
+fn run(folder: SessionFolder, fault: Option<EmulatorFault>) -> Result<(), SessionError> {
+    let rig = RigSettings {
+        device: DeviceChoice::Emulated,
+        clock: ClockChoice::Virtual,
+        emulator: EmulatorSettings { fault, ..EmulatorSettings::default() },
+        homing: settings().homing,
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    Session::open(folder, settings(), rig, stop)?.run(&mut |_| ())
+}
+
+fn begin(root: &Path) -> SessionFolder {
+    SessionFolder::create(root, &settings().to_toml().unwrap()).unwrap()
+}
+
+#[test]
+fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
+    // Each rollout has a new Qube, which is homed first; in one of them the fault comes after that.
+    for fault in ["silent@15", "amplifier@15", "unplug@15"] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("session");
+        let fault: EmulatorFault = fault.parse().unwrap();
+        let error = run(begin(&root), Some(fault)).unwrap_err();
+        assert!(matches!(error, SessionError::NotStartedAgain { .. }), "{fault}: {error}");
+
+        let folder = SessionFolder::open(&root).unwrap();
+        let entries = Ledger::open(&folder.ledger()).unwrap().entries().to_vec();
+        let voids: Vec<u32> = entries
+            .iter()
+            .filter_map(|entry| match *entry {
+                Entry::RolloutVoid { candidate, rollout: 0, attempt: 0 } => Some(candidate),
+                _ => None,
+            })
+            .collect();
+        let [candidate] = voids[..] else { panic!("{fault}: {entries:?}") };
+        let kept = judge(&folder.rollout(candidate, 0, 0)).unwrap();
+        assert!(matches!(kept, Verdict::Void { .. }), "{fault}: {kept:?}");
+
+        run(folder, None).unwrap();
+        let folder = SessionFolder::open(&root).unwrap();
+        let entries = Ledger::open(&folder.ledger()).unwrap().entries().to_vec();
+        let again = Entry::RolloutFinished { candidate, rollout: 0, attempt: 1 };
+        assert!(entries.contains(&again), "{fault}: {entries:?}");
+    }
+}
