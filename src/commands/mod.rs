@@ -2,6 +2,7 @@
 //!
 //! May import everything; nobody imports it.
 
+mod benchmark;
 mod device_arguments;
 mod emulate;
 mod exit;
@@ -14,6 +15,7 @@ mod session;
 mod session_progress;
 mod session_table;
 mod stop;
+mod toy;
 mod train;
 
 use std::path::PathBuf;
@@ -54,6 +56,8 @@ enum Command {
     Train(train::Arguments),
     Run(run::Arguments),
     Emulate(emulate::Arguments),
+    Benchmark(benchmark::Arguments),
+    Toy(toy::Arguments),
     Replay(replay::Arguments),
     Recover(recover::Arguments),
 }
@@ -69,6 +73,8 @@ pub fn main() -> ExitCode {
         Command::Train(arguments) => train::run(arguments, &output),
         Command::Run(arguments) => run::run(arguments, &output),
         Command::Emulate(arguments) => emulate::run(&arguments, &output),
+        Command::Benchmark(arguments) => benchmark::run(&arguments, &output),
+        Command::Toy(arguments) => toy::run(&arguments, &output),
         Command::Replay(arguments) => replay::run(&arguments, &output),
         Command::Recover(arguments) => recover::run(&arguments, &output),
     };

@@ -4,6 +4,7 @@
 //! its seed and the data, so that a session on disk is its whole state.
 
 mod bayrn;
+pub mod benchmark;
 mod cmaes;
 mod cross_entropy;
 mod error;

@@ -1,0 +1,178 @@
+//! How good the search strategies are, on synthetic objectives.
+
+mod parallel;
+mod picture;
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use serde_json::json;
+
+use super::exit::Failure;
+use super::output::Output;
+use crate::search::benchmark::{
+    Comparison, Contender, Objective, RegretCurve, TwoHumped, simple_regret,
+};
+use crate::search::{BayRnSettings, StrategyKind};
+
+/// Compare the search strategies on synthetic objectives
+///
+/// `regret`: how far from the maximum each strategy is after each evaluation, on objectives of 2
+/// to 16 dimensions without noise. `noise`: which surrogate finds the better candidate when a
+/// rollout either stands (500) or falls (50). Tables on stdout, pictures and all numbers in --out.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil benchmark regret\n  \
+    qube-hil benchmark regret --repetitions 5 --evaluations 20    # a first look, a minute\n  \
+    qube-hil benchmark noise --repetitions 400 --threads 8")]
+pub struct Arguments {
+    /// What to compare
+    #[arg(value_enum)]
+    suite: Suite,
+
+    /// Repetitions, each from a seed of its own; 50 for `regret` and 200 for `noise` unless given
+    #[arg(long, value_name = "N")]
+    repetitions: Option<NonZeroUsize>,
+
+    /// Evaluations of each search; 60 for `regret`, and candidates, 25, for `noise` unless given
+    #[arg(long, value_name = "N")]
+    evaluations: Option<NonZeroUsize>,
+
+    /// Rollouts of each candidate, for `noise`
+    #[arg(long, value_name = "N", default_value = "5")]
+    rollouts: NonZeroUsize,
+
+    /// Everything random follows from it
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+
+    /// Threads; the results do not depend on them [default: all cores]
+    #[arg(long, value_name = "N")]
+    threads: Option<NonZeroUsize>,
+
+    /// Folder for pictures and numbers; made where it does not exist
+    #[arg(long, value_name = "DIR", default_value = "benchmark")]
+    out: PathBuf,
+}
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Suite {
+    /// Strategies, by simple regret
+    Regret,
+    /// Surrogates, by what they make of returns with two humps
+    Noise,
+}
+
+/// Runs one suite.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    std::fs::create_dir_all(&arguments.out).map_err(|error| {
+        Failure::usage(format!("cannot make the folder {}: {error}", arguments.out.display()))
+    })?;
+    match arguments.suite {
+        Suite::Regret => regret(arguments, output),
+        Suite::Noise => noise(arguments, output),
+    }
+}
+
+impl Arguments {
+    fn repetitions(&self, usual: usize) -> usize {
+        self.repetitions.map_or(usual, NonZeroUsize::get)
+    }
+
+    fn evaluations(&self, usual: usize) -> usize {
+        self.evaluations.map_or(usual, NonZeroUsize::get)
+    }
+
+    fn threads(&self) -> usize {
+        let all = std::thread::available_parallelism();
+        self.threads.or(all.ok()).map_or(1, NonZeroUsize::get)
+    }
+
+    fn write(&self, name: &str, contents: &str) -> Result<(), Failure> {
+        let path = self.out.join(name);
+        std::fs::write(&path, contents).map_err(|error| {
+            Failure::failed(format!("cannot write {}: {error}", path.display()))
+        })?;
+        eprintln!("wrote {}", path.display());
+        Ok(())
+    }
+}
+
+fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let (repetitions, evaluations) = (arguments.repetitions(50), arguments.evaluations(60));
+    let settings = BayRnSettings::default();
+    let mut text = format!(
+        "simple regret after {evaluations} evaluations, {repetitions} repetitions: median [quartiles]\n"
+    );
+    let mut curves: Vec<RegretCurve> = Vec::new();
+    for objective in Objective::ALL {
+        text += &format!("\n{} ({} dimensions)\n", objective.name(), objective.dimensions());
+        for strategy in StrategyKind::ALL {
+            let title = format!("{} {}", objective.name(), strategy);
+            let found = parallel::map(repetitions, arguments.threads(), &title, |repetition| {
+                let seed = arguments.seed.wrapping_add(repetition as u64);
+                simple_regret(objective, strategy, &settings, evaluations, seed)
+            });
+            let found: Vec<Vec<f64>> =
+                found.into_iter().collect::<Result<_, _>>().map_err(Failure::failed)?;
+            let curve = RegretCurve::new(objective, strategy, &found);
+            if let Some(last) = curve.regret.last() {
+                text += &format!(
+                    "  {:8} {:>10.3e}  [{:.3e}, {:.3e}]\n",
+                    strategy.name(),
+                    last.median,
+                    last.lower,
+                    last.upper
+                );
+            }
+            curves.push(curve);
+        }
+        // the picture so far, so that a long run can be watched
+        let svg = picture::draw(&curves).map_err(Failure::failed)?;
+        arguments.write("regret.svg", &svg)?;
+    }
+    let value = json!({ "regret": curves });
+    arguments.write("regret.json", &value.to_string())?;
+    arguments.write("regret.txt", &text)?;
+    output.print(&text, &value);
+    Ok(())
+}
+
+fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let repetitions = arguments.repetitions(200);
+    let problem = TwoHumped {
+        candidates: arguments.evaluations(TwoHumped::THESIS.candidates),
+        rollouts: arguments.rollouts.get(),
+    };
+    let mut found = Vec::new();
+    for contender in Contender::ALL {
+        let title = contender.description();
+        let returns = parallel::map(repetitions, arguments.threads(), title, |repetition| {
+            problem.search(contender, arguments.seed.wrapping_add(repetition as u64))
+        });
+        found.push(returns.into_iter().collect::<Result<Vec<f64>, _>>().map_err(Failure::failed)?);
+    }
+    let table = Comparison::table(&found);
+    let mut text = format!(
+        "expected return of the point found with {} candidates x {} rollouts, {repetitions} \
+         repetitions: mean ± 95 % interval\n\n",
+        problem.candidates, problem.rollouts
+    );
+    for row in &table {
+        text += &format!(
+            "  {:45} {:6.1} ± {:4.1}   gain over plain {:+6.1} ± {:4.1}\n",
+            row.contender.description(),
+            row.expected_return.mean,
+            row.expected_return.half_width,
+            row.gain_over_plain.mean,
+            row.gain_over_plain.half_width,
+        );
+    }
+    let value = json!({ "problem": problem, "repetitions": repetitions, "contenders": table });
+    arguments.write("noise.json", &value.to_string())?;
+    arguments.write("noise.txt", &text)?;
+    output.print(&text, &value);
+    Ok(())
+}

@@ -1,0 +1,99 @@
+use plotters::prelude::*;
+
+use crate::search::StrategyKind;
+use crate::search::benchmark::{Quartiles, RegretCurve};
+
+const FONT: &str = "sans-serif";
+/// Regrets are drawn down to this: what is below is found.
+const FLOOR: f64 = 1e-6;
+
+/// Told apart in grey and by the colour-blind too (after Okabe and Ito).
+fn colour(strategy: StrategyKind) -> RGBColor {
+    match strategy {
+        StrategyKind::BayRn => RGBColor(0, 90, 160),
+        StrategyKind::Cem => RGBColor(213, 94, 0),
+        StrategyKind::CmaEs => RGBColor(0, 140, 100),
+        StrategyKind::Random => RGBColor(120, 120, 120),
+        StrategyKind::Sobol => RGBColor(190, 100, 160),
+    }
+}
+
+/// One panel for each objective: median of the simple regret over evaluations, with a band from
+/// quartile to quartile.
+pub fn draw(curves: &[RegretCurve]) -> anyhow::Result<String> {
+    let panels: Vec<&[RegretCurve]> = curves.chunk_by(|a, b| a.objective == b.objective).collect();
+    let rows = panels.len().div_ceil(3).max(1);
+    let mut svg = String::new();
+    {
+        let size = (1200, 70 + 360 * rows as u32);
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        root.fill(&WHITE)?;
+        let (heading, rest) = root.split_vertically(66);
+        let repetitions = curves.first().map_or(0, |curve| curve.repetitions);
+        let title = format!(
+            "Simple regret (maximum minus best value found): median and quartiles of {repetitions} repetitions"
+        );
+        heading.draw(&Text::new(title, (20, 8), (FONT, 20)))?;
+        for (i, strategy) in StrategyKind::ALL.into_iter().enumerate() {
+            let x = 20 + 130 * i as i32;
+            let stroke = colour(strategy).stroke_width(3);
+            heading.draw(&PathElement::new(vec![(x, 48), (x + 28, 48)], stroke))?;
+            heading.draw(&Text::new(strategy.name(), (x + 36, 40), (FONT, 16)))?;
+        }
+        for (panel, area) in panels.into_iter().zip(rest.split_evenly((rows, 3))) {
+            draw_panel(panel, &area)?;
+        }
+        root.present()?;
+    }
+    Ok(svg)
+}
+
+fn draw_panel(
+    curves: &[RegretCurve],
+    area: &DrawingArea<SVGBackend, plotters::coord::Shift>,
+) -> anyhow::Result<()> {
+    let Some(first) = curves.first() else {
+        return Ok(());
+    };
+    let seen = |pick: fn(&Quartiles) -> f64| {
+        curves.iter().flat_map(|c| &c.regret).map(pick).map(|r| r.max(FLOOR))
+    };
+    let lowest = seen(|q| q.lower).fold(f64::INFINITY, f64::min);
+    let highest = seen(|q| q.upper).fold(FLOOR, f64::max);
+    let evaluations = first.regret.len() as f64;
+    let mut chart = ChartBuilder::on(area)
+        .caption(format!("{}, {} dimensions", first.objective.name(), first.dimensions), (FONT, 17))
+        .margin(8)
+        .margin_right(18)
+        .x_label_area_size(38)
+        .y_label_area_size(62)
+        .build_cartesian_2d(
+            1.0..evaluations.max(2.0),
+            (lowest * 0.8..highest * 1.25).log_scale(),
+        )?;
+    chart
+        .configure_mesh()
+        .light_line_style(WHITE.mix(0.0))
+        .x_labels(7)
+        .y_labels(6)
+        .x_label_formatter(&|x| format!("{x:.0}"))
+        .y_label_formatter(&|y| {
+            if (0.01..10_000.0).contains(y) { format!("{y}") } else { format!("{y:.0e}") }
+        })
+        .x_desc("evaluations")
+        .y_desc("simple regret")
+        .label_style((FONT, 13))
+        .axis_desc_style((FONT, 14))
+        .draw()?;
+    for curve in curves {
+        let line = |pick: fn(&Quartiles) -> f64| {
+            curve.regret.iter().enumerate().map(move |(i, q)| (i as f64 + 1.0, pick(q).max(FLOOR)))
+        };
+        let colour = colour(curve.strategy);
+        let mut outline: Vec<(f64, f64)> = line(|q| q.upper).collect();
+        outline.extend(line(|q| q.lower).collect::<Vec<_>>().into_iter().rev());
+        chart.draw_series([Polygon::new(outline, colour.mix(0.12).filled())])?;
+        chart.draw_series(LineSeries::new(line(|q| q.median), colour.stroke_width(2)))?;
+    }
+    Ok(())
+}

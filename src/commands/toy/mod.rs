@@ -1,0 +1,58 @@
+//! The thesis's pictures of its toy problem.
+
+mod figure_3_1;
+mod figure_3_2;
+mod posterior_panel;
+mod problem;
+
+use std::path::PathBuf;
+
+use serde_json::json;
+
+use super::exit::Failure;
+use super::output::Output;
+
+/// Draw the thesis's figures 3.1 and 3.2: how the surrogate and the acquisition functions work
+///
+/// Figure 3.1: the surrogate fitted to 3, 7 and 15 samples of a curve, and above which lengthscale
+/// and noise the data are likely. Figure 3.2: four iterations of the search with PI, EI and UCB.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  qube-hil toy --out figures\n  qube-hil toy --seed 7 --out figures"
+)]
+pub struct Arguments {
+    /// Folder for the SVG files; made where it does not exist
+    #[arg(long, value_name = "DIR", default_value = "figures")]
+    out: PathBuf,
+
+    /// Where the samples lie follows from it
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+/// Draws all figures.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    std::fs::create_dir_all(&arguments.out).map_err(|error| {
+        Failure::usage(format!("cannot make the folder {}: {error}", arguments.out.display()))
+    })?;
+    let mut files = Vec::new();
+    let mut keep = |name: String, drawn: anyhow::Result<String>| {
+        let path = arguments.out.join(name);
+        let svg = drawn
+            .map_err(|error| Failure::failed(format!("cannot draw {}: {error}", path.display())))?;
+        std::fs::write(&path, svg).map_err(|error| {
+            Failure::failed(format!("cannot write {}: {error}", path.display()))
+        })?;
+        files.push(path.display().to_string());
+        Ok(())
+    };
+    for samples in figure_3_1::SAMPLES {
+        keep(
+            format!("figure-3.1-{samples}-samples.svg"),
+            figure_3_1::draw(samples, arguments.seed),
+        )?;
+    }
+    keep("figure-3.2.svg".into(), figure_3_2::draw(arguments.seed))?;
+    output.print(&files.join("\n"), &json!({ "files": files }));
+    Ok(())
+}

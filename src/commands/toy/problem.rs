@@ -1,0 +1,48 @@
+use std::f64::consts::PI;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::surrogate::{Dataset, SearchBox, SurrogateError};
+
+/// Where the curve is looked at; the thesis does not print the range.
+pub const RANGE: (f64, f64) = (-1.0, 2.0);
+
+/// The thesis's toy function without its noise (its equation 3.9).
+pub fn curve(x: f64) -> f64 {
+    x.sin() - x * x + 0.7 * x
+}
+
+/// Samples of the toy function, `sin x - x^2 + 0.7 x + 0.1 eps` with standard normal `eps`.
+pub struct Samples {
+    random: ChaCha8Rng,
+    pub x: Vec<Vec<f64>>,
+    pub y: Vec<f64>,
+}
+
+impl Samples {
+    /// `count` samples at uniformly random places.
+    pub fn draw(count: usize, seed: u64) -> Self {
+        let mut samples = Self { random: ChaCha8Rng::seed_from_u64(seed), x: vec![], y: vec![] };
+        for _ in 0..count {
+            let x = RANGE.0 + (RANGE.1 - RANGE.0) * samples.random.random::<f64>();
+            samples.add(x);
+        }
+        samples
+    }
+
+    /// One more, at a chosen place.
+    pub fn add(&mut self, x: f64) {
+        // Box and Muller
+        let radius = (-2.0 * (1.0 - self.random.random::<f64>()).ln()).sqrt();
+        let noise = radius * (2.0 * PI * self.random.random::<f64>()).cos();
+        self.x.push(vec![x]);
+        self.y.push(curve(x) + 0.1 * noise);
+    }
+
+    /// As the surrogate takes them.
+    pub fn dataset(&self) -> Result<Dataset, SurrogateError> {
+        let search_box = SearchBox::new(vec![RANGE.0], vec![RANGE.1])?;
+        Dataset::new(&search_box, &self.x, &self.y, None)
+    }
+}

@@ -1,0 +1,11 @@
+//! How good the strategies are, on functions whose answer is known.
+
+mod objective;
+mod regret;
+mod statistics;
+mod two_humped;
+
+pub use objective::Objective;
+pub use regret::{RegretCurve, simple_regret};
+pub use statistics::{Interval, Quartiles};
+pub use two_humped::{Comparison, Contender, TwoHumped};

@@ -1,0 +1,84 @@
+use serde::Serialize;
+
+use super::Objective;
+use super::statistics::{Quartiles, quartiles};
+use crate::search::{BayRnSettings, Observation, SearchError, StrategyKind};
+
+/// How one strategy did on one objective: simple regret (the maximum minus the best value found so
+/// far) after each evaluation, over all repetitions.
+#[derive(Clone, Debug, Serialize)]
+pub struct RegretCurve {
+    /// What was searched.
+    pub objective: Objective,
+    /// Its number of dimensions.
+    pub dimensions: usize,
+    /// Who searched.
+    pub strategy: StrategyKind,
+    /// Number of repetitions.
+    pub repetitions: usize,
+    /// Median and quartiles after 1, 2, 3 ... evaluations.
+    pub regret: Vec<Quartiles>,
+}
+
+/// One repetition: the simple regret after each of `evaluations` evaluations.
+///
+/// # Errors
+/// The strategy cannot be set up or cannot propose.
+pub fn simple_regret(
+    objective: Objective,
+    strategy: StrategyKind,
+    settings: &BayRnSettings,
+    evaluations: usize,
+    seed: u64,
+) -> Result<Vec<f64>, SearchError> {
+    let mut strategy = strategy.build(&objective.search_box()?, settings, seed)?;
+    let mut data: Vec<Observation> = Vec::with_capacity(evaluations);
+    let mut best = f64::NEG_INFINITY;
+    let mut regret = Vec::with_capacity(evaluations);
+    while data.len() < evaluations {
+        for point in strategy.propose(&data, 1)? {
+            let value = objective.value(&point);
+            best = best.max(value);
+            regret.push(objective.maximum() - best);
+            data.push(Observation { point, returns: vec![value] });
+        }
+    }
+    Ok(regret)
+}
+
+impl RegretCurve {
+    /// Gathers the repetitions of one strategy on one objective.
+    #[must_use]
+    pub fn new(objective: Objective, strategy: StrategyKind, repetitions: &[Vec<f64>]) -> Self {
+        let evaluations = repetitions.first().map_or(0, Vec::len);
+        let after = |k: usize| quartiles(repetitions.iter().map(|regret| regret[k]).collect());
+        Self {
+            objective,
+            dimensions: objective.dimensions(),
+            strategy,
+            repetitions: repetitions.len(),
+            regret: (0..evaluations).map(after).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn falls_repeats_and_bayrn_beats_chance() {
+        let settings = BayRnSettings { initial_points: 6, ..BayRnSettings::default() };
+        let run = |kind, seed| simple_regret(Objective::Branin, kind, &settings, 25, seed).unwrap();
+        for kind in StrategyKind::ALL {
+            let regret = run(kind, 4);
+            assert!(regret.windows(2).all(|pair| pair[1] <= pair[0]) && regret[24] >= 0.0);
+            assert_eq!(regret, run(kind, 4));
+        }
+        let after = |kind| {
+            let all: Vec<Vec<f64>> = (0..5).map(|seed| run(kind, seed)).collect();
+            RegretCurve::new(Objective::Branin, kind, &all).regret[24].median
+        };
+        assert!(after(StrategyKind::BayRn) < 0.2 * after(StrategyKind::Random));
+    }
+}
