@@ -22,35 +22,26 @@ pub(super) struct PolicyProgress {
     pub steps: u32,
 }
 
-/// The order in which the minibatches of one update pick transitions: for every epoch a
-/// permutation. The policy and the value net follow the same.
-pub(super) struct Order {
-    generator: rand_chacha::ChaCha8Rng,
-    indices: Vec<u32>,
-}
-
-impl Order {
-    pub fn new(transitions: usize, seed: u64, update: u32) -> Self {
-        Self {
-            generator: Stream::Shuffle { update }.generator(seed),
-            indices: (0..transitions as u32).collect(),
+/// The minibatches of one update as indices of transitions: a permutation for every epoch, one
+/// after the other.
+pub(super) fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) -> Vec<u32> {
+    let mut generator = Stream::Shuffle { update }.generator(seed);
+    let mut permutation: Vec<u32> = (0..transitions as u32).collect();
+    let mut order = Vec::with_capacity(transitions * epochs as usize);
+    for _ in 0..epochs {
+        for last in (1..transitions).rev() {
+            permutation.swap(last, generator.random_range(0..=last as u32) as usize);
         }
+        order.extend_from_slice(&permutation);
     }
-
-    /// Shuffles, and gives the indices minibatch by minibatch.
-    pub fn next_epoch(&mut self) -> &[[u32; WIDTH]] {
-        for last in (1..self.indices.len()).rev() {
-            self.indices.swap(last, self.generator.random_range(0..=last as u32) as usize);
-        }
-        self.indices.as_chunks().0
-    }
+    order
 }
 
 /// Improves the policy on a batch by PPO's clipped objective. Ends early when `stop` is set.
 pub(super) fn optimise_policy(
     policy: &mut Learner,
     transitions: &[Transition],
-    order: &mut Order,
+    order: &[u32],
     settings: &TrainSettings,
     update: u32,
     stop: &AtomicBool,
@@ -58,19 +49,17 @@ pub(super) fn optimise_policy(
     let head = policy_head(settings);
     let step = step_settings(settings, update);
     let mut progress = PolicyProgress::default();
-    for _ in 0..settings.epochs {
-        for indices in order.next_epoch() {
-            if stop.load(Ordering::Relaxed) {
-                return progress;
-            }
-            let statistics =
-                policy_step(policy, transitions, indices, &head, &step, settings.smallest_log_std);
-            let kl = f64::from(statistics.approximate_kl);
-            progress.approximate_kl += kl;
-            progress.largest_kl = progress.largest_kl.max(kl);
-            progress.clip_fraction += f64::from(statistics.clip_fraction);
-            progress.steps += 1;
+    for indices in order.as_chunks().0 {
+        if stop.load(Ordering::Relaxed) {
+            break;
         }
+        let statistics =
+            policy_step(policy, transitions, indices, &head, &step, settings.smallest_log_std);
+        let kl = f64::from(statistics.approximate_kl);
+        progress.approximate_kl += kl;
+        progress.largest_kl = progress.largest_kl.max(kl);
+        progress.clip_fraction += f64::from(statistics.clip_fraction);
+        progress.steps += 1;
     }
     progress.approximate_kl /= f64::from(progress.steps.max(1));
     progress.clip_fraction /= f64::from(progress.steps.max(1));
@@ -81,19 +70,17 @@ pub(super) fn optimise_policy(
 pub(super) fn optimise_value(
     value: &mut Learner,
     transitions: &[Transition],
-    order: &mut Order,
+    order: &[u32],
     settings: &TrainSettings,
     update: u32,
     stop: &AtomicBool,
 ) {
     let step = step_settings(settings, update);
-    for _ in 0..settings.epochs {
-        for indices in order.next_epoch() {
-            if stop.load(Ordering::Relaxed) {
-                return;
-            }
-            value_step(value, transitions, indices, &step);
+    for indices in order.as_chunks().0 {
+        if stop.load(Ordering::Relaxed) {
+            break;
         }
+        value_step(value, transitions, indices, &step);
     }
 }
 

@@ -6,7 +6,7 @@ use super::curve::TrainUpdate;
 use super::export::exported;
 use super::learner::Learner;
 use super::network::{LOG_STD, Network};
-use super::optimise::{Order, PolicyProgress, optimise_policy, optimise_value};
+use super::optimise::{PolicyProgress, optimise_policy, optimise_value, shuffled};
 use super::random::Stream;
 use super::train::Trained;
 use super::transition::Transition;
@@ -119,12 +119,11 @@ impl<'a> Trainer<'a> {
         stop: &AtomicBool,
     ) -> PolicyProgress {
         let (settings, seed) = (self.settings, self.seed);
-        let order = || Order::new(transitions.len(), seed, update);
+        let order = shuffled(transitions.len(), settings.epochs, seed, update);
         let (policy, value) = (&mut self.policy, &mut self.value);
-        let mut fit_value =
-            || optimise_value(value, transitions, &mut order(), settings, update, stop);
+        let mut fit_value = || optimise_value(value, transitions, &order, settings, update, stop);
         let mut improve_policy =
-            || optimise_policy(policy, transitions, &mut order(), settings, update, stop);
+            || optimise_policy(policy, transitions, &order, settings, update, stop);
         if settings.threads > 1 {
             std::thread::scope(|scope| {
                 scope.spawn(fit_value);

@@ -60,10 +60,10 @@ impl<H: Head> Kernel for Gradient<'_, H> {
         gradient.tail[OUTPUT_BIAS] = sum(&by_output);
         through_output::<I>(network, &by_output, hidden_2, gradient);
         let by_sum_2 = &*hidden_2;
-        product::<I, _, _>(Left::ByRow(by_sum_2), hidden_1_by_sample, None, &mut gradient.second);
-        product::<I, _, _>(Left::ByTerm(by_sum_2), &network.second, None, by_sum_1);
+        product::<I, _, _>(Left::ByRow(by_sum_2), hidden_1_by_sample, &mut gradient.second);
+        product::<I, _, _>(Left::ByTerm(by_sum_2), &network.second, by_sum_1);
         through_tanh::<I>(hidden_1_by_sample.as_flattened(), by_sum_1.as_flattened_mut());
-        product::<I, _, _>(Left::ByRow(&minibatch.inputs), by_sum_1, None, &mut gradient.first);
+        product::<I, _, _>(Left::ByRow(&minibatch.inputs), by_sum_1, &mut gradient.first);
         statistics
     }
 }

@@ -29,7 +29,7 @@ pub(super) fn first_hidden<I: InstructionSet>(
     inputs: &Inputs,
     hidden: &mut [Row; WIDTH],
 ) {
-    product::<I, _, _>(Left::ByTerm(&network.first), inputs, None, hidden);
+    product::<I, _, _>(Left::ByTerm(&network.first), inputs, hidden);
     activate(hidden);
 }
 
@@ -41,7 +41,7 @@ pub(super) fn first_hidden_by_sample<I: InstructionSet>(
     inputs: &Inputs,
     hidden: &mut [Row; WIDTH],
 ) {
-    product::<I, _, _>(Left::ByTerm(inputs), &network.first, None, hidden);
+    product::<I, _, _>(Left::ByTerm(inputs), &network.first, hidden);
     activate(hidden);
 }
 
@@ -53,8 +53,12 @@ pub(super) fn second_hidden<I: InstructionSet>(
     hidden_2: &mut [Row; WIDTH],
 ) {
     let left = Left::ByRow(&network.second);
-    product::<I, _, _>(left, hidden_1, Some(&network.second_bias), hidden_2);
-    activate(hidden_2);
+    product::<I, _, _>(left, hidden_1, hidden_2);
+    for (row, bias) in hidden_2.iter_mut().zip(network.second_bias) {
+        for value in row {
+            *value = tanh(*value + bias);
+        }
+    }
 }
 
 /// The output of each sample.

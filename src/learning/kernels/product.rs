@@ -12,7 +12,7 @@ pub(super) enum Left<'a, const ROWS: usize, const TERMS: usize> {
     ByTerm(&'a [[f32; ROWS]; TERMS]),
 }
 
-/// `result[row][..] = start[row] + sum over terms of left(row, term) right[term][..]`
+/// `result[row][..] = sum over terms of left(row, term) right[term][..]`
 ///
 /// The one kernel behind every product of the nets: rows of the right factor are vectors, entries
 /// of the left one are broadcast, so neither is packed or transposed. Each entry is summed in the
@@ -21,15 +21,14 @@ pub(super) enum Left<'a, const ROWS: usize, const TERMS: usize> {
 pub(super) fn product<I: InstructionSet, const ROWS: usize, const TERMS: usize>(
     left: Left<'_, ROWS, TERMS>,
     right: &[Row; TERMS],
-    start: Option<&[f32; ROWS]>,
     result: &mut [Row; ROWS],
 ) {
     // The sums of a tile fill half of the registers, which hides the latency of four cycles. The
     // shapes are those that the compiler unrolls into registers; 8 x 32 it does not.
     match I::LEVEL {
-        Level::Avx512 => tiled::<I, 4, 64, ROWS, TERMS>(left, right, start, result),
-        Level::Avx2 => tiled::<I, 4, 16, ROWS, TERMS>(left, right, start, result),
-        Level::Plain => tiled::<I, 4, 8, ROWS, TERMS>(left, right, start, result),
+        Level::Avx512 => tiled::<I, 4, 64, ROWS, TERMS>(left, right, result),
+        Level::Avx2 => tiled::<I, 4, 16, ROWS, TERMS>(left, right, result),
+        Level::Plain => tiled::<I, 4, 8, ROWS, TERMS>(left, right, result),
     }
 }
 
@@ -43,16 +42,12 @@ fn tiled<
 >(
     left: Left<'_, ROWS, TERMS>,
     right: &[Row; TERMS],
-    start: Option<&[f32; ROWS]>,
     result: &mut [Row; ROWS],
 ) {
     const { assert!(ROWS.is_multiple_of(TALL) && WIDTH.is_multiple_of(WIDE)) };
     for (tile, result) in result.as_chunks_mut::<TALL>().0.iter_mut().enumerate() {
         for column in 0..WIDTH / WIDE {
             let mut sums = [[0.0; WIDE]; TALL];
-            if let Some(start) = start {
-                sums = start.as_chunks::<TALL>().0[tile].map(|start| [start; WIDE]);
-            }
             match left {
                 Left::ByRow(left) => {
                     let left = &left.as_chunks::<TALL>().0[tile];
