@@ -47,14 +47,6 @@ pub enum PolicyError {
         /// What is wrong with it.
         fault: PolicyFault,
     },
-    /// The file cannot be written.
-    #[error("{}: cannot be written: {source}", path.display())]
-    Unwritable {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
 }
 
 /// What is wrong with the bytes of a policy.

@@ -73,12 +73,11 @@ fn a_classical_controller_comes_back() {
 }
 
 #[test]
-fn a_policy_is_saved_and_loaded_and_errors_name_the_file() {
+fn a_policy_is_loaded_and_errors_name_the_file() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("policy.safetensors");
-    network_policy().save(&path).unwrap();
+    std::fs::write(&path, network_policy().to_bytes()).unwrap();
     assert_eq!(Policy::load(&path).unwrap().to_bytes(), network_policy().to_bytes());
-    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
 
     std::fs::write(&path, "no policy").unwrap();
     let message = Policy::load(&path).unwrap_err().to_string();
@@ -86,8 +85,6 @@ fn a_policy_is_saved_and_loaded_and_errors_name_the_file() {
     let nowhere = directory.path().join("nowhere").join("policy.safetensors");
     let message = Policy::load(&nowhere).unwrap_err().to_string();
     assert!(message.contains("nowhere") && message.contains("cannot be read"), "{message}");
-    let message = network_policy().save(&nowhere).unwrap_err().to_string();
-    assert!(message.contains("nowhere") && message.contains("cannot be written"), "{message}");
 }
 
 #[test]

@@ -10,8 +10,8 @@ mod file_tests;
 mod network;
 mod training_record;
 
-use std::fs::{self, File};
-use std::io::{Read, Write};
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 pub use classical::{ClassicalController, ClassicalGains};
@@ -69,20 +69,6 @@ impl Policy {
         // One byte more than allowed is enough to see that there are more.
         file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
         Self::from_bytes(&bytes).map_err(|fault| PolicyError::Bad { path: path.to_owned(), fault })
-    }
-
-    /// Writes a policy file, whole or not at all.
-    ///
-    /// # Errors
-    /// The file cannot be written.
-    pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
-        let unwritable = |source| PolicyError::Unwritable { path: path.to_owned(), source };
-        let mut partial = path.as_os_str().to_owned();
-        partial.push(".partial");
-        let mut file = File::create(&partial).map_err(unwritable)?;
-        file.write_all(&self.to_bytes()).map_err(unwritable)?;
-        file.sync_all().map_err(unwritable)?;
-        fs::rename(&partial, path).map_err(unwritable)
     }
 
     /// Reads the bytes of a policy file, as a recording has them attached.
