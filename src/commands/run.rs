@@ -62,14 +62,14 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let policy = policy_file(&arguments.policy)?;
     let stop = Stop::on_signals()?;
     let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("run"));
-    std::fs::create_dir_all(&directory)
-        .map_err(|error| Failure::usage(format!("--out {}: {error}", directory.display())))?;
 
     let estimator = EstimatorSettings { corner_rad_s: arguments.filter };
     let settings = arguments.device.rig_settings(arguments.seed, estimator);
     eprintln!("homing: the arm looks for its stops");
     let mut rig = Rig::open(&settings, &stop.flag).map_err(|error| failures::rig(error, &stop))?;
     warn_without_realtime(rig.realtime());
+    std::fs::create_dir_all(&directory)
+        .map_err(|error| Failure::usage(format!("--out {}: {error}", directory.display())))?;
 
     let mut results = Results::default();
     for rollout in 0..arguments.rollouts {
@@ -127,7 +127,8 @@ fn policy_file(name: &str) -> Result<Vec<u8>, Failure> {
 #[derive(Debug, Default)]
 struct Results {
     lines: String,
-    returns: Vec<f64>,
+    /// None where a rollout came to no result.
+    returns: Vec<Option<f64>>,
     ended_early: Vec<Option<String>>,
     success: Vec<bool>,
     recordings: Vec<PathBuf>,
@@ -153,7 +154,7 @@ impl Results {
                     None => "not standing at the end".into(),
                 };
                 self.fault = None;
-                self.returns.push(return_);
+                self.returns.push(Some(return_));
                 self.ended_early.push(ended_early);
                 self.success.push(success);
                 writeln!(self.lines, "rollout {rollout}: return {return_:6.1}  {word}")
@@ -170,7 +171,7 @@ impl Results {
 
     fn no_result(&mut self, why: String) -> std::fmt::Result {
         let rollout = self.returns.len();
-        self.returns.push(0.0);
+        self.returns.push(None);
         self.success.push(false);
         self.ended_early.push(Some(why.clone()));
         writeln!(self.lines, "rollout {rollout}: {why}")
