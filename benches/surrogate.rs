@@ -65,7 +65,7 @@ fn maximise_acquisition(c: &mut Criterion) {
             b.iter(|| maximise(black_box(&acquisition), &search_box, &[], &settings));
         });
         group.bench_with_input(BenchmarkId::new("log-kg", n), &process, |b, process| {
-            let acquisition = LogKnowledgeGradient::new(process);
+            let acquisition = LogKnowledgeGradient::new(process, &[]);
             b.iter(|| maximise(black_box(&acquisition), &search_box, &[], &settings));
         });
     }

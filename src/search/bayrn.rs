@@ -5,8 +5,8 @@ use super::random::{quasi_random_point, uniform_point};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::{
     Acquisition, Criterion, Dataset, FitSettings, GaussianProcess, LogExpectedImprovement,
-    LogKnowledgeGradient, LogProbabilityOfImprovement, MaximiserSettings, OnProcess, PosteriorMean,
-    UpperConfidenceBound, maximise, noise_of_means,
+    LogKnowledgeGradient, LogNoisyExpectedImprovement, LogProbabilityOfImprovement,
+    MaximiserSettings, OnProcess, PosteriorMean, UpperConfidenceBound, maximise, noise_of_means,
 };
 
 /// Bayesian optimisation of the return over the box (BayRn: Eilers 2019, Muratore et al. 2021).
@@ -61,7 +61,7 @@ impl Default for BayRnSettings {
         Self {
             initial_points: 15,
             initial_design: InitialDesign::Uniform,
-            acquisition: AcquisitionKind::ExpectedImprovement,
+            acquisition: AcquisitionKind::NoisyExpectedImprovement,
             beta: 2.0,
             incumbent: Incumbent::BestPosteriorMean,
             noise: NoiseModel::PerCandidate,
@@ -81,19 +81,23 @@ pub enum InitialDesign {
     Sobol,
 }
 
-/// The acquisition functions to choose from. The first two are maximised through their logarithm,
+/// The acquisition functions to choose from. All but UCB are maximised through their logarithm,
 /// which has the same maximiser.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AcquisitionKind {
     /// EI.
-    #[default]
     ExpectedImprovement,
     /// PI.
     ProbabilityOfImprovement,
     /// UCB.
     UpperConfidenceBound,
-    /// KG: right for noisy returns, and has no incumbent.
+    /// NEI: EI averaged over what the candidates' true values may be. Right for noisy returns; has
+    /// no incumbent.
+    #[default]
+    NoisyExpectedImprovement,
+    /// KG: by how much the best posterior mean is expected to rise. Right for noisy returns; has no
+    /// incumbent.
     KnowledgeGradient,
 }
 
@@ -171,13 +175,18 @@ impl BayRn {
     }
 
     /// The next point, given what is believed; `index` is its place in the whole search.
-    fn acquire(&self, process: &GaussianProcess, largest_observed: f64, index: usize) -> Vec<f64> {
+    fn acquire(
+        &self,
+        process: &GaussianProcess,
+        largest_observed: f64,
+        index: usize,
+    ) -> Result<Vec<f64>, SearchError> {
         let means = means_at_data(process);
         let incumbent = match self.settings.incumbent {
             Incumbent::LargestObserved => largest_observed,
             Incumbent::BestPosteriorMean => means[0].0,
         };
-        match self.settings.acquisition {
+        Ok(match self.settings.acquisition {
             AcquisitionKind::ExpectedImprovement => {
                 self.maximise(&on(process, LogExpectedImprovement { incumbent }), &means, index)
             }
@@ -190,10 +199,15 @@ impl BayRn {
                 let criterion = UpperConfidenceBound { beta: self.settings.beta };
                 self.maximise(&on(process, criterion), &means, index)
             }
-            AcquisitionKind::KnowledgeGradient => {
-                self.maximise(&LogKnowledgeGradient::new(process), &means, index)
+            AcquisitionKind::NoisyExpectedImprovement => {
+                let seed = self.seed.wrapping_add(index as u64);
+                self.maximise(&LogNoisyExpectedImprovement::new(process, seed)?, &means, index)
             }
-        }
+            AcquisitionKind::KnowledgeGradient => {
+                let answer = self.maximise(&on(process, PosteriorMean), &means, index);
+                self.maximise(&LogKnowledgeGradient::new(process, &[answer]), &means, index)
+            }
+        })
     }
 
     fn maximise(&self, acquisition: &dyn Acquisition, means: &Means, index: usize) -> Vec<f64> {
@@ -256,7 +270,7 @@ impl Strategy for BayRn {
                     process
                 }
             };
-            let point = self.acquire(&process, largest_observed, index);
+            let point = self.acquire(&process, largest_observed, index)?;
             if proposed.len() + 1 < count {
                 believed = Some(process.believing(&point, process.mean(&point))?);
             }
@@ -323,6 +337,7 @@ mod tests {
             AcquisitionKind::ExpectedImprovement,
             AcquisitionKind::ProbabilityOfImprovement,
             AcquisitionKind::UpperConfidenceBound,
+            AcquisitionKind::NoisyExpectedImprovement,
             AcquisitionKind::KnowledgeGradient,
         ] {
             for base in [
@@ -353,7 +368,11 @@ mod tests {
 
     #[test]
     fn a_batch_spreads_out() {
-        for kind in [AcquisitionKind::ExpectedImprovement, AcquisitionKind::KnowledgeGradient] {
+        for kind in [
+            AcquisitionKind::ExpectedImprovement,
+            AcquisitionKind::NoisyExpectedImprovement,
+            AcquisitionKind::KnowledgeGradient,
+        ] {
             let mut search = BayRn::new(search_box(), settings(kind), 1).unwrap();
             let data = evaluated(&mut search, vec![], 8);
             let batch = search.propose(&data, 6).unwrap();

@@ -2,8 +2,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::observation::check;
 use super::random::{best_evaluated, stream};
-use super::standard_normal::standard_normal;
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
+use crate::surrogate::normal;
 
 /// Covariance matrix adaptation (CMA-ES; Hansen 2016, "The CMA Evolution Strategy: A Tutorial",
 /// with its default settings, on the unit cube).
@@ -167,7 +167,7 @@ impl Strategy for CmaEs {
                 let mut random = stream(self.seed, index);
                 let mut unit = distribution.mean.clone();
                 for _ in 0..ATTEMPTS {
-                    let z = lengths.map(|length| length * standard_normal(&mut random));
+                    let z = lengths.map(|length| length * normal::draw(&mut random));
                     unit = &distribution.mean + distribution.step * (&directions * z);
                     if unit.iter().all(|u| (0.0..=1.0).contains(u)) {
                         break;

@@ -1,7 +1,7 @@
 use super::observation::check;
 use super::random::{best_evaluated, stream};
-use super::standard_normal::standard_normal;
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
+use crate::surrogate::normal;
 
 /// The cross-entropy method: a Gaussian with independent coordinates is drawn from, and moved to
 /// the best quarter of each generation (De Boer et al. 2005; used on distributions of simulation
@@ -82,7 +82,7 @@ impl Strategy for CrossEntropy {
                     .map(|(mean, deviation)| {
                         loop {
                             // the mean is inside, so at least a fair part of the draws is
-                            let u = mean + deviation * standard_normal(&mut random);
+                            let u = mean + deviation * normal::draw(&mut random);
                             if (0.0..=1.0).contains(&u) {
                                 break u;
                             }

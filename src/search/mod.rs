@@ -10,7 +10,6 @@ mod cross_entropy;
 mod error;
 mod observation;
 mod random;
-mod standard_normal;
 mod strategy;
 
 use crate::surrogate::SearchBox;

@@ -145,6 +145,11 @@ impl Dataset {
         }
     }
 
+    /// With no noise of the points' own.
+    pub(super) fn without_own_noise(&self) -> Self {
+        Self { own_noise: DVector::zeros(self.len()), ..self.clone() }
+    }
+
     /// With one more standardised observation, without scaling anew.
     pub(super) fn extended(&self, unit: &[f64], target: f64, own_noise: f64) -> Self {
         let n = self.len();

@@ -56,7 +56,7 @@ pub struct Fit {
 
 /// Points up to which every start sees all data. Beyond, the starts compete on a thinned set of
 /// this size, and only the best one is polished on all: a start costs O(n^3) per step.
-const WHOLE: usize = 160;
+const WHOLE: usize = 100;
 
 /// Maximises log marginal likelihood + log priors by L-BFGS on the logarithms, several starts.
 ///
@@ -65,7 +65,7 @@ const WHOLE: usize = 160;
 pub fn fit(data: &Dataset, settings: &FitSettings) -> Result<Fit, SurrogateError> {
     let search = Search { kernel: settings.kernel, mean: settings.mean, priors: settings.priors };
     let starts = search.starts(data.dimensions(), settings);
-    let coarse = Tolerances { gradient: 1e-3, decrease: 1e-7, iterations: 100 };
+    let coarse = Tolerances { gradient: 1e-3, decrease: 1e-7, iterations: 60 };
     let fine = Tolerances { gradient: 1e-6, decrease: 1e-12, iterations: 200 };
 
     let thinned = (data.len() > WHOLE).then(|| data.thinned(WHOLE));

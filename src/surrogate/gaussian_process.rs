@@ -51,6 +51,10 @@ pub struct PosteriorSlope {
 /// Variance below which rounding rules, as a fraction of the signal variance.
 const RESOLUTION: f64 = 1e-14;
 
+/// Noise variance that stands for none, as a fraction of the signal variance: enough for the
+/// covariance of points close together to be factored.
+const NOISELESS: f64 = 1e-6;
+
 /// Covariances of one point with the data, and what its gradient is made of.
 pub(super) struct Cross {
     /// The point divided by the lengthscales, d.
@@ -148,7 +152,7 @@ impl GaussianProcess {
         let explained = white.norm_squared();
         let scale = self.data.scale();
         let d_mean = self.pull_back(cross, self.weights.as_slice(), scale);
-        let at_rest = self.hyperparameters.signal_variance * (1.0 - RESOLUTION) <= explained;
+        let (_, at_rest) = self.variance_left(explained);
         let factor = if at_rest { 0.0 } else { -2.0 * scale * scale };
         let d_variance = self.pull_back(cross, solved.as_slice(), factor);
         (self.posterior_of(cross, explained), d_mean, d_variance, solved)
@@ -188,6 +192,20 @@ impl GaussianProcess {
         Cross { scaled_point, values, slopes }
     }
 
+    /// Covariance of the function at two points before any data, standardised, and its d
+    /// derivatives with respect to the second point's coordinates.
+    pub(super) fn prior_covariance(&self, a: &[f64], b: &[f64]) -> (f64, Vec<f64>) {
+        let lengths: Vec<f64> = (0..a.len())
+            .map(|d| self.hyperparameters.lengthscales[d] * self.data.search_box().width(d))
+            .collect();
+        let apart: Vec<f64> = (0..a.len()).map(|d| (b[d] - a[d]) / lengths[d]).collect();
+        let squared = apart.iter().map(|r| r * r).sum();
+        let (correlation, slope) = self.kernel.correlation_and_slope(squared);
+        let signal = self.hyperparameters.signal_variance;
+        let derivatives = apart.iter().zip(&lengths).map(|(r, l)| -signal * slope * r / l);
+        (signal * correlation, derivatives.collect())
+    }
+
     /// `K^-1 v`, n.
     pub(super) fn solve(&self, v: &[f64]) -> DVector<f64> {
         self.factor.solve(v)
@@ -198,12 +216,43 @@ impl GaussianProcess {
         self.data.own_noise.add_scalar(self.hyperparameters.noise_variance + self.factor.jitter())
     }
 
-    fn posterior_of(&self, cross: &Cross, explained: f64) -> Posterior {
+    /// Factor of the data's covariance without noise.
+    pub(super) fn noiseless_factor(&self) -> Result<Factor, SurrogateError> {
+        let noiseless = Hyperparameters {
+            noise_variance: NOISELESS * self.hyperparameters.signal_variance,
+            ..self.hyperparameters.clone()
+        };
+        Covariance::new(&self.data.without_own_noise(), self.kernel, &noiseless).factor(&noiseless)
+    }
+
+    /// `K^-1`, its lower triangle.
+    pub(super) fn inverse(&self) -> DMatrix<f64> {
+        self.factor.inverse()
+    }
+
+    /// `K^-1 (y - m)`, n.
+    pub(super) fn weights(&self) -> &DVector<f64> {
+        &self.weights
+    }
+
+    /// `y - m`, n.
+    pub(super) fn residuals(&self) -> DVector<f64> {
+        self.data.targets.add_scalar(-self.hyperparameters.mean)
+    }
+
+    /// The standardised variance that is left when so much of it is explained, and whether it is
+    /// only rounding.
+    pub(super) fn variance_left(&self, explained: f64) -> (f64, bool) {
         let signal = self.hyperparameters.signal_variance;
+        let least = signal * RESOLUTION;
+        ((signal - explained).max(least), signal - explained <= least)
+    }
+
+    fn posterior_of(&self, cross: &Cross, explained: f64) -> Posterior {
         let scale = self.data.scale();
         Posterior {
             mean: self.own_value(dot(&cross.values, self.weights.as_slice())),
-            variance: (signal - explained).max(signal * RESOLUTION) * scale * scale,
+            variance: self.variance_left(explained).0 * scale * scale,
         }
     }
 

@@ -28,8 +28,8 @@ mod search_box;
 
 pub use acquisition::{
     Acquisition, Criterion, ExpectedImprovement, LogExpectedImprovement, LogKnowledgeGradient,
-    LogProbabilityOfImprovement, OnProcess, PosteriorMean, ProbabilityOfImprovement, Score,
-    UpperConfidenceBound,
+    LogNoisyExpectedImprovement, LogProbabilityOfImprovement, OnProcess, PosteriorMean,
+    ProbabilityOfImprovement, Score, UpperConfidenceBound,
 };
 pub use dataset::Dataset;
 pub use error::SurrogateError;

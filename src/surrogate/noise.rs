@@ -1,12 +1,12 @@
 /// Degrees of freedom that the pooled variance is worth against a point's own sample variance.
-const PRIOR_DEGREES: f64 = 4.0;
+const PRIOR_DEGREES: f64 = 12.0;
 
 /// Variance of the noise of each point's mean, from the spread of its repeated values.
 ///
 /// A variance out of two or five values is itself mostly noise: among returns that are either 50
 /// or 500, five equal ones are common and would claim certainty. Each sample variance is therefore
 /// drawn towards the pooled one, as in a scaled inverse chi-squared prior (moderated variances,
-/// Smyth 2004): `s~_i^2 = (4 s_0^2 + (k_i - 1) s_i^2) / (4 + k_i - 1)` with the pooled
+/// Smyth 2004): `s~_i^2 = (12 s_0^2 + (k_i - 1) s_i^2) / (12 + k_i - 1)` with the pooled
 /// `s_0^2 = sum (k_i - 1) s_i^2 / sum (k_i - 1)`; the mean of `k_i` values then has variance
 /// `s~_i^2 / k_i`.
 ///
@@ -43,7 +43,7 @@ mod tests {
         let groups: [&[f64]; 3] = [&[500.0; 5], &[50.0, 500.0, 50.0, 500.0, 50.0], &[480.0]];
         let noise = noise_of_means(&groups).unwrap();
         assert!(noise[0] > 0.0, "five equal returns are no certainty");
-        assert!(noise[1] > 2.0 * noise[0]);
+        assert!(noise[1] > 1.3 * noise[0]);
         assert!(noise[2] > noise[1], "one value knows less than five");
     }
 

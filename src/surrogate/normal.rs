@@ -2,10 +2,20 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
 /// Density.
 #[must_use]
 pub fn density(z: f64) -> f64 {
     log_density(z).exp()
+}
+
+/// One draw (Box and Muller 1958), by `libm`'s functions: the same bits on every platform.
+pub fn draw(random: &mut ChaCha8Rng) -> f64 {
+    // (0, 1], so that the logarithm is finite
+    let radius = (-2.0 * libm::log(1.0 - random.random::<f64>())).sqrt();
+    radius * libm::cos(2.0 * PI * random.random::<f64>())
 }
 
 /// Logarithm of the density.
@@ -85,7 +95,19 @@ fn alternating_series(first: f64, ratio: impl Fn(f64) -> f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng;
+
     use super::*;
+
+    #[test]
+    fn draws_have_the_right_moments() {
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let draws: Vec<f64> = (0..40_000).map(|_| draw(&mut random)).collect();
+        let moment = |power| draws.iter().map(|x| x.powi(power)).sum::<f64>() / draws.len() as f64;
+        assert!(moment(1).abs() < 0.02);
+        assert!((moment(2) - 1.0).abs() < 0.03);
+        assert!((moment(4) - 3.0).abs() < 0.15);
+    }
 
     /// z, `ln h(z)`, `ln distribution(z)`, from arithmetic with 700 digits (mpmath).
     #[allow(clippy::excessive_precision, clippy::approx_constant)]

@@ -35,13 +35,9 @@ pub struct Arguments {
     #[arg(long, value_name = "N")]
     repetitions: Option<NonZeroUsize>,
 
-    /// Evaluations of each search; 60 for `regret`, and candidates, 25, for `noise` unless given
-    #[arg(long, value_name = "N")]
-    evaluations: Option<NonZeroUsize>,
-
-    /// Rollouts of each candidate, for `noise`
-    #[arg(long, value_name = "N", default_value = "5")]
-    rollouts: NonZeroUsize,
+    /// Evaluations of each search, for `regret`
+    #[arg(long, value_name = "N", default_value = "60")]
+    evaluations: NonZeroUsize,
 
     /// Everything random follows from it
     #[arg(long, default_value_t = 0)]
@@ -81,10 +77,6 @@ impl Arguments {
         self.repetitions.map_or(usual, NonZeroUsize::get)
     }
 
-    fn evaluations(&self, usual: usize) -> usize {
-        self.evaluations.map_or(usual, NonZeroUsize::get)
-    }
-
     fn threads(&self) -> usize {
         let all = std::thread::available_parallelism();
         self.threads.or(all.ok()).map_or(1, NonZeroUsize::get)
@@ -101,7 +93,7 @@ impl Arguments {
 }
 
 fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    let (repetitions, evaluations) = (arguments.repetitions(50), arguments.evaluations(60));
+    let (repetitions, evaluations) = (arguments.repetitions(50), arguments.evaluations.get());
     let settings = BayRnSettings::default();
     let mut text = format!(
         "simple regret after {evaluations} evaluations, {repetitions} repetitions: median [quartiles]\n"
@@ -142,10 +134,40 @@ fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let repetitions = arguments.repetitions(200);
-    let problem = TwoHumped {
-        candidates: arguments.evaluations(TwoHumped::THESIS.candidates),
-        rollouts: arguments.rollouts.get(),
-    };
+    let mut text = format!(
+        "expected return of the point found, {repetitions} repetitions: mean ± 95 % interval\n"
+    );
+    let mut results = Vec::new();
+    for problem in [TwoHumped::THESIS, TwoHumped::NOISY] {
+        let table = noise_table(arguments, problem, repetitions)?;
+        text += &format!(
+            "\n{} dimensions, {} candidates x {} rollouts\n",
+            problem.dimensions, problem.candidates, problem.rollouts
+        );
+        for row in &table {
+            text += &format!(
+                "  {:45} {:6.1} ± {:4.1}   gain over plain {:+6.1} ± {:4.1}\n",
+                row.contender.description(),
+                row.expected_return.mean,
+                row.expected_return.half_width,
+                row.gain_over_plain.mean,
+                row.gain_over_plain.half_width,
+            );
+        }
+        results.push(json!({ "problem": problem, "contenders": table }));
+    }
+    let value = json!({ "repetitions": repetitions, "noise": results });
+    arguments.write("noise.json", &value.to_string())?;
+    arguments.write("noise.txt", &text)?;
+    output.print(&text, &value);
+    Ok(())
+}
+
+fn noise_table(
+    arguments: &Arguments,
+    problem: TwoHumped,
+    repetitions: usize,
+) -> Result<Vec<Comparison>, Failure> {
     let mut found = Vec::new();
     for contender in Contender::ALL {
         let title = contender.description();
@@ -154,25 +176,5 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         });
         found.push(returns.into_iter().collect::<Result<Vec<f64>, _>>().map_err(Failure::failed)?);
     }
-    let table = Comparison::table(&found);
-    let mut text = format!(
-        "expected return of the point found with {} candidates x {} rollouts, {repetitions} \
-         repetitions: mean ± 95 % interval\n\n",
-        problem.candidates, problem.rollouts
-    );
-    for row in &table {
-        text += &format!(
-            "  {:45} {:6.1} ± {:4.1}   gain over plain {:+6.1} ± {:4.1}\n",
-            row.contender.description(),
-            row.expected_return.mean,
-            row.expected_return.half_width,
-            row.gain_over_plain.mean,
-            row.gain_over_plain.half_width,
-        );
-    }
-    let value = json!({ "problem": problem, "repetitions": repetitions, "contenders": table });
-    arguments.write("noise.json", &value.to_string())?;
-    arguments.write("noise.txt", &text)?;
-    output.print(&text, &value);
-    Ok(())
+    Ok(Comparison::table(&found))
 }

@@ -78,7 +78,14 @@ fn draw_panel(
         .y_labels(6)
         .x_label_formatter(&|x| format!("{x:.0}"))
         .y_label_formatter(&|y| {
-            if (0.01..10_000.0).contains(y) { format!("{y}") } else { format!("{y:.0e}") }
+            // the axis runs over powers of ten, also where it does not span a whole one
+            let value = 10f64.powf(*y);
+            match *y {
+                y if y < -1.95 => format!("{value:.0e}"),
+                y if y < -0.05 => format!("{value:.2}"),
+                y if y < 0.95 => format!("{value:.1}"),
+                _ => format!("{value:.0}"),
+            }
         })
         .x_desc("evaluations")
         .y_desc("simple regret")
@@ -87,7 +94,11 @@ fn draw_panel(
         .draw()?;
     for curve in curves {
         let line = |pick: fn(&Quartiles) -> f64| {
-            curve.regret.iter().enumerate().map(move |(i, q)| (i as f64 + 1.0, pick(q).max(FLOOR)))
+            curve
+                .regret
+                .iter()
+                .enumerate()
+                .map(move |(i, q)| (i as f64 + 1.0, pick(q).max(FLOOR).log10()))
         };
         let colour = colour(curve.strategy);
         let mut outline: Vec<(f64, f64)> = line(|q| q.upper).collect();

@@ -1,9 +1,7 @@
-use std::f64::consts::PI;
-
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::surrogate::{Dataset, SearchBox, SurrogateError};
+use crate::surrogate::{Dataset, SearchBox, SurrogateError, normal};
 
 /// Where the curve is looked at; the thesis does not print the range.
 pub const RANGE: (f64, f64) = (-1.0, 2.0);
@@ -33,9 +31,7 @@ impl Samples {
 
     /// One more, at a chosen place.
     pub fn add(&mut self, x: f64) {
-        // Box and Muller
-        let radius = (-2.0 * (1.0 - self.random.random::<f64>()).ln()).sqrt();
-        let noise = radius * (2.0 * PI * self.random.random::<f64>()).cos();
+        let noise = normal::draw(&mut self.random);
         self.x.push(vec![x]);
         self.y.push(curve(x) + 0.1 * noise);
     }

@@ -95,7 +95,7 @@ impl Objective {
             Self::Branin => -branin(x),
             Self::Rosenbrock => -rosenbrock(x).ln_1p(),
             Self::Hartmann => hartmann(x),
-            Self::Hump => 540.0 * (-bowl(x, &HUMP_CENTRE)).exp(),
+            Self::Hump => 540.0 * (-bowl(x, &HUMP_CENTRE, &HUMP_WEIGHTS)).exp(),
             Self::Levy => -levy(x),
             Self::Ackley => -ackley(x),
         }
@@ -103,8 +103,8 @@ impl Objective {
 }
 
 /// `sum_d w_d (x_d - c_d)^2`.
-pub(super) fn bowl(x: &[f64], centre: &[f64; 8]) -> f64 {
-    x.iter().zip(centre).zip(HUMP_WEIGHTS).map(|((x, c), w)| w * (x - c) * (x - c)).sum()
+pub(super) fn bowl(x: &[f64], centre: &[f64], weights: &[f64]) -> f64 {
+    x.iter().zip(centre).zip(weights).map(|((x, c), w)| w * (x - c) * (x - c)).sum()
 }
 
 fn branin(x: &[f64]) -> f64 {

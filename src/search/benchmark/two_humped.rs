@@ -1,7 +1,7 @@
 use rand::RngExt;
 use serde::Serialize;
 
-use super::objective::bowl;
+use super::objective::{HUMP_WEIGHTS, bowl};
 use super::statistics::{Interval, confidence_interval};
 use crate::search::random::stream;
 use crate::search::{
@@ -9,19 +9,26 @@ use crate::search::{
 };
 
 /// Searches on returns as the thesis found them: a rollout stands (500) or falls (50), and the
-/// candidate only decides how often. In eight dimensions; where success is most likely differs
-/// from repetition to repetition.
+/// candidate only decides how often. Where success is most likely differs from repetition to
+/// repetition.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct TwoHumped {
-    /// Candidates evaluated in a search.
+    /// Dimensions of the box, 1 to 8. However many, the landscape is equally wide.
+    pub dimensions: usize,
+    /// Candidates drawn before the surrogate is asked.
+    pub initial_points: usize,
+    /// Candidates evaluated in a search, these included.
     pub candidates: usize,
     /// Rollouts of each.
     pub rollouts: usize,
 }
 
 impl TwoHumped {
-    /// The thesis's extent: 15 + 10 candidates, 5 rollouts each.
-    pub const THESIS: Self = Self { candidates: 25, rollouts: 5 };
+    /// The thesis's extent: eight dimensions, 15 + 10 candidates, 5 rollouts each.
+    pub const THESIS: Self =
+        Self { dimensions: 8, initial_points: 15, candidates: 25, rollouts: 5 };
+    /// Fewer dimensions and rollouts, a longer search: here the noise decides.
+    pub const NOISY: Self = Self { dimensions: 2, initial_points: 8, candidates: 40, rollouts: 2 };
 }
 
 /// Return of a rollout that stands, and of one that falls.
@@ -41,15 +48,22 @@ pub enum Contender {
     /// As the thesis, and like there the answer is the maximum of the posterior mean.
     Plain,
     /// Each candidate's own noise, EI over the best posterior mean.
-    NoiseAware,
+    OverPosteriorMean,
     /// Each candidate's own noise, knowledge gradient.
     KnowledgeGradient,
+    /// Each candidate's own noise, noisy EI: what is used unless told otherwise.
+    NoisyExpectedImprovement,
 }
 
 impl Contender {
     /// All of them.
-    pub const ALL: [Self; 4] =
-        [Self::PlainLuckiest, Self::Plain, Self::NoiseAware, Self::KnowledgeGradient];
+    pub const ALL: [Self; 5] = [
+        Self::PlainLuckiest,
+        Self::Plain,
+        Self::OverPosteriorMean,
+        Self::KnowledgeGradient,
+        Self::NoisyExpectedImprovement,
+    ];
 
     /// What it is, in words.
     #[must_use]
@@ -57,19 +71,22 @@ impl Contender {
         match self {
             Self::PlainLuckiest => "plain EI, answer = luckiest candidate",
             Self::Plain => "plain EI, answer = best posterior mean",
-            Self::NoiseAware => "own noise, EI over best posterior mean",
+            Self::OverPosteriorMean => "own noise, EI over best posterior mean",
             Self::KnowledgeGradient => "own noise, knowledge gradient",
+            Self::NoisyExpectedImprovement => "own noise, noisy EI (the default)",
         }
     }
 
-    fn settings(self) -> BayRnSettings {
+    fn settings(self, initial_points: usize) -> BayRnSettings {
+        let own_noise =
+            |acquisition| BayRnSettings { acquisition, initial_points, ..BayRnSettings::default() };
         match self {
-            Self::PlainLuckiest | Self::Plain => BayRnSettings::thesis(),
-            Self::NoiseAware => BayRnSettings::default(),
-            Self::KnowledgeGradient => BayRnSettings {
-                acquisition: AcquisitionKind::KnowledgeGradient,
-                ..BayRnSettings::default()
-            },
+            Self::PlainLuckiest | Self::Plain => {
+                BayRnSettings { initial_points, ..BayRnSettings::thesis() }
+            }
+            Self::OverPosteriorMean => own_noise(AcquisitionKind::ExpectedImprovement),
+            Self::KnowledgeGradient => own_noise(AcquisitionKind::KnowledgeGradient),
+            Self::NoisyExpectedImprovement => own_noise(AcquisitionKind::NoisyExpectedImprovement),
         }
     }
 }
@@ -80,8 +97,12 @@ impl TwoHumped {
     /// # Errors
     /// The search cannot propose.
     pub fn search(self, contender: Contender, seed: u64) -> Result<f64, SearchError> {
-        let landscape = Landscape::new(seed);
-        let mut strategy = BayRn::new(SearchBox::unit(8)?, contender.settings(), seed)?;
+        let landscape = Landscape::new(self.dimensions, seed);
+        let mut strategy = BayRn::new(
+            SearchBox::unit(self.dimensions)?,
+            contender.settings(self.initial_points),
+            seed,
+        )?;
         let mut data: Vec<Observation> = Vec::with_capacity(self.candidates);
         while data.len() < self.candidates {
             for point in strategy.propose(&data, 1)? {
@@ -101,18 +122,24 @@ impl TwoHumped {
 
 /// Where success is likely in one repetition.
 struct Landscape {
-    centre: [f64; 8],
+    centre: Vec<f64>,
+    weights: Vec<f64>,
     seed: u64,
 }
 
 impl Landscape {
-    fn new(seed: u64) -> Self {
+    fn new(dimensions: usize, seed: u64) -> Self {
         let mut random = stream(seed ^ 0x7477_6f68_756d_7073, 0);
-        Self { centre: std::array::from_fn(|_| 0.2 + 0.6 * random.random::<f64>()), seed }
+        let centre = (0..dimensions).map(|_| 0.2 + 0.6 * random.random::<f64>()).collect();
+        // some coordinates matter, some hardly; all together as much in every dimension
+        let chosen = &HUMP_WEIGHTS[..dimensions.min(HUMP_WEIGHTS.len())];
+        let share = HUMP_WEIGHTS.iter().sum::<f64>() / chosen.iter().sum::<f64>();
+        Self { centre, weights: chosen.iter().map(|w| w * share).collect(), seed }
     }
 
     fn success_probability(&self, point: &[f64]) -> f64 {
-        LEAST_LIKELY + (MOST_LIKELY - LEAST_LIKELY) * (-bowl(point, &self.centre)).exp()
+        LEAST_LIKELY
+            + (MOST_LIKELY - LEAST_LIKELY) * (-bowl(point, &self.centre, &self.weights)).exp()
     }
 
     fn expected_return(&self, point: &[f64]) -> f64 {
@@ -159,5 +186,36 @@ impl Comparison {
                 }
             })
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_finds_better_candidates_than_the_luckiest() {
+        let problem = TwoHumped { candidates: 20, ..TwoHumped::NOISY };
+        let mean = |contender| {
+            let found: Vec<f64> =
+                (0..20).map(|seed| problem.search(contender, seed).unwrap()).collect();
+            confidence_interval(&found).mean
+        };
+        let default = mean(Contender::NoisyExpectedImprovement);
+        let luckiest = mean(Contender::PlainLuckiest);
+        assert!(default > luckiest + 10.0, "{default} {luckiest}");
+    }
+
+    #[test]
+    fn the_table_compares_repetition_by_repetition() {
+        let table = Comparison::table(&[
+            vec![1.0, 2.0],
+            vec![10.0, 20.0],
+            vec![11.0, 21.0],
+            vec![9.0, 21.0],
+            vec![10.0, 20.0],
+        ]);
+        assert_eq!(table[2].gain_over_plain, Interval { mean: 1.0, half_width: 0.0 });
+        assert_eq!(table[1].expected_return.mean, 15.0);
     }
 }

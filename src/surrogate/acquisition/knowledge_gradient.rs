@@ -1,11 +1,15 @@
 use nalgebra::DVector;
 
 use super::Acquisition;
+use super::log_sum_exp::log_sum_exp;
 use crate::surrogate::GaussianProcess;
+use crate::surrogate::factor::dot;
 use crate::surrogate::normal::{log_density, log_distribution, log_improvement};
 
 /// The logarithm of the knowledge gradient: by how much one more *noisy* observation at a point
-/// is expected to raise the best posterior mean, over the points observed and the point itself.
+/// is expected to raise the best posterior mean, over a set of alternatives: the points observed,
+/// further ones (the maximiser of the posterior mean belongs among them, since it is the answer
+/// that would be given now), and the point itself.
 ///
 /// It asks for what the search is judged by (the posterior mean's best), so a lucky sample earns
 /// nothing, and looking again at a doubtful point can be worth more than a new one. Scott, Frazier
@@ -14,8 +18,10 @@ use crate::surrogate::normal::{log_density, log_distribution, log_improvement};
 /// over the best posterior mean.
 pub struct LogKnowledgeGradient<'a> {
     process: &'a GaussianProcess,
-    /// Posterior means at the n observed points, standardised.
+    /// Posterior means at the n observed points and the further alternatives, standardised.
     means: Vec<f64>,
+    /// The further alternatives, each with `K^-1 k(X, a)`.
+    further: Vec<(Vec<f64>, DVector<f64>)>,
     /// Noise variances of the n observations, standardised.
     noise: DVector<f64>,
     /// Noise variance expected of the next observation, standardised.
@@ -27,25 +33,29 @@ pub struct LogKnowledgeGradient<'a> {
 struct Line {
     height: f64,
     slope: f64,
-    /// Which observed point, or n for the new one.
+    /// Which observed point, then which further alternative, and last the new point.
     index: usize,
 }
 
 impl<'a> LogKnowledgeGradient<'a> {
-    /// On a process; the next observation is taken to be as noisy as the median one. Costs O(n^2).
+    /// On a process, with further alternatives in the box's own units; the next observation is
+    /// taken to be as noisy as the median one. Costs O(n^2) for each alternative.
     #[must_use]
-    pub fn new(process: &'a GaussianProcess) -> Self {
+    pub fn new(process: &'a GaussianProcess, further: &[Vec<f64>]) -> Self {
         let data = process.data();
         let noise = process.noise_variances();
-        let means = (0..data.len())
-            .map(|i| {
-                let point = data.search_box().from_unit(&data.unit_point(i));
-                (process.mean(&point) - data.offset()) / data.scale()
-            })
+        let observed = (0..data.len()).map(|i| data.search_box().from_unit(&data.unit_point(i)));
+        let means = observed
+            .chain(further.iter().cloned())
+            .map(|point| (process.mean(&point) - data.offset()) / data.scale())
+            .collect();
+        let further = further
+            .iter()
+            .map(|point| (point.clone(), process.solve(&process.cross(point).values)))
             .collect();
         let mut sorted: Vec<f64> = noise.iter().copied().collect();
         sorted.sort_by(f64::total_cmp);
-        Self { process, means, next_noise: sorted[sorted.len() / 2], noise }
+        Self { process, means, further, next_noise: sorted[sorted.len() / 2], noise }
     }
 
     fn evaluate(&self, point: &[f64], with_gradient: bool) -> (f64, Vec<f64>) {
@@ -56,16 +66,31 @@ impl<'a> LogKnowledgeGradient<'a> {
         let variance = posterior.variance / (scale * scale);
         let spread = (variance + self.next_noise).sqrt();
 
-        // covariance of f(x_i) and f(x) given the data: noise_i (K^-1 k)_i, since K = k(X, X) + noise
-        let mut lines: Vec<Line> = (0..n)
-            .map(|index| Line {
+        // covariances of f(x) with f at the alternatives, given the data. At an observed point it is
+        // noise_i (K^-1 k)_i, since K = k(X, X) + noise
+        let observed = (0..n).map(|i| self.noise[i] * solved[i]);
+        let between: Vec<(f64, Vec<f64>)> = self
+            .further
+            .iter()
+            .map(|(alternative, _)| self.process.prior_covariance(alternative, point))
+            .collect();
+        let elsewhere = self
+            .further
+            .iter()
+            .zip(&between)
+            .map(|((_, weights), (prior, _))| prior - dot(weights.as_slice(), &cross.values));
+        let mut lines: Vec<Line> = observed
+            .chain(elsewhere)
+            .enumerate()
+            .map(|(index, covariance)| Line {
                 height: self.means[index],
-                slope: self.noise[index] * solved[index] / spread,
+                slope: covariance / spread,
                 index,
             })
             .collect();
+        let new = lines.len();
         let height = (posterior.mean - data.offset()) / scale;
-        lines.push(Line { height, slope: variance / spread, index: n });
+        lines.push(Line { height, slope: variance / spread, index: new });
         let envelope = upper_envelope(lines);
 
         // sum over neighbours of (b' - b) h(-|c|), c where they cross
@@ -85,7 +110,7 @@ impl<'a> LogKnowledgeGradient<'a> {
             return (log_sum + scale.ln(), vec![0.0; d_mean.len()]);
         }
 
-        let mut by_slope = vec![0.0; n + 1];
+        let mut by_slope = vec![0.0; new + 1];
         let mut by_height = 0.0;
         for pair in envelope.windows(2) {
             let (_, at) = crossing(pair);
@@ -94,24 +119,32 @@ impl<'a> LogKnowledgeGradient<'a> {
             by_slope[pair[0].index] -= slope_weight;
             // the upper line gains height, the lower one loses it
             let height_weight = (log_distribution(-at.abs()) - log_sum).exp() * at.signum();
-            if pair[1].index == n {
+            if pair[1].index == new {
                 by_height += height_weight;
-            } else if pair[0].index == n {
+            } else if pair[0].index == new {
                 by_height -= height_weight;
             }
         }
         let total: f64 = envelope.iter().map(|line| by_slope[line.index] * line.slope).sum();
-        let by_variance = by_slope[n] / spread - total / (2.0 * spread * spread);
+        let by_variance = by_slope[new] / spread - total / (2.0 * spread * spread);
         let mut gradient: Vec<f64> = d_mean
             .iter()
             .zip(&d_variance)
             .map(|(m, v)| by_height * m / scale + by_variance * v / (scale * scale))
             .collect();
-        if by_slope[..n].iter().any(|g| *g != 0.0) {
+        // the covariances' own gradients, all those through k(X, x) pulled back at once
+        if by_slope[..new].iter().any(|g| *g != 0.0) {
             let pulled: Vec<f64> = by_slope.iter().zip(&self.noise).map(|(g, s)| g * s).collect();
-            let through = self.process.solve(&pulled);
+            let mut through = self.process.solve(&pulled);
+            for (i, (_, weights)) in self.further.iter().enumerate() {
+                through.axpy(-by_slope[n + i], weights, 1.0);
+            }
             let slopes = self.process.pull_back(&cross, through.as_slice(), 1.0 / spread);
             gradient.iter_mut().zip(slopes).for_each(|(g, s)| *g += s);
+            for (i, (_, slopes)) in between.iter().enumerate() {
+                let weight = by_slope[n + i] / spread;
+                gradient.iter_mut().zip(slopes).for_each(|(g, s)| *g += weight * s);
+            }
         }
         (log_sum + scale.ln(), gradient)
     }
@@ -146,15 +179,6 @@ fn upper_envelope(mut lines: Vec<Line>) -> Vec<Line> {
     kept
 }
 
-fn log_sum_exp(terms: &[f64]) -> f64 {
-    let largest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    if largest.is_finite() {
-        largest + terms.iter().map(|t| (t - largest).exp()).sum::<f64>().ln()
-    } else {
-        f64::NEG_INFINITY
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -182,12 +206,14 @@ mod tests {
     fn is_the_mean_over_what_the_next_observation_may_be() {
         let process = process(0.3);
         let data = process.data();
-        let acquisition = LogKnowledgeGradient::new(&process);
+        let further = [vec![0.9, 15.0], vec![0.45, 28.0]];
+        let acquisition = LogKnowledgeGradient::new(&process, &further);
         for point in [[0.7, 26.0], [0.1, 12.0]] {
             let unit = data.search_box().to_unit(&point);
             let now = process.posterior(&point);
             let candidates: Vec<Vec<f64>> = (0..data.len())
                 .map(|i| data.search_box().from_unit(&data.unit_point(i)))
+                .chain(further.iter().cloned())
                 .chain([point.to_vec()])
                 .collect();
             let best = |process: &GaussianProcess| {
@@ -216,7 +242,7 @@ mod tests {
     fn gradient_is_that_of_finite_differences() {
         for noise_variance in [1e-4, 0.05, 0.8] {
             let process = process(noise_variance);
-            let acquisition = LogKnowledgeGradient::new(&process);
+            let acquisition = LogKnowledgeGradient::new(&process, &[vec![0.5, 25.0]]);
             for point in [[0.7, 26.0], [0.1, 12.0], [-0.4, 19.0]] {
                 let (value, gradient) = acquisition.value_and_gradient(&point);
                 assert_eq!(value, acquisition.value(&point));
@@ -238,7 +264,7 @@ mod tests {
     #[test]
     fn without_noise_it_is_the_expected_improvement_of_the_mean() {
         let process = process(1e-9);
-        let acquisition = LogKnowledgeGradient::new(&process);
+        let acquisition = LogKnowledgeGradient::new(&process, &[]);
         let data = process.data();
         let point = [0.7, 26.0];
         let posterior = process.posterior(&point);

@@ -1,5 +1,5 @@
 use super::{Criterion, Score};
-use crate::surrogate::normal::{density, distribution, log_improvement, tail};
+use crate::surrogate::normal::{density, distribution, log_density, tail};
 
 /// The logarithm of the expected improvement, exact where EI itself underflows to a plain without
 /// slopes (Ament et al. 2023). It has the same maximiser.
@@ -12,19 +12,25 @@ pub struct LogExpectedImprovement {
 impl Criterion for LogExpectedImprovement {
     fn score(&self, mean: f64, deviation: f64) -> Score {
         let z = (mean - self.incumbent) / deviation;
-        // distribution / h and density / h, where h = density + z distribution
-        let (by_mean, by_deviation) = if z > -1.0 {
-            let improvement = density(z) + z * distribution(z);
-            (distribution(z) / improvement, density(z) / improvement)
-        } else {
-            let tail = tail(z);
-            (tail.mills / tail.improvement, 1.0 / tail.improvement)
-        };
+        let (log, by_mean, by_deviation) = logarithm_and_slopes(z);
         Score {
-            value: deviation.ln() + log_improvement(z),
+            value: deviation.ln() + log,
             d_mean: by_mean / deviation,
             d_deviation: by_deviation / deviation,
         }
+    }
+}
+
+/// `ln h(z)` with `h = density + z distribution`, and `distribution / h` and `density / h`, which
+/// are its slopes in mean and deviation, times the deviation.
+pub(super) fn logarithm_and_slopes(z: f64) -> (f64, f64, f64) {
+    if z > -1.0 {
+        let improvement = density(z) + z * distribution(z);
+        (improvement.ln(), distribution(z) / improvement, density(z) / improvement)
+    } else {
+        let tail = tail(z);
+        let log = log_density(z) + tail.improvement.ln();
+        (log, tail.mills / tail.improvement, 1.0 / tail.improvement)
     }
 }
 

@@ -3,6 +3,8 @@
 mod expected_improvement;
 mod knowledge_gradient;
 mod log_expected_improvement;
+mod log_sum_exp;
+mod noisy_expected_improvement;
 mod posterior_mean;
 mod probability_of_improvement;
 mod upper_confidence_bound;
@@ -10,6 +12,7 @@ mod upper_confidence_bound;
 pub use expected_improvement::ExpectedImprovement;
 pub use knowledge_gradient::LogKnowledgeGradient;
 pub use log_expected_improvement::LogExpectedImprovement;
+pub use noisy_expected_improvement::LogNoisyExpectedImprovement;
 pub use posterior_mean::PosteriorMean;
 pub use probability_of_improvement::LogProbabilityOfImprovement;
 pub use probability_of_improvement::ProbabilityOfImprovement;
