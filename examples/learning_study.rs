@@ -32,7 +32,10 @@ fn main() -> anyhow::Result<()> {
     };
     let settings = with_settings(preset, settings)?;
     let seeds: u64 = seeds.parse()?;
-    println!("{:>5} {:>8} {:>8} {:>8} {:>8} {:>7}", "seed", "fresh", "best", "final", "to 540", "s");
+    println!(
+        "{:>5} {:>8} {:>8} {:>8} {:>8} {:>7}",
+        "seed", "fresh", "best", "final", "to 540", "s"
+    );
     let mut rows = Vec::new();
     for seed in 0..seeds {
         let distribution = match model.as_str() {
