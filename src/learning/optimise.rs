@@ -3,9 +3,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rand::RngExt;
 
 use super::TrainSettings;
-use super::kernels::{Minibatch, PolicyHead, PolicyStatistics, ValueHead};
+use super::kernels::{Minibatch, PolicyHead, ValueHead};
 use super::learner::{Learner, StepSettings};
-use super::network::{LOG_STD, WIDTH};
+use super::network::LOG_STD;
 use super::random::Stream;
 use super::transition::Transition;
 
@@ -37,106 +37,95 @@ pub(super) fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) 
     order
 }
 
-/// Improves the policy on a batch by PPO's clipped objective. Ends early when `stop` is set.
-pub(super) fn optimise_policy(
-    policy: &mut Learner,
+/// Gives the minibatches of an update one after the other, until `stop` is set.
+pub(super) fn for_each_minibatch(
     transitions: &[Transition],
     order: &[u32],
-    settings: &TrainSettings,
-    update: u32,
     stop: &AtomicBool,
-) -> PolicyProgress {
-    let head = policy_head(settings);
-    let step = step_settings(settings, update);
-    let mut progress = PolicyProgress::default();
-    for indices in order.as_chunks().0 {
-        if stop.load(Ordering::Relaxed) {
-            break;
-        }
-        let statistics =
-            policy_step(policy, transitions, indices, &head, &step, settings.smallest_log_std);
-        let kl = f64::from(statistics.approximate_kl);
-        progress.approximate_kl += kl;
-        progress.largest_kl = progress.largest_kl.max(kl);
-        progress.clip_fraction += f64::from(statistics.clip_fraction);
-        progress.steps += 1;
-    }
-    progress.approximate_kl /= f64::from(progress.steps.max(1));
-    progress.clip_fraction /= f64::from(progress.steps.max(1));
-    progress
-}
-
-/// Fits the value net to the returns of a batch. Ends early when `stop` is set.
-pub(super) fn optimise_value(
-    value: &mut Learner,
-    transitions: &[Transition],
-    order: &[u32],
-    settings: &TrainSettings,
-    update: u32,
-    stop: &AtomicBool,
+    mut learn: impl FnMut(&Minibatch),
 ) {
-    let step = step_settings(settings, update);
     for indices in order.as_chunks().0 {
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        value_step(value, transitions, indices, &step);
+        learn(&Minibatch::gather(transitions, indices));
     }
 }
 
-/// One gradient step of the policy.
-pub(super) fn policy_step(
-    policy: &mut Learner,
-    transitions: &[Transition],
-    indices: &[u32; WIDTH],
-    head: &PolicyHead,
-    settings: &StepSettings,
+/// Improves the policy, minibatch by minibatch, by PPO's clipped objective.
+pub(super) struct PolicyImprovement<'a> {
+    policy: &'a mut Learner,
+    head: PolicyHead,
+    settings: StepSettings,
     smallest_log_std: f32,
-) -> PolicyStatistics {
-    let mut minibatch = Minibatch::gather(transitions, indices);
-    normalise(&mut minibatch.advantage);
-    let statistics = policy.step(&minibatch, head, settings);
-    let log_std = &mut policy.network.tail[LOG_STD];
-    *log_std = log_std.max(smallest_log_std);
-    statistics
+    progress: PolicyProgress,
 }
 
-/// One gradient step of the value net.
-pub(super) fn value_step(
-    value: &mut Learner,
-    transitions: &[Transition],
-    indices: &[u32; WIDTH],
-    settings: &StepSettings,
-) {
-    value.step(&Minibatch::gather(transitions, indices), &ValueHead, settings);
-}
+impl<'a> PolicyImprovement<'a> {
+    pub fn new(policy: &'a mut Learner, settings: &TrainSettings, update: u32) -> Self {
+        Self {
+            policy,
+            head: PolicyHead {
+                clip: settings.clip,
+                entropy_weight: settings.entropy_weight,
+                kl_weight: settings.kl_weight,
+            },
+            settings: StepSettings::new(settings, update),
+            smallest_log_std: settings.smallest_log_std,
+            progress: PolicyProgress::default(),
+        }
+    }
 
-/// The policy's loss as the settings ask for it.
-pub(super) fn policy_head(settings: &TrainSettings) -> PolicyHead {
-    PolicyHead {
-        clip: settings.clip,
-        entropy_weight: settings.entropy_weight,
-        kl_weight: settings.kl_weight,
+    /// One gradient step.
+    pub fn step(&mut self, minibatch: &Minibatch) {
+        let statistics = self.policy.step(minibatch, &self.head, &self.settings);
+        let log_std = &mut self.policy.network.tail[LOG_STD];
+        *log_std = log_std.max(self.smallest_log_std);
+
+        let kl = f64::from(statistics.approximate_kl);
+        self.progress.approximate_kl += kl;
+        self.progress.largest_kl = self.progress.largest_kl.max(kl);
+        self.progress.clip_fraction += f64::from(statistics.clip_fraction);
+        self.progress.steps += 1;
+    }
+
+    /// What happened to the policy.
+    pub fn progress(&self) -> PolicyProgress {
+        let steps = f64::from(self.progress.steps.max(1));
+        PolicyProgress {
+            approximate_kl: self.progress.approximate_kl / steps,
+            clip_fraction: self.progress.clip_fraction / steps,
+            ..self.progress
+        }
     }
 }
 
-/// What the gradient steps of an update have in common.
-pub(super) fn step_settings(settings: &TrainSettings, update: u32) -> StepSettings {
-    StepSettings {
-        learning_rate: settings.learning_rate_at(update),
-        beta_1: settings.adam_beta_1,
-        beta_2: settings.adam_beta_2,
-        adam_epsilon: settings.adam_epsilon,
-        largest_gradient_norm: settings.largest_gradient_norm,
+/// Fits the value net to the returns, minibatch by minibatch.
+pub(super) struct ValueFit<'a> {
+    value: &'a mut Learner,
+    settings: StepSettings,
+}
+
+impl<'a> ValueFit<'a> {
+    pub fn new(value: &'a mut Learner, settings: &TrainSettings, update: u32) -> Self {
+        Self { value, settings: StepSettings::new(settings, update) }
+    }
+
+    /// One gradient step.
+    pub fn step(&mut self, minibatch: &Minibatch) {
+        self.value.step(minibatch, &ValueHead, &self.settings);
     }
 }
 
-/// Shifts and scales to mean 0 and standard deviation 1.
-fn normalise(values: &mut [f32; WIDTH]) {
-    let mean = values.iter().sum::<f32>() / WIDTH as f32;
-    let variance = values.iter().map(|v| (v - mean) * (v - mean)).sum::<f32>() / WIDTH as f32;
-    let scale = 1.0 / (variance.sqrt() + 1e-8);
-    for value in values {
-        *value = (*value - mean) * scale;
+impl StepSettings {
+    /// What the gradient steps of an update have in common.
+    fn new(settings: &TrainSettings, update: u32) -> Self {
+        Self {
+            learning_rate: settings.learning_rate_at(update),
+            beta_1: settings.adam_beta_1,
+            beta_2: settings.adam_beta_2,
+            adam_epsilon: settings.adam_epsilon,
+            largest_gradient_norm: settings.largest_gradient_norm,
+        }
     }
 }

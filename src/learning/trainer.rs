@@ -6,7 +6,7 @@ use super::curve::TrainUpdate;
 use super::export::exported;
 use super::learner::Learner;
 use super::network::{LOG_STD, Network};
-use super::optimise::{PolicyProgress, optimise_policy, optimise_value, shuffled};
+use super::optimise::{PolicyImprovement, PolicyProgress, ValueFit, for_each_minibatch, shuffled};
 use super::random::Stream;
 use super::train::Trained;
 use super::transition::Transition;
@@ -121,18 +121,22 @@ impl<'a> Trainer<'a> {
         let (settings, seed) = (self.settings, self.seed);
         let order = shuffled(transitions.len(), settings.epochs, seed, update);
         let (policy, value) = (&mut self.policy, &mut self.value);
-        let mut fit_value = || optimise_value(value, transitions, &order, settings, update, stop);
-        let mut improve_policy =
-            || optimise_policy(policy, transitions, &order, settings, update, stop);
+        let mut policy = PolicyImprovement::new(policy, settings, update);
+        let mut value = ValueFit::new(value, settings, update);
         if settings.threads > 1 {
             std::thread::scope(|scope| {
-                scope.spawn(fit_value);
-                improve_policy()
-            })
+                scope.spawn(|| {
+                    for_each_minibatch(transitions, &order, stop, |batch| value.step(batch));
+                });
+                for_each_minibatch(transitions, &order, stop, |batch| policy.step(batch));
+            });
         } else {
-            fit_value();
-            improve_policy()
+            for_each_minibatch(transitions, &order, stop, |batch| {
+                value.step(batch);
+                policy.step(batch);
+            });
         }
+        policy.progress()
     }
 
     /// What came of it.

@@ -1,8 +1,9 @@
 use std::sync::atomic::AtomicBool;
 
 use super::collect::Batch;
+use super::kernels::Minibatch;
 use super::network::WIDTH;
-use super::optimise::{policy_head, policy_step, step_settings, value_step};
+use super::optimise::{PolicyImprovement, ValueFit};
 use super::trainer::Trainer;
 use super::{TrainError, TrainSettings};
 use crate::elementary::Level;
@@ -54,12 +55,10 @@ impl<'a> Workbench<'a> {
         let indices: [u32; WIDTH] =
             std::array::from_fn(|sample| ((start + sample * STRIDE) % count) as u32);
         self.next = (start + WIDTH * STRIDE) % count;
-        let (trainer, transitions) = (&mut self.trainer, &self.batch.transitions);
-        let step = step_settings(trainer.settings, 0);
-        let head = policy_head(trainer.settings);
-        let smallest_log_std = trainer.settings.smallest_log_std;
-        policy_step(&mut trainer.policy, transitions, &indices, &head, &step, smallest_log_std);
-        value_step(&mut trainer.value, transitions, &indices, &step);
+        let minibatch = Minibatch::gather(&self.batch.transitions, &indices);
+        let Trainer { policy, value, settings, .. } = &mut self.trainer;
+        ValueFit::new(value, settings, 0).step(&minibatch);
+        PolicyImprovement::new(policy, settings, 0).step(&minibatch);
     }
 
     /// One evaluation: the mean return.

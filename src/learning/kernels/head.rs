@@ -11,7 +11,7 @@ pub(in crate::learning) struct Minibatch {
     pub action: Row,
     /// Its log probability under the policy that drew it.
     pub log_probability: Row,
-    /// Its advantage, normalised or not.
+    /// Its advantage.
     pub advantage: Row,
     /// What the value net should say.
     pub return_: Row,
@@ -33,7 +33,8 @@ pub(in crate::learning) trait Head {
     ) -> Self::Statistics;
 }
 
-/// PPO's clipped objective (Schulman 2017, equation 7) for a Gaussian whose mean is the output.
+/// PPO's clipped objective (Schulman 2017, equation 7) for a Gaussian whose mean is the output, with
+/// the advantages of the minibatch normalised.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::learning) struct PolicyHead {
     /// The ratio stays within 1 +- this.
@@ -74,11 +75,12 @@ impl Head for PolicyHead {
         let mut by_log_stds = [0.0; WIDTH];
         let mut divergences = [0.0; WIDTH];
         let mut clipped = [0.0; WIDTH];
+        let advantages = normalised(&minibatch.advantage);
         for i in 0..WIDTH {
             let z = (minibatch.action[i] - output[i]) * inverse_std;
             let log_ratio = gaussian_log_probability(z, log_std) - minibatch.log_probability[i];
             let ratio = exp(log_ratio.min(LARGEST_LOG_RATIO));
-            let advantage = minibatch.advantage[i];
+            let advantage = advantages[i];
             let bounded = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
             // Where the clipped term is the smaller one, the objective is flat.
             let is_flat = bounded * advantage < ratio * advantage;
@@ -95,6 +97,17 @@ impl Head for PolicyHead {
             clip_fraction: sum(&clipped) * MEAN,
         }
     }
+}
+
+/// Shifted and scaled to mean 0 and standard deviation 1.
+#[inline(always)]
+fn normalised(values: &Row) -> Row {
+    const SHARE: f32 = 1.0 / WIDTH as f32;
+    let mean = sum(values) * SHARE;
+    let centred = values.map(|value| value - mean);
+    let deviation = (sum(&centred.map(|value| value * value)) * SHARE).sqrt();
+    let scale = 1.0 / (deviation + 1e-8);
+    centred.map(|value| value * scale)
 }
 
 /// ln of the normal density at `z` standard deviations from the mean.

@@ -95,13 +95,17 @@ mod textbook {
     pub fn policy_loss(p: &[f64], minibatch: &Minibatch) -> f64 {
         let log_std = p[p.len() - 16 + LOG_STD];
         let clip = f64::from(POLICY.clip);
+        let advantages = minibatch.advantage.map(f64::from);
+        let average = advantages.iter().sum::<f64>() / WIDTH as f64;
+        let squares = advantages.iter().map(|a| (a - average).powi(2)).sum::<f64>();
+        let deviation = (squares / WIDTH as f64).sqrt();
         let mut sum = 0.0;
         for (i, mean) in outputs(p, minibatch).into_iter().enumerate() {
             let z = (f64::from(minibatch.action[i]) - mean) / log_std.exp();
             let log_probability = -0.5 * z * z - log_std - 0.5 * (2.0 * std::f64::consts::PI).ln();
             let log_ratio = log_probability - f64::from(minibatch.log_probability[i]);
             let ratio = log_ratio.exp();
-            let advantage = f64::from(minibatch.advantage[i]);
+            let advantage = (advantages[i] - average) / deviation;
             let clipped = ratio.clamp(1.0 - clip, 1.0 + clip);
             sum -= (ratio * advantage).min(clipped * advantage);
             sum += f64::from(POLICY.kl_weight) * (ratio - 1.0 - log_ratio);

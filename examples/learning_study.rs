@@ -1,0 +1,113 @@
+//! Trains one policy for each of many seeds and prints what they earn: the tables of
+//! docs/learning.md.
+//!
+//! ```text
+//! cargo run --release --example learning_study -- MODEL PRESET SEEDS [SETTING=VALUE ...]
+//! cargo run --release --example learning_study -- nominal thesis 20
+//! cargo run --release --example learning_study -- nominal thesis 4 smallest_log_std=-10.0
+//! cargo run --release --example learning_study -- specialists quick 60
+//! ```
+//!
+//! MODEL is `nominal`, `handcrafted`, or `specialists`: for each seed one Qube drawn from
+//! `handcrafted`, and a policy trained for it alone. What no specialist earns, no policy for all
+//! of them can. PRESET is `thesis` or `quick`; settings are those of `TrainSettings`.
+
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use qube_hil::learning::{TrainSettings, train};
+use qube_hil::policy::Network;
+use qube_hil::qube::OBSERVATION_SIZE;
+use qube_hil::simulation::{DomainDistribution, Family, SimulationSettings, Trajectory, evaluate};
+
+/// Starts of the evaluation after training, all of them new to the policy.
+const FRESH_STARTS: usize = 1000;
+/// Seed of those starts, and of the Qubes of `specialists`.
+const FRESH_SEED: u64 = 1_000_003;
+
+fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [model, preset, seeds, settings @ ..] = arguments.as_slice() else {
+        anyhow::bail!("usage: learning_study MODEL PRESET SEEDS [SETTING=VALUE ...]");
+    };
+    let settings = with_settings(preset, settings)?;
+    let seeds: u64 = seeds.parse()?;
+    println!(
+        "{:>5} {:>8} {:>8} {:>8} {:>8} {:>7}",
+        "seed", "fresh", "best", "final", "to 540", "s"
+    );
+    let mut rows = Vec::new();
+    for seed in 0..seeds {
+        let distribution = match model.as_str() {
+            "nominal" => DomainDistribution::nominal(),
+            "handcrafted" => DomainDistribution::handcrafted(Family::Normal),
+            "specialists" => one_of_handcrafted(seed),
+            other => anyhow::bail!("{other} is not nominal, handcrafted or specialists"),
+        };
+        let started = Instant::now();
+        let mut to_540_s = f64::NAN;
+        let stop = AtomicBool::new(false);
+        let trained = train(&distribution, &settings, seed, None, &stop, |update| {
+            if update.mean_return >= 540.0 {
+                to_540_s = to_540_s.min(started.elapsed().as_secs_f64());
+            }
+        })?;
+        let seconds = started.elapsed().as_secs_f64();
+        let fresh = fresh_return(&trained.network, &distribution, &settings.simulation);
+        let (best, last) = (trained.best_return, trained.final_return);
+        println!("{seed:5} {fresh:8.2} {best:8.2} {last:8.2} {to_540_s:8.2} {seconds:7.2}");
+        rows.push((fresh, best, last, to_540_s));
+    }
+    summarise(&rows);
+    Ok(())
+}
+
+/// The preset with some settings replaced, by the names and in the syntax of a TOML file.
+fn with_settings(preset: &str, replaced: &[String]) -> anyhow::Result<TrainSettings> {
+    let settings = match preset {
+        "thesis" => TrainSettings::thesis(),
+        "quick" => TrainSettings::quick(),
+        other => anyhow::bail!("{other} is not thesis or quick"),
+    };
+    let mut table = toml::Table::try_from(settings)?;
+    table.extend(replaced.join("\n").parse::<toml::Table>()?);
+    Ok(table.try_into()?)
+}
+
+fn one_of_handcrafted(number: u64) -> DomainDistribution {
+    let handcrafted = DomainDistribution::handcrafted(Family::Normal);
+    DomainDistribution::constant(&Trajectory::draw(&handcrafted, FRESH_SEED, number).parameters)
+}
+
+fn fresh_return(
+    network: &Network,
+    distribution: &DomainDistribution,
+    simulation: &SimulationSettings,
+) -> f64 {
+    let mut network = network.clone();
+    let mut actor = |observations: &[f32], voltages_v: &mut [f32]| {
+        let lanes = voltages_v.len();
+        for (lane, voltage_v) in voltages_v.iter_mut().enumerate() {
+            let observation: [f32; OBSERVATION_SIZE] =
+                std::array::from_fn(|feature| observations[feature * lanes + lane]);
+            *voltage_v = network.voltage_of_observation_v(&observation);
+        }
+    };
+    evaluate(&mut actor, distribution, simulation, FRESH_SEED, FRESH_STARTS).mean_return()
+}
+
+fn summarise(rows: &[(f64, f64, f64, f64)]) {
+    let count = rows.len() as f64;
+    let mean = rows.iter().map(|row| row.0).sum::<f64>() / count;
+    let squares: f64 = rows.iter().map(|row| (row.0 - mean) * (row.0 - mean)).sum();
+    let deviation = (squares / (count - 1.0)).sqrt();
+    let smallest = rows.iter().map(|row| row.0).fold(f64::INFINITY, f64::min);
+    println!("fresh: mean {mean:.2}, standard deviation {deviation:.2}, smallest {smallest:.2}");
+    let steady = rows.iter().filter(|(_, best, last, _)| best - last <= 5.0).count();
+    println!("final within 5 of the best: {steady} of {}", rows.len());
+    let mut to_540_s: Vec<f64> = rows.iter().map(|row| row.3).filter(|s| s.is_finite()).collect();
+    to_540_s.sort_by(f64::total_cmp);
+    if let Some(median) = to_540_s.get(to_540_s.len() / 2) {
+        println!("540 reached by {} of {}, median {median:.2} s", to_540_s.len(), rows.len());
+    }
+}
