@@ -25,7 +25,9 @@ pub struct BayRn {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BayRnSettings {
-    /// Points drawn before the surrogate is asked.
+    /// Points drawn before the surrogate is asked. Not read from files: a session knows it from
+    /// its extent.
+    #[serde(skip)]
     pub initial_points: usize,
     /// How these are drawn.
     pub initial_design: InitialDesign,

@@ -81,7 +81,9 @@ impl SessionSettings {
         let lower = PSI_DIMENSIONS.iter().map(|dimension| dimension.lower).collect();
         let upper = PSI_DIMENSIONS.iter().map(|dimension| dimension.upper).collect();
         let search_box = SearchBox::new(lower, upper)?;
-        self.strategy.build(&search_box, &self.bayrn, self.seed)
+        let initial_points = self.extent.initial_candidates as usize;
+        let bayrn = BayRnSettings { initial_points, ..self.bayrn.clone() };
+        self.strategy.build(&search_box, &bayrn, self.seed)
     }
 
     /// The simulations of one psi.
@@ -117,5 +119,27 @@ impl SessionSettings {
 impl Default for SessionSettings {
     fn default() -> Self {
         Self::quick()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::search::Observation;
+
+    #[test]
+    fn the_surrogate_takes_over_when_the_initial_candidates_are_known() {
+        let settings = SessionSettings::quick();
+        let random = SessionSettings { strategy: StrategyKind::Random, ..settings.clone() };
+        let next = |settings: &SessionSettings, data: &[Observation]| {
+            settings.search().unwrap().propose(data, 1).unwrap().remove(0)
+        };
+        let mut data = Vec::new();
+        for i in 0..settings.extent.initial_candidates {
+            let point = next(&settings, &data);
+            assert_eq!(point, next(&random, &data));
+            data.push(Observation { point, returns: vec![f64::from(i), f64::from(2 * i)] });
+        }
+        assert_ne!(next(&settings, &data), next(&random, &data));
     }
 }
