@@ -8,7 +8,7 @@
 //! cargo run --release --example learning_study -- specialists quick 60
 //! ```
 //!
-//! MODEL is `nominal`, `handcrafted`, or `specialists`: for each seed one Qube drawn from
+//! SEEDS is a number, or a range as `5..10`. MODEL is `nominal`, `handcrafted`, or `specialists`: for each seed one Qube drawn from
 //! `handcrafted`, and a policy trained for it alone. What no specialist earns, no policy for all
 //! of them can. PRESET is `thesis` or `quick`; settings are those of `TrainSettings`.
 
@@ -31,13 +31,16 @@ fn main() -> anyhow::Result<()> {
         anyhow::bail!("usage: learning_study MODEL PRESET SEEDS [SETTING=VALUE ...]");
     };
     let settings = with_settings(preset, settings)?;
-    let seeds: u64 = seeds.parse()?;
+    let seeds = match seeds.split_once("..") {
+        Some((first, end)) => first.parse()?..end.parse()?,
+        None => 0..seeds.parse::<u64>()?,
+    };
     println!(
         "{:>5} {:>8} {:>8} {:>8} {:>8} {:>7}",
         "seed", "fresh", "best", "final", "to 540", "s"
     );
     let mut rows = Vec::new();
-    for seed in 0..seeds {
+    for seed in seeds {
         let distribution = match model.as_str() {
             "nominal" => DomainDistribution::nominal(),
             "handcrafted" => DomainDistribution::handcrafted(Family::Normal),

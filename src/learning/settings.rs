@@ -41,7 +41,9 @@ pub struct TrainSettings {
     pub adam_beta_2: f32,
     /// Adam's epsilon.
     pub adam_epsilon: f32,
-    /// Logarithm of the policy's standard deviation at the start, in units of the net's output.
+    /// Logarithm of the policy's standard deviation at the start, in units of the net's output. A
+    /// wide search at the start finds the fast swing-up; with 0, one policy in ten settles for a
+    /// slower one.
     pub first_log_std: f32,
     /// And the smallest that it may become. Without it the standard deviation shrinks until a
     /// gradient step moves the mean by as much, and the policy collapses (docs/learning.md).
@@ -76,7 +78,7 @@ impl TrainSettings {
             adam_beta_1: 0.9,
             adam_beta_2: 0.999,
             adam_epsilon: 1e-5,
-            first_log_std: 0.0,
+            first_log_std: 0.5,
             smallest_log_std: -1.0,
             evaluation_starts: 100,
             enough: None,
