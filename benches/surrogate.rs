@@ -8,7 +8,8 @@ use std::hint::black_box;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use qube_hil::surrogate::{
     Dataset, FitSettings, GaussianProcess, LogExpectedImprovement, LogKnowledgeGradient,
-    MaximiserSettings, MeanFunction, OnProcess, PriorSet, SearchBox, maximise, sobol_point,
+    LogNoisyExpectedImprovement, MaximiserSettings, MeanFunction, OnProcess, PriorSet, SearchBox,
+    maximise, sobol_point,
 };
 
 const DIMENSIONS: usize = 8;
@@ -63,6 +64,12 @@ fn maximise_acquisition(c: &mut Criterion) {
             let acquisition =
                 OnProcess { process, criterion: LogExpectedImprovement { incumbent } };
             b.iter(|| maximise(black_box(&acquisition), &search_box, &[], &settings));
+        });
+        group.bench_with_input(BenchmarkId::new("log-nei", n), &process, |b, process| {
+            b.iter(|| {
+                let acquisition = LogNoisyExpectedImprovement::new(process, 1);
+                acquisition.map(|it| maximise(black_box(&it), &search_box, &[], &settings))
+            });
         });
         group.bench_with_input(BenchmarkId::new("log-kg", n), &process, |b, process| {
             let acquisition = LogKnowledgeGradient::new(process, &[]);
