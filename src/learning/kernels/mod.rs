@@ -20,9 +20,7 @@ mod tests;
 pub(super) use adam::{AdamStep, Moments};
 pub(super) use backward::{Gradient, Workspace};
 pub(super) use forward::Forward;
-pub(super) use head::{
-    Head, Minibatch, PolicyHead, PolicyStatistics, ValueHead, gaussian_log_probability,
-};
+pub(super) use head::{Head, Minibatch, PolicyHead, ValueHead, gaussian_log_probability};
 
 use crate::elementary::{InstructionSet, Level};
 
