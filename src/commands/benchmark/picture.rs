@@ -69,7 +69,7 @@ fn draw_panel(
         .y_label_area_size(62)
         .build_cartesian_2d(
             1.0..evaluations.max(2.0),
-            (lowest * 0.8..highest * 1.25).log_scale(),
+            lowest.log10() - 0.1..highest.log10() + 0.1,
         )?;
     chart
         .configure_mesh()
@@ -107,4 +107,32 @@ fn draw_panel(
         chart.draw_series(LineSeries::new(line(|q| q.median), colour.stroke_width(2)))?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::search::benchmark::Objective;
+
+    #[test]
+    fn every_panel_has_its_name_and_ticks_that_can_be_read() {
+        let curves: Vec<RegretCurve> = [Objective::Branin, Objective::Ackley]
+            .into_iter()
+            .flat_map(|objective| {
+                StrategyKind::ALL.map(|strategy| {
+                    RegretCurve::new(objective, strategy, &vec![vec![540.0, 3.0, 0.0]; 2])
+                })
+            })
+            .collect();
+        let svg = draw(&curves).unwrap();
+        for words in ["branin, 2 dimensions", "ackley, 16 dimensions", "cmaes", "evaluations"] {
+            assert!(svg.contains(words), "{words}");
+        }
+        let ticks: Vec<&str> =
+            svg.lines().map(str::trim).filter(|line| line.parse::<f64>().is_ok()).collect();
+        assert!(ticks.len() > 10, "{ticks:?}");
+        assert!(ticks.iter().all(|tick| tick.len() <= 5), "{ticks:?}");
+        assert!(ticks.contains(&"100") && ticks.contains(&"1.0"), "{ticks:?}");
+        assert!(ticks.iter().any(|tick| tick.starts_with("1e-")), "{ticks:?}");
+    }
 }

@@ -56,3 +56,22 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     output.print(&files.join("\n"), &json!({ "files": files }));
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_drawn_whole_and_repeat() {
+        let surface = figure_3_1::draw(7, 0).unwrap();
+        for words in ["sample seed 3", "log marginal likelihood", "noise deviation", "true curve"] {
+            assert!(surface.contains(words), "{words}");
+        }
+        let iterations = figure_3_2::draw(0).unwrap();
+        for words in ["PI, iteration 1", "EI, iteration 4", "UCB (β = 2), iteration 4"] {
+            assert!(iterations.contains(words), "{words}");
+        }
+        assert_eq!(iterations, figure_3_2::draw(0).unwrap());
+        assert_ne!(iterations, figure_3_2::draw(1).unwrap());
+    }
+}
