@@ -4,6 +4,7 @@
 //! its seed and the data, so that a session on disk is its whole state.
 
 mod bayrn;
+mod bayrn_settings;
 pub mod benchmark;
 mod cmaes;
 mod cross_entropy;
@@ -13,7 +14,8 @@ mod random;
 mod strategy;
 
 use crate::surrogate::SearchBox;
-pub use bayrn::{AcquisitionKind, BayRn, BayRnSettings, Incumbent, InitialDesign, NoiseModel};
+pub use bayrn::BayRn;
+pub use bayrn_settings::{AcquisitionKind, BayRnSettings, Incumbent, InitialDesign, NoiseModel};
 pub use cmaes::CmaEs;
 pub use cross_entropy::CrossEntropy;
 pub use error::SearchError;
