@@ -36,10 +36,10 @@ fn main() -> anyhow::Result<()> {
         None => 0..seeds.parse::<u64>()?,
     };
     println!(
-        "{:>5} {:>8} {:>8} {:>8} {:>8} {:>7}",
-        "seed", "fresh", "best", "final", "to 540", "s"
+        "{:>5} {:>8} {:>11} {:>8} {:>8} {:>8} {:>7}",
+        "seed", "fresh", "fresh final", "best", "final", "to 540", "s"
     );
-    let mut rows = Vec::new();
+    let mut rows = Vec::<Row>::new();
     for seed in seeds {
         let distribution = match model.as_str() {
             "nominal" => DomainDistribution::nominal(),
@@ -56,10 +56,16 @@ fn main() -> anyhow::Result<()> {
             }
         })?;
         let seconds = started.elapsed().as_secs_f64();
-        let fresh = fresh_return(&trained.network, &distribution, &settings.simulation);
+        let fresh_return =
+            |network: &Network| fresh_return(network, &distribution, &settings.simulation);
+        let (fresh, fresh_final) =
+            (fresh_return(&trained.network), fresh_return(&trained.final_network));
         let (best, last) = (trained.best_return, trained.final_return);
-        println!("{seed:5} {fresh:8.2} {best:8.2} {last:8.2} {to_540_s:8.2} {seconds:7.2}");
-        rows.push((fresh, best, last, to_540_s));
+        println!(
+            "{seed:5} {fresh:8.2} {fresh_final:11.2} {best:8.2} {last:8.2} {to_540_s:8.2} \
+             {seconds:7.2}"
+        );
+        rows.push(Row { fresh, fresh_final, to_540_s });
     }
     summarise(&rows);
     Ok(())
@@ -99,16 +105,24 @@ fn fresh_return(
     evaluate(&mut actor, distribution, simulation, FRESH_SEED, FRESH_STARTS).mean_return()
 }
 
-fn summarise(rows: &[(f64, f64, f64, f64)]) {
+/// What one training gave. Both returns are fresh: evaluations during training flatter the best.
+struct Row {
+    fresh: f64,
+    fresh_final: f64,
+    to_540_s: f64,
+}
+
+fn summarise(rows: &[Row]) {
     let count = rows.len() as f64;
-    let mean = rows.iter().map(|row| row.0).sum::<f64>() / count;
-    let squares: f64 = rows.iter().map(|row| (row.0 - mean) * (row.0 - mean)).sum();
+    let mean = rows.iter().map(|row| row.fresh).sum::<f64>() / count;
+    let squares: f64 = rows.iter().map(|row| (row.fresh - mean) * (row.fresh - mean)).sum();
     let deviation = (squares / (count - 1.0)).sqrt();
-    let smallest = rows.iter().map(|row| row.0).fold(f64::INFINITY, f64::min);
+    let smallest = rows.iter().map(|row| row.fresh).fold(f64::INFINITY, f64::min);
     println!("fresh: mean {mean:.2}, standard deviation {deviation:.2}, smallest {smallest:.2}");
-    let steady = rows.iter().filter(|(_, best, last, _)| best - last <= 5.0).count();
+    let steady = rows.iter().filter(|row| row.fresh - row.fresh_final <= 5.0).count();
     println!("final within 5 of the best: {steady} of {}", rows.len());
-    let mut to_540_s: Vec<f64> = rows.iter().map(|row| row.3).filter(|s| s.is_finite()).collect();
+    let mut to_540_s: Vec<f64> =
+        rows.iter().map(|row| row.to_540_s).filter(|s| s.is_finite()).collect();
     to_540_s.sort_by(f64::total_cmp);
     if let Some(median) = to_540_s.get(to_540_s.len() / 2) {
         println!("540 reached by {} of {}, median {median:.2} s", to_540_s.len(), rows.len());

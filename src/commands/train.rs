@@ -9,7 +9,8 @@ use super::exit::Failure;
 use super::failures;
 use super::output::Output;
 use super::stop::Stop;
-use crate::learning::{Origin, TrainError, TrainSettings, train};
+use crate::elementary::Level;
+use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
 use crate::session::{named, write_whole};
 use crate::simulation::{DomainDistribution, Family, Psi};
 
@@ -20,7 +21,8 @@ use crate::simulation::{DomainDistribution, Family, Psi};
 #[command(after_help = "Examples:\n  \
     qube-hil train --model nominal --out policies/mine.safetensors\n  \
     qube-hil train --model handcrafted --preset thesis --seed 4\n  \
-    qube-hil train --model psi --psi psi.toml      # a distribution of your own")]
+    qube-hil train --model psi --psi psi.toml      # a distribution of your own\n  \
+    qube-hil train --preset thesis --checkpoint half-done.safetensors  # goes on where it stopped")]
 pub struct Arguments {
     /// What the simulations' parameters are drawn from
     #[arg(long, value_enum, default_value_t = Model::Nominal)]
@@ -41,6 +43,43 @@ pub struct Arguments {
     /// Where the policy goes
     #[arg(long, value_name = "FILE", default_value = "policy.safetensors")]
     out: PathBuf,
+
+    /// Keep the training in this file every ten updates, and go on from it when it exists; the
+    /// policy is the same as without an interruption
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
+
+    /// Processors to use; the policy is the same
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
+    threads: u8,
+
+    /// Use nothing better than this; the policy is the same on the first two
+    #[arg(long, value_enum, default_value_t = InstructionSet::Avx512)]
+    instruction_set: InstructionSet,
+}
+
+/// Updates between two checkpoints.
+const CHECKPOINT_EVERY: u32 = 10;
+
+/// The instruction sets by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum InstructionSet {
+    /// Whatever this processor has
+    Avx512,
+    /// With fused multiply-add
+    Avx2,
+    /// What every processor of the architecture has
+    Plain,
+}
+
+impl From<InstructionSet> for Level {
+    fn from(named: InstructionSet) -> Self {
+        match named {
+            InstructionSet::Avx512 => Self::Avx512,
+            InstructionSet::Avx2 => Self::Avx2,
+            InstructionSet::Plain => Self::Plain,
+        }
+    }
 }
 
 /// The models of the thesis.
@@ -68,10 +107,14 @@ enum Preset {
 /// Trains and saves.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let distribution = distribution(&arguments)?;
-    let settings = match arguments.preset {
+    let preset = match arguments.preset {
         Preset::Quick => TrainSettings::quick(),
         Preset::Thesis => TrainSettings::thesis(),
     };
+    let settings = TrainSettings { threads: arguments.threads.into(), ..preset };
+    let checkpointing =
+        arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
+    Level::from(arguments.instruction_set).forbid_better();
     let stop = Stop::on_signals()?;
     let bar = ProgressBar::new(u64::from(settings.updates));
     if let Ok(style) = ProgressStyle::with_template("{bar:30} update {pos} of {len}  {msg}") {
@@ -81,14 +124,22 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 
     let started = Instant::now();
     let mut best_return = f64::NEG_INFINITY;
-    let trained = train(&distribution, &settings, arguments.seed, None, &stop.flag, |update| {
+    let tell = |update: &TrainUpdate| {
         best_return = best_return.max(update.mean_return);
         bar.set_position(u64::from(update.update) + 1);
         bar.set_message(format!("best return {best_return:.1}"));
-    });
+    };
+    let seed = arguments.seed;
+    let trained = train(&distribution, &settings, seed, checkpointing.as_ref(), &stop.flag, tell);
     bar.finish_and_clear();
     let trained = trained.map_err(|error| match error {
-        TrainError::Stopped => stop.failure("stopped; nothing was written"),
+        TrainError::Stopped => stop.failure(match &arguments.checkpoint {
+            None => "stopped; nothing was written".into(),
+            Some(path) => format!("stopped; the same command goes on from {}", path.display()),
+        }),
+        TrainError::CheckpointDamaged { .. } | TrainError::CheckpointOfAnother { .. } => {
+            Failure::usage(error)
+        }
         other => Failure::failed(other),
     })?;
     let wall_s = started.elapsed().as_secs_f64();

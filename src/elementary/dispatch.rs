@@ -14,6 +14,8 @@
 //! Trap: everything that a kernel calls must be `#[inline(always)]` or small enough to be inlined.
 //! What is not is compiled without the instruction set, where `mul_add` is that library call.
 
+use std::sync::atomic::{AtomicU8, Ordering};
+
 /// A computation that is worth compiling for each instruction set. The struct holds its arguments.
 pub trait Kernel {
     /// What it computes.
@@ -42,15 +44,25 @@ pub enum Level {
     Plain,
 }
 
+/// The first of [`Level::ALL`] that may be used. It decides how fast things are computed, never what.
+static FIRST_ALLOWED: AtomicU8 = AtomicU8::new(0);
+
 impl Level {
     /// All of them, best first.
     pub const ALL: [Self; 3] = [Self::Avx512, Self::Avx2, Self::Plain];
 
-    /// The best that this processor has.
+    /// The best that this processor has, among those that are allowed.
     #[must_use]
     #[inline]
     pub fn best() -> Self {
-        Self::ALL.into_iter().find(|level| level.is_available()).unwrap_or(Self::Plain)
+        let allowed = &Self::ALL[usize::from(FIRST_ALLOWED.load(Ordering::Relaxed))..];
+        allowed.iter().copied().find(|level| level.is_available()).unwrap_or(Self::Plain)
+    }
+
+    /// From now on nothing better than this is used in this process: to see what another processor
+    /// would do.
+    pub fn forbid_better(self) {
+        FIRST_ALLOWED.store(self as u8, Ordering::Relaxed);
     }
 
     /// Whether this processor has it.

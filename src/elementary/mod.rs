@@ -8,9 +8,11 @@
 
 mod dispatch;
 mod double;
+mod prefetch;
 mod scalar;
 mod single;
 
 pub use dispatch::{InstructionSet, Kernel, Level, dispatch, dispatch_at};
+pub use prefetch::prefetch;
 pub use scalar::Scalar;
 pub use single::{exp, sin_cos, tanh};

@@ -8,6 +8,7 @@ use super::learner::{Learner, StepSettings};
 use super::network::LOG_STD;
 use super::random::Stream;
 use super::transition::Transition;
+use crate::elementary::prefetch;
 
 /// What happened to the policy while it was optimised on one batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -44,9 +45,14 @@ pub(super) fn for_each_minibatch(
     stop: &AtomicBool,
     mut learn: impl FnMut(&Minibatch),
 ) {
-    for indices in order.as_chunks().0 {
+    let minibatches = order.as_chunks().0;
+    for (number, indices) in minibatches.iter().enumerate() {
         if stop.load(Ordering::Relaxed) {
             break;
+        }
+        // A minibatch is strewn over the batch, which is larger than the second-level cache.
+        for &index in minibatches.get(number + 1).into_iter().flatten() {
+            prefetch(&transitions[index as usize]);
         }
         learn(&Minibatch::gather(transitions, indices));
     }

@@ -18,7 +18,9 @@ pub struct Trained {
     /// Its evaluation during training. A return to publish is a fresh one from more starts: the
     /// best of many evaluations flatters.
     pub best_return: f64,
-    /// Evaluation of the last network.
+    /// The network after the last update.
+    pub final_network: Network,
+    /// Its evaluation.
     pub final_return: f64,
     /// One entry for each update done.
     pub curve: Vec<TrainUpdate>,

@@ -147,6 +147,7 @@ impl<'a> Trainer<'a> {
         Ok(Trained {
             network: exported(&self.best)?,
             best_return: self.best_return,
+            final_network: exported(&self.policy.network)?,
             final_return: self.curve.last().map_or(f64::NEG_INFINITY, |last| last.mean_return),
             sensors: self.settings.simulation.sensors,
             seed: self.seed,

@@ -161,7 +161,11 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
     let mut file = File::create(&unfinished).map_err(io(&unfinished))?;
     file.write_all(bytes).and_then(|()| file.sync_all()).map_err(io(&unfinished))?;
     std::fs::rename(&unfinished, path).map_err(io(path))?;
-    let directory = path.parent().unwrap_or(Path::new("."));
+    // The parent of a bare name is the empty path.
+    let directory = match path.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
     File::open(directory).and_then(|directory| directory.sync_all()).map_err(io(directory))
 }
 

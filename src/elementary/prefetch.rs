@@ -1,0 +1,13 @@
+/// Asks the processor to have this in its cache soon. Changes no value; does nothing where there is
+/// no instruction for it.
+#[inline(always)]
+pub fn prefetch<T>(wanted: &T) {
+    // SAFETY: a prefetch reads nothing and faults on no address, and SSE is part of x86-64.
+    #[cfg(target_arch = "x86_64")]
+    unsafe {
+        use core::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        _mm_prefetch::<_MM_HINT_T0>(core::ptr::from_ref(wanted).cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = wanted;
+}
