@@ -89,15 +89,15 @@ fn bad_input_is_named() {
     let table = folder.path().join("table.csv");
     fs::write(&table, "time_s,theta_rad\n0,0\n").unwrap();
     let table = table.to_str().unwrap();
-    let misspelt = folder.path().join("parameters.toml");
-    fs::write(&misspelt, "M_q = 0.03\n").unwrap();
+    let misspelt = folder.path().join("profile.toml");
+    fs::write(&misspelt, "name = \"x\"\n[parameters]\nM_q = 0.03\n").unwrap();
     let misspelt = misspelt.to_str().unwrap();
     for (arguments, expected) in [
         (vec!["replay", table], "add --simulate"),
         (vec!["replay", "--simulate", table], "the column `alpha_rad` is missing"),
         (vec!["replay", misspelt], "no MCAP file"),
         (vec!["replay", "nowhere.mcap"], "nowhere.mcap"),
-        (vec!["replay", "--simulate", "--parameters", misspelt, table], "unknown field `M_q`"),
+        (vec!["replay", "--simulate", "--profile", misspelt, table], "there is no parameter M_q"),
         (vec!["recover", "nowhere.mcap"], "nowhere.mcap"),
     ] {
         let output = qube_hil(&arguments);

@@ -59,6 +59,7 @@ const ROOMS: &[Room] = &[
     },
     room("replay", &["recording", "control", "policy", "safety", "estimation", "simulation",
                      "telemetry", "qube", "elementary"]),
+    room("identification", &["replay", "qube"]),
     room("preflight", &["clock", "device", "control", "qube", "firmware_protocol"]),
     room("session", &["clock", "elementary", "qube", "estimation", "safety", "policy",
                       "simulation", "learning", "surrogate", "search", "device", "telemetry",

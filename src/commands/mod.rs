@@ -7,7 +7,9 @@ mod device_arguments;
 mod emulate;
 mod exit;
 mod failures;
+mod identify;
 mod output;
+mod profile;
 mod recover;
 mod replay;
 mod run;
@@ -54,6 +56,7 @@ struct CommandLine {
 enum Command {
     Session(session::Arguments),
     Train(train::Arguments),
+    Identify(identify::Arguments),
     Run(run::Arguments),
     Emulate(emulate::Arguments),
     Benchmark(benchmark::Arguments),
@@ -71,6 +74,7 @@ pub fn main() -> ExitCode {
     let outcome = match command_line.command {
         Command::Session(arguments) => session::run(arguments, &output),
         Command::Train(arguments) => train::run(arguments, &output),
+        Command::Identify(arguments) => identify::run(&arguments, &output),
         Command::Run(arguments) => run::run(arguments, &output),
         Command::Emulate(arguments) => emulate::run(&arguments, &output),
         Command::Benchmark(arguments) => benchmark::run(&arguments, &output),

@@ -7,8 +7,9 @@ use serde_json::json;
 
 use super::exit::Failure;
 use super::output::Output;
+use super::profile;
 use crate::policy::Policy;
-use crate::qube::DomainParameters;
+use crate::qube::QubeModel;
 use crate::recording::{Completeness, Recording, RecordingError, read};
 use crate::replay::{AngleError, MotionLog, Rerun, plot_svg, rerun, simulate_beside};
 
@@ -24,7 +25,7 @@ use crate::replay::{AngleError, MotionLog, Rerun, plot_svg, rerun, simulate_besi
 #[command(after_help = "Examples:\n  \
     qube-hil replay logs/monday/*.mcap\n  \
     qube-hil replay --simulate --plot plots logs/monday/rollout-0.mcap\n  \
-    qube-hil replay --simulate --parameters identified.toml chirp.csv")]
+    qube-hil replay --simulate --profile lab.toml chirp.csv")]
 pub struct Arguments {
     /// Recordings (.mcap), with --simulate also tables (.csv)
     #[arg(required = true, value_name = "FILE")]
@@ -34,10 +35,9 @@ pub struct Arguments {
     #[arg(long)]
     simulate: bool,
 
-    /// A TOML file with domain parameters for the simulator (g, R_m, k_m, D_r, D_p, M_r, M_p, L_r,
-    /// L_p); those that it does not name are nominal
+    /// The Qube to simulate, as `identify` writes it; without it the nominal one
     #[arg(long, value_name = "FILE", requires = "simulate")]
-    parameters: Option<PathBuf>,
+    profile: Option<PathBuf>,
 
     /// A folder for one picture (.svg) of each recording with the simulator beside it
     #[arg(long, value_name = "DIR", requires = "simulate")]
@@ -87,9 +87,9 @@ struct Rmse {
 /// Replays every file and prints what came of each; the first thing that is wrong decides the exit
 /// code.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    let parameters = match &arguments.parameters {
-        Some(path) => read_parameters(path)?,
-        None => DomainParameters::NOMINAL,
+    let model = match &arguments.profile {
+        Some(path) => profile::load(path)?.model(),
+        None => QubeModel::NOMINAL,
     };
     if let Some(folder) = &arguments.plot {
         fs::create_dir_all(folder)
@@ -100,7 +100,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut problems = Vec::new();
     for path in &arguments.files {
         let mut report = Report { path: path.clone(), ..Report::default() };
-        if let Err(problem) = replay_file(arguments, &parameters, &mut report, &mut text) {
+        if let Err(problem) = replay_file(arguments, &model, &mut report, &mut text) {
             report.problem = Some(problem.what.clone());
             problems.push(problem);
         }
@@ -129,7 +129,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 fn replay_file(
     arguments: &Arguments,
-    parameters: &DomainParameters,
+    model: &QubeModel,
     report: &mut Report,
     text: &mut String,
 ) -> Result<(), Problem> {
@@ -154,7 +154,7 @@ fn replay_file(
         }
     };
     if arguments.simulate {
-        simulate_file(arguments, parameters, &log, report, text)?;
+        simulate_file(arguments, model, &log, report, text)?;
     }
     problem.map_or(Ok(()), Err)
 }
@@ -222,14 +222,14 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
 
 fn simulate_file(
     arguments: &Arguments,
-    parameters: &DomainParameters,
+    model: &QubeModel,
     log: &MotionLog,
     report: &mut Report,
     text: &mut String,
 ) -> Result<(), Problem> {
     let path = report.path.display().to_string();
-    let open_loop = simulate_beside(log, parameters)
-        .map_err(|error| Problem::usage(format!("{path}: {error}")))?;
+    let open_loop =
+        simulate_beside(log, model).map_err(|error| Problem::usage(format!("{path}: {error}")))?;
     let AngleError { theta_rad, alpha_rad } = open_loop.rmse;
     let rmse = Rmse { theta_rad, alpha_rad };
     report.rmse = Some(rmse);
@@ -271,21 +271,6 @@ fn overall(errors: &[Rmse]) -> Option<Rmse> {
         theta_rad: mean(|rmse| rmse.theta_rad),
         alpha_rad: mean(|rmse| rmse.alpha_rad),
     })
-}
-
-/// Nominal parameters, with those that a TOML file names in their place.
-fn read_parameters(path: &Path) -> Result<DomainParameters, Failure> {
-    let usage = |why: String| Failure::usage(format!("--parameters {}: {why}", path.display()));
-    let text = fs::read_to_string(path).map_err(|error| usage(error.to_string()))?;
-    let given: toml::Table =
-        text.parse().map_err(|error: toml::de::Error| usage(error.to_string()))?;
-    let mut table = toml::Table::try_from(DomainParameters::NOMINAL)
-        .map_err(|error| usage(error.to_string()))?;
-    table.extend(given);
-    let parameters: DomainParameters =
-        table.try_into().map_err(|error| usage(error.to_string()))?;
-    parameters.check().map_err(|error| usage(error.to_string()))?;
-    Ok(parameters)
 }
 
 fn recording_problem(error: &RecordingError) -> Problem {

@@ -40,6 +40,12 @@ pub struct Acceleration<T = f64> {
     pub alpha: T,
 }
 
+/// What can be integrated: the thesis's Qube, or one with the gap between it and a real one.
+pub trait EquationsOfMotion<T> {
+    /// The accelerations in a state, with the motor at `voltage_v`.
+    fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T>;
+}
+
 impl<T: Scalar> Dynamics<T> {
     /// The products for these parameters, computed in `f64` and rounded once.
     #[must_use]
@@ -68,9 +74,10 @@ impl<T: Scalar> Dynamics<T> {
         }
     }
 
-    /// Solves the two equations for the accelerations, with the motor at `voltage_v`.
+    /// Solves the two equations for the accelerations, with `arm_torque` (N m) on the arm beside
+    /// its damping.
     #[inline(always)]
-    pub fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T> {
+    pub(super) fn acceleration_under(&self, state: &State<T>, arm_torque: T) -> Acceleration<T> {
         let (sin, cos) = state.alpha.sin_cos();
         let (theta_dot, alpha_dot) = (state.theta_dot, state.alpha_dot);
 
@@ -80,7 +87,7 @@ impl<T: Scalar> Dynamics<T> {
         let m12 = self.coupling * cos;
         let m22 = self.pendulum_inertia;
         let centrifugal = quarter_sin * cos * theta_dot;
-        let motor = (-self.arm_damping).mul_add(theta_dot, self.torque_per_volt * voltage_v);
+        let motor = (-self.arm_damping).mul_add(theta_dot, arm_torque);
         let swing = (self.coupling * sin).mul_add(alpha_dot, -(centrifugal + centrifugal));
         let rhs1 = swing.mul_add(alpha_dot, motor);
         let gravity = (-self.gravity_torque).mul_add(sin, centrifugal * theta_dot);
@@ -102,5 +109,12 @@ impl<T: Scalar> Dynamics<T> {
             + self.coupling * cos * theta_dot * alpha_dot
             + half * self.pendulum_inertia * alpha_dot * alpha_dot
             - self.gravity_torque * cos
+    }
+}
+
+impl<T: Scalar> EquationsOfMotion<T> for Dynamics<T> {
+    #[inline(always)]
+    fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T> {
+        self.acceleration_under(state, self.torque_per_volt * voltage_v)
     }
 }

@@ -1,4 +1,4 @@
-use super::{CONTROL_PERIOD_S, Dynamics, State};
+use super::{CONTROL_PERIOD_S, EquationsOfMotion, State};
 use crate::elementary::Scalar;
 
 /// Runge-Kutta steps in one control period.
@@ -10,7 +10,11 @@ pub const SUBSTEPS: usize = 3;
 
 /// One control period of 10 ms with constant voltage.
 #[inline(always)]
-pub fn control_step<T: Scalar>(dynamics: &Dynamics<T>, state: State<T>, voltage_v: T) -> State<T> {
+pub fn control_step<T: Scalar>(
+    dynamics: &impl EquationsOfMotion<T>,
+    state: State<T>,
+    voltage_v: T,
+) -> State<T> {
     let step_s = T::from_f64(CONTROL_PERIOD_S / SUBSTEPS as f64);
     let mut state = state;
     for _ in 0..SUBSTEPS {
@@ -22,7 +26,7 @@ pub fn control_step<T: Scalar>(dynamics: &Dynamics<T>, state: State<T>, voltage_
 /// One classical fourth-order Runge-Kutta step of `step_s` seconds with constant voltage.
 #[inline(always)]
 pub fn runge_kutta_4<T: Scalar>(
-    dynamics: &Dynamics<T>,
+    dynamics: &impl EquationsOfMotion<T>,
     state: State<T>,
     voltage_v: T,
     step_s: T,
@@ -66,7 +70,7 @@ fn moved<T: Scalar>(state: &State<T>, rate: &State<T>, duration_s: T) -> State<T
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::DomainParameters;
+    use crate::qube::{DomainParameters, Dynamics};
 
     #[test]
     fn energy_is_constant_without_damping_and_motor() {

@@ -8,20 +8,24 @@
 
 mod dynamics;
 mod encoder;
+mod gap;
 mod integrator;
 mod limits;
 mod measurement;
 mod observation;
 mod parameters;
+mod profile;
 mod reward;
 mod state;
 
-pub use dynamics::{Acceleration, Dynamics};
+pub use dynamics::{Acceleration, Dynamics, EquationsOfMotion};
 pub use encoder::{COUNTS_PER_REVOLUTION, RAD_PER_COUNT, angle_rad, counts, quantised};
+pub use gap::{Gap, GapDynamics, QubeModel};
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
 pub use measurement::{Measurement, Status};
 pub use observation::{OBSERVATION_SIZE, observation};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
+pub use profile::{Profile, ProfileError, Provenance};
 pub use reward::RewardWeights;
 pub use state::{State, wrap_angle};

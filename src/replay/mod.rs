@@ -16,6 +16,8 @@ mod rerun;
 
 pub use csv::CsvError;
 pub use motion_log::{MotionLog, MotionLogError, MotionSample};
-pub use open_loop::{AngleError, Diverged, OpenLoop, simulate_beside};
+pub use open_loop::{
+    AngleError, Diverged, OpenLoop, simulate_beside, simulate_from, simulate_stretch,
+};
 pub use plot::plot_svg;
 pub use rerun::{Difference, Rerun, rerun};

@@ -1,7 +1,9 @@
+use std::ops::Range;
+
 use thiserror::Error;
 
-use super::MotionLog;
-use crate::qube::{CONTROL_PERIOD_S, DomainParameters, Dynamics, SUBSTEPS, State, runge_kutta_4};
+use super::{MotionLog, MotionSample};
+use crate::qube::{CONTROL_PERIOD_S, GapDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
 
 /// What the simulator did with the voltages of a log.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,30 +34,36 @@ pub struct Diverged {
 }
 
 /// Starts the simulator in the log's first state and gives it the log's voltages: open loop, so
-/// that every error of the parameters adds up.
+/// that every error of the model adds up.
 ///
 /// # Errors
 /// The motion diverges.
-pub fn simulate_beside(
+pub fn simulate_beside(log: &MotionLog, model: &QubeModel) -> Result<OpenLoop, Diverged> {
+    let start = log.samples.first().map_or_else(State::default, |first| first.state);
+    simulate_from(log, model, start)
+}
+
+/// The same from a start state of one's own.
+///
+/// # Errors
+/// The motion diverges.
+pub fn simulate_from(
     log: &MotionLog,
-    parameters: &DomainParameters,
+    model: &QubeModel,
+    start: State,
 ) -> Result<OpenLoop, Diverged> {
-    let dynamics = Dynamics::<f64>::new(parameters);
     let mut simulated = Vec::with_capacity(log.samples.len());
-    let mut state = log.samples.first().map_or_else(State::default, |first| first.state);
-    simulated.push(state);
-    for pair in log.samples.windows(2) {
-        let [from, to] = pair else { continue };
-        state = advance(&dynamics, state, from.voltage_v, to.time_s - from.time_s);
-        if !state.is_finite() {
-            return Err(Diverged { time_s: to.time_s });
-        }
+    simulate_stretch(&log.samples, 0..log.samples.len(), model, start, |state| {
         simulated.push(state);
+    });
+    let start_s = log.samples.first().map_or(0.0, |sample| sample.time_s);
+    let pairs = || log.samples.iter().zip(&simulated);
+    if let Some((sample, _)) = pairs().find(|(_, state)| !state.is_finite()) {
+        return Err(Diverged { time_s: sample.time_s - start_s });
     }
     let error = |angle: fn(&State) -> f64| {
-        let pairs = log.samples.iter().zip(&simulated);
         let squares: f64 =
-            pairs.map(|(sample, state)| (angle(state) - angle(&sample.state)).powi(2)).sum();
+            pairs().map(|(sample, state)| (angle(state) - angle(&sample.state)).powi(2)).sum();
         (squares / simulated.len() as f64).sqrt()
     };
     let rmse =
@@ -63,8 +71,42 @@ pub fn simulate_beside(
     Ok(OpenLoop { simulated, rmse })
 }
 
+/// Simulates a stretch of a recording in open loop and hands out the state at each of its samples,
+/// the first being `start`. Commands of before the stretch that are still on their way arrive in it.
+pub fn simulate_stretch(
+    samples: &[MotionSample],
+    stretch: Range<usize>,
+    model: &QubeModel,
+    start: State,
+    mut each: impl FnMut(State),
+) {
+    let Some(first) = samples.get(stretch.start) else { return };
+    let dynamics = GapDynamics::<f64>::new(model);
+    let arrival_s = |command: &MotionSample| command.time_s + model.gap.command_delay_s;
+    let (mut state, mut time_s) = (start, first.time_s);
+    // The command that the motor has at the start; before the first there was none other.
+    let mut command = stretch.start;
+    while command > 0 && arrival_s(&samples[command]) > time_s {
+        command -= 1;
+    }
+    each(state);
+    for sample in &samples[stretch.start + 1..stretch.end] {
+        while time_s < sample.time_s {
+            let next_s = samples.get(command + 1).map_or(f64::INFINITY, arrival_s);
+            if next_s <= time_s {
+                command += 1;
+                continue;
+            }
+            let until_s = next_s.min(sample.time_s);
+            state = advance(&dynamics, state, samples[command].voltage_v, until_s - time_s);
+            time_s = until_s;
+        }
+        each(state);
+    }
+}
+
 /// Over any duration with steps no longer than those of the simulation.
-fn advance(dynamics: &Dynamics, from: State, voltage_v: f64, duration_s: f64) -> State {
+fn advance(dynamics: &GapDynamics, from: State, voltage_v: f64, duration_s: f64) -> State {
     let longest_s = CONTROL_PERIOD_S / SUBSTEPS as f64;
     // A little slack: 0.004 s is written as 0.0040000001 often enough.
     let steps = (duration_s / longest_s - 1e-6).ceil().max(1.0);
@@ -75,7 +117,7 @@ fn advance(dynamics: &Dynamics, from: State, voltage_v: f64, duration_s: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::control_step;
+    use crate::qube::{DomainParameters, Dynamics, Gap, control_step};
     use crate::replay::MotionSample;
 
     /// A log that the simulator itself made, with uneven times.
@@ -100,9 +142,10 @@ mod tests {
     #[test]
     fn the_simulator_agrees_with_itself_and_not_with_another_pendulum() {
         let log = made_by(&DomainParameters::NOMINAL);
-        let same = simulate_beside(&log, &DomainParameters::NOMINAL).unwrap();
+        let same = simulate_beside(&log, &QubeModel::NOMINAL).unwrap();
         assert!(same.rmse.theta_rad < 1e-9 && same.rmse.alpha_rad < 1e-9, "{:?}", same.rmse);
         let heavy = DomainParameters { pendulum_mass_kg: 0.03, ..DomainParameters::NOMINAL };
+        let heavy = QubeModel { parameters: heavy, ..QubeModel::NOMINAL };
         let other = simulate_beside(&log, &heavy).unwrap();
         assert!(other.rmse.theta_rad > 0.01 && other.rmse.alpha_rad > 0.01, "{:?}", other.rmse);
     }
@@ -113,7 +156,7 @@ mod tests {
         let off = State { theta: 0.3, alpha: -0.4, ..hanging };
         let sample = |time_s, state| MotionSample { time_s, state, voltage_v: 0.0 };
         let log = MotionLog { samples: vec![sample(0.0, hanging), sample(0.1, off)] };
-        let rmse = simulate_beside(&log, &DomainParameters::NOMINAL).unwrap().rmse;
+        let rmse = simulate_beside(&log, &QubeModel::NOMINAL).unwrap().rmse;
         assert!((rmse.theta_rad - 0.3 / 2.0_f64.sqrt()).abs() < 1e-15);
         assert!((rmse.alpha_rad - 0.4 / 2.0_f64.sqrt()).abs() < 1e-15);
     }
@@ -123,6 +166,38 @@ mod tests {
         let state = State { theta_dot: 1e300, ..State::default() };
         let sample = |time_s| MotionSample { time_s, state, voltage_v: 1e300 };
         let log = MotionLog { samples: vec![sample(0.0), sample(0.5)] };
-        assert!(simulate_beside(&log, &DomainParameters::NOMINAL).is_err());
+        assert!(simulate_beside(&log, &QubeModel::NOMINAL).is_err());
+    }
+
+    #[test]
+    fn a_delayed_command_arrives_between_samples_and_before_a_stretch() {
+        let delayed = |command_delay_s| QubeModel {
+            gap: Gap { command_delay_s, ..Gap::default() },
+            ..QubeModel::NOMINAL
+        };
+        // Samples every 10 ms with the voltage on from the second one.
+        let sample = |index| MotionSample {
+            time_s: f64::from(index) * 0.01,
+            state: State::default(),
+            voltage_v: if index == 0 { 0.0 } else { 3.0 },
+        };
+        let samples: Vec<_> = (0..40).map(sample).collect();
+        let run = |stretch: Range<usize>, delay_s, start| {
+            let mut states = Vec::new();
+            let model = delayed(delay_s);
+            simulate_stretch(&samples, stretch, &model, start, |state| states.push(state));
+            states
+        };
+        let (now, later) = (run(0..40, 0.0, State::default()), run(0..40, 0.02, State::default()));
+        assert_eq!(later[3].theta, 0.0);
+        for index in 3..40 {
+            assert!((later[index].theta - now[index - 2].theta).abs() < 1e-9);
+        }
+        // Half a period later: between the two neighbours.
+        let half = run(0..40, 0.015, State::default());
+        assert!(half[10].theta < now[9].theta && half[10].theta > now[8].theta);
+        // A stretch that starts while the first command is under way.
+        let part = run(2..40, 0.02, later[2]);
+        assert_eq!(part[..], later[2..]);
     }
 }

@@ -79,7 +79,7 @@ fn draw_angle(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::DomainParameters;
+    use crate::qube::QubeModel;
     use crate::replay::{MotionSample, simulate_beside};
 
     #[test]
@@ -92,7 +92,7 @@ mod tests {
             })
             .collect();
         let log = MotionLog { samples };
-        let open_loop = simulate_beside(&log, &DomainParameters::NOMINAL).unwrap();
+        let open_loop = simulate_beside(&log, &QubeModel::NOMINAL).unwrap();
         let svg = plot_svg("a < b & c", &log, &open_loop).unwrap();
         assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
         for text in ["recorded", "simulated", "theta [rad]", "alpha [rad]", "a &lt; b &amp; c"] {

@@ -1,0 +1,226 @@
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde_json::{Value, json};
+
+use super::exit::Failure;
+use super::failures;
+use super::output::Output;
+use super::profile;
+use crate::identification::{
+    Blind, Estimate, HorizonError, Identified, Unknown, check_recording, horizon_error, identify,
+    start_state,
+};
+use crate::qube::{Profile, Provenance, QubeModel};
+use crate::replay::{MotionLog, plot_svg, simulate_from};
+use crate::session::write_whole;
+
+/// Horizons of the predictions that are shown, s.
+const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
+
+/// Find out which Qube made recordings: its parameters, friction, dead zone, cable and delay
+///
+/// The result is a profile: `replay --profile`, `emulate --profile` and others read it. Judge it by
+/// recordings that it was not fitted to (--holdout): for each, the start state is estimated from
+/// 0.2 s, and from there on the model gets the voltages and nothing else.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil identify chirp-1.mcap chirp-2.mcap --holdout chirp-3.mcap --out lab.toml\n  \
+    qube-hil identify *.csv --plot plots --fix L_p --fix L_r")]
+pub struct Arguments {
+    /// Recordings to fit: .mcap of this program, or .csv with the columns time_s, theta_rad,
+    /// alpha_rad, theta_dot_rad_s, alpha_dot_rad_s, voltage_v
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+
+    /// Recordings to judge the fit by
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    holdout: Vec<PathBuf>,
+
+    /// Where the profile goes
+    #[arg(long, value_name = "FILE", default_value = "profile.toml")]
+    out: PathBuf,
+
+    /// Its name
+    #[arg(long, default_value = "identified")]
+    name: String,
+
+    /// Where to begin, and what --fix keeps; without it the nominal Qube
+    #[arg(long, value_name = "PROFILE")]
+    from: Option<PathBuf>,
+
+    /// Do not move this quantity (R_m, L_p, cable_rest_rad ...); may be given several times
+    #[arg(long, value_name = "NAME")]
+    fix: Vec<String>,
+
+    /// A folder for a picture of each recording with the model beside it
+    #[arg(long, value_name = "DIR")]
+    plot: Option<PathBuf>,
+}
+
+/// Fits, judges, and writes the profile.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let unknowns = unknowns(&arguments.fix)?;
+    let first_guess = match &arguments.from {
+        Some(path) => profile::load(path)?.model(),
+        None => QubeModel::NOMINAL,
+    };
+    let fitted = read(&arguments.files)?;
+    let held_out = read(&arguments.holdout)?;
+
+    let started = Instant::now();
+    let identified = identify(&fitted, &unknowns, &first_guess).map_err(Failure::usage)?;
+    let seconds = started.elapsed().as_secs_f64();
+    let horizons = |logs: &[MotionLog]| {
+        HORIZONS_S.map(|horizon_s| horizon_error(logs, &identified.model, horizon_s))
+    };
+    let errors = [("fitted", horizons(&fitted)), ("held out", horizons(&held_out))];
+    let [.., (_, [.., long])] = &errors;
+
+    let profile = Profile {
+        name: arguments.name.clone(),
+        parameters: identified.model.parameters,
+        gap: identified.model.gap,
+        standard_errors: standard_errors(&identified.estimates),
+        provenance: Some(Provenance {
+            recordings: arguments.files.iter().map(|path| file_name(path)).collect(),
+            program_version: env!("CARGO_PKG_VERSION").to_owned(),
+            held_out_rms_rad: (!held_out.is_empty())
+                .then_some([long.rms.theta_rad, long.rms.alpha_rad]),
+            note: None,
+        }),
+    };
+    let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
+    write_whole(&arguments.out, toml.as_bytes()).map_err(|error| failures::folder(&error))?;
+    if let Some(folder) = &arguments.plot {
+        std::fs::create_dir_all(folder)
+            .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;
+        let files = arguments.files.iter().chain(&arguments.holdout);
+        for (path, log) in files.zip(fitted.iter().chain(&held_out)) {
+            plot(folder, path, log, &identified.model)?;
+        }
+    }
+
+    let mut text = table(&identified);
+    for (name, errors) in errors.iter().filter(|(_, errors)| errors[0].predictions > 0) {
+        text += &error_lines(name, errors);
+    }
+    let _ = write!(text, "\n{} in {seconds:.1} s", arguments.out.display());
+    output.print(&text, &result(&identified, &errors, seconds, &arguments.out));
+    Ok(())
+}
+
+fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
+    let names = Unknown::ALL.map(Unknown::name);
+    if let Some(name) = fixed.iter().find(|name| !names.contains(&name.as_str())) {
+        let known = names.join(", ");
+        return Err(Failure::usage(format!(
+            "--fix {name}: there is no such quantity; there are {known}"
+        )));
+    }
+    let moves = |unknown: &Unknown| !fixed.iter().any(|name| name == unknown.name());
+    Ok(Unknown::ALL.into_iter().filter(moves).collect())
+}
+
+/// Reads recordings and refuses those that say nothing or something wrong.
+fn read(files: &[PathBuf]) -> Result<Vec<MotionLog>, Failure> {
+    let read_one = |path: &PathBuf| {
+        let log = MotionLog::read(path).map_err(Failure::usage)?;
+        check_recording(&log)
+            .map_err(|why| Failure::usage(format!("{}: {why}", path.display())))?;
+        Ok(log)
+    };
+    files.iter().map(read_one).collect()
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn standard_errors(estimates: &[Estimate]) -> BTreeMap<String, f64> {
+    let named = |estimate: &Estimate| (estimate.unknown.name().to_owned(), estimate.standard_error);
+    estimates.iter().map(named).collect()
+}
+
+fn plot(folder: &Path, path: &Path, log: &MotionLog, model: &QubeModel) -> Result<(), Failure> {
+    let open_loop = simulate_from(log, model, start_state(log, model))
+        .map_err(|error| Failure::failed(format!("{}: {error}", path.display())))?;
+    let name = file_name(path);
+    let svg = plot_svg(&name, log, &open_loop).map_err(Failure::failed)?;
+    let picture = folder.join(format!("{name}.svg"));
+    std::fs::write(&picture, svg)
+        .map_err(|error| Failure::failed(format!("{}: {error}", picture.display())))
+}
+
+fn table(identified: &Identified) -> String {
+    let mut text =
+        format!("{:24} {:>11} {:>11} {:>13}\n", "quantity", "value", "std. error", "told by data");
+    for estimate in &identified.estimates {
+        let Estimate { unknown, value, standard_error, told_by_data } = *estimate;
+        let mark = if estimate.is_told() { "" } else { "  from the prior" };
+        let percent = 100.0 * told_by_data;
+        let name = unknown.name();
+        let _ =
+            writeln!(text, "{name:24} {value:11.4e} {standard_error:11.1e} {percent:11.0} %{mark}");
+    }
+    if !identified.blind.is_empty() {
+        text += "\nThe recordings cannot tell these combinations (in units of the prior):\n";
+    }
+    for direction in &identified.blind {
+        let _ = writeln!(text, "  {}", combination(direction));
+    }
+    text
+}
+
+/// `+0.71 R_m -0.70 k_m`
+fn combination(direction: &Blind) -> String {
+    let term = |(unknown, weight): &(Unknown, f64)| format!("{weight:+.2} {}", unknown.name());
+    direction.iter().map(term).collect::<Vec<_>>().join(" ")
+}
+
+fn error_lines(name: &str, errors: &[HorizonError]) -> String {
+    let mut text = format!("\n{name:9} RMS error of predictions, rad\n");
+    for error in errors {
+        let (theta, alpha) = (error.rms.theta_rad, error.rms.alpha_rad);
+        let _ = writeln!(
+            text,
+            "{:7} s  theta {theta:.4}  alpha {alpha:.4}  ({} predictions)",
+            error.horizon_s, error.predictions
+        );
+    }
+    text
+}
+
+fn result(
+    identified: &Identified,
+    errors: &[(&str, [HorizonError; 3])],
+    seconds: f64,
+    out: &Path,
+) -> Value {
+    let estimate = |estimate: &Estimate| {
+        json!({
+            "name": estimate.unknown.name(),
+            "value": estimate.value,
+            "standard_error": estimate.standard_error,
+            "told_by_data": estimate.told_by_data,
+        })
+    };
+    let horizon = |error: &HorizonError| {
+        json!({
+            "horizon_s": error.horizon_s,
+            "theta_rad": error.rms.theta_rad,
+            "alpha_rad": error.rms.alpha_rad,
+            "predictions": error.predictions,
+        })
+    };
+    json!({
+        "estimates": identified.estimates.iter().map(estimate).collect::<Vec<_>>(),
+        "blind": identified.blind.iter().map(combination).collect::<Vec<_>>(),
+        "fitted": errors[0].1.iter().map(horizon).collect::<Vec<_>>(),
+        "held_out": errors[1].1.iter().map(horizon).collect::<Vec<_>>(),
+        "wall_s": seconds,
+        "profile": out,
+    })
+}

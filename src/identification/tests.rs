@@ -1,0 +1,125 @@
+use super::*;
+use crate::qube::{DomainParameter, Gap, QubeModel, State, quantised};
+use crate::replay::{MotionLog, MotionSample, simulate_stretch};
+
+/// A chirp from 5 Hz down, recorded from `truth` at 250 Hz through encoders.
+fn chirp(truth: &QubeModel, sign: f64, seconds: f64) -> MotionLog {
+    let count = (seconds * 250.0) as usize + 1;
+    let samples: Vec<MotionSample> = (0..count)
+        .map(|index| {
+            let time_s = index as f64 / 250.0;
+            let phase = 2.0 * std::f64::consts::PI * (5.0 * time_s - 0.4 * time_s * time_s);
+            let voltage_v = sign * 1.5 * phase.cos();
+            MotionSample { time_s, state: State::default(), voltage_v }
+        })
+        .collect();
+    let mut states = Vec::new();
+    let start = State { theta: -0.02, ..State::default() };
+    simulate_stretch(&samples, 0..count, truth, start, |state| states.push(state));
+    let encoded = |state: State| State {
+        theta: quantised(state.theta),
+        alpha: quantised(state.alpha),
+        ..state
+    };
+    let samples = samples.into_iter().zip(states);
+    MotionLog {
+        samples: samples.map(|(s, state)| MotionSample { state: encoded(state), ..s }).collect(),
+    }
+}
+
+/// Not the nominal Qube in anything that matters.
+fn truth() -> QubeModel {
+    let mut truth = QubeModel {
+        gap: Gap {
+            coulomb_torque_n_m: 4e-4,
+            positive_dead_zone_v: 0.1,
+            negative_dead_zone_v: 0.25,
+            cable_stiffness_n_m_rad: 1e-3,
+            cable_rest_rad: -0.6,
+            command_delay_s: 0.0073,
+        },
+        ..QubeModel::NOMINAL
+    };
+    for (parameter, factor) in [
+        (DomainParameter::MotorResistance, 1.1),
+        (DomainParameter::RotaryDamping, 5.0),
+        (DomainParameter::PendulumDamping, 20.0),
+        (DomainParameter::PendulumMass, 0.9),
+        (DomainParameter::PendulumLength, 0.97),
+    ] {
+        truth.parameters.set(parameter, factor * truth.parameters.get(parameter));
+    }
+    truth
+}
+
+#[test]
+fn a_qube_that_is_known_is_found_within_its_standard_errors() {
+    let logs = [chirp(&truth(), 1.0, 5.0), chirp(&truth(), -1.0, 5.0)];
+    let found = identify(&logs, &Unknown::ALL, &QubeModel::NOMINAL).unwrap();
+    for estimate in &found.estimates {
+        let expected = estimate.unknown.quantity(estimate.unknown.of(&truth()));
+        let off = (estimate.value - expected).abs() / estimate.standard_error;
+        assert!(off < 4.0, "{} should be {expected}: {estimate:?}", estimate.unknown.name());
+    }
+    let told = |unknown| {
+        let estimate = found.estimates.iter().find(|estimate| estimate.unknown == unknown);
+        estimate.is_some_and(Estimate::is_told)
+    };
+    assert!(told(Unknown::CommandDelay) && told(Unknown::CableStiffness));
+    // All forces and all inertias larger by the same factor make the same motion.
+    let blind: Vec<Unknown> = found.blind.iter().flatten().map(|(unknown, _)| *unknown).collect();
+    assert!(blind.contains(&Unknown::Parameter(DomainParameter::PendulumMass)), "{blind:?}");
+
+    let held_out = [chirp(&truth(), -1.0, 6.0)];
+    let error = horizon_error(&held_out, &found.model, 5.8).rms;
+    assert!(error.theta_rad < 0.01 && error.alpha_rad < 0.01, "{error:?}");
+    let nominal = horizon_error(&held_out, &QubeModel::NOMINAL, 5.8).rms;
+    assert!(nominal.theta_rad > 0.1, "{nominal:?}");
+}
+
+#[test]
+fn what_is_fixed_stays() {
+    let moves = [Unknown::CommandDelay, Unknown::CoulombTorque];
+    let found = identify(&[chirp(&truth(), 1.0, 2.0)], &moves, &QubeModel::NOMINAL).unwrap();
+    assert_eq!(found.model.parameters, QubeModel::NOMINAL.parameters);
+    assert!(found.model.gap.command_delay_s > 0.0);
+    assert_eq!(found.estimates.len(), 2);
+}
+
+#[test]
+fn recordings_that_say_nothing_or_something_wrong_are_named() {
+    let good = chirp(&truth(), 1.0, 4.0);
+    assert_eq!(check_recording(&good), Ok(()));
+    let changed = |change: &dyn Fn(usize, &mut MotionSample)| {
+        let mut log = good.clone();
+        log.samples.iter_mut().enumerate().for_each(|(index, sample)| change(index, sample));
+        check_recording(&log).unwrap_err()
+    };
+    let short = MotionLog { samples: good.samples[..250].to_vec() };
+    assert!(matches!(check_recording(&short), Err(Unfit::Short { .. })));
+    let mut gap = good.clone();
+    gap.samples.drain(300..320);
+    assert!(matches!(check_recording(&gap), Err(Unfit::Gap { .. })));
+    let slow = changed(&|index, sample| sample.time_s = index as f64 / 40.0);
+    assert!(matches!(slow, Unfit::Gap { .. }));
+    assert_eq!(changed(&|_, sample| sample.voltage_v *= 0.1), Unfit::NoVoltage);
+    let still = changed(&|_, sample| {
+        (sample.state.theta, sample.state.alpha) = (0.0, 0.0);
+        sample.voltage_v = 0.9 * sample.voltage_v.signum();
+    });
+    assert!(matches!(still, Unfit::NoMotion { angle: "theta", .. }));
+    let hit = changed(&|index, sample| sample.state.theta += if index > 500 { 2.5 } else { 0.0 });
+    assert!(matches!(hit, Unfit::AtStop { .. }));
+    let stalled = changed(&|index, sample| {
+        if index > 500 {
+            (sample.state.theta, sample.voltage_v) = (0.3, 2.0);
+        }
+    });
+    assert!(matches!(stalled, Unfit::FrozenArm { .. }));
+    let unplugged = changed(&|index, sample| {
+        if index > 500 {
+            sample.state.alpha = 0.1;
+        }
+    });
+    assert!(matches!(unplugged, Unfit::FrozenPendulum { .. }));
+}

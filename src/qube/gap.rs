@@ -1,0 +1,168 @@
+use serde::{Deserialize, Serialize};
+
+use super::{Acceleration, DomainParameters, Dynamics, EquationsOfMotion, State};
+use crate::elementary::Scalar;
+
+/// Velocity of the arm at which Coulomb friction has reached three quarters of its torque, rad/s.
+/// Friction that jumps at zero would need an integrator that finds the instant.
+const FRICTION_VELOCITY_RAD_S: f64 = 0.05;
+
+/// What a real Qube has and the thesis's equations do not: everything between the command and the
+/// torque, and what else acts on the arm. All zero is the thesis's Qube.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Gap {
+    /// Friction of the arm that does not depend on how fast it turns, N m.
+    pub coulomb_torque_n_m: f64,
+    /// What of a positive voltage is lost before the motor turns, V.
+    pub positive_dead_zone_v: f64,
+    /// What of a negative voltage is lost, V.
+    pub negative_dead_zone_v: f64,
+    /// The cable to the pendulum's encoder pulls the arm towards `cable_rest_rad`, N m/rad.
+    pub cable_stiffness_n_m_rad: f64,
+    /// Where the cable does not pull, rad.
+    pub cable_rest_rad: f64,
+    /// From a command until the motor has it, s.
+    pub command_delay_s: f64,
+}
+
+/// A Qube: the thesis's parameters, and the gap between those equations and the machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct QubeModel {
+    /// The nine of the thesis.
+    pub parameters: DomainParameters,
+    /// What the thesis leaves out.
+    pub gap: Gap,
+}
+
+impl QubeModel {
+    /// The thesis's Qube with the values of the name plate.
+    pub const NOMINAL: Self = Self {
+        parameters: DomainParameters::NOMINAL,
+        gap: Gap {
+            coulomb_torque_n_m: 0.0,
+            positive_dead_zone_v: 0.0,
+            negative_dead_zone_v: 0.0,
+            cable_stiffness_n_m_rad: 0.0,
+            cable_rest_rad: 0.0,
+            command_delay_s: 0.0,
+        },
+    };
+}
+
+/// The equations of motion with the gap's forces.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GapDynamics<T = f64> {
+    /// The Qube of the thesis.
+    pub ideal: Dynamics<T>,
+    /// Coulomb friction, N m.
+    pub coulomb_torque: T,
+    /// Dead zone for positive voltages, V.
+    pub positive_dead_zone: T,
+    /// Dead zone for negative voltages, V.
+    pub negative_dead_zone: T,
+    /// Stiffness of the cable, N m/rad.
+    pub cable_stiffness: T,
+    /// Where the cable does not pull, rad.
+    pub cable_rest: T,
+}
+
+impl<T: Scalar> GapDynamics<T> {
+    /// The forces of this Qube. The delay of its commands is the business of whoever gives them.
+    #[must_use]
+    pub fn new(model: &QubeModel) -> Self {
+        let gap = &model.gap;
+        Self {
+            ideal: Dynamics::new(&model.parameters),
+            coulomb_torque: T::from_f64(gap.coulomb_torque_n_m),
+            positive_dead_zone: T::from_f64(gap.positive_dead_zone_v),
+            negative_dead_zone: T::from_f64(gap.negative_dead_zone_v),
+            cable_stiffness: T::from_f64(gap.cable_stiffness_n_m_rad),
+            cable_rest: T::from_f64(gap.cable_rest_rad),
+        }
+    }
+
+    /// What of a voltage reaches the motor, V.
+    #[inline(always)]
+    fn effective_voltage(&self, voltage_v: T) -> T {
+        let zero = T::from_f64(0.0);
+        let above = voltage_v - self.positive_dead_zone;
+        let below = voltage_v + self.negative_dead_zone;
+        let push = if above > zero { above } else { zero };
+        let pull = if below < zero { below } else { zero };
+        push + pull
+    }
+
+    /// Coulomb friction against this velocity of the arm, N m: odd, smooth, monotone, and within a
+    /// percent of the whole from 0.5 rad/s on.
+    #[inline(always)]
+    fn friction(&self, theta_dot: T) -> T {
+        let x = theta_dot * T::from_f64(1.0 / FRICTION_VELOCITY_RAD_S);
+        self.coulomb_torque * x / (T::from_f64(1.0) / T::from_f64(3.0) + x.abs())
+    }
+}
+
+impl<T: Scalar> EquationsOfMotion<T> for GapDynamics<T> {
+    #[inline(always)]
+    fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T> {
+        let motor = self.ideal.torque_per_volt * self.effective_voltage(voltage_v);
+        let cable = self.cable_stiffness * (state.theta - self.cable_rest);
+        self.ideal.acceleration_under(state, motor - cable - self.friction(state.theta_dot))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with(gap: Gap) -> GapDynamics {
+        GapDynamics::new(&QubeModel { gap, ..QubeModel::NOMINAL })
+    }
+
+    #[test]
+    fn without_a_gap_the_equations_are_those_of_the_thesis() {
+        let (ideal, gap) = (Dynamics::<f64>::new(&DomainParameters::NOMINAL), with(Gap::default()));
+        for step in 0..1000 {
+            let x = f64::from(step);
+            let state =
+                State { theta: x.sin(), alpha: x, theta_dot: 9.0 * x.cos(), alpha_dot: -x.sin() };
+            let voltage_v = 5.0 * (1.3 * x).sin();
+            assert_eq!(gap.acceleration(&state, voltage_v), ideal.acceleration(&state, voltage_v));
+        }
+    }
+
+    #[test]
+    fn friction_and_cable_take_energy_and_never_give_it() {
+        let gap = Gap {
+            coulomb_torque_n_m: 1e-3,
+            cable_stiffness_n_m_rad: 2e-3,
+            cable_rest_rad: 0.3,
+            ..Gap::default()
+        };
+        let dynamics = with(gap);
+        let energy = |state: &State| {
+            let stretch = state.theta - gap.cable_rest_rad;
+            dynamics.ideal.energy(state) + 0.5 * gap.cable_stiffness_n_m_rad * stretch * stretch
+        };
+        let mut state = State { theta: 1.5, alpha: 2.0, theta_dot: 3.0, alpha_dot: -2.0 };
+        for _ in 0..20_000 {
+            let next = crate::qube::runge_kutta_4(&dynamics, state, 0.0, 1e-3);
+            assert!(energy(&next) <= energy(&state) + 1e-12);
+            state = next;
+        }
+        // At rest where the cable's pull is no more than friction.
+        let pull = gap.cable_stiffness_n_m_rad * (state.theta - gap.cable_rest_rad).abs();
+        assert!(pull < gap.coulomb_torque_n_m, "{state:?}");
+    }
+
+    #[test]
+    fn the_dead_zone_takes_a_part_of_each_sign() {
+        let gap = Gap { positive_dead_zone_v: 0.1, negative_dead_zone_v: 0.3, ..Gap::default() };
+        let dynamics = with(gap);
+        for (command_v, expected_v) in
+            [(0.05, 0.0), (-0.2, 0.0), (1.1, 1.0), (-1.3, -1.0), (0.0, 0.0)]
+        {
+            assert!((dynamics.effective_voltage(command_v) - expected_v).abs() < 1e-12);
+        }
+    }
+}

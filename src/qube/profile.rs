@@ -1,0 +1,172 @@
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::{DomainParameter, DomainParameters, Gap, ParameterError, QubeModel};
+
+/// One Qube in a file: what it is, how sure that is, and where it comes from. `identify` writes it;
+/// whoever simulates or emulates reads it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Profile {
+    /// What people call it.
+    pub name: String,
+    /// The nine of the thesis; those that the file does not name are nominal.
+    #[serde(default = "nominal", with = "named_parameters")]
+    pub parameters: DomainParameters,
+    /// What the thesis leaves out; what the file does not name is 0.
+    #[serde(default)]
+    pub gap: Gap,
+    /// Standard errors by name, each in the unit of its quantity.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub standard_errors: BTreeMap<String, f64>,
+    /// Where it comes from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub provenance: Option<Provenance>,
+}
+
+/// Where a profile comes from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// The files it was fitted to.
+    pub recordings: Vec<String>,
+    /// The program that did.
+    pub program_version: String,
+    /// Root mean square error of simulating the files it was *not* fitted to, for 10 s from a start
+    /// state that was estimated from the first 0.2 s: arm, pendulum, rad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out_rms_rad: Option<[f64; 2]>,
+    /// Anything a reader should know.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub note: Option<String>,
+}
+
+/// Why a text is no profile.
+#[derive(Debug, Error)]
+pub enum ProfileError {
+    /// No TOML, a name that does not exist, or a value of another type.
+    #[error("{}", .0.to_string().trim_end())]
+    Invalid(#[from] Box<toml::de::Error>),
+    /// A parameter that no Qube has.
+    #[error("parameters.{0}")]
+    Parameter(#[from] ParameterError),
+    /// A gap that no Qube has.
+    #[error("gap.{name} = {value}: give a number from {smallest} to {largest}")]
+    Gap {
+        /// Which entry.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// The least that makes sense.
+        smallest: f64,
+        /// The most.
+        largest: f64,
+    },
+}
+
+impl Profile {
+    /// Reads a profile from TOML.
+    ///
+    /// # Errors
+    /// The text is no profile, or one of a Qube that cannot be.
+    pub fn parse(text: &str) -> Result<Self, ProfileError> {
+        let profile: Self = toml::from_str(text).map_err(Box::new)?;
+        profile.parameters.check()?;
+        let gap = &profile.gap;
+        for (name, value, smallest, largest) in [
+            ("coulomb_torque_n_m", gap.coulomb_torque_n_m, 0.0, 0.1),
+            ("positive_dead_zone_v", gap.positive_dead_zone_v, 0.0, 5.0),
+            ("negative_dead_zone_v", gap.negative_dead_zone_v, 0.0, 5.0),
+            ("cable_stiffness_n_m_rad", gap.cable_stiffness_n_m_rad, 0.0, 0.1),
+            ("cable_rest_rad", gap.cable_rest_rad, -10.0, 10.0),
+            ("command_delay_s", gap.command_delay_s, 0.0, 0.1),
+        ] {
+            if !(smallest..=largest).contains(&value) {
+                return Err(ProfileError::Gap { name, value, smallest, largest });
+            }
+        }
+        Ok(profile)
+    }
+
+    /// The Qube that it describes.
+    #[must_use]
+    pub fn model(&self) -> QubeModel {
+        QubeModel { parameters: self.parameters, gap: self.gap }
+    }
+}
+
+fn nominal() -> DomainParameters {
+    DomainParameters::NOMINAL
+}
+
+/// Parameters of which a file may name some.
+mod named_parameters {
+    use serde::de::Error;
+    use serde::{Deserializer, Serializer};
+
+    use super::{BTreeMap, Deserialize, DomainParameter, DomainParameters, Serialize};
+
+    pub fn serialize<S: Serializer>(
+        parameters: &DomainParameters,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        parameters.serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<DomainParameters, D::Error> {
+        let named = BTreeMap::<String, f64>::deserialize(deserializer)?;
+        let mut parameters = DomainParameters::NOMINAL;
+        for (symbol, value) in named {
+            let parameter = DomainParameter::from_symbol(&symbol).ok_or_else(|| {
+                let known = DomainParameter::ALL.map(DomainParameter::symbol).join(", ");
+                D::Error::custom(format!("there is no parameter {symbol}; there are {known}"))
+            })?;
+            parameters.set(parameter, value);
+        }
+        Ok(parameters)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_reads_back_and_what_is_left_out_is_nominal() {
+        let profile = Profile {
+            name: "lab".into(),
+            parameters: DomainParameters { motor_resistance_ohm: 9.1, ..DomainParameters::NOMINAL },
+            gap: Gap { command_delay_s: 0.01, ..Gap::default() },
+            standard_errors: BTreeMap::from([("R_m".into(), 0.2)]),
+            provenance: Some(Provenance {
+                recordings: vec!["a.csv".into()],
+                program_version: "1".into(),
+                held_out_rms_rad: Some([0.04, 0.01]),
+                note: None,
+            }),
+        };
+        let text = toml::to_string(&profile).unwrap();
+        assert_eq!(Profile::parse(&text).unwrap(), profile);
+        let short = Profile::parse("name = \"x\"\n[parameters]\nR_m = 9.1\n").unwrap();
+        assert_eq!(short.parameters, profile.parameters);
+        assert_eq!(short.gap, Gap::default());
+    }
+
+    #[test]
+    fn what_no_qube_has_is_named() {
+        for (text, words) in [
+            ("name = \"x\"\n[gap]\ncommand_delay_s = 6.0\n", "command_delay_s = 6"),
+            ("name = \"x\"\n[gap]\ncomand_delay_s = 0.0\n", "comand_delay_s"),
+            ("name = \"x\"\n[parameters]\nR_x = 1.0\n", "R_x"),
+            ("name = \"x\"\n[parameters]\nL_p = -1.0\n", "L_p"),
+            ("[gap]\n", "name"),
+        ] {
+            let message = Profile::parse(text).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
+    }
+}
