@@ -6,6 +6,8 @@
 
 #[path = "firmware/conformance.rs"]
 mod conformance;
+#[path = "firmware/driver.rs"]
+mod driver;
 #[path = "firmware/faults.rs"]
 mod faults;
 #[path = "firmware/qube.rs"]
