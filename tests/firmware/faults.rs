@@ -4,7 +4,7 @@ use firmware_protocol::{QUBE_MODULE_ID, WATCHDOG_MS, WATCHDOG_POLL_MS};
 use qube_hil::device::{Device, DeviceError, SerialLink};
 use qube_hil::clock::MonotonicClock;
 
-use crate::driver::{Disturbed, Driver, scenario};
+use crate::driver::{Disturbed, scenario};
 use crate::qube::{Command, Qube};
 use crate::simulated_board::{Hang, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
@@ -141,7 +141,8 @@ fn the_firmware_latches_a_stall_and_clears_it_when_it_is_armed_anew() {
 #[test]
 fn the_firmware_knows_a_qube_by_its_module_id() {
     let Some(toolchain) = toolchain() else { return };
-    let nobody = Qube { module_id: 0xFFFF, ..Qube::new(0) };
+    let mut nobody = Qube::new(0);
+    nobody.module_id = 0xFFFF;
     let board = SimulatedBoard::start(toolchain, Chip::Atmega2560, nobody);
     let mut link = SerialLink::open(board.port(), std::sync::Arc::new(MonotonicClock)).unwrap();
     let error = link.hello().unwrap_err().to_string();
