@@ -228,7 +228,7 @@ static bool sample(struct device *device, const struct link_frame *request,
 
 bool device_waits(const struct device *device)
 {
-    return device->sample_waits;
+    return device->sample_waits || !device->qube_was_asked;
 }
 
 bool device_answers_late(struct device *device, struct link_frame *reply)
@@ -397,6 +397,7 @@ void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_B
     struct qube_readings readings;
     qube_frame_decode(answer, &readings);
     device->motor_word_at_qube = motor_word_sent;
+    device->qube_was_asked = true;
     device->module_id = readings.module_id;
     device->qube_present = readings.module_id == QUBE_MODULE_ID;
     device->qube_status = readings.status;

@@ -55,6 +55,8 @@ struct device {
     bool clears_stall;
     bool clearing_frame;
 
+    /* Whether a frame has ended since the start: before that nothing is known of the Qube. */
+    bool qube_was_asked;
     bool qube_present;
     uint16_t module_id;
     uint8_t qube_status;
@@ -70,8 +72,9 @@ struct device {
 void device_start(struct device *device, const struct device_identity *identity,
                   uint16_t (*next_boot_number)(void));
 
-/* Carries a request out. Returns whether `reply` is to be sent now. After `device_waits` no other
- * request may be handed in before `device_answers_late` has given the reply. */
+/* Carries a request out. Returns whether `reply` is to be sent now. None may be handed in while
+ * `device_waits`: a sample waits for its frame and is answered by `device_answers_late`, or nothing
+ * is known of the Qube yet. */
 bool device_request(struct device *device, const struct link_frame *request, uint32_t now_us,
                     struct link_frame *reply);
 bool device_waits(const struct device *device);

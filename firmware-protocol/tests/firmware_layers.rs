@@ -72,9 +72,7 @@ fn the_firmware_does_what_the_golden_file_says() {
         let (question, answer) = match words[0] {
             "request" | "reply" => (format!("again {}", words[2]), format!("again {}", words[2])),
             "dropped" => (format!("stream {}", words[2]), "stream dropped".to_owned()),
-            "newer" => {
-                (format!("newer {} {}", words[1], words[2]), format!("newer {}", words[3]))
-            }
+            "newer" => (format!("newer {} {}", words[1], words[2]), format!("newer {}", words[3])),
             kind => (format!("{kind} {}", words[1]), format!("{kind} {}", words[2..].join(" "))),
         };
         questions.push(question);

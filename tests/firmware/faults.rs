@@ -1,12 +1,12 @@
 //! Whatever fails, the motor goes off, stays off, and says so in red.
 
 use firmware_protocol::{QUBE_MODULE_ID, WATCHDOG_MS, WATCHDOG_POLL_MS};
-use qube_hil::device::{Device, DeviceError, SerialLink};
 use qube_hil::clock::MonotonicClock;
+use qube_hil::device::{Device, DeviceError, SerialLink};
 
 use crate::driver::{Disturbed, scenario};
 use crate::qube::{Command, Qube};
-use crate::simulated_board::{Hang, SimulatedBoard};
+use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
 /// How long a frame takes in simavr, and what is left of one before it: what an order to the Qube
@@ -187,12 +187,10 @@ fn the_firmware_extends_24_bit_counters() {
 fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
     scenario(|driver| {
         driver.arm_and_drive()?;
-        driver.board.hang(Hang::Looping);
+        driver.board.hang();
         let hung_us = driver.board.time_us();
         // It restarts, so frames come again.
-        while driver.board.time_us() < hung_us + 100_000 {
-            std::thread::sleep(std::time::Duration::from_millis(1));
-        }
+        driver.board.wait_us(100_000);
         let commands = driver.commands_since(hung_us - 50_000);
         let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
         let off = &commands[last_on + 1..];

@@ -137,9 +137,8 @@ impl Qube {
     fn write(&mut self, time_us: u64, frame: &[u8; FRAME_BYTES]) {
         let write_mask = frame[2];
         let word = |at: usize| u16::from_be_bytes([frame[at], frame[at + 1]]);
-        let preset = |at: usize| {
-            i32::from_be_bytes([frame[at], frame[at + 1], frame[at + 2], 0]) >> 8
-        };
+        let preset =
+            |at: usize| i32::from_be_bytes([frame[at], frame[at + 1], frame[at + 2], 0]) >> 8;
         for (led, (bit, at)) in [(RED, 3), (GREEN, 5), (BLUE, 7)].into_iter().enumerate() {
             if word(at) > LED_MAX {
                 self.violation(time_us, format!("LED {led} at {}", word(at)));

@@ -54,5 +54,8 @@ fn the_classical_controller_swings_up_on_the_firmware() {
 
 #[test]
 fn a_trained_policy_swings_up_on_the_firmware() {
-    swings_up(Chip::Atmega2560, concat!(env!("CARGO_MANIFEST_DIR"), "/policies/nominal.safetensors"));
+    swings_up(
+        Chip::Atmega2560,
+        concat!(env!("CARGO_MANIFEST_DIR"), "/policies/nominal.safetensors"),
+    );
 }

@@ -66,7 +66,8 @@ struct event {
     uint64_t lost_bytes;
 };
 
-enum order { GO_ON = 0, HANG = 1, HANG_WITHOUT_INTERRUPTS = 2 };
+/* HANG: the main loop is lost in an endless loop, while interrupts go on. */
+enum order { GO_ON = 0, HANG = 1 };
 
 struct answer {
     uint8_t order;
@@ -159,7 +160,9 @@ static void on_chip_select(struct avr_irq_t *irq, uint32_t value, void *unused)
         }
         length += part > 0 ? (size_t)part : 0;
     }
-    pending_order = answer.order;
+    if (answer.order != GO_ON) {
+        pending_order = answer.order;
+    }
 }
 
 static void on_spi_byte(struct avr_irq_t *irq, uint32_t value, void *unused)
@@ -329,16 +332,13 @@ static void no_sleep(avr_t *unused_avr, avr_cycle_count_t unused)
 }
 
 /* From here on the program is lost in a loop of one instruction, `rjmp .-2`, at flash's end. */
-static void hang(bool without_interrupts)
+static void hang(void)
 {
     avr_flashaddr_t trap = avr->flashend - 1u;
     avr->flash[trap] = 0xFF;
     avr->flash[trap + 1] = 0xCF;
     avr->pc = trap;
     avr->state = cpu_Running;
-    if (without_interrupts) {
-        avr->sreg[S_I] = 0;
-    }
 }
 
 static void run_until(avr_cycle_count_t target)
@@ -348,8 +348,9 @@ static void run_until(avr_cycle_count_t target)
         avr_cycle_timer_register(avr, CYCLES_PER_BYTE, on_line_clock, NULL);
     }
     while (avr->cycle < target) {
-        if (pending_order != GO_ON) {
-            hang(pending_order == HANG_WITHOUT_INTERRUPTS);
+        /* The main loop is to be lost, not an interrupt's work. */
+        if (pending_order == HANG && avr->sreg[S_I]) {
+            hang();
             pending_order = GO_ON;
         }
         int state = avr_run(avr);
