@@ -1,0 +1,352 @@
+/* Arduino Uno and Nano (ATmega328P) and Mega (ATmega2560), both at 16 MHz.
+ *
+ * UART0 through the board's USB converter, SPI to the Qube, Timer 1 as clock and sampling timer,
+ * the EEPROM's first two bytes as boot number. */
+#include "board.h"
+
+#include <avr/eeprom.h>
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <avr/sleep.h>
+#include <avr/wdt.h>
+#include <stddef.h>
+#include <string.h>
+#include <util/atomic.h>
+#include <util/delay.h>
+
+#include "wire.h"
+
+/* Chip select is the pin named SS: as an output it cannot throw the SPI out of master mode. */
+#if defined(__AVR_ATmega328P__)
+const uint8_t BOARD_KIND = KIND_ATMEGA328P;
+#define PIN_CHIP_SELECT _BV(PB2) /* D10 */
+#define PIN_MOSI _BV(PB3)        /* D11 */
+#define PIN_MISO _BV(PB4)        /* D12 */
+#define PIN_CLOCK _BV(PB5)       /* D13 */
+#define USART_RECEIVED_vect USART_RX_vect
+#define USART_SEND_vect USART_UDRE_vect
+#elif defined(__AVR_ATmega2560__)
+const uint8_t BOARD_KIND = KIND_ATMEGA2560;
+#define PIN_CHIP_SELECT _BV(PB0) /* D53 */
+#define PIN_CLOCK _BV(PB1)       /* D52 */
+#define PIN_MOSI _BV(PB2)        /* D51 */
+#define PIN_MISO _BV(PB3)        /* D50 */
+#define USART_RECEIVED_vect USART0_RX_vect
+#define USART_SEND_vect USART0_UDRE_vect
+#else
+#error "this board has no pin table yet"
+#endif
+
+/* Double speed: UBRR = 3, exactly 500 000 baud. */
+#define UBRR_VALUE (F_CPU / 8ul / BAUD_RATE - 1ul)
+#if F_CPU / 8ul / (UBRR_VALUE + 1ul) != BAUD_RATE
+#error "this clock does not divide down to the baud rate"
+#endif
+
+/* Timer 1 counts half microseconds and starts again every sampling period. */
+#define TICKS_PER_US 2u
+#define SAMPLING_PERIOD_US 2000u
+#define SAMPLING_PERIOD_TICKS (SAMPLING_PERIOD_US * TICKS_PER_US)
+#if F_CPU != 8ul * TICKS_PER_US * 1000000ul
+#error "the timer's prescaler is for 16 MHz"
+#endif
+
+/* Mode 2 (clock idles high, data taken at its falling edge), MSB first, 16 MHz / 16 = 1 MHz. */
+#define SPI_SETTINGS (_BV(SPE) | _BV(MSTR) | _BV(CPOL) | _BV(SPR0))
+
+/* Powers of two, so that an index wraps by a mask. */
+#define RECEIVE_RING_BYTES 128u
+#define SEND_RING_BYTES 128u
+
+/* Set by every interrupt: there may be something to do. */
+static volatile bool has_event;
+
+static volatile uint32_t period_start_us;
+static volatile bool sampling_is_due;
+
+static volatile uint8_t receive_ring[RECEIVE_RING_BYTES];
+static volatile uint8_t receive_head;
+static volatile uint8_t receive_tail;
+static volatile bool lost_bytes;
+
+static volatile uint8_t send_ring[SEND_RING_BYTES];
+static volatile uint8_t send_head;
+static volatile uint8_t send_tail;
+
+static volatile uint8_t qube_command[QUBE_FRAME_BYTES];
+static volatile uint8_t qube_answer[QUBE_FRAME_BYTES];
+/* The byte that is on the wire. */
+static volatile uint8_t qube_index;
+static volatile bool qube_busy;
+static volatile bool qube_ended;
+
+static uint16_t stored_boot_number EEMEM;
+
+/* After a restart by the watchdog it still runs, at its shortest time: off before anything else. */
+static void stop_watchdog_early(void) __attribute__((naked, used, section(".init3")));
+static void stop_watchdog_early(void)
+{
+    MCUSR = 0;
+    wdt_disable();
+}
+
+/* --- clock --- */
+
+ISR(TIMER1_COMPA_vect)
+{
+    period_start_us += SAMPLING_PERIOD_US;
+    sampling_is_due = true;
+    has_event = true;
+}
+
+/* With interrupts off. */
+static uint32_t time_us(void)
+{
+    uint16_t ticks = TCNT1;
+    uint32_t start_us = period_start_us;
+    if (TIFR1 & _BV(OCF1A)) {
+        /* It has begun a new period, perhaps after it was read, and the interrupt waits. */
+        ticks = TCNT1;
+        start_us += SAMPLING_PERIOD_US;
+    }
+    return start_us + ticks / TICKS_PER_US;
+}
+
+uint32_t board_time_us(void)
+{
+    uint32_t now_us;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        now_us = time_us();
+    }
+    return now_us;
+}
+
+bool board_sampling_is_due(void)
+{
+    /* Cleared only when it was set: the interrupt may set it between the two. */
+    if (!sampling_is_due) {
+        return false;
+    }
+    sampling_is_due = false;
+    return true;
+}
+
+/* --- serial port --- */
+
+ISR(USART_RECEIVED_vect)
+{
+    uint8_t status = UCSR0A;
+    uint8_t byte = UDR0;
+    uint8_t head = (receive_head + 1u) & (RECEIVE_RING_BYTES - 1u);
+    if ((status & (_BV(FE0) | _BV(DOR0))) || head == receive_tail) {
+        lost_bytes = true;
+    }
+    if (head != receive_tail) {
+        receive_ring[receive_head] = byte;
+        receive_head = head;
+    }
+    has_event = true;
+}
+
+ISR(USART_SEND_vect)
+{
+    if (send_tail == send_head) {
+        UCSR0B &= ~_BV(UDRIE0);
+    } else {
+        UDR0 = send_ring[send_tail];
+        send_tail = (send_tail + 1u) & (SEND_RING_BYTES - 1u);
+    }
+    has_event = true;
+}
+
+bool board_receive(uint8_t *byte)
+{
+    uint8_t tail = receive_tail;
+    if (tail == receive_head) {
+        return false;
+    }
+    *byte = receive_ring[tail];
+    receive_tail = (tail + 1u) & (RECEIVE_RING_BYTES - 1u);
+    return true;
+}
+
+bool board_lost_bytes(void)
+{
+    bool lost;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        lost = lost_bytes;
+        lost_bytes = false;
+    }
+    return lost;
+}
+
+uint8_t board_send_room(void)
+{
+    return (send_tail - send_head - 1u) & (SEND_RING_BYTES - 1u);
+}
+
+void board_send(const uint8_t *bytes, uint8_t length)
+{
+    uint8_t head = send_head;
+    for (uint8_t i = 0; i < length; i++) {
+        send_ring[head] = bytes[i];
+        head = (head + 1u) & (SEND_RING_BYTES - 1u);
+    }
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        send_head = head;
+        UCSR0B |= _BV(UDRIE0);
+    }
+}
+
+/* --- the Qube --- */
+
+static uint8_t next_byte(uint8_t index)
+{
+    return qube_frame_byte((const uint8_t *)qube_command, (const uint8_t *)qube_answer, index);
+}
+
+ISR(SPI_STC_vect)
+{
+    uint8_t index = qube_index;
+    qube_answer[index++] = SPDR;
+    if (index < QUBE_FRAME_BYTES) {
+        qube_index = index;
+        SPDR = next_byte(index);
+        return;
+    }
+    PORTB |= PIN_CHIP_SELECT;
+    qube_busy = false;
+    qube_ended = true;
+    has_event = true;
+}
+
+bool board_qube_is_busy(void)
+{
+    return qube_busy;
+}
+
+uint32_t board_qube_begin(const uint8_t command[QUBE_FRAME_BYTES])
+{
+    uint32_t began_us;
+    memcpy((uint8_t *)qube_command, command, QUBE_FRAME_BYTES);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        qube_busy = true;
+        qube_index = 0;
+        began_us = time_us();
+        PORTB &= ~PIN_CHIP_SELECT;
+        SPDR = qube_command[0];
+    }
+    return began_us;
+}
+
+void board_qube_overtake(uint16_t motor_word)
+{
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        if (qube_busy && qube_index < QUBE_MOTOR_BYTE) {
+            qube_command[QUBE_MOTOR_BYTE] = (uint8_t)(motor_word >> 8);
+            qube_command[QUBE_MOTOR_BYTE + 1u] = (uint8_t)motor_word;
+        }
+    }
+}
+
+bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES], uint16_t *motor_word_sent)
+{
+    if (!qube_ended) {
+        return false;
+    }
+    qube_ended = false;
+    memcpy(answer, (const uint8_t *)qube_answer, QUBE_FRAME_BYTES);
+    *motor_word_sent = (uint16_t)((uint16_t)qube_command[QUBE_MOTOR_BYTE] << 8) |
+                       qube_command[QUBE_MOTOR_BYTE + 1u];
+    return true;
+}
+
+/* --- the chip's own watchdog --- */
+
+/* The program hangs. The Qube would keep its last motor word, through the restart and for as long
+ * as a boot loader pleases (some on the Mega never get past a watchdog's restart). So one frame
+ * switches its motor off first; this is the one interrupt that waits, 0.2 ms, for nothing is left
+ * to be kept waiting. At the watchdog's second time-out, 16 ms later, the chip restarts; with
+ * interrupts disabled by the hang itself it restarts then without this frame, and the program's
+ * first frame switches off. */
+ISR(WDT_vect)
+{
+    static const struct qube_command OFF = {
+        .write_mask = QUBE_WRITE_ALL, .red = QUBE_LED_MAX, .motor_word = MOTOR_OFF};
+    uint8_t bytes[QUBE_FRAME_BYTES];
+    SPCR = SPI_SETTINGS;
+    PORTB |= PIN_CHIP_SELECT;
+    _delay_us(10); /* a byte that was on its way has left the shift register */
+    (void)SPSR;
+    (void)SPDR;
+    qube_frame_encode(&OFF, bytes);
+    PORTB &= ~PIN_CHIP_SELECT;
+    for (uint8_t i = 0; i < QUBE_FRAME_BYTES; i++) {
+        SPDR = bytes[i];
+        while (!(SPSR & _BV(SPIF))) {
+        }
+    }
+    PORTB |= PIN_CHIP_SELECT;
+    for (;;) {
+    }
+}
+
+static void start_watchdog(void)
+{
+    wdt_reset();
+    WDTCSR = _BV(WDCE) | _BV(WDE);
+    /* First time-out: interrupt. Second: restart. 16 ms each. */
+    WDTCSR = _BV(WDIE) | _BV(WDE);
+}
+
+void board_feed_hardware_watchdog(void)
+{
+    wdt_reset();
+}
+
+/* --- the rest --- */
+
+uint16_t board_next_boot_number(void)
+{
+    uint16_t number = eeprom_read_word(&stored_boot_number) + 1u;
+    eeprom_update_word(&stored_boot_number, number);
+    return number;
+}
+
+void board_start(void)
+{
+    /* High before it is an output: chip select must not fall for a moment. */
+    PORTB |= PIN_CHIP_SELECT | PIN_CLOCK;
+    DDRB |= PIN_CHIP_SELECT | PIN_CLOCK | PIN_MOSI;
+    DDRB &= ~PIN_MISO;
+    SPCR = SPI_SETTINGS | _BV(SPIE);
+    SPSR = 0;
+
+    UCSR0A = _BV(U2X0);
+    UBRR0 = UBRR_VALUE;
+    UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
+    UCSR0B = _BV(RXCIE0) | _BV(RXEN0) | _BV(TXEN0);
+
+    OCR1A = SAMPLING_PERIOD_TICKS - 1u;
+    TIMSK1 = _BV(OCIE1A);
+    TCCR1A = 0;
+    TCCR1B = _BV(WGM12) | _BV(CS11);
+
+    set_sleep_mode(SLEEP_MODE_IDLE);
+    start_watchdog();
+    sei();
+}
+
+void board_sleep(void)
+{
+    cli();
+    if (!has_event) {
+        sleep_enable();
+        /* The instruction after sei is still carried out before any interrupt. */
+        sei();
+        sleep_cpu();
+        sleep_disable();
+    }
+    has_event = false;
+    sei();
+}

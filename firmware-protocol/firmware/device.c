@@ -1,0 +1,417 @@
+#include "device.h"
+
+#include <string.h>
+
+#define WATCHDOG_US (WATCHDOG_MS * 1000ul)
+
+/* Red that blinks at 2 Hz: bit 18 of the clock changes every 262 ms. */
+#define BLINK_BIT_US (1ul << 18)
+
+/* Bright enough to be seen by daylight, dim enough to look into. */
+#define LED_ON (QUBE_LED_MAX / 2u)
+
+static bool is_newer(uint16_t candidate, uint16_t last)
+{
+    return (int16_t)(uint16_t)(candidate - last) > 0;
+}
+
+static void give_nonce(struct device *device)
+{
+    if (++device->nonces_given == 0) {
+        /* All numbers under this boot number are used up: take another one. */
+        device->boot_number = device->next_boot_number();
+        device->nonces_given = 1;
+    }
+    device->nonce = ((uint32_t)device->boot_number << 16) | device->nonces_given;
+}
+
+/* Switches the motor off and takes another state. */
+static void leave_armed(struct device *device, enum device_state next)
+{
+    device->motor_word = MOTOR_OFF;
+    device->clears_stall = false;
+    device->state = next;
+}
+
+void device_start(struct device *device, const struct device_identity *identity,
+                  uint16_t (*next_boot_number)(void))
+{
+    memset(device, 0, sizeof *device);
+    device->identity = *identity;
+    device->next_boot_number = next_boot_number;
+    device->boot_number = next_boot_number();
+    device->state = STATE_IDLE;
+    device->motor_word = MOTOR_OFF;
+    /* What a Qube was told before this start is not known: anything but off. */
+    device->motor_word_at_qube = MOTOR_ENABLE;
+    device->sample_to_act_us = NO_ACT_US;
+}
+
+/* --- answers --- */
+
+static void begin_reply(struct link_frame *reply, uint8_t type, uint8_t payload_length)
+{
+    reply->type = type;
+    reply->payload_length = payload_length;
+}
+
+static bool refuse(struct link_frame *reply, uint8_t refused_type, uint8_t reason)
+{
+    begin_reply(reply, REPLY_REFUSAL, 2);
+    reply->payload[0] = refused_type;
+    reply->payload[1] = reason;
+    return true;
+}
+
+static bool hello(struct device *device, uint16_t host_version, struct link_frame *reply)
+{
+    bool understood = host_version == PROTOCOL_VERSION;
+    leave_armed(device, understood ? STATE_GREETED : STATE_IDLE);
+    device->change++;
+    device->nonce = 0;
+    if (understood) {
+        give_nonce(device);
+    }
+    device->awaits_act = false;
+    device->sample_to_act_us = NO_ACT_US;
+
+    begin_reply(reply, REPLY_HELLO, 24);
+    uint8_t *payload = reply->payload;
+    put_u16(payload, PROTOCOL_VERSION);
+    payload[2] = FIRMWARE_VERSION_MAJOR;
+    payload[3] = FIRMWARE_VERSION_MINOR;
+    payload[4] = FIRMWARE_VERSION_PATCH;
+    payload[5] = device->identity.kind;
+    put_u16(payload + 6, device->module_id);
+    memcpy(payload + 8, device->identity.serial, 8);
+    put_u32(payload + 16, device->nonce);
+    put_u16(payload + 20, WATCHDOG_MS);
+    put_u16(payload + 22, device->dropped_frames);
+    return true;
+}
+
+/* Why this state follows no arm and no act; 0 when it does. */
+static uint8_t state_refuses(const struct device *device, uint8_t request)
+{
+    switch (device->state) {
+    case STATE_IDLE:
+        return REFUSAL_NOT_GREETED;
+    case STATE_GREETED:
+        return request == REQUEST_ACT ? REFUSAL_NOT_ARMED : 0;
+    case STATE_ARMED:
+        return request == REQUEST_ARM ? REFUSAL_ALREADY_ARMED : 0;
+    case STATE_TRIPPED:
+        return REFUSAL_WATCHDOG_TRIPPED;
+    case STATE_FAULTED:
+        break;
+    }
+    return REFUSAL_FAULTED;
+}
+
+static uint8_t arm_refused(const struct device *device, uint32_t nonce)
+{
+    uint8_t reason = state_refuses(device, REQUEST_ARM);
+    if (reason != 0) {
+        return reason;
+    }
+    if (nonce == 0 || nonce != device->nonce) {
+        return REFUSAL_WRONG_NONCE;
+    }
+    if (!device->qube_present) {
+        return REFUSAL_QUBE_ABSENT;
+    }
+    return device->qube_status & QUBE_AMPLIFIER_FAULT ? REFUSAL_FAULTED : 0;
+}
+
+static bool arm(struct device *device, const struct link_frame *request, uint32_t now_us,
+                struct link_frame *reply)
+{
+    uint8_t reason = arm_refused(device, get_u32(request->payload));
+    if (reason != 0) {
+        return refuse(reply, REQUEST_ARM, reason);
+    }
+    device->nonce = 0;
+    device->watchdog_tripped = false;
+    device->watchdog_fed_us = now_us;
+    device->last_act_sequence = request->sequence;
+    device->clears_stall = device->qube_status & QUBE_STALL_ERROR;
+    device->motor_word = motor_word(0);
+    device->state = STATE_ARMED;
+    device->change++;
+    begin_reply(reply, REPLY_ARM, 4);
+    put_u32(reply->payload, now_us);
+    return true;
+}
+
+static bool act(struct device *device, const struct link_frame *request, uint32_t now_us,
+                struct link_frame *reply)
+{
+    int16_t voltage_mv = (int16_t)get_u16(request->payload);
+    uint8_t reason = state_refuses(device, REQUEST_ACT);
+    if (reason == 0 && !is_newer(request->sequence, device->last_act_sequence)) {
+        reason = REFUSAL_STALE_SEQUENCE;
+    }
+    if (reason == 0 && (voltage_mv > MAX_VOLTAGE_MV || voltage_mv < -MAX_VOLTAGE_MV)) {
+        reason = REFUSAL_VOLTAGE_OUT_OF_RANGE;
+    }
+    if (reason != 0) {
+        return refuse(reply, REQUEST_ACT, reason);
+    }
+    device->last_act_sequence = request->sequence;
+    device->watchdog_fed_us = now_us;
+    if (device->awaits_act) {
+        device->awaits_act = false;
+        uint32_t elapsed_us = now_us - device->previous_sample_us;
+        device->sample_to_act_us = elapsed_us < NO_ACT_US ? (uint16_t)elapsed_us : NO_ACT_US - 1u;
+    }
+    device->motor_word = motor_word(motor_counts(voltage_mv));
+    device->change++;
+    return false;
+}
+
+static bool disarm(struct device *device, struct link_frame *reply)
+{
+    if (device->state == STATE_ARMED) {
+        leave_armed(device, STATE_GREETED);
+        device->change++;
+        give_nonce(device);
+    }
+    begin_reply(reply, REPLY_DISARM, 7);
+    reply->payload[0] = device->state;
+    put_u32(reply->payload + 1, device->nonce);
+    put_u16(reply->payload + 5, device->dropped_frames);
+    return true;
+}
+
+static bool answer_sample(struct device *device, struct link_frame *reply)
+{
+    if (!device->qube_present) {
+        return refuse(reply, REQUEST_SAMPLE, REFUSAL_QUBE_ABSENT);
+    }
+    const struct device_sample *sample = &device->sample;
+    begin_reply(reply, REPLY_SAMPLE, 25);
+    uint8_t *payload = reply->payload;
+    put_u32(payload, sample->time_us);
+    put_u32(payload + 4, (uint32_t)sample->theta_counts);
+    put_u32(payload + 8, (uint32_t)sample->alpha_counts);
+    put_u32(payload + 12, (uint32_t)tachometer_counts_s(sample->tachometer_raw));
+    put_u16(payload + 16, (uint16_t)current_ma(sample->current_raw));
+    payload[18] = sample->status;
+    put_u16(payload + 19, (uint16_t)sample->applied_mv);
+    put_u16(payload + 21, device->last_act_sequence);
+    put_u16(payload + 23, device->sample_to_act_us);
+    device->previous_sample_us = sample->time_us;
+    device->awaits_act = true;
+    device->sample_to_act_us = NO_ACT_US;
+    return true;
+}
+
+/* A sample must show what the requests before it have done, so it may have to wait for a frame. */
+static bool sample_is_ready(const struct device *device)
+{
+    return !device->qube_present || device->sample.change == device->change;
+}
+
+static bool sample(struct device *device, const struct link_frame *request,
+                   struct link_frame *reply)
+{
+    if (device->state == STATE_IDLE) {
+        return refuse(reply, REQUEST_SAMPLE, REFUSAL_NOT_GREETED);
+    }
+    if (!sample_is_ready(device)) {
+        device->sample_waits = true;
+        device->waiting_sequence = request->sequence;
+        return false;
+    }
+    return answer_sample(device, reply);
+}
+
+bool device_waits(const struct device *device)
+{
+    return device->sample_waits || !device->qube_was_asked;
+}
+
+bool device_answers_late(struct device *device, struct link_frame *reply)
+{
+    if (!device->sample_waits || !sample_is_ready(device)) {
+        return false;
+    }
+    device->sample_waits = false;
+    reply->sequence = device->waiting_sequence;
+    return answer_sample(device, reply);
+}
+
+/* Payload bytes of a request; -1 for no request. */
+static int8_t payload_length_of(uint8_t type)
+{
+    switch (type) {
+    case REQUEST_HELLO:
+    case REQUEST_ACT:
+        return 2;
+    case REQUEST_ARM:
+        return 4;
+    case REQUEST_SAMPLE:
+    case REQUEST_DISARM:
+        return 0;
+    default:
+        return -1;
+    }
+}
+
+bool device_request(struct device *device, const struct link_frame *request, uint32_t now_us,
+                    struct link_frame *reply)
+{
+    if (request->type >= FIRST_REPLY_TYPE) {
+        /* Another device, or an echo: an answer could start an endless exchange. */
+        device_dropped_frame(device);
+        return false;
+    }
+    reply->sequence = request->sequence;
+    int8_t payload_length = payload_length_of(request->type);
+    if (payload_length < 0) {
+        return refuse(reply, request->type, REFUSAL_UNKNOWN_TYPE);
+    }
+    if (request->payload_length != payload_length) {
+        return refuse(reply, request->type, REFUSAL_WRONG_LENGTH);
+    }
+    switch (request->type) {
+    case REQUEST_HELLO:
+        return hello(device, get_u16(request->payload), reply);
+    case REQUEST_ARM:
+        return arm(device, request, now_us, reply);
+    case REQUEST_SAMPLE:
+        return sample(device, request, reply);
+    case REQUEST_ACT:
+        return act(device, request, now_us, reply);
+    default:
+        return disarm(device, reply);
+    }
+}
+
+void device_dropped_frame(struct device *device)
+{
+    device->dropped_frames++;
+}
+
+/* --- time --- */
+
+void device_poll(struct device *device, uint32_t now_us)
+{
+    if (device->state == STATE_ARMED && now_us - device->watchdog_fed_us >= WATCHDOG_US) {
+        device->watchdog_tripped = true;
+        leave_armed(device, STATE_TRIPPED);
+    }
+}
+
+/* --- the Qube --- */
+
+bool device_wants_frame(const struct device *device)
+{
+    return device->motor_word != device->motor_word_at_qube || device->clears_stall ||
+           device->sample_waits;
+}
+
+bool device_frame_may_be_overtaken(const struct device *device)
+{
+    /* A stall error is cleared by a frame with motor word 0x0000 and nothing else. */
+    return !device->clearing_frame || device->motor_word == MOTOR_OFF;
+}
+
+static void light(const struct device *device, uint32_t now_us, struct qube_command *command)
+{
+    command->red = 0;
+    command->green = 0;
+    command->blue = 0;
+    switch (device->state) {
+    case STATE_IDLE:
+        command->red = LED_ON / 4u;
+        command->green = LED_ON / 4u;
+        command->blue = LED_ON / 4u;
+        break;
+    case STATE_GREETED:
+        command->blue = LED_ON;
+        break;
+    case STATE_ARMED:
+        command->green = LED_ON;
+        break;
+    case STATE_TRIPPED:
+        command->red = LED_ON;
+        break;
+    case STATE_FAULTED:
+        command->red = now_us & BLINK_BIT_US ? LED_ON : 0;
+        break;
+    }
+}
+
+void device_compose_frame(struct device *device, uint32_t now_us, struct qube_command *command)
+{
+    device->clearing_frame = device->clears_stall;
+    device->clears_stall = false;
+    command->write_mask =
+        device->clearing_frame ? QUBE_WRITE_ALL_AND_PRESETS : QUBE_WRITE_ALL;
+    command->motor_word = device->clearing_frame ? MOTOR_OFF : device->motor_word;
+    light(device, now_us, command);
+
+    /* What is in force while the encoders are read is what the frames before have brought. */
+    struct device_sample *begun = &device->begun;
+    bool is_on = device->motor_word_at_qube & MOTOR_ENABLE;
+    begun->applied_mv = motor_word_mv(device->motor_word_at_qube);
+    begun->status = 0;
+    if (is_on) {
+        begun->status |= STATUS_ARMED;
+    } else if (device->watchdog_tripped) {
+        begun->status |= STATUS_WATCHDOG_TRIPPED;
+    }
+    if (device->motor_word == device->motor_word_at_qube && !device->clearing_frame) {
+        begun->change = device->change;
+    }
+}
+
+void device_frame_began(struct device *device, uint32_t time_us)
+{
+    device->begun.time_us = time_us;
+}
+
+static void take_readings(struct device *device, const struct qube_readings *readings)
+{
+    struct device_sample *begun = &device->begun;
+    begun->theta_counts = extend_counts(begun->theta_counts, readings->theta_raw);
+    begun->alpha_counts = extend_counts(begun->alpha_counts, readings->alpha_raw);
+    begun->tachometer_raw = readings->tachometer_raw;
+    begun->current_raw = readings->current_raw;
+    if (readings->status & QUBE_AMPLIFIER_FAULT) {
+        begun->status |= STATUS_AMPLIFIER_FAULT;
+    }
+    if (readings->status & QUBE_STALL_DETECTED) {
+        begun->status |= STATUS_STALL_DETECTED;
+    }
+    if (readings->status & QUBE_STALL_ERROR) {
+        begun->status |= STATUS_STALL_ERROR;
+    }
+    device->sample = *begun;
+}
+
+void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_BYTES],
+                        uint16_t motor_word_sent)
+{
+    struct qube_readings readings;
+    qube_frame_decode(answer, &readings);
+    device->motor_word_at_qube = motor_word_sent;
+    device->qube_was_asked = true;
+    device->module_id = readings.module_id;
+    device->qube_present = readings.module_id == QUBE_MODULE_ID;
+    device->qube_status = readings.status;
+
+    bool failed = !device->qube_present;
+    if (device->qube_present) {
+        take_readings(device, &readings);
+        /* A stall error that is about to be cleared, or is cleared by this frame, is no news. */
+        bool stall_is_known = device->clears_stall || device->clearing_frame;
+        failed = (readings.status & QUBE_AMPLIFIER_FAULT) ||
+                 ((readings.status & QUBE_STALL_ERROR) && !stall_is_known);
+    }
+    device->clearing_frame = false;
+    if (failed && device->state == STATE_ARMED) {
+        leave_armed(device, STATE_FAULTED);
+    }
+}

@@ -1,0 +1,128 @@
+/* The firmware's pure layers, compiled for the computer and asked over standard input: one question
+ * a line, one answer a line. The test firmware-protocol/tests/firmware_layers.rs asks.
+ *
+ *   stream HEX              what the link makes of these bytes
+ *   again HEX               a frame decoded and encoded again
+ *   motor MILLIVOLT         counts, motor word, applied millivolt
+ *   current RAW             milliampere
+ *   tachometer RAW          counts per second
+ *   extend LAST RAW         the counter in 32 bits
+ *   newer CANDIDATE LAST    does an act of this sequence number count after that
+ *   watchdog FED NOW        the state at NOW of a device armed at FED
+ */
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "../device.h"
+#include "../link.h"
+#include "../qube_frame.h"
+
+static void feed_hex(const char *hex, bool again)
+{
+    struct link_receiver receiver = {0};
+    struct link_frame frame;
+    for (size_t at = 0; hex[at] && hex[at + 1]; at += 2) {
+        unsigned byte = 0;
+        sscanf(hex + at, "%2x", &byte);
+        switch (link_receive(&receiver, (uint8_t)byte, &frame)) {
+        case LINK_NOTHING:
+            break;
+        case LINK_DROPPED:
+            printf(" dropped");
+            break;
+        case LINK_FRAME:
+            if (again) {
+                uint8_t bytes[MAX_FRAME_BYTES];
+                uint8_t length = link_encode(&frame, bytes);
+                printf(" ");
+                for (uint8_t i = 0; i < length; i++) {
+                    printf("%02x", bytes[i]);
+                }
+            } else {
+                printf(" %02x:%04x:", frame.type, frame.sequence);
+                for (uint8_t i = 0; i < frame.payload_length; i++) {
+                    printf("%02x", frame.payload[i]);
+                }
+            }
+        }
+    }
+}
+
+static uint16_t first_boot(void)
+{
+    return 1;
+}
+
+static bool ask(struct device *device, uint8_t type, uint16_t sequence, uint32_t value,
+                uint8_t payload_length, uint32_t now_us, struct link_frame *reply)
+{
+    struct link_frame request = {.type = type, .sequence = sequence};
+    request.payload_length = payload_length;
+    put_u32(request.payload, value);
+    return device_request(device, &request, now_us, reply);
+}
+
+/* A device that has a Qube, is greeted, and is armed by a request with this sequence number. */
+static void arm(struct device *device, uint16_t sequence, uint32_t now_us)
+{
+    static const struct device_identity IDENTITY = {.kind = KIND_ATMEGA328P};
+    static const uint8_t ANSWER[QUBE_FRAME_BYTES] = {QUBE_MODULE_ID >> 8, QUBE_MODULE_ID & 0xFF};
+    struct qube_command command;
+    struct link_frame reply;
+    device_start(device, &IDENTITY, first_boot);
+    device_compose_frame(device, now_us, &command);
+    device_frame_began(device, now_us);
+    device_frame_ended(device, ANSWER, command.motor_word);
+    ask(device, REQUEST_HELLO, sequence - 1, PROTOCOL_VERSION, 2, now_us, &reply);
+    ask(device, REQUEST_ARM, sequence, device->nonce, 4, now_us, &reply);
+    if (device->state != STATE_ARMED) {
+        printf(" it does not arm");
+    }
+}
+
+static void answer(const char *kind, const char *first, const char *second)
+{
+    struct device device;
+    struct link_frame reply;
+    long long a = strtoll(first, NULL, 0);
+    long long b = second ? strtoll(second, NULL, 0) : 0;
+    if (!strcmp(kind, "stream") || !strcmp(kind, "again")) {
+        feed_hex(first, kind[0] == 'a');
+    } else if (!strcmp(kind, "motor")) {
+        uint16_t word = motor_word(motor_counts((int16_t)a));
+        printf(" %d 0x%04x %d", motor_counts((int16_t)a), word, motor_word_mv(word));
+    } else if (!strcmp(kind, "current")) {
+        printf(" %d", current_ma((uint16_t)a));
+    } else if (!strcmp(kind, "tachometer")) {
+        printf(" %" PRId32, tachometer_counts_s((uint32_t)a));
+    } else if (!strcmp(kind, "extend")) {
+        printf(" %" PRId32, extend_counts((int32_t)a, (uint32_t)b));
+    } else if (!strcmp(kind, "newer")) {
+        arm(&device, (uint16_t)b, 0);
+        printf(" %d", !ask(&device, REQUEST_ACT, (uint16_t)a, 0, 2, 0, &reply));
+    } else if (!strcmp(kind, "watchdog")) {
+        arm(&device, 1, (uint32_t)a);
+        device_poll(&device, (uint32_t)b);
+        printf(" %d 0x%04x", device.state, device.motor_word);
+    } else {
+        printf(" what?");
+    }
+}
+
+int main(void)
+{
+    char line[4096];
+    while (fgets(line, sizeof line, stdin)) {
+        char *kind = strtok(line, " \n");
+        char *first = strtok(NULL, " \n");
+        char *second = strtok(NULL, " \n");
+        if (kind && first) {
+            printf("%s", kind);
+            answer(kind, first, second);
+            printf("\n");
+        }
+    }
+    return 0;
+}

@@ -1,0 +1,109 @@
+/* The microcontroller between a computer and a Quanser Qube.
+ *
+ * Interrupts only move bytes and count time; everything that decides runs here, one thing after
+ * the other, so that nothing in it is shared or torn. */
+#include "board.h"
+#include "device.h"
+#include "link.h"
+#include "qube_frame.h"
+#include "wire.h"
+
+/* Of the board, most significant byte first: `make SERIAL=0x...`. */
+#ifndef BOARD_SERIAL
+#define BOARD_SERIAL 0
+#endif
+
+static struct device device;
+static struct link_receiver receiver;
+
+static void identify(struct device_identity *identity)
+{
+    uint64_t serial = BOARD_SERIAL;
+    identity->kind = BOARD_KIND;
+    for (uint8_t i = 0; i < sizeof identity->serial; i++) {
+        identity->serial[i] = (uint8_t)(serial >> (56 - 8 * i));
+    }
+}
+
+static void send(const struct link_frame *reply)
+{
+    uint8_t bytes[MAX_FRAME_BYTES];
+    board_send(bytes, link_encode(reply, bytes));
+}
+
+/* Ends the frame that has arrived, if one has. */
+static void end_qube_frame(void)
+{
+    uint8_t answer[QUBE_FRAME_BYTES];
+    uint16_t motor_word_sent;
+    if (board_qube_ended(answer, &motor_word_sent)) {
+        device_frame_ended(&device, answer, motor_word_sent);
+        /* Fed by this alone: it takes the main loop, the sampling timer and the SPI to get here,
+         * and without any of them the Qube would keep its last motor word. */
+        board_feed_hardware_watchdog();
+    }
+}
+
+/* Brings a new motor word to the Qube as soon as possible: by the frame under way while its motor
+ * bytes are still to come, else by a frame of its own directly after it. */
+static void drive_qube(void)
+{
+    if (board_qube_is_busy()) {
+        if (device_frame_may_be_overtaken(&device)) {
+            board_qube_overtake(device.motor_word);
+        }
+    } else if (board_sampling_is_due() || device_wants_frame(&device)) {
+        struct qube_command command;
+        uint8_t bytes[QUBE_FRAME_BYTES];
+        device_compose_frame(&device, board_time_us(), &command);
+        qube_frame_encode(&command, bytes);
+        device_frame_began(&device, board_qube_begin(bytes));
+    }
+}
+
+/* Takes bytes up to the end of one request and carries it out. Requests wait in the ring while a
+ * sample waits for its frame, and while there is no room for an answer. */
+static bool serve_request(void)
+{
+    struct link_frame frame;
+    uint8_t byte;
+    while (!device_waits(&device) && board_send_room() >= MAX_FRAME_BYTES) {
+        if (board_lost_bytes()) {
+            link_lose_byte(&receiver);
+        }
+        if (!board_receive(&byte)) {
+            return false;
+        }
+        enum link_event event = link_receive(&receiver, byte, &frame);
+        if (event == LINK_DROPPED) {
+            device_dropped_frame(&device);
+        } else if (event == LINK_FRAME) {
+            struct link_frame reply;
+            if (device_request(&device, &frame, board_time_us(), &reply)) {
+                send(&reply);
+            }
+            return true;
+        }
+    }
+    return false;
+}
+
+int main(void)
+{
+    struct device_identity identity;
+    identify(&identity);
+    board_start();
+    device_start(&device, &identity, board_next_boot_number);
+    for (;;) {
+        struct link_frame late_reply;
+        do {
+            end_qube_frame();
+            if (device_answers_late(&device, &late_reply)) {
+                send(&late_reply);
+            }
+            device_poll(&device, board_time_us());
+            drive_qube();
+        } while (serve_request());
+        board_sleep();
+    }
+}

@@ -1,0 +1,415 @@
+/* Runs the firmware's ELF in simavr, paced to real time: UART 0 on a pty, SPI handed to the process
+ * that started this one. For tests only.
+ *
+ * Copyright (C) the qube-hil authors. SPDX-License-Identifier: GPL-3.0-or-later
+ * This file alone is under the GPL, because it is linked with libsimavr; see README.md beside it.
+ *
+ *   simulator ELF atmega328p|atmega2560
+ *
+ * Says the pty's path on its first line of output. Then, in binary, one `struct event` when chip
+ * select falls, which must be answered on standard input by one `struct answer` before time goes
+ * on, and one when it rises. Ends when standard input does. */
+#define _GNU_SOURCE
+#include <errno.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <pty.h>
+#include <sched.h>
+#include <stdarg.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/ioctl.h>
+#include <termios.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <simavr/avr_ioport.h>
+#include <simavr/avr_spi.h>
+#include <simavr/avr_uart.h>
+#include <simavr/sim_avr.h>
+#include <simavr/sim_elf.h>
+
+#define FREQUENCY_HZ 16000000u
+#define CYCLES_PER_US 16u
+#define BAUD_RATE 500000u
+/* Start bit, eight data bits, stop bit. simavr itself counts a parity bit that is not there. */
+#define CYCLES_PER_BYTE (10u * FREQUENCY_HZ / BAUD_RATE)
+/* A receiver holds two bytes that nobody has fetched; the third is lost. simavr would hold 64. */
+#define UART_HOLDS_BYTES 2u
+
+#define FRAME_BYTES 17u
+
+/* How far time is let run in one go. */
+#define SLICE_US 100u
+/* What the simulation may be behind and still catch up. Beyond that time is given up: the program
+ * must not see hours of a silent host because this process was not given the processor. */
+#define MAX_BEHIND_US 4000u
+#define HOUSEKEEPING_US 100000u
+
+enum event_kind { CHIP_SELECT_FALLS = 'L', CHIP_SELECT_RISES = 'H' };
+
+struct event {
+    uint8_t kind;
+    uint8_t spcr;
+    uint8_t spsr;
+    /* How many bytes the program sent since chip select fell, and the first of them. */
+    uint8_t sent_bytes;
+    uint8_t sent[FRAME_BYTES];
+    uint8_t padding[3];
+    /* Simulated time, and how much of real time was given up until now. */
+    uint64_t time_us;
+    uint64_t given_up_us;
+    /* Bytes from the host that came faster than the program fetched them. */
+    uint64_t lost_bytes;
+};
+
+/* HANG: the main loop is lost in an endless loop, while interrupts go on. */
+enum order { GO_ON = 0, HANG = 1 };
+
+struct answer {
+    uint8_t order;
+    uint8_t bytes[FRAME_BYTES];
+};
+
+static avr_t *avr;
+static avr_uart_t *uart;
+static avr_irq_t *uart_input;
+static avr_irq_t *spi_input;
+
+static bool selected;
+static struct event frame;
+static struct answer answer;
+static enum order pending_order;
+static uint64_t given_up_us;
+static uint64_t lost_bytes;
+
+/* From the host, not yet on the line. */
+static uint8_t incoming[256];
+static size_t incoming_length;
+static size_t incoming_at;
+
+/* From the program, with the cycle at which each is through. */
+static struct {
+    uint8_t byte;
+    avr_cycle_count_t through;
+} outgoing[256];
+static uint8_t outgoing_head;
+static uint8_t outgoing_tail;
+static avr_cycle_count_t line_free;
+
+static void die(const char *what)
+{
+    fprintf(stderr, "simulator: %s: %s\n", what, errno ? strerror(errno) : "failed");
+    exit(1);
+}
+
+static void log_to_stderr(avr_t *from, const int level, const char *format, va_list arguments)
+{
+    if (level <= LOG_WARNING && (from == NULL || from->log >= level)) {
+        vfprintf(stderr, format, arguments);
+    }
+}
+
+static uint64_t now_us(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (uint64_t)now.tv_sec * 1000000u + (uint64_t)now.tv_nsec / 1000u;
+}
+
+/* --- SPI --- */
+
+static avr_spi_t *find_spi(void);
+
+static void tell(enum event_kind kind)
+{
+    avr_spi_t *spi = find_spi();
+    frame.kind = kind;
+    frame.spcr = avr->data[spi->r_spcr];
+    frame.spsr = avr->data[spi->r_spsr];
+    frame.time_us = avr->cycle / CYCLES_PER_US;
+    frame.given_up_us = given_up_us;
+    frame.lost_bytes = lost_bytes;
+    if (write(STDOUT_FILENO, &frame, sizeof frame) != (ssize_t)sizeof frame) {
+        exit(0); /* whoever started this is gone */
+    }
+}
+
+static void on_chip_select(struct avr_irq_t *irq, uint32_t value, void *unused)
+{
+    (void)irq;
+    (void)unused;
+    if (value) {
+        if (selected) {
+            selected = false;
+            tell(CHIP_SELECT_RISES);
+        }
+        return;
+    }
+    selected = true;
+    memset(&frame, 0, sizeof frame);
+    tell(CHIP_SELECT_FALLS);
+    size_t length = 0;
+    while (length < sizeof answer) {
+        ssize_t part = read(STDIN_FILENO, (uint8_t *)&answer + length, sizeof answer - length);
+        if (part <= 0 && errno != EINTR) {
+            exit(0);
+        }
+        length += part > 0 ? (size_t)part : 0;
+    }
+    if (answer.order != GO_ON) {
+        pending_order = answer.order;
+    }
+}
+
+static void on_spi_byte(struct avr_irq_t *irq, uint32_t value, void *unused)
+{
+    (void)irq;
+    (void)unused;
+    uint8_t received = 0xFF; /* nobody drives the line */
+    if (selected) {
+        if (frame.sent_bytes < FRAME_BYTES) {
+            received = answer.bytes[frame.sent_bytes];
+            frame.sent[frame.sent_bytes] = (uint8_t)value;
+        }
+        if (frame.sent_bytes < UINT8_MAX) {
+            frame.sent_bytes++;
+        }
+    }
+    avr_raise_irq(spi_input, received);
+}
+
+static avr_io_t *find_io(const char *kind, char name)
+{
+    for (avr_io_t *io = avr->io_port; io; io = io->next) {
+        if (!strcmp(io->kind, kind) && (!name || ((avr_uart_t *)io)->name == name)) {
+            return io;
+        }
+    }
+    errno = 0;
+    die("simavr's core lacks a part");
+    return NULL;
+}
+
+static avr_spi_t *find_spi(void)
+{
+    static avr_spi_t *spi;
+    if (!spi) {
+        spi = (avr_spi_t *)find_io("spi", 0);
+    }
+    return spi;
+}
+
+/* --- serial line --- */
+
+static void check_baud_rate(void)
+{
+    uint32_t divisor = avr_regbit_get(avr, uart->u2x) ? 8u : 16u;
+    uint32_t ubrr = avr_regbit_get(avr, uart->ubrrl) | avr_regbit_get(avr, uart->ubrrh) << 8;
+    uint32_t rate = FREQUENCY_HZ / (divisor * (ubrr + 1u));
+    if (rate != BAUD_RATE) {
+        fprintf(stderr, "simulator: the program set %u baud\n", rate);
+        exit(1);
+    }
+}
+
+/* The line moves a byte each way in CYCLES_PER_BYTE. */
+static avr_cycle_count_t on_line_clock(avr_t *unused_avr, avr_cycle_count_t when, void *unused)
+{
+    (void)unused_avr;
+    (void)unused;
+    uart->cycles_per_byte = CYCLES_PER_BYTE;
+    if (incoming_at < incoming_length && avr_regbit_get(avr, uart->rxen)) {
+        check_baud_rate();
+        uint8_t byte = incoming[incoming_at++];
+        if (((uart->input.write - uart->input.read) & 63u) >= UART_HOLDS_BYTES) {
+            avr_regbit_setto(avr, uart->dor, 1);
+            lost_bytes++;
+        } else {
+            /* It has been on the line for its time already: arrive in the next cycle. */
+            uart->cycles_per_byte = 1;
+            avr_raise_irq(uart_input, byte);
+            uart->cycles_per_byte = CYCLES_PER_BYTE;
+        }
+    }
+    return when + CYCLES_PER_BYTE;
+}
+
+static void on_uart_byte(struct avr_irq_t *irq, uint32_t value, void *unused)
+{
+    (void)irq;
+    (void)unused;
+    check_baud_rate();
+    if (line_free < avr->cycle) {
+        line_free = avr->cycle;
+    }
+    line_free += CYCLES_PER_BYTE;
+    outgoing[outgoing_head].byte = (uint8_t)value;
+    outgoing[outgoing_head].through = line_free;
+    outgoing_head++;
+}
+
+static void flush_outgoing(int master)
+{
+    uint8_t bytes[256];
+    size_t length = 0;
+    while (outgoing_tail != outgoing_head && outgoing[outgoing_tail].through <= avr->cycle) {
+        bytes[length++] = outgoing[outgoing_tail++].byte;
+    }
+    /* A host that does not read loses bytes, as on a real line. */
+    if (length && write(master, bytes, length) < 0 && errno != EAGAIN && errno != EINTR) {
+        die("the pty");
+    }
+}
+
+static void fill_incoming(int master)
+{
+    if (incoming_at < incoming_length) {
+        return;
+    }
+    ssize_t length = read(master, incoming, sizeof incoming);
+    incoming_at = 0;
+    incoming_length = length > 0 ? (size_t)length : 0;
+}
+
+static int open_line(int *slave)
+{
+    int master;
+    char path[256];
+    struct termios settings;
+    if (openpty(&master, slave, path, NULL, NULL) < 0 || tcgetattr(*slave, &settings) < 0) {
+        die("no pty");
+    }
+    cfmakeraw(&settings);
+    tcsetattr(*slave, TCSANOW, &settings);
+    fcntl(master, F_SETFL, O_NONBLOCK);
+    printf("%s\n", path);
+    fflush(stdout);
+    return master;
+}
+
+/* --- the program --- */
+
+static void load(const char *elf, const char *mcu)
+{
+    elf_firmware_t firmware;
+    memset(&firmware, 0, sizeof firmware);
+    errno = 0;
+    if (elf_read_firmware(elf, &firmware) < 0) {
+        die(elf);
+    }
+    firmware.frequency = FREQUENCY_HZ;
+    avr = avr_make_mcu_by_name(mcu);
+    if (!avr) {
+        die(mcu);
+    }
+    avr_init(avr);
+    avr_load_firmware(avr, &firmware);
+    uart = (avr_uart_t *)find_io("uart", '0');
+
+    /* simavr sleeps while a program polls its UART, and prints what it sends. */
+    uint32_t flags = 0;
+    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    uart_input = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT),
+                            on_uart_byte, NULL);
+    spi_input = avr_io_getirq(avr, AVR_IOCTL_SPI_GETIRQ(find_spi()->name), SPI_IRQ_INPUT);
+    avr_irq_register_notify(
+        avr_io_getirq(avr, AVR_IOCTL_SPI_GETIRQ(find_spi()->name), SPI_IRQ_OUTPUT), on_spi_byte,
+        NULL);
+    int chip_select = strcmp(mcu, "atmega2560") ? 2 : 0;
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), chip_select),
+                            on_chip_select, NULL);
+}
+
+static void no_sleep(avr_t *unused_avr, avr_cycle_count_t unused)
+{
+    (void)unused_avr;
+    (void)unused;
+}
+
+/* From here on the program is lost in a loop of one instruction, `rjmp .-2`, at flash's end. */
+static void hang(void)
+{
+    avr_flashaddr_t trap = avr->flashend - 1u;
+    avr->flash[trap] = 0xFF;
+    avr->flash[trap + 1] = 0xCF;
+    avr->pc = trap;
+    avr->state = cpu_Running;
+}
+
+static void run_until(avr_cycle_count_t target)
+{
+    if (!avr_cycle_timer_status(avr, on_line_clock, NULL)) {
+        /* At the start, and after a restart of the chip, which forgets all of simavr's timers. */
+        avr_cycle_timer_register(avr, CYCLES_PER_BYTE, on_line_clock, NULL);
+    }
+    while (avr->cycle < target) {
+        /* The main loop is to be lost, not an interrupt's work. */
+        if (pending_order == HANG && avr->sreg[S_I]) {
+            hang();
+            pending_order = GO_ON;
+        }
+        int state = avr_run(avr);
+        if (state == cpu_Done || state == cpu_Crashed) {
+            fprintf(stderr, "simulator: the program has ended\n");
+            exit(1);
+        }
+    }
+}
+
+int main(int count, char **arguments)
+{
+    if (count != 3) {
+        fprintf(stderr, "usage: simulator ELF atmega328p|atmega2560\n");
+        return 2;
+    }
+    avr_global_logger_set(log_to_stderr);
+    load(arguments[1], arguments[2]);
+    avr->log = LOG_ERROR;
+    avr->sleep = no_sleep;
+    int slave;
+    int master = open_line(&slave);
+
+    /* It stands for a chip, which nothing keeps from its work. Where this is refused it runs at
+     * ordinary priority, and gives up time more often. */
+    struct sched_param priority = {.sched_priority = 1};
+    sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &priority);
+
+    uint64_t start_us = now_us();
+    uint64_t housekeeping_us = 0;
+    for (;;) {
+        uint64_t elapsed_us = now_us() - start_us;
+        uint64_t simulated_us = avr->cycle / CYCLES_PER_US;
+        if (elapsed_us > simulated_us + MAX_BEHIND_US) {
+            uint64_t excess_us = elapsed_us - simulated_us - MAX_BEHIND_US;
+            given_up_us += excess_us;
+            start_us += excess_us;
+            elapsed_us -= excess_us;
+        }
+        run_until((avr_cycle_count_t)elapsed_us * CYCLES_PER_US);
+        flush_outgoing(master);
+        fill_incoming(master);
+        if (elapsed_us >= housekeeping_us) {
+            /* A killed host leaves the port exclusive: while the pty lives nobody could open it. */
+            ioctl(slave, TIOCNXCL);
+            housekeeping_us = elapsed_us + HOUSEKEEPING_US;
+        }
+        uint64_t next_us = elapsed_us + SLICE_US;
+        uint64_t now = now_us() - start_us;
+        if (now < next_us) {
+            struct timespec wait = {.tv_nsec = (long)(next_us - now) * 1000};
+            /* While a byte waits for the line there is nothing new to be woken for. */
+            struct pollfd ready[] = {
+                {.fd = STDIN_FILENO, .events = 0},
+                {.fd = incoming_at < incoming_length ? -1 : master, .events = POLLIN},
+            };
+            if (ppoll(ready, 2, &wait, NULL) > 0 && (ready[0].revents & (POLLHUP | POLLERR))) {
+                return 0;
+            }
+        }
+    }
+}

@@ -1,0 +1,80 @@
+/* Written from the Rust crate firmware-protocol by its test `firmware_header`: do not edit.
+ * What the names mean: PROTOCOL.md. */
+#ifndef WIRE_H
+#define WIRE_H
+
+#define FIRMWARE_VERSION_MAJOR 0
+#define FIRMWARE_VERSION_MINOR 1
+#define FIRMWARE_VERSION_PATCH 0
+#define PROTOCOL_VERSION 1u
+#define QUBE_MODULE_ID 0x0309u
+#define BAUD_RATE 500000ul
+#define WATCHDOG_MS 50u
+#define WATCHDOG_POLL_MS 5u
+#define NO_ACT_US 0xFFFFu
+#define MAX_PAYLOAD_BYTES 25u
+#define MAX_FRAME_BYTES 32u
+#define MAX_VOLTAGE_MV 5000
+#define FULL_MOTOR_COUNTS 999l
+#define SUPPLY_MV 24000l
+#define MOTOR_ENABLE 0x8000u
+#define CURRENT_ZERO 8190l
+#define CURRENT_COUNTS_PER_A 9828l
+#define TACHOMETER_STILL 0x7FFFFFul
+#define TACHOMETER_NEGATIVE 0x800000ul
+#define TACHOMETER_COUNTS_S_TICKS 160000000ul
+
+enum request_type {
+    REQUEST_HELLO = 1,
+    REQUEST_ARM = 2,
+    REQUEST_SAMPLE = 3,
+    REQUEST_ACT = 4,
+    REQUEST_DISARM = 5,
+};
+#define FIRST_REPLY_TYPE 0x80u
+
+enum reply_type {
+    REPLY_HELLO = 129,
+    REPLY_ARM = 130,
+    REPLY_SAMPLE = 131,
+    REPLY_DISARM = 133,
+    REPLY_REFUSAL = 143,
+};
+
+enum status_bit {
+    STATUS_ARMED = 1,
+    STATUS_WATCHDOG_TRIPPED = 2,
+    STATUS_AMPLIFIER_FAULT = 4,
+    STATUS_STALL_DETECTED = 8,
+    STATUS_STALL_ERROR = 16,
+};
+
+enum device_kind {
+    KIND_EMULATOR = 1,
+    KIND_ATMEGA328P = 2,
+    KIND_ATMEGA2560 = 3,
+};
+
+enum device_state {
+    STATE_IDLE = 0,
+    STATE_GREETED = 1,
+    STATE_ARMED = 2,
+    STATE_TRIPPED = 3,
+    STATE_FAULTED = 4,
+};
+
+enum refusal_reason {
+    REFUSAL_NOT_GREETED = 1,
+    REFUSAL_NOT_ARMED = 2,
+    REFUSAL_WATCHDOG_TRIPPED = 3,
+    REFUSAL_FAULTED = 4,
+    REFUSAL_WRONG_NONCE = 5,
+    REFUSAL_ALREADY_ARMED = 6,
+    REFUSAL_STALE_SEQUENCE = 7,
+    REFUSAL_VOLTAGE_OUT_OF_RANGE = 8,
+    REFUSAL_QUBE_ABSENT = 9,
+    REFUSAL_WRONG_LENGTH = 10,
+    REFUSAL_UNKNOWN_TYPE = 11,
+};
+
+#endif

@@ -1,0 +1,154 @@
+//! The firmware's constants are this crate's: `firmware/wire.h` is written from here, and this test
+//! fails when it is not what is committed.
+//!
+//! `UPDATE_FIRMWARE_HEADER=1 cargo test -p firmware-protocol --test firmware_header` writes it anew.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use firmware_protocol::scaling::{
+    CURRENT_COUNTS_PER_A, CURRENT_ZERO, FULL_MOTOR_COUNTS, MAX_VOLTAGE_MV, MOTOR_ENABLE, SUPPLY_MV,
+    TACHOMETER_COUNTS_S_TICKS, TACHOMETER_NEGATIVE, TACHOMETER_STILL,
+};
+use firmware_protocol::{
+    BAUD_RATE, Decoder, DeviceKind, DeviceState, DisarmReply, HelloReply, MAX_FRAME_BYTES,
+    MAX_PAYLOAD_BYTES, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Reply, Request,
+    SampleReply, StatusBits, WATCHDOG_MS, WATCHDOG_POLL_MS,
+};
+
+/// `WatchdogTripped` as C writes it: `WATCHDOG_TRIPPED`.
+fn c_name(name: &str) -> String {
+    let mut c_name = String::new();
+    for (at, letter) in name.char_indices() {
+        if letter.is_uppercase() && at > 0 {
+            c_name.push('_');
+        }
+        c_name.extend(letter.to_uppercase());
+    }
+    c_name
+}
+
+fn define(header: &mut String, name: &str, value: impl std::fmt::Display) {
+    writeln!(header, "#define {name} {value}").unwrap();
+}
+
+fn c_enum(header: &mut String, name: &str, prefix: &str, values: &[(String, u8)]) {
+    writeln!(header, "\nenum {name} {{").unwrap();
+    for (value_name, value) in values {
+        writeln!(header, "    {prefix}_{} = {value},", c_name(value_name)).unwrap();
+    }
+    writeln!(header, "}};").unwrap();
+}
+
+fn type_of(reply: Reply) -> u8 {
+    let mut decoder = Decoder::new();
+    let encoded = reply.encode(0);
+    let frame = encoded.as_bytes().iter().find_map(|&byte| decoder.push(byte));
+    frame.unwrap().unwrap().message_type
+}
+
+fn request_types() -> Vec<(String, u8)> {
+    [
+        ("Hello", Request::Hello { protocol_version: 0 }),
+        ("Arm", Request::Arm { nonce: 0 }),
+        ("Sample", Request::Sample),
+        ("Act", Request::Act { voltage_mv: 0 }),
+        ("Disarm", Request::Disarm),
+    ]
+    .map(|(name, request)| (name.to_owned(), request.message_type()))
+    .to_vec()
+}
+
+fn reply_types() -> Vec<(String, u8)> {
+    let hello = HelloReply {
+        protocol_version: 0,
+        firmware_version: [0; 3],
+        kind: 0,
+        module_id: 0,
+        serial: [0; 8],
+        nonce: 0,
+        watchdog_ms: 0,
+        dropped_frames: 0,
+    };
+    let disarm = DisarmReply { state: DeviceState::Idle, nonce: 0, dropped_frames: 0 };
+    let refusal = Reply::Refusal { refused_type: 0, reason: RefusalReason::NotGreeted };
+    [
+        ("Hello", Reply::Hello(hello)),
+        ("Arm", Reply::Arm { device_time_us: 0 }),
+        ("Sample", Reply::Sample(SampleReply::default())),
+        ("Disarm", Reply::Disarm(disarm)),
+        ("Refusal", refusal),
+    ]
+    .map(|(name, reply)| (name.to_owned(), type_of(reply)))
+    .to_vec()
+}
+
+fn header() -> String {
+    let mut header = String::from(
+        "/* Written from the Rust crate firmware-protocol by its test `firmware_header`: do not edit.\n\
+         \x20* What the names mean: PROTOCOL.md. */\n\
+         #ifndef WIRE_H\n#define WIRE_H\n\n",
+    );
+    let h = &mut header;
+    let mut version = env!("CARGO_PKG_VERSION").split('.');
+    for part in ["MAJOR", "MINOR", "PATCH"] {
+        define(h, &format!("FIRMWARE_VERSION_{part}"), version.next().unwrap());
+    }
+    define(h, "PROTOCOL_VERSION", format_args!("{PROTOCOL_VERSION}u"));
+    define(h, "QUBE_MODULE_ID", format_args!("0x{QUBE_MODULE_ID:04X}u"));
+    define(h, "BAUD_RATE", format_args!("{BAUD_RATE}ul"));
+    define(h, "WATCHDOG_MS", format_args!("{WATCHDOG_MS}u"));
+    define(h, "WATCHDOG_POLL_MS", format_args!("{WATCHDOG_POLL_MS}u"));
+    define(h, "NO_ACT_US", format_args!("0x{NO_ACT_US:04X}u"));
+    define(h, "MAX_PAYLOAD_BYTES", format_args!("{MAX_PAYLOAD_BYTES}u"));
+    define(h, "MAX_FRAME_BYTES", format_args!("{MAX_FRAME_BYTES}u"));
+    define(h, "MAX_VOLTAGE_MV", MAX_VOLTAGE_MV);
+    define(h, "FULL_MOTOR_COUNTS", format_args!("{FULL_MOTOR_COUNTS}l"));
+    define(h, "SUPPLY_MV", format_args!("{SUPPLY_MV}l"));
+    define(h, "MOTOR_ENABLE", format_args!("0x{MOTOR_ENABLE:04X}u"));
+    define(h, "CURRENT_ZERO", format_args!("{CURRENT_ZERO}l"));
+    define(h, "CURRENT_COUNTS_PER_A", format_args!("{CURRENT_COUNTS_PER_A}l"));
+    define(h, "TACHOMETER_STILL", format_args!("0x{TACHOMETER_STILL:06X}ul"));
+    define(h, "TACHOMETER_NEGATIVE", format_args!("0x{TACHOMETER_NEGATIVE:06X}ul"));
+    define(h, "TACHOMETER_COUNTS_S_TICKS", format_args!("{TACHOMETER_COUNTS_S_TICKS}ul"));
+
+    c_enum(h, "request_type", "REQUEST", &request_types());
+    // A device drops what is of a reply's type; the smallest is the lowest with bit 7.
+    define(h, "FIRST_REPLY_TYPE", "0x80u");
+    c_enum(h, "reply_type", "REPLY", &reply_types());
+    let status = [
+        ("Armed", StatusBits::ARMED),
+        ("WatchdogTripped", StatusBits::WATCHDOG_TRIPPED),
+        ("AmplifierFault", StatusBits::AMPLIFIER_FAULT),
+        ("StallDetected", StatusBits::STALL_DETECTED),
+        ("StallError", StatusBits::STALL_ERROR),
+    ]
+    .map(|(name, bit)| (name.to_owned(), bit));
+    c_enum(h, "status_bit", "STATUS", &status);
+    macro_rules! all {
+        ($type:ident) => {
+            $type::ALL.iter().map(|value| (format!("{value:?}"), *value as u8)).collect::<Vec<_>>()
+        };
+    }
+    c_enum(h, "device_kind", "KIND", &all!(DeviceKind));
+    c_enum(h, "device_state", "STATE", &all!(DeviceState));
+    c_enum(h, "refusal_reason", "REFUSAL", &all!(RefusalReason));
+    header.push_str("\n#endif\n");
+    header
+}
+
+#[test]
+fn the_firmware_has_the_constants_of_this_crate() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("firmware/wire.h");
+    let expected = header();
+    if std::env::var_os("UPDATE_FIRMWARE_HEADER").is_some() {
+        std::fs::write(&path, &expected).unwrap();
+    }
+    let committed = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        committed == expected,
+        "{} is not what this crate says; write it anew with \
+         UPDATE_FIRMWARE_HEADER=1 cargo test -p firmware-protocol --test firmware_header",
+        path.display()
+    );
+}

@@ -1,0 +1,20 @@
+//! The firmware as it is flashed, run in simavr on a real pty, with a Qube on its SPI.
+//!
+//! `make` builds it into `target/firmware`. Needs the Debian packages gcc-avr, avr-libc,
+//! libsimavr-dev and libelf-dev; without them each test says that it is skipped, or fails where
+//! they are required (`CI` or `QUBE_HIL_REQUIRE_FIRMWARE` is set).
+
+#[path = "firmware/conformance.rs"]
+mod conformance;
+#[path = "firmware/driver.rs"]
+mod driver;
+#[path = "firmware/faults.rs"]
+mod faults;
+#[path = "firmware/qube.rs"]
+mod qube;
+#[path = "firmware/simulated_board.rs"]
+mod simulated_board;
+#[path = "firmware/swing_up.rs"]
+mod swing_up;
+#[path = "firmware/toolchain.rs"]
+mod toolchain;

@@ -1,0 +1,96 @@
+//! A host that drives a simulated board at 100 Hz.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use qube_hil::clock::{Clock, MonotonicClock};
+use qube_hil::device::{Device, LinkFault, SerialLink, Tty};
+use qube_hil::qube::Measurement;
+
+use crate::qube::{Command, Qube};
+use crate::simulated_board::SimulatedBoard;
+use crate::toolchain::{Chip, toolchain};
+
+const PERIOD: Duration = Duration::from_millis(10);
+/// Between two acts; the device's watchdog is at 50 ms.
+const TOO_SLOW: Duration = Duration::from_millis(40);
+const PATIENCE_NS: u64 = 30_000_000;
+
+/// How often a scenario is begun anew because the computer was too slow for it.
+const ATTEMPTS: u32 = 10;
+
+/// The computer was too slow, which proves nothing.
+#[derive(Debug)]
+pub struct Disturbed;
+
+/// A board with a Qube that is greeted, armed and turns with 1 V.
+pub struct Driver {
+    pub board: SimulatedBoard,
+    pub link: SerialLink<Tty>,
+}
+
+impl Driver {
+    pub const VOLTAGE_MV: i16 = 1000;
+
+    pub fn hello(board: SimulatedBoard) -> Self {
+        let mut link = SerialLink::open(board.port(), Arc::new(MonotonicClock)).unwrap();
+        link.hello().unwrap();
+        Self { board, link }
+    }
+
+    pub fn sample(&mut self) -> Result<Measurement, LinkFault> {
+        self.link.sample(MonotonicClock.now_ns() + PATIENCE_NS)
+    }
+
+    /// Samples and acts until a sample shows what is waited for.
+    pub fn drive_until(
+        &mut self,
+        mut done: impl FnMut(&Measurement) -> bool,
+    ) -> Result<Measurement, Disturbed> {
+        let mut last_act = Instant::now();
+        for _ in 0..200 {
+            let sample = self.sample().map_err(|_| Disturbed)?;
+            if done(&sample) {
+                return Ok(sample);
+            }
+            // What this act meets is the device's business.
+            let _ = self.link.act(Self::VOLTAGE_MV);
+            if last_act.elapsed() > TOO_SLOW {
+                return Err(Disturbed);
+            }
+            last_act = Instant::now();
+            std::thread::sleep(PERIOD);
+        }
+        panic!("what was waited for did not come in 2 s");
+    }
+
+    /// Arms and drives for a tenth of a second.
+    pub fn arm_and_drive(&mut self) -> Result<(), Disturbed> {
+        self.link.arm().unwrap();
+        let mut ticks = 0;
+        self.drive_until(|sample| {
+            ticks += 1;
+            ticks > 10 && sample.status.armed && sample.applied_mv > 0
+        })?;
+        let _ = self.link.act(Self::VOLTAGE_MV);
+        Ok(())
+    }
+
+    /// What the Qube was told after a simulated time.
+    pub fn commands_since(&self, time_us: u64) -> Vec<Command> {
+        self.board.qube().commands.iter().filter(|it| it.time_us > time_us).copied().collect()
+    }
+}
+
+/// Runs a scenario on a fresh board, again and again while the computer is too slow for it.
+pub fn scenario(run: impl Fn(&mut Driver) -> Result<(), Disturbed>) {
+    let Some(toolchain) = toolchain() else { return };
+    for _ in 0..ATTEMPTS {
+        let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(1));
+        let mut driver = Driver::hello(board);
+        if run(&mut driver).is_ok() {
+            return;
+        }
+    }
+    panic!("the computer was too slow for this test {ATTEMPTS} times");
+}

@@ -1,0 +1,210 @@
+//! Whatever fails, the motor goes off, stays off, and says so in red.
+
+use firmware_protocol::{QUBE_MODULE_ID, WATCHDOG_MS, WATCHDOG_POLL_MS};
+use qube_hil::clock::MonotonicClock;
+use qube_hil::device::{Device, DeviceError, SerialLink};
+
+use crate::driver::{Disturbed, scenario};
+use crate::qube::{Command, Qube};
+use crate::simulated_board::SimulatedBoard;
+use crate::toolchain::{Chip, toolchain};
+
+/// How long a frame takes in simavr, and what is left of one before it: what an order to the Qube
+/// may be late in simulated time.
+const TWO_FRAMES_US: u64 = 2 * 2_000;
+
+/// The chip's watchdog waits 16 ms.
+const CHIP_WATCHDOG_US: u64 = 16_384;
+
+/// When the motor went off for good, and checks that what follows is off and red, or dark between
+/// two blinks.
+fn off_for_good(commands: &[Command]) -> u64 {
+    let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
+    let off = &commands[last_on + 1..];
+    assert!(off.len() > 20, "too little was seen: {off:?}");
+    assert!(off.iter().all(|it| it.motor_word == 0), "off is the motor word 0x0000: {off:?}");
+    assert!(off.iter().skip(1).all(|it| it.is_red() || it.leds == [0; 3]), "{:?}", &off[1..20]);
+    assert!(off.iter().any(Command::is_red));
+    off[0].time_us
+}
+
+#[test]
+fn the_first_frame_of_the_firmware_switches_off_what_was_left_on() {
+    let Some(toolchain) = toolchain() else { return };
+    for chip in [Chip::Atmega328p, Chip::Atmega2560] {
+        let board = SimulatedBoard::start(toolchain, chip, Qube::new(0));
+        board.wait_us(20_000);
+        let commands = board.qube().commands.clone();
+        assert!(commands[0].time_us < 5_000, "{:?}", commands[0]);
+        assert!(commands.iter().all(|it| it.motor_word == 0 && it.write_mask == 0x1F));
+    }
+}
+
+#[test]
+fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
+    scenario(|driver| {
+        let armed_us = driver.board.time_us();
+        driver.arm_and_drive()?;
+        driver.board.wait_us(300_000);
+        let commands = driver.commands_since(armed_us);
+        let off_us = off_for_good(&commands);
+        let status = driver.sample().map_err(|_| Disturbed)?.status;
+        assert!(status.watchdog_tripped && !status.armed, "{status:?}");
+        // Steady red is the watchdog's colour.
+        assert!(commands.iter().filter(|it| it.time_us > off_us).all(Command::is_red));
+
+        // The act that came last is not seen on the SPI, which carries the same word for long. So
+        // once more from an arm, whose 0 V are seen.
+        driver.link.hello().unwrap();
+        let armed_us = driver.board.time_us();
+        driver.link.arm().unwrap();
+        driver.board.wait_us(100_000);
+        let commands = driver.commands_since(armed_us);
+        let on_us = commands.iter().find(|it| it.motor_is_on()).expect("it was armed").time_us;
+        let on_for_us = off_for_good(&commands) - on_us;
+        let (least_us, most_us) =
+            (u64::from(WATCHDOG_MS) * 1000, u64::from(WATCHDOG_MS + WATCHDOG_POLL_MS) * 1000);
+        assert!(
+            (least_us - TWO_FRAMES_US..=most_us + TWO_FRAMES_US).contains(&on_for_us),
+            "the amplifier was on for {on_for_us} us of silence"
+        );
+        Ok(())
+    });
+}
+
+#[test]
+fn the_firmware_latches_an_amplifier_fault() {
+    scenario(|driver| {
+        driver.arm_and_drive()?;
+        let fault_us = {
+            let mut qube = driver.board.qube();
+            qube.amplifier_fault = true;
+            qube.commands.last().unwrap().time_us
+        };
+        driver.drive_until(|sample| sample.status.amplifier_fault && !sample.status.armed)?;
+        driver.board.qube().amplifier_fault = false;
+        driver.board.wait_us(600_000);
+        let mut commands = driver.commands_since(fault_us);
+        // The frame under way may have been the last that drove.
+        let last = Command { motor_word: 0x8000, ..commands[0] };
+        commands.insert(0, last);
+        assert!(off_for_good(&commands) <= fault_us + 2 * TWO_FRAMES_US, "{:?}", &commands[..5]);
+        let blinks = commands.iter().any(|it| it.leds == [0; 3]);
+        assert!(blinks, "a fault is told from the watchdog by its blinking");
+
+        // While it lasts nothing arms; then a hello and an arm do.
+        driver.board.qube().amplifier_fault = true;
+        driver.board.wait_us(10_000);
+        driver.link.hello().unwrap();
+        assert!(matches!(driver.link.arm(), Err(DeviceError::Refused { .. })));
+        driver.board.qube().amplifier_fault = false;
+        driver.board.wait_us(10_000);
+        driver.link.hello().unwrap();
+        driver.arm_and_drive()
+    });
+}
+
+#[test]
+fn the_firmware_latches_a_stall_and_clears_it_when_it_is_armed_anew() {
+    scenario(|driver| {
+        driver.arm_and_drive()?;
+        driver.board.qube().stall_error = true;
+        let sample = driver.drive_until(|sample| sample.status.stall_error)?;
+        assert!(sample.status.stall_detected);
+        driver.drive_until(|sample| !sample.status.armed)?;
+        driver.board.wait_us(300_000);
+        let before = driver.sample().map_err(|_| Disturbed)?;
+        assert!(before.status.stall_error, "without an arm nothing clears it");
+
+        let cleared_us = driver.board.time_us();
+        driver.link.hello().unwrap();
+        driver.link.arm().unwrap();
+        let after = driver.sample().map_err(|_| Disturbed)?;
+        assert!(!after.status.stall_error && after.status.armed, "{:?}", after.status);
+        // The pendulum hangs still by now, and the presets were the counts themselves.
+        let moved = (after.theta_counts - before.theta_counts).abs()
+            + (after.alpha_counts - before.alpha_counts).abs();
+        assert!(moved < 100, "the counters jumped by {moved}");
+        let clearing: Vec<_> = driver
+            .commands_since(cleared_us)
+            .into_iter()
+            .filter(|it| it.write_mask != 0x1F)
+            .collect();
+        assert!(
+            matches!(clearing[..], [Command { write_mask: 0x7F, motor_word: 0, .. }]),
+            "{clearing:?}"
+        );
+        Ok(())
+    });
+}
+
+#[test]
+fn the_firmware_knows_a_qube_by_its_module_id() {
+    let Some(toolchain) = toolchain() else { return };
+    let mut nobody = Qube::new(0);
+    nobody.module_id = 0xFFFF;
+    let board = SimulatedBoard::start(toolchain, Chip::Atmega2560, nobody);
+    let mut link = SerialLink::open(board.port(), std::sync::Arc::new(MonotonicClock)).unwrap();
+    let error = link.hello().unwrap_err().to_string();
+    assert!(error.contains("0xffff"), "{error}");
+    drop((link, board));
+
+    scenario(|driver| {
+        driver.arm_and_drive()?;
+        let gone_us = driver.board.time_us();
+        driver.board.qube().module_id = 0x0308;
+        driver.board.wait_us(300_000);
+        let off_us = off_for_good(&driver.commands_since(gone_us - 50_000));
+        assert!(off_us <= gone_us + 2 * TWO_FRAMES_US, "off after {} us", off_us - gone_us);
+        assert!(driver.sample().is_err(), "there is nothing to sample");
+        driver.board.qube().module_id = QUBE_MODULE_ID;
+        driver.board.wait_us(10_000);
+        driver.link.hello().unwrap();
+        driver.arm_and_drive()
+    });
+}
+
+#[test]
+fn the_firmware_extends_24_bit_counters() {
+    scenario(|driver| {
+        let start = driver.sample().map_err(|_| Disturbed)?;
+        for turn in [5_000_000, 5_000_000, 5_000_000, -8_000_000, -8_000_000, -8_000_000] {
+            let before = driver.sample().map_err(|_| Disturbed)?;
+            driver.board.qube().shift_counters(turn);
+            driver.board.wait_us(10_000);
+            let after = driver.sample().map_err(|_| Disturbed)?;
+            assert_eq!(after.theta_counts - before.theta_counts, turn);
+            assert_eq!(after.alpha_counts - before.alpha_counts, turn);
+        }
+        let end = driver.sample().map_err(|_| Disturbed)?;
+        assert_eq!(end.theta_counts - start.theta_counts, -9_000_000);
+        Ok(())
+    });
+}
+
+/// The main loop is lost in an endless loop while the interrupts go on as ever.
+#[test]
+fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
+    scenario(|driver| {
+        driver.arm_and_drive()?;
+        driver.board.hang();
+        let hung_us = driver.board.time_us();
+        // It restarts, so frames come again.
+        driver.board.wait_us(100_000);
+        let commands = driver.commands_since(hung_us - 50_000);
+        let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
+        let off = &commands[last_on + 1..];
+        assert!(off.iter().all(|it| it.motor_word == 0));
+        let off_after_us = off[0].time_us - hung_us;
+        assert!(
+            off_after_us <= CHIP_WATCHDOG_US + 2 * TWO_FRAMES_US,
+            "off {off_after_us} us after the program hung"
+        );
+        assert!(off[0].is_red(), "the watchdog's own frame: {:?}", off[0]);
+        // It has restarted and knows of no hello: white.
+        let [red, green, blue] = off.last().unwrap().leds;
+        assert!(red > 0 && red == green && green == blue, "{:?}", off.last());
+        driver.link.hello().unwrap();
+        driver.arm_and_drive()
+    });
+}

@@ -1,0 +1,165 @@
+//! A board that runs the firmware: the simulator's process, the Qube on its SPI, its serial port.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use qube_hil::clock::enter_realtime;
+
+use crate::qube::{FRAME_BYTES, Qube};
+use crate::toolchain::{Chip, Toolchain};
+
+/// One simulator at a time: two would not keep real time on a small machine.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+// `struct event` and `struct answer` of simulator.c.
+const EVENT_BYTES: usize = 48;
+const CHIP_SELECT_FALLS: u8 = b'L';
+const GO_ON: u8 = 0;
+const HANG: u8 = 1;
+
+/// How long to wait for simulated time to pass, however busy the computer is.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+#[derive(Default)]
+struct Shared {
+    order: AtomicU8,
+    time_us: AtomicU64,
+    given_up_us: AtomicU64,
+    lost_bytes: AtomicU64,
+}
+
+pub struct SimulatedBoard {
+    port: String,
+    qube: Arc<Mutex<Qube>>,
+    shared: Arc<Shared>,
+    simulator: Child,
+    peer: Option<JoinHandle<()>>,
+    _alone: MutexGuard<'static, ()>,
+}
+
+impl SimulatedBoard {
+    /// Switches a board on. It has a Qube on its SPI.
+    pub fn start(toolchain: &Toolchain, chip: Chip, qube: Qube) -> Self {
+        let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut simulator = Command::new(toolchain.simulator())
+            .arg(toolchain.elf(chip))
+            .arg(chip.name())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the simulator starts");
+        let mut events = BufReader::new(simulator.stdout.take().unwrap());
+        let answers = simulator.stdin.take().unwrap();
+        let mut port = String::new();
+        events.read_line(&mut port).unwrap();
+
+        let qube = Arc::new(Mutex::new(qube));
+        let shared = Arc::<Shared>::default();
+        let (peers_qube, peers_shared) = (Arc::clone(&qube), Arc::clone(&shared));
+        let peer = std::thread::spawn(move || {
+            // It stands for a machine. Where this is refused, time is given up more often.
+            let _ = enter_realtime();
+            serve(events, answers, &peers_qube, &peers_shared);
+        });
+        let port = port.trim().to_owned();
+        Self { port, qube, shared, simulator, peer: Some(peer), _alone: alone }
+    }
+
+    pub fn port(&self) -> &str {
+        &self.port
+    }
+
+    /// The Qube, while the board waits for it.
+    pub fn qube(&self) -> MutexGuard<'_, Qube> {
+        self.qube.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Simulated time of the last frame.
+    pub fn time_us(&self) -> u64 {
+        self.shared.time_us.load(Ordering::Relaxed)
+    }
+
+    /// Real time that the simulation could not follow, because the computer was busy.
+    pub fn given_up_us(&self) -> u64 {
+        self.shared.given_up_us.load(Ordering::Relaxed)
+    }
+
+    /// Bytes from the host that came faster than the program fetched them.
+    pub fn lost_bytes(&self) -> u64 {
+        self.shared.lost_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Makes the program's main loop hang from the next frame on; its interrupts go on.
+    pub fn hang(&self) {
+        self.shared.order.store(HANG, Ordering::Relaxed);
+    }
+
+    /// Lets simulated time pass.
+    pub fn wait_us(&self, duration_us: u64) {
+        let end_us = self.time_us() + duration_us;
+        let begin = Instant::now();
+        while self.time_us() < end_us {
+            assert!(begin.elapsed() < PATIENCE, "there are no frames any more");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Processor time that the simulator has used, seconds.
+    pub fn processor_s(&self) -> f64 {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.simulator.id())).unwrap();
+        let after_name = stat.rsplit(')').next().unwrap();
+        let field = |at: usize| after_name.split_whitespace().nth(at).unwrap().parse::<f64>();
+        (field(11).unwrap() + field(12).unwrap()) / 100.0
+    }
+}
+
+impl Drop for SimulatedBoard {
+    fn drop(&mut self) {
+        // Also where it ended by itself: there is nothing more to be done about it then.
+        let _ = self.simulator.kill();
+        let _ = self.simulator.wait();
+        if let Some(peer) = self.peer.take() {
+            let _ = peer.join();
+        }
+        let violations = &self.qube().violations;
+        if !std::thread::panicking() {
+            assert!(violations.is_empty(), "a Qube would not understand: {violations:#?}");
+        }
+    }
+}
+
+/// Answers frames until the simulator ends.
+fn serve(
+    mut events: BufReader<ChildStdout>,
+    mut answers: impl Write,
+    qube: &Mutex<Qube>,
+    shared: &Shared,
+) {
+    let mut event = [0; EVENT_BYTES];
+    while events.read_exact(&mut event).is_ok() {
+        let number = |at: usize| u64::from_le_bytes(event[at..at + 8].try_into().unwrap());
+        let time_us = number(24);
+        shared.given_up_us.store(number(32), Ordering::Relaxed);
+        shared.lost_bytes.store(number(40), Ordering::Relaxed);
+        let mut qube = qube.lock().unwrap_or_else(PoisonError::into_inner);
+        if event[0] == CHIP_SELECT_FALLS {
+            let mut answer = [0; 1 + FRAME_BYTES];
+            answer[0] = shared.order.swap(GO_ON, Ordering::Relaxed);
+            answer[1..].copy_from_slice(&qube.selected(time_us));
+            drop(qube);
+            if answers.write_all(&answer).is_err() {
+                return;
+            }
+        } else {
+            let sent_bytes = usize::from(event[3]);
+            // Longer frames are cut off by the simulator; their length still shows.
+            let sent = event[4..].get(..sent_bytes).unwrap_or(&event[4..]);
+            qube.deselected(time_us, sent, event[1], event[2]);
+        }
+        shared.time_us.store(time_us, Ordering::Relaxed);
+    }
+}

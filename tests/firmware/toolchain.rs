@@ -1,0 +1,104 @@
+//! Builds the firmware and the simulator once a run, or says why not.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::OnceLock;
+
+const PACKAGES: &str = "gcc-avr avr-libc libsimavr-dev libelf-dev";
+
+/// The two chips that the firmware is made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Chip {
+    Atmega328p,
+    Atmega2560,
+}
+
+impl Chip {
+    /// As avr-gcc and simavr call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Atmega328p => "atmega328p",
+            Self::Atmega2560 => "atmega2560",
+        }
+    }
+}
+
+/// What `make` has built.
+pub struct Toolchain {
+    directory: PathBuf,
+}
+
+impl Toolchain {
+    pub fn elf(&self, chip: Chip) -> PathBuf {
+        self.directory.join(chip.name()).with_extension("elf")
+    }
+
+    pub fn simulator(&self) -> PathBuf {
+        self.directory.join("simulator")
+    }
+}
+
+/// Whether a program runs without complaint.
+fn works(program: &str, arguments: &[&str]) -> bool {
+    Command::new(program)
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status()
+        .is_ok_and(|status| status.success())
+}
+
+fn missing() -> Option<&'static str> {
+    let avr_libc = ["-mmcu=atmega328p", "-include", "avr/io.h", "-E", "-x", "c", "/dev/null"];
+    let simavr =
+        ["-include", "libelf.h", "-include", "simavr/sim_avr.h", "-E", "-x", "c", "/dev/null"];
+    if !works("make", &["--version"]) {
+        Some("make")
+    } else if !works("avr-gcc", &avr_libc) {
+        Some("avr-gcc with avr-libc")
+    } else if !works("cc", &simavr) {
+        Some("the headers of simavr and libelf")
+    } else {
+        None
+    }
+}
+
+fn build() -> Toolchain {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("firmware-protocol/firmware");
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("firmware");
+    let made = Command::new("make")
+        .arg("-C")
+        .arg(source)
+        .arg(format!("BUILD={}", directory.display()))
+        .args(["all", "simulator"])
+        .output()
+        .expect("make starts");
+    assert!(
+        made.status.success(),
+        "the firmware does not build:\n{}{}",
+        String::from_utf8_lossy(&made.stdout),
+        String::from_utf8_lossy(&made.stderr)
+    );
+    Toolchain { directory }
+}
+
+/// The built firmware; none where a test has to be skipped, which is said even when the test's
+/// output is captured.
+pub fn toolchain() -> Option<&'static Toolchain> {
+    static TOOLCHAIN: OnceLock<Option<Toolchain>> = OnceLock::new();
+    TOOLCHAIN
+        .get_or_init(|| {
+            let Some(missing) = missing() else { return Some(build()) };
+            let required = ["CI", "QUBE_HIL_REQUIRE_FIRMWARE"]
+                .iter()
+                .any(|name| std::env::var_os(name).is_some_and(|value| !value.is_empty()));
+            let message = format!("{missing} is missing: apt-get install {PACKAGES}");
+            assert!(!required, "the firmware must be tested here, but {message}");
+            // Not eprintln, which the test harness captures.
+            let _ = writeln!(std::io::stderr(), "\nSKIPPED: all tests of the firmware. {message}");
+            None
+        })
+        .as_ref()
+}
