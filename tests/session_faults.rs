@@ -32,6 +32,8 @@ fn run(folder: SessionFolder, fault: Option<EmulatorFault>) -> Result<(), Sessio
         clock: ClockChoice::Virtual,
         emulator: EmulatorSettings { fault, ..EmulatorSettings::default() },
         homing: settings().homing,
+        skip_check: false,
+        board: None,
     };
     let stop = Arc::new(AtomicBool::new(false));
     Session::open(folder, settings(), rig, stop)?.run(&mut |_| ())

@@ -3,6 +3,8 @@
 //! May import everything; nobody imports it.
 
 mod benchmark;
+mod check;
+mod check_table;
 mod device_arguments;
 mod emulate;
 mod exit;
@@ -55,6 +57,7 @@ enum Command {
     Session(session::Arguments),
     Train(train::Arguments),
     Run(run::Arguments),
+    Check(check::Arguments),
     Emulate(emulate::Arguments),
     Benchmark(benchmark::Arguments),
     Toy(toy::Arguments),
@@ -72,6 +75,7 @@ pub fn main() -> ExitCode {
         Command::Session(arguments) => session::run(arguments, &output),
         Command::Train(arguments) => train::run(arguments, &output),
         Command::Run(arguments) => run::run(arguments, &output),
+        Command::Check(arguments) => check::run(&arguments, &output),
         Command::Emulate(arguments) => emulate::run(&arguments, &output),
         Command::Benchmark(arguments) => benchmark::run(&arguments, &output),
         Command::Toy(arguments) => toy::run(&arguments, &output),

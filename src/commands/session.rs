@@ -5,7 +5,7 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 
 use super::dated_folder;
-use super::device_arguments::DeviceArguments;
+use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
@@ -49,6 +49,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     device: DeviceArguments,
+
+    #[command(flatten)]
+    check: CheckArguments,
 }
 
 /// How much a session does.
@@ -63,14 +66,15 @@ enum Preset {
 /// Runs or resumes a session and prints its table.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
+    let device = arguments.device.choose()?;
     let (folder, settings) = match &arguments.resume {
-        Some(directory) => resumed(directory)?,
-        None => begun(&arguments)?,
+        Some(directory) => resumed(directory, &device)?,
+        None => begun(&arguments, &device)?,
     };
     let stop = Stop::on_signals()?;
     let rig_settings = crate::session::RigSettings {
         homing: settings.homing,
-        ..arguments.device.rig_settings(settings.seed, settings.estimator)
+        ..device.rig_settings(settings.seed, settings.estimator, arguments.check.skip_check)
     };
     let resume = format!("qube-hil session --resume {}", folder.root().display());
     eprintln!("session in {}", folder.root().display());
@@ -94,7 +98,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-fn begun(arguments: &Arguments) -> Result<(SessionFolder, SessionSettings), Failure> {
+fn begun(
+    arguments: &Arguments,
+    device: &ChosenDevice,
+) -> Result<(SessionFolder, SessionSettings), Failure> {
     let preset = match arguments.preset {
         Preset::Quick => SessionSettings::quick(),
         Preset::Thesis => SessionSettings::thesis(),
@@ -108,14 +115,27 @@ fn begun(arguments: &Arguments) -> Result<(SessionFolder, SessionSettings), Fail
     settings.name = directory
         .file_name()
         .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
+    let settings = on_this_qube(settings, device);
     let configuration = settings.to_toml().map_err(Failure::failed)?;
     let folder = SessionFolder::create(&directory, &configuration)
         .map_err(|error| failures::folder(&error))?;
     Ok((folder, settings))
 }
 
-fn resumed(directory: &Path) -> Result<(SessionFolder, SessionSettings), Failure> {
+fn resumed(
+    directory: &Path,
+    device: &ChosenDevice,
+) -> Result<(SessionFolder, SessionSettings), Failure> {
     let folder = SessionFolder::open(directory).map_err(|error| failures::folder(&error))?;
     let settings = SessionSettings::load(&folder.configuration()).map_err(Failure::usage)?;
-    Ok((folder, settings))
+    Ok((folder, on_this_qube(settings, device)))
+}
+
+/// Signs, homing and limits of the rig: its own file knows them better than the session does.
+fn on_this_qube(settings: SessionSettings, device: &ChosenDevice) -> SessionSettings {
+    SessionSettings {
+        homing: device.homing(settings.homing),
+        safety_box: device.safety_box(settings.safety_box),
+        ..settings
+    }
 }
