@@ -9,6 +9,7 @@ use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
+use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
@@ -78,13 +79,21 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     };
     let resume = format!("qube-hil session --resume {}", folder.root().display());
     eprintln!("session in {}", folder.root().display());
+    if rig_settings.checks() {
+        eprintln!("first the Qube is checked and homed (--skip-check leaves the check out)");
+    }
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings);
     let mut session =
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
             .map_err(failed)?;
-    let ended = session.run(&mut |news| progress.tell(&news));
+    service_manager::ready();
+    let ended = session.run(&mut |news| {
+        service_manager::alive();
+        progress.tell(&news);
+    });
+    service_manager::stopping();
     progress.finish();
     let table = SessionTable::read(&mut session).map_err(failed)?;
     if let Err(error) = ended {

@@ -63,6 +63,9 @@ pub struct HomingSettings {
     pub method: HomingMethod,
     /// Where the arm's zero lies, seen from that middle, rad: some stops are not where they should be.
     pub theta_offset_rad: f64,
+    /// The arm's count where it was put by hand, if it has moved since.
+    #[serde(skip)]
+    pub hand_counts: Option<i32>,
     /// Signs of the rig; the zeros are what homing finds.
     pub signs: Calibration,
     /// Velocities for the motion itself.
@@ -74,6 +77,7 @@ impl Default for HomingSettings {
         Self {
             method: HomingMethod::default(),
             theta_offset_rad: 0.0,
+            hand_counts: None,
             signs: Calibration::IDENTITY,
             estimator: EstimatorSettings::default(),
         }
@@ -207,6 +211,12 @@ impl Homing {
         let estimator = self.estimator.get_or_insert_with(|| {
             self.provisional.theta_zero_counts = measurement.theta_counts;
             self.provisional.alpha_zero_counts = measurement.alpha_counts;
+            if let (HomingMethod::Hand, Some(theta_counts)) =
+                (self.settings.method, self.settings.hand_counts)
+            {
+                let put = Measurement { theta_counts, ..*measurement };
+                self.middle_rad = Some(self.provisional.angles_rad(&put).0);
+            }
             Estimator::new(self.settings.estimator, self.provisional)
         });
         estimator.update(measurement)
@@ -408,6 +418,29 @@ mod tests {
         assert_eq!(ending, Ending::Completed);
         assert!((found.unwrap().theta_zero_counts - counts(0.5)).abs() <= 3);
         assert!(device.furthest_rad < 0.7, "homing by hand does not look for stops");
+    }
+
+    #[test]
+    fn an_arm_that_has_moved_since_it_was_put_by_hand_goes_back() {
+        for theta_inverted in [false, true] {
+            let signs = Calibration {
+                theta_inverted,
+                alpha_inverted: theta_inverted,
+                voltage_inverted: theta_inverted,
+                ..Calibration::IDENTITY
+            };
+            let mut device = PlantDevice::new(State { theta: 0.5, ..State::default() });
+            let settings = HomingSettings {
+                method: HomingMethod::Hand,
+                hand_counts: Some(counts(0.1)),
+                signs,
+                ..HomingSettings::default()
+            };
+            let (ending, found) = home(&mut device, &settings);
+            assert_eq!(ending, Ending::Completed);
+            assert!((found.unwrap().theta_zero_counts - counts(0.1)).abs() <= 1, "{found:?}");
+            assert!((device.state.theta - 0.1).abs() < 0.15, "{:?}", device.state);
+        }
     }
 
     #[test]

@@ -14,7 +14,7 @@ mod transport;
 mod tty;
 
 pub use in_process::InProcessWire;
-pub use port_name::stable_port_name;
+pub use port_name::{available_ports, stable_port_name};
 pub use serial_link::SerialLink;
 pub use transport::Transport;
 pub use tty::Tty;

@@ -5,6 +5,13 @@ use std::path::Path;
 /// of plugging in.
 const BY_ID: &str = "/dev/serial/by-id";
 
+/// The serial ports that this computer has, by the names the kernel gave them.
+#[must_use]
+pub fn available_ports() -> Vec<String> {
+    let ports = serialport::available_ports().unwrap_or_default();
+    ports.into_iter().map(|port| port.port_name).collect()
+}
+
 /// A name for a port that stays: its link by id where it has one, else the name as it is.
 #[must_use]
 pub fn stable_port_name(port: &str) -> String {

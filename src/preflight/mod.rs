@@ -4,10 +4,14 @@
 //! `firmware_protocol`.
 //!
 //! Three questions: [`conformance`] asks whether a device keeps the protocol, [`examine`] whether
-//! this Qube is wired as its settings say and fast enough, before each session.
+//! this Qube is wired as its settings say and fast enough, before each session, and [`doctor`]
+//! whether this computer can keep time.
 
 pub mod conformance;
+pub mod doctor;
 mod examination;
 mod latency_timer;
 
-pub use examination::{Examination, ExaminationSettings, examine, homing_result};
+pub use examination::{
+    Examination, ExaminationSettings, examine, homed, homing_left_out, not_homed,
+};

@@ -144,6 +144,7 @@ impl QubeFile {
         HomingSettings {
             method: self.homing.method,
             theta_offset_rad: self.homing.theta_offset_rad,
+            hand_counts: None,
             signs: self.signs.into(),
             estimator,
         }

@@ -11,7 +11,9 @@ use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{Device, DeviceError, Identity, SerialLink};
 use crate::estimation::Calibration;
 use crate::policy::{Policy, PolicyFault};
-use crate::preflight::{Examination, ExaminationSettings, examine, homing_result};
+use crate::preflight::{
+    Examination, ExaminationSettings, examine, homed, homing_left_out, not_homed,
+};
 use crate::recording::{Recorder, RecordingError};
 use crate::telemetry::{
     CheckResult, Ending, Fault, Preflight, RolloutHeader, RolloutOutcome, TickSettings,
@@ -168,10 +170,12 @@ impl Rig {
                 rig.home()?;
             }
             (DeviceChoice::Port(_), false) => {
-                let results = rig.check(false)?.results;
+                let mut results = rig.examine(false)?.results;
                 if results.iter().any(CheckResult::failed) {
                     return Err(RigError::Unfit { results });
                 }
+                rig.home()?;
+                results.push(homed(&rig.calibration));
                 rig.preflight = Preflight::Done(results);
             }
         }
@@ -213,24 +217,32 @@ impl Rig {
     /// The device does not answer any more, or somebody asked to stop. A check that failed is no
     /// error here.
     pub fn check(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
+        let mut examination = self.examine(learn_signs)?;
+        examination.results.push(if examination.passed() {
+            match self.home() {
+                Ok(()) => homed(&self.calibration),
+                Err(RigError::Homing(fault)) => not_homed(fault),
+                Err(error) => return Err(error),
+            }
+        } else {
+            homing_left_out()
+        });
+        Ok(examination)
+    }
+
+    /// All checks but homing.
+    fn examine(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
         let settings = ExaminationSettings {
             signs: self.homing.signs,
             learn_signs,
             identity: self.identity.clone(),
         };
-        let mut examination = self
+        let examination = self
             .control
             .lend(move |device, clock, stop| examine(device, clock, stop, &settings))??
             .ok_or(RigError::Stopped)?;
         self.homing.signs = examination.signs;
-        if examination.passed() {
-            let (report, found) = self.control.home(self.homing)??;
-            self.calibration = found.unwrap_or(self.calibration);
-            let homed = homing_result(&report, found.as_ref()).ok_or(RigError::Stopped)?;
-            examination.results.push(homed);
-        } else {
-            examination.results.push(CheckResult::skipped("homing", "not before all else passes"));
-        }
+        self.homing.hand_counts = examination.start_theta_counts;
         Ok(examination)
     }
 
@@ -248,6 +260,9 @@ impl Rig {
         match (report.outcome.ending, found) {
             (_, Some(calibration)) => {
                 self.calibration = calibration;
+                // From now on the middle is known, wherever a fault may leave the arm.
+                let middle_rad = -self.homing.theta_offset_rad;
+                self.homing.hand_counts = Some(calibration.theta_counts_at(middle_rad));
                 Ok(())
             }
             (Ending::Fault(fault), None) => Err(RigError::Homing(fault)),

@@ -76,7 +76,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         count(CheckVerdict::Fail),
         count(CheckVerdict::Skipped),
     );
-    let mut written = None;
+    let (mut written, mut unwritten) = (None, None);
     if let Some((path, base)) = file.filter(|_| passed) {
         let port = stable_port_name(&rig.identity().port);
         let file = QubeFile {
@@ -85,19 +85,26 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             signs: examination.signs.into(),
             ..base
         };
-        file.save(path).map_err(Failure::failed)?;
-        text += &format!("written: {0}; use it with --qube {0}\n", path.display());
-        written = Some(path);
+        match file.save(path) {
+            Ok(()) => {
+                text += &format!("written: {0}; use it with --qube {0}\n", path.display());
+                written = Some(path);
+            }
+            Err(error) => unwritten = Some(error),
+        }
     }
     output.print(
         &text,
         &json!({ "checks": checks_json(results), "passed": passed, "written": written }),
     );
+    if let Some(error) = unwritten {
+        return Err(Failure::failed(error));
+    }
     if passed {
         return Ok(());
     }
-    let unwritten = if arguments.write.is_some() { ", so nothing was written" } else { "" };
-    Err(Failure::failed(format!("failed: {}{unwritten}", failed_names(results))))
+    let note = if arguments.write.is_some() { ", so nothing was written" } else { "" };
+    Err(Failure::failed(format!("failed: {}{note}", failed_names(results))))
 }
 
 /// What the written file begins from: what it says already.

@@ -21,6 +21,8 @@ pub(super) struct RoundTrips {
     asked: u32,
     lost: u32,
     summary_us: LatencySummary,
+    /// Where the arm was before anything moved it.
+    pub(super) theta_counts: Option<i32>,
 }
 
 pub(super) fn identity(identity: &Identity) -> CheckResult {
@@ -46,20 +48,20 @@ pub(super) fn measure(
     port: &str,
 ) -> Result<RoundTrips, Interruption> {
     let mut round_trips = LatencyHistogram::new();
-    let (mut asked, mut lost) = (0, 0);
+    let (mut asked, mut lost, mut theta_counts) = (0, 0, None);
     let end_ns = clock.now_ns() + LONGEST_NS;
     while asked < SAMPLES && clock.now_ns() < end_ns {
         ensure_going(stop)?;
         asked += 1;
         let asked_ns = clock.now_ns();
         match device.sample(asked_ns + PATIENCE_NS) {
-            Ok(_) => {}
+            Ok(sample) => theta_counts = theta_counts.or(Some(sample.theta_counts)),
             Err(LinkFault::Gone) => return Err(gone(port)),
             Err(_) => lost += 1,
         }
         round_trips.record(clock.now_ns() - asked_ns);
     }
-    Ok(RoundTrips { asked, lost, summary_us: round_trips.summary() })
+    Ok(RoundTrips { asked, lost, summary_us: round_trips.summary(), theta_counts })
 }
 
 /// The end of an examination by a cable that was pulled.
@@ -89,7 +91,7 @@ pub(super) fn latency_timer(port: &str, round_trips: &RoundTrips) -> CheckResult
 
 pub(super) fn latency(port: &str, round_trips: &RoundTrips) -> CheckResult {
     const NAME: &str = "latency";
-    let RoundTrips { asked, lost, summary_us } = round_trips;
+    let RoundTrips { asked, lost, summary_us, .. } = round_trips;
     let ms = |us: f64| us * 1e-3;
     let mut value = format!(
         "sample to answer p50 {:.2}, p99 {:.2}, p99.9 {:.2}, max {:.2} ms of {asked}",

@@ -12,10 +12,11 @@ mod watchdog;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::clock::Clock;
-use crate::control::DriveReport;
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::Calibration;
-use crate::telemetry::{CheckResult, Ending};
+use crate::telemetry::{CheckResult, Fault};
+
+const HOMING: &str = "homing";
 
 /// What is taken for granted about a Qube until it has been looked at.
 #[derive(Clone, Debug)]
@@ -35,6 +36,8 @@ pub struct Examination {
     pub results: Vec<CheckResult>,
     /// The signs that were found, where the arm moved; else those that were assumed.
     pub signs: Calibration,
+    /// The arm's count before anything moved it: its middle, where somebody had put it there.
+    pub start_theta_counts: Option<i32>,
 }
 
 impl Examination {
@@ -71,7 +74,8 @@ pub fn examine(
     stop: &AtomicBool,
     settings: &ExaminationSettings,
 ) -> Result<Option<Examination>, DeviceError> {
-    let mut found = Examination { results: Vec::new(), signs: settings.signs };
+    let mut found =
+        Examination { results: Vec::new(), signs: settings.signs, start_theta_counts: None };
     let outcome = look_at_everything(device, clock, stop, settings, &mut found);
     // Whatever happened: a device that still answers is left off and greeted.
     let left_off = device.hello();
@@ -92,6 +96,7 @@ fn look_at_everything(
     let identity = &settings.identity;
     found.results.push(link::identity(identity));
     let round_trips = link::measure(device, clock, stop, &identity.port)?;
+    found.start_theta_counts = round_trips.theta_counts;
     found.results.push(link::latency_timer(&identity.port, &round_trips));
     found.results.push(link::latency(&identity.port, &round_trips));
     let watchdog = watchdog::check(device, clock, &identity.port)?;
@@ -115,24 +120,34 @@ fn ensure_going(stop: &AtomicBool) -> Result<(), Interruption> {
     if stop.load(Ordering::Relaxed) { Err(Interruption::Stopped) } else { Ok(()) }
 }
 
-/// What homing came to, as one more check. None when somebody asked to stop.
+/// Homing as one more check: it has found the zeros.
 #[must_use]
-pub fn homing_result(report: &DriveReport, zeros: Option<&Calibration>) -> Option<CheckResult> {
-    const NAME: &str = "homing";
-    match (report.outcome.ending, zeros) {
-        (_, Some(zeros)) => Some(CheckResult::pass(
-            NAME,
-            format!(
-                "middle of the arm at count {}, the pendulum hangs at count {}",
-                zeros.theta_zero_counts, zeros.alpha_zero_counts
-            ),
-        )),
-        (Ending::Fault(fault), None) => Some(CheckResult::fail(
-            NAME,
-            fault.to_string(),
+pub fn homed(zeros: &Calibration) -> CheckResult {
+    CheckResult::pass(
+        HOMING,
+        format!(
+            "middle of the arm at count {}, the pendulum hangs at count {}",
+            zeros.theta_zero_counts, zeros.alpha_zero_counts
+        ),
+    )
+}
+
+/// Homing as one more check: a fault has ended it.
+#[must_use]
+pub fn not_homed(fault: Fault) -> CheckResult {
+    let cure = match fault {
+        Fault::TravelBlocked | Fault::HomingTimedOut => {
             "clear the way of the arm from stop to stop; or put it into the middle by hand and use \
-             --home hand",
-        )),
-        (_, None) => None,
-    }
+             --home hand"
+        }
+        Fault::LinkGone => "plug the cable in",
+        _ => "check cable and power, close what else keeps this computer busy, then check again",
+    };
+    CheckResult::fail(HOMING, fault.to_string(), cure)
+}
+
+/// Homing as one more check that was left out, because of what failed before it.
+#[must_use]
+pub fn homing_left_out() -> CheckResult {
+    CheckResult::skipped(HOMING, "not before all else passes")
 }
