@@ -35,6 +35,7 @@ fn header() -> RolloutHeader {
         program_version: "0".to_owned(),
         git_revision: "unknown".to_owned(),
         device: BTreeMap::new(),
+        preflight: Default::default(),
         policy: "none".to_owned(),
         settings: TickSettings {
             calibration: Calibration::IDENTITY,

@@ -32,6 +32,8 @@ fn run(folder: SessionFolder, fault: Option<EmulatorFault>) -> Result<(), Sessio
         clock: ClockChoice::Virtual,
         emulator: EmulatorSettings { fault, ..EmulatorSettings::default() },
         homing: settings().homing,
+        skip_check: false,
+        board: None,
     };
     let stop = Arc::new(AtomicBool::new(false));
     Session::open(folder, settings(), rig, stop)?.run(&mut |_| ())
@@ -69,5 +71,17 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
         let entries = Ledger::open(&folder.ledger()).unwrap().entries().to_vec();
         let again = Entry::RolloutFinished { candidate, rollout: 0, attempt: 1 };
         assert!(entries.contains(&again), "{fault}: {entries:?}");
+    }
+}
+
+#[test]
+fn a_cable_that_is_pulled_before_the_first_rollout_leaves_a_session_to_resume() {
+    for fault in ["unplug@0", "unplug@2"] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("session");
+        let error = run(begin(&root), Some(fault.parse().unwrap())).unwrap_err();
+        assert!(matches!(error, SessionError::Rig(_)), "{fault}: {error}");
+        assert!(error.to_string().contains("unplugged"), "{fault}: {error}");
+        run(SessionFolder::open(&root).unwrap(), None).unwrap();
     }
 }

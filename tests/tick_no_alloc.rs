@@ -129,7 +129,7 @@ fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
         let qube = EmulatedQube::spawn(EmulatorSettings::default()).expect("a pty");
         let port = qube.port().to_string_lossy().into_owned();
         let device = SerialLink::open(&port, Arc::new(MonotonicClock)).expect("the pty opens");
-        let settings = HomingSettings { method: HomingMethod::Here, ..HomingSettings::default() };
+        let settings = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
         let (ending, allocations) = if homing {
             driven(device, &MonotonicClock, &mut Homing::new(&settings))
         } else {

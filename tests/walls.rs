@@ -60,10 +60,12 @@ const ROOMS: &[Room] = &[
     room("replay", &["recording", "control", "policy", "safety", "estimation", "simulation",
                      "telemetry", "qube", "elementary"]),
     room("identification", &["replay", "qube"]),
-    room("preflight", &["clock", "device", "control", "qube", "firmware_protocol"]),
+    // The check measures with the tick's own clock and drive, and speaks of signs and faults.
+    room("preflight", &["clock", "device", "control", "estimation", "safety", "telemetry", "qube",
+                        "firmware_protocol"]),
     room("session", &["clock", "elementary", "qube", "estimation", "safety", "policy",
                       "simulation", "learning", "surrogate", "search", "device", "telemetry",
-                      "control", "recording", "replay"]),
+                      "control", "recording", "replay", "preflight"]),
     room("commands", EVERY_ROOM),
 ];
 

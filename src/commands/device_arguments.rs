@@ -1,45 +1,140 @@
+use std::path::{Path, PathBuf};
+
 use clap::ValueEnum;
 
-use crate::control::HomingSettings;
+use super::exit::Failure;
+use crate::control::{HomingMethod, HomingSettings};
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
-use crate::session::{ClockChoice, DeviceChoice, RigSettings};
+use crate::safety::SafetyBox;
+use crate::session::{ClockChoice, DeviceChoice, QUBE_FILE, QubeFile, RigSettings};
+
+/// The name by which the embedded emulator is asked for.
+const EMULATED: &str = "emulated";
 
 /// Which Qube, and which time.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DeviceArguments {
-    /// `emulated`, or the serial port of a Qube
-    #[arg(long, default_value = "emulated", value_name = "emulated|PORT")]
-    pub device: String,
+    /// `emulated`, or the serial port of a Qube [default: the port in --qube, else emulated]
+    #[arg(long, value_name = "emulated|PORT")]
+    device: Option<String>,
+
+    /// What is particular about this Qube: signs, port, limits, as `check --write` writes it
+    /// [default with a PORT: qube.toml, where there is one]
+    #[arg(long, value_name = "FILE")]
+    qube: Option<PathBuf>,
+
+    /// How the arm's middle is found: between its stops, or where it was put by hand
+    #[arg(long, value_enum)]
+    home: Option<HomeArgument>,
 
     /// Which time passes; `virtual` runs the emulated Qube as fast as the processor can
     #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
-    pub clock: ClockArgument,
+    clock: ClockArgument,
 }
 
 /// The two clocks by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ClockArgument {
+enum ClockArgument {
     /// Real time
     Wall,
     /// Virtual time
     Virtual,
 }
 
+/// The two ways of homing by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum HomeArgument {
+    /// Half-way between the hard stops, which the arm touches slowly
+    Stops,
+    /// Where the arm is now: put it into the middle before
+    Hand,
+}
+
+/// A Qube that the arguments have led to.
+#[derive(Clone, Debug)]
+pub struct ChosenDevice {
+    /// Where it is.
+    pub choice: DeviceChoice,
+    /// Which time passes.
+    pub clock: ClockChoice,
+    /// What is particular about it, where a file says so.
+    pub file: Option<QubeFile>,
+    home: Option<HomingMethod>,
+}
+
 impl DeviceArguments {
-    /// What a rig is opened with.
-    pub fn rig_settings(&self, seed: u64, estimator: EstimatorSettings) -> RigSettings {
-        RigSettings {
-            device: match self.device.as_str() {
-                "emulated" => DeviceChoice::Emulated,
-                port => DeviceChoice::Port(port.to_owned()),
-            },
+    /// Reads the file about the Qube, where there is one, and finds out which Qube is meant.
+    ///
+    /// The file in the working directory counts only with a port: without `--device` and `--qube`
+    /// nothing but the emulated Qube moves, whatever lies around.
+    pub fn choose(&self) -> Result<ChosenDevice, Failure> {
+        let path = match (&self.qube, self.device.as_deref()) {
+            (Some(path), _) => Some(path.as_path()),
+            (None, None | Some(EMULATED)) => None,
+            (None, Some(_)) => Some(Path::new(QUBE_FILE)).filter(|path| path.exists()),
+        };
+        let file = path.map(QubeFile::load).transpose().map_err(Failure::usage)?;
+        if let Some(path) = path {
+            eprintln!("this Qube's settings are those in {}", path.display());
+        }
+        let port_of_file = file.as_ref().and_then(|file| file.port.clone());
+        let choice = match (self.device.as_deref(), path) {
+            (Some(EMULATED), _) | (None, None) => DeviceChoice::Emulated,
+            (Some(port), _) => DeviceChoice::Port(port.to_owned()),
+            (None, Some(path)) => DeviceChoice::Port(port_of_file.ok_or_else(|| {
+                Failure::usage(format!("{} names no port: give --device too", path.display()))
+            })?),
+        };
+        Ok(ChosenDevice {
+            choice,
             clock: match self.clock {
                 ClockArgument::Wall => ClockChoice::Wall,
                 ClockArgument::Virtual => ClockChoice::Virtual,
             },
+            file,
+            home: self.home.map(|home| match home {
+                HomeArgument::Stops => HomingMethod::Stops,
+                HomeArgument::Hand => HomingMethod::Hand,
+            }),
+        })
+    }
+}
+
+impl ChosenDevice {
+    /// How it is homed: as the arguments say, else its file, else `default`.
+    pub fn homing(&self, default: HomingSettings) -> HomingSettings {
+        let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
+        HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
+    }
+
+    /// A box no wider than its file allows.
+    pub fn safety_box(&self, of_the_task: SafetyBox) -> SafetyBox {
+        self.file.as_ref().map_or(of_the_task, |file| file.within_limits(&of_the_task))
+    }
+
+    /// What a rig is opened with.
+    pub fn rig_settings(
+        &self,
+        seed: u64,
+        estimator: EstimatorSettings,
+        skip_check: bool,
+    ) -> RigSettings {
+        RigSettings {
+            device: self.choice.clone(),
+            clock: self.clock,
             emulator: EmulatorSettings { seed, ..EmulatorSettings::default() },
-            homing: HomingSettings { estimator, ..HomingSettings::default() },
+            homing: self.homing(HomingSettings { estimator, ..HomingSettings::default() }),
+            skip_check,
+            board: self.file.as_ref().and_then(|file| file.board.clone()),
         }
     }
+}
+
+/// The check that precedes the first motion of a real Qube.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct CheckArguments {
+    /// Leave out the check of a real Qube before its first motion; the recordings say so
+    #[arg(long)]
+    pub skip_check: bool,
 }

@@ -11,10 +11,13 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::Stopped => stop.failure("stopped while homing"),
         RigError::Homing(_) | RigError::ThreadGone(_) => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
-        RigError::Emulator(_) | RigError::Thread(_) => Failure::failed(error),
-        RigError::VirtualPort { .. } | RigError::Device(_) | RigError::Policy(_) => {
-            Failure::usage(error)
+        RigError::Emulator(_) | RigError::Thread(_) | RigError::Unfit { .. } => {
+            Failure::failed(error)
         }
+        RigError::VirtualPort { .. }
+        | RigError::OtherBoard { .. }
+        | RigError::Device(_)
+        | RigError::Policy(_) => Failure::usage(error),
     }
 }
 

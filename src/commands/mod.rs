@@ -3,7 +3,10 @@
 //! May import everything; nobody imports it.
 
 mod benchmark;
+mod check;
+mod check_table;
 mod device_arguments;
+mod doctor;
 mod emulate;
 mod exit;
 mod failures;
@@ -13,6 +16,7 @@ mod profile;
 mod recover;
 mod replay;
 mod run;
+mod service_manager;
 mod session;
 mod session_progress;
 mod session_table;
@@ -58,6 +62,8 @@ enum Command {
     Train(train::Arguments),
     Identify(identify::Arguments),
     Run(run::Arguments),
+    Check(check::Arguments),
+    Doctor(doctor::Arguments),
     Emulate(emulate::Arguments),
     Benchmark(benchmark::Arguments),
     Toy(toy::Arguments),
@@ -76,6 +82,8 @@ pub fn main() -> ExitCode {
         Command::Train(arguments) => train::run(arguments, &output),
         Command::Identify(arguments) => identify::run(&arguments, &output),
         Command::Run(arguments) => run::run(arguments, &output),
+        Command::Check(arguments) => check::run(&arguments, &output),
+        Command::Doctor(arguments) => doctor::run(&arguments, &output),
         Command::Emulate(arguments) => emulate::run(&arguments, &output),
         Command::Benchmark(arguments) => benchmark::run(&arguments, &output),
         Command::Toy(arguments) => toy::run(&arguments, &output),

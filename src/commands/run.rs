@@ -3,11 +3,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use super::device_arguments::DeviceArguments;
+use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::exit::Failure;
 use super::output::Output;
 use super::stop::Stop;
 use super::{dated_folder, failures, timing_lines, warn_without_realtime};
+use crate::control::HomingMethod;
 use crate::estimation::EstimatorSettings;
 use crate::policy::{ClassicalController, ClassicalGains, Policy};
 use crate::recording::read;
@@ -24,7 +25,8 @@ use crate::telemetry::Ending;
 #[command(after_help = "Examples:\n  \
     qube-hil run --policy classical                       # a swing-up at once, nothing trained\n  \
     qube-hil run --policy policies/nominal.safetensors --rollouts 5\n  \
-    qube-hil run --policy best.safetensors --device /dev/ttyACM0 --out logs/monday")]
+    qube-hil run --policy best.safetensors --device /dev/ttyACM0 --out logs/monday\n  \
+    qube-hil run --policy classical --qube qube.toml      # port and signs from check --write")]
 pub struct Arguments {
     /// A policy file, or `classical` for the built-in energy swing-up with balance
     #[arg(long, value_name = "FILE|classical")]
@@ -48,6 +50,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     device: DeviceArguments,
+
+    #[command(flatten)]
+    check: CheckArguments,
 }
 
 fn positive(text: &str) -> Result<f64, String> {
@@ -64,8 +69,14 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("run"));
 
     let estimator = EstimatorSettings { corner_rad_s: arguments.filter };
-    let settings = arguments.device.rig_settings(arguments.seed, estimator);
-    eprintln!("homing: the arm looks for its stops");
+    let device = arguments.device.choose()?;
+    let settings = device.rig_settings(arguments.seed, estimator, arguments.check.skip_check);
+    if settings.checks() {
+        eprintln!("checking the Qube: the arm is pushed a little (--skip-check leaves it out)");
+    }
+    if settings.homing.method == HomingMethod::Stops {
+        eprintln!("homing: the arm looks for its stops");
+    }
     let mut rig = Rig::open(&settings, &stop.flag).map_err(|error| failures::rig(error, &stop))?;
     warn_without_realtime(rig.realtime());
     std::fs::create_dir_all(&directory)
@@ -82,7 +93,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             seed: arguments.seed,
             policy: arguments.policy.clone(),
             estimator,
-            safety_box: SafetyBox::THESIS,
+            safety_box: device.safety_box(SafetyBox::THESIS),
         };
         let path = directory.join(format!("rollout-{rollout}.mcap"));
         let recorded = rig.rollout(&path, plan.header(), &policy).map_err(|error| {

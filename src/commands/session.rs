@@ -5,10 +5,11 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 
 use super::dated_folder;
-use super::device_arguments::DeviceArguments;
+use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
+use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
@@ -49,6 +50,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     device: DeviceArguments,
+
+    #[command(flatten)]
+    check: CheckArguments,
 }
 
 /// How much a session does.
@@ -63,24 +67,33 @@ enum Preset {
 /// Runs or resumes a session and prints its table.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
+    let device = arguments.device.choose()?;
     let (folder, settings) = match &arguments.resume {
-        Some(directory) => resumed(directory)?,
-        None => begun(&arguments)?,
+        Some(directory) => resumed(directory, &device)?,
+        None => begun(&arguments, &device)?,
     };
     let stop = Stop::on_signals()?;
     let rig_settings = crate::session::RigSettings {
         homing: settings.homing,
-        ..arguments.device.rig_settings(settings.seed, settings.estimator)
+        ..device.rig_settings(settings.seed, settings.estimator, arguments.check.skip_check)
     };
     let resume = format!("qube-hil session --resume {}", folder.root().display());
     eprintln!("session in {}", folder.root().display());
+    if rig_settings.checks() {
+        eprintln!("first the Qube is checked and homed (--skip-check leaves the check out)");
+    }
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings);
     let mut session =
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
             .map_err(failed)?;
-    let ended = session.run(&mut |news| progress.tell(&news));
+    service_manager::ready();
+    let ended = session.run(&mut |news| {
+        service_manager::alive();
+        progress.tell(&news);
+    });
+    service_manager::stopping();
     progress.finish();
     let table = SessionTable::read(&mut session).map_err(failed)?;
     if let Err(error) = ended {
@@ -94,7 +107,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-fn begun(arguments: &Arguments) -> Result<(SessionFolder, SessionSettings), Failure> {
+fn begun(
+    arguments: &Arguments,
+    device: &ChosenDevice,
+) -> Result<(SessionFolder, SessionSettings), Failure> {
     let preset = match arguments.preset {
         Preset::Quick => SessionSettings::quick(),
         Preset::Thesis => SessionSettings::thesis(),
@@ -108,14 +124,27 @@ fn begun(arguments: &Arguments) -> Result<(SessionFolder, SessionSettings), Fail
     settings.name = directory
         .file_name()
         .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
+    let settings = on_this_qube(settings, device);
     let configuration = settings.to_toml().map_err(Failure::failed)?;
     let folder = SessionFolder::create(&directory, &configuration)
         .map_err(|error| failures::folder(&error))?;
     Ok((folder, settings))
 }
 
-fn resumed(directory: &Path) -> Result<(SessionFolder, SessionSettings), Failure> {
+fn resumed(
+    directory: &Path,
+    device: &ChosenDevice,
+) -> Result<(SessionFolder, SessionSettings), Failure> {
     let folder = SessionFolder::open(directory).map_err(|error| failures::folder(&error))?;
     let settings = SessionSettings::load(&folder.configuration()).map_err(Failure::usage)?;
-    Ok((folder, settings))
+    Ok((folder, on_this_qube(settings, device)))
+}
+
+/// Signs, homing and limits of the rig: its own file knows them better than the session does.
+fn on_this_qube(settings: SessionSettings, device: &ChosenDevice) -> SessionSettings {
+    SessionSettings {
+        homing: device.homing(settings.homing),
+        safety_box: device.safety_box(settings.safety_box),
+        ..settings
+    }
 }

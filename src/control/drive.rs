@@ -9,7 +9,7 @@ use crate::telemetry::{Phase, RolloutOutcome, TickRecord};
 
 /// How long a tick waits for its sample, ns. Past this the last voltage is held over, so that the
 /// act still leaves well before the next tick.
-const SAMPLE_TIMEOUT_NS: u64 = 6_000_000;
+pub const SAMPLE_TIMEOUT_NS: u64 = 6_000_000;
 
 /// What came of driving one motion to its end.
 #[derive(Debug)]

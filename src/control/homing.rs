@@ -51,7 +51,8 @@ pub enum HomingMethod {
     #[default]
     Stops,
     /// Where the arm is when homing starts: somebody put it into the middle by hand.
-    Here,
+    #[serde(alias = "here")]
+    Hand,
 }
 
 /// How homing is done.
@@ -60,6 +61,11 @@ pub enum HomingMethod {
 pub struct HomingSettings {
     /// Where the middle comes from.
     pub method: HomingMethod,
+    /// Where the arm's zero lies, seen from that middle, rad: some stops are not where they should be.
+    pub theta_offset_rad: f64,
+    /// The arm's count where it was put by hand, if it has moved since.
+    #[serde(skip)]
+    pub hand_counts: Option<i32>,
     /// Signs of the rig; the zeros are what homing finds.
     pub signs: Calibration,
     /// Velocities for the motion itself.
@@ -70,6 +76,8 @@ impl Default for HomingSettings {
     fn default() -> Self {
         Self {
             method: HomingMethod::default(),
+            theta_offset_rad: 0.0,
+            hand_counts: None,
             signs: Calibration::IDENTITY,
             estimator: EstimatorSettings::default(),
         }
@@ -174,7 +182,7 @@ impl Homing {
     pub fn new(settings: &HomingSettings) -> Self {
         let middle_rad = match settings.method {
             HomingMethod::Stops => None,
-            HomingMethod::Here => Some(0.0),
+            HomingMethod::Hand => Some(0.0),
         };
         Self {
             settings: *settings,
@@ -203,6 +211,12 @@ impl Homing {
         let estimator = self.estimator.get_or_insert_with(|| {
             self.provisional.theta_zero_counts = measurement.theta_counts;
             self.provisional.alpha_zero_counts = measurement.alpha_counts;
+            if let (HomingMethod::Hand, Some(theta_counts)) =
+                (self.settings.method, self.settings.hand_counts)
+            {
+                let put = Measurement { theta_counts, ..*measurement };
+                self.middle_rad = Some(self.provisional.angles_rad(&put).0);
+            }
             Estimator::new(self.settings.estimator, self.provisional)
         });
         estimator.update(measurement)
@@ -274,8 +288,9 @@ impl Homing {
         (seek.blocked_ticks >= BLOCKED_TICKS).then_some(seek.furthest_rad)
     }
 
-    /// The counts at the middle of the arm and at the hanging pendulum.
+    /// The counts at the arm's zero and at the hanging pendulum.
     fn zeros(&self, measurement: &Measurement, off_middle_rad: f64) -> Calibration {
+        let off_zero_rad = off_middle_rad - self.settings.theta_offset_rad;
         let off_hanging_rad = self.state.alpha - self.hanging_rad;
         let back = |counts: i32, off_rad: f64, inverted: bool| {
             let off_counts = (off_rad / RAD_PER_COUNT).round() as i32;
@@ -283,7 +298,7 @@ impl Homing {
         };
         let signs = &self.settings.signs;
         Calibration {
-            theta_zero_counts: back(measurement.theta_counts, off_middle_rad, signs.theta_inverted),
+            theta_zero_counts: back(measurement.theta_counts, off_zero_rad, signs.theta_inverted),
             alpha_zero_counts: back(
                 measurement.alpha_counts,
                 off_hanging_rad,
@@ -398,11 +413,52 @@ mod tests {
     #[test]
     fn homing_by_hand_takes_the_place_where_the_arm_is() {
         let mut device = PlantDevice::new(State { theta: 0.5, ..State::default() });
-        let settings = HomingSettings { method: HomingMethod::Here, ..HomingSettings::default() };
+        let settings = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
         let (ending, found) = home(&mut device, &settings);
         assert_eq!(ending, Ending::Completed);
         assert!((found.unwrap().theta_zero_counts - counts(0.5)).abs() <= 3);
         assert!(device.furthest_rad < 0.7, "homing by hand does not look for stops");
+    }
+
+    #[test]
+    fn an_arm_that_has_moved_since_it_was_put_by_hand_goes_back() {
+        for theta_inverted in [false, true] {
+            let signs = Calibration {
+                theta_inverted,
+                alpha_inverted: theta_inverted,
+                voltage_inverted: theta_inverted,
+                ..Calibration::IDENTITY
+            };
+            let mut device = PlantDevice::new(State { theta: 0.5, ..State::default() });
+            let settings = HomingSettings {
+                method: HomingMethod::Hand,
+                hand_counts: Some(counts(0.1)),
+                signs,
+                ..HomingSettings::default()
+            };
+            let (ending, found) = home(&mut device, &settings);
+            assert_eq!(ending, Ending::Completed);
+            assert!((found.unwrap().theta_zero_counts - counts(0.1)).abs() <= 1, "{found:?}");
+            assert!((device.state.theta - 0.1).abs() < 0.15, "{:?}", device.state);
+        }
+    }
+
+    #[test]
+    fn zero_lies_where_the_offset_says() {
+        for theta_inverted in [false, true] {
+            let mut device = PlantDevice::new(State::default());
+            let signs = Calibration {
+                theta_inverted,
+                alpha_inverted: theta_inverted,
+                voltage_inverted: theta_inverted,
+                ..Calibration::IDENTITY
+            };
+            let settings =
+                HomingSettings { theta_offset_rad: 0.2, signs, ..HomingSettings::default() };
+            let (_, found) = home(&mut device, &settings);
+            let expected = counts(if theta_inverted { -0.2 } else { 0.2 });
+            assert!((found.unwrap().theta_zero_counts - expected).abs() <= 4, "{found:?}");
+        }
     }
 
     #[test]

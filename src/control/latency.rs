@@ -5,7 +5,7 @@ use crate::telemetry::LatencySummary;
 /// Largest latency that is told apart, ns; what is above counts as this.
 const LARGEST_NS: u64 = 10_000_000_000;
 
-/// Latencies of one motion. Made before the first tick; recording into it does not allocate.
+/// Latencies of one kind. Made before the first tick; recording into it does not allocate.
 #[derive(Clone, Debug)]
 pub struct LatencyHistogram {
     nanoseconds: Histogram<u64>,
@@ -13,6 +13,7 @@ pub struct LatencyHistogram {
 
 impl LatencyHistogram {
     /// An empty one, two significant digits.
+    #[must_use]
     pub fn new() -> Self {
         let nanoseconds =
             Histogram::new_with_bounds(1, LARGEST_NS, 2).expect("constant bounds are valid");
@@ -25,6 +26,7 @@ impl LatencyHistogram {
     }
 
     /// Percentiles in microseconds; all 0 where nothing was recorded.
+    #[must_use]
     pub fn summary(&self) -> LatencySummary {
         let microseconds = |quantile| self.nanoseconds.value_at_quantile(quantile) as f64 / 1000.0;
         LatencySummary {
@@ -33,5 +35,11 @@ impl LatencyHistogram {
             p999: microseconds(0.999),
             max: self.nanoseconds.max() as f64 / 1000.0,
         }
+    }
+}
+
+impl Default for LatencyHistogram {
+    fn default() -> Self {
+        Self::new()
     }
 }

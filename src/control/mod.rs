@@ -10,14 +10,17 @@ mod drive;
 mod homing;
 mod latency;
 mod motion;
+mod nudge;
 mod settling;
 mod thread;
 mod tick;
 mod watch;
 
-pub use drive::{DriveReport, drive};
+pub use drive::{DriveReport, SAMPLE_TIMEOUT_NS, drive};
 pub use homing::{Homing, HomingMethod, HomingSettings};
+pub use latency::LatencyHistogram;
 pub use motion::{Motion, TickInput, TickOutput};
+pub use nudge::{Nudge, NudgeResponse};
 pub use thread::{ControlThread, ThreadGone};
 pub use tick::Tick;
 

@@ -24,12 +24,17 @@ enum Command {
     Hello,
     Home(HomingSettings),
     Rollout(TickSettings, Box<Policy>, rtrb::Producer<TickRecord>),
+    Lend(Borrower),
 }
+
+/// Somebody who needs the device itself for a while, its clock and the request to stop.
+type Borrower = Box<dyn FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) + Send>;
 
 enum Event {
     Identified(Result<Identity, DeviceError>),
     Homed(Result<(DriveReport, Option<Calibration>), DeviceError>),
     Finished(Result<DriveReport, DeviceError>),
+    Returned,
 }
 
 /// The thread that owns the device. One command at a time; in between the amplifier is off.
@@ -116,6 +121,26 @@ impl ControlThread {
         }
     }
 
+    /// Lends the device to a task between motions, on this thread and with its priority: what a
+    /// check measures is then what a tick will see.
+    ///
+    /// # Errors
+    /// The thread is gone.
+    pub fn lend<R: Send + 'static>(
+        &self,
+        task: impl FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) -> R + Send + 'static,
+    ) -> Result<R, ThreadGone> {
+        let (results, result) = bounded(1);
+        let borrower: Borrower = Box::new(move |device, clock, stop| {
+            // Its receiver waits below, and there is room for one.
+            let _ = results.send(task(device, clock, stop));
+        });
+        match self.ask(Command::Lend(borrower))? {
+            Event::Returned => result.recv().map_err(|_| ThreadGone),
+            _ => Err(ThreadGone),
+        }
+    }
+
     fn ask(&self, command: Command) -> Result<Event, ThreadGone> {
         let commands = self.commands.as_ref().ok_or(ThreadGone)?;
         commands.send(command).map_err(|_| ThreadGone)?;
@@ -143,6 +168,10 @@ fn obey(command: Command, device: &mut dyn Device, clock: &dyn Clock, stop: &Ato
         Command::Rollout(settings, policy, mut records) => {
             let mut tick = Tick::new(&settings, *policy);
             Event::Finished(drive(device, clock, &mut tick, Some(&mut records), stop))
+        }
+        Command::Lend(borrower) => {
+            borrower(device, clock, stop);
+            Event::Returned
         }
     }
 }

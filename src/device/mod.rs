@@ -8,11 +8,13 @@ pub mod emulator;
 mod in_process;
 mod port_fd;
 mod port_holder;
+mod port_name;
 mod serial_link;
 mod transport;
 mod tty;
 
 pub use in_process::InProcessWire;
+pub use port_name::{available_ports, stable_port_name};
 pub use serial_link::SerialLink;
 pub use transport::Transport;
 pub use tty::Tty;

@@ -8,6 +8,7 @@ use serialport::{ErrorKind, TTYPort};
 
 use super::port_fd::PortFd;
 use super::port_holder::holder_of;
+use super::port_name::available_ports;
 use super::{DeviceError, LinkFault, SerialLink, Transport};
 use crate::clock::{Clock, Nanoseconds};
 
@@ -110,7 +111,7 @@ fn open_error(port: &str, error: serialport::Error) -> DeviceError {
     let port = port.to_owned();
     match error.kind() {
         ErrorKind::Io(std::io::ErrorKind::NotFound) => {
-            DeviceError::NoSuchPort { port, available: available_ports() }
+            DeviceError::NoSuchPort { port, available: named_ports() }
         }
         ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => DeviceError::NotPermitted { port },
         ErrorKind::NoDevice => DeviceError::Busy { holder: holder_of(&port), port },
@@ -127,10 +128,7 @@ fn is_no_terminal(port: &str) -> bool {
     rustix::fs::open(port, flags, Mode::empty()).is_ok_and(|file| !rustix::termios::isatty(file))
 }
 
-fn available_ports() -> String {
-    let ports = serialport::available_ports().unwrap_or_default();
-    if ports.is_empty() {
-        return "none".to_owned();
-    }
-    ports.into_iter().map(|port| port.port_name).collect::<Vec<_>>().join(", ")
+fn named_ports() -> String {
+    let ports = available_ports();
+    if ports.is_empty() { "none".to_owned() } else { ports.join(", ") }
 }

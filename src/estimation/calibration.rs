@@ -41,9 +41,41 @@ impl Calibration {
         )
     }
 
+    /// The arm encoder's count at an angle in rad.
+    #[must_use]
+    pub fn theta_counts_at(&self, theta_rad: f64) -> i32 {
+        let off_counts = (theta_rad / RAD_PER_COUNT).round() as i32;
+        self.theta_zero_counts.wrapping_add(if self.theta_inverted {
+            -off_counts
+        } else {
+            off_counts
+        })
+    }
+
     /// The voltage to send for a wanted voltage.
     #[must_use]
     pub fn device_mv(&self, voltage_mv: i16) -> i16 {
         if self.voltage_inverted { voltage_mv.saturating_neg() } else { voltage_mv }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_and_angles_of_the_arm_agree_either_way_round() {
+        for theta_inverted in [false, true] {
+            let calibration =
+                Calibration { theta_zero_counts: 700, theta_inverted, ..Calibration::IDENTITY };
+            for theta_rad in [-1.0, 0.0, 0.3] {
+                let measurement = Measurement {
+                    theta_counts: calibration.theta_counts_at(theta_rad),
+                    ..Measurement::default()
+                };
+                let (back_rad, _) = calibration.angles_rad(&measurement);
+                assert!((back_rad - theta_rad).abs() <= 0.5 * RAD_PER_COUNT + 1e-12);
+            }
+        }
     }
 }

@@ -1,5 +1,17 @@
 //! Is what hangs at the other end of the wire fit to be driven?
 //!
-//! May import `clock`, `device`, `control`, `qube` and the crate `firmware_protocol`.
+//! May import `clock`, `device`, `control`, `estimation`, `safety`, `telemetry`, `qube` and the crate
+//! `firmware_protocol`.
+//!
+//! Three questions: [`conformance`] asks whether a device keeps the protocol, [`examine`] whether
+//! this Qube is wired as its settings say and fast enough, before each session, and [`doctor`]
+//! whether this computer can keep time.
 
 pub mod conformance;
+pub mod doctor;
+mod examination;
+mod latency_timer;
+
+pub use examination::{
+    Examination, ExaminationSettings, examine, homed, homing_left_out, not_homed,
+};

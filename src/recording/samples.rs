@@ -8,7 +8,8 @@ use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{Measurement, RewardWeights, State, Status};
 use crate::safety::{Limit, SafetyBox};
 use crate::telemetry::{
-    Ending, LatencySummary, Phase, RolloutHeader, RolloutOutcome, TickRecord, TickSettings,
+    CheckResult, Ending, LatencySummary, Phase, Preflight, RolloutHeader, RolloutOutcome,
+    TickRecord, TickSettings,
 };
 
 pub(crate) const POLICY: &[u8] = b"not a policy, but these very bytes";
@@ -26,6 +27,11 @@ pub(crate) fn header() -> RolloutHeader {
         program_version: "0.1.0".to_owned(),
         git_revision: "unknown".to_owned(),
         device: BTreeMap::from([("kind".to_owned(), "emulator".to_owned())]),
+        preflight: Preflight::Done(vec![
+            CheckResult::pass("latency", "sample p50 0.92 ms"),
+            CheckResult::fail("motor-sign", "-0.1 rad", "turn it round"),
+            CheckResult::skipped("homing", "not before all else passes"),
+        ]),
         policy: "nominal".to_owned(),
         settings: TickSettings {
             calibration: Calibration { theta_zero_counts: 12, ..Calibration::IDENTITY },

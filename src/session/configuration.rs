@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 use toml::{Table, Value};
 
-use super::SessionSettings;
+use super::{FolderError, SessionSettings};
 
 /// What is wrong with a configuration.
 #[derive(Debug, Error)]
@@ -37,6 +37,9 @@ pub enum ConfigurationError {
     /// It cannot be written as TOML.
     #[error("the configuration cannot be written: {0}")]
     Unwritable(#[from] toml::ser::Error),
+    /// The file could not be written.
+    #[error("the settings could not be written: {0}")]
+    NotWritten(FolderError),
 }
 
 impl SessionSettings {

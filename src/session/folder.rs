@@ -161,11 +161,9 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
     let mut file = File::create(&unfinished).map_err(io(&unfinished))?;
     file.write_all(bytes).and_then(|()| file.sync_all()).map_err(io(&unfinished))?;
     std::fs::rename(&unfinished, path).map_err(io(path))?;
-    // The parent of a bare name is the empty path.
-    let directory = match path.parent() {
-        Some(parent) if parent != Path::new("") => parent,
-        _ => Path::new("."),
-    };
+    // The parent of a bare name is empty, not absent.
+    let directory = path.parent().filter(|parent| *parent != Path::new(""));
+    let directory = directory.unwrap_or(Path::new("."));
     File::open(directory).and_then(|directory| directory.sync_all()).map_err(io(directory))
 }
 

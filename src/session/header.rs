@@ -5,7 +5,7 @@ use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{MAX_STEPS, RewardWeights};
 use crate::recording::FORMAT_VERSION;
 use crate::safety::SafetyBox;
-use crate::telemetry::{RolloutHeader, TickSettings};
+use crate::telemetry::{Preflight, RolloutHeader, TickSettings};
 
 /// What a rollout is: its place among the others, its policy, the rules it runs under.
 #[derive(Clone, Debug)]
@@ -31,7 +31,7 @@ pub struct RolloutPlan {
 }
 
 impl RolloutPlan {
-    /// The header as far as it is known before a rig fills in device, calibration and time.
+    /// The header as far as it is known before a rig fills in device, check, calibration and time.
     #[must_use]
     pub fn header(&self) -> RolloutHeader {
         RolloutHeader {
@@ -46,6 +46,7 @@ impl RolloutPlan {
             program_version: env!("CARGO_PKG_VERSION").into(),
             git_revision: env!("QUBE_HIL_GIT_REVISION").into(),
             device: BTreeMap::new(),
+            preflight: Preflight::Unknown,
             policy: self.policy.clone(),
             settings: TickSettings {
                 calibration: Calibration::IDENTITY,

@@ -7,8 +7,8 @@ use super::folder::write_whole;
 use super::seeds::{Purpose as SeedFor, derived_seed};
 use super::training::{Job, News, train_all};
 use super::{
-    Candidate, ClockChoice, Entry, Ledger, Purpose, Rig, RigSettings, RolloutPlan, SessionError,
-    SessionFolder, SessionSettings, Step, Verdict, candidates, judge, next_step,
+    Candidate, ClockChoice, DeviceChoice, Entry, Ledger, Purpose, Rig, RigSettings, RolloutPlan,
+    SessionError, SessionFolder, SessionSettings, Step, Verdict, candidates, judge, next_step,
 };
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
 use crate::policy::Policy;
@@ -92,6 +92,7 @@ impl Session {
     /// # Errors
     /// Whatever ends a session early. What was finished until then is on disk.
     pub fn run(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), SessionError> {
+        self.connect_early(tell)?;
         loop {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped);
@@ -108,6 +109,17 @@ impl Session {
                 Step::Done => return Ok(()),
             }
         }
+    }
+
+    /// A real Qube is checked and homed before anything is trained for it: what is wrong with it
+    /// should not show after hours.
+    fn connect_early(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), SessionError> {
+        let is_over = next_step(self.ledger.entries(), &self.settings.extent) == Step::Done;
+        if !is_over && matches!(self.rig_settings.device, DeviceChoice::Port(_)) {
+            let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
+            self.ready_rig(first, tell)?;
+        }
+        Ok(())
     }
 
     /// The session's folder.

@@ -11,8 +11,13 @@ use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{Device, DeviceError, Identity, SerialLink};
 use crate::estimation::Calibration;
 use crate::policy::{Policy, PolicyFault};
+use crate::preflight::{
+    Examination, ExaminationSettings, examine, homed, homing_left_out, not_homed,
+};
 use crate::recording::{Recorder, RecordingError};
-use crate::telemetry::{Ending, Fault, RolloutHeader, RolloutOutcome, TickSettings};
+use crate::telemetry::{
+    CheckResult, Ending, Fault, Preflight, RolloutHeader, RolloutOutcome, TickSettings,
+};
 
 /// Where the Qube is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -58,9 +63,33 @@ pub enum RigError {
     /// Homing ended by a fault.
     #[error("homing failed: {0}. The motor is off; look at the Qube, then start again")]
     Homing(Fault),
-    /// Somebody asked to stop during homing.
+    /// Somebody asked to stop during the check or homing.
     #[error("stopped while homing")]
     Stopped,
+    /// The check found something.
+    #[error(
+        "the Qube did not pass its check, so nothing was run.{}\nSee the whole table with qube-hil \
+         check; --skip-check goes on all the same",
+        listed(results)
+    )]
+    Unfit {
+        /// All results; at least one failed.
+        results: Vec<CheckResult>,
+    },
+    /// The settings are those of another board.
+    #[error(
+        "{port} is board {found}, but the settings in qube.toml are for board {expected}: wrong signs \
+         would drive the arm into its stops. Use that board's port, or write a file for this one \
+         with qube-hil check --write"
+    )]
+    OtherBoard {
+        /// The port.
+        port: String,
+        /// The serial number in the file.
+        expected: String,
+        /// The one that answered.
+        found: String,
+    },
     /// The recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
@@ -78,8 +107,29 @@ pub struct RigSettings {
     pub clock: ClockChoice,
     /// What the emulator is made of, where it is used.
     pub emulator: EmulatorSettings,
-    /// How homing is done.
+    /// How homing is done, and the signs of the rig.
     pub homing: HomingSettings,
+    /// Leave out the check that precedes the first motion of a real Qube.
+    pub skip_check: bool,
+    /// The serial number of the board that the signs belong to, where it is known.
+    pub board: Option<String>,
+}
+
+impl RigSettings {
+    /// Whether opening such a rig begins with a check.
+    #[must_use]
+    pub fn checks(&self) -> bool {
+        !self.skip_check && matches!(self.device, DeviceChoice::Port(_))
+    }
+}
+
+/// The failed checks and their cures, a line each.
+fn listed(results: &[CheckResult]) -> String {
+    let line = |result: &CheckResult| {
+        let cure = result.cure.as_deref().unwrap_or_default();
+        format!("\n  {}: {}\n    cure: {cure}", result.name, result.value)
+    };
+    results.iter().filter(|result| result.failed()).map(line).collect()
 }
 
 /// A Qube that has said hello and is homed, with the thread that drives it.
@@ -88,6 +138,7 @@ pub struct Rig {
     identity: Identity,
     calibration: Calibration,
     homing: HomingSettings,
+    preflight: Preflight,
     clock: ClockChoice,
     /// Served until the rig is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
@@ -103,26 +154,96 @@ pub struct Recorded {
 }
 
 impl Rig {
-    /// Opens the device, asks who it is, and homes it.
+    /// Opens the device, asks who it is, checks it where it is a real one, and homes it.
     ///
     /// # Errors
     /// Each step has its own; the motor is off after any of them.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
+        let mut rig = Self::connect(settings, stop)?;
+        match (&settings.device, settings.skip_check) {
+            (DeviceChoice::Emulated, _) => {
+                rig.preflight = Preflight::NotNeeded;
+                rig.home()?;
+            }
+            (DeviceChoice::Port(_), true) => {
+                rig.preflight = Preflight::SkippedByFlag;
+                rig.home()?;
+            }
+            (DeviceChoice::Port(_), false) => {
+                let mut results = rig.examine(false)?.results;
+                if results.iter().any(CheckResult::failed) {
+                    return Err(RigError::Unfit { results });
+                }
+                rig.home()?;
+                results.push(homed(&rig.calibration));
+                rig.preflight = Preflight::Done(results);
+            }
+        }
+        Ok(rig)
+    }
+
+    /// Opens the device and asks who it is. Nothing has moved.
+    ///
+    /// # Errors
+    /// No such device, another board than the settings are for.
+    pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let (device, clock, emulator) = connect(settings)?;
         let realtime = settings.clock == ClockChoice::Wall;
         let control = ControlThread::spawn(device, clock, realtime, Arc::clone(stop))
             .map_err(RigError::Thread)?;
         let identity = control.hello()??;
-        let mut rig = Self {
+        if let Some(expected) = settings.board.as_ref().filter(|board| **board != identity.serial) {
+            return Err(RigError::OtherBoard {
+                port: identity.port,
+                expected: expected.clone(),
+                found: identity.serial,
+            });
+        }
+        Ok(Self {
             control,
             identity,
             calibration: settings.homing.signs,
             homing: settings.homing,
+            preflight: Preflight::Unknown,
             clock: settings.clock,
             _emulator: emulator,
+        })
+    }
+
+    /// Checks the Qube and, if nothing failed, homes it, which is the last check. With `learn_signs`
+    /// the signs that are found are taken on.
+    ///
+    /// # Errors
+    /// The device does not answer any more, or somebody asked to stop. A check that failed is no
+    /// error here.
+    pub fn check(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
+        let mut examination = self.examine(learn_signs)?;
+        examination.results.push(if examination.passed() {
+            match self.home() {
+                Ok(()) => homed(&self.calibration),
+                Err(RigError::Homing(fault)) => not_homed(fault),
+                Err(error) => return Err(error),
+            }
+        } else {
+            homing_left_out()
+        });
+        Ok(examination)
+    }
+
+    /// All checks but homing.
+    fn examine(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
+        let settings = ExaminationSettings {
+            signs: self.homing.signs,
+            learn_signs,
+            identity: self.identity.clone(),
         };
-        rig.home()?;
-        Ok(rig)
+        let examination = self
+            .control
+            .lend(move |device, clock, stop| examine(device, clock, stop, &settings))??
+            .ok_or(RigError::Stopped)?;
+        self.homing.signs = examination.signs;
+        self.homing.hand_counts = examination.start_theta_counts;
+        Ok(examination)
     }
 
     /// After a fault: a new hello, which clears the device's latch, and homing from the start.
@@ -139,6 +260,9 @@ impl Rig {
         match (report.outcome.ending, found) {
             (_, Some(calibration)) => {
                 self.calibration = calibration;
+                // From now on the middle is known, wherever a fault may leave the arm.
+                let middle_rad = -self.homing.theta_offset_rad;
+                self.homing.hand_counts = Some(calibration.theta_counts_at(middle_rad));
                 Ok(())
             }
             (Ending::Fault(fault), None) => Err(RigError::Homing(fault)),
@@ -175,6 +299,7 @@ impl Rig {
         let header = RolloutHeader {
             started_unix_ns: self.wall_time_ns(),
             device: self.device_by_name(),
+            preflight: self.preflight.clone(),
             settings,
             ..header
         };

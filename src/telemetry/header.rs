@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::Phase;
+use super::{Phase, Preflight};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::RewardWeights;
 use crate::safety::{Limit, SafetyBox};
@@ -50,6 +50,9 @@ pub struct RolloutHeader {
     pub git_revision: String,
     /// The device, as it named itself: kind, serial, firmware version, protocol version, port.
     pub device: BTreeMap<String, String>,
+    /// The check of the device before it.
+    #[serde(default)]
+    pub preflight: Preflight,
     /// Name of the policy.
     pub policy: String,
     /// What decides the tick.

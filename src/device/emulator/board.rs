@@ -226,12 +226,17 @@ impl Board {
             return Err(RefusalReason::QubeAbsent);
         }
         self.plant.advance_to(self.now_us);
+        let theta_sense = self.sense(EmulatorFault::FlippedTheta);
+        let alpha_sense = self.sense(EmulatorFault::FlippedAlpha);
         let sample = SampleReply {
             device_time_us: self.now_us as u32,
-            theta_counts: self.plant.theta_counts(),
-            alpha_counts: self.frozen_alpha_counts.unwrap_or_else(|| self.plant.alpha_counts()),
-            tachometer_counts_s: tachometer_counts_s(self.plant.tachometer_raw()),
-            current_ma: current_ma(self.plant.current_raw()),
+            theta_counts: theta_sense * self.plant.theta_counts(),
+            alpha_counts: self
+                .frozen_alpha_counts
+                .unwrap_or_else(|| alpha_sense * self.plant.alpha_counts()),
+            tachometer_counts_s: theta_sense * tachometer_counts_s(self.plant.tachometer_raw()),
+            current_ma: self.sense(EmulatorFault::FlippedMotor) as i16
+                * current_ma(self.plant.current_raw()),
             status: self.status(),
             applied_mv: motor_voltage_mv(self.motor_counts),
             last_act_sequence: self.last_act_sequence,
@@ -287,7 +292,13 @@ impl Board {
     fn drive(&mut self, motor_counts: i16) {
         self.plant.advance_to(self.now_us);
         self.motor_counts = motor_counts;
-        self.plant.set_voltage(f64::from(motor_voltage_mv(motor_counts)) * 1e-3);
+        let sense = f64::from(self.sense(EmulatorFault::FlippedMotor));
+        self.plant.set_voltage(sense * f64::from(motor_voltage_mv(motor_counts)) * 1e-3);
+    }
+
+    /// 1, or -1 for what is wired the other way round.
+    fn sense(&self, flipped: EmulatorFault) -> i32 {
+        if self.settings.fault == Some(flipped) { -1 } else { 1 }
     }
 
     fn new_nonce(&mut self) -> u32 {

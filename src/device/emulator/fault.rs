@@ -50,13 +50,19 @@ pub enum EmulatorFault {
         /// When, s.
         after_s: f64,
     },
+    /// The arm's encoder is wired the other way round.
+    FlippedTheta,
+    /// The pendulum's encoder is wired the other way round.
+    FlippedAlpha,
+    /// The motor is wired the other way round.
+    FlippedMotor,
 }
 
 /// A text that names no fault.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
     "{text} is no fault. There are: silent@S, garble@N, wrong-version, frozen-alpha@S, blocked-arm@S, \
-     amplifier@S, stall@S, qube-absent@S, unplug@S (S seconds after the start, N each n-th reply)"
+     amplifier@S, stall@S, qube-absent@S, unplug@S, flipped-theta, flipped-alpha, flipped-motor (S seconds after the start, N each n-th reply)"
 )]
 pub struct UnknownFault {
     /// The text.
@@ -68,7 +74,11 @@ impl EmulatorFault {
     #[must_use]
     pub fn onset_us(&self) -> u64 {
         match *self {
-            Self::Garble { .. } | Self::WrongVersion => 0,
+            Self::Garble { .. }
+            | Self::WrongVersion
+            | Self::FlippedTheta
+            | Self::FlippedAlpha
+            | Self::FlippedMotor => 0,
             Self::Silent { after_s }
             | Self::FrozenAlpha { after_s }
             | Self::BlockedArm { after_s }
@@ -92,6 +102,9 @@ impl fmt::Display for EmulatorFault {
             Self::StallError { after_s } => write!(formatter, "stall@{after_s}"),
             Self::QubeAbsent { after_s } => write!(formatter, "qube-absent@{after_s}"),
             Self::Unplugged { after_s } => write!(formatter, "unplug@{after_s}"),
+            Self::FlippedTheta => write!(formatter, "flipped-theta"),
+            Self::FlippedAlpha => write!(formatter, "flipped-alpha"),
+            Self::FlippedMotor => write!(formatter, "flipped-motor"),
         }
     }
 }
@@ -120,6 +133,9 @@ impl FromStr for EmulatorFault {
                     .ok_or_else(unknown)?,
             },
             "wrong-version" if value.is_none() => Self::WrongVersion,
+            "flipped-theta" if value.is_none() => Self::FlippedTheta,
+            "flipped-alpha" if value.is_none() => Self::FlippedAlpha,
+            "flipped-motor" if value.is_none() => Self::FlippedMotor,
             "frozen-alpha" => Self::FrozenAlpha { after_s: seconds()? },
             "blocked-arm" => Self::BlockedArm { after_s: seconds()? },
             "amplifier" => Self::AmplifierFault { after_s: seconds()? },
@@ -147,6 +163,9 @@ mod tests {
             "stall@3",
             "qube-absent@0",
             "unplug@1.25",
+            "flipped-theta",
+            "flipped-alpha",
+            "flipped-motor",
         ] {
             assert_eq!(text.parse::<EmulatorFault>().unwrap().to_string(), text);
         }

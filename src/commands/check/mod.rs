@@ -1,0 +1,121 @@
+//! `check`: is the Qube at the other end fit to be driven?
+
+mod conformance;
+
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::check_table::{Row, checks_json, failed_names, table};
+use super::device_arguments::{ChosenDevice, DeviceArguments};
+use super::exit::Failure;
+use super::failures;
+use super::output::Output;
+use super::stop::Stop;
+use super::warn_without_realtime;
+use crate::device::stable_port_name;
+use crate::estimation::EstimatorSettings;
+use crate::session::{DeviceChoice, QUBE_FILE, QubeFile, Rig, RigSettings};
+use crate::telemetry::CheckVerdict;
+
+/// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
+///
+/// The arm is pushed a little (at most 1.5 V for 0.3 s) and then homed. `session` and `run` do the
+/// same before the first motion of a real Qube. Exit code 0 when every check passed, 1 when one did
+/// not, 2 when there is no Qube at that port.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil check --device /dev/ttyACM0\n  \
+    qube-hil check --device /dev/ttyACM0 --write      # find out the signs, write qube.toml\n  \
+    qube-hil check --qube qube.toml --home hand       # the arm was put into the middle\n  \
+    qube-hil check --device /dev/ttyACM0 --conformance   # does the firmware keep the protocol?")]
+pub struct Arguments {
+    /// Put the device's firmware to the test against PROTOCOL.md instead. The motor gets at most
+    /// 1 V for a few milliseconds: the arm hardly moves
+    #[arg(long, conflicts_with_all = ["write", "home"])]
+    conformance: bool,
+
+    /// Take on the signs that are found, and write them to a file with the port's lasting name. What
+    /// else such a file says already is kept [FILE: qube.toml]
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = QUBE_FILE)]
+    write: Option<PathBuf>,
+
+    #[command(flatten)]
+    device: DeviceArguments,
+}
+
+/// Runs the checks and prints what they found.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let device = arguments.device.choose()?;
+    if arguments.conformance {
+        return conformance::run(&device, output);
+    }
+    let file = match &arguments.write {
+        Some(path) => Some((path.as_path(), base_file(path, &device)?)),
+        None => None,
+    };
+    let stop = Stop::on_signals()?;
+    let settings = device.rig_settings(0, EstimatorSettings::default(), false);
+    // The file that is written anew may have been another board's.
+    let board = settings.board.clone().filter(|_| file.is_none());
+    let settings = RigSettings { board, ..settings };
+    eprintln!("checking the Qube: the arm is pushed a little, then homed");
+    let failed = |error| failures::rig(error, &stop);
+    let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
+    warn_without_realtime(rig.realtime());
+    let examination = rig.check(file.is_some()).map_err(failed)?;
+
+    let results = &examination.results;
+    let passed = examination.passed();
+    let rows: Vec<Row> = results.iter().map(Row::from).collect();
+    let count = |verdict| results.iter().filter(|result| result.verdict == verdict).count();
+    let mut text = format!(
+        "{}\n{} passed, {} failed, {} not done (-)\n",
+        table(&rows),
+        count(CheckVerdict::Pass),
+        count(CheckVerdict::Fail),
+        count(CheckVerdict::Skipped),
+    );
+    let (mut written, mut unwritten) = (None, None);
+    if let Some((path, base)) = file.filter(|_| passed) {
+        let port = stable_port_name(&rig.identity().port);
+        let file = QubeFile {
+            port: Some(port),
+            board: Some(rig.identity().serial.clone()),
+            signs: examination.signs.into(),
+            ..base
+        };
+        match file.save(path) {
+            Ok(()) => {
+                text += &format!("written: {0}; use it with --qube {0}\n", path.display());
+                written = Some(path);
+            }
+            Err(error) => unwritten = Some(error),
+        }
+    }
+    output.print(
+        &text,
+        &json!({ "checks": checks_json(results), "passed": passed, "written": written }),
+    );
+    if let Some(error) = unwritten {
+        return Err(Failure::failed(error));
+    }
+    if passed {
+        return Ok(());
+    }
+    let note = if arguments.write.is_some() { ", so nothing was written" } else { "" };
+    Err(Failure::failed(format!("failed: {}{note}", failed_names(results))))
+}
+
+/// What the written file begins from: what it says already.
+fn base_file(path: &Path, device: &ChosenDevice) -> Result<QubeFile, Failure> {
+    if device.choice == DeviceChoice::Emulated {
+        return Err(Failure::usage(
+            "--write is for a Qube at a port: the embedded emulator needs no file. Give --device",
+        ));
+    }
+    if path.exists() {
+        return QubeFile::load(path).map_err(Failure::usage);
+    }
+    Ok(device.file.clone().unwrap_or_default())
+}

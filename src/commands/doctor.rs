@@ -1,0 +1,79 @@
+use serde_json::json;
+
+use super::check_table::{Row, table};
+use super::exit::Failure;
+use super::output::Output;
+use super::stop::Stop;
+use crate::preflight::doctor::{Diagnosis, Fitness, diagnose};
+
+/// Is this computer fit: rights to real time, serial ports, FTDI timers, and how well it keeps time
+///
+/// Nothing is changed and nothing moves. Exit code 0 when all is well or there is only advice, 1
+/// when something will not work so.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil doctor\n  \
+    qube-hil doctor --seconds 60 --device /dev/ttyUSB0")]
+pub struct Arguments {
+    /// How long to watch the timer
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=3600))]
+    seconds: u32,
+
+    /// A port to look at (may be given again) [default: all ports of USB]
+    #[arg(long, value_name = "PORT")]
+    device: Vec<String>,
+}
+
+/// Looks and prints what was found.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let stop = Stop::on_signals()?;
+    eprintln!("watching the timer for {} s", arguments.seconds);
+    let found = diagnose(&arguments.device, arguments.seconds, &stop.flag)
+        .map_err(|error| Failure::failed(format!("the timer cannot be watched: {error}")))?;
+    if stop.requested() {
+        return Err(stop.failure("stopped"));
+    }
+    let unfit: Vec<&str> = found
+        .iter()
+        .filter(|diagnosis| diagnosis.verdict == Fitness::Unfit)
+        .map(|diagnosis| diagnosis.name.as_str())
+        .collect();
+    let advice = found.iter().filter(|diagnosis| diagnosis.verdict == Fitness::Advice).count();
+    let summary = match (unfit.len(), advice) {
+        (0, 0) => "all is well".to_owned(),
+        (0, advice) => format!("fit, with {advice} pieces of advice"),
+        (unfit, _) => format!("not fit: {unfit} must be cured"),
+    };
+    let rows: Vec<Row> = found.iter().map(row).collect();
+    let checks: Vec<_> = found
+        .iter()
+        .map(|diagnosis| {
+            json!({
+                "name": diagnosis.name,
+                "pass": diagnosis.verdict != Fitness::Unfit,
+                "verdict": diagnosis.verdict,
+                "value": diagnosis.value,
+                "cure": diagnosis.cure,
+            })
+        })
+        .collect();
+    output.print(&format!("{}\n{summary}\n", table(&rows)), &json!({ "checks": checks }));
+    if unfit.is_empty() {
+        return Ok(());
+    }
+    Err(Failure::failed(format!("this computer is not fit yet: {}", unfit.join(", "))))
+}
+
+fn row(diagnosis: &Diagnosis) -> Row {
+    let word = match diagnosis.verdict {
+        Fitness::Well => "well",
+        Fitness::Advice => "advice",
+        Fitness::Unfit => "UNFIT",
+    };
+    Row {
+        name: diagnosis.name.clone(),
+        word,
+        value: diagnosis.value.clone(),
+        remedy: diagnosis.cure.clone().map(|cure| ("cure:", cure)),
+    }
+}

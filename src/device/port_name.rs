@@ -1,0 +1,53 @@
+use std::fs;
+use std::path::Path;
+
+/// Where Linux keeps links to serial ports that are named after the device and not after the order
+/// of plugging in.
+const BY_ID: &str = "/dev/serial/by-id";
+
+/// The serial ports that this computer has, by the names the kernel gave them.
+#[must_use]
+pub fn available_ports() -> Vec<String> {
+    let ports = serialport::available_ports().unwrap_or_default();
+    ports.into_iter().map(|port| port.port_name).collect()
+}
+
+/// A name for a port that stays: its link by id where it has one, else the name as it is.
+#[must_use]
+pub fn stable_port_name(port: &str) -> String {
+    linked_name(Path::new(BY_ID), port).unwrap_or_else(|| port.to_owned())
+}
+
+fn linked_name(links: &Path, port: &str) -> Option<String> {
+    let target = fs::canonicalize(port).ok()?;
+    let mut names: Vec<_> = fs::read_dir(links)
+        .ok()?
+        .flatten()
+        .map(|link| link.path())
+        .filter(|link| fs::canonicalize(link).is_ok_and(|path| path == target))
+        .collect();
+    names.sort();
+    names.first()?.to_str().map(str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_is_named_by_its_id_where_it_has_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let (port, other) = (folder.path().join("ttyACM0"), folder.path().join("ttyACM1"));
+        fs::write(&port, "").unwrap();
+        fs::write(&other, "").unwrap();
+        let links = folder.path().join("by-id");
+        fs::create_dir(&links).unwrap();
+        let link = links.join("usb-Arduino_Uno-if00");
+        std::os::unix::fs::symlink(&port, &link).unwrap();
+        let name = |port: &Path| linked_name(&links, port.to_str().unwrap());
+        assert_eq!(name(&port), Some(link.to_str().unwrap().to_owned()));
+        assert_eq!(name(&link), Some(link.to_str().unwrap().to_owned()));
+        assert_eq!(name(&other), None);
+        assert_eq!(linked_name(Path::new("/no/such/folder"), port.to_str().unwrap()), None);
+    }
+}

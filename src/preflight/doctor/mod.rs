@@ -1,0 +1,111 @@
+//! Is this computer fit to drive a Qube at 100 Hz? Looks only; changes nothing that outlives it.
+
+mod ports;
+mod processor;
+mod timer;
+
+use std::sync::atomic::AtomicBool;
+
+use serde::Serialize;
+
+use crate::clock::RealtimeReport;
+
+/// One thing that was looked at.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Diagnosis {
+    /// What.
+    pub name: String,
+    /// How serious it is.
+    pub verdict: Fitness,
+    /// What was found.
+    pub value: String,
+    /// What to type.
+    pub cure: Option<String>,
+}
+
+/// How serious something is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fitness {
+    /// As it should be.
+    Well,
+    /// It works so, but could be better.
+    Advice,
+    /// It will not work so.
+    Unfit,
+}
+
+impl Diagnosis {
+    fn well(name: &str, value: impl Into<String>) -> Self {
+        Self { name: name.into(), verdict: Fitness::Well, value: value.into(), cure: None }
+    }
+
+    fn advice(name: &str, value: impl Into<String>, cure: impl Into<String>) -> Self {
+        let cure = Some(cure.into());
+        Self { name: name.into(), verdict: Fitness::Advice, value: value.into(), cure }
+    }
+
+    fn unfit(name: &str, value: impl Into<String>, cure: impl Into<String>) -> Self {
+        Self { verdict: Fitness::Unfit, ..Self::advice(name, value, cure) }
+    }
+}
+
+/// Looks at everything; keeping time is watched for so many seconds. Where no port is given, those of
+/// USB are looked at. A set `stop` ends the watching early.
+///
+/// # Errors
+/// The operating system gave no thread.
+pub fn diagnose(
+    ports: &[String],
+    seconds: u32,
+    stop: &AtomicBool,
+) -> std::io::Result<Vec<Diagnosis>> {
+    let (realtime, jitter) = timer::watch(seconds, stop)?;
+    let mut found = rights(&realtime);
+    found.push(jitter);
+    found.push(processor::governor());
+    found.extend(ports::look(ports));
+    Ok(found)
+}
+
+/// What an ordinary user needs once: the group, its limits, and a new login.
+const RIGHTS_CURE: &str = "sudo scripts/install, or: sudo groupadd -f realtime && sudo usermod -aG \
+     realtime $USER && printf '@realtime - rtprio 50\\n@realtime - memlock unlimited\\n' | sudo tee \
+     /etc/security/limits.d/qube-hil.conf (then log out and in)";
+
+fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {
+    let scheduling = match &realtime.scheduling {
+        None => Diagnosis::well("scheduling", "real-time priority (SCHED_FIFO) is granted"),
+        Some(_) => Diagnosis::advice(
+            "scheduling",
+            "no right to real-time priority: on a busy computer ticks will be late",
+            RIGHTS_CURE,
+        ),
+    };
+    let memory = match &realtime.memory {
+        None => Diagnosis::well("memory", "memory can be locked"),
+        Some(_) => Diagnosis::advice(
+            "memory",
+            "memory cannot be locked: a page fault may delay a tick",
+            RIGHTS_CURE,
+        ),
+    };
+    vec![scheduling, memory]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_rights_are_advice_with_something_to_type() {
+        let refused = RealtimeReport { scheduling: Some("no".into()), memory: Some("no".into()) };
+        for diagnosis in rights(&refused) {
+            assert_eq!(diagnosis.verdict, Fitness::Advice);
+            assert!(diagnosis.cure.unwrap().contains("sudo"));
+        }
+        for diagnosis in rights(&RealtimeReport::default()) {
+            assert_eq!((diagnosis.verdict, diagnosis.cure), (Fitness::Well, None));
+        }
+    }
+}

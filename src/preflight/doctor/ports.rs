@@ -1,0 +1,114 @@
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+
+use rustix::fs::{Access, access};
+
+use super::Diagnosis;
+use crate::device::available_ports;
+use crate::preflight::latency_timer::{latency_timer_cure, latency_timer_ms};
+
+/// Ports of USB; the others of a computer have no Qube at them.
+const USB: [&str; 2] = ["ttyUSB", "ttyACM"];
+
+/// Looks at these ports; at those of USB where none is given.
+pub(super) fn look(ports: &[String]) -> Vec<Diagnosis> {
+    let found: Vec<String> = if ports.is_empty() {
+        available_ports()
+            .into_iter()
+            .filter(|port| USB.iter().any(|usb| port.contains(usb)))
+            .collect()
+    } else {
+        ports.to_vec()
+    };
+    if found.is_empty() {
+        let value = "no USB serial port here";
+        let cure = "plug the board in; a cable without data wires shows nothing";
+        return vec![Diagnosis::advice("ports", value, cure)];
+    }
+    found.iter().flat_map(|port| [Some(permission(port)), timer(port)]).flatten().collect()
+}
+
+/// What is known about a port that may or may not be opened.
+struct Owner {
+    group: String,
+    /// The user is in that group, but logged in before.
+    is_listed: bool,
+}
+
+fn permission(port: &str) -> Diagnosis {
+    let name = format!("port {port}");
+    let Ok(metadata) = fs::metadata(port) else {
+        return Diagnosis::unfit(&name, "does not exist", "plug the board in, or name another");
+    };
+    if access(port, Access::READ_OK | Access::WRITE_OK).is_ok() {
+        return Diagnosis::well(&name, "may be opened");
+    }
+    let groups = fs::read_to_string("/etc/group").unwrap_or_default();
+    let user = std::env::var("USER").unwrap_or_default();
+    refused(&name, &owner(&groups, metadata.gid(), &user))
+}
+
+fn refused(name: &str, owner: &Owner) -> Diagnosis {
+    let group = &owner.group;
+    let value = format!("may not be opened: it belongs to the group {group}");
+    if owner.is_listed {
+        return Diagnosis::unfit(name, value, "you are in that group since: log out and in again");
+    }
+    let cure = format!("sudo usermod -aG {group} $USER (then log out and in)");
+    Diagnosis::unfit(name, value, cure)
+}
+
+/// Reads lines such as `dialout:x:20:ada,grace`.
+fn owner(groups: &str, gid: u32, user: &str) -> Owner {
+    let line = groups
+        .lines()
+        .map(|line| line.split(':').collect::<Vec<_>>())
+        .find(|fields| fields.get(2) == Some(&gid.to_string().as_str()));
+    let field = |index: usize| line.as_ref().and_then(|fields| fields.get(index)).copied();
+    Owner {
+        group: field(0).map_or_else(|| gid.to_string(), str::to_owned),
+        is_listed: field(3).is_some_and(|users| users.split(',').any(|listed| listed == user)),
+    }
+}
+
+/// None where the port has no such timer.
+fn timer(port: &str) -> Option<Diagnosis> {
+    let file = Path::new(port).file_name()?.to_string_lossy().into_owned();
+    let name = format!("timer of {file}");
+    Some(match latency_timer_ms(port)? {
+        timer_ms if timer_ms <= 1 => Diagnosis::well(&name, format!("{timer_ms} ms")),
+        timer_ms => Diagnosis::advice(
+            &name,
+            format!(
+                "{timer_ms} ms by default; this program asks for 1 ms when it opens the port, but \
+                 not every driver obeys"
+            ),
+            latency_timer_cure(port),
+        ),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Fitness;
+    use super::*;
+
+    const GROUPS: &str = "root:x:0:\ndialout:x:20:ada,grace\nplugdev:x:46:\n";
+
+    #[test]
+    fn a_refused_port_names_its_group() {
+        let cure = |gid, user| refused("port", &owner(GROUPS, gid, user)).cure.unwrap();
+        assert!(cure(20, "alan").contains("usermod -aG dialout"));
+        assert!(cure(20, "grace").contains("log out"));
+        assert!(cure(46, "").contains("usermod -aG plugdev"));
+        assert!(cure(999, "alan").contains("999"));
+    }
+
+    #[test]
+    fn a_port_that_is_not_there_is_said_so() {
+        let found = look(&["/dev/no-such-port".to_owned()]);
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].verdict, Fitness::Unfit);
+    }
+}

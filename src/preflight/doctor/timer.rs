@@ -1,0 +1,86 @@
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::Diagnosis;
+use crate::clock::{Clock, MonotonicClock, RealtimeReport, enter_realtime};
+use crate::control::LatencyHistogram;
+use crate::qube::CONTROL_PERIOD_NS;
+use crate::telemetry::LatencySummary;
+
+const NAME: &str = "timer";
+
+/// What a quiet computer keeps in 99 of 100 ticks, us. More is advice ...
+const GOOD_P99_US: f64 = 1_000.0;
+
+/// ... and a tick this late counts as missed; at 1 in 100 rollouts become void.
+const PERIOD_US: f64 = CONTROL_PERIOD_NS as f64 * 1e-3;
+
+/// Wakes up 100 times a second, with the rights that the control thread would have, and sees how late.
+pub(super) fn watch(
+    seconds: u32,
+    stop: &AtomicBool,
+) -> std::io::Result<(RealtimeReport, Diagnosis)> {
+    std::thread::scope(|scope| {
+        let watcher = std::thread::Builder::new()
+            .name("doctor".into())
+            .spawn_scoped(scope, || (enter_realtime(), lateness(seconds, stop)))?;
+        let (realtime, (ticks, lateness_us)) = watcher.join().unwrap_or_default();
+        Ok((realtime, judge(ticks, &lateness_us)))
+    })
+}
+
+fn lateness(seconds: u32, stop: &AtomicBool) -> (u64, LatencySummary) {
+    let clock = MonotonicClock;
+    let mut lateness = LatencyHistogram::new();
+    let ticks = u64::from(seconds) * 1_000_000_000 / CONTROL_PERIOD_NS;
+    let mut deadline_ns = clock.now_ns();
+    let mut done = 0;
+    while done < ticks && !stop.load(Ordering::Relaxed) {
+        deadline_ns += CONTROL_PERIOD_NS;
+        clock.sleep_until(deadline_ns);
+        lateness.record(clock.now_ns().saturating_sub(deadline_ns));
+        done += 1;
+    }
+    (done, lateness.summary())
+}
+
+fn judge(ticks: u64, lateness_us: &LatencySummary) -> Diagnosis {
+    let LatencySummary { p50, p99, p999, max } = *lateness_us;
+    let value = format!(
+        "late by p50 {p50:.0}, p99 {p99:.0}, p99.9 {p999:.0}, max {max:.0} us in {ticks} ticks at \
+         100 Hz"
+    );
+    let cure = "close what keeps this computer busy (uptime shows its load; in a virtual machine: \
+                the host's too)";
+    if p99 > PERIOD_US {
+        Diagnosis::unfit(NAME, value, cure)
+    } else if p99 > GOOD_P99_US || max > PERIOD_US {
+        Diagnosis::advice(NAME, value, cure)
+    } else {
+        Diagnosis::well(NAME, value)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Fitness;
+    use super::*;
+
+    #[test]
+    fn the_worst_of_a_hundred_ticks_decides() {
+        let summary = |p99, max| LatencySummary { p50: 50.0, p99, p999: max, max };
+        for (p99, max, verdict) in [
+            (200.0, 900.0, Fitness::Well),
+            (2_000.0, 3_000.0, Fitness::Advice),
+            (200.0, 14_000.0, Fitness::Advice),
+            (11_000.0, 14_000.0, Fitness::Unfit),
+        ] {
+            assert_eq!(judge(1000, &summary(p99, max)).verdict, verdict);
+        }
+    }
+
+    #[test]
+    fn a_stop_ends_the_watching() {
+        let (_, diagnosis) = watch(1000, &AtomicBool::new(true)).unwrap();
+        assert!(diagnosis.value.contains("in 0 ticks"), "{}", diagnosis.value);
+    }
+}

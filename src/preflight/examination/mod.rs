@@ -1,0 +1,153 @@
+//! The check before a session: what can be found out about a Qube without driving it far.
+//!
+//! Everything here happens on the control thread, between motions. The motor gets 48 mV for 50 ms to
+//! see the watchdog at work, and three pushes of at most 1.5 V and 0.3 s; it is off whenever a step
+//! is over, however it ended.
+
+mod link;
+mod motion;
+mod rest;
+mod watchdog;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::clock::Clock;
+use crate::device::{Device, DeviceError, Identity};
+use crate::estimation::Calibration;
+use crate::telemetry::{CheckResult, Fault};
+
+const HOMING: &str = "homing";
+
+/// What is taken for granted about a Qube until it has been looked at.
+#[derive(Clone, Debug)]
+pub struct ExaminationSettings {
+    /// Signs of encoders and motor.
+    pub signs: Calibration,
+    /// Take on the signs that are found instead of failing.
+    pub learn_signs: bool,
+    /// Who answered the hello.
+    pub identity: Identity,
+}
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Examination {
+    /// Each check, in the order in which they were done.
+    pub results: Vec<CheckResult>,
+    /// The signs that were found, where the arm moved; else those that were assumed.
+    pub signs: Calibration,
+    /// The arm's count before anything moved it: its middle, where somebody had put it there.
+    pub start_theta_counts: Option<i32>,
+}
+
+impl Examination {
+    /// Whether nothing failed.
+    #[must_use]
+    pub fn passed(&self) -> bool {
+        !self.results.iter().any(CheckResult::failed)
+    }
+}
+
+/// Why an examination did not come to its end.
+#[derive(Debug)]
+pub(super) enum Interruption {
+    /// Somebody asked to stop.
+    Stopped,
+    /// The device stopped answering.
+    Device(DeviceError),
+}
+
+impl From<DeviceError> for Interruption {
+    fn from(error: DeviceError) -> Self {
+        Self::Device(error)
+    }
+}
+
+/// Examines a device that has said hello. The motor is off when this returns. `None` when somebody
+/// asked to stop.
+///
+/// # Errors
+/// The device does not answer any more.
+pub fn examine(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+    settings: &ExaminationSettings,
+) -> Result<Option<Examination>, DeviceError> {
+    let mut found =
+        Examination { results: Vec::new(), signs: settings.signs, start_theta_counts: None };
+    let outcome = look_at_everything(device, clock, stop, settings, &mut found);
+    // Whatever happened: a device that still answers is left off and greeted.
+    let left_off = device.hello();
+    match outcome {
+        Err(Interruption::Stopped) => Ok(None),
+        Err(Interruption::Device(error)) => Err(error),
+        Ok(()) => left_off.map(|_| Some(found)),
+    }
+}
+
+fn look_at_everything(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+    settings: &ExaminationSettings,
+    found: &mut Examination,
+) -> Result<(), Interruption> {
+    let identity = &settings.identity;
+    found.results.push(link::identity(identity));
+    let round_trips = link::measure(device, clock, stop, &identity.port)?;
+    found.start_theta_counts = round_trips.theta_counts;
+    found.results.push(link::latency_timer(&identity.port, &round_trips));
+    found.results.push(link::latency(&identity.port, &round_trips));
+    let watchdog = watchdog::check(device, clock, &identity.port)?;
+    let may_move = !watchdog.failed();
+    found.results.push(watchdog);
+    if !may_move {
+        motion::skip(found, "not before the watchdog works");
+        return Ok(());
+    }
+    let rest = rest::wait(device, clock, stop, &identity.port)?;
+    let may_move = !rest.failed();
+    found.results.push(rest);
+    if !may_move {
+        motion::skip(found, "not before the pendulum hangs still");
+        return Ok(());
+    }
+    motion::check(device, clock, stop, settings, found)
+}
+
+fn ensure_going(stop: &AtomicBool) -> Result<(), Interruption> {
+    if stop.load(Ordering::Relaxed) { Err(Interruption::Stopped) } else { Ok(()) }
+}
+
+/// Homing as one more check: it has found the zeros.
+#[must_use]
+pub fn homed(zeros: &Calibration) -> CheckResult {
+    CheckResult::pass(
+        HOMING,
+        format!(
+            "middle of the arm at count {}, the pendulum hangs at count {}",
+            zeros.theta_zero_counts, zeros.alpha_zero_counts
+        ),
+    )
+}
+
+/// Homing as one more check: a fault has ended it.
+#[must_use]
+pub fn not_homed(fault: Fault) -> CheckResult {
+    let cure = match fault {
+        Fault::TravelBlocked | Fault::HomingTimedOut => {
+            "clear the way of the arm from stop to stop; or put it into the middle by hand and use \
+             --home hand"
+        }
+        Fault::LinkGone => "plug the cable in",
+        _ => "check cable and power, close what else keeps this computer busy, then check again",
+    };
+    CheckResult::fail(HOMING, fault.to_string(), cure)
+}
+
+/// Homing as one more check that was left out, because of what failed before it.
+#[must_use]
+pub fn homing_left_out() -> CheckResult {
+    CheckResult::skipped(HOMING, "not before all else passes")
+}

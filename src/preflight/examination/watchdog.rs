@@ -1,0 +1,122 @@
+use firmware_protocol::{WATCHDOG_MS, WATCHDOG_POLL_MS};
+
+use super::Interruption;
+use crate::clock::{Clock, Nanoseconds};
+use crate::device::{Device, DeviceError, LinkFault};
+use crate::qube::Measurement;
+use crate::safety::gate;
+use crate::telemetry::CheckResult;
+
+const NAME: &str = "watchdog";
+
+/// Two counts of the amplifier: seen in the device's report, hardly felt by the arm.
+const VOLTAGE_V: f64 = 0.048;
+
+/// Between two looks; they do not feed the watchdog.
+const PAUSE_NS: Nanoseconds = 1_000_000;
+
+/// How long an answer may take before the sample counts as lost.
+const PATIENCE_NS: Nanoseconds = 20_000_000;
+
+/// How long it is watched for the motor going off, if samples are lost.
+const LONGEST_NS: Nanoseconds = 500_000_000;
+
+/// How often it is tried anew when this computer or the link was too slow to see the motor on.
+const ATTEMPTS: u32 = 20;
+
+const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
+const LATEST_US: u64 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u64 * 1000;
+
+const CURE: &str = "do not run anything with it: flash the firmware of this release, then qube-hil check --conformance";
+
+/// Samples may be this old when they are asked for.
+const SAMPLE_AGE_US: u64 = 5_000;
+
+/// Arms, gives the motor a little, and says nothing more: by the device's own report and clock the
+/// motor must then go off.
+pub(super) fn check(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    port: &str,
+) -> Result<CheckResult, Interruption> {
+    for _ in 0..ATTEMPTS {
+        device.hello()?;
+        match device.arm() {
+            Ok(()) => {}
+            Err(DeviceError::Refused { reason, .. }) => {
+                return Ok(CheckResult::fail(
+                    NAME,
+                    format!("the device refuses to be armed: {reason}"),
+                    "switch the Qube's power off and on, then check again",
+                ));
+            }
+            Err(error) => return Err(error.into()),
+        }
+        let tried = try_once(device, clock);
+        match tried {
+            Ok(None) => {}
+            Ok(Some(result)) => return Ok(result),
+            Err(fault) => {
+                return Err(DeviceError::Link { port: port.to_owned(), fault }.into());
+            }
+        }
+    }
+    Ok(CheckResult::fail(
+        NAME,
+        "computer or link was too slow to see the motor on before the watchdog switched it off",
+        "see to latency first",
+    ))
+}
+
+/// None when the computer or the link was too slow.
+fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckResult>, LinkFault> {
+    let Some(before) = sampled(device, clock)? else { return Ok(None) };
+    let voltage_mv = gate(VOLTAGE_V).unwrap_or(0);
+    match device.act(voltage_mv) {
+        Ok(()) => {}
+        Err(LinkFault::Gone) => return Err(LinkFault::Gone),
+        Err(_) => return Ok(None),
+    }
+    let Some(on) = sampled(device, clock)? else { return Ok(None) };
+    let Some(sample_to_act_us) = on.sample_to_act_us.filter(|_| on.status.armed) else {
+        return Ok(None);
+    };
+    if on.applied_mv == 0 {
+        return Ok(Some(CheckResult::fail(
+            NAME,
+            format!("{voltage_mv} mV were sent and the device reports 0 mV at the motor"),
+            CURE,
+        )));
+    }
+    let acted_us = before.device_time_us + u64::from(sample_to_act_us);
+    let end_ns = clock.now_ns() + LONGEST_NS;
+    while clock.now_ns() < end_ns {
+        clock.sleep_until(clock.now_ns() + PAUSE_NS);
+        let Some(later) = sampled(device, clock)? else { continue };
+        let elapsed_us = later.device_time_us.saturating_sub(acted_us);
+        let is_off = !later.status.armed && later.applied_mv == 0;
+        let ms = elapsed_us as f64 * 1e-3;
+        if later.status.watchdog_tripped && is_off {
+            return Ok(Some(if elapsed_us + SAMPLE_AGE_US < WATCHDOG_US {
+                CheckResult::fail(NAME, format!("off after {ms:.1} ms already"), CURE)
+            } else {
+                CheckResult::pass(NAME, format!("motor off {ms:.1} ms after the last act"))
+            }));
+        }
+        if elapsed_us > LATEST_US + SAMPLE_AGE_US {
+            // Bounded without it: 48 mV, and the hello that follows switches off.
+            let value = format!("motor still on {ms:.1} ms after the last act");
+            return Ok(Some(CheckResult::fail(NAME, value, CURE)));
+        }
+    }
+    Ok(None)
+}
+
+/// None when the sample was lost.
+fn sampled(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<Measurement>, LinkFault> {
+    match device.sample(clock.now_ns() + PATIENCE_NS) {
+        Ok(sample) => Ok(Some(sample)),
+        Err(LinkFault::Gone) => Err(LinkFault::Gone),
+        Err(_) => Ok(None),
+    }
+}

@@ -1,0 +1,267 @@
+//! `qube.toml`: what is particular about one Qube. Written by `check --write`, read wherever that
+//! Qube is driven.
+
+use std::path::Path;
+
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::ConfigurationError;
+use super::folder::write_whole;
+use crate::control::{HomingMethod, HomingSettings};
+use crate::estimation::{Calibration, EstimatorSettings};
+use crate::safety::SafetyBox;
+
+/// The name under which the file is looked for in the working directory.
+pub const QUBE_FILE: &str = "qube.toml";
+
+/// Zero further from the middle than this is a mistake: the box would reach beyond a stop.
+const LARGEST_OFFSET_RAD: f64 = 0.3;
+
+/// Everything that differs from rig to rig.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct QubeFile {
+    /// Its serial port, best by id: such a name stays when other devices are plugged in.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub port: Option<String>,
+    /// The serial number of its board: the signs of another rig would be dangerous.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub board: Option<String>,
+    /// Which way round things are wired.
+    pub signs: Signs,
+    /// How the arm's zero is found.
+    pub homing: RigHoming,
+    /// Where a rollout ends.
+    pub limits: RigLimits,
+}
+
+/// Which way round things are wired. One of the three may be chosen freely: turning all of them
+/// round describes the same machine in a mirror.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Signs {
+    /// The arm's encoder counts down where theta grows.
+    pub theta_inverted: bool,
+    /// The pendulum's encoder counts down where alpha grows.
+    pub alpha_inverted: bool,
+    /// A positive voltage turns the arm towards negative theta.
+    pub voltage_inverted: bool,
+}
+
+/// How the arm's zero is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RigHoming {
+    /// `stops` or `hand`.
+    pub method: HomingMethod,
+    /// Where zero lies, seen from the middle that homing finds, rad.
+    #[serde(deserialize_with = "offset")]
+    pub theta_offset_rad: f64,
+}
+
+/// Where a rollout ends. A rig may be given narrower limits than the task's, never wider ones.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RigLimits {
+    /// Of the arm's angle.
+    #[serde(deserialize_with = "theta_limit")]
+    pub theta_rad: f64,
+    /// Of the pendulum's angle.
+    #[serde(deserialize_with = "alpha_limit")]
+    pub alpha_rad: f64,
+    /// Of the arm's velocity.
+    #[serde(deserialize_with = "theta_dot_limit")]
+    pub theta_dot_rad_s: f64,
+    /// Of the pendulum's velocity.
+    #[serde(deserialize_with = "alpha_dot_limit")]
+    pub alpha_dot_rad_s: f64,
+}
+
+impl Default for RigLimits {
+    fn default() -> Self {
+        let SafetyBox { theta, alpha, theta_dot, alpha_dot } = SafetyBox::THESIS;
+        Self {
+            theta_rad: theta,
+            alpha_rad: alpha,
+            theta_dot_rad_s: theta_dot,
+            alpha_dot_rad_s: alpha_dot,
+        }
+    }
+}
+
+impl From<Signs> for Calibration {
+    fn from(signs: Signs) -> Self {
+        Self {
+            theta_inverted: signs.theta_inverted,
+            alpha_inverted: signs.alpha_inverted,
+            voltage_inverted: signs.voltage_inverted,
+            ..Self::IDENTITY
+        }
+    }
+}
+
+impl From<Calibration> for Signs {
+    fn from(calibration: Calibration) -> Self {
+        Self {
+            theta_inverted: calibration.theta_inverted,
+            alpha_inverted: calibration.alpha_inverted,
+            voltage_inverted: calibration.voltage_inverted,
+        }
+    }
+}
+
+impl QubeFile {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// It cannot be read; a key does not exist or a value cannot be, each named with its line.
+    pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigurationError::Unreadable { path: path.to_owned(), source })?;
+        toml::from_str(&text).map_err(|source| ConfigurationError::Invalid {
+            path: path.to_owned(),
+            source: Box::new(source),
+        })
+    }
+
+    /// Writes the file, whole or not at all.
+    ///
+    /// # Errors
+    /// The disk is full or failing, or the folder may not be written to.
+    pub fn save(&self, path: &Path) -> Result<(), ConfigurationError> {
+        let text = format!(
+            "# Written by qube-hil check --write. Signs were found by pushing the arm; change the\n\
+             # rest as you like. Limits may be narrower than these, not wider.\n\n{}",
+            toml::to_string_pretty(self)?
+        );
+        write_whole(path, text.as_bytes()).map_err(ConfigurationError::NotWritten)
+    }
+
+    /// How this Qube is homed.
+    #[must_use]
+    pub fn homing(&self, estimator: EstimatorSettings) -> HomingSettings {
+        HomingSettings {
+            method: self.homing.method,
+            theta_offset_rad: self.homing.theta_offset_rad,
+            hand_counts: None,
+            signs: self.signs.into(),
+            estimator,
+        }
+    }
+
+    /// A box that is no wider than this Qube allows.
+    #[must_use]
+    pub fn within_limits(&self, of_the_task: &SafetyBox) -> SafetyBox {
+        SafetyBox {
+            theta: of_the_task.theta.min(self.limits.theta_rad),
+            alpha: of_the_task.alpha.min(self.limits.alpha_rad),
+            theta_dot: of_the_task.theta_dot.min(self.limits.theta_dot_rad_s),
+            alpha_dot: of_the_task.alpha_dot.min(self.limits.alpha_dot_rad_s),
+        }
+    }
+}
+
+// Values are checked while they are read, so that an error knows its line.
+
+fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let value = f64::deserialize(deserializer)?;
+    if value.abs() <= LARGEST_OFFSET_RAD {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!(
+            "{value} is too far from the middle: give -{LARGEST_OFFSET_RAD} to {LARGEST_OFFSET_RAD} rad"
+        )))
+    }
+}
+
+fn limit<'de, D: Deserializer<'de>>(deserializer: D, widest: f64) -> Result<f64, D::Error> {
+    let value = f64::deserialize(deserializer)?;
+    if value > 0.0 && value <= widest {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!(
+            "{value} is no limit: give a number above 0, at most {widest}"
+        )))
+    }
+}
+
+fn theta_limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    limit(deserializer, SafetyBox::THESIS.theta)
+}
+
+fn alpha_limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    limit(deserializer, SafetyBox::THESIS.alpha)
+}
+
+fn theta_dot_limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    limit(deserializer, SafetyBox::THESIS.theta_dot)
+}
+
+fn alpha_dot_limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    limit(deserializer, SafetyBox::THESIS.alpha_dot)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<QubeFile, ConfigurationError> {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join(QUBE_FILE);
+        std::fs::write(&path, text).unwrap();
+        QubeFile::load(&path)
+    }
+
+    #[test]
+    fn what_is_written_reads_back_the_same() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join(QUBE_FILE);
+        let file = QubeFile {
+            port: Some("/dev/serial/by-id/usb-Arduino_Uno-if00".into()),
+            board: Some("0123456789abcdef".into()),
+            signs: Signs { alpha_inverted: true, ..Signs::default() },
+            homing: RigHoming { method: HomingMethod::Hand, theta_offset_rad: -0.05 },
+            limits: RigLimits { theta_rad: 2.0, ..RigLimits::default() },
+        };
+        for file in [file, QubeFile::default()] {
+            file.save(&path).unwrap();
+            assert_eq!(QubeFile::load(&path).unwrap(), file);
+        }
+    }
+
+    #[test]
+    fn an_empty_file_is_a_qube_without_peculiarities() {
+        let file = read("").unwrap();
+        assert_eq!(file, QubeFile::default());
+        assert_eq!(file.within_limits(&SafetyBox::THESIS), SafetyBox::THESIS);
+        assert_eq!(Calibration::from(file.signs), Calibration::IDENTITY);
+    }
+
+    #[test]
+    fn limits_only_narrow_a_box() {
+        let file = read("[limits]\ntheta_rad = 1.5\n").unwrap();
+        let narrow = SafetyBox { theta: 1.0, ..SafetyBox::THESIS };
+        assert_eq!(file.within_limits(&narrow), narrow);
+        assert_eq!(file.within_limits(&SafetyBox::THESIS).theta, 1.5);
+    }
+
+    #[test]
+    fn misspelt_keys_and_impossible_values_are_named_with_their_line() {
+        for (text, words) in [
+            ("[signs]\ntheta_invertd = true\n", ["line 2", "theta_invertd"]),
+            ("\nprot = \"/dev/ttyACM0\"\n", ["line 2", "prot"]),
+            ("[signs]\nalpha_inverted = 1\n", ["line 2", "bool"]),
+            ("[homing]\nmethod = \"feel\"\n", ["line 2", "feel"]),
+            ("[homing]\nmethod = \"stops\"\ntheta_offset_rad = 2.0\n", ["line 3", "too far"]),
+            ("[limits]\n\ntheta_rad = 2.39\n", ["line 3", "at most 2.3"]),
+            ("[limits]\nalpha_dot_rad_s = -1.0\n", ["line 2", "above 0"]),
+            ("[limits]\ntheta_dot_rad_s = nan\n", ["line 2", "above 0"]),
+        ] {
+            let message = read(text).unwrap_err().to_string();
+            for word in words.iter().chain(&[QUBE_FILE]) {
+                assert!(message.contains(word), "{word:?} is missing in: {message}");
+            }
+        }
+    }
+}

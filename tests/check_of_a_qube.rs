@@ -1,0 +1,187 @@
+//! The check before a session, in virtual time: what is wrong with a Qube is named, the signs that
+//! are found make it swing up, and each recording says what the check came to.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::control::{HomingMethod, HomingSettings};
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::estimation::EstimatorSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::preflight::Examination;
+use qube_hil::recording::read;
+use qube_hil::safety::SafetyBox;
+use qube_hil::session::{
+    ClockChoice, DeviceChoice, QubeFile, Rig, RigError, RigSettings, RolloutPlan, Verdict, judge,
+};
+use qube_hil::telemetry::{CheckVerdict, Ending, Fault, Phase, Preflight};
+
+fn settings(fault: Option<&str>) -> RigSettings {
+    RigSettings {
+        device: DeviceChoice::Emulated,
+        clock: ClockChoice::Virtual,
+        emulator: EmulatorSettings {
+            fault: fault.map(|fault| fault.parse::<EmulatorFault>().unwrap()),
+            seed: 11,
+            ..EmulatorSettings::default()
+        },
+        homing: HomingSettings::default(),
+        skip_check: false,
+        board: None,
+    }
+}
+
+fn stop() -> Arc<AtomicBool> {
+    Arc::new(AtomicBool::new(false))
+}
+
+fn checked(fault: Option<&str>, learn_signs: bool) -> Examination {
+    Rig::connect(&settings(fault), &stop()).unwrap().check(learn_signs).unwrap()
+}
+
+fn names(found: &Examination, verdict: CheckVerdict) -> Vec<&str> {
+    let results = found.results.iter().filter(|result| result.verdict == verdict);
+    results.map(|result| result.name.as_str()).collect()
+}
+
+fn plan() -> RolloutPlan {
+    RolloutPlan {
+        session: "test".into(),
+        candidate: None,
+        rollout: 0,
+        attempt: 0,
+        psi: Default::default(),
+        seed: 1,
+        policy: "classical".into(),
+        estimator: EstimatorSettings::default(),
+        safety_box: SafetyBox::THESIS,
+    }
+}
+
+fn classical() -> Vec<u8> {
+    Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes()
+}
+
+#[test]
+fn a_healthy_qube_passes_whatever_its_counters_begin_with() {
+    for seed in 0..8 {
+        let emulator = EmulatorSettings { seed, ..EmulatorSettings::default() };
+        let settings = RigSettings { emulator, ..settings(None) };
+        let found = Rig::connect(&settings, &stop()).unwrap().check(false).unwrap();
+        assert!(found.passed(), "seed {seed}: {:#?}", found.results);
+        assert_eq!(names(&found, CheckVerdict::Skipped), ["latency-timer"]);
+        assert_eq!(found.results.len(), 11);
+    }
+}
+
+#[test]
+fn what_is_wrong_is_named_with_a_cure_and_the_arm_is_not_homed() {
+    for (fault, failed) in [
+        ("flipped-theta", &["motor-sign", "pendulum-sign"][..]),
+        ("flipped-alpha", &["pendulum-sign"]),
+        ("flipped-motor", &["motor-sign"]),
+        ("frozen-alpha@0", &["pendulum"]),
+        ("blocked-arm@0", &["stall"]),
+        ("amplifier@0", &["watchdog"]),
+        // While the arm is pushed: after a second of samples and 0.6 s of rest.
+        ("stall@1.65", &["stall"]),
+        ("garble@7", &["latency"]),
+    ] {
+        let found = checked(Some(fault), false);
+        assert_eq!(names(&found, CheckVerdict::Fail), failed, "{fault}: {:#?}", found.results);
+        assert!(names(&found, CheckVerdict::Skipped).contains(&"homing"), "{fault}");
+        for result in found.results.iter().filter(|result| result.failed()) {
+            assert!(result.cure.as_ref().is_some_and(|cure| cure.len() > 10), "{result:?}");
+        }
+    }
+}
+
+#[test]
+fn a_qube_without_a_module_or_of_another_version_is_no_qube() {
+    for (fault, word) in [("qube-absent@0", "module id"), ("wrong-version", "version")] {
+        let error = Rig::connect(&settings(Some(fault)), &stop()).err().unwrap();
+        assert!(error.to_string().contains(word), "{error}");
+    }
+}
+
+#[test]
+fn the_signs_that_are_found_make_a_flipped_qube_swing_up() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("qube.toml");
+    for fault in ["flipped-theta", "flipped-alpha", "flipped-motor"] {
+        let found = checked(Some(fault), true);
+        assert!(found.passed(), "{fault}: {:#?}", found.results);
+        let file = QubeFile { signs: found.signs.into(), ..QubeFile::default() };
+        assert_ne!(file, QubeFile::default(), "{fault}");
+        file.save(&path).unwrap();
+
+        let homing = QubeFile::load(&path).unwrap().homing(EstimatorSettings::default());
+        let settings = RigSettings { homing, ..settings(Some(fault)) };
+        let rig = Rig::open(&settings, &stop()).unwrap();
+        let recording = directory.path().join(format!("{fault}.mcap"));
+        rig.rollout(&recording, plan().header(), &classical()).unwrap();
+        let verdict = judge(&recording).unwrap();
+        assert!(matches!(verdict, Verdict::Result { success: true, .. }), "{fault}: {verdict:?}");
+    }
+}
+
+#[test]
+fn signs_of_another_board_are_refused() {
+    let other = RigSettings { board: Some("00000000000000ff".into()), ..settings(None) };
+    let error = Rig::connect(&other, &stop()).err().unwrap();
+    assert!(matches!(error, RigError::OtherBoard { .. }), "{error}");
+    let same = RigSettings { board: Some(format!("{:016x}", 11)), ..settings(None) };
+    assert!(Rig::connect(&same, &stop()).is_ok());
+}
+
+#[test]
+fn homing_by_hand_passes_too_and_a_stop_ends_a_check() {
+    let by_hand = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
+    let settings = RigSettings { homing: by_hand, ..settings(None) };
+    let mut rig = Rig::connect(&settings, &stop()).unwrap();
+    let found = rig.check(false).unwrap();
+    assert!(found.passed(), "{:#?}", found.results);
+    // The middle is where the arm was put, not where the push has left it.
+    let middle = format!("at count {},", found.start_theta_counts.unwrap());
+    assert!(found.results.last().unwrap().value.contains(&middle), "{:#?}", found.results);
+    let stopped = Arc::new(AtomicBool::new(true));
+    let error = Rig::connect(&settings, &stopped).unwrap().check(false).unwrap_err();
+    assert!(matches!(error, RigError::Stopped), "{error}");
+}
+
+/// The phases of an undisturbed rollout, each with a time at which it lasts, s since the start.
+fn moments(directory: &Path) -> Vec<(Phase, f64)> {
+    let path = directory.join("undisturbed.mcap");
+    let rig = Rig::open(&settings(None), &stop()).unwrap();
+    rig.rollout(&path, plan().header(), &classical()).unwrap();
+    let recording = read(&path).unwrap();
+    assert_eq!(recording.header.preflight, Preflight::NotNeeded);
+    [Phase::Settling, Phase::Running, Phase::Braking]
+        .map(|phase| {
+            let tick = recording.ticks.iter().find(|tick| tick.phase == phase).unwrap();
+            (phase, (tick.deadline_ns as f64 + 5e6) * 1e-9)
+        })
+        .into()
+}
+
+#[test]
+fn a_cable_that_is_pulled_is_named_in_each_phase() {
+    let directory = tempfile::tempdir().unwrap();
+    let greeting = Rig::open(&settings(Some("unplug@0")), &stop()).err().unwrap();
+    assert!(greeting.to_string().contains("unplugged"), "{greeting}");
+    let homing = Rig::open(&settings(Some("unplug@2")), &stop()).err().unwrap();
+    assert!(matches!(homing, RigError::Homing(Fault::LinkGone)), "{homing}");
+    let checking = Rig::connect(&settings(Some("unplug@0.5")), &stop()).unwrap().check(false);
+    let checking = checking.unwrap_err().to_string();
+    assert!(checking.contains("unplugged"), "{checking}");
+
+    for (phase, time_s) in moments(directory.path()) {
+        let path = directory.path().join(format!("{phase:?}.mcap"));
+        let rig = Rig::open(&settings(Some(&format!("unplug@{time_s}"))), &stop()).unwrap();
+        let recorded = rig.rollout(&path, plan().header(), &classical()).unwrap();
+        assert_eq!(recorded.outcome.ending, Ending::Fault(Fault::LinkGone), "{phase:?}");
+        assert_eq!(recorded.outcome.phase, phase);
+        assert!(matches!(judge(&path).unwrap(), Verdict::Void { .. }), "{phase:?}");
+    }
+}
