@@ -237,9 +237,12 @@ impl Homing {
                 let off_middle_rad = self.state.theta - self.calm_rad();
                 if let Some(window) = self.swing.update(self.state.alpha)
                     && window.width_rad <= STILL_RAD
-                    && off_middle_rad.abs() < NEAR_MIDDLE_RAD
                 {
+                    // Even when the arm is not there yet: taken wrong, it is what keeps it away.
                     self.hanging_rad = window.middle_rad;
+                    if off_middle_rad.abs() >= NEAR_MIDDLE_RAD {
+                        return None;
+                    }
                     if self.middle_rad.is_some() {
                         self.found = Some(self.zeros(measurement, off_middle_rad));
                         return Some(Ending::Completed);

@@ -56,11 +56,15 @@ impl PlantDevice {
     fn catch_up(&mut self) {
         let now_ns = self.clock.now_ns();
         while self.simulated_ns < now_ns {
-            let step_ns = (now_ns - self.simulated_ns).min(CONTROL_PERIOD_NS / 5);
+            let step_ns = (now_ns - self.simulated_ns).min(CONTROL_PERIOD_NS / 20);
             let voltage_v = f64::from(self.voltage_mv) * 1e-3;
             let step_s = step_ns as f64 * 1e-9;
             self.state = runge_kutta_4(&self.dynamics, self.state, voltage_v, step_s);
             if self.state.theta.abs() > HARD_STOP_RAD {
+                // Inelastic for the arm; the pendulum's own momentum stays.
+                let coupling = self.dynamics.coupling * self.state.alpha.cos();
+                self.state.alpha_dot +=
+                    coupling / self.dynamics.pendulum_inertia * self.state.theta_dot;
                 self.state.theta = self.state.theta.clamp(-HARD_STOP_RAD, HARD_STOP_RAD);
                 self.state.theta_dot = 0.0;
             }
