@@ -116,14 +116,14 @@ impl ChosenDevice {
     /// What a rig is opened with.
     pub fn rig_settings(
         &self,
-        seed: u64,
+        emulator: EmulatorSettings,
         estimator: EstimatorSettings,
         skip_check: bool,
     ) -> RigSettings {
         RigSettings {
             device: self.choice.clone(),
             clock: self.clock,
-            emulator: EmulatorSettings { seed, ..EmulatorSettings::default() },
+            emulator,
             homing: self.homing(HomingSettings { estimator, ..HomingSettings::default() }),
             skip_check,
             board: self.file.as_ref().and_then(|file| file.board.clone()),

@@ -3,6 +3,7 @@ use std::time::Duration;
 
 use serde_json::json;
 
+use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::output::Output;
 use super::stop::Stop;
@@ -10,12 +11,13 @@ use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings};
 
 /// Be a Qube: serve an emulated one on a pty that any program can open as a serial port
 ///
-/// It has the nominal parameters, quantised encoders that start at unknown counts, hard stops, and
+/// It has the nominal parameters unless --profile says otherwise, quantised encoders that start at unknown counts, hard stops, and
 /// the latched watchdog of the real firmware. It runs until it is stopped.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil emulate --link /tmp/qube &\n  \
     qube-hil run --device /tmp/qube --policy classical\n  \
+    qube-hil emulate --profile lab --gap 1.5 # half again as far from the nominal Qube as a real one\n  \
     qube-hil emulate --fault silent@10s      # stops answering after 10 s")]
 pub struct Arguments {
     /// A symbolic link to make to the pty, so that its name is known beforehand
@@ -26,6 +28,9 @@ pub struct Arguments {
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
+    #[command(flatten)]
+    emulated: EmulatedArguments,
+
     /// Something to go wrong
     #[arg(long, value_name = "FAULT")]
     fault: Option<EmulatorFault>,
@@ -34,11 +39,8 @@ pub struct Arguments {
 /// Serves until a signal comes or the pty is gone.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
-    let settings = EmulatorSettings {
-        seed: arguments.seed,
-        fault: arguments.fault,
-        ..EmulatorSettings::default()
-    };
+    let emulated = arguments.emulated.settings()?.unwrap_or_default();
+    let settings = EmulatorSettings { fault: arguments.fault, ..emulated.emulator(arguments.seed) };
     let mut qube = EmulatedQube::spawn(settings)
         .map_err(|error| Failure::failed(format!("no emulated Qube can be served: {error}")))?;
     if let Some(link) = &arguments.link {

@@ -8,6 +8,7 @@ mod check_table;
 mod device_arguments;
 mod doctor;
 mod emulate;
+mod emulated_arguments;
 mod exit;
 mod failures;
 mod identify;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use super::device_arguments::{CheckArguments, DeviceArguments};
+use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::output::Output;
 use super::stop::Stop;
@@ -52,6 +53,9 @@ pub struct Arguments {
     device: DeviceArguments,
 
     #[command(flatten)]
+    emulated: EmulatedArguments,
+
+    #[command(flatten)]
     check: CheckArguments,
 }
 
@@ -70,7 +74,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 
     let estimator = EstimatorSettings { corner_rad_s: arguments.filter };
     let device = arguments.device.choose()?;
-    let settings = device.rig_settings(arguments.seed, estimator, arguments.check.skip_check);
+    let emulated = arguments.emulated.settings()?.unwrap_or_default();
+    let emulator = emulated.emulator(arguments.seed);
+    let settings = device.rig_settings(emulator, estimator, arguments.check.skip_check);
     if settings.checks() {
         eprintln!("checking the Qube: the arm is pushed a little (--skip-check leaves it out)");
     }

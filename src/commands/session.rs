@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 
 use super::dated_folder;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
+use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
@@ -52,6 +53,9 @@ pub struct Arguments {
     device: DeviceArguments,
 
     #[command(flatten)]
+    emulated: EmulatedArguments,
+
+    #[command(flatten)]
     check: CheckArguments,
 }
 
@@ -69,13 +73,23 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let device = arguments.device.choose()?;
     let (folder, settings) = match &arguments.resume {
+        Some(_) if arguments.emulated.settings()?.is_some() => {
+            return Err(Failure::usage(
+                "a session goes on with the emulated Qube that it began with: leave --profile, \
+                 --gap, --delay-ms, --jitter-ms and --scale out",
+            ));
+        }
         Some(directory) => resumed(directory, &device)?,
         None => begun(&arguments, &device)?,
     };
     let stop = Stop::on_signals()?;
     let rig_settings = crate::session::RigSettings {
         homing: settings.homing,
-        ..device.rig_settings(settings.seed, settings.estimator, arguments.check.skip_check)
+        ..device.rig_settings(
+            settings.emulated.emulator(settings.seed),
+            settings.estimator,
+            arguments.check.skip_check,
+        )
     };
     let resume = format!("qube-hil session --resume {}", folder.root().display());
     eprintln!("session in {}", folder.root().display());
@@ -124,6 +138,7 @@ fn begun(
     settings.name = directory
         .file_name()
         .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
+    settings.emulated = arguments.emulated.settings()?.unwrap_or(settings.emulated);
     let settings = on_this_qube(settings, device);
     let configuration = settings.to_toml().map_err(Failure::failed)?;
     let folder = SessionFolder::create(&directory, &configuration)

@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use super::{Acceleration, DomainParameters, Dynamics, EquationsOfMotion, State};
+use super::{Acceleration, DomainParameter, DomainParameters, Dynamics, EquationsOfMotion, State};
 use crate::elementary::Scalar;
 
 /// Velocity of the arm at which Coulomb friction has reached three quarters of its torque, rad/s.
@@ -27,7 +27,8 @@ pub struct Gap {
 }
 
 /// A Qube: the thesis's parameters, and the gap between those equations and the machine.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct QubeModel {
     /// The nine of the thesis.
     pub parameters: DomainParameters,
@@ -48,6 +49,34 @@ impl QubeModel {
             command_delay_s: 0.0,
         },
     };
+
+    /// The Qube on the straight line from the nominal one through this one, `factor` times as far
+    /// away: 0 is nominal, 1 is this one. Parameters move by their logarithms.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        let mut parameters = DomainParameters::NOMINAL;
+        for parameter in DomainParameter::ALL {
+            let (nominal, own) = (parameters.get(parameter), self.parameters.get(parameter));
+            if own > 0.0 {
+                parameters.set(parameter, nominal * (factor * (own / nominal).ln()).exp());
+            } else {
+                parameters.set(parameter, nominal + factor * (own - nominal));
+            }
+        }
+        let gap = &self.gap;
+        Self {
+            parameters,
+            gap: Gap {
+                coulomb_torque_n_m: factor * gap.coulomb_torque_n_m,
+                positive_dead_zone_v: factor * gap.positive_dead_zone_v,
+                negative_dead_zone_v: factor * gap.negative_dead_zone_v,
+                cable_stiffness_n_m_rad: factor * gap.cable_stiffness_n_m_rad,
+                // A place, not a strength: the cable's rest stays where it is.
+                cable_rest_rad: gap.cable_rest_rad,
+                command_delay_s: factor * gap.command_delay_s,
+            },
+        }
+    }
 }
 
 /// The equations of motion with the gap's forces.
@@ -129,6 +158,20 @@ mod tests {
             let voltage_v = 5.0 * (1.3 * x).sin();
             assert_eq!(gap.acceleration(&state, voltage_v), ideal.acceleration(&state, voltage_v));
         }
+    }
+
+    #[test]
+    fn a_scaled_gap_goes_through_nominal_and_itself() {
+        let parameters =
+            DomainParameters { motor_resistance_ohm: 4.2, ..DomainParameters::NOMINAL };
+        let gap = Gap { command_delay_s: 0.01, cable_rest_rad: 0.2, ..Gap::default() };
+        let model = QubeModel { parameters, gap };
+        assert_eq!(model.scaled(0.0).parameters, DomainParameters::NOMINAL);
+        assert_eq!(model.scaled(0.0).gap.command_delay_s, 0.0);
+        let same = model.scaled(1.0);
+        assert!((same.parameters.motor_resistance_ohm - 4.2).abs() < 1e-12);
+        assert_eq!(same.gap, gap);
+        assert!((model.scaled(2.0).parameters.motor_resistance_ohm - 2.1).abs() < 1e-12);
     }
 
     #[test]

@@ -28,5 +28,5 @@ pub use orchestrator::{Progress, Session, named};
 pub use plan::{Candidate, Extent, Step, candidates, next_step};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use rig::{ClockChoice, DeviceChoice, Recorded, Rig, RigError, RigSettings};
-pub use settings::{Model, SessionSettings};
+pub use settings::{EmulatedQubeSettings, Model, SessionSettings};
 pub use verdict::{Verdict, judge, judge_recording};

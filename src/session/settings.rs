@@ -2,8 +2,10 @@ use serde::{Deserialize, Serialize};
 
 use super::Extent;
 use crate::control::HomingSettings;
+use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Origin, TrainSettings};
+use crate::qube::QubeModel;
 use crate::safety::SafetyBox;
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
 use crate::simulation::{DomainDistribution, Family, PSI_DIMENSIONS, Psi, PsiError};
@@ -18,6 +20,35 @@ pub enum Model {
     OptNominal,
     /// Normal with a fifth of the nominal as standard deviation: `opt-handcrafted`.
     OptHandcrafted,
+}
+
+/// What the emulated Qube is like.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EmulatedQubeSettings {
+    /// Its physics.
+    pub model: QubeModel,
+    /// By how much the delay of a command differs from the model's at most, s.
+    pub command_jitter_s: f64,
+}
+
+impl EmulatedQubeSettings {
+    /// A well one that starts as this seed says.
+    #[must_use]
+    pub fn emulator(&self, seed: u64) -> EmulatorSettings {
+        EmulatorSettings {
+            model: self.model,
+            command_jitter_s: self.command_jitter_s,
+            seed,
+            fault: None,
+        }
+    }
+}
+
+impl Default for EmulatedQubeSettings {
+    fn default() -> Self {
+        Self { model: QubeModel::NOMINAL, command_jitter_s: 0.0 }
+    }
 }
 
 /// Everything that decides a session, as `session.toml` holds it.
@@ -40,6 +71,8 @@ pub struct SessionSettings {
     pub safety_box: SafetyBox,
     /// How the arm's middle is found.
     pub homing: HomingSettings,
+    /// What the emulated Qube is like, where it is used.
+    pub emulated: EmulatedQubeSettings,
     /// How psi is searched.
     pub strategy: StrategyKind,
     /// How BayRn does it.
@@ -61,6 +94,7 @@ impl SessionSettings {
             estimator: EstimatorSettings::default(),
             safety_box: SafetyBox::THESIS,
             homing: HomingSettings::default(),
+            emulated: EmulatedQubeSettings::default(),
             strategy: StrategyKind::BayRn,
             bayrn: BayRnSettings::default(),
             training: TrainSettings::quick(),

@@ -3,8 +3,7 @@
 
 use firmware_protocol::QUBE_MODULE_ID;
 use firmware_protocol::scaling::{MOTOR_ENABLE, motor_voltage_mv};
-use qube_hil::device::emulator::Plant;
-use qube_hil::qube::DomainParameters;
+use qube_hil::device::emulator::{EmulatorSettings, Plant};
 
 pub const FRAME_BYTES: usize = 17;
 
@@ -78,7 +77,7 @@ impl Qube {
     /// A Qube at rest whose amplifier was left on, as after a crash of whoever drove it before.
     pub fn new(seed: u64) -> Self {
         Self {
-            plant: Plant::new(DomainParameters::NOMINAL, seed),
+            plant: Plant::new(&EmulatorSettings { seed, ..EmulatorSettings::default() }),
             module_id: QUBE_MODULE_ID,
             amplifier_fault: false,
             stall_error: false,

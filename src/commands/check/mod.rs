@@ -13,6 +13,7 @@ use super::failures;
 use super::output::Output;
 use super::stop::Stop;
 use super::warn_without_realtime;
+use crate::device::emulator::EmulatorSettings;
 use crate::device::stable_port_name;
 use crate::estimation::EstimatorSettings;
 use crate::session::{DeviceChoice, QUBE_FILE, QubeFile, Rig, RigSettings};
@@ -55,7 +56,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         None => None,
     };
     let stop = Stop::on_signals()?;
-    let settings = device.rig_settings(0, EstimatorSettings::default(), false);
+    let settings =
+        device.rig_settings(EmulatorSettings::default(), EstimatorSettings::default(), false);
     // The file that is written anew may have been another board's.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };

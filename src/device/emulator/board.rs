@@ -52,7 +52,7 @@ impl Board {
         let mut nonces = ChaCha8Rng::seed_from_u64(settings.seed);
         nonces.set_stream(NONCE_STREAM);
         let mut board = Self {
-            plant: Plant::new(settings.parameters, settings.seed),
+            plant: Plant::new(&settings),
             settings,
             decoder: Decoder::new(),
             nonces,

@@ -13,13 +13,15 @@ pub use fault::{EmulatorFault, UnknownFault};
 pub use plant::Plant;
 pub use pty::EmulatedQube;
 
-use crate::qube::DomainParameters;
+use crate::qube::QubeModel;
 
 /// What an emulated Qube is made of. The same settings give the same Qube.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EmulatorSettings {
     /// Its physics.
-    pub parameters: DomainParameters,
+    pub model: QubeModel,
+    /// By how much the delay of a command differs from the model's at most, s.
+    pub command_jitter_s: f64,
     /// Decides where it stands at the start, where its counters begin, and its nonces.
     pub seed: u64,
     /// What is wrong with it, if anything.
@@ -28,6 +30,6 @@ pub struct EmulatorSettings {
 
 impl Default for EmulatorSettings {
     fn default() -> Self {
-        Self { parameters: DomainParameters::NOMINAL, seed: 0, fault: None }
+        Self { model: QubeModel::NOMINAL, command_jitter_s: 0.0, seed: 0, fault: None }
     }
 }

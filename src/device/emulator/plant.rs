@@ -1,3 +1,5 @@
+use std::collections::VecDeque;
+
 use firmware_protocol::scaling::{
     CURRENT_COUNTS_PER_A, CURRENT_ZERO, TACHOMETER_COUNTS_S_TICKS, TACHOMETER_NEGATIVE,
     TACHOMETER_STILL,
@@ -5,8 +7,9 @@ use firmware_protocol::scaling::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::EmulatorSettings;
 use crate::qube::{
-    DomainParameters, Dynamics, HARD_STOP_RAD, RAD_PER_COUNT, State, counts, runge_kutta_4,
+    GapDynamics, HARD_STOP_RAD, QubeModel, RAD_PER_COUNT, State, counts, runge_kutta_4,
 };
 
 /// Longest integration step: 6e-6 rad off at the worst speeds of a swing-up, a five hundredth of
@@ -19,6 +22,12 @@ const CONTACT_STEP_US: u64 = 500;
 /// How far from the middle the arm may stand at the start, rad.
 const START_RANGE_RAD: f64 = 1.0;
 
+/// Commands that may be on their way at once: a tenth of a second of acts, and some more.
+const COMMANDS_UNDER_WAY: usize = 64;
+
+/// Stream of the jitter: drawing it must not change where the Qube starts.
+const JITTER_STREAM: u64 = 2;
+
 /// How far from zero the counters may start.
 const START_COUNTS: i32 = 10_000;
 
@@ -28,10 +37,14 @@ const START_COUNTS: i32 = 10_000;
 /// 0 V; what a real amplifier does there is not published.
 #[derive(Clone, Debug)]
 pub struct Plant {
-    parameters: DomainParameters,
-    dynamics: Dynamics,
+    model: QubeModel,
+    command_jitter_s: f64,
+    jitter: ChaCha8Rng,
+    dynamics: GapDynamics,
     state: State,
     voltage_v: f64,
+    /// When each voltage reaches the motor, in order.
+    under_way: VecDeque<(u64, f64)>,
     time_us: u64,
     theta_offset_counts: i32,
     alpha_offset_counts: i32,
@@ -41,14 +54,20 @@ pub struct Plant {
 impl Plant {
     /// A Qube at rest: pendulum hanging, arm and counters somewhere that the seed decides.
     #[must_use]
-    pub fn new(parameters: DomainParameters, seed: u64) -> Self {
+    pub fn new(settings: &EmulatorSettings) -> Self {
+        let EmulatorSettings { model, command_jitter_s, seed, .. } = *settings;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut jitter = random.clone();
+        jitter.set_stream(JITTER_STREAM);
         let theta = random.random_range(-START_RANGE_RAD..=START_RANGE_RAD);
         Self {
-            parameters,
-            dynamics: Dynamics::new(&parameters),
+            model,
+            command_jitter_s,
+            jitter,
+            dynamics: GapDynamics::new(&model),
             state: State { theta, ..State::default() },
             voltage_v: 0.0,
+            under_way: VecDeque::with_capacity(COMMANDS_UNDER_WAY),
             time_us: 0,
             theta_offset_counts: random.random_range(-START_COUNTS..=START_COUNTS),
             alpha_offset_counts: random.random_range(-START_COUNTS..=START_COUNTS),
@@ -59,8 +78,15 @@ impl Plant {
     /// Lets time pass up to `time_us` since the start; time never goes back.
     pub fn advance_to(&mut self, time_us: u64) {
         while self.time_us < time_us {
+            while let Some(&(arrives_us, voltage_v)) = self.under_way.front()
+                && arrives_us <= self.time_us
+            {
+                self.voltage_v = voltage_v;
+                self.under_way.pop_front();
+            }
+            let until_us = self.under_way.front().map_or(time_us, |next| next.0.min(time_us));
             let longest_us = if self.touches() { CONTACT_STEP_US } else { MAX_STEP_US };
-            let step_us = longest_us.min(time_us - self.time_us);
+            let step_us = longest_us.min(until_us - self.time_us);
             let before = self.state;
             let step_s = step_us as f64 * 1e-6;
             self.state = runge_kutta_4(&self.dynamics, before, self.voltage_v, step_s);
@@ -80,15 +106,29 @@ impl Plant {
     /// An inelastic impact of the arm. The pendulum swings freely about its bearing, so its own
     /// momentum m12 theta' + m22 alpha' is the same before and after.
     fn stop_arm_at(&mut self, theta: f64) {
-        let coupling = self.dynamics.coupling * self.state.alpha.cos();
-        self.state.alpha_dot += coupling / self.dynamics.pendulum_inertia * self.state.theta_dot;
+        let ideal = &self.dynamics.ideal;
+        let coupling = ideal.coupling * self.state.alpha.cos();
+        self.state.alpha_dot += coupling / ideal.pendulum_inertia * self.state.theta_dot;
         self.state.theta = theta;
         self.state.theta_dot = 0.0;
     }
 
-    /// The motor's voltage from now on, V.
+    /// The motor's voltage from now on, V, or from when the gap's delay and jitter let it arrive.
     pub fn set_voltage(&mut self, voltage_v: f64) {
-        self.voltage_v = voltage_v;
+        let jitter_s = self.command_jitter_s;
+        let late_s =
+            if jitter_s > 0.0 { self.jitter.random_range(-jitter_s..=jitter_s) } else { 0.0 };
+        let delay_us = ((self.model.gap.command_delay_s + late_s).max(0.0) * 1e6).round() as u64;
+        if delay_us == 0 && self.under_way.is_empty() {
+            self.voltage_v = voltage_v;
+            return;
+        }
+        // One wire: no command overtakes another.
+        let last_us = self.under_way.back().map_or(0, |last| last.0);
+        if self.under_way.len() == COMMANDS_UNDER_WAY {
+            self.under_way.pop_front();
+        }
+        self.under_way.push_back(((self.time_us + delay_us).max(last_us), voltage_v));
     }
 
     /// Holds the arm where it is from now on.
@@ -130,8 +170,8 @@ impl Plant {
     /// The motor current (V - k_m theta') / R_m as the Qube's converter reads it.
     #[must_use]
     pub fn current_raw(&self) -> u16 {
-        let back_emf_v = self.parameters.motor_back_emf_v_s * self.state.theta_dot;
-        let current_a = (self.voltage_v - back_emf_v) / self.parameters.motor_resistance_ohm;
+        let back_emf_v = self.model.parameters.motor_back_emf_v_s * self.state.theta_dot;
+        let current_a = (self.voltage_v - back_emf_v) / self.model.parameters.motor_resistance_ohm;
         let raw = f64::from(CURRENT_ZERO) + current_a * f64::from(CURRENT_COUNTS_PER_A);
         raw.round().clamp(0.0, f64::from(u16::MAX)) as u16
     }
@@ -140,11 +180,11 @@ impl Plant {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::control_step;
+    use crate::qube::{Gap, control_step};
     use firmware_protocol::scaling::{current_ma, tachometer_counts_s};
 
     fn nominal(seed: u64) -> Plant {
-        Plant::new(DomainParameters::NOMINAL, seed)
+        Plant::new(&EmulatorSettings { seed, ..EmulatorSettings::default() })
     }
 
     #[test]
@@ -183,7 +223,7 @@ mod tests {
             cut.advance_to(tick * 10_000 - 9_137);
             cut.advance_to(tick * 10_000 - 20);
             cut.advance_to(tick * 10_000);
-            reference = control_step(&whole.dynamics, reference, voltage_v);
+            reference = control_step(&whole.dynamics.ideal, reference, voltage_v);
         }
         for state in [whole.state(), cut.state()] {
             assert!((state.theta - reference.theta).abs() < 1e-5);
@@ -229,5 +269,31 @@ mod tests {
             assert!(exact.abs() > 100.0);
             assert!((tachometer - exact).abs() <= 1.0 + 1e-3 * exact.abs());
         }
+    }
+
+    #[test]
+    fn a_command_arrives_after_its_delay_and_none_overtakes_another() {
+        let with = |command_delay_s, command_jitter_s| {
+            let gap = Gap { command_delay_s, ..Gap::default() };
+            let model = QubeModel { gap, ..QubeModel::NOMINAL };
+            Plant::new(&EmulatorSettings { model, command_jitter_s, ..EmulatorSettings::default() })
+        };
+        let mut plant = with(0.0123, 0.0);
+        let start = plant.state();
+        plant.set_voltage(3.0);
+        plant.advance_to(12_300);
+        assert_eq!(plant.state(), start);
+        plant.advance_to(13_000);
+        assert!(plant.state().theta > start.theta);
+
+        let mut plant = with(0.005, 0.005);
+        for command in 1..=100_u64 {
+            plant.set_voltage(command as f64 * 0.01);
+            let before_v = plant.voltage_v;
+            plant.advance_to(command * 1_000);
+            assert!(plant.voltage_v >= before_v && plant.under_way.len() <= 11);
+        }
+        plant.advance_to(200_000);
+        assert_eq!(plant.voltage_v, 1.0);
     }
 }

@@ -31,7 +31,7 @@ fn the_watchdog_trips_at_its_instant_however_time_is_cut() {
         assert_eq!(board.state(), DeviceState::Tripped);
         board.advance_to(2_000_000);
         // The motor has driven from 10 ms to 60 ms and not a moment longer.
-        let mut reference = Plant::new(EmulatorSettings::default().parameters, 0);
+        let mut reference = Plant::new(&EmulatorSettings::default());
         reference.advance_to(10_000);
         reference.set_voltage(3.003);
         reference.advance_to(60_000);

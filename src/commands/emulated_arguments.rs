@@ -1,0 +1,91 @@
+use std::path::Path;
+
+use super::exit::Failure;
+use super::profile;
+use crate::qube::{DomainParameter, Profile, QubeModel};
+use crate::session::EmulatedQubeSettings;
+
+/// The profile that comes with the program: a real Qube of which recordings are published.
+const LAB: &str = include_str!("../../profiles/lab.toml");
+
+/// What the emulated Qube is like.
+#[derive(Clone, Debug, Default, clap::Args)]
+#[command(next_help_heading = "The emulated Qube")]
+pub struct EmulatedArguments {
+    /// `ideal` (the thesis's equations), `lab` (a real Qube, from published recordings), or a file
+    /// that `identify` wrote
+    #[arg(long, value_name = "ideal|lab|FILE")]
+    profile: Option<String>,
+
+    /// How far from the nominal Qube, as a multiple of the profile's own distance
+    #[arg(long, value_name = "FACTOR", value_parser = factor)]
+    gap: Option<f64>,
+
+    /// Delay from command to motor, instead of the profile's
+    #[arg(long, value_name = "MS", value_parser = milliseconds)]
+    delay_ms: Option<f64>,
+
+    /// Every command's delay differs by up to this much
+    #[arg(long, value_name = "MS", value_parser = milliseconds)]
+    jitter_ms: Option<f64>,
+
+    /// Multiply a parameter, as M_p=1.1; may be given several times
+    #[arg(long, value_name = "NAME=FACTOR", value_parser = scaling)]
+    scale: Vec<(DomainParameter, f64)>,
+}
+
+impl EmulatedArguments {
+    /// What they ask for; None when they ask for nothing.
+    pub fn settings(&self) -> Result<Option<EmulatedQubeSettings>, Failure> {
+        let asked = self.profile.is_some()
+            || self.gap.is_some()
+            || self.delay_ms.is_some()
+            || self.jitter_ms.is_some()
+            || !self.scale.is_empty();
+        if !asked {
+            return Ok(None);
+        }
+        let mut model = match self.profile.as_deref() {
+            None | Some("ideal") => QubeModel::NOMINAL,
+            Some("lab") => Profile::parse(LAB)
+                .map_err(|error| Failure::failed(format!("the profile lab: {error}")))?
+                .model(),
+            Some(path) => profile::load(Path::new(path))?.model(),
+        };
+        if let Some(factor) = self.gap {
+            model = model.scaled(factor);
+        }
+        if let Some(milliseconds) = self.delay_ms {
+            model.gap.command_delay_s = 1e-3 * milliseconds;
+        }
+        for &(parameter, factor) in &self.scale {
+            model.parameters.set(parameter, factor * model.parameters.get(parameter));
+        }
+        let command_jitter_s = 1e-3 * self.jitter_ms.unwrap_or_default();
+        Ok(Some(EmulatedQubeSettings { model, command_jitter_s }))
+    }
+}
+
+fn number_between(text: &str, smallest: f64, largest: f64) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if (smallest..=largest).contains(&value) => Ok(value),
+        _ => Err(format!("give a number from {smallest} to {largest}")),
+    }
+}
+
+fn factor(text: &str) -> Result<f64, String> {
+    number_between(text, 0.0, 5.0)
+}
+
+fn milliseconds(text: &str) -> Result<f64, String> {
+    number_between(text, 0.0, 100.0)
+}
+
+fn scaling(text: &str) -> Result<(DomainParameter, f64), String> {
+    let (symbol, factor) = text.split_once('=').ok_or("write it as M_p=1.1")?;
+    let parameter = DomainParameter::from_symbol(symbol).ok_or_else(|| {
+        let known = DomainParameter::ALL.map(DomainParameter::symbol).join(", ");
+        format!("there is no parameter {symbol}; there are {known}")
+    })?;
+    Ok((parameter, number_between(factor, 0.1, 10.0)?))
+}
