@@ -4,12 +4,16 @@
 //! libsimavr-dev and libelf-dev; without them each test says that it is skipped, or fails where
 //! they are required (`CI` or `QUBE_HIL_REQUIRE_FIRMWARE` is set).
 
+#[path = "firmware/acting.rs"]
+mod acting;
 #[path = "firmware/conformance.rs"]
 mod conformance;
 #[path = "firmware/driver.rs"]
 mod driver;
 #[path = "firmware/faults.rs"]
 mod faults;
+#[path = "firmware/latency.rs"]
+mod latency;
 #[path = "firmware/qube.rs"]
 mod qube;
 #[path = "firmware/simulated_board.rs"]

@@ -2,8 +2,9 @@
 //! they do what `golden.txt` says, and what this crate does with any bytes.
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::OnceLock;
 
 use firmware_protocol::{Decoder, DeviceState, Request, WATCHDOG_MS};
 
@@ -11,7 +12,7 @@ const GOLDEN: &str = include_str!("../golden.txt");
 
 const SANITISERS: &str = "-fsanitize=address,undefined";
 
-/// Compiles the program that answers; none where there is no C compiler.
+/// Compiles the program that answers.
 fn compile(flags: &[&str], program: &Path) -> bool {
     let firmware = Path::new(env!("CARGO_MANIFEST_DIR")).join("firmware");
     let sources = ["host_test/layers.c", "device.c", "link.c", "qube_frame.c"];
@@ -26,11 +27,19 @@ fn compile(flags: &[&str], program: &Path) -> bool {
         .success()
 }
 
+/// The program, compiled once a run; without sanitisers where the compiler has none.
+fn program() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| {
+        let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join("firmware_layers");
+        assert!(compile(&[SANITISERS], &program) || compile(&[], &program), "it does not compile");
+        program
+    })
+}
+
 /// Asks the C program, one question a line; returns its answers.
-fn ask(test: &str, questions: &[String]) -> Vec<String> {
-    let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("firmware_layers_{test}"));
-    assert!(compile(&[SANITISERS], &program) || compile(&[], &program), "it does not compile");
-    let mut child = Command::new(program)
+fn ask(questions: &[String]) -> Vec<String> {
+    let mut child = Command::new(program())
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
@@ -79,7 +88,7 @@ fn the_firmware_does_what_the_golden_file_says() {
         expected.push(answer);
     }
     assert!(questions.len() > 40);
-    assert_eq!(ask("golden", &questions), expected);
+    assert_eq!(ask(&questions), expected);
 }
 
 #[test]
@@ -124,7 +133,7 @@ fn the_firmware_cuts_any_bytes_into_the_same_frames() {
         questions.push(format!("stream {}", hex(&bytes)));
         expected.push(answer);
     }
-    assert_eq!(ask("stream", &questions), expected);
+    assert_eq!(ask(&questions), expected);
 }
 
 #[test]
@@ -140,7 +149,7 @@ fn the_firmware_extends_counters_across_every_edge() {
         questions.push(format!("extend {last} {}", next as u32 & 0xFF_FFFF));
         expected.push(format!("extend {next}"));
     }
-    assert_eq!(ask("extend", &questions), expected);
+    assert_eq!(ask(&questions), expected);
 }
 
 #[test]
@@ -159,5 +168,5 @@ fn the_firmwares_watchdog_is_right_across_the_wrap_of_its_clock() {
             expected.push(format!("watchdog {} {motor}", state as u8));
         }
     }
-    assert_eq!(ask("watchdog", &questions), expected);
+    assert_eq!(ask(&questions), expected);
 }

@@ -38,7 +38,8 @@ const SPSR_DOUBLE_SPEED: u8 = 1 << 0;
 /// What one frame told the Qube.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Command {
-    /// When chip select rose, simulated time.
+    /// When chip select fell and when it rose, simulated time.
+    pub selected_us: u64,
     pub time_us: u64,
     pub write_mask: u8,
     /// Red, green, blue.
@@ -68,6 +69,7 @@ pub struct Qube {
     alpha_preset: i32,
     motor_word: u16,
     leds: [u16; 3],
+    selected_us: u64,
     pub commands: Vec<Command>,
     pub violations: Vec<String>,
 }
@@ -84,6 +86,7 @@ impl Qube {
             alpha_preset: 0,
             motor_word: MOTOR_ENABLE,
             leds: [0; 3],
+            selected_us: 0,
             commands: Vec::new(),
             violations: Vec::new(),
         }
@@ -106,6 +109,7 @@ impl Qube {
 
     /// Chip select falls: everything is latched.
     pub fn selected(&mut self, time_us: u64) -> [u8; FRAME_BYTES] {
+        self.selected_us = time_us;
         self.plant.advance_to(time_us);
         let stall = if self.stall_error { STALL_DETECTED | STALL_ERROR } else { 0 };
         let amplifier = if self.amplifier_fault { AMPLIFIER_FAULT } else { 0 };
@@ -170,8 +174,13 @@ impl Qube {
         let on = self.motor_word & MOTOR_ENABLE != 0 && !self.stall_error;
         let voltage_mv = if on { motor_voltage_mv(counts) } else { 0 };
         self.plant.set_voltage(f64::from(voltage_mv) * 1e-3);
-        let (leds, motor_word) = (self.leds, self.motor_word);
-        self.commands.push(Command { time_us, write_mask, leds, motor_word });
+        self.commands.push(Command {
+            selected_us: self.selected_us,
+            time_us,
+            write_mask,
+            leds: self.leds,
+            motor_word: self.motor_word,
+        });
     }
 
     fn violation(&mut self, time_us: u64, what: String) {

@@ -1,0 +1,75 @@
+//! How fast an act reaches the Qube, and what a flood of requests does.
+
+use std::time::Duration;
+
+use firmware_protocol::Request;
+use firmware_protocol::scaling::{motor_counts, motor_word};
+use qube_hil::device::{Device, Transport};
+
+use crate::driver::{Disturbed, scenario};
+
+const ACTS: i16 = 40;
+
+/// In simavr a byte on the SPI takes 101 us whatever the program sets.
+const FRAME_US: u64 = 17 * 103;
+
+/// From the firmware's first instruction to the start of its clock.
+const BOOT_US: u64 = 1000;
+
+/// A frame under way takes a new motor word along, so that half of all acts are through within half
+/// a frame; only those that come with the frame's last two bytes need another one.
+#[test]
+fn the_firmware_passes_an_act_on_at_once() {
+    scenario(|driver| {
+        driver.link.arm().unwrap();
+        let mut delays_us = Vec::new();
+        let mut before = driver.sample().map_err(|_| Disturbed)?;
+        for act in 0..ACTS {
+            // Each another motor word; no voltage for long enough to matter.
+            let voltage_mv = 50 * (act - ACTS / 2);
+            let _ = driver.link.act(voltage_mv);
+            std::thread::sleep(Duration::from_micros(7_000 + 137 * act as u64));
+            let after = driver.sample().map_err(|_| Disturbed)?;
+            if !after.status.armed {
+                return Err(Disturbed);
+            }
+            let accepted_us =
+                before.device_time_us + u64::from(after.sample_to_act_us.ok_or(Disturbed)?);
+            let qube = driver.board.qube();
+            let clock_begins_us = qube
+                .commands
+                .iter()
+                .map(|it| it.selected_us.wrapping_sub(after.device_time_us))
+                .find(|&offset_us| offset_us < BOOT_US)
+                .expect("the sample is of a frame that there was, timed when chip select fell");
+            let word = motor_word(motor_counts(voltage_mv));
+            let through = qube.commands.iter().rev().take_while(|it| it.motor_word == word).last();
+            delays_us.push(through.unwrap().time_us - clock_begins_us - accepted_us);
+            drop(qube);
+            before = after;
+        }
+        delays_us.sort_unstable();
+        println!("act to Qube: {delays_us:?} us");
+        assert!(delays_us[delays_us.len() / 2] < FRAME_US, "{delays_us:?}");
+        assert!(delays_us[delays_us.len() - 1] < 2 * FRAME_US + 300, "{delays_us:?}");
+        Ok(())
+    });
+}
+
+#[test]
+fn the_firmware_survives_a_flood_of_requests() {
+    scenario(|driver| {
+        driver.link.arm().unwrap();
+        for sequence in 0..400 {
+            // Seven bytes each, answered by 32: no ring can hold what piles up.
+            let sample = Request::Sample.encode(sequence);
+            let _ = driver.link.transport().write(sample.as_bytes());
+        }
+        driver.board.wait_us(200_000);
+        // Whatever came of them, none fed the watchdog, and the next hello is heard.
+        let commands = driver.board.qube().commands.clone();
+        assert_eq!(commands.last().unwrap().motor_word, 0);
+        driver.link.hello().unwrap();
+        driver.arm_and_drive()
+    });
+}
