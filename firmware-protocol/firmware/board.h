@@ -30,8 +30,8 @@ bool board_lost_bytes(void);
 uint8_t board_send_room(void);
 void board_send(const uint8_t *bytes, uint8_t length);
 
-/* The frame to the Qube: one at a time, moved by interrupts, chip select low throughout. Returns
- * when chip select fell. */
+/* The frame to the Qube: one at a time, moved by interrupts, chip select low throughout. It is busy
+ * from its begin until `board_qube_ended` has told of its end. Returns when chip select fell. */
 bool board_qube_is_busy(void);
 uint32_t board_qube_begin(const uint8_t command[QUBE_FRAME_BYTES]);
 /* Puts another motor word into the frame under way, unless it is too late for that. */

@@ -222,7 +222,9 @@ ISR(SPI_STC_vect)
 
 bool board_qube_is_busy(void)
 {
-    return qube_busy;
+    /* Also while the end of a frame is not known to the program yet: the next one would write over
+     * its answer. Once `qube_busy` is seen false, its interrupt has set `qube_ended`. */
+    return qube_busy || qube_ended;
 }
 
 uint32_t board_qube_begin(const uint8_t command[QUBE_FRAME_BYTES])

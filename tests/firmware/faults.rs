@@ -9,9 +9,8 @@ use crate::qube::{Command, Qube};
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// How long a frame takes in simavr, and what is left of one before it: what an order to the Qube
-/// may be late in simulated time.
-const TWO_FRAMES_US: u64 = 2 * 2_000;
+/// Two of the firmware's sampling periods: what it may be late to see, or to tell the Qube.
+const TWO_PERIODS_US: u64 = 2 * 2_000;
 
 /// The chip's watchdog waits 16 ms.
 const CHIP_WATCHDOG_US: u64 = 16_384;
@@ -65,7 +64,7 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
         let (least_us, most_us) =
             (u64::from(WATCHDOG_MS) * 1000, u64::from(WATCHDOG_MS + WATCHDOG_POLL_MS) * 1000);
         assert!(
-            (least_us - TWO_FRAMES_US..=most_us + TWO_FRAMES_US).contains(&on_for_us),
+            (least_us - TWO_PERIODS_US..=most_us + TWO_PERIODS_US).contains(&on_for_us),
             "the amplifier was on for {on_for_us} us of silence"
         );
         Ok(())
@@ -88,7 +87,7 @@ fn the_firmware_latches_an_amplifier_fault() {
         // The frame under way may have been the last that drove.
         let last = Command { motor_word: 0x8000, ..commands[0] };
         commands.insert(0, last);
-        assert!(off_for_good(&commands) <= fault_us + 2 * TWO_FRAMES_US, "{:?}", &commands[..5]);
+        assert!(off_for_good(&commands) <= fault_us + 2 * TWO_PERIODS_US, "{:?}", &commands[..5]);
         let blinks = commands.iter().any(|it| it.leds == [0; 3]);
         assert!(blinks, "a fault is told from the watchdog by its blinking");
 
@@ -155,7 +154,7 @@ fn the_firmware_knows_a_qube_by_its_module_id() {
         driver.board.qube().module_id = 0x0308;
         driver.board.wait_us(300_000);
         let off_us = off_for_good(&driver.commands_since(gone_us - 50_000));
-        assert!(off_us <= gone_us + 2 * TWO_FRAMES_US, "off after {} us", off_us - gone_us);
+        assert!(off_us <= gone_us + 2 * TWO_PERIODS_US, "off after {} us", off_us - gone_us);
         assert!(driver.sample().is_err(), "there is nothing to sample");
         driver.board.qube().module_id = QUBE_MODULE_ID;
         driver.board.wait_us(10_000);
@@ -197,7 +196,7 @@ fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
         assert!(off.iter().all(|it| it.motor_word == 0));
         let off_after_us = off[0].time_us - hung_us;
         assert!(
-            off_after_us <= CHIP_WATCHDOG_US + 2 * TWO_FRAMES_US,
+            off_after_us <= CHIP_WATCHDOG_US + 2 * TWO_PERIODS_US,
             "off {off_after_us} us after the program hung"
         );
         assert!(off[0].is_red(), "the watchdog's own frame: {:?}", off[0]);

@@ -182,6 +182,27 @@ static void on_spi_byte(struct avr_irq_t *irq, uint32_t value, void *unused)
     avr_raise_irq(spi_input, received);
 }
 
+/* simavr ends every byte on the SPI after 101 us. This runs after its own handler of a write to SPDR
+ * and moves that end to where the prescaler has it. */
+static void on_spi_start(avr_t *unused_avr, avr_io_addr_t address, uint8_t value, void *unused)
+{
+    (void)unused_avr;
+    (void)address;
+    (void)value;
+    (void)unused;
+    static const uint8_t DIVISOR_BITS[] = {2, 4, 6, 7}; /* SPR1 and SPR0: 4, 16, 64, 128 */
+    avr_spi_t *spi = find_spi();
+    uint8_t divisor_bits = DIVISOR_BITS[avr->data[spi->r_spcr] & 3u] - (avr->data[spi->r_spsr] & 1u);
+    avr_cycle_count_t byte_cycles = (avr_cycle_count_t)8u << divisor_bits;
+    for (avr_cycle_timer_slot_p slot = avr->cycle_timers.timer; slot; slot = slot->next) {
+        if (slot->param == spi) {
+            avr_cycle_timer_t end_of_byte = slot->timer;
+            avr_cycle_timer_register(avr, byte_cycles, end_of_byte, spi);
+            return;
+        }
+    }
+}
+
 static avr_io_t *find_io(const char *kind, char name)
 {
     for (avr_io_t *io = avr->io_port; io; io = io->next) {
@@ -320,6 +341,7 @@ static void load(const char *elf, const char *mcu)
     avr_irq_register_notify(
         avr_io_getirq(avr, AVR_IOCTL_SPI_GETIRQ(find_spi()->name), SPI_IRQ_OUTPUT), on_spi_byte,
         NULL);
+    avr_register_io_write(avr, find_spi()->r_spdr, on_spi_start, NULL);
     int chip_select = strcmp(mcu, "atmega2560") ? 2 : 0;
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), chip_select),
                             on_chip_select, NULL);
