@@ -4,6 +4,8 @@
 //! libsimavr-dev and libelf-dev; without them each test says that it is skipped, or fails where
 //! they are required (`CI` or `QUBE_HIL_REQUIRE_FIRMWARE` is set).
 
+#[path = "firmware/check.rs"]
+mod check;
 #[path = "firmware/conformance.rs"]
 mod conformance;
 #[path = "firmware/driver.rs"]
