@@ -3,6 +3,7 @@
 use std::io::{Read, Write};
 use std::path::Path;
 use std::process::Output;
+use std::time::Duration;
 
 use assert_cmd::Command;
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
@@ -101,6 +102,7 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
         let words = if echoes { ["it echoes"] } else { ["another baud rate"] };
         let talker = std::thread::spawn(move || {
             let _held_open = slave;
+            serialport::SerialPort::set_timeout(&mut master, Duration::from_secs(60)).unwrap();
             let mut buffer = [0; 256];
             // Ends with the file that is written when the test is through.
             while let Ok(length) = master.read(&mut buffer) {

@@ -5,11 +5,13 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use qube_hil::clock::VirtualClock;
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
-use qube_hil::estimation::EstimatorSettings;
+use qube_hil::device::{Device, SerialLink};
+use qube_hil::estimation::{Calibration, EstimatorSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::preflight::Examination;
+use qube_hil::preflight::{Examination, ExaminationSettings, examine};
 use qube_hil::recording::read;
 use qube_hil::safety::SafetyBox;
 use qube_hil::session::{
@@ -72,6 +74,27 @@ fn a_healthy_qube_passes_whatever_its_counters_begin_with() {
         assert!(found.passed(), "seed {seed}: {:#?}", found.results);
         assert_eq!(names(&found, CheckVerdict::Skipped), ["latency-timer"]);
         assert_eq!(found.results.len(), 11);
+    }
+}
+
+#[test]
+fn an_arm_that_lies_at_a_stop_is_judged_right() {
+    for direction in [1, -1] {
+        let clock = VirtualClock::default();
+        let mut link = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
+        let identity = link.hello().unwrap();
+        link.arm().unwrap();
+        for _ in 0..300 {
+            link.act(direction * 1500).unwrap();
+            clock.advance(10_000_000);
+        }
+        link.disarm().unwrap();
+        let settings =
+            ExaminationSettings { signs: Calibration::IDENTITY, learn_signs: false, identity };
+        // It takes its time until the pendulum hangs still again.
+        clock.advance(30_000_000_000);
+        let found = examine(&mut link, &clock, &stop(), &settings).unwrap().unwrap();
+        assert!(found.passed(), "{:#?}", found.results);
     }
 }
 

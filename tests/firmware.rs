@@ -6,6 +6,8 @@
 
 #[path = "firmware/acting.rs"]
 mod acting;
+#[path = "firmware/check.rs"]
+mod check;
 #[path = "firmware/conformance.rs"]
 mod conformance;
 #[path = "firmware/driver.rs"]

@@ -7,6 +7,9 @@ use crate::telemetry::{CheckResult, CheckVerdict};
 /// What a terminal shows without wrapping.
 const COLUMNS: usize = 80;
 
+/// Where the line with the cure begins.
+const REMEDY_INDENT: usize = 4;
+
 /// One line of a table: name, a word, what was found, and what to do about it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Row {
@@ -46,8 +49,9 @@ pub fn table(rows: &[Row]) -> String {
         let head = format!("{:name_width$}  {:word_width$}  ", row.name, row.word);
         push_wrapped(&mut text, &head, &row.value, indent);
         if let Some((introduction, remedy)) = &row.remedy {
-            let blank = " ".repeat(indent);
-            push_wrapped(&mut text, &blank, &format!("{introduction} {remedy}"), indent);
+            // Nearly the whole width: a command that is to be pasted should stay on one line.
+            let margin = " ".repeat(REMEDY_INDENT);
+            push_wrapped(&mut text, &margin, &format!("{introduction} {remedy}"), REMEDY_INDENT);
         }
     }
     text

@@ -41,7 +41,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let advice = found.iter().filter(|diagnosis| diagnosis.verdict == Fitness::Advice).count();
     let summary = match (unfit.len(), advice) {
         (0, 0) => "all is well".to_owned(),
-        (0, advice) => format!("fit, with {advice} pieces of advice"),
+        (0, advice) => format!("fit; advice: {advice}"),
         (unfit, _) => format!("not fit: {unfit} must be cured"),
     };
     let rows: Vec<Row> = found.iter().map(row).collect();

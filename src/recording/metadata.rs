@@ -53,3 +53,19 @@ fn checksum(map: &BTreeMap<String, String>) -> String {
     }
     format!("{:08x}", digest.finalize())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::samples::header;
+    use super::*;
+    use crate::telemetry::{Preflight, RolloutHeader};
+
+    #[test]
+    fn a_header_from_before_the_check_of_the_device_still_reads() {
+        let mut map = to_map(&header()).unwrap();
+        map.remove("preflight").unwrap();
+        map.insert(CHECKSUM.to_owned(), checksum(&map));
+        let read: RolloutHeader = from_map(&map).unwrap();
+        assert_eq!(read, RolloutHeader { preflight: Preflight::Unknown, ..header() });
+    }
+}

@@ -68,10 +68,8 @@ pub fn diagnose(
     Ok(found)
 }
 
-/// What an ordinary user needs once: the group, its limits, and a new login.
-const RIGHTS_CURE: &str = "sudo scripts/install, or: sudo groupadd -f realtime && sudo usermod -aG \
-     realtime $USER && printf '@realtime - rtprio 50\\n@realtime - memlock unlimited\\n' | sudo tee \
-     /etc/security/limits.d/qube-hil.conf (then log out and in)";
+/// What an ordinary user needs once: the group `realtime` and its limits.
+const RIGHTS_CURE: &str = "sudo scripts/install (then log out and in)";
 
 fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {
     let scheduling = match &realtime.scheduling {

@@ -68,9 +68,8 @@ fn owner(groups: &str, gid: u32, user: &str) -> Owner {
     let field = |index: usize| line.as_ref().and_then(|fields| fields.get(index)).copied();
     Owner {
         group: field(0).map_or_else(|| gid.to_string(), str::to_owned),
-        is_listed: field(3).is_some_and(|users| {
-            users.split(',').any(|listed| !listed.is_empty() && listed == user)
-        }),
+        is_listed: !user.is_empty()
+            && field(3).is_some_and(|users| users.split(',').any(|listed| listed == user)),
     }
 }
 

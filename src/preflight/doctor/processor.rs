@@ -34,8 +34,7 @@ fn judge(governors: &BTreeSet<String>) -> Diagnosis {
     Diagnosis::advice(
         NAME,
         format!("governor {named}: it may sleep deeply between ticks"),
-        "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor \
-         (until the next start)",
+        "sudo cpupower frequency-set -g performance (until the next start)",
     )
 }
 

@@ -1,0 +1,38 @@
+//! The firmware with a healthy Qube behind it passes the check that precedes a session.
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+use crate::qube::Qube;
+use crate::simulated_board::SimulatedBoard;
+use crate::toolchain::{Chip, toolchain};
+
+/// How often the check is repeated because the computer could not run the simulator in real time.
+const ATTEMPTS: u32 = 4;
+
+#[test]
+fn the_firmware_passes_the_check_of_a_qube() {
+    let Some(toolchain) = toolchain() else { return };
+    for attempt in 1.. {
+        let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(0));
+        let output = Command::cargo_bin("qube-hil")
+            .expect("the program is built")
+            .args(["--json", "check", "--device", board.port()])
+            .output()
+            .expect("it runs");
+        let given_up_us = board.given_up_us();
+        let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        if output.status.success() {
+            println!("{stdout}");
+            let result: Value = serde_json::from_str(stdout.lines().last().unwrap()).unwrap();
+            let identity = result["checks"][0]["value"].as_str().unwrap();
+            assert!(identity.contains("atmega328p"), "{identity}");
+            return;
+        }
+        assert!(
+            given_up_us > 0 && attempt < ATTEMPTS,
+            "{stdout}{stderr}({given_up_us} us not simulated)"
+        );
+    }
+}
