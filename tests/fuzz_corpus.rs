@@ -106,8 +106,8 @@ fn make_seeds() {
     let recording = file("candidates/000/rollout-0-attempt-0.mcap");
     let records = records(&recording);
     let begun_end = records.iter().filter(|(opcode, ..)| *opcode == 6).nth(1).unwrap().1;
-    std::fs::write(corpus("..").parent().unwrap().join("begun.mcap"), &recording[..begun_end])
-        .unwrap();
+    let fuzz = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz");
+    std::fs::write(fuzz.join("begun.mcap"), &recording[..begun_end]).unwrap();
     let two_blocks = records.iter().filter(|(opcode, ..)| *opcode == 6).nth(3).unwrap().1;
     put("recording", "two-blocks", &recording[..two_blocks]);
     let body_of = |wanted: u8, skip: usize| {
@@ -117,7 +117,7 @@ fn make_seeds() {
     put("recording", "header", &[&[1], body_of(12, 0)].concat());
     put("recording", "outcome", &[&[1], body_of(12, 1)].concat());
     let mut content = Vec::new();
-    let packed = &body_of(6, 1)[39..];
+    let packed = &body_of(6, 1)[43..];
     std::io::Read::read_to_end(&mut lz4::Decoder::new(packed).unwrap(), &mut content).unwrap();
     // One tick and a half are enough.
     content.truncate(2600);

@@ -237,9 +237,13 @@ impl Homing {
                 let off_middle_rad = self.state.theta - self.calm_rad();
                 if let Some(window) = self.swing.update(self.state.alpha)
                     && window.width_rad <= STILL_RAD
-                    && off_middle_rad.abs() < NEAR_MIDDLE_RAD
                 {
+                    // Where it is still it hangs. While it is believed to hang elsewhere, that
+                    // error holds the arm off its place for good.
                     self.hanging_rad = window.middle_rad;
+                    if off_middle_rad.abs() >= NEAR_MIDDLE_RAD {
+                        return None;
+                    }
                     if self.middle_rad.is_some() {
                         self.found = Some(self.zeros(measurement, off_middle_rad));
                         return Some(Ending::Completed);

@@ -96,33 +96,46 @@ fn a_disk_that_fails_at_any_operation_ends_the_session_with_a_sentence_and_keeps
         DiskFault::Crash,
     ];
     let world = Undisturbed::world(1);
-    let cases = world.disk_operations * FAULTS.len() as u64;
-    let stride = count_from("QUBE_HIL_DISK_STRIDE", 7);
-    each_of(cases, stride, |case| {
-        let fault = FAULTS[(case % FAULTS.len() as u64) as usize];
-        let what = format!("{fault:?} at operation {}", case / FAULTS.len() as u64);
-        let disk = SimulatedDisk::default();
-        disk.plan([(case / FAULTS.len() as u64, fault)]);
-        let wiring = Wiring::new(Vec::new(), None, disk.crashed());
-        let life = live(&world.settings, &disk, wiring, Arc::new(AtomicBool::new(false)));
-        if let Err(error) = &life.result {
-            let sentence = error.to_string();
-            let named = match (fault, error) {
-                (DiskFault::Crash, _) => true,
-                (DiskFault::Full, SessionError::Rig(_) | SessionError::Recording(_)) => {
-                    sentence.contains("full") || sentence.contains("space")
-                }
-                _ => sentence.contains("/session"),
-            };
-            assert!(named, "{what}: {sentence}");
-        }
-        for stopped in [Stopped::Killed, Stopped::PowerLost(case)] {
-            let after = disk.restarted(stopped);
-            if after.files().is_empty() || life.entries.is_empty() {
-                continue;
+    let after_training = world.trained_disk();
+    let before = after_training.operations();
+    resumes_to_the_same_ledger(world, &after_training, "undisturbed");
+    let operations = after_training.operations() - before;
+    let stride = count_from("QUBE_HIL_DISK_STRIDE", 5);
+    // From the first rollout on, and, less densely, from the very beginning.
+    for (disk, operations, stride) in [
+        (world.trained_disk(), operations, stride),
+        (SimulatedDisk::default(), world.disk_operations, stride * 16 + 1),
+    ] {
+        each_of(operations * FAULTS.len() as u64, stride, |case| {
+            let (operation, fault) =
+                (case / FAULTS.len() as u64, FAULTS[case as usize % FAULTS.len()]);
+            let disk = disk.copied();
+            disk.plan([(operation, fault)]);
+            one_fault(world, &disk, fault, &format!("{fault:?} at operation {operation}"), case);
+        });
+    }
+    println!("{operations} operations on the disk, {} kinds of fault", FAULTS.len());
+}
+
+fn one_fault(world: &Undisturbed, disk: &SimulatedDisk, fault: DiskFault, what: &str, seed: u64) {
+    let wiring = Wiring::new(Vec::new(), None, disk.crashed());
+    let life = live(&world.settings, disk, wiring, Arc::new(AtomicBool::new(false)));
+    if let Err(error) = &life.result {
+        let sentence = error.to_string();
+        let named = match (fault, error) {
+            (DiskFault::Crash, _) => true,
+            (DiskFault::Full, SessionError::Rig(_) | SessionError::Recording(_)) => {
+                sentence.contains("full") || sentence.contains("space")
             }
-            resumes_to_the_same_ledger(world, &after, &what);
+            _ => sentence.contains("/session"),
+        };
+        assert!(named, "{what}: {sentence}");
+    }
+    for stopped in [Stopped::Killed, Stopped::PowerLost(seed)] {
+        let after = disk.restarted(stopped);
+        if life.entries.is_empty() {
+            continue;
         }
-    });
-    println!("{} operations on the disk, {} kinds of fault", world.disk_operations, FAULTS.len());
+        resumes_to_the_same_ledger(world, &after, what);
+    }
 }
