@@ -78,7 +78,7 @@ fn make_seeds() {
     };
 
     let small = "strategy = \"random\"\n[extent]\ninitial_candidates = 1\niterations = 0\n\
-        rollouts = 1\nverification_rollouts = 1\nsteps = 1\n[homing]\nmethod = \"here\"\n\
+        rollouts = 1\nverification_rollouts = 1\nsteps = 1\n[homing]\nmethod = \"hand\"\n\
         [training]\nupdates = 1\npendulums = 16\nepochs = 1\nevaluation_starts = 1\n";
     std::fs::write(directory.path().join("small.toml"), small).unwrap();
     program(&["session", "--clock", "virtual", "--config", "small.toml", "--out", "session"]);

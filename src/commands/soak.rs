@@ -3,7 +3,7 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
-use super::device_arguments::DeviceArguments;
+use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::exit::Failure;
 use super::output::Output;
 use super::stop::Stop;
@@ -48,6 +48,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     device: DeviceArguments,
+
+    #[command(flatten)]
+    check: CheckArguments,
 }
 
 fn hours(text: &str) -> Result<f64, String> {
@@ -63,7 +66,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let folder = Folder::new(arguments.keep.clone())?;
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
     let estimator = EstimatorSettings::default();
-    let settings = arguments.device.rig_settings(arguments.seed, estimator);
+    let device = arguments.device.choose()?;
+    let settings = device.rig_settings(arguments.seed, estimator, arguments.check.skip_check);
     let mut rig = Rig::open(&settings, &stop.flag).map_err(|error| failures::rig(error, &stop))?;
     warn_without_realtime(rig.realtime());
 
@@ -82,7 +86,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             seed: arguments.seed,
             policy: "classical".into(),
             estimator,
-            safety_box: SafetyBox::THESIS,
+            safety_box: device.safety_box(SafetyBox::THESIS),
             steps: MAX_STEPS as u32,
         };
         rig.rollout(&MachineDisk, &path, plan.header(), &policy)

@@ -176,7 +176,7 @@ impl Rig {
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let mut rig = Self::connect(settings, stop)?;
         match (&settings.device, settings.skip_check) {
-            (DeviceChoice::Emulated, _) => {
+            (DeviceChoice::Emulated | DeviceChoice::Other(_), _) => {
                 rig.preflight = Preflight::NotNeeded;
                 rig.home()?;
             }

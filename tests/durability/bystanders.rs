@@ -114,7 +114,7 @@ impl DiskFile for TrickyFile {
 
 fn rig(wiring: &Wiring) -> Rig {
     let stop = Arc::new(AtomicBool::new(false));
-    Rig::open(&wiring.clone().rig_settings(HomingMethod::Here), &stop).unwrap()
+    Rig::open(&wiring.clone().rig_settings(HomingMethod::Hand), &stop).unwrap()
 }
 
 const PATH: &str = "/rollout.mcap";
@@ -267,7 +267,9 @@ fn a_control_thread_that_panics_switches_the_amplifier_off_and_is_named() {
             device: DeviceChoice::Other(Arc::new(PanickingWiring { samples, wire: wire.clone() })),
             clock: ClockChoice::Virtual,
             emulator: EmulatorSettings::default(),
-            homing: HomingSettings { method: HomingMethod::Here, ..HomingSettings::default() },
+            homing: HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() },
+            skip_check: false,
+            board: None,
         };
         let error = Rig::open(&settings, &Arc::default()).err().unwrap();
         assert!(matches!(error, RigError::ThreadGone(_)), "{error}");

@@ -44,7 +44,7 @@ pub fn settings(seed: u64) -> SessionSettings {
         steps: STEPS,
         repetitions: 3,
     };
-    settings.homing.method = HomingMethod::Here;
+    settings.homing.method = HomingMethod::Hand;
     settings.training.updates = 1;
     settings.training.pendulums = 16;
     settings.training.epochs = 1;

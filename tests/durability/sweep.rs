@@ -197,7 +197,7 @@ impl Tally {
 fn a_wire_that_fails_anywhere_in_any_way_leaves_the_amplifier_off_and_the_record_right() {
     // A prime, so that the sample walks through all combinations.
     let stride = count_from("QUBE_HIL_FAULT_SWEEP_STRIDE", 97);
-    let tally = sweep(HomingMethod::Here, stride);
+    let tally = sweep(HomingMethod::Hand, stride);
     assert!(tally.finished > 0 && tally.void > 0 && tally.not_begun > 0);
     let stride = count_from("QUBE_HIL_FAULT_SWEEP_STOPS_STRIDE", 1499);
     sweep(HomingMethod::Stops, stride);
@@ -207,18 +207,18 @@ fn a_wire_that_fails_anywhere_in_any_way_leaves_the_amplifier_off_and_the_record
 /// arms and runs.
 #[test]
 fn a_device_that_comes_back_under_another_name_runs_again() {
-    let (_, operations, _) = run(None, HomingMethod::Here);
+    let (_, operations, _) = run(None, HomingMethod::Hand);
     for operation in (0..operations).step_by(operations as usize / 24) {
         let plan = Plan { operation, kind: Kind::Rename, lasting: true };
         let wiring = Wiring::new(vec![Some(plan)], None, Arc::default());
         let stop = Arc::new(AtomicBool::new(false));
         let disk = SimulatedDisk::default();
-        if let Ok(rig) = Rig::open(&wiring.clone().rig_settings(HomingMethod::Here), &stop) {
+        if let Ok(rig) = Rig::open(&wiring.clone().rig_settings(HomingMethod::Hand), &stop) {
             let outcome = rollout(&rig, &disk);
             assert!(!matches!(outcome, Outcome::NotOpened(_)));
         }
         let wire = wiring.last_wire().unwrap();
-        let settings = wiring.reopened(wire).rig_settings(HomingMethod::Here);
+        let settings = wiring.reopened(wire).rig_settings(HomingMethod::Hand);
         let rig = Rig::open(&settings, &stop).unwrap_or_else(|error| panic!("{plan:?}: {error}"));
         let disk = SimulatedDisk::default();
         assert_eq!(rollout(&rig, &disk), Outcome::Finished, "{plan:?}");

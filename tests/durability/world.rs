@@ -84,6 +84,8 @@ impl Wiring {
             clock: ClockChoice::Virtual,
             emulator: EmulatorSettings::default(),
             homing: HomingSettings { method, ..HomingSettings::default() },
+            skip_check: false,
+            board: None,
         }
     }
 }
