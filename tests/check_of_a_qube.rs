@@ -15,6 +15,7 @@ use qube_hil::safety::SafetyBox;
 use qube_hil::session::{
     ClockChoice, DeviceChoice, QubeFile, Rig, RigError, RigSettings, RolloutPlan, Verdict, judge,
 };
+use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{CheckVerdict, Ending, Fault, Phase, Preflight};
 
 fn settings(fault: Option<&str>) -> RigSettings {
@@ -56,6 +57,7 @@ fn plan() -> RolloutPlan {
         policy: "classical".into(),
         estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
+        steps: 600,
     }
 }
 
@@ -120,8 +122,8 @@ fn the_signs_that_are_found_make_a_flipped_qube_swing_up() {
         let settings = RigSettings { homing, ..settings(Some(fault)) };
         let rig = Rig::open(&settings, &stop()).unwrap();
         let recording = directory.path().join(format!("{fault}.mcap"));
-        rig.rollout(&recording, plan().header(), &classical()).unwrap();
-        let verdict = judge(&recording).unwrap();
+        rig.rollout(&MachineDisk, &recording, plan().header(), &classical()).unwrap();
+        let verdict = judge(&MachineDisk, &recording).unwrap();
         assert!(matches!(verdict, Verdict::Result { success: true, .. }), "{fault}: {verdict:?}");
     }
 }
