@@ -22,5 +22,6 @@ pub mod safety;
 pub mod search;
 pub mod session;
 pub mod simulation;
+pub mod storage;
 pub mod surrogate;
 pub mod telemetry;

@@ -134,7 +134,10 @@ fn a_session_on_a_qube_that_is_not_fit_stops_before_anything_is_trained() {
         }
     }
     let folder = SessionFolder::open(&directory.path().join("session")).unwrap();
-    assert_eq!(Ledger::open(&folder.ledger()).unwrap().entries(), []);
+    assert_eq!(
+        Ledger::open(&qube_hil::storage::MachineDisk, &folder.ledger()).unwrap().entries(),
+        []
+    );
 }
 
 #[test]

@@ -17,6 +17,7 @@ use qube_hil::safety::SafetyBox;
 use qube_hil::session::{
     ClockChoice, DeviceChoice, QubeFile, Rig, RigError, RigSettings, RolloutPlan, Verdict, judge,
 };
+use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{CheckVerdict, Ending, Fault, Phase, Preflight};
 
 fn settings(fault: Option<&str>) -> RigSettings {
@@ -58,6 +59,7 @@ fn plan() -> RolloutPlan {
         policy: "classical".into(),
         estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
+        steps: 600,
     }
 }
 
@@ -143,8 +145,8 @@ fn the_signs_that_are_found_make_a_flipped_qube_swing_up() {
         let settings = RigSettings { homing, ..settings(Some(fault)) };
         let rig = Rig::open(&settings, &stop()).unwrap();
         let recording = directory.path().join(format!("{fault}.mcap"));
-        rig.rollout(&recording, plan().header(), &classical()).unwrap();
-        let verdict = judge(&recording).unwrap();
+        rig.rollout(&MachineDisk, &recording, plan().header(), &classical()).unwrap();
+        let verdict = judge(&MachineDisk, &recording).unwrap();
         assert!(matches!(verdict, Verdict::Result { success: true, .. }), "{fault}: {verdict:?}");
     }
 }
@@ -177,7 +179,7 @@ fn homing_by_hand_passes_too_and_a_stop_ends_a_check() {
 fn moments(directory: &Path) -> Vec<(Phase, f64)> {
     let path = directory.join("undisturbed.mcap");
     let rig = Rig::open(&settings(None), &stop()).unwrap();
-    rig.rollout(&path, plan().header(), &classical()).unwrap();
+    rig.rollout(&MachineDisk, &path, plan().header(), &classical()).unwrap();
     let recording = read(&path).unwrap();
     assert_eq!(recording.header.preflight, Preflight::NotNeeded);
     [Phase::Settling, Phase::Running, Phase::Braking]
@@ -202,9 +204,9 @@ fn a_cable_that_is_pulled_is_named_in_each_phase() {
     for (phase, time_s) in moments(directory.path()) {
         let path = directory.path().join(format!("{phase:?}.mcap"));
         let rig = Rig::open(&settings(Some(&format!("unplug@{time_s}"))), &stop()).unwrap();
-        let recorded = rig.rollout(&path, plan().header(), &classical()).unwrap();
+        let recorded = rig.rollout(&MachineDisk, &path, plan().header(), &classical()).unwrap();
         assert_eq!(recorded.outcome.ending, Ending::Fault(Fault::LinkGone), "{phase:?}");
         assert_eq!(recorded.outcome.phase, phase);
-        assert!(matches!(judge(&path).unwrap(), Verdict::Void { .. }), "{phase:?}");
+        assert!(matches!(judge(&MachineDisk, &path).unwrap(), Verdict::Void { .. }), "{phase:?}");
     }
 }

@@ -12,6 +12,7 @@ use qube_hil::estimation::{Calibration, EstimatorSettings};
 use qube_hil::qube::{CONTROL_PERIOD_NS, Measurement, RewardWeights};
 use qube_hil::recording::{Completeness, FORMAT_VERSION, Recorder, read};
 use qube_hil::safety::SafetyBox;
+use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{RolloutHeader, TickRecord, TickSettings};
 
 const CHILD: &str = "QUBE_HIL_TEST_RECORD_TO";
@@ -53,7 +54,8 @@ fn header() -> RolloutHeader {
 fn child() {
     let Some(path) = std::env::var_os(CHILD) else { return };
     let (mut producer, consumer) = rtrb::RingBuffer::new(4096);
-    let _recorder = Recorder::start(Path::new(&path), header(), b"policy", consumer).unwrap();
+    let _recorder =
+        Recorder::start(&MachineDisk, Path::new(&path), header(), b"policy", consumer).unwrap();
     let clock = MonotonicClock;
     let mut deadline_ns = clock.now_ns();
     // Ticks at 100 Hz, then none for good: the last ones wait in a block that does not fill up.
@@ -124,6 +126,18 @@ fn nothing_is_missing(ticks: usize, pause: Duration) {
 #[test]
 fn killed_in_the_middle_all_but_the_last_quarter_second_is_readable() {
     nothing_is_missing(45, Duration::ZERO);
+}
+
+/// Many kills, each after another number of ticks; `scripts/durability recorder-kills` asks for them.
+#[test]
+fn killed_again_and_again_all_but_the_last_quarter_second_is_readable() {
+    let kills = std::env::var("QUBE_HIL_RECORDER_KILLS").unwrap_or_else(|_| "1".to_owned());
+    let kills: usize = kills.parse().unwrap();
+    for kill in 0..kills {
+        let pause = Duration::from_millis(37 * (kill as u64 % 5));
+        nothing_is_missing(1 + kill * 17 % (TICKS as usize - 1), pause);
+    }
+    println!("{kills} kills of a recorder");
 }
 
 #[test]

@@ -10,6 +10,7 @@ use qube_hil::session::{
     ClockChoice, DeviceChoice, Entry, Extent, Ledger, RigSettings, Session, SessionError,
     SessionFolder, SessionSettings, Verdict, judge,
 };
+use qube_hil::storage::MachineDisk;
 
 fn settings() -> SessionSettings {
     let mut settings = SessionSettings::quick();
@@ -19,6 +20,7 @@ fn settings() -> SessionSettings {
         rollouts: 1,
         verification_rollouts: 1,
         repetitions: 3,
+        ..Extent::QUICK
     };
     settings.training.updates = 1;
     settings.training.pendulums = 16;
@@ -54,7 +56,7 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
         assert!(matches!(error, SessionError::NotStartedAgain { .. }), "{fault}: {error}");
 
         let folder = SessionFolder::open(&root).unwrap();
-        let entries = Ledger::open(&folder.ledger()).unwrap().entries().to_vec();
+        let entries = Ledger::open(&MachineDisk, &folder.ledger()).unwrap().entries().to_vec();
         let voids: Vec<u32> = entries
             .iter()
             .filter_map(|entry| match *entry {
@@ -63,12 +65,12 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
             })
             .collect();
         let [candidate] = voids[..] else { panic!("{fault}: {entries:?}") };
-        let kept = judge(&folder.rollout(candidate, 0, 0)).unwrap();
+        let kept = judge(&MachineDisk, &folder.rollout(candidate, 0, 0)).unwrap();
         assert!(matches!(kept, Verdict::Void { .. }), "{fault}: {kept:?}");
 
         run(folder, None).unwrap();
         let folder = SessionFolder::open(&root).unwrap();
-        let entries = Ledger::open(&folder.ledger()).unwrap().entries().to_vec();
+        let entries = Ledger::open(&MachineDisk, &folder.ledger()).unwrap().entries().to_vec();
         let again = Entry::RolloutFinished { candidate, rollout: 0, attempt: 1 };
         assert!(entries.contains(&again), "{fault}: {entries:?}");
     }

@@ -36,6 +36,7 @@ const EVERY_ROOM: &[&str] = &["*"];
 const ROOMS: &[Room] = &[
     room("clock", &[]),
     room("elementary", &[]),
+    room("storage", &[]),
     room("qube", &["elementary"]),
     room("estimation", &["qube", "elementary"]),
     room("safety", &["qube", "elementary"]),
@@ -54,7 +55,7 @@ const ROOMS: &[Room] = &[
                       "elementary"]),
     Room {
         name: "recording",
-        may_import: &["telemetry", "qube"],
+        may_import: &["telemetry", "qube", "storage"],
         tests_may_import: &["estimation", "safety"],
     },
     room("replay", &["recording", "control", "policy", "safety", "estimation", "simulation",
@@ -65,7 +66,7 @@ const ROOMS: &[Room] = &[
                         "firmware_protocol"]),
     room("session", &["clock", "elementary", "qube", "estimation", "safety", "policy",
                       "simulation", "learning", "surrogate", "search", "device", "telemetry",
-                      "control", "recording", "replay", "preflight"]),
+                      "control", "recording", "replay", "preflight", "storage"]),
     room("commands", EVERY_ROOM),
 ];
 

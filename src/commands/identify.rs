@@ -16,6 +16,7 @@ use crate::identification::{
 use crate::qube::{Profile, Provenance, QubeModel};
 use crate::replay::{MotionLog, plot_svg, simulate_from};
 use crate::session::write_whole;
+use crate::storage::MachineDisk;
 
 /// Horizons of the predictions that are shown, s.
 const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
@@ -93,7 +94,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         }),
     };
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
-    write_whole(&arguments.out, toml.as_bytes()).map_err(|error| failures::folder(&error))?;
+    write_whole(&MachineDisk, &arguments.out, toml.as_bytes())
+        .map_err(|error| failures::folder(&error))?;
     if let Some(folder) = &arguments.plot {
         std::fs::create_dir_all(folder)
             .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;

@@ -21,6 +21,7 @@ mod service_manager;
 mod session;
 mod session_progress;
 mod session_table;
+mod soak;
 mod stop;
 mod toy;
 mod train;
@@ -70,6 +71,7 @@ enum Command {
     Toy(toy::Arguments),
     Replay(replay::Arguments),
     Recover(recover::Arguments),
+    Soak(soak::Arguments),
 }
 
 /// Reads the command line, does what it says, and turns the outcome into the exit code.
@@ -90,6 +92,7 @@ pub fn main() -> ExitCode {
         Command::Toy(arguments) => toy::run(&arguments, &output),
         Command::Replay(arguments) => replay::run(&arguments, &output),
         Command::Recover(arguments) => recover::run(&arguments, &output),
+        Command::Soak(arguments) => soak::run(arguments, &output),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

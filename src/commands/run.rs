@@ -12,9 +12,11 @@ use super::{dated_folder, failures, timing_lines, warn_without_realtime};
 use crate::control::HomingMethod;
 use crate::estimation::EstimatorSettings;
 use crate::policy::{ClassicalController, ClassicalGains, Policy};
+use crate::qube::MAX_STEPS;
 use crate::recording::read;
 use crate::safety::SafetyBox;
 use crate::session::{Latencies, Rig, RolloutPlan, Verdict, judge_recording};
+use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
 
 /// Run a policy on the Qube and log it: homing, then for each rollout settling, six seconds of
@@ -100,13 +102,15 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             policy: arguments.policy.clone(),
             estimator,
             safety_box: device.safety_box(SafetyBox::THESIS),
+            steps: MAX_STEPS as u32,
         };
         let path = directory.join(format!("rollout-{rollout}.mcap"));
-        let recorded = rig.rollout(&path, plan.header(), &policy).map_err(|error| {
-            // What was finished before it is on disk, and worth seeing.
-            eprint!("{}", results.lines);
-            failures::rig(error, &stop)
-        })?;
+        let recorded =
+            rig.rollout(&MachineDisk, &path, plan.header(), &policy).map_err(|error| {
+                // What was finished before it is on disk, and worth seeing.
+                eprint!("{}", results.lines);
+                failures::rig(error, &stop)
+            })?;
         results.add(&recorded.path)?;
         if stop.requested() {
             break;

@@ -13,6 +13,7 @@ use crate::elementary::Level;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
 use crate::session::{named, write_whole};
 use crate::simulation::{DomainDistribution, Family, Psi};
+use crate::storage::MachineDisk;
 
 /// Train one policy in randomised simulation
 ///
@@ -158,7 +159,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         "policy": path,
     });
     let policy = trained.into_policy(origin(&arguments)?);
-    write_whole(&arguments.out, &policy.to_bytes()).map_err(|error| failures::folder(&error))?;
+    write_whole(&MachineDisk, &arguments.out, &policy.to_bytes())
+        .map_err(|error| failures::folder(&error))?;
     let text = format!(
         "best return {best_return:.1}, last {final_return:.1}, after {} updates in {wall_s:.1} s: \
          {path}",

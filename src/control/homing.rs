@@ -238,7 +238,8 @@ impl Homing {
                 if let Some(window) = self.swing.update(self.state.alpha)
                     && window.width_rad <= STILL_RAD
                 {
-                    // Even when the arm is not there yet: taken wrong, it is what keeps it away.
+                    // Where it is still it hangs. While it is believed to hang elsewhere, that
+                    // error holds the arm off its place for good.
                     self.hanging_rad = window.middle_rad;
                     if off_middle_rad.abs() >= NEAR_MIDDLE_RAD {
                         return None;

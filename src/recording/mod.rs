@@ -1,6 +1,6 @@
 //! Rollouts as MCAP files: schemas, the writer thread, the reader, recovery after a crash.
 //!
-//! May import `telemetry`, `qube`.
+//! May import `telemetry`, `qube`, `storage`.
 //!
 //! One file holds one rollout: who, when and how (metadata), the policy (an attachment), every tick
 //! (six channels of flat JSON), how it ended (metadata). A rollout can be run again with nothing
@@ -26,7 +26,7 @@ mod wire_format;
 mod writer;
 
 pub use error::{RecordingError, Unreadable};
-pub use reader::{Completeness, Recording, parse, read};
+pub use reader::{Completeness, Recording, parse, read, read_on};
 pub use recorder::Recorder;
 pub use recover::{Recovered, recover};
 pub use return_of::return_of;

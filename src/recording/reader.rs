@@ -1,10 +1,9 @@
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use super::scan::{Scan, scan};
 use super::wire_format::MAGIC;
 use super::{FORMAT_VERSION, RecordingError, Unreadable, metadata};
+use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
 /// The largest file that is read. A rollout of some 20 s has about half a megabyte.
@@ -50,21 +49,27 @@ impl Recording {
     }
 }
 
-/// Reads a recording and checks every byte of it. One that was cut off gives what is whole of it.
+/// Reads a recording from this machine's disk and checks every byte of it. One that was cut off
+/// gives what is whole of it.
 ///
 /// # Errors
 /// The file cannot be read; it is no recording; it was finished and then changed or damaged.
 pub fn read(path: &Path) -> Result<Recording, RecordingError> {
-    let bytes = read_bytes(path)?;
+    read_on(&MachineDisk, path)
+}
+
+/// As [`read`], from any disk.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_on(disk: &dyn Disk, path: &Path) -> Result<Recording, RecordingError> {
+    let bytes = read_bytes(disk, path)?;
     parse(&bytes).map_err(|why| RecordingError::Unreadable { path: path.to_owned(), why })
 }
 
-pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>, RecordingError> {
-    let read_error = |source| RecordingError::Read { path: path.to_owned(), source };
-    let mut bytes = Vec::new();
-    let file = File::open(path).map_err(read_error)?;
-    file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(read_error)?;
-    Ok(bytes)
+pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, RecordingError> {
+    disk.read(path, MAX_FILE_BYTES)
+        .map_err(|source| RecordingError::Read { path: path.to_owned(), source })
 }
 
 /// As [`read`], from memory. Safe for bytes of any origin: memory stays within a few times the
@@ -74,7 +79,7 @@ pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>, RecordingError> {
 /// As [`read`].
 pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     let scan = checked_scan(bytes)?;
-    if let Some(damage) = scan.damage.first()
+    if let Some(damage) = &scan.damage
         && is_finished(bytes)
     {
         let (offset, what) = (damage.offset as u64, damage.what.clone());

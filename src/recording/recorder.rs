@@ -1,4 +1,3 @@
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,6 +8,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
 use super::writer::Sink;
 use super::{RecordingError, RolloutWriter};
+use crate::storage::Disk;
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
 /// How often the ring is emptied.
@@ -40,13 +40,14 @@ impl Recorder {
     /// # Errors
     /// As [`RolloutWriter::create`]; no thread can be started.
     pub fn start(
+        disk: &dyn Disk,
         path: &Path,
         header: RolloutHeader,
         policy: &[u8],
         ticks: rtrb::Consumer<TickRecord>,
     ) -> Result<Self, RecordingError> {
         let in_real_time = header.started_unix_ns.is_some();
-        let writer = RolloutWriter::<File>::create(path, header, policy)?;
+        let writer = RolloutWriter::create(disk, path, header, policy)?;
         Self::spawn(path, writer, ticks, in_real_time)
     }
 

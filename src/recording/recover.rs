@@ -3,6 +3,7 @@ use std::path::Path;
 
 use super::reader::{checked_scan, read_bytes, recording};
 use super::{RecordingError, RolloutWriter};
+use crate::storage::MachineDisk;
 
 /// What became of a cut-off recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,12 +29,13 @@ pub enum Recovered {
 /// be written.
 pub fn recover(damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
-    let bytes = read_bytes(damaged)?;
+    let bytes = read_bytes(&MachineDisk, damaged)?;
     let scan = checked_scan(&bytes).map_err(unreadable)?;
     let Some(damage) = scan.first_damage() else { return Ok(Recovered::WasWhole) };
     let lost_bytes = scan.lost_bytes;
     let recording = recording(scan).map_err(unreadable)?;
-    let mut writer = RolloutWriter::create(saved, recording.header, &recording.policy)?;
+    let mut writer =
+        RolloutWriter::create(&MachineDisk, saved, recording.header, &recording.policy)?;
     for tick in &recording.ticks {
         writer.write(tick)?;
     }

@@ -1,12 +1,12 @@
 use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
 
-use super::POLICY_ATTACHMENT;
 use super::tick_messages::{
     CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TickMessages, TimingMessage,
 };
 use super::wire_format::{CRC_32, FRAME_BYTES, Fields, Frame, MAGIC, frame, opcode};
 use super::writer::topic;
+use super::{POLICY_ATTACHMENT, metadata};
 use crate::telemetry::TickRecord;
 
 /// Most bytes that one block may have uncompressed; ours have some 20 kB. Keeps a hostile file from
@@ -16,6 +16,12 @@ const MAX_BLOCK_BYTES: u64 = 1 << 22;
 /// Most ticks of one rollout: three hours. For the same reason.
 const MAX_TICKS: usize = 1_080_000;
 
+/// Most bytes of a metadata record, of which a recording has three with some 2 kB each.
+const MAX_METADATA_BYTES: usize = 1 << 20;
+
+/// Most bytes of an attachment: as much as a policy file may have.
+const MAX_ATTACHMENT_BYTES: usize = 1 << 24;
+
 /// Everything that could be read of a file, and everything that could not.
 #[derive(Default)]
 pub(super) struct Scan {
@@ -23,13 +29,13 @@ pub(super) struct Scan {
     pub(super) metadata: HashMap<String, BTreeMap<String, String>>,
     pub(super) policy: Option<Vec<u8>>,
     pub(super) ticks: Vec<TickRecord>,
-    /// What does not fit, in the order of the file.
-    pub(super) damage: Vec<Damage>,
+    /// The first thing that does not fit. The others are not kept: a hostile file has millions.
+    pub(super) damage: Option<Damage>,
     /// Bytes of the file that gave nothing.
     pub(super) lost_bytes: u64,
     /// Whether the file goes on to its proper end.
     pub(super) closed: bool,
-    channels: HashMap<u16, String>,
+    channels: HashMap<u16, Topic>,
 }
 
 /// A record that is not what was written.
@@ -83,7 +89,7 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
 impl Scan {
     /// Where and why the file is not as it was finished; none if it is.
     pub(super) fn first_damage(&self) -> Option<String> {
-        match self.damage.first() {
+        match &self.damage {
             Some(damage) => Some(format!("at byte {}: {}", damage.offset, damage.what)),
             None if self.closed => None,
             None => Some("the end is missing".to_owned()),
@@ -91,7 +97,7 @@ impl Scan {
     }
 
     fn note(&mut self, offset: usize, what: impl Into<String>) {
-        self.damage.push(Damage { offset, what: what.into() });
+        self.damage.get_or_insert_with(|| Damage { offset, what: what.into() });
     }
 
     fn lose(&mut self, offset: usize, bytes: usize, what: impl Into<String>) {
@@ -123,11 +129,16 @@ impl Scan {
             opcode::CHUNK => self.block(record.body),
             opcode::ATTACHMENT => self.attachment(record.body),
             opcode::METADATA => {
+                if record.body.len() > MAX_METADATA_BYTES {
+                    return Err("a metadata record is larger than any of ours".to_owned());
+                }
                 let mut fields = Fields(record.body);
                 let (Some(name), Some(map)) = (fields.text(), fields.map()) else {
                     return Err("a metadata record is malformed".to_owned());
                 };
-                self.metadata.insert(name.to_owned(), map);
+                if [metadata::HEADER, metadata::OUTCOME, metadata::RECOVERED].contains(&name) {
+                    self.metadata.insert(name.to_owned(), map);
+                }
                 Ok(())
             }
             // The indexes of a block repeat what the block says; nothing is read from them.
@@ -148,7 +159,7 @@ impl Scan {
         else {
             return Err(malformed());
         };
-        if length != fields.0.len() as u64 {
+        if length != fields.0.len() as u64 || fields.0.len() > MAX_ATTACHMENT_BYTES {
             return Err(malformed());
         }
         if name == POLICY_ATTACHMENT {
@@ -175,7 +186,7 @@ impl Scan {
                     let (Some(id), Some(topic)) = (id, fields.text()) else {
                         return Err("a channel is malformed".to_owned());
                     };
-                    channels.push((id, topic.to_owned()));
+                    channels.push((id, Topic::named(topic)));
                 }
                 opcode::SCHEMA => {}
                 opcode::MESSAGE => {
@@ -186,8 +197,8 @@ impl Scan {
                     };
                     let declared = channels.iter().find(|(known, _)| *known == id);
                     let topic = declared
-                        .map(|(_, topic)| topic)
-                        .or_else(|| self.channels.get(&id))
+                        .map(|(_, topic)| *topic)
+                        .or_else(|| self.channels.get(&id).copied())
                         .ok_or("a message of an unknown channel")?;
                     let message = Message { topic, json: fields.0 };
                     if let Some(timing) = message.take_into(&mut messages)? {
@@ -211,8 +222,34 @@ impl Scan {
     }
 }
 
+/// What a channel carries. Its name itself is not kept: a file of kilobytes could hold names of
+/// gigabytes.
+#[derive(Clone, Copy, Debug)]
+enum Topic {
+    Measurement,
+    State,
+    Command,
+    Safety,
+    Timing,
+    /// Pictures for viewers, and whatever else.
+    Other,
+}
+
+impl Topic {
+    fn named(name: &str) -> Self {
+        match name {
+            topic::MEASUREMENT => Self::Measurement,
+            topic::STATE => Self::State,
+            topic::COMMAND => Self::Command,
+            topic::SAFETY => Self::Safety,
+            topic::TIMING => Self::Timing,
+            _ => Self::Other,
+        }
+    }
+}
+
 struct Message<'a> {
-    topic: &'a str,
+    topic: Topic,
     json: &'a [u8],
 }
 
@@ -220,22 +257,21 @@ impl Message<'_> {
     /// Puts the message to the others of its tick; the last one of a tick comes back.
     fn take_into(&self, messages: &mut TickMessages) -> Result<Option<TimingMessage>, String> {
         match self.topic {
-            topic::MEASUREMENT => {
+            Topic::Measurement => {
                 messages.measurement = Some(self.parse::<MeasurementMessage>()?);
             }
-            topic::STATE => messages.state = Some(self.parse::<StateMessage>()?),
-            topic::COMMAND => messages.command = Some(self.parse::<CommandMessage>()?),
-            topic::SAFETY => messages.safety = Some(self.parse::<SafetyMessage>()?),
-            topic::TIMING => return Ok(Some(self.parse()?)),
-            // Pictures are for viewers.
-            _ => {}
+            Topic::State => messages.state = Some(self.parse::<StateMessage>()?),
+            Topic::Command => messages.command = Some(self.parse::<CommandMessage>()?),
+            Topic::Safety => messages.safety = Some(self.parse::<SafetyMessage>()?),
+            Topic::Timing => return Ok(Some(self.parse()?)),
+            Topic::Other => {}
         }
         Ok(None)
     }
 
     fn parse<T: serde::de::DeserializeOwned>(&self) -> Result<T, String> {
         serde_json::from_slice(self.json)
-            .map_err(|error| format!("a message of {} is malformed: {error}", self.topic))
+            .map_err(|error| format!("a message of {:?} is malformed: {error}", self.topic))
     }
 }
 

@@ -8,6 +8,7 @@ use super::samples::{POLICY, header, outcome, recorded, tick, ticks};
 use super::writer::Sink;
 use super::*;
 use crate::qube::{Measurement, State, Status};
+use crate::storage::MachineDisk;
 use crate::telemetry::{Phase, TickRecord};
 
 /// Every number by its bits: NaN is not equal to itself, and -0 is equal to 0.
@@ -443,14 +444,14 @@ fn the_recorder_writes_what_comes_through_the_ring() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let (mut producer, consumer) = rtrb::RingBuffer::new(64);
-    let recorder = Recorder::start(&path, header(), POLICY, consumer).unwrap();
+    let recorder = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer).unwrap();
     for number in 0..33 {
         producer.push(tick(number)).unwrap();
     }
     assert_eq!(recorder.finish(outcome()).unwrap(), path);
     assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(33)), "same bytes as in memory");
     let (_, consumer) = rtrb::RingBuffer::new(64);
-    let again = Recorder::start(&path, header(), POLICY, consumer);
+    let again = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer);
     assert!(matches!(again.err(), Some(RecordingError::Create { .. })), "never overwritten");
 }
 
@@ -459,7 +460,7 @@ fn a_recorder_that_is_dropped_leaves_a_readable_recording() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let (mut producer, consumer) = rtrb::RingBuffer::new(64);
-    let recorder = Recorder::start(&path, header(), POLICY, consumer).unwrap();
+    let recorder = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer).unwrap();
     producer.push(tick(0)).unwrap();
     drop(recorder);
     let recording = read(&path).unwrap();

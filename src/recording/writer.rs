@@ -1,5 +1,4 @@
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -15,6 +14,7 @@ use super::tick_messages::{
     CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TimingMessage,
 };
 use super::{POLICY_ATTACHMENT, RecordingError, metadata};
+use crate::storage::{Disk, DiskFile, sync_name};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
 
 /// Ticks in one block: a tenth of a second. By ticks and not by the clock, so that the bytes of a
@@ -30,9 +30,9 @@ pub trait Sink: Write {
     fn sync(&mut self) -> io::Result<()>;
 }
 
-impl Sink for File {
+impl Sink for Box<dyn DiskFile> {
     fn sync(&mut self) -> io::Result<()> {
-        self.sync_all()
+        self.as_mut().sync()
     }
 }
 
@@ -83,25 +83,24 @@ pub(super) mod topic {
     pub(crate) const TIMING: &str = "/timing";
 }
 
-impl RolloutWriter<File> {
+impl RolloutWriter<Box<dyn DiskFile>> {
     /// Makes the file and writes header and policy, so that even a rollout that is killed in its
     /// first tick says what it was. `policy` are the bytes of the policy file.
     ///
     /// # Errors
     /// The file exists already or cannot be written; the header holds a number that is not finite.
     pub fn create(
+        disk: &dyn Disk,
         path: &Path,
         header: RolloutHeader,
         policy: &[u8],
     ) -> Result<Self, RecordingError> {
-        let file = OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .open(path)
+        let file = disk
+            .create(path, false)
             .map_err(|source| RecordingError::Create { path: path.to_owned(), source })?;
         let writer = Self::begin(file, path, header, policy)?;
         // The name itself has to survive too.
-        sync_directory(path).map_err(|source| RecordingError::write(path, source))?;
+        sync_name(disk, path).map_err(|source| RecordingError::write(path, source))?;
         Ok(writer)
     }
 }
@@ -347,13 +346,5 @@ fn io_error(error: McapError) -> io::Error {
     match error {
         McapError::Io(error) => error,
         other => io::Error::other(other),
-    }
-}
-
-/// Makes the file's entry in its directory durable.
-fn sync_directory(path: &Path) -> io::Result<()> {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => File::open(parent)?.sync_all(),
-        _ => File::open(".")?.sync_all(),
     }
 }

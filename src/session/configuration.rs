@@ -6,6 +6,11 @@ use thiserror::Error;
 use toml::{Table, Value};
 
 use super::{FolderError, SessionSettings};
+use crate::qube::MAX_STEPS;
+use crate::storage::{Disk, MachineDisk};
+
+/// The largest configuration that is read; ours have 2 kB.
+const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// What is wrong with a configuration.
 #[derive(Debug, Error)]
@@ -56,16 +61,31 @@ impl SessionSettings {
     /// # Errors
     /// The file cannot be read, or holds something that is no setting.
     pub fn overridden_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigurationError::Unreadable { path: path.to_owned(), source })?;
+        let unreadable = |source| ConfigurationError::Unreadable { path: path.to_owned(), source };
+        let bytes = MachineDisk.read(path, MAX_FILE_BYTES).map_err(unreadable)?;
+        if bytes.len() as u64 > MAX_FILE_BYTES {
+            let reason = format!("more than {MAX_FILE_BYTES} bytes are no configuration");
+            return Err(ConfigurationError::OutOfRange { path: path.to_owned(), reason });
+        }
+        let text = String::from_utf8(bytes)
+            .map_err(|error| unreadable(std::io::Error::other(error.utf8_error())))?;
+        self.overridden_by_text(&text, path)
+    }
+
+    /// As [`overridden_by`](Self::overridden_by), with the text of the file at hand; `path` is only
+    /// named in errors. Safe for text of any origin.
+    ///
+    /// # Errors
+    /// The text holds something that is no setting.
+    pub fn overridden_by_text(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
         let invalid = |source| ConfigurationError::Invalid {
             path: path.to_owned(),
             source: Box::new(source),
         };
         // First on its own: an error then names the file's own line.
-        toml::from_str::<Self>(&text).map_err(invalid)?;
+        toml::from_str::<Self>(text).map_err(invalid)?;
         let mut table: Table = Table::try_from(self)?;
-        lay_over(&mut table, toml::from_str(&text).map_err(invalid)?);
+        lay_over(&mut table, toml::from_str(text).map_err(invalid)?);
         let settings: Self = table.try_into().map_err(invalid)?;
         settings
             .check()
@@ -99,6 +119,7 @@ impl SessionSettings {
             ("extent.initial_candidates", self.extent.initial_candidates, 1000),
             ("extent.rollouts", self.extent.rollouts, 1000),
             ("extent.verification_rollouts", self.extent.verification_rollouts, 1000),
+            ("extent.steps", self.extent.steps, MAX_STEPS as u32),
         ];
         for (name, value, most) in counts {
             if !(1..=most).contains(&value) {

@@ -1,8 +1,10 @@
-use std::fs::{File, TryLockError};
-use std::io::Write;
+use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use thiserror::Error;
+
+use crate::storage::{Disk, Hold, MachineDisk, sync_name};
 
 /// What is wrong with a session's folder.
 #[derive(Debug, Error)]
@@ -49,45 +51,75 @@ pub enum FolderError {
 #[derive(Debug)]
 pub struct SessionFolder {
     root: PathBuf,
-    /// Locked as long as the folder is open; the lock goes with the process, however it ends.
-    _lock: File,
+    disk: Arc<dyn Disk>,
+    _hold: Hold,
 }
 
 impl SessionFolder {
-    /// Makes a new folder with the session's configuration in it.
+    /// Makes a new folder on this machine's disk with the session's configuration in it.
     ///
     /// # Errors
     /// It exists, or cannot be made.
     pub fn create(root: &Path, configuration: &str) -> Result<Self, FolderError> {
-        if root.exists() {
+        Self::create_on(Arc::new(MachineDisk), root, configuration)
+    }
+
+    /// As [`create`](Self::create), on any disk.
+    ///
+    /// # Errors
+    /// It exists, or cannot be made.
+    pub fn create_on(
+        disk: Arc<dyn Disk>,
+        root: &Path,
+        configuration: &str,
+    ) -> Result<Self, FolderError> {
+        if disk.exists(root) {
             return Err(FolderError::Exists { path: root.to_owned() });
         }
-        std::fs::create_dir_all(root.join("candidates")).map_err(io(root))?;
-        let folder = Self::lock(root)?;
-        write_whole(&folder.configuration(), configuration.as_bytes())?;
+        disk.create_folder(&root.join("candidates")).map_err(io(root))?;
+        let folder = Self::hold(disk, root)?;
+        write_whole(folder.disk(), &folder.configuration(), configuration.as_bytes())?;
         Ok(folder)
     }
 
-    /// Opens the folder of a session that has begun.
+    /// Opens the folder of a session that has begun on this machine's disk.
     ///
     /// # Errors
     /// It is no session, or another process has it.
     pub fn open(root: &Path) -> Result<Self, FolderError> {
-        if !root.join("session.toml").is_file() {
-            return Err(FolderError::NotASession { path: root.to_owned() });
-        }
-        Self::lock(root)
+        Self::open_on(Arc::new(MachineDisk), root)
     }
 
-    fn lock(root: &Path) -> Result<Self, FolderError> {
-        let lock = File::open(root).map_err(io(root))?;
-        match lock.try_lock() {
-            Ok(()) => Ok(Self { root: root.to_owned(), _lock: lock }),
+    /// As [`open`](Self::open), on any disk.
+    ///
+    /// # Errors
+    /// It is no session, or another process has it.
+    pub fn open_on(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, FolderError> {
+        if !disk.exists(&root.join("session.toml")) {
+            return Err(FolderError::NotASession { path: root.to_owned() });
+        }
+        Self::hold(disk, root)
+    }
+
+    fn hold(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, FolderError> {
+        match disk.hold(root) {
+            Ok(hold) => Ok(Self { root: root.to_owned(), disk, _hold: hold }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path: root.to_owned() }),
             Err(TryLockError::Error(source)) => {
                 Err(FolderError::Io { path: root.to_owned(), source })
             }
         }
+    }
+
+    /// The disk that it is on.
+    #[must_use]
+    pub fn disk(&self) -> &dyn Disk {
+        self.disk.as_ref()
+    }
+
+    /// The same for whoever keeps it longer than a borrow.
+    pub(super) fn shared_disk(&self) -> Arc<dyn Disk> {
+        Arc::clone(&self.disk)
     }
 
     /// The folder itself.
@@ -132,7 +164,7 @@ impl SessionFolder {
     /// It cannot be made.
     pub fn make_candidate(&self, candidate: u32) -> Result<(), FolderError> {
         let path = self.candidate(candidate);
-        std::fs::create_dir_all(&path).map_err(io(&path))
+        self.disk.create_folder(&path).map_err(io(&path))
     }
 
     /// Gives a recording that never came to an end another name, so that the rollout can be done
@@ -143,8 +175,8 @@ impl SessionFolder {
     pub fn put_aside(&self, recording: &Path) -> Result<(), FolderError> {
         let free =
             (1..).map(|number| recording.with_extension(format!("unfinished-{number}.mcap")));
-        let aside = free.into_iter().find(|path| !path.exists()).unwrap_or_default();
-        std::fs::rename(recording, &aside).map_err(io(recording))
+        let aside = free.into_iter().find(|path| !self.disk.exists(path)).unwrap_or_default();
+        self.disk.rename(recording, &aside).map_err(io(recording))
     }
 
     fn candidate(&self, candidate: u32) -> PathBuf {
@@ -156,15 +188,12 @@ impl SessionFolder {
 ///
 /// # Errors
 /// The disk is full or failing; no file of that name has appeared then.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
+pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
     let unfinished = path.with_extension("unfinished");
-    let mut file = File::create(&unfinished).map_err(io(&unfinished))?;
-    file.write_all(bytes).and_then(|()| file.sync_all()).map_err(io(&unfinished))?;
-    std::fs::rename(&unfinished, path).map_err(io(path))?;
-    // The parent of a bare name is empty, not absent.
-    let directory = path.parent().filter(|parent| *parent != Path::new(""));
-    let directory = directory.unwrap_or(Path::new("."));
-    File::open(directory).and_then(|directory| directory.sync_all()).map_err(io(directory))
+    let mut file = disk.create(&unfinished, true).map_err(io(&unfinished))?;
+    file.write_all(bytes).and_then(|()| file.sync()).map_err(io(&unfinished))?;
+    disk.rename(&unfinished, path).map_err(io(path))?;
+    sync_name(disk, path).map_err(io(path))
 }
 
 fn io(path: &Path) -> impl Fn(std::io::Error) -> FolderError {

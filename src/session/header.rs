@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use super::seeds::start_theta_rad;
 use crate::estimation::{Calibration, EstimatorSettings};
-use crate::qube::{MAX_STEPS, RewardWeights};
+use crate::qube::RewardWeights;
 use crate::recording::FORMAT_VERSION;
 use crate::safety::SafetyBox;
 use crate::telemetry::{Preflight, RolloutHeader, TickSettings};
@@ -28,6 +28,8 @@ pub struct RolloutPlan {
     pub estimator: EstimatorSettings,
     /// The box that ends the rollout.
     pub safety_box: SafetyBox,
+    /// Steps that the policy has.
+    pub steps: u32,
 }
 
 impl RolloutPlan {
@@ -52,7 +54,7 @@ impl RolloutPlan {
                 calibration: Calibration::IDENTITY,
                 estimator: self.estimator,
                 safety_box: self.safety_box,
-                max_steps: MAX_STEPS as u32,
+                max_steps: self.steps,
                 start_theta_rad: start_theta_rad(
                     self.seed,
                     self.candidate.unwrap_or(0),

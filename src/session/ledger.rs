@@ -1,10 +1,10 @@
-use std::fs::{File, OpenOptions};
-use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+use crate::storage::{Disk, DiskFile, sync_name};
 
 const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
@@ -84,12 +84,19 @@ pub enum LedgerError {
     },
 }
 
+/// The largest ledger that is read; the longest session's has less than 10 MB.
+const MAX_FILE_BYTES: u64 = 64 << 20;
+
 /// The append-only record of a session, `ledger.jsonl`: one entry a line, each line with its
 /// checksum and synced before anything goes on. A torn last line is what a crash leaves; it is cut.
 #[derive(Debug)]
 pub struct Ledger {
     path: PathBuf,
-    file: File,
+    file: Box<dyn DiskFile>,
+    /// Bytes of whole lines.
+    length: u64,
+    /// What a failed append left behind the whole lines could not be cut yet.
+    torn: bool,
     entries: Vec<Entry>,
 }
 
@@ -105,24 +112,24 @@ impl Ledger {
     ///
     /// # Errors
     /// No access, or a damaged line that is not the last.
-    pub fn open(path: &Path) -> Result<Self, LedgerError> {
+    pub fn open(disk: &dyn Disk, path: &Path) -> Result<Self, LedgerError> {
         let io = |source| LedgerError::Io { path: path.to_owned(), source };
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(path)
-            .map_err(io)?;
-        let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes).map_err(io)?;
-        let (entries, whole) = read_entries(path, &bytes)?;
-        if whole < bytes.len() {
-            file.set_len(whole as u64).map_err(io)?;
-            file.sync_all().map_err(io)?;
+        let bytes = if disk.exists(path) {
+            disk.read(path, MAX_FILE_BYTES).map_err(io)?
+        } else {
+            Vec::new()
+        };
+        let Parsed { entries, whole_bytes } = parse(&bytes).map_err(|damage| {
+            LedgerError::Damaged { path: path.to_owned(), line: damage.line, reason: damage.reason }
+        })?;
+        let mut file = disk.append(path).map_err(io)?;
+        if whole_bytes < bytes.len() {
+            file.cut_to(whole_bytes as u64).and_then(|()| file.sync()).map_err(io)?;
         }
-        file.seek(SeekFrom::Start(whole as u64)).map_err(io)?;
-        Ok(Self { path: path.to_owned(), file, entries })
+        // Its name has to survive a loss of power too, whether it was made now or just before one.
+        sync_name(disk, path).map_err(io)?;
+        let length = whole_bytes as u64;
+        Ok(Self { path: path.to_owned(), file, length, torn: false, entries })
     }
 
     /// Everything that was recorded, in order.
@@ -134,21 +141,26 @@ impl Ledger {
     /// Adds one entry; it is on disk when this returns.
     ///
     /// # Errors
-    /// The disk is full or failing. The entry is then not recorded, neither here nor on disk.
+    /// The disk is full or failing. The entry is then not recorded here. On disk it may be: whether
+    /// a sync that failed has written is not known.
     pub fn append(&mut self, entry: Entry) -> Result<(), LedgerError> {
-        let io = |source| LedgerError::Io { path: self.path.clone(), source };
-        let line = encode(&entry).map_err(|error| io(error.into()))?;
-        let before = self.file.stream_position().map_err(io)?;
-        if let Err(error) =
-            self.file.write_all(line.as_bytes()).and_then(|()| self.file.sync_data())
-        {
-            // A half-written line would be cut on the next open; cutting it now lets this run go on.
-            let _ = self.file.set_len(before);
-            let _ = self.file.seek(SeekFrom::Start(before));
-            return Err(io(error));
+        let line = encode(&entry).map_err(|error| self.failed(error.into()))?;
+        if self.torn {
+            self.file.cut_to(self.length).map_err(|source| self.failed(source))?;
+            self.torn = false;
         }
+        if let Err(source) = self.file.write_all(line.as_bytes()).and_then(|()| self.file.sync()) {
+            // A half-written line would be cut on the next open; cutting it now lets this run go on.
+            self.torn = self.file.cut_to(self.length).is_err();
+            return Err(self.failed(source));
+        }
+        self.length += line.len() as u64;
         self.entries.push(entry);
         Ok(())
+    }
+
+    fn failed(&self, source: std::io::Error) -> LedgerError {
+        LedgerError::Io { path: self.path.clone(), source }
     }
 }
 
@@ -168,34 +180,101 @@ fn decode(line: &str) -> Result<Entry, String> {
     serde_json::from_str(line.entry.get()).map_err(|error| error.to_string())
 }
 
-/// The entries and the length of what is whole. Only the last line may be broken, and only when
-/// its newline is missing: lines are written in one piece, newline last.
-fn read_entries(path: &Path, bytes: &[u8]) -> Result<(Vec<Entry>, usize), LedgerError> {
-    let mut entries = Vec::new();
-    let mut whole = 0;
+/// What the bytes of a ledger hold.
+#[derive(Debug, Default)]
+pub struct Parsed {
+    /// Its entries, in order.
+    pub entries: Vec<Entry>,
+    /// How many bytes the whole lines have; what is behind them a crash has left.
+    pub whole_bytes: usize,
+}
+
+/// A line that no crash leaves.
+#[derive(Debug, PartialEq, Eq)]
+pub struct DamagedLine {
+    /// Its number, from 1.
+    pub line: usize,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+/// Reads the bytes of a ledger. Safe for bytes of any origin.
+///
+/// Only the last line may be broken: cut off before its newline, as lines are written in one piece,
+/// newline last; or with zeros in it, as which a file system shows what a loss of power kept from
+/// being written.
+///
+/// # Errors
+/// Another line is broken, its checksum does not match, or it cannot follow those before it.
+pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
+    let mut parsed = Parsed::default();
+    let mut story = Story::default();
     for (index, line) in bytes.split_inclusive(|&byte| byte == b'\n').enumerate() {
-        if line.last() != Some(&b'\n') {
+        let is_last = parsed.whole_bytes + line.len() == bytes.len();
+        if is_last && (line.last() != Some(&b'\n') || line.contains(&0)) {
             break;
         }
-        let decoded = std::str::from_utf8(line).map_err(|error| error.to_string()).and_then(decode);
-        match decoded {
-            Ok(entry) => entries.push(entry),
-            Err(reason) => {
-                return Err(LedgerError::Damaged {
-                    path: path.to_owned(),
-                    line: index + 1,
-                    reason,
-                });
+        let damaged = |reason| DamagedLine { line: index + 1, reason };
+        let text = std::str::from_utf8(line).map_err(|error| damaged(error.to_string()))?;
+        let entry = decode(text).map_err(damaged)?;
+        story.goes_on_with(&entry).map_err(|reason| damaged(reason.to_owned()))?;
+        parsed.entries.push(entry);
+        parsed.whole_bytes += line.len();
+    }
+    Ok(parsed)
+}
+
+/// What may come next in a ledger: the rest of the program counts on this order.
+#[derive(Default)]
+struct Story {
+    candidates: Vec<Standing>,
+}
+
+#[derive(Default)]
+struct Standing {
+    trained: bool,
+    finished: u32,
+    void: u32,
+}
+
+impl Story {
+    fn goes_on_with(&mut self, entry: &Entry) -> Result<(), &'static str> {
+        let next_number = self.candidates.len() as u32;
+        let number = match *entry {
+            Entry::Proposed { candidate, .. } if candidate == next_number => {
+                self.candidates.push(Standing::default());
+                return Ok(());
+            }
+            Entry::Proposed { .. } => return Err("candidates are not numbered in their order"),
+            Entry::Trained { candidate }
+            | Entry::RolloutFinished { candidate, .. }
+            | Entry::RolloutVoid { candidate, .. } => candidate,
+        };
+        let it = self.candidates.get_mut(number as usize).ok_or("there is no such candidate")?;
+        match *entry {
+            Entry::Proposed { .. } => {}
+            Entry::Trained { .. } if it.trained => return Err("the candidate is trained already"),
+            Entry::Trained { .. } => it.trained = true,
+            Entry::RolloutFinished { rollout, attempt, .. }
+            | Entry::RolloutVoid { rollout, attempt, .. } => {
+                if !it.trained || (rollout, attempt) != (it.finished, it.void) {
+                    return Err("this is not the rollout or the try that was due");
+                }
+                if matches!(entry, Entry::RolloutVoid { .. }) {
+                    it.void += 1;
+                } else {
+                    (it.finished, it.void) = (it.finished + 1, 0);
+                }
             }
         }
-        whole += line.len();
+        Ok(())
     }
-    Ok((entries, whole))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::storage::MachineDisk;
 
     fn sample() -> Vec<Entry> {
         vec![
@@ -208,7 +287,7 @@ mod tests {
 
     fn written(directory: &Path) -> (PathBuf, Vec<u8>) {
         let path = directory.join("ledger.jsonl");
-        let mut ledger = Ledger::open(&path).unwrap();
+        let mut ledger = Ledger::open(&MachineDisk, &path).unwrap();
         for entry in sample() {
             ledger.append(entry).unwrap();
         }
@@ -223,7 +302,7 @@ mod tests {
         for length in 0..=bytes.len() {
             std::fs::write(&path, &bytes[..length]).unwrap();
             let whole = bytes[..length].iter().filter(|&&byte| byte == b'\n').count();
-            let mut ledger = Ledger::open(&path).unwrap();
+            let mut ledger = Ledger::open(&MachineDisk, &path).unwrap();
             assert_eq!(ledger.entries(), &sample()[..whole]);
             assert_eq!(std::fs::read(&path).unwrap().last().copied().unwrap_or(b'\n'), b'\n');
             // Each append waits for the disk; some of the cuts are enough.
@@ -244,7 +323,7 @@ mod tests {
             let mut changed = bytes.clone();
             changed[position] ^= 0x01;
             std::fs::write(&path, &changed).unwrap();
-            let found = match Ledger::open(&path) {
+            let found = match Ledger::open(&MachineDisk, &path) {
                 Err(LedgerError::Damaged { .. }) => true,
                 // A changed last newline reads as a torn last line.
                 Ok(ledger) => position + 1 == bytes.len() && ledger.entries().len() == 3,
@@ -252,5 +331,42 @@ mod tests {
             };
             assert!(found, "byte {position}");
         }
+    }
+
+    fn lines(entries: &[Entry]) -> String {
+        entries.iter().map(|entry| encode(entry).unwrap()).collect()
+    }
+
+    #[test]
+    fn entries_that_cannot_follow_each_other_are_found() {
+        let proposed =
+            |candidate| Entry::Proposed { candidate, purpose: Purpose::Initial, psi: vec![] };
+        let finished = |rollout, attempt| Entry::RolloutFinished { candidate: 0, rollout, attempt };
+        let trained = Entry::Trained { candidate: 0 };
+        for (entries, line) in [
+            (vec![proposed(1)], 1),
+            (vec![proposed(0), proposed(0)], 2),
+            (vec![trained.clone()], 1),
+            (vec![proposed(0), trained.clone(), trained.clone()], 3),
+            (vec![proposed(0), finished(0, 0)], 2),
+            (vec![proposed(0), trained.clone(), finished(1, 0)], 3),
+            (vec![proposed(0), trained.clone(), finished(0, 1)], 3),
+            // A rollout that is counted twice.
+            (vec![proposed(0), trained, finished(0, 0), finished(0, 0)], 4),
+        ] {
+            let damaged = parse(lines(&entries).as_bytes()).unwrap_err();
+            assert_eq!(damaged.line, line, "{entries:?}");
+        }
+    }
+
+    #[test]
+    fn a_last_line_that_a_loss_of_power_has_left_in_zeros_is_cut() {
+        let whole = lines(&sample()[..2]);
+        let mut bytes = lines(&sample()[..3]).into_bytes();
+        for place in &mut bytes[whole.len() + 3..whole.len() + 20] {
+            *place = 0;
+        }
+        let parsed = parse(&bytes).unwrap();
+        assert_eq!((parsed.entries, parsed.whole_bytes), (sample()[..2].to_vec(), whole.len()));
     }
 }

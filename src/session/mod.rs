@@ -23,10 +23,12 @@ pub use error::SessionError;
 pub use folder::{FolderError, SessionFolder, write_whole};
 pub use header::RolloutPlan;
 pub use latencies::Latencies;
-pub use ledger::{Entry, Ledger, LedgerError, Purpose};
+pub use ledger::{DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger};
 pub use orchestrator::{Progress, Session, named};
 pub use plan::{Candidate, Extent, Step, candidates, next_step};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
-pub use rig::{ClockChoice, DeviceChoice, Recorded, Rig, RigError, RigSettings};
+pub use rig::{
+    ClockChoice, Connect, DeviceChoice, Recorded, Rig, RigError, RigSettings, TimedDevice,
+};
 pub use settings::{EmulatedQubeSettings, Model, SessionSettings};
 pub use verdict::{Verdict, judge, judge_recording};

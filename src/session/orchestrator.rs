@@ -11,9 +11,10 @@ use super::{
     SessionError, SessionFolder, SessionSettings, Step, Verdict, candidates, judge, next_step,
 };
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
-use crate::policy::Policy;
+use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
+use crate::recording::RecordingError;
 use crate::search::Observation;
-use crate::simulation::PSI_DIMENSIONS;
+use crate::simulation::{PSI_DIMENSIONS, Psi};
 
 /// What a session tells while it runs.
 pub enum Progress<'a> {
@@ -75,7 +76,12 @@ impl Session {
         rig_settings: RigSettings,
         stop: Arc<AtomicBool>,
     ) -> Result<Self, SessionError> {
-        let ledger = Ledger::open(&folder.ledger())?;
+        let ledger = Ledger::open(folder.disk(), &folder.ledger())?;
+        for entry in ledger.entries() {
+            if let Entry::Proposed { psi, .. } = entry {
+                Psi::try_from(psi.as_slice())?;
+            }
+        }
         Ok(Self {
             folder,
             ledger,
@@ -126,6 +132,12 @@ impl Session {
     #[must_use]
     pub fn folder(&self) -> &SessionFolder {
         &self.folder
+    }
+
+    /// What was decided and finished so far.
+    #[must_use]
+    pub fn entries(&self) -> &[Entry] {
+        self.ledger.entries()
     }
 
     /// The candidates so far, each with what its rollouts earned.
@@ -197,7 +209,7 @@ impl Session {
         for &number in numbers {
             self.folder.make_candidate(number)?;
             // Policy files appear whole or not at all: one that is there was trained before a crash.
-            if !self.folder.policy(number).exists() {
+            if !self.folder.disk().exists(&self.folder.policy(number)) {
                 let candidate = &all[number as usize];
                 jobs.push(Job {
                     candidate: number,
@@ -246,14 +258,21 @@ impl Session {
     ) -> Result<(), SessionError> {
         let path = self.folder.rollout(candidate, rollout, attempt);
         // A recording that is there already was made before a crash or a stop. A whole one is taken
-        // over; one without an end is put aside.
-        if path.exists() && judge(&path)? == Verdict::Unfinished {
-            self.folder.put_aside(&path)?;
+        // over. What has no end, or cannot be read because a crash cut it off in its first bytes or
+        // a loss of power kept them from the disk, is put aside: nothing counts on it yet.
+        if self.folder.disk().exists(&path) {
+            match judge(self.folder.disk(), &path) {
+                Ok(Verdict::Unfinished) | Err(RecordingError::Unreadable { .. }) => {
+                    self.folder.put_aside(&path)?;
+                }
+                Ok(Verdict::Result { .. } | Verdict::Void { .. }) => {}
+                Err(error) => return Err(error.into()),
+            }
         }
-        if !path.exists() {
+        if !self.folder.disk().exists(&path) {
             self.perform(candidate, rollout, attempt, &path, tell)?;
         }
-        let verdict = judge(&path)?;
+        let verdict = judge(self.folder.disk(), &path)?;
         tell(Progress::Rollout { candidate, rollout, attempt, verdict: &verdict });
         match &verdict {
             Verdict::Result { .. } => {
@@ -285,8 +304,7 @@ impl Session {
         path: &Path,
         tell: &mut dyn FnMut(Progress),
     ) -> Result<(), SessionError> {
-        let policy_path = self.folder.policy(candidate);
-        let policy = Policy::load(&policy_path)?.to_bytes();
+        let policy = self.policy(candidate)?;
         let psi = candidates(self.ledger.entries())[candidate as usize].psi.clone();
         let plan = RolloutPlan {
             session: self.settings.name.clone(),
@@ -298,10 +316,25 @@ impl Session {
             policy: format!("candidate {candidate}"),
             estimator: self.settings.estimator,
             safety_box: self.settings.safety_box,
+            steps: self.settings.extent.steps,
         };
+        let disk = self.folder.shared_disk();
         let rig = self.ready_rig(SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
-        rig.rollout(path, plan.header(), &policy)?;
+        rig.rollout(disk.as_ref(), path, plan.header(), &policy)?;
         Ok(())
+    }
+
+    /// The bytes of a candidate's policy, checked.
+    fn policy(&self, candidate: u32) -> Result<Vec<u8>, SessionError> {
+        let path = self.folder.policy(candidate);
+        let bytes = self
+            .folder
+            .disk()
+            .read(&path, MAX_POLICY_BYTES)
+            .map_err(|source| PolicyError::Unreadable { path: path.clone(), source })?;
+        let policy =
+            Policy::from_bytes(&bytes).map_err(|fault| PolicyError::Bad { path, fault })?;
+        Ok(policy.to_bytes())
     }
 
     /// The rig, opened on its first use. Under virtual time each rollout has a new one that follows
@@ -336,14 +369,14 @@ impl Session {
         if let Some(verdict) = self.verdicts.get(&key) {
             return Ok(verdict.clone());
         }
-        let verdict = judge(&self.folder.rollout(candidate, rollout, attempt))?;
+        let verdict = judge(self.folder.disk(), &self.folder.rollout(candidate, rollout, attempt))?;
         self.verdicts.insert(key, verdict.clone());
         Ok(verdict)
     }
 
     fn given_up(&mut self, candidate: u32, rollout: u32) -> SessionError {
         let tries = self.settings.extent.repetitions + 1;
-        let last = judge(&self.folder.rollout(candidate, rollout, tries - 1));
+        let last = judge(self.folder.disk(), &self.folder.rollout(candidate, rollout, tries - 1));
         let reason = match last {
             Ok(Verdict::Void { reason }) => reason,
             Ok(_) | Err(_) => "its recording cannot be read".into(),
@@ -358,8 +391,8 @@ fn save(
     trained: Trained,
     origin: Origin,
 ) -> Result<(), SessionError> {
-    write_whole(&folder.curve(candidate), curve_csv(&trained.curve).as_bytes())?;
-    write_whole(&folder.policy(candidate), &trained.into_policy(origin).to_bytes())?;
+    write_whole(folder.disk(), &folder.curve(candidate), curve_csv(&trained.curve).as_bytes())?;
+    write_whole(folder.disk(), &folder.policy(candidate), &trained.into_policy(origin).to_bytes())?;
     Ok(())
 }
 

@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Entry, Purpose};
+use crate::qube::MAX_STEPS;
 
 /// How much a session does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -17,6 +18,8 @@ pub struct Extent {
     pub rollouts: u32,
     /// Rollouts that verify the answer.
     pub verification_rollouts: u32,
+    /// Steps of a rollout; the thesis's are 600, which is 6 s.
+    pub steps: u32,
     /// How often a rollout that ended by a fault is tried again before the session stops.
     pub repetitions: u32,
 }
@@ -28,6 +31,7 @@ impl Extent {
         iterations: 4,
         rollouts: 2,
         verification_rollouts: 5,
+        steps: MAX_STEPS as u32,
         repetitions: 3,
     };
 
@@ -179,6 +183,7 @@ mod tests {
         iterations: 2,
         rollouts: 2,
         verification_rollouts: 4,
+        steps: MAX_STEPS as u32,
         repetitions: 3,
     };
 

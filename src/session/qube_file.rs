@@ -11,6 +11,7 @@ use super::folder::write_whole;
 use crate::control::{HomingMethod, HomingSettings};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::safety::SafetyBox;
+use crate::storage::MachineDisk;
 
 /// The name under which the file is looked for in the working directory.
 pub const QUBE_FILE: &str = "qube.toml";
@@ -135,7 +136,7 @@ impl QubeFile {
              # rest as you like. Limits may be narrower than these, not wider.\n\n{}",
             toml::to_string_pretty(self)?
         );
-        write_whole(path, text.as_bytes()).map_err(ConfigurationError::NotWritten)
+        write_whole(&MachineDisk, path, text.as_bytes()).map_err(ConfigurationError::NotWritten)
     }
 
     /// How this Qube is homed.

@@ -15,18 +15,33 @@ use crate::preflight::{
     Examination, ExaminationSettings, examine, homed, homing_left_out, not_homed,
 };
 use crate::recording::{Recorder, RecordingError};
+use crate::storage::Disk;
 use crate::telemetry::{
     CheckResult, Ending, Fault, Preflight, RolloutHeader, RolloutOutcome, TickSettings,
 };
 
 /// Where the Qube is.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub enum DeviceChoice {
     /// The embedded emulator.
     Emulated,
     /// A serial port.
     Port(String),
+    /// Whatever this connects to, with its own time.
+    Other(Arc<dyn Connect>),
 }
+
+/// A way to a Qube that this program does not know: an emulator with a wire that fails, for one.
+pub trait Connect: Send + Sync + std::fmt::Debug {
+    /// A device, and the clock that its deadlines mean. Called each time a rig is opened.
+    ///
+    /// # Errors
+    /// There is none.
+    fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError>;
+}
+
+/// A device, and the clock that its deadlines mean.
+pub type TimedDevice = (Box<dyn Device>, Arc<dyn Clock>);
 
 /// Which time passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -161,7 +176,7 @@ impl Rig {
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let mut rig = Self::connect(settings, stop)?;
         match (&settings.device, settings.skip_check) {
-            (DeviceChoice::Emulated, _) => {
+            (DeviceChoice::Emulated | DeviceChoice::Other(_), _) => {
                 rig.preflight = Preflight::NotNeeded;
                 rig.home()?;
             }
@@ -290,6 +305,7 @@ impl Rig {
     /// rollout that ended by a fault is no error here: its outcome says so.
     pub fn rollout(
         &self,
+        disk: &dyn Disk,
         path: &Path,
         header: RolloutHeader,
         policy_file: &[u8],
@@ -304,7 +320,7 @@ impl Rig {
             ..header
         };
         let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
-        let recorder = Recorder::start(path, header, policy_file, consumer)?;
+        let recorder = Recorder::start(disk, path, header, policy_file, consumer)?;
         let report = self.control.rollout(settings, policy, producer)??;
         let path = recorder.finish(report.outcome.clone())?;
         Ok(Recorded { path, outcome: report.outcome })
@@ -334,6 +350,10 @@ type Connection = (Box<dyn Device>, Arc<dyn Clock>, Option<EmulatedQube>);
 
 fn connect(settings: &RigSettings) -> Result<Connection, RigError> {
     match (&settings.device, settings.clock) {
+        (DeviceChoice::Other(other), _) => {
+            let (device, clock) = other.connect(&settings.emulator)?;
+            Ok((device, clock, None))
+        }
         (DeviceChoice::Emulated, ClockChoice::Virtual) => {
             let clock = VirtualClock::default();
             let link = SerialLink::in_process(settings.emulator, clock.clone());

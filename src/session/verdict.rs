@@ -2,7 +2,8 @@ use std::f64::consts::PI;
 use std::path::Path;
 
 use crate::qube::wrap_angle;
-use crate::recording::{Completeness, Recording, RecordingError, read, return_of};
+use crate::recording::{Completeness, Recording, RecordingError, read_on, return_of};
+use crate::storage::Disk;
 use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
 
 /// A return below this is no success (method of the thesis, section 5.2).
@@ -52,8 +53,8 @@ impl Verdict {
 ///
 /// # Errors
 /// The file cannot be read at all, or a byte of it has changed.
-pub fn judge(path: &Path) -> Result<Verdict, RecordingError> {
-    Ok(judge_recording(&read(path)?))
+pub fn judge(disk: &dyn Disk, path: &Path) -> Result<Verdict, RecordingError> {
+    Ok(judge_recording(&read_on(disk, path)?))
 }
 
 /// Judges a recording that has been read.

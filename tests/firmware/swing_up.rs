@@ -14,7 +14,7 @@ const ATTEMPTS: u32 = 4;
 fn swings_up(chip: Chip, policy: &str) {
     let Some(toolchain) = toolchain() else { return };
     let mut complaints = String::new();
-    for attempt in 0..ATTEMPTS {
+    for _ in 0..ATTEMPTS {
         let directory = tempfile::tempdir().unwrap();
         let out = directory.path().to_str().unwrap();
         let board = SimulatedBoard::start(toolchain, chip, Qube::new(0));

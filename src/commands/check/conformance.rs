@@ -91,6 +91,9 @@ fn open(device: &ChosenDevice) -> Result<Wire, Failure> {
         (DeviceChoice::Port(port), ClockChoice::Virtual) => {
             Err(Failure::usage(RigError::VirtualPort { port: port.clone() }))
         }
+        (DeviceChoice::Other(_), _) => {
+            Err(Failure::usage("only a port or the emulated Qube can be put to this test"))
+        }
     }
 }
 

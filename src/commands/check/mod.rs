@@ -111,7 +111,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 /// What the written file begins from: what it says already.
 fn base_file(path: &Path, device: &ChosenDevice) -> Result<QubeFile, Failure> {
-    if device.choice == DeviceChoice::Emulated {
+    if matches!(device.choice, DeviceChoice::Emulated) {
         return Err(Failure::usage(
             "--write is for a Qube at a port: the embedded emulator needs no file. Give --device",
         ));

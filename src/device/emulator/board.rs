@@ -37,6 +37,8 @@ pub struct Board {
     stall_error: bool,
     frozen_alpha_counts: Option<i32>,
     watchdog_fed_us: u64,
+    /// When it last left the armed state.
+    switched_off_us: Option<u64>,
     motor_counts: i16,
     last_act_sequence: u16,
     previous_sample_us: Option<u64>,
@@ -64,6 +66,7 @@ impl Board {
             stall_error: false,
             frozen_alpha_counts: None,
             watchdog_fed_us: 0,
+            switched_off_us: None,
             motor_counts: 0,
             last_act_sequence: 0,
             previous_sample_us: None,
@@ -148,6 +151,24 @@ impl Board {
     #[must_use]
     pub fn state(&self) -> DeviceState {
         self.state
+    }
+
+    /// When the last valid command came, an arm or an accepted act, by its own clock.
+    #[must_use]
+    pub fn last_command_us(&self) -> u64 {
+        self.watchdog_fed_us
+    }
+
+    /// When the amplifier last went off, by its own clock; none where it never was on.
+    #[must_use]
+    pub fn switched_off_us(&self) -> Option<u64> {
+        self.switched_off_us
+    }
+
+    /// The voltage at the motor, mV; 0 while the amplifier is off.
+    #[must_use]
+    pub fn applied_mv(&self) -> i16 {
+        motor_voltage_mv(self.motor_counts)
     }
 
     fn answer(&mut self, frame: &Frame) -> Option<Reply> {
@@ -285,6 +306,9 @@ impl Board {
 
     /// Switches the motor off and takes another state.
     fn leave_armed(&mut self, next: DeviceState) {
+        if self.state == DeviceState::Armed {
+            self.switched_off_us = Some(self.now_us);
+        }
         self.drive(0);
         self.state = next;
     }

@@ -57,7 +57,10 @@ pub(super) fn check(
     let port = &settings.identity.port;
     let mut seen = match push(device, clock, stop, signs, port)? {
         Ok(seen) => seen,
-        Err(fault) => return Ok(give_up(found, fault)),
+        Err(fault) => {
+            give_up(found, fault);
+            return Ok(());
+        }
     };
     if settings.learn_signs
         && let Some(right) = right_signs(signs, &seen).filter(|right| *right != signs)
@@ -67,7 +70,10 @@ pub(super) fn check(
         rest::wait(device, clock, stop, port)?;
         match push(device, clock, stop, signs, port)? {
             Ok(again) => seen = again,
-            Err(fault) => return Ok(give_up(found, fault)),
+            Err(fault) => {
+                give_up(found, fault);
+                return Ok(());
+            }
         }
     }
     found.results.extend(judge(&seen, signs, signs != settings.signs));

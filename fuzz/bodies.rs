@@ -1,0 +1,218 @@
+//! What is done with bytes of any origin. Run by the fuzzer on what it makes up, and by
+//! `tests/fuzz_corpus.rs` on the corpus.
+//!
+//! Each body takes the bytes as they are, or, where their first byte says so, puts the checksums
+//! right first: behind a checksum that does not fit a fuzzer never sees anything.
+#![allow(dead_code)]
+
+use std::io::Write;
+use std::path::Path;
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use firmware_protocol::{Decoder, DeviceState, EncodedFrame, Reply, Request};
+use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
+use qube_hil::device::emulator::{Board, EmulatorSettings};
+use qube_hil::device::{Device, LinkFault, SerialLink, Transport};
+use qube_hil::policy::Policy;
+use qube_hil::qube::State;
+use qube_hil::session::{Extent, SessionSettings, candidates, next_step, parse_ledger};
+
+const CRC_32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// Frames for a device, frames for a host, and what is neither.
+pub fn wire(bytes: &[u8]) {
+    let Some((&mode, bytes)) = bytes.split_first() else { return };
+    match mode % 4 {
+        0 => decode(bytes),
+        1 => to_board(bytes.iter().copied()),
+        2 => {
+            let frames: Vec<u8> = with_checksums(bytes).collect();
+            to_board(frames.into_iter());
+        }
+        _ => to_host(bytes),
+    }
+}
+
+/// A frame that is taken is the one that its content makes.
+fn decode(bytes: &[u8]) {
+    let mut decoder = Decoder::new();
+    for &byte in bytes {
+        let Some(Ok(frame)) = decoder.push(byte) else { continue };
+        if let Ok(request) = Request::parse(&frame) {
+            let again = request.encode(frame.sequence);
+            assert!(again.as_bytes().len() <= firmware_protocol::MAX_FRAME_BYTES);
+        }
+        if let Ok(reply) = Reply::parse(&frame) {
+            let again = reply.encode(frame.sequence);
+            let mut decoder = Decoder::new();
+            let frame = again.as_bytes().iter().find_map(|&byte| decoder.push(byte));
+            assert_eq!(
+                frame.and_then(Result::ok).map(|frame| Reply::parse(&frame)),
+                Some(Ok(reply))
+            );
+        }
+    }
+}
+
+/// Pieces of the bytes as the contents of valid frames: the first byte of each says how long it is.
+fn with_checksums(mut bytes: &[u8]) -> impl Iterator<Item = u8> + '_ {
+    let mut frames = Vec::new();
+    while let [length, message_type, low, high, rest @ ..] = bytes {
+        let length = usize::from(length % 26).min(rest.len());
+        let sequence = u16::from_le_bytes([*low, *high]);
+        frames.extend(EncodedFrame::new(message_type % 16, sequence, &rest[..length]).as_bytes());
+        bytes = &rest[length..];
+    }
+    frames.into_iter()
+}
+
+/// Whatever a device hears, its amplifier is on for no more than the watchdog allows and never at
+/// more than 5 V.
+fn to_board(bytes: impl Iterator<Item = u8>) {
+    let mut board = Board::new(EmulatorSettings::default());
+    let mut now_us = 0;
+    for byte in bytes {
+        now_us += 20 + 1000 * u64::from(byte % 3);
+        board.advance_to(now_us);
+        board.receive(byte);
+        if board.state() == DeviceState::Armed {
+            assert!(now_us - board.last_command_us() <= 55_000);
+        } else {
+            assert_eq!(board.applied_mv(), 0);
+        }
+        assert!(board.applied_mv().abs() <= 5_020, "the nearest count to 5 V is 4997 mV");
+    }
+}
+
+/// A port that says the bytes to whatever it is asked.
+struct Chatter<'a> {
+    bytes: &'a [u8],
+    clock: VirtualClock,
+}
+
+impl Transport for Chatter<'_> {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        let length = buffer.len().min(self.bytes.len()).min(48);
+        let (now, later) = self.bytes.split_at(length);
+        buffer[..length].copy_from_slice(now);
+        self.bytes = later;
+        self.clock.sleep_until(if length == 0 { deadline_ns } else { self.clock.now_ns() + 1000 });
+        Ok(length)
+    }
+
+    fn write(&mut self, _bytes: &[u8]) -> Result<(), LinkFault> {
+        Ok(())
+    }
+
+    fn name(&self) -> &str {
+        "chatter"
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        200_000_000
+    }
+}
+
+/// Whatever a port says, the host neither panics nor waits longer than it is told.
+fn to_host(bytes: &[u8]) {
+    let clock = VirtualClock::default();
+    let chatter = Chatter { bytes, clock: clock.clone() };
+    let mut link = SerialLink::new(chatter, std::sync::Arc::new(clock.clone()));
+    let _ = link.hello();
+    let _ = link.arm();
+    let deadline_ns = clock.now_ns() + 6_000_000;
+    let _ = link.sample(deadline_ns);
+    assert!(clock.now_ns() <= deadline_ns + 1_000_000);
+    let _ = link.act(1000);
+    let _ = link.disarm();
+}
+
+/// A policy that is taken comes back the same, and decides without a panic.
+pub fn policy(bytes: &[u8]) {
+    let Ok(mut policy) = Policy::from_bytes(bytes) else { return };
+    let again = policy.to_bytes();
+    let same = Policy::from_bytes(&again).map(|policy| policy.to_bytes());
+    assert!(same.is_ok_and(|same| same == again));
+    for scale in [0.0, 1.0, 1e3, f64::NAN] {
+        let state = State { theta: scale, alpha: -scale, theta_dot: 9.0 * scale, alpha_dot: scale };
+        let _ = policy.voltage_v(&state);
+    }
+}
+
+/// A recording that is read has no more in it than a rollout can have.
+pub fn recording(bytes: &[u8]) {
+    let Some((&mode, rest)) = bytes.split_first() else { return };
+    let parsed = match mode {
+        // The content of one block, compressed and under its checksum.
+        0 => qube_hil::recording::parse(&begun(6, &block(rest))),
+        // A metadata record.
+        1 => qube_hil::recording::parse(&begun(12, rest)),
+        // An attachment, under its checksum.
+        2 => {
+            let checksum = CRC_32.checksum(rest).to_le_bytes();
+            qube_hil::recording::parse(&begun(9, &[rest, &checksum].concat()))
+        }
+        _ => qube_hil::recording::parse(bytes),
+    };
+    if let Ok(recording) = parsed {
+        let _ = qube_hil::recording::return_of(&recording.ticks, &recording.header.reward);
+        let _ = qube_hil::session::judge_recording(&recording);
+    }
+}
+
+/// The beginning of a real recording (header, policy, channels), and one record more.
+fn begun(opcode: u8, body: &[u8]) -> Vec<u8> {
+    const BEGUN: &[u8] = include_bytes!("begun.mcap");
+    let mut bytes = BEGUN.to_vec();
+    bytes.push(opcode);
+    bytes.extend((body.len() as u64).to_le_bytes());
+    bytes.extend(body);
+    bytes
+}
+
+fn block(content: &[u8]) -> Vec<u8> {
+    let mut encoder = lz4::EncoderBuilder::new().build(Vec::new()).expect("memory");
+    encoder.write_all(content).expect("memory");
+    let packed = encoder.finish().0;
+    let mut chunk = vec![0; 16];
+    chunk.extend((content.len() as u64).to_le_bytes());
+    chunk.extend(CRC_32.checksum(content).to_le_bytes());
+    chunk.extend(3_u32.to_le_bytes());
+    chunk.extend(b"lz4");
+    chunk.extend((packed.len() as u64).to_le_bytes());
+    chunk.extend(packed);
+    chunk
+}
+
+/// A configuration that is taken can be written and read back the same.
+pub fn configuration(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let path = Path::new("session.toml");
+    let Ok(settings) = SessionSettings::quick().overridden_by_text(text, path) else { return };
+    if let Ok(written) = settings.to_toml() {
+        let again = SessionSettings::thesis().overridden_by_text(&written, path);
+        assert_eq!(again.ok(), Some(settings));
+    }
+}
+
+/// A ledger that is taken tells a story that can go on.
+pub fn ledger(bytes: &[u8]) {
+    let Some((&mode, rest)) = bytes.split_first() else { return };
+    let mut text = Vec::new();
+    let bytes = if mode == b'!' {
+        for entry in rest.split(|&byte| byte == b'\n') {
+            let checksum = CRC_32.checksum(entry);
+            let _ = write!(text, "{{\"crc32\":\"{checksum:08x}\",\"entry\":");
+            text.extend(entry);
+            text.extend(b"}\n");
+        }
+        text.as_slice()
+    } else {
+        bytes
+    };
+    if let Ok(parsed) = parse_ledger(bytes) {
+        assert!(parsed.whole_bytes <= bytes.len());
+        let _ = next_step(&parsed.entries, &Extent::QUICK);
+        assert!(candidates(&parsed.entries).len() <= parsed.entries.len());
+    }
+}

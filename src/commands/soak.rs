@@ -1,0 +1,259 @@
+use std::path::PathBuf;
+use std::time::Instant;
+
+use serde_json::{Value, json};
+
+use super::device_arguments::{CheckArguments, DeviceArguments};
+use super::exit::Failure;
+use super::output::Output;
+use super::stop::Stop;
+use super::{failures, warn_without_realtime};
+use crate::device::emulator::EmulatorSettings;
+use crate::estimation::EstimatorSettings;
+use crate::policy::{ClassicalController, ClassicalGains, Policy};
+use crate::qube::{CONTROL_PERIOD_NS, MAX_STEPS};
+use crate::recording::{Recording, read};
+use crate::safety::SafetyBox;
+use crate::session::{Rig, RolloutPlan, Verdict, judge_recording};
+use crate::storage::MachineDisk;
+use crate::telemetry::Ending;
+
+/// Most memory that the program may have gained over a soak.
+const MAX_GROWTH_BYTES: i64 = 5_000_000;
+
+/// Rollouts after which everything is as large as it gets: buffers, threads' stacks, caches.
+const WARM_UP_ROLLOUTS: u64 = 20;
+
+/// Run for hours: rollout after rollout by the classical controller, each recorded, read back and
+/// checked; no tick may be dropped and the memory may not grow
+///
+/// With `--clock virtual` a day takes minutes. Exit code 3 when a tick was lost, 4 when a fault ended
+/// a rollout, 1 when the memory grew by more than 5 MB.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil soak --clock virtual                # 24 hours of ticks\n  \
+    qube-hil soak --hours 1                      # an hour by the wall clock, over a pty\n  \
+    qube-hil soak --hours 8 --device /dev/ttyACM0")]
+pub struct Arguments {
+    /// Hours of ticks
+    #[arg(long, default_value_t = 24.0, value_parser = hours)]
+    hours: f64,
+
+    /// Decides where the arm starts and what the emulated Qube is like
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+
+    /// Keep the recordings in this folder; without it each is deleted once it is checked
+    #[arg(long, value_name = "DIR")]
+    keep: Option<PathBuf>,
+
+    #[command(flatten)]
+    device: DeviceArguments,
+
+    #[command(flatten)]
+    check: CheckArguments,
+}
+
+fn hours(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
+        _ => Err("give a number above 0".into()),
+    }
+}
+
+/// Runs until the hours are over and says what came of it.
+pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
+    let stop = Stop::on_signals()?;
+    let folder = Folder::new(arguments.keep.clone())?;
+    let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
+    let estimator = EstimatorSettings::default();
+    let device = arguments.device.choose()?;
+    let emulator = EmulatorSettings { seed: arguments.seed, ..EmulatorSettings::default() };
+    let settings = device.rig_settings(emulator, estimator, arguments.check.skip_check);
+    let mut rig = Rig::open(&settings, &stop.flag).map_err(|error| failures::rig(error, &stop))?;
+    warn_without_realtime(rig.realtime());
+
+    let ticks_wanted = (arguments.hours * 3600e9 / CONTROL_PERIOD_NS as f64).ceil() as u64;
+    let started = Instant::now();
+    let mut soaked = Soaked::default();
+    while soaked.ticks < ticks_wanted && !stop.requested() {
+        let rollout = soaked.rollouts as u32;
+        let path = folder.path.join(format!("rollout-{rollout}.mcap"));
+        let plan = RolloutPlan {
+            session: "soak".into(),
+            candidate: None,
+            rollout,
+            attempt: 0,
+            psi: Default::default(),
+            seed: arguments.seed,
+            policy: "classical".into(),
+            estimator,
+            safety_box: device.safety_box(SafetyBox::THESIS),
+            steps: MAX_STEPS as u32,
+        };
+        rig.rollout(&MachineDisk, &path, plan.header(), &policy)
+            .map_err(|error| failures::rig(error, &stop))?;
+        soaked.add(&read(&path).map_err(Failure::data_lost)?);
+        folder.is_done_with(&path)?;
+        if soaked.rollouts.is_multiple_of(200) {
+            eprintln!("{:.1} h of {} h", soaked.hours(), arguments.hours);
+        }
+        if soaked.last_was_void && !stop.requested() {
+            rig.start_again().map_err(|error| failures::rig(error, &stop))?;
+        }
+    }
+
+    let mut result = soaked.json();
+    result["wall_s"] = json!(started.elapsed().as_secs_f64());
+    output.print(&soaked.text(), &result);
+    if stop.requested() {
+        return Err(stop.failure("stopped before the hours were over"));
+    }
+    soaked.judge()
+}
+
+/// Where the recordings go.
+struct Folder {
+    path: PathBuf,
+    keeps: bool,
+}
+
+impl Folder {
+    fn new(keep: Option<PathBuf>) -> Result<Self, Failure> {
+        let keeps = keep.is_some();
+        let name = format!("qube-hil-soak-{}", std::process::id());
+        let path = keep.unwrap_or_else(|| std::env::temp_dir().join(name));
+        std::fs::create_dir_all(&path)
+            .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
+        Ok(Self { path, keeps })
+    }
+
+    fn is_done_with(&self, recording: &std::path::Path) -> Result<(), Failure> {
+        if self.keeps {
+            return Ok(());
+        }
+        std::fs::remove_file(recording)
+            .map_err(|error| Failure::failed(format!("{}: {error}", recording.display())))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        if !self.keeps {
+            let _ = std::fs::remove_dir_all(&self.path);
+        }
+    }
+}
+
+/// What was seen so far; does not grow with it.
+#[derive(Debug, Default)]
+struct Soaked {
+    rollouts: u64,
+    ticks: u64,
+    /// Ticks that the recordings lack.
+    lost: u64,
+    missed_deadlines: u64,
+    void: u64,
+    last_was_void: bool,
+    last_fault: Option<String>,
+    largest_lateness_ns: u64,
+    memory_at_start_bytes: Option<i64>,
+    memory_bytes: i64,
+}
+
+impl Soaked {
+    fn add(&mut self, recording: &Recording) {
+        self.rollouts += 1;
+        self.ticks += recording.ticks.len() as u64;
+        let numbered = recording.ticks.last().map_or(0, |last| u64::from(last.tick) + 1);
+        let said_lost = recording.outcome.as_ref().map_or(0, |outcome| outcome.records_lost);
+        self.lost += said_lost.max(numbered - recording.ticks.len() as u64);
+        let missed = recording.outcome.as_ref().map_or(0, |outcome| outcome.missed_deadlines);
+        self.missed_deadlines += u64::from(missed);
+        let latest = recording.ticks.iter().map(|tick| tick.lateness_ns).max();
+        self.largest_lateness_ns = self.largest_lateness_ns.max(latest.unwrap_or(0));
+        let stopped = recording.outcome.as_ref().is_some_and(|it| it.ending == Ending::Stopped);
+        self.last_was_void = match judge_recording(recording) {
+            Verdict::Void { reason } => {
+                self.void += 1;
+                self.last_fault = Some(reason);
+                true
+            }
+            Verdict::Result { .. } => false,
+            Verdict::Unfinished => {
+                // A recording without its end, though nobody asked to stop.
+                self.lost += u64::from(!stopped);
+                false
+            }
+        };
+        self.memory_bytes = resident_bytes();
+        if self.rollouts == WARM_UP_ROLLOUTS {
+            self.memory_at_start_bytes = Some(self.memory_bytes);
+        }
+    }
+
+    fn hours(&self) -> f64 {
+        (self.ticks * CONTROL_PERIOD_NS) as f64 / 3600e9
+    }
+
+    /// None of a soak that was over before it had warmed up.
+    fn growth_bytes(&self) -> Option<i64> {
+        self.memory_at_start_bytes.map(|start| self.memory_bytes - start)
+    }
+
+    fn judge(&self) -> Result<(), Failure> {
+        if self.lost > 0 {
+            return Err(Failure::data_lost(format!("{} ticks were lost", self.lost)));
+        }
+        if let Some(fault) = &self.last_fault {
+            let void = self.void;
+            return Err(Failure::fault(format!("{void} rollouts were ended by faults: {fault}")));
+        }
+        match self.growth_bytes() {
+            Some(growth) if growth > MAX_GROWTH_BYTES => {
+                Err(Failure::failed(format!("the memory grew by {growth} bytes")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn text(&self) -> String {
+        let growth = match self.growth_bytes() {
+            Some(growth) => format!("{:+.2} MB", growth as f64 * 1e-6),
+            None => format!("not judged in less than {WARM_UP_ROLLOUTS} rollouts"),
+        };
+        format!(
+            "{} ticks ({:.2} h) in {} rollouts: {} lost, {} missed deadlines, {} rollouts void\n\
+             latest wake-up {:.0} us; memory {:.1} MB, {growth}",
+            self.ticks,
+            self.hours(),
+            self.rollouts,
+            self.lost,
+            self.missed_deadlines,
+            self.void,
+            self.largest_lateness_ns as f64 * 1e-3,
+            self.memory_bytes as f64 * 1e-6,
+        )
+    }
+
+    fn json(&self) -> Value {
+        json!({
+            "ticks": self.ticks,
+            "hours": self.hours(),
+            "rollouts": self.rollouts,
+            "lost": self.lost,
+            "missed_deadlines": self.missed_deadlines,
+            "void": self.void,
+            "memory_bytes": self.memory_bytes,
+            "growth_bytes": self.growth_bytes(),
+        })
+    }
+}
+
+/// Memory of this process that is in use now: `VmRSS:  1234 kB` in /proc/self/status.
+fn resident_bytes() -> i64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let kilobytes = line.and_then(|text| text.split_whitespace().next()?.parse::<i64>().ok());
+    kilobytes.unwrap_or(0) * 1024
+}

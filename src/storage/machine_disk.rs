@@ -1,0 +1,97 @@
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use super::{Disk, DiskFile, Hold, sync_name};
+
+/// The disk of this machine.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct MachineDisk;
+
+impl Disk for MachineDisk {
+    fn create_folder(&self, path: &Path) -> io::Result<()> {
+        if path.as_os_str().is_empty() || path.is_dir() {
+            return Ok(());
+        }
+        if let Some(parent) = path.parent() {
+            self.create_folder(parent)?;
+        }
+        match fs::create_dir(path) {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
+            _ => sync_name(self, path),
+        }
+    }
+
+    fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>> {
+        let mut options = OpenOptions::new();
+        options.write(true).create_new(!replace).create(replace).truncate(replace);
+        Ok(Box::new(options.open(path)?))
+    }
+
+    fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>> {
+        let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
+        file.seek(SeekFrom::End(0))?;
+        Ok(Box::new(file))
+    }
+
+    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        File::open(path)?.take(limit.saturating_add(1)).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn exists(&self, path: &Path) -> bool {
+        path.exists()
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+
+    fn sync_folder(&self, path: &Path) -> io::Result<()> {
+        File::open(path)?.sync_all()
+    }
+
+    fn hold(&self, folder: &Path) -> Result<Hold, TryLockError> {
+        let lock = File::open(folder).map_err(TryLockError::Error)?;
+        lock.try_lock()?;
+        Ok(Hold { _lock: Some(lock) })
+    }
+}
+
+impl DiskFile for File {
+    fn sync(&mut self) -> io::Result<()> {
+        self.sync_all()
+    }
+
+    fn cut_to(&mut self, length: u64) -> io::Result<()> {
+        self.set_len(length)?;
+        self.seek(SeekFrom::Start(length)).map(drop)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_made_once_cut_and_continued() {
+        let directory = tempfile::tempdir().unwrap();
+        let folder = directory.path().join("a/b");
+        MachineDisk.create_folder(&folder).unwrap();
+        MachineDisk.create_folder(&folder).unwrap();
+        let path = folder.join("file");
+        MachineDisk.create(&path, false).unwrap().write_all(b"one two").unwrap();
+        let again = MachineDisk.create(&path, false).unwrap_err();
+        assert_eq!(again.kind(), io::ErrorKind::AlreadyExists);
+        let mut file = MachineDisk.append(&path).unwrap();
+        file.write_all(b" three").unwrap();
+        file.cut_to(4).unwrap();
+        file.write_all(b"more").unwrap();
+        file.sync().unwrap();
+        assert_eq!(MachineDisk.read(&path, 100).unwrap(), b"one more");
+        assert_eq!(MachineDisk.read(&path, 2).unwrap(), b"one");
+        MachineDisk.create(&path, true).unwrap();
+        assert_eq!(MachineDisk.read(&path, 100).unwrap(), b"");
+    }
+}

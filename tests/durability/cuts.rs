@@ -1,0 +1,141 @@
+//! Ledger and recordings cut off at every byte, disks that fail at every operation: the session goes
+//! on to the same ledger.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use qube_hil::session::{SessionError, Verdict, judge};
+
+use crate::count_from;
+use crate::schedules::{Undisturbed, ledger_path, live, recordings};
+use crate::simulated_disk::{DiskFault, SimulatedDisk, Stopped};
+use crate::world::Wiring;
+
+/// Does something for each number below a count, on all processors.
+fn each_of(count: u64, stride: u64, action: impl Fn(u64) + Sync) {
+    let next = AtomicU64::new(0);
+    let workers = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..workers {
+            scope.spawn(|| {
+                loop {
+                    let number = next.fetch_add(stride, Ordering::Relaxed);
+                    if number >= count {
+                        return;
+                    }
+                    action(number);
+                }
+            });
+        }
+    });
+}
+
+/// Resumes without faults. The ledger at the end must be the undisturbed one; gives how many rigs
+/// were opened, that is, how many rollouts were done again.
+fn resumes_to_the_same_ledger(world: &Undisturbed, disk: &SimulatedDisk, what: &str) -> usize {
+    let life = live(&world.settings, disk, Wiring::default(), Arc::default());
+    life.result.unwrap_or_else(|error| panic!("{what}: {error}"));
+    assert!(disk.bytes(&ledger_path()).unwrap() == world.ledger, "{what}: another ledger");
+    life.wire_operations.len()
+}
+
+#[test]
+fn a_ledger_cut_at_any_byte_costs_no_rollout() {
+    let world = Undisturbed::world(0);
+    let length = world.ledger.len() as u64;
+    each_of(length + 1, 1, |cut| {
+        let disk = world.disk.copied();
+        disk.put(&ledger_path(), &world.ledger[..cut as usize]);
+        let rollouts = resumes_to_the_same_ledger(world, &disk, &format!("cut at {cut}"));
+        assert_eq!(rollouts, 0, "cut at {cut}: a finished rollout was done again");
+    });
+    println!("ledger cut at each of {length} bytes: no rollout lost, none done again");
+}
+
+#[test]
+fn a_recording_cut_at_any_byte_is_done_again_and_counted_once() {
+    let world = Undisturbed::world(0);
+    let path = recordings(&world.disk).remove(0);
+    let whole = world.disk.bytes(&path).unwrap();
+    let length = whole.len() as u64;
+
+    // No cut is ever taken for a result ...
+    each_of(length, count_from("QUBE_HIL_CUT_STRIDE", 13), |cut| {
+        let disk = SimulatedDisk::default();
+        disk.put(&path, &whole[..cut as usize]);
+        let verdict = judge(&disk, &path);
+        assert!(matches!(verdict, Ok(Verdict::Unfinished) | Err(_)), "cut at {cut}: {verdict:?}");
+    });
+
+    // ... and each is put aside and done again. The ledger ends where the crash left it: before
+    // this rollout was counted.
+    let text = String::from_utf8(world.ledger.clone()).unwrap();
+    let before = text.find("rollout_finished").unwrap();
+    let before = text[..before].rfind('\n').unwrap() + 1;
+    let stride = count_from("QUBE_HIL_CUT_RESUME_STRIDE", 1009);
+    each_of(length, stride, |cut| {
+        let disk = world.disk.copied();
+        disk.put(&ledger_path(), &world.ledger[..before]);
+        disk.put(&path, &whole[..cut as usize]);
+        let rollouts = resumes_to_the_same_ledger(world, &disk, &format!("cut at {cut}"));
+        assert_eq!(rollouts, 1, "cut at {cut}");
+        assert!(disk.bytes(&path).unwrap() == whole, "cut at {cut}: another recording");
+        let aside = path.with_extension("unfinished-1.mcap");
+        assert_eq!(disk.bytes(&aside).unwrap(), &whole[..cut as usize]);
+    });
+    println!("a recording of {length} bytes cut: judged, put aside, done again, counted once");
+}
+
+#[test]
+fn a_disk_that_fails_at_any_operation_ends_the_session_with_a_sentence_and_keeps_what_was_synced() {
+    const FAULTS: [DiskFault; 5] = [
+        DiskFault::Full,
+        DiskFault::ReadOnly,
+        DiskFault::WriteFails,
+        DiskFault::SyncFails,
+        DiskFault::Crash,
+    ];
+    let world = Undisturbed::world(1);
+    let after_training = world.trained_disk();
+    let before = after_training.operations();
+    resumes_to_the_same_ledger(world, &after_training, "undisturbed");
+    let operations = after_training.operations() - before;
+    let stride = count_from("QUBE_HIL_DISK_STRIDE", 5);
+    // From the first rollout on, and, less densely, from the very beginning.
+    for (disk, operations, stride) in [
+        (world.trained_disk(), operations, stride),
+        (SimulatedDisk::default(), world.disk_operations, stride * 16 + 1),
+    ] {
+        each_of(operations * FAULTS.len() as u64, stride, |case| {
+            let (operation, fault) =
+                (case / FAULTS.len() as u64, FAULTS[case as usize % FAULTS.len()]);
+            let disk = disk.copied();
+            disk.plan([(operation, fault)]);
+            one_fault(world, &disk, fault, &format!("{fault:?} at operation {operation}"), case);
+        });
+    }
+    println!("{operations} operations on the disk, {} kinds of fault", FAULTS.len());
+}
+
+fn one_fault(world: &Undisturbed, disk: &SimulatedDisk, fault: DiskFault, what: &str, seed: u64) {
+    let wiring = Wiring::new(Vec::new(), None, disk.crashed());
+    let life = live(&world.settings, disk, wiring, Arc::new(AtomicBool::new(false)));
+    if let Err(error) = &life.result {
+        let sentence = error.to_string();
+        let named = match (fault, error) {
+            (DiskFault::Crash, _) => true,
+            (DiskFault::Full, SessionError::Rig(_) | SessionError::Recording(_)) => {
+                sentence.contains("full") || sentence.contains("space")
+            }
+            _ => sentence.contains("/session"),
+        };
+        assert!(named, "{what}: {sentence}");
+    }
+    for stopped in [Stopped::Killed, Stopped::PowerLost(seed)] {
+        let after = disk.restarted(stopped);
+        if life.entries.is_empty() {
+            continue;
+        }
+        resumes_to_the_same_ledger(world, &after, what);
+    }
+}

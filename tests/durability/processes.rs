@@ -1,0 +1,194 @@
+//! What only whole processes can show: one commander for a device, a process that is stopped in the
+//! middle of a rollout, processes that are killed at any instant.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use qube_hil::recording::read;
+use qube_hil::session::{Entry, Verdict, judge, parse_ledger};
+use qube_hil::storage::MachineDisk;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::count_from;
+
+/// Long enough for any machine that is merely busy.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+fn program(directory: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).args(arguments).stdin(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+/// A process that goes with the test.
+struct Running(Child);
+
+impl Running {
+    fn signal(&self, signal: Signal) {
+        // It may have ended of itself by now.
+        let _ = kill_process(Pid::from_child(&self.0), signal);
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.signal(Signal::CONT);
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// An emulated Qube in a process of its own, and its port.
+fn emulate(directory: &Path) -> (Running, String) {
+    let mut child =
+        program(directory, &["emulate"]).stdout(Stdio::piped()).spawn().expect("it starts");
+    let mut port = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut port).unwrap();
+    (Running(child), port.trim().to_owned())
+}
+
+/// Starts `run` on a port and waits until ticks of its first rollout are on disk.
+fn run_until_a_rollout_is_under_way(directory: &Path, port: &str) -> Running {
+    let arguments =
+        ["run", "--policy", "classical", "--device", port, "--skip-check", "--out", "out"];
+    let child = program(directory, &arguments).stdout(Stdio::null()).spawn().expect("it starts");
+    let running = Running(child);
+    let recording = directory.join("out/rollout-0.mcap");
+    let begun = Instant::now();
+    while !read(&recording).is_ok_and(|recording| recording.ticks.len() > 5) {
+        assert!(begun.elapsed() < PATIENCE, "no rollout begins");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    running
+}
+
+#[test]
+fn a_second_commander_is_refused_within_a_second_and_told_who_the_first_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let (_qube, port) = emulate(directory.path());
+    let first = run_until_a_rollout_is_under_way(directory.path(), &port);
+    let holder = format!("process {} ", first.0.id());
+    let mut fastest = Duration::MAX;
+    for _ in 0..3 {
+        let begun = Instant::now();
+        let arguments =
+            ["run", "--policy", "classical", "--device", &port, "--skip-check", "--out", "second"];
+        let Output { status, stderr, .. } = program(directory.path(), &arguments).output().unwrap();
+        fastest = fastest.min(begun.elapsed());
+        let stderr = String::from_utf8_lossy(&stderr);
+        assert_eq!(status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains("in use") && stderr.contains(&holder), "{holder}: {stderr}");
+    }
+    println!("refused within {fastest:?}");
+    assert!(fastest < Duration::from_secs(1), "refused only after {fastest:?}");
+}
+
+#[test]
+fn a_process_that_is_stopped_in_a_rollout_finds_the_watchdog_tripped_and_says_so() {
+    let directory = tempfile::tempdir().unwrap();
+    let (_qube, port) = emulate(directory.path());
+    let mut run = run_until_a_rollout_is_under_way(directory.path(), &port);
+    run.signal(Signal::STOP);
+    std::thread::sleep(Duration::from_millis(300));
+    run.signal(Signal::CONT);
+    let begun = Instant::now();
+    let status = loop {
+        if let Some(status) = run.0.try_wait().unwrap() {
+            break status;
+        }
+        assert!(begun.elapsed() < PATIENCE, "it never ends");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    let stderr = std::io::read_to_string(run.0.stderr.take().unwrap()).unwrap();
+    assert_eq!(status.code(), Some(4), "{stderr}");
+    assert!(stderr.contains("watchdog"), "{stderr}");
+    let recording = directory.path().join("out/rollout-0.mcap");
+    match judge(&MachineDisk, &recording).unwrap() {
+        Verdict::Void { reason } => assert!(reason.contains("watchdog"), "{reason}"),
+        other => panic!("{other:?}"),
+    }
+    // By the device's own clock: the motor had nothing any more when it was asked again.
+    let last = read(&recording).unwrap().ticks.iter().rev().find_map(|tick| tick.measurement);
+    let last = last.unwrap();
+    assert!(last.status.watchdog_tripped && last.applied_mv == 0, "{last:?}");
+}
+
+/// A session of a second: three candidates, 60 steps each.
+const SMALL: &str = "seed = 5\nstrategy = \"random\"\n\
+    [extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 2\nverification_rollouts = 2\n\
+    steps = 60\n\
+    [homing]\nmethod = \"hand\"\n\
+    [training]\nupdates = 1\npendulums = 16\nepochs = 1\nevaluation_starts = 16\n";
+
+fn session(directory: &Path, name: &str) -> Running {
+    let folder = directory.join(name);
+    let begun = folder.join("session.toml").exists();
+    let mut arguments = vec!["session", "--clock", "virtual"];
+    if begun {
+        arguments.extend(["--resume", name]);
+    } else {
+        let _ = std::fs::remove_dir_all(&folder);
+        arguments.extend(["--config", "small.toml", "--out", name]);
+    }
+    let mut command = program(directory, &arguments);
+    Running(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("it starts"))
+}
+
+fn ledger(folder: &Path) -> Vec<u8> {
+    std::fs::read(folder.join("ledger.jsonl")).unwrap_or_default()
+}
+
+/// Recordings that a kill has cut off: those in the folder that are put aside.
+fn cut_off(folder: &Path) -> Vec<PathBuf> {
+    let candidates = std::fs::read_dir(folder.join("candidates")).into_iter().flatten().flatten();
+    candidates
+        .flat_map(|candidate| std::fs::read_dir(candidate.path()).into_iter().flatten().flatten())
+        .map(|file| file.path())
+        .filter(|path| path.to_string_lossy().contains("unfinished-"))
+        .collect()
+}
+
+#[test]
+fn killed_at_random_instants_nothing_finished_is_lost_or_repeated() {
+    let kills_wanted = count_from("QUBE_HIL_KILLS", 8);
+    let mut random = ChaCha8Rng::seed_from_u64(count_from("QUBE_HIL_KILLS_SEED", 1));
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("small.toml"), SMALL).unwrap();
+    let begun = Instant::now();
+    assert!(session(directory.path(), "whole").0.wait().unwrap().success());
+    let length = begun.elapsed();
+    let whole = ledger(&directory.path().join("whole"));
+
+    let (mut kills, mut sessions, mut aside) = (0, 0, 0);
+    while kills < kills_wanted {
+        let name = format!("killed-{sessions}");
+        let folder = directory.path().join(&name);
+        let mut seen: Vec<Entry> = Vec::new();
+        loop {
+            let mut running = session(directory.path(), &name);
+            // Most kills strike early, so that a session has many lives.
+            let fraction: f64 = random.random();
+            std::thread::sleep(length.mul_f64(fraction * fraction));
+            if let Some(status) = running.0.try_wait().unwrap() {
+                assert!(status.success(), "after {kills} kills: {status}");
+                break;
+            }
+            running.0.kill().unwrap();
+            running.0.wait().unwrap();
+            kills += 1;
+            let found = parse_ledger(&ledger(&folder)).unwrap().entries;
+            assert!(found.starts_with(&seen), "a finished entry is lost after {kills} kills");
+            seen = found;
+        }
+        let (found, undisturbed) = (ledger(&folder), String::from_utf8_lossy(&whole));
+        assert_eq!(String::from_utf8_lossy(&found), undisturbed);
+        aside += cut_off(&folder).len();
+        sessions += 1;
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+    println!("{kills} kills in {sessions} sessions, {aside} recordings cut off and done again");
+}

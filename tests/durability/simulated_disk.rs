@@ -1,0 +1,386 @@
+//! A disk in memory that fails at chosen operations and can lose its power.
+//!
+//! It is as unkind as POSIX allows: until a file is synced its new bytes may be lost, or read as
+//! zeros; until a folder is synced the names in it are the old ones or the new ones.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::fs::TryLockError;
+use std::io::{self, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use qube_hil::storage::{Disk, DiskFile, Hold};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// What goes wrong with an operation that changes something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DiskFault {
+    /// No room: a write takes half of its bytes and then fails. Lasts.
+    Full,
+    /// The file system has become read-only. Lasts.
+    ReadOnly,
+    /// A write or a change of names fails with EIO, once.
+    WriteFails,
+    /// From here on the next sync fails with EIO, once; what it was to save may be lost.
+    SyncFails,
+    /// The process is killed, or the power goes, in the middle of the operation. Nothing works
+    /// any more until [`SimulatedDisk::restarted`].
+    Crash,
+}
+
+/// How a machine stops.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stopped {
+    /// The process is gone; what the operating system was given stays.
+    Killed,
+    /// The machine is off; the seed decides what of the unsynced has got through.
+    PowerLost(u64),
+}
+
+#[derive(Clone, Debug, Default)]
+struct Node {
+    bytes: Vec<u8>,
+    synced: Vec<u8>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Name {
+    File(usize),
+    Folder,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Content {
+    nodes: Vec<Node>,
+    names: BTreeMap<PathBuf, Name>,
+    synced_names: BTreeMap<PathBuf, Name>,
+    operations: u64,
+    faults: BTreeMap<u64, DiskFault>,
+    lasting: Option<ErrorKind>,
+    sync_fails: bool,
+}
+
+/// The disk. Clones are handles of the same one.
+#[derive(Clone)]
+pub struct SimulatedDisk {
+    content: Arc<Mutex<Content>>,
+    crashed: Arc<AtomicBool>,
+}
+
+impl fmt::Debug for SimulatedDisk {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "SimulatedDisk after {} operations", self.operations())
+    }
+}
+
+impl Default for SimulatedDisk {
+    fn default() -> Self {
+        let mut content = Content::default();
+        content.names.insert(PathBuf::from("/"), Name::Folder);
+        content.synced_names = content.names.clone();
+        Self::holding(content)
+    }
+}
+
+impl SimulatedDisk {
+    fn holding(content: Content) -> Self {
+        Self { content: Arc::new(Mutex::new(content)), crashed: Arc::default() }
+    }
+
+    fn content(&self) -> MutexGuard<'_, Content> {
+        self.content.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Operations so far that changed something.
+    pub fn operations(&self) -> u64 {
+        self.content().operations
+    }
+
+    /// Another disk with the same content, all of it synced, and no faults.
+    pub fn copied(&self) -> Self {
+        self.restarted(Stopped::Killed)
+    }
+
+    /// Plans faults, each at the operation of this number from now on.
+    pub fn plan(&self, faults: impl IntoIterator<Item = (u64, DiskFault)>) {
+        let mut content = self.content();
+        let now = content.operations;
+        content.faults = faults.into_iter().map(|(after, fault)| (now + after, fault)).collect();
+    }
+
+    /// Set once a crash has struck: whatever else the process did is over at that moment too.
+    pub fn crashed(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.crashed)
+    }
+
+    /// What is found when the machine runs again, on a disk without faults.
+    pub fn restarted(&self, stopped: Stopped) -> Self {
+        let before = self.content().clone();
+        let mut after = Content { nodes: before.nodes.clone(), ..Content::default() };
+        match stopped {
+            Stopped::Killed => after.names = before.names,
+            Stopped::PowerLost(seed) => {
+                let mut random = ChaCha8Rng::seed_from_u64(seed);
+                for node in &mut after.nodes {
+                    node.bytes = got_through(node, &mut random);
+                }
+                // Of each folder the old names, or the new ones.
+                let mut is_new: BTreeMap<PathBuf, bool> = BTreeMap::new();
+                let mut pick = |path: &Path| {
+                    let folder = path.parent().unwrap_or(path).to_owned();
+                    *is_new.entry(folder).or_insert_with(|| random.random())
+                };
+                for (path, name) in &before.synced_names {
+                    if !pick(path) {
+                        after.names.insert(path.clone(), *name);
+                    }
+                }
+                for (path, name) in &before.names {
+                    if pick(path) {
+                        after.names.insert(path.clone(), *name);
+                    }
+                }
+                after.names.insert(PathBuf::from("/"), Name::Folder);
+                // What is in a folder that is not there is not there.
+                let known = after.names.clone();
+                after.names.retain(|path, _| {
+                    path.ancestors().skip(1).all(|folder| known.contains_key(folder))
+                });
+            }
+        }
+        for node in &mut after.nodes {
+            node.synced = node.bytes.clone();
+        }
+        after.synced_names = after.names.clone();
+        Self::holding(after)
+    }
+
+    /// The bytes of a file; none where there is no such file.
+    pub fn bytes(&self, path: &Path) -> Option<Vec<u8>> {
+        let content = self.content();
+        match content.names.get(path)? {
+            Name::File(node) => Some(content.nodes[*node].bytes.clone()),
+            Name::Folder => None,
+        }
+    }
+
+    /// Gives a file other bytes, on disk at once.
+    pub fn put(&self, path: &Path, bytes: &[u8]) {
+        let mut content = self.content();
+        let node = Node { bytes: bytes.to_vec(), synced: bytes.to_vec() };
+        content.nodes.push(node);
+        let name = Name::File(content.nodes.len() - 1);
+        content.names.insert(path.to_owned(), name);
+        content.synced_names.insert(path.to_owned(), name);
+    }
+
+    /// The files there are.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let content = self.content();
+        let files = content.names.iter().filter(|(_, name)| matches!(name, Name::File(_)));
+        files.map(|(path, _)| path.clone()).collect()
+    }
+
+    /// Counts an operation and fails it where that is planned. A crash is an error of its own kind
+    /// that comes back from every later operation too.
+    fn begin(&self, is_sync: bool) -> Result<MutexGuard<'_, Content>, (io::Error, bool)> {
+        let mut content = self.content();
+        if self.crashed.load(Ordering::SeqCst) {
+            return Err((io::Error::other("the machine is off"), false));
+        }
+        let operation = content.operations;
+        content.operations += 1;
+        let mut failing = None;
+        match content.faults.get(&operation) {
+            Some(DiskFault::Full) => content.lasting = Some(ErrorKind::StorageFull),
+            Some(DiskFault::ReadOnly) => content.lasting = Some(ErrorKind::ReadOnlyFilesystem),
+            Some(DiskFault::WriteFails) if !is_sync => failing = Some(ErrorKind::Other),
+            Some(DiskFault::SyncFails) => content.sync_fails = true,
+            Some(DiskFault::Crash) => {
+                self.crashed.store(true, Ordering::SeqCst);
+                return Err((io::Error::other("the machine is off"), true));
+            }
+            Some(DiskFault::WriteFails) | None => {}
+        }
+        if is_sync && std::mem::take(&mut content.sync_fails) {
+            failing = Some(ErrorKind::Other);
+        }
+        if !is_sync {
+            failing = failing.or(content.lasting);
+        }
+        match failing {
+            Some(ErrorKind::Other) => Err((io::Error::from_raw_os_error(libc::EIO), true)),
+            Some(kind) => Err((kind.into(), kind == ErrorKind::StorageFull)),
+            None => Ok(content),
+        }
+    }
+
+    fn change(&self) -> io::Result<MutexGuard<'_, Content>> {
+        self.begin(false).map_err(|(error, _)| error)
+    }
+}
+
+/// What of a file has got to the disk: all that was synced, and some of the rest, its last bytes
+/// perhaps as zeros.
+fn got_through(node: &Node, random: &mut ChaCha8Rng) -> Vec<u8> {
+    if node.bytes == node.synced {
+        return node.bytes.clone();
+    }
+    if !node.bytes.starts_with(&node.synced) {
+        // Cut off or begun anew: one or the other.
+        return if random.random() { node.bytes.clone() } else { node.synced.clone() };
+    }
+    let length = random.random_range(node.synced.len()..=node.bytes.len());
+    let mut bytes = node.bytes[..length].to_vec();
+    if random.random() {
+        let zeros_from = random.random_range(node.synced.len()..=length);
+        bytes[zeros_from..].fill(0);
+    }
+    bytes
+}
+
+impl Disk for SimulatedDisk {
+    fn create_folder(&self, path: &Path) -> io::Result<()> {
+        for folder in path.ancestors().collect::<Vec<_>>().into_iter().rev() {
+            if self.exists(folder) {
+                continue;
+            }
+            self.change()?.names.insert(folder.to_owned(), Name::Folder);
+            self.sync_folder(folder.parent().unwrap_or(folder))?;
+        }
+        Ok(())
+    }
+
+    fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>> {
+        let mut content = self.change()?;
+        let node = match content.names.get(path) {
+            Some(_) if !replace => return Err(ErrorKind::AlreadyExists.into()),
+            Some(Name::File(node)) => {
+                let node = *node;
+                content.nodes[node].bytes.clear();
+                node
+            }
+            Some(Name::Folder) => return Err(ErrorKind::IsADirectory.into()),
+            None => {
+                let parent = path.parent().unwrap_or(path);
+                if content.names.get(parent) != Some(&Name::Folder) {
+                    return Err(ErrorKind::NotFound.into());
+                }
+                content.nodes.push(Node::default());
+                let node = content.nodes.len() - 1;
+                content.names.insert(path.to_owned(), Name::File(node));
+                node
+            }
+        };
+        drop(content);
+        Ok(Box::new(SimulatedFile { disk: self.clone(), node }))
+    }
+
+    fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>> {
+        if let Some(Name::File(node)) = self.content().names.get(path) {
+            return Ok(Box::new(SimulatedFile { disk: self.clone(), node: *node }));
+        }
+        self.create(path, false)
+    }
+
+    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = self.bytes(path).ok_or(ErrorKind::NotFound)?;
+        bytes.truncate(limit as usize + 1);
+        Ok(bytes)
+    }
+
+    fn exists(&self, path: &Path) -> bool {
+        self.content().names.contains_key(path)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        let mut content = self.change()?;
+        let name = content.names.remove(from).ok_or(ErrorKind::NotFound)?;
+        content.names.insert(to.to_owned(), name);
+        Ok(())
+    }
+
+    fn sync_folder(&self, path: &Path) -> io::Result<()> {
+        let mut content = self.begin(true).map_err(|(error, _)| error)?;
+        content.synced_names.retain(|name, _| name.parent() != Some(path));
+        let now: Vec<_> = content
+            .names
+            .iter()
+            .filter(|(name, _)| name.parent() == Some(path))
+            .map(|(name, node)| (name.clone(), *node))
+            .collect();
+        content.synced_names.extend(now);
+        Ok(())
+    }
+
+    fn hold(&self, _folder: &Path) -> Result<Hold, TryLockError> {
+        Ok(Hold::unshared())
+    }
+}
+
+#[derive(Debug)]
+struct SimulatedFile {
+    disk: SimulatedDisk,
+    node: usize,
+}
+
+impl Write for SimulatedFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self.disk.begin(false) {
+            Ok(mut content) => {
+                content.nodes[self.node].bytes.extend_from_slice(bytes);
+                Ok(bytes.len())
+            }
+            Err((error, takes_half)) => {
+                if takes_half {
+                    let half = &bytes[..bytes.len() / 2];
+                    self.disk.content().nodes[self.node].bytes.extend_from_slice(half);
+                }
+                Err(error)
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl DiskFile for SimulatedFile {
+    fn sync(&mut self) -> io::Result<()> {
+        let mut content = self.disk.begin(true).map_err(|(error, _)| error)?;
+        let node = &mut content.nodes[self.node];
+        node.synced = node.bytes.clone();
+        Ok(())
+    }
+
+    fn cut_to(&mut self, length: u64) -> io::Result<()> {
+        self.disk.change()?.nodes[self.node].bytes.truncate(length as usize);
+        Ok(())
+    }
+}
+
+/// The disk itself keeps its promises, and no others.
+#[test]
+fn what_is_synced_survives_and_what_is_not_may_be_lost() {
+    let disk = SimulatedDisk::default();
+    let path = Path::new("/a/file");
+    disk.create_folder(Path::new("/a")).unwrap();
+    let mut file = disk.create(path, false).unwrap();
+    file.write_all(b"kept").unwrap();
+    file.sync().unwrap();
+    let after = |seed| disk.restarted(Stopped::PowerLost(seed)).bytes(path);
+    let found: Vec<_> = (0..64).map(after).collect();
+    assert!(found.contains(&None) && found.contains(&Some(b"kept".to_vec())), "{found:?}");
+    disk.sync_folder(Path::new("/a")).unwrap();
+    file.write_all(b" lost").unwrap();
+    let found: Vec<_> = (0..64).map(after).map(Option::unwrap).collect();
+    assert!(found.iter().all(|bytes| bytes.starts_with(b"kept")));
+    assert!(found.iter().any(|bytes| bytes == b"kept"));
+    assert!(found.iter().any(|bytes| bytes.contains(&0)));
+    let killed = disk.restarted(Stopped::Killed).bytes(path);
+    assert_eq!(killed, Some(b"kept lost".to_vec()));
+}

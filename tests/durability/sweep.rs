@@ -1,0 +1,226 @@
+//! The wire fails at the i-th operation, for each i of a whole run and in each way: every run ends
+//! with the amplifier off, and with a recording that is right.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use qube_hil::control::HomingMethod;
+use qube_hil::estimation::EstimatorSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::recording::read_on;
+use qube_hil::safety::SafetyBox;
+use qube_hil::session::{Rig, RigError, RolloutPlan, Verdict, judge};
+use qube_hil::telemetry::{Ending, Phase};
+
+use crate::count_from;
+use crate::fault_port::{KINDS, Kind, Plan};
+use crate::simulated_disk::SimulatedDisk;
+use crate::world::{STEPS, Wiring};
+
+/// What became of one run.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Outcome {
+    /// The device could not be opened or homed; nothing was begun.
+    NotOpened(String),
+    /// It could not be armed; the recording has no end and the rollout is done again.
+    NotArmed(String),
+    /// A result.
+    Finished,
+    /// A fault ended it, and is named.
+    Void(String),
+}
+
+/// One run: hello, homing, settling, 60 steps, braking. Gives what became of it, the operations on
+/// the wire, and how long after the last valid command the amplifier went off, us.
+fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
+    let disk = SimulatedDisk::default();
+    let wiring = Wiring::new(vec![plan], None, Arc::default());
+    let stop = Arc::new(AtomicBool::new(false));
+    let outcome = match Rig::open(&wiring.clone().rig_settings(method), &stop) {
+        Err(error) => Outcome::NotOpened(named(&error)),
+        Ok(mut rig) => {
+            let outcome = rollout(&rig, &disk);
+            // Whatever struck once is over: the machine must come back without anybody's help.
+            if matches!(outcome, Outcome::Void(_))
+                && plan.is_some_and(|plan| !plan.lasting && plan.kind != Kind::Rename)
+            {
+                rig.start_again().unwrap_or_else(|error| panic!("{plan:?}: {error}"));
+            }
+            outcome
+        }
+    };
+    let operations = wiring.operations()[0];
+    (outcome, operations, wiring.must_end_safe())
+}
+
+/// A rollout of 60 steps by the classical controller, and its policy file.
+pub fn plan() -> (RolloutPlan, Vec<u8>) {
+    let plan = RolloutPlan {
+        session: "sweep".into(),
+        candidate: None,
+        rollout: 0,
+        attempt: 0,
+        psi: BTreeMap::new(),
+        seed: 0,
+        policy: "classical".into(),
+        estimator: EstimatorSettings::default(),
+        safety_box: SafetyBox::THESIS,
+        steps: STEPS,
+    };
+    let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
+    (plan, policy)
+}
+
+fn rollout(rig: &Rig, disk: &SimulatedDisk) -> Outcome {
+    let path = Path::new("/rollout.mcap");
+    let (plan, policy) = plan();
+    let recorded = match rig.rollout(disk, path, plan.header(), &policy) {
+        Ok(recorded) => recorded,
+        Err(error @ RigError::Device(_)) => {
+            assert_eq!(judge(disk, path).unwrap(), Verdict::Unfinished);
+            return Outcome::NotArmed(named(&error));
+        }
+        Err(error) => panic!("{error}"),
+    };
+    // The record tells the same story as the control thread.
+    let recording = read_on(disk, path).unwrap();
+    assert_eq!(recording.outcome.as_ref(), Some(&recorded.outcome));
+    assert!(!recording.has_gaps() && recorded.outcome.records_lost == 0);
+    let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running).count();
+    assert_eq!(running, recorded.outcome.steps as usize);
+    let missed: u32 = recording
+        .ticks
+        .iter()
+        .map(|tick| {
+            let late = tick.lateness_ns > qube_hil::qube::CONTROL_PERIOD_NS;
+            tick.skipped_periods + u32::from(tick.measurement.is_none() || late)
+        })
+        .sum();
+    assert_eq!(missed, recorded.outcome.missed_deadlines, "what was missed is marked");
+    match (judge(disk, path).unwrap(), recorded.outcome.ending) {
+        (Verdict::Result { .. }, Ending::Completed | Ending::LeftBox(_)) => Outcome::Finished,
+        (Verdict::Void { reason }, Ending::Fault(fault)) => {
+            assert_eq!(reason, fault.to_string());
+            Outcome::Void(reason)
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+fn named(error: &RigError) -> String {
+    let text = error.to_string();
+    assert!(text.len() > 10, "an error without a sentence: {text}");
+    text
+}
+
+/// What a sweep found.
+#[derive(Default)]
+struct Tally {
+    runs: u64,
+    finished: u64,
+    void: u64,
+    not_begun: u64,
+    longest_on_us: u64,
+}
+
+/// Runs a sample of one in `stride` of all (operation, kind, once or lasting), or all of them.
+fn sweep(method: HomingMethod, stride: u64) -> Tally {
+    let (outcome, operations, _) = run(None, method);
+    assert_eq!(outcome, Outcome::Finished, "nothing was wrong");
+    let cases = KINDS.len() as u64 * 2 * operations;
+    let workers = std::thread::available_parallelism().map_or(1, usize::from);
+    let next = AtomicU64::new(0);
+    let tallies = std::thread::scope(|scope| {
+        let work = || {
+            let mut tally = Tally::default();
+            loop {
+                let case = next.fetch_add(stride, Ordering::Relaxed);
+                if case >= cases {
+                    return tally;
+                }
+                // Each kind, once and lasting, in turn; so a sample has all of them everywhere.
+                let kind = KINDS[(case % KINDS.len() as u64) as usize];
+                let rest = case / KINDS.len() as u64;
+                let plan = Plan { operation: rest / 2, kind, lasting: rest % 2 == 1 };
+                let _case = Case(plan);
+                tally.count(plan, run(Some(plan), method));
+            }
+        };
+        let threads: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect::<Vec<_>>()
+    });
+    let mut sum = Tally::default();
+    for tally in tallies {
+        sum.runs += tally.runs;
+        sum.finished += tally.finished;
+        sum.void += tally.void;
+        sum.not_begun += tally.not_begun;
+        sum.longest_on_us = sum.longest_on_us.max(tally.longest_on_us);
+    }
+    println!(
+        "fault port, homing {method:?}: {operations} operations, {} runs: {} finished, {} void, \
+         {} not begun; amplifier off at most {} us after the last valid command",
+        sum.runs, sum.finished, sum.void, sum.not_begun, sum.longest_on_us
+    );
+    sum
+}
+
+/// Says which case it was when a run panics.
+struct Case(Plan);
+
+impl Drop for Case {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("the case that failed: {:?}", self.0);
+        }
+    }
+}
+
+impl Tally {
+    fn count(&mut self, plan: Plan, (outcome, _, on_us): (Outcome, u64, u64)) {
+        self.runs += 1;
+        self.longest_on_us = self.longest_on_us.max(on_us);
+        if plan.kind.is_ordinary() && !plan.lasting {
+            assert_eq!(outcome, Outcome::Finished, "an ordinary event ended it: {plan:?}");
+        }
+        match outcome {
+            Outcome::Finished => self.finished += 1,
+            Outcome::Void(_) => self.void += 1,
+            Outcome::NotOpened(_) | Outcome::NotArmed(_) => self.not_begun += 1,
+        }
+    }
+}
+
+#[test]
+fn a_wire_that_fails_anywhere_in_any_way_leaves_the_amplifier_off_and_the_record_right() {
+    // A prime, so that the sample walks through all combinations.
+    let stride = count_from("QUBE_HIL_FAULT_SWEEP_STRIDE", 97);
+    let tally = sweep(HomingMethod::Hand, stride);
+    assert!(tally.finished > 0 && tally.void > 0 && tally.not_begun > 0);
+    let stride = count_from("QUBE_HIL_FAULT_SWEEP_STOPS_STRIDE", 1499);
+    sweep(HomingMethod::Stops, stride);
+}
+
+/// The port is pulled at any moment and comes back under another name: a new link to the same board
+/// arms and runs.
+#[test]
+fn a_device_that_comes_back_under_another_name_runs_again() {
+    let (_, operations, _) = run(None, HomingMethod::Hand);
+    for operation in (0..operations).step_by(operations as usize / 24) {
+        let plan = Plan { operation, kind: Kind::Rename, lasting: true };
+        let wiring = Wiring::new(vec![Some(plan)], None, Arc::default());
+        let stop = Arc::new(AtomicBool::new(false));
+        let disk = SimulatedDisk::default();
+        if let Ok(rig) = Rig::open(&wiring.clone().rig_settings(HomingMethod::Hand), &stop) {
+            let outcome = rollout(&rig, &disk);
+            assert!(!matches!(outcome, Outcome::NotOpened(_)));
+        }
+        let wire = wiring.last_wire().unwrap();
+        let settings = wiring.reopened(wire).rig_settings(HomingMethod::Hand);
+        let rig = Rig::open(&settings, &stop).unwrap_or_else(|error| panic!("{plan:?}: {error}"));
+        let disk = SimulatedDisk::default();
+        assert_eq!(rollout(&rig, &disk), Outcome::Finished, "{plan:?}");
+    }
+}

@@ -1,0 +1,99 @@
+//! The emulated board's wire, watched: after each operation its amplifier must be where the promise
+//! has it.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use firmware_protocol::DeviceState;
+use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::device::{InProcessWire, LinkFault, Transport};
+
+/// Without a valid command the amplifier goes off after this ...
+const WATCHDOG_US: u64 = 50_000;
+/// ... at the device's next poll, at most so much later.
+const POLL_US: u64 = 5_000;
+
+/// A board and its wire, shared between the link that uses it and the test that looks at it.
+#[derive(Clone)]
+pub struct WatchedWire {
+    wire: Arc<Mutex<InProcessWire>>,
+    clock: VirtualClock,
+}
+
+impl WatchedWire {
+    /// The time that board and link share.
+    pub fn clock(&self) -> VirtualClock {
+        self.clock.clone()
+    }
+
+    pub fn new(settings: EmulatorSettings, clock: VirtualClock) -> Self {
+        let wire = InProcessWire::new(settings, clock.clone());
+        Self { wire: Arc::new(Mutex::new(wire)), clock }
+    }
+
+    fn with<R>(&self, action: impl FnOnce(&mut InProcessWire) -> R) -> R {
+        action(&mut self.wire.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The device's state now.
+    pub fn state(&self) -> DeviceState {
+        self.with(|wire| wire.board().state())
+    }
+
+    /// What must hold at any time; gives how long after the last valid command the amplifier went
+    /// off, us, where it is off.
+    fn check(&self) -> Option<u64> {
+        let now_us = self.clock.now_ns() / 1000;
+        self.with(|wire| {
+            let board = wire.board();
+            let last_us = board.last_command_us();
+            if board.state() == DeviceState::Armed {
+                let silent_us = now_us.saturating_sub(last_us);
+                assert!(silent_us <= WATCHDOG_US + POLL_US, "on after {silent_us} us of silence");
+                return None;
+            }
+            assert_eq!(board.applied_mv(), 0, "a voltage at an amplifier that is off");
+            let off_us = board.switched_off_us()?;
+            let later_us = off_us.saturating_sub(last_us);
+            assert!(later_us <= WATCHDOG_US + POLL_US, "off {later_us} us after the last command");
+            Some(later_us)
+        })
+    }
+
+    /// Lets a second pass in which nobody says anything: the amplifier must be off then. How long
+    /// after the last valid command it went off, us; none where it never was on.
+    pub fn must_end_safe(&self) -> Option<u64> {
+        self.clock.advance(1_000_000_000);
+        let later_us = self.check();
+        self.with(|wire| assert_ne!(wire.board().state(), DeviceState::Armed));
+        later_us
+    }
+}
+
+impl std::fmt::Debug for WatchedWire {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("WatchedWire")
+    }
+}
+
+impl Transport for WatchedWire {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        let read = self.with(|wire| wire.read(buffer, deadline_ns));
+        self.check();
+        read
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        let written = self.with(|wire| wire.write(bytes));
+        self.check();
+        written
+    }
+
+    fn name(&self) -> &str {
+        "watched wire"
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        self.with(|wire| wire.boot_time_ns())
+    }
+}

@@ -1,0 +1,156 @@
+//! A Qube in virtual time behind a wire that may fail, and rollouts on it that are as short as they
+//! can be and still go through every phase.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
+use qube_hil::control::{HomingMethod, HomingSettings};
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::device::{Device, DeviceError, LinkFault, SerialLink, Transport};
+use qube_hil::session::{ClockChoice, Connect, DeviceChoice, RigSettings, TimedDevice};
+
+use crate::fault_port::{FaultPort, Plan};
+use crate::watched_wire::WatchedWire;
+
+/// Steps of the policy in a rollout.
+pub const STEPS: u32 = 60;
+
+/// What is to go wrong on the wires of a process, one plan for each rig that it opens.
+#[derive(Clone, Debug, Default)]
+pub struct Wiring {
+    state: Arc<Mutex<State>>,
+    /// The process has crashed: its end of the wire falls silent.
+    crashed: Arc<AtomicBool>,
+}
+
+#[derive(Default)]
+struct State {
+    plans: Vec<Option<Plan>>,
+    /// Somebody asks to stop at this operation of the rig of this number.
+    stop: Option<(usize, u64, Arc<AtomicBool>)>,
+    opened: Vec<WatchedWire>,
+    /// A board that is there already, for the next rig instead of a new one.
+    waiting: Option<WatchedWire>,
+    operations: Vec<Arc<std::sync::atomic::AtomicU64>>,
+}
+
+impl std::fmt::Debug for State {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.plans.fmt(formatter)
+    }
+}
+
+impl Wiring {
+    pub fn new(
+        plans: Vec<Option<Plan>>,
+        stop: Option<(usize, u64, Arc<AtomicBool>)>,
+        crashed: Arc<AtomicBool>,
+    ) -> Self {
+        let state = State { plans, stop, ..State::default() };
+        Self { state: Arc::new(Mutex::new(state)), crashed }
+    }
+
+    fn state(&self) -> std::sync::MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The longest that an amplifier stayed on after the last valid command, us, over all rigs.
+    /// Panics where one is still on.
+    pub fn must_end_safe(&self) -> u64 {
+        let opened = std::mem::take(&mut self.state().opened);
+        opened.iter().filter_map(WatchedWire::must_end_safe).max().unwrap_or(0)
+    }
+
+    /// Operations on the wire of each rig.
+    pub fn operations(&self) -> Vec<u64> {
+        self.state().operations.iter().map(|count| count.load(Ordering::Relaxed)).collect()
+    }
+
+    /// The wire of the last rig, for one who opens its port again.
+    pub fn last_wire(&self) -> Option<WatchedWire> {
+        self.state().opened.last().cloned()
+    }
+
+    /// A new port, without faults, to a board that is there already.
+    pub fn reopened(&self, wire: WatchedWire) -> Self {
+        let state = State { waiting: Some(wire), ..State::default() };
+        Self { state: Arc::new(Mutex::new(state)), crashed: Arc::default() }
+    }
+
+    pub fn rig_settings(self, method: HomingMethod) -> RigSettings {
+        RigSettings {
+            device: DeviceChoice::Other(Arc::new(self)),
+            clock: ClockChoice::Virtual,
+            emulator: EmulatorSettings::default(),
+            homing: HomingSettings { method, ..HomingSettings::default() },
+            skip_check: false,
+            board: None,
+        }
+    }
+}
+
+impl Connect for Wiring {
+    fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError> {
+        let mut state = self.state();
+        let wire = state
+            .waiting
+            .take()
+            .unwrap_or_else(|| WatchedWire::new(*emulator, VirtualClock::default()));
+        let clock = wire.clock();
+        let number = state.opened.len();
+        let plan = state.plans.get(number).copied().flatten();
+        let stop = state.stop.clone().filter(|(rig, ..)| *rig == number);
+        state.opened.push(wire.clone());
+        let count = Arc::default();
+        state.operations.push(Arc::clone(&count));
+        let port = HostEnd {
+            port: FaultPort::new(wire, clock.clone(), plan),
+            stop: stop.map(|(_, operation, flag)| (operation, flag)),
+            crashed: Arc::clone(&self.crashed),
+            count,
+        };
+        Ok((Box::new(SerialLink::new(port, Arc::new(clock.clone()))), Arc::new(clock)))
+    }
+}
+
+/// The process's end of a wire: it goes silent with the process, and somebody may ask to stop while
+/// it is in use.
+struct HostEnd {
+    port: FaultPort<WatchedWire>,
+    stop: Option<(u64, Arc<AtomicBool>)>,
+    crashed: Arc<AtomicBool>,
+    count: Arc<std::sync::atomic::AtomicU64>,
+}
+
+impl HostEnd {
+    fn begin(&self) -> Result<(), LinkFault> {
+        self.count.store(self.port.operations() + 1, Ordering::Relaxed);
+        if let Some((operation, flag)) = &self.stop
+            && self.port.operations() >= *operation
+        {
+            flag.store(true, Ordering::Relaxed);
+        }
+        if self.crashed.load(Ordering::SeqCst) { Err(LinkFault::Gone) } else { Ok(()) }
+    }
+}
+
+impl Transport for HostEnd {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        self.begin()?;
+        self.port.read(buffer, deadline_ns)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        self.begin()?;
+        self.port.write(bytes)
+    }
+
+    fn name(&self) -> &str {
+        self.port.name()
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        self.port.boot_time_ns()
+    }
+}

@@ -1,0 +1,108 @@
+//! Small files that ask for much memory do not get it: the largest that is ever in use while a
+//! recording is read is counted.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::io::Write;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use qube_hil::recording::{Completeness, parse};
+
+/// Most memory for a file of a few megabytes: the file's blocks one at a time, and ticks.
+const ENOUGH_BYTES: usize = 32 << 20;
+
+static IN_USE: AtomicUsize = AtomicUsize::new(0);
+static PEAK: AtomicUsize = AtomicUsize::new(0);
+/// One measurement at a time.
+static TURN: Mutex<()> = Mutex::new(());
+
+/// The system's allocator, counting what is in use.
+struct Counting;
+
+// SAFETY: every call is handed on unchanged to the system's allocator, which keeps the contract.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let now = IN_USE.fetch_add(layout.size(), Ordering::Relaxed) + layout.size();
+        PEAK.fetch_max(now, Ordering::Relaxed);
+        // SAFETY: as this function's caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        IN_USE.fetch_sub(layout.size(), Ordering::Relaxed);
+        // SAFETY: as this function's caller promises.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
+    let mut bytes = vec![opcode];
+    bytes.extend((body.len() as u64).to_le_bytes());
+    bytes.extend(body);
+    bytes
+}
+
+fn block(content: &[u8]) -> Vec<u8> {
+    let mut encoder = lz4::EncoderBuilder::new().build(Vec::new()).unwrap();
+    encoder.write_all(content).unwrap();
+    let packed = encoder.finish().0;
+    let mut chunk = vec![0; 16];
+    chunk.extend((content.len() as u64).to_le_bytes());
+    chunk.extend(Crc::<u32>::new(&CRC_32_ISO_HDLC).checksum(content).to_le_bytes());
+    chunk.extend(3_u32.to_le_bytes());
+    chunk.extend(b"lz4");
+    chunk.extend((packed.len() as u64).to_le_bytes());
+    chunk.extend(packed);
+    record(6, &chunk)
+}
+
+fn text(bytes: &[u8]) -> Vec<u8> {
+    [&(bytes.len() as u32).to_le_bytes(), bytes].concat()
+}
+
+/// Reads the beginning of a real recording with `more` behind it.
+#[track_caller]
+fn is_read_with_little_memory(more: &[u8]) {
+    let turn = TURN.lock().unwrap();
+    let bytes = [include_bytes!("../fuzz/begun.mcap").as_slice(), more].concat();
+    assert!(bytes.len() < 8 << 20, "{} bytes are no small file", bytes.len());
+    let before = IN_USE.load(Ordering::Relaxed);
+    PEAK.store(before, Ordering::Relaxed);
+    let recording = parse(&bytes).unwrap();
+    let used = PEAK.load(Ordering::Relaxed) - before;
+    drop(turn);
+    assert!(matches!(recording.completeness, Completeness::CutOff { .. }));
+    assert!(used < ENOUGH_BYTES, "{used} bytes for a file of {}", bytes.len());
+}
+
+#[test]
+fn names_of_channels_that_unpack_to_gigabytes() {
+    // 250 channels of 4 MB each, packed to some 16 kB each.
+    let name = text(&vec![b'x'; 4_000_000]);
+    let blocks = (0..250_u16).flat_map(|id| {
+        let ids = [id.to_le_bytes(), 0_u16.to_le_bytes()].concat();
+        block(&record(4, &[ids, name.clone()].concat()))
+    });
+    is_read_with_little_memory(&blocks.collect::<Vec<u8>>());
+}
+
+#[test]
+fn millions_of_records_that_are_none() {
+    is_read_with_little_memory(&record(0x55, &[]).repeat(700_000));
+}
+
+#[test]
+fn metadata_of_other_names_and_of_any_size() {
+    let entries: Vec<u8> = (0..100_000_u32)
+        .flat_map(|number| [text(&number.to_le_bytes()), text(&[])].concat())
+        .collect();
+    let large = record(12, &[text(b"rollout"), text(&entries)].concat());
+    let many = (0..4000_u32).flat_map(|number| {
+        record(12, &[text(format!("name {number}").as_bytes()), text(&entries[..600])].concat())
+    });
+    is_read_with_little_memory(&many.chain(large).collect::<Vec<u8>>());
+}
