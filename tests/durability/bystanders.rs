@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use firmware_protocol::DeviceState;
-use qube_hil::clock::{Clock, VirtualClock};
+use qube_hil::clock::VirtualClock;
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};

@@ -4,10 +4,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
+use qube_hil::clock::{Nanoseconds, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::EmulatorSettings;
-use qube_hil::device::{Device, DeviceError, LinkFault, SerialLink, Transport};
+use qube_hil::device::{DeviceError, LinkFault, SerialLink, Transport};
 use qube_hil::session::{ClockChoice, Connect, DeviceChoice, RigSettings, TimedDevice};
 
 use crate::fault_port::{FaultPort, Plan};
