@@ -10,9 +10,10 @@ use super::failures;
 use super::output::Output;
 use super::stop::Stop;
 use crate::elementary::Level;
+use crate::estimation::EstimatorSettings;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
 use crate::session::{named, write_whole};
-use crate::simulation::{DomainDistribution, Family, Psi};
+use crate::simulation::{DomainDistribution, Family, Psi, SensorModel, SimulationSettings};
 use crate::storage::MachineDisk;
 
 /// Train one policy in randomised simulation
@@ -45,6 +46,11 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", default_value = "policy.safetensors")]
     out: PathBuf,
 
+    /// What the simulation shows of the state: as it is, or through encoders and the velocity filter,
+    /// as on the machine
+    #[arg(long, value_enum, default_value_t = Sensors::True)]
+    sensors: Sensors,
+
     /// Keep the training in this file every ten updates, and go on from it when it exists; the
     /// policy is the same as without an interruption
     #[arg(long, value_name = "FILE")]
@@ -57,6 +63,15 @@ pub struct Arguments {
     /// Use nothing better than this; the policy is the same on the first two
     #[arg(long, value_enum, default_value_t = InstructionSet::Avx512)]
     instruction_set: InstructionSet,
+}
+
+/// What the simulation shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Sensors {
+    /// Angles and velocities without error
+    True,
+    /// Angles in encoder counts, velocities by the filter that runs on the machine
+    Encoders,
 }
 
 /// Updates between two checkpoints.
@@ -112,7 +127,15 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Preset::Quick => TrainSettings::quick(),
         Preset::Thesis => TrainSettings::thesis(),
     };
-    let settings = TrainSettings { threads: arguments.threads.into(), ..preset };
+    let sensors = match arguments.sensors {
+        Sensors::True => SensorModel::TrueState,
+        Sensors::Encoders => SensorModel::Encoders { estimator: EstimatorSettings::default() },
+    };
+    let settings = TrainSettings {
+        threads: arguments.threads.into(),
+        simulation: SimulationSettings { sensors, ..preset.simulation },
+        ..preset
+    };
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
     Level::from(arguments.instruction_set).forbid_better();
