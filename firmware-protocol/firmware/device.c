@@ -218,8 +218,8 @@ static bool sample(struct device *device, const struct link_frame *request,
     if (device->state == STATE_IDLE) {
         return refuse(reply, REQUEST_SAMPLE, REFUSAL_NOT_GREETED);
     }
-    /* The sampling timer's last reading is up to one period old, by which every act would come later.
-     * One of its own takes a tenth of that. */
+    /* The sampling timer's last reading is up to a period old, and every act would be as late. A
+     * reading of its own takes a tenth of that. */
     device->change++;
     if (!sample_is_ready(device)) {
         device->sample_waits = true;
