@@ -49,7 +49,7 @@ struct device {
     /* The motor word that should be in force, and the one that the Qube got last. */
     uint16_t motor_word;
     uint16_t motor_word_at_qube;
-    /* Counts the requests that changed what a sample shows. */
+    /* Counts the requests that change what a sample is to show. */
     uint8_t change;
     /* A stall error is to be cleared by the next frame; this frame clears it. */
     bool clears_stall;
@@ -64,7 +64,7 @@ struct device {
     struct device_sample begun;
     struct device_sample sample;
 
-    /* A Sample that cannot be answered before another frame has ended. */
+    /* A Sample whose frame has not ended yet. */
     bool sample_waits;
     uint16_t waiting_sequence;
 };
