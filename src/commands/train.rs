@@ -7,6 +7,7 @@ use serde_json::json;
 
 use super::exit::Failure;
 use super::failures;
+use super::guard_argument::GuardArgument;
 use super::output::Output;
 use super::stop::Stop;
 use crate::elementary::Level;
@@ -36,6 +37,11 @@ pub struct Arguments {
     /// `quick` stops as soon as the policy is good, `thesis` spends the published budget
     #[arg(long, value_enum, default_value_t = Preset::Quick)]
     preset: Preset,
+
+    /// What ends a simulated rollout: the speed envelope too, or the box alone [default: box for
+    /// `thesis`, whose published figures have no envelope; envelope for `quick`]
+    #[arg(long, value_enum)]
+    guard: Option<GuardArgument>,
 
     /// Everything random follows from it
     #[arg(long, default_value_t = 0)]
@@ -112,6 +118,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Preset::Quick => TrainSettings::quick(),
         Preset::Thesis => TrainSettings::thesis(),
     };
+    let guard = arguments.guard.unwrap_or(match arguments.preset {
+        Preset::Quick => GuardArgument::Envelope,
+        Preset::Thesis => GuardArgument::Box,
+    });
+    let mut preset = preset;
+    preset.simulation.safety_box.guard = guard.into();
     let settings = TrainSettings { threads: arguments.threads.into(), ..preset };
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });

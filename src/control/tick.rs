@@ -1,17 +1,20 @@
-use super::settling::{RestDetector, settling_voltage};
+use super::settling::{BackDetector, RestDetector, settling_voltage};
 use super::watch::{Alarm, Watch};
 use super::{Motion, TickInput, TickOutput};
 use crate::estimation::Estimator;
-use crate::policy::Policy;
+use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, State};
-use crate::safety::{brake_voltage, gate};
+use crate::safety::{Guard, brake_voltage, gate, retreat_voltage};
 use crate::telemetry::{Ending, Fault, Phase, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
-/// Most ticks for braking: 1 s.
+/// Most ticks for braking: 1 s for a brake that only stops the arm ...
 const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
+
+/// ... and 8 s for one that brings it back to the middle and waits for the pendulum.
+const MAX_RETREAT_TICKS: u32 = (8.0 / CONTROL_PERIOD_S) as u32;
 
 /// Below this the arm counts as stopped, rad/s ...
 const STOPPED_RAD_S: f64 = 0.5;
@@ -26,25 +29,26 @@ const RUNAWAY_RAD_S: f64 = 5.0;
 ///
 /// The same code runs on the machine, beside the emulator, in virtual time and in replay.
 #[derive(Debug)]
-pub struct Tick {
+pub struct Tick<C = Policy> {
     settings: TickSettings,
-    policy: Policy,
+    policy: C,
     estimator: Estimator,
     watch: Watch,
     rest: RestDetector,
     phase: Phase,
     periods_in_phase: u32,
     stopped_ticks: u32,
+    back: BackDetector,
     /// Why braking began; what the rollout ends with.
     reason: Ending,
     state: State,
     voltage_mv: i16,
 }
 
-impl Tick {
+impl<C: Controller> Tick<C> {
     /// A rollout that starts with settling.
     #[must_use]
-    pub fn new(settings: &TickSettings, policy: Policy) -> Self {
+    pub fn new(settings: &TickSettings, policy: C) -> Self {
         Self {
             settings: *settings,
             policy,
@@ -54,6 +58,7 @@ impl Tick {
             phase: Phase::Settling,
             periods_in_phase: 0,
             stopped_ticks: 0,
+            back: BackDetector::default(),
             reason: Ending::Completed,
             state: State::default(),
             voltage_mv: 0,
@@ -99,10 +104,17 @@ impl Tick {
     /// Whether braking is over, and with what the rollout ends then.
     fn braked(&mut self) -> Option<Ending> {
         let speed_rad_s = self.state.theta_dot.abs();
-        self.stopped_ticks = if speed_rad_s < STOPPED_RAD_S { self.stopped_ticks + 1 } else { 0 };
-        if self.stopped_ticks >= STOPPED_TICKS {
+        let (stands, most_ticks) = match self.settings.safety_box.guard {
+            Guard::Box => {
+                let slow = speed_rad_s < STOPPED_RAD_S;
+                self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };
+                (self.stopped_ticks >= STOPPED_TICKS, MAX_BRAKING_TICKS)
+            }
+            Guard::Envelope => (self.back.is_back(self.state.theta), MAX_RETREAT_TICKS),
+        };
+        if stands {
             Some(self.reason)
-        } else if self.periods_in_phase < MAX_BRAKING_TICKS {
+        } else if self.periods_in_phase < most_ticks {
             None
         } else if speed_rad_s > RUNAWAY_RAD_S {
             Some(Ending::Fault(Fault::BrakingTimedOut))
@@ -111,11 +123,18 @@ impl Tick {
         }
     }
 
+    fn braking_voltage(&self) -> f64 {
+        match self.settings.safety_box.guard {
+            Guard::Box => brake_voltage(self.state.theta_dot),
+            Guard::Envelope => retreat_voltage(&self.state),
+        }
+    }
+
     fn wanted_voltage(&mut self) -> f64 {
         match self.phase {
             Phase::Settling => settling_voltage(&self.state, self.settings.start_theta_rad),
             Phase::Running => self.policy.voltage_v(&self.state),
-            Phase::Braking => brake_voltage(self.state.theta_dot),
+            Phase::Braking => self.braking_voltage(),
         }
     }
 
@@ -135,7 +154,7 @@ impl Tick {
     }
 }
 
-impl Motion for Tick {
+impl<C: Controller> Motion for Tick<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.periods_in_phase += input.skipped_periods;
 
@@ -169,7 +188,7 @@ impl Motion for Tick {
             Ok(voltage_mv) => voltage_mv,
             Err(_) => {
                 self.brake(Ending::Fault(Fault::NotANumber));
-                wanted_v = brake_voltage(self.state.theta_dot);
+                wanted_v = self.braking_voltage();
                 gate(wanted_v).unwrap_or(0)
             }
         };
