@@ -51,8 +51,12 @@ fn main() {
     let largest_mv = results.iter().map(|(_, worst)| worst.largest_mv).max().unwrap_or(0);
     for (seed, worst) in results.iter().take(3) {
         println!(
-            "search {seed}: {:.3} rad, {:?} after {} ticks, genes {:.2?}",
-            worst.episode.farthest_rad, worst.episode.ending, worst.episode.ticks, worst.genes
+            "search {seed}: {:.3} rad, {:?} after {} ticks, delays of seed {}, genes {:.2?}",
+            worst.episode.farthest_rad,
+            worst.episode.ending,
+            worst.episode.ticks,
+            worst.seed,
+            worst.genes
         );
     }
     println!(

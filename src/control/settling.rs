@@ -47,10 +47,10 @@ impl RestDetector {
 }
 
 /// An arm that moved over no more than this, rad ...
-const BACK_RANGE_RAD: f64 = 0.2;
+const BACK_RANGE_RAD: f64 = 0.05;
 
 /// ... within this of the middle, rad ...
-const BACK_REACH_RAD: f64 = 0.6;
+const BACK_REACH_RAD: f64 = 0.5;
 
 /// ... for this many ticks, which is longer than a swing of the pendulum, is back: what the pendulum
 /// still holds cannot throw it far once the amplifier is off.

@@ -56,6 +56,10 @@ pub struct Episode {
     pub ticks: u32,
 }
 
+/// The cable begins to pull within this of the middle, rad. (One that pulls a resting arm into its stop
+/// while the amplifier is off is beyond any controller.)
+const CABLE_REACH_RAD: f64 = 0.3;
+
 /// Steps that the policy has.
 const STEPS: u32 = 250;
 
@@ -107,7 +111,7 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
         Roughness {
             coulomb_v: 0.15 * share(11),
             cable_v_rad: 0.2 * bounded(12),
-            cable_theta: 1.5 * bounded(13),
+            cable_theta: CABLE_REACH_RAD * bounded(13),
         }
     } else {
         Roughness::default()
