@@ -9,7 +9,13 @@ use crate::session::{FolderError, RigError, SessionError};
 pub fn rig(error: RigError, stop: &Stop) -> Failure {
     match error {
         RigError::Stopped => stop.failure("stopped while homing"),
-        RigError::Homing(_) | RigError::ThreadGone(_) => Failure::fault(error),
+        RigError::Homing { ref last_ticks, .. } => {
+            for tick in last_ticks {
+                tracing::warn!("{}", serde_json::json!(tick));
+            }
+            Failure::fault(error)
+        }
+        RigError::ThreadGone(_) | RigError::Refused(_) => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
         RigError::Emulator(_) | RigError::Thread(_) | RigError::Unfit { .. } => {
             Failure::failed(error)

@@ -11,6 +11,7 @@ mod emulate;
 mod emulated_arguments;
 mod exit;
 mod failures;
+mod guard_argument;
 mod identify;
 mod output;
 mod profile;

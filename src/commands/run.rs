@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
+use super::guard_argument::GuardArgument;
 use super::output::Output;
 use super::stop::Stop;
 use super::{dated_folder, failures, timing_lines, warn_without_realtime};
@@ -50,6 +51,10 @@ pub struct Arguments {
     /// Corner of the velocity filter, rad/s (50 is the thesis's set-up)
     #[arg(long, default_value_t = EstimatorSettings::default().corner_rad_s, value_parser = positive)]
     filter: f64,
+
+    /// What ends a rollout: the speed envelope too, or the box alone
+    #[arg(long, value_enum, default_value_t = GuardArgument::Envelope)]
+    guard: GuardArgument,
 
     #[command(flatten)]
     device: DeviceArguments,
@@ -101,7 +106,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             seed: arguments.seed,
             policy: arguments.policy.clone(),
             estimator,
-            safety_box: device.safety_box(SafetyBox::THESIS),
+            safety_box: device
+                .safety_box(SafetyBox { guard: arguments.guard.into(), ..SafetyBox::THESIS }),
             steps: MAX_STEPS as u32,
         };
         let path = directory.join(format!("rollout-{rollout}.mcap"));

@@ -9,6 +9,7 @@ use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::failures;
+use super::guard_argument::GuardArgument;
 use super::output::Output;
 use super::service_manager;
 use super::session_progress::SessionProgress;
@@ -48,6 +49,11 @@ pub struct Arguments {
     /// Go on with a session from its folder
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
+
+    /// Guard of rollouts and training: the speed envelope, or the thesis's box alone [default: as
+    /// configured, which is the envelope]
+    #[arg(long, value_enum, conflicts_with = "resume")]
+    guard: Option<GuardArgument>,
 
     #[command(flatten)]
     device: DeviceArguments,
@@ -133,6 +139,9 @@ fn begun(
         Some(path) => preset.overridden_by(path).map_err(Failure::usage)?,
         None => preset,
     };
+    if let Some(guard) = arguments.guard {
+        settings = settings.under(guard.into());
+    }
     settings.seed = arguments.seed.unwrap_or(settings.seed);
     let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("session"));
     settings.name = directory

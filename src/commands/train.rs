@@ -7,11 +7,13 @@ use serde_json::json;
 
 use super::exit::Failure;
 use super::failures;
+use super::guard_argument::GuardArgument;
 use super::output::Output;
 use super::stop::Stop;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
+use crate::safety::SafetyBox;
 use crate::session::{named, write_whole};
 use crate::simulation::{DomainDistribution, Family, Psi, SensorModel, SimulationSettings};
 use crate::storage::MachineDisk;
@@ -37,6 +39,11 @@ pub struct Arguments {
     /// `quick` stops as soon as the policy is good, `thesis` spends the published budget
     #[arg(long, value_enum, default_value_t = Preset::Quick)]
     preset: Preset,
+
+    /// What ends a simulated rollout: the speed envelope too, or the box alone [default: box for
+    /// `thesis`, whose published figures have no envelope; envelope for `quick`]
+    #[arg(long, value_enum)]
+    guard: Option<GuardArgument>,
 
     /// Everything random follows from it
     #[arg(long, default_value_t = 0)]
@@ -127,13 +134,18 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Preset::Quick => TrainSettings::quick(),
         Preset::Thesis => TrainSettings::thesis(),
     };
+    let guard = arguments.guard.unwrap_or(match arguments.preset {
+        Preset::Quick => GuardArgument::Envelope,
+        Preset::Thesis => GuardArgument::Box,
+    });
     let sensors = match arguments.sensors {
         Sensors::True => SensorModel::TrueState,
         Sensors::Encoders => SensorModel::Encoders { estimator: EstimatorSettings::default() },
     };
+    let safety_box = SafetyBox { guard: guard.into(), ..preset.simulation.safety_box };
     let settings = TrainSettings {
         threads: arguments.threads.into(),
-        simulation: SimulationSettings { sensors, ..preset.simulation },
+        simulation: SimulationSettings { sensors, safety_box, ..preset.simulation },
         ..preset
     };
     let checkpointing =

@@ -1,11 +1,12 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use super::last_ticks::LastTicks;
 use super::latency::LatencyHistogram;
 use super::{Motion, TickInput};
 use crate::clock::Clock;
 use crate::device::{Device, DeviceError, LinkFault};
 use crate::qube::{CONTROL_PERIOD_NS, Measurement};
-use crate::telemetry::{Phase, RolloutOutcome, TickRecord};
+use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
 
 /// How long a tick waits for its sample, ns. Past this the last voltage is held over, so that the
 /// act still leaves well before the next tick.
@@ -18,6 +19,8 @@ pub struct DriveReport {
     pub outcome: RolloutOutcome,
     /// The last measurement, if there was any.
     pub last_measurement: Option<Measurement>,
+    /// The last second before a fault, oldest tick first; empty where there was none.
+    pub last_ticks: Vec<TickRecord>,
     /// Whether the device confirmed that its amplifier is off. Where it did not, its watchdog
     /// switches it off within 50 ms.
     pub disarmed: Result<(), DeviceError>,
@@ -42,6 +45,7 @@ pub fn drive(
     let mut lateness = LatencyHistogram::new();
     let mut sample_to_act = LatencyHistogram::new();
     let mut turns = Turns::default();
+    let mut last_ticks = LastTicks::new();
 
     device.arm()?;
     let mut deadline_ns = clock.now_ns() + CONTROL_PERIOD_NS;
@@ -89,6 +93,7 @@ pub fn drive(
             turnaround_ns,
         };
         let pushed = records.as_mut().is_none_or(|records| records.push(record).is_ok());
+        last_ticks.push(&record);
         turns.count(&record, pushed);
         if let Some(latency_us) = input.measurement.and_then(|sample| sample.sample_to_act_us) {
             sample_to_act.record(u64::from(latency_us) * 1000);
@@ -117,6 +122,10 @@ pub fn drive(
             sample_to_act_us: sample_to_act.summary(),
         },
         last_measurement: turns.last_measurement,
+        last_ticks: match ending {
+            Ending::Fault(_) => last_ticks.into_ticks(),
+            _ => Vec::new(),
+        },
         disarmed,
     })
 }

@@ -1,8 +1,9 @@
 use serde::{Deserialize, Serialize};
 
+use super::sensor_watch::SensorWatch;
 use super::settling::settling_voltage;
 use super::watch::{Alarm, Watch};
-use super::{Motion, TickInput, TickOutput};
+use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, Measurement, RAD_PER_COUNT, State};
 use crate::safety::gate;
@@ -10,6 +11,12 @@ use crate::telemetry::{Ending, Fault, Phase};
 
 /// Most ticks for the whole of homing: 60 s.
 const MAX_TICKS: u32 = 6000;
+
+/// An arm that moves less than this, rad ...
+const REST_RANGE_RAD: f64 = 0.1;
+
+/// ... for so many ticks, which is 1 s, is at rest.
+const REST_TICKS: u32 = 100;
 
 /// How fast the arm looks for its stops, rad/s: slow enough to touch them without a hit.
 const SEEK_RAD_S: f64 = 1.5;
@@ -93,6 +100,9 @@ pub struct Homing {
     /// Zeros as of the first sample; theta and alpha below are relative to them.
     provisional: Calibration,
     watch: Watch,
+    sensors: SensorWatch,
+    control: ControlState,
+    stillness: Stillness,
     stage: Stage,
     /// The middle between the stops, once it is known.
     middle_rad: Option<f64>,
@@ -139,6 +149,27 @@ struct Seek {
     furthest_rad: f64,
     /// Ticks since the arm last gained ground.
     blocked_ticks: u32,
+}
+
+/// How long the arm has stayed where it is.
+#[derive(Clone, Copy, Debug, Default)]
+struct Stillness {
+    ticks: u32,
+    lowest_rad: f64,
+    highest_rad: f64,
+}
+
+impl Stillness {
+    /// Takes the arm's next angle; true once it has been at rest for 1 s.
+    fn is_still(&mut self, theta: f64) -> bool {
+        let (lowest_rad, highest_rad) = (self.lowest_rad.min(theta), self.highest_rad.max(theta));
+        *self = if self.ticks > 0 && highest_rad - lowest_rad < REST_RANGE_RAD {
+            Self { ticks: self.ticks + 1, lowest_rad, highest_rad }
+        } else {
+            Self { ticks: 1, lowest_rad: theta, highest_rad: theta }
+        };
+        self.ticks > REST_TICKS
+    }
 }
 
 /// Extremes of the pendulum's angle over windows of more than one of its periods.
@@ -189,6 +220,9 @@ impl Homing {
             estimator: None,
             provisional: settings.signs,
             watch: Watch::default(),
+            sensors: SensorWatch::default(),
+            control: ControlState::Identified.on(ControlEvent::Home).0,
+            stillness: Stillness::default(),
             stage: Stage::Observe,
             middle_rad,
             hanging_rad: 0.0,
@@ -199,6 +233,12 @@ impl Homing {
             voltage_mv: 0,
             found: None,
         }
+    }
+
+    /// A homing out of a latched fault: first the arm, loosely held, must have been at rest for 1 s.
+    #[must_use]
+    pub fn after_fault(settings: &HomingSettings) -> Self {
+        Self { control: ControlState::Cleared.on(ControlEvent::Home).0, ..Self::new(settings) }
     }
 
     /// Signs and zeros, once homing has completed.
@@ -230,7 +270,9 @@ impl Homing {
                     && window.width_rad < LARGEST_SWING_RAD
                 {
                     self.hanging_rad = window.middle_rad;
-                    self.stage = Stage::Calm;
+                    if self.control.take(ControlEvent::AtRest) == ControlAction::Seek {
+                        self.stage = Stage::Calm;
+                    }
                 }
             }
             Stage::Calm => {
@@ -339,6 +381,11 @@ impl Homing {
     }
 
     fn off(&mut self, ending: Ending) -> TickOutput {
+        self.control.take(match ending {
+            Ending::Fault(_) => ControlEvent::ZeroFault,
+            Ending::Stopped => ControlEvent::Stop,
+            Ending::Completed | Ending::LeftBox(_) => ControlEvent::Homed,
+        });
         self.voltage_mv = 0;
         self.output(None, Some(ending))
     }
@@ -349,7 +396,9 @@ impl Motion for Homing {
         self.ticks += 1 + input.skipped_periods;
 
         // The arm is slow here: a fault that would brake a rollout can switch off at once.
-        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
+        let seen = input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, true));
+        let alarm = self.watch.check(input).or(seen);
+        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = alarm {
             return self.off(Ending::Fault(fault));
         }
         if input.stop_requested {
@@ -362,12 +411,20 @@ impl Motion for Homing {
             return self.output(None, None);
         };
         self.state = self.estimate(measurement);
-        if let Some(ending) = self.advance(measurement) {
+        if self.control == ControlState::Resting {
+            if self.stillness.is_still(self.state.theta) {
+                self.control.take(ControlEvent::AtRest);
+            }
+        } else if let Some(ending) = self.advance(measurement) {
             return self.off(ending);
         }
         let wanted_v = self.wanted_voltage();
         self.voltage_mv = gate(wanted_v).unwrap_or(0);
         self.output(Some(wanted_v), None)
+    }
+
+    fn control_state(&self) -> ControlState {
+        self.control
     }
 
     fn device_mv(&self, voltage_mv: i16) -> i16 {

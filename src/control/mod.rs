@@ -8,9 +8,12 @@
 
 mod drive;
 mod homing;
+mod last_ticks;
 mod latency;
+mod machine;
 mod motion;
 mod nudge;
+mod sensor_watch;
 mod settling;
 mod thread;
 mod tick;
@@ -18,10 +21,12 @@ mod watch;
 
 pub use drive::{DriveReport, SAMPLE_TIMEOUT_NS, drive};
 pub use homing::{Homing, HomingMethod, HomingSettings};
+pub use last_ticks::LAST_TICKS;
 pub use latency::LatencyHistogram;
+pub use machine::{ControlAction, ControlEvent, ControlState, state_diagram};
 pub use motion::{Motion, TickInput, TickOutput};
 pub use nudge::{Nudge, NudgeResponse};
-pub use thread::{ControlThread, ThreadGone};
+pub use thread::{ControlError, ControlThread, ThreadGone};
 pub use tick::Tick;
 
 /// Records that the ring from the tick to the recorder holds: more than the longest rollout has

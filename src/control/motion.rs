@@ -1,3 +1,4 @@
+use super::ControlState;
 use crate::qube::{Measurement, State};
 use crate::telemetry::{Ending, Phase};
 
@@ -38,6 +39,9 @@ pub struct TickOutput {
 pub trait Motion: Send {
     /// Decides one tick. Does not allocate, lock, log or wait.
     fn decide(&mut self, input: &TickInput) -> TickOutput;
+
+    /// Where the motion has come to in the table of states.
+    fn control_state(&self) -> ControlState;
 
     /// The voltage as the device's wiring wants it, mV.
     fn device_mv(&self, voltage_mv: i16) -> i16;

@@ -1,5 +1,5 @@
 use super::watch::{Alarm, Watch};
-use super::{Motion, TickInput, TickOutput};
+use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::State;
 use crate::safety::{brake_voltage, gate};
@@ -191,6 +191,11 @@ impl Motion for Nudge {
         self.voltage_mv = gate(wanted_v).unwrap_or(0);
         self.ticks += 1;
         self.output(Some(wanted_v), None)
+    }
+
+    /// A part of an examination, which judges what came of it.
+    fn control_state(&self) -> ControlState {
+        ControlState::Checking
     }
 
     fn device_mv(&self, voltage_mv: i16) -> i16 {

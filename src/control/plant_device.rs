@@ -4,8 +4,8 @@
 use crate::clock::{Clock, Nanoseconds, VirtualClock};
 use crate::device::{Device, DeviceError, Identity, LinkFault};
 use crate::qube::{
-    CONTROL_PERIOD_NS, DomainParameters, Dynamics, HARD_STOP_RAD, Measurement, State, Status,
-    counts, runge_kutta_4,
+    CONTROL_PERIOD_NS, DomainParameters, Dynamics, HARD_STOP_RAD, Measurement, RAD_PER_COUNT,
+    State, Status, counts, runge_kutta_4,
 };
 
 /// What happens at a tick instead of a clean sample.
@@ -110,6 +110,7 @@ impl Device for PlantDevice {
             theta_counts: counts(self.state.theta) + self.offset_counts,
             alpha_counts: counts(self.state.alpha) + self.offset_counts,
             status,
+            tachometer_counts_s: (self.state.theta_dot / RAD_PER_COUNT) as i32,
             applied_mv: self.voltage_mv,
             ..Measurement::default()
         })

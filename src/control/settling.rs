@@ -46,6 +46,39 @@ impl RestDetector {
     }
 }
 
+/// An arm that moved over no more than this, rad ...
+const BACK_RANGE_RAD: f64 = 0.05;
+
+/// ... within this of the middle, rad ...
+const BACK_REACH_RAD: f64 = 0.5;
+
+/// ... for this many ticks, which is longer than a swing of the pendulum, is back: what the pendulum
+/// still holds cannot throw it far once the amplifier is off.
+const BACK_TICKS: u32 = 60;
+
+/// Whether the arm has been brought back to the middle and the pendulum no longer moves it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BackDetector {
+    ticks: u32,
+    lowest_rad: f64,
+    highest_rad: f64,
+}
+
+impl BackDetector {
+    /// Takes the arm's next angle; true once the last 0.6 s stayed within the range.
+    pub fn is_back(&mut self, theta: f64) -> bool {
+        let lowest_rad = self.lowest_rad.min(theta);
+        let highest_rad = self.highest_rad.max(theta);
+        let quiet = highest_rad - lowest_rad <= BACK_RANGE_RAD && theta.abs() < BACK_REACH_RAD;
+        *self = if self.ticks > 0 && quiet {
+            Self { ticks: self.ticks + 1, lowest_rad, highest_rad }
+        } else {
+            Self { ticks: 1, lowest_rad: theta, highest_rad: theta }
+        };
+        self.ticks > BACK_TICKS
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::f64::consts::PI;

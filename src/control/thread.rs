@@ -5,7 +5,10 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use thiserror::Error;
 
-use super::{DriveReport, Homing, HomingSettings, Tick, drive};
+use super::{
+    ControlAction, ControlEvent, ControlState, DriveReport, Homing, HomingSettings, Motion, Tick,
+    drive,
+};
 use crate::clock::{Clock, RealtimeReport, enter_realtime};
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::Calibration;
@@ -18,6 +21,25 @@ use crate::telemetry::{TickRecord, TickSettings};
     "the control thread has ended unexpectedly; the device's watchdog has switched the motor off"
 )]
 pub struct ThreadGone;
+
+/// What can keep control from doing what it is asked for.
+#[derive(Debug, Error)]
+pub enum ControlError {
+    /// The device.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// The table of states does not allow it.
+    #[error(
+        "{wanted:?} is not possible while control is {state:?}: after a fault or a start the Qube \
+         needs a new hello and homing first"
+    )]
+    Refused {
+        /// What was asked for.
+        wanted: ControlEvent,
+        /// Where control is.
+        state: ControlState,
+    },
+}
 
 /// Prepared work: everything is loaded before the first tick.
 enum Command {
@@ -32,9 +54,9 @@ type Borrower = Box<dyn FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) + Send>
 
 enum Event {
     Identified(Result<Identity, DeviceError>),
-    Homed(Result<(DriveReport, Option<Calibration>), DeviceError>),
-    Finished(Result<DriveReport, DeviceError>),
-    Returned,
+    Homed(Result<(DriveReport, Option<Calibration>), ControlError>),
+    Finished(Result<DriveReport, ControlError>),
+    Returned(Result<(), ControlError>),
 }
 
 /// The thread that owns the device. One command at a time; in between the amplifier is off.
@@ -63,8 +85,9 @@ impl ControlThread {
         let handle = std::thread::Builder::new().name("control".into()).spawn(move || {
             let report = if realtime { enter_realtime() } else { RealtimeReport::default() };
             let _ = ready.send(report);
+            let mut state = ControlState::default();
             for command in inbox {
-                let event = obey(command, device.as_mut(), clock.as_ref(), &stop);
+                let event = obey(&mut state, command, device.as_mut(), clock.as_ref(), &stop);
                 if outbox.send(event).is_err() {
                     return;
                 }
@@ -94,11 +117,12 @@ impl ControlThread {
     /// Finds the zeros of the encoders; none where homing did not complete.
     ///
     /// # Errors
-    /// The outer one when the thread is gone, the inner one when the device could not be armed.
+    /// The outer one when the thread is gone, the inner one when the device could not be armed, or
+    /// nobody has said hello to it.
     pub fn home(
         &self,
         settings: HomingSettings,
-    ) -> Result<Result<(DriveReport, Option<Calibration>), DeviceError>, ThreadGone> {
+    ) -> Result<Result<(DriveReport, Option<Calibration>), ControlError>, ThreadGone> {
         match self.ask(Command::Home(settings))? {
             Event::Homed(result) => Ok(result),
             _ => Err(ThreadGone),
@@ -108,13 +132,14 @@ impl ControlThread {
     /// Runs one rollout to its end, its records going into `records`.
     ///
     /// # Errors
-    /// The outer one when the thread is gone, the inner one when the device could not be armed.
+    /// The outer one when the thread is gone, the inner one when the device could not be armed, or
+    /// has not been homed since it said hello.
     pub fn rollout(
         &self,
         settings: TickSettings,
         policy: Policy,
         records: rtrb::Producer<TickRecord>,
-    ) -> Result<Result<DriveReport, DeviceError>, ThreadGone> {
+    ) -> Result<Result<DriveReport, ControlError>, ThreadGone> {
         match self.ask(Command::Rollout(settings, Box::new(policy), records))? {
             Event::Finished(result) => Ok(result),
             _ => Err(ThreadGone),
@@ -125,18 +150,20 @@ impl ControlThread {
     /// check measures is then what a tick will see.
     ///
     /// # Errors
-    /// The thread is gone.
+    /// The outer one when the thread is gone, the inner one when nobody has said hello to the device,
+    /// or a fault is latched.
     pub fn lend<R: Send + 'static>(
         &self,
         task: impl FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) -> R + Send + 'static,
-    ) -> Result<R, ThreadGone> {
+    ) -> Result<Result<R, ControlError>, ThreadGone> {
         let (results, result) = bounded(1);
         let borrower: Borrower = Box::new(move |device, clock, stop| {
             // Its receiver waits below, and there is room for one.
             let _ = results.send(task(device, clock, stop));
         });
         match self.ask(Command::Lend(borrower))? {
-            Event::Returned => result.recv().map_err(|_| ThreadGone),
+            Event::Returned(Ok(())) => result.recv().map(Ok).map_err(|_| ThreadGone),
+            Event::Returned(Err(refused)) => Ok(Err(refused)),
             _ => Err(ThreadGone),
         }
     }
@@ -157,21 +184,70 @@ impl Drop for ControlThread {
     }
 }
 
-fn obey(command: Command, device: &mut dyn Device, clock: &dyn Clock, stop: &AtomicBool) -> Event {
+fn obey(
+    state: &mut ControlState,
+    command: Command,
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+) -> Event {
     match command {
-        Command::Hello => Event::Identified(device.hello()),
+        Command::Hello => {
+            let identified = device.hello();
+            let answered = identified.is_ok();
+            state.take(if answered { ControlEvent::Hello } else { ControlEvent::NoAnswer });
+            Event::Identified(identified)
+        }
         Command::Home(settings) => {
-            let mut homing = Homing::new(&settings);
-            let driven = drive(device, clock, &mut homing, None, stop);
+            let mut homing = match state {
+                ControlState::Cleared => Homing::after_fault(&settings),
+                _ => Homing::new(&settings),
+            };
+            let driven = allowed(state, ControlEvent::Home)
+                .and_then(|()| driven(state, device, clock, &mut homing, None, stop));
             Event::Homed(driven.map(|report| (report, homing.calibration())))
         }
         Command::Rollout(settings, policy, mut records) => {
             let mut tick = Tick::new(&settings, *policy);
-            Event::Finished(drive(device, clock, &mut tick, Some(&mut records), stop))
+            let driven = allowed(state, ControlEvent::Rollout)
+                .and_then(|()| driven(state, device, clock, &mut tick, Some(&mut records), stop));
+            Event::Finished(driven)
         }
         Command::Lend(borrower) => {
-            borrower(device, clock, stop);
-            Event::Returned
+            let lent = allowed(state, ControlEvent::Check).map(|()| {
+                borrower(device, clock, stop);
+                state.take(ControlEvent::Checked);
+            });
+            Event::Returned(lent)
+        }
+    }
+}
+
+/// Takes an order to the table of states.
+fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), ControlError> {
+    match state.take(wanted) {
+        ControlAction::Refuse => Err(ControlError::Refused { wanted, state: *state }),
+        _ => Ok(()),
+    }
+}
+
+/// Drives a motion, and goes where it came to.
+fn driven(
+    state: &mut ControlState,
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    motion: &mut dyn Motion,
+    records: Option<&mut rtrb::Producer<TickRecord>>,
+    stop: &AtomicBool,
+) -> Result<DriveReport, ControlError> {
+    match drive(device, clock, motion, records, stop) {
+        Ok(report) => {
+            *state = motion.control_state();
+            Ok(report)
+        }
+        Err(error) => {
+            state.take(ControlEvent::NoAnswer);
+            Err(error.into())
         }
     }
 }

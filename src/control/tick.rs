@@ -1,17 +1,21 @@
-use super::settling::{RestDetector, settling_voltage};
+use super::sensor_watch::SensorWatch;
+use super::settling::{BackDetector, RestDetector, settling_voltage};
 use super::watch::{Alarm, Watch};
-use super::{Motion, TickInput, TickOutput};
+use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::Estimator;
-use crate::policy::Policy;
+use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, State};
-use crate::safety::{brake_voltage, gate};
+use crate::safety::{Guard, brake_voltage, gate, retreat_voltage};
 use crate::telemetry::{Ending, Fault, Phase, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
-/// Most ticks for braking: 1 s.
+/// Most ticks for braking: 1 s for a brake that only stops the arm ...
 const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
+
+/// ... and 8 s for one that brings it back to the middle and waits for the pendulum.
+const MAX_RETREAT_TICKS: u32 = (8.0 / CONTROL_PERIOD_S) as u32;
 
 /// Below this the arm counts as stopped, rad/s ...
 const STOPPED_RAD_S: f64 = 0.5;
@@ -22,92 +26,130 @@ const STOPPED_TICKS: u32 = 3;
 /// An arm that is still faster than this at the end of braking does not obey the motor, rad/s.
 const RUNAWAY_RAD_S: f64 = 5.0;
 
-/// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it.
+/// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. What leads
+/// from one to the next is the table of [`ControlState`].
 ///
 /// The same code runs on the machine, beside the emulator, in virtual time and in replay.
 #[derive(Debug)]
-pub struct Tick {
+pub struct Tick<C = Policy> {
     settings: TickSettings,
-    policy: Policy,
+    policy: C,
     estimator: Estimator,
     watch: Watch,
+    sensors: SensorWatch,
     rest: RestDetector,
+    back: BackDetector,
+    control: ControlState,
     phase: Phase,
     periods_in_phase: u32,
     stopped_ticks: u32,
-    /// Why braking began; what the rollout ends with.
+    /// What the rollout ends with.
     reason: Ending,
     state: State,
     voltage_mv: i16,
 }
 
-impl Tick {
+impl<C: Controller> Tick<C> {
     /// A rollout that starts with settling.
     #[must_use]
-    pub fn new(settings: &TickSettings, policy: Policy) -> Self {
-        Self {
+    pub fn new(settings: &TickSettings, policy: C) -> Self {
+        let mut tick = Self {
             settings: *settings,
             policy,
             estimator: Estimator::new(settings.estimator, settings.calibration),
             watch: Watch::default(),
+            sensors: SensorWatch::default(),
             rest: RestDetector::default(),
+            back: BackDetector::default(),
+            control: ControlState::Ready,
             phase: Phase::Settling,
             periods_in_phase: 0,
             stopped_ticks: 0,
             reason: Ending::Completed,
             state: State::default(),
             voltage_mv: 0,
-        }
+        };
+        tick.take(ControlEvent::Rollout, Ending::Completed);
+        tick
     }
 
-    /// Moves on to the next phase where the state or the clock asks for it.
-    fn advance(&mut self, input: &TickInput) {
-        if input.stop_requested && self.phase != Phase::Braking {
-            return self.brake(Ending::Stopped);
+    /// Takes an event to the table and does what it says; `reason` is what the rollout ends with if
+    /// this event ends it. Whether the amplifier goes off now.
+    fn take(&mut self, event: ControlEvent, reason: Ending) -> bool {
+        let before = self.control;
+        let action = self.control.take(event);
+        if self.control != before {
+            self.periods_in_phase = 0;
+            self.reason = reason;
         }
+        match action {
+            ControlAction::Settle => self.phase = Phase::Settling,
+            ControlAction::RunPolicy => {
+                // The box counts whole turns of the pendulum from the start of each rollout.
+                self.state = self.estimator.forget_whole_turns();
+                self.phase = Phase::Running;
+            }
+            ControlAction::Brake => self.phase = Phase::Braking,
+            ControlAction::Off => self.voltage_mv = 0,
+            ControlAction::GoOn
+            | ControlAction::Lend
+            | ControlAction::Watch
+            | ControlAction::Seek
+            | ControlAction::Refuse => {}
+        }
+        action == ControlAction::Off
+    }
+
+    /// What the state or the clock asks for, if anything.
+    fn event(&mut self, input: &TickInput) -> Option<(ControlEvent, Ending)> {
+        let stopped = input.stop_requested.then_some((ControlEvent::Stop, Ending::Stopped));
         match self.phase {
+            Phase::Braking => self.braked(),
+            _ if stopped.is_some() => stopped,
             Phase::Settling => {
                 if self.rest.at_rest(&self.state, self.settings.start_theta_rad) {
-                    // The box counts whole turns of the pendulum from the start of each rollout.
-                    self.state = self.estimator.forget_whole_turns();
-                    self.enter(Phase::Running);
+                    Some((ControlEvent::AtRest, Ending::Completed))
                 } else if self.periods_in_phase >= MAX_SETTLING_TICKS {
-                    self.brake(Ending::Fault(Fault::SettlingTimedOut));
+                    Some((ControlEvent::BrakeFault, Ending::Fault(Fault::SettlingTimedOut)))
+                } else {
+                    None
                 }
+            }
+            Phase::Running if self.periods_in_phase >= self.settings.max_steps => {
+                Some((ControlEvent::TimeUp, Ending::Completed))
             }
             Phase::Running => {
-                if self.periods_in_phase >= self.settings.max_steps {
-                    self.brake(Ending::Completed);
-                } else if let Some(limit) = self.settings.safety_box.violation(&self.state) {
-                    self.brake(Ending::LeftBox(limit));
-                }
+                let limit = self.settings.safety_box.violation(&self.state)?;
+                Some((ControlEvent::LimitLeft, Ending::LeftBox(limit)))
             }
-            Phase::Braking => {}
         }
     }
 
-    fn enter(&mut self, phase: Phase) {
-        self.phase = phase;
-        self.periods_in_phase = 0;
-    }
-
-    fn brake(&mut self, reason: Ending) {
-        self.reason = reason;
-        self.enter(Phase::Braking);
-    }
-
-    /// Whether braking is over, and with what the rollout ends then.
-    fn braked(&mut self) -> Option<Ending> {
+    /// Whether braking is over.
+    fn braked(&mut self) -> Option<(ControlEvent, Ending)> {
         let speed_rad_s = self.state.theta_dot.abs();
-        self.stopped_ticks = if speed_rad_s < STOPPED_RAD_S { self.stopped_ticks + 1 } else { 0 };
-        if self.stopped_ticks >= STOPPED_TICKS {
-            Some(self.reason)
-        } else if self.periods_in_phase < MAX_BRAKING_TICKS {
-            None
-        } else if speed_rad_s > RUNAWAY_RAD_S {
-            Some(Ending::Fault(Fault::BrakingTimedOut))
+        let (stands, most_ticks) = match self.settings.safety_box.guard {
+            Guard::Box => {
+                let slow = speed_rad_s < STOPPED_RAD_S;
+                self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };
+                (self.stopped_ticks >= STOPPED_TICKS, MAX_BRAKING_TICKS)
+            }
+            Guard::Envelope => (self.back.is_back(self.state.theta), MAX_RETREAT_TICKS),
+        };
+        let time_is_up = self.periods_in_phase >= most_ticks;
+        if !stands && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
+            Some((ControlEvent::ZeroFault, Ending::Fault(Fault::BrakingTimedOut)))
+        } else if stands || time_is_up {
+            Some((ControlEvent::Stands, self.reason))
         } else {
-            Some(self.reason)
+            None
+        }
+    }
+
+    fn braking_voltage(&self) -> f64 {
+        match self.settings.safety_box.guard {
+            Guard::Box => brake_voltage(self.state.theta_dot),
+            Guard::Envelope => retreat_voltage(&self.state),
         }
     }
 
@@ -115,13 +157,12 @@ impl Tick {
         match self.phase {
             Phase::Settling => settling_voltage(&self.state, self.settings.start_theta_rad),
             Phase::Running => self.policy.voltage_v(&self.state),
-            Phase::Braking => brake_voltage(self.state.theta_dot),
+            Phase::Braking => self.braking_voltage(),
         }
     }
 
-    fn off(&mut self, ending: Ending) -> TickOutput {
-        self.voltage_mv = 0;
-        TickOutput { wanted_v: None, ending: Some(ending), ..self.output() }
+    fn off(&self) -> TickOutput {
+        TickOutput { ending: Some(self.reason), ..self.output() }
     }
 
     fn output(&self) -> TickOutput {
@@ -135,17 +176,19 @@ impl Tick {
     }
 }
 
-impl Motion for Tick {
+impl<C: Controller> Motion for Tick<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.periods_in_phase += input.skipped_periods;
 
-        // Watch the link, the clock and the device's own flags.
-        match self.watch.check(input) {
-            Some(Alarm::Zero(fault)) => return self.off(Ending::Fault(fault)),
-            Some(Alarm::Brake(fault)) if self.phase != Phase::Braking => {
-                self.brake(Ending::Fault(fault));
-            }
-            _ => {}
+        // Watch the link, the clock, the device's own flags, and the sensors.
+        let seen = input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, false));
+        let off = match self.watch.check(input).or(seen) {
+            Some(Alarm::Zero(fault)) => self.take(ControlEvent::ZeroFault, Ending::Fault(fault)),
+            Some(Alarm::Brake(fault)) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
+            None => false,
+        };
+        if off {
+            return self.off();
         }
 
         // Estimate. Without a sample the last voltage is held over.
@@ -155,12 +198,18 @@ impl Motion for Tick {
         };
         self.state = self.estimator.update(measurement);
 
-        // Guard: leave the phase where the state asks for it.
-        self.advance(input);
-        if self.phase == Phase::Braking
-            && let Some(ending) = self.braked()
-        {
-            return self.off(ending);
+        // Guard: leave the phase where the state asks for it. A brake that has just begun may find
+        // the arm at rest.
+        for _ in 0..2 {
+            let was = self.phase;
+            if let Some((event, reason)) = self.event(input)
+                && self.take(event, reason)
+            {
+                return self.off();
+            }
+            if self.phase == was || self.phase != Phase::Braking {
+                break;
+            }
         }
 
         // Decide, and let nothing through that is not a voltage.
@@ -168,8 +217,8 @@ impl Motion for Tick {
         self.voltage_mv = match gate(wanted_v) {
             Ok(voltage_mv) => voltage_mv,
             Err(_) => {
-                self.brake(Ending::Fault(Fault::NotANumber));
-                wanted_v = brake_voltage(self.state.theta_dot);
+                self.take(ControlEvent::BrakeFault, Ending::Fault(Fault::NotANumber));
+                wanted_v = self.braking_voltage();
                 gate(wanted_v).unwrap_or(0)
             }
         };
@@ -179,6 +228,10 @@ impl Motion for Tick {
 
     fn device_mv(&self, voltage_mv: i16) -> i16 {
         self.settings.calibration.device_mv(voltage_mv)
+    }
+
+    fn control_state(&self) -> ControlState {
+        self.control
     }
 }
 

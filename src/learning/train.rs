@@ -6,8 +6,11 @@ use super::curve::TrainUpdate;
 use super::trainer::Trainer;
 use super::{TrainError, TrainSettings};
 use crate::estimation::EstimatorSettings;
-use crate::policy::{Network, NetworkPolicy, Policy, SimulatedSensors, TrainingRecord};
+use crate::policy::{
+    Network, NetworkPolicy, Policy, SimulatedGuard, SimulatedSensors, TrainingRecord,
+};
 use crate::qube::COUNTS_PER_REVOLUTION;
+use crate::safety::Guard;
 use crate::simulation::{DomainDistribution, SensorModel};
 
 /// What came of a training.
@@ -26,6 +29,8 @@ pub struct Trained {
     pub curve: Vec<TrainUpdate>,
     /// How the simulation showed the state.
     pub sensors: SensorModel,
+    /// What ended a simulated rollout early beside the box.
+    pub guard: Guard,
     /// Everything random in it.
     pub seed: u64,
 }
@@ -53,6 +58,10 @@ impl Trained {
                 SimulatedSensors::Encoders { corner_rad_s, counts_per_revolution }
             }
         };
+        let guard = match self.guard {
+            Guard::Box => SimulatedGuard::Box,
+            Guard::Envelope => SimulatedGuard::Envelope,
+        };
         Policy::Network(NetworkPolicy {
             network: self.network,
             training: TrainingRecord {
@@ -63,6 +72,7 @@ impl Trained {
                 steps: last.map_or(0, |last| last.steps),
                 gradient_steps: last.map_or(0, |last| last.gradient_steps),
                 sensors,
+                guard,
                 best_return: Some(self.best_return),
                 program_version: env!("CARGO_PKG_VERSION").to_owned(),
             },

@@ -150,6 +150,7 @@ impl<'a> Trainer<'a> {
             final_network: exported(&self.policy.network)?,
             final_return: self.curve.last().map_or(f64::NEG_INFINITY, |last| last.mean_return),
             sensors: self.settings.simulation.sensors,
+            guard: self.settings.simulation.safety_box.guard,
             seed: self.seed,
             curve: self.curve,
         })

@@ -13,6 +13,10 @@ pub struct ClassicalGains {
     pub pump_v_per_j: f64,
     /// Swing-up: most volts spent on pumping, so that the arm does not run away.
     pub pump_limit_v: f64,
+    /// Swing-up: r in theta + r sin(alpha), rad: where the arm is once the pendulum has given it all
+    /// its momentum. That is centred and damped, so that the pendulum's own swing costs no volts.
+    #[serde(default)]
+    pub recoil_rad: f64,
     /// Swing-up: volts that pull the arm back for each rad off the middle.
     pub centring_v_per_rad: f64,
     /// Swing-up: volts against each rad/s of the arm.
@@ -27,14 +31,15 @@ pub struct ClassicalGains {
 
 impl Default for ClassicalGains {
     /// Balance: discrete LQR at 100 Hz on the nominal parameters linearised upright, Q = diag(1, 1,
-    /// 0.02, 0.005), R = 0.05. Swing-up: the best worst case of a grid over gains, with the starts
-    /// and estimators of the test below.
+    /// 0.02, 0.005), R = 0.05. Swing-up: the best worst case of a random search over gains, with the
+    /// starts of the test below, among those that stay inside the speed envelope.
     fn default() -> Self {
         Self {
-            pump_v_per_j: 200.0,
-            pump_limit_v: 4.0,
-            centring_v_per_rad: 2.0,
-            damping_v_s_per_rad: 0.1,
+            pump_v_per_j: 111.0,
+            pump_limit_v: 2.0,
+            recoil_rad: 0.57,
+            centring_v_per_rad: 1.8,
+            damping_v_s_per_rad: 0.22,
             balance: [-3.265, 28.028, -1.267, 2.338],
             catch_rad: 0.35,
             lose_rad: 0.7,
@@ -90,7 +95,7 @@ impl ClassicalController {
     }
 
     fn swing_up(&self, state: &State) -> f64 {
-        let (_, cos) = Scalar::sin_cos(state.alpha);
+        let (sin, cos) = Scalar::sin_cos(state.alpha);
         let (theta_dot, alpha_dot) = (state.theta_dot, state.alpha_dot);
         // What the pendulum lacks to stand at rest. Its motion across the arm counts, also the part
         // that the arm lends it; the arm's own energy does not.
@@ -104,8 +109,8 @@ impl ClassicalController {
         let limit_v = self.gains.pump_limit_v;
         let pump_v = (self.gains.pump_v_per_j * lacking_j).clamp(-limit_v, limit_v) * direction;
         pump_v
-            - self.gains.centring_v_per_rad * state.theta
-            - self.gains.damping_v_s_per_rad * state.theta_dot
+            - self.gains.centring_v_per_rad * (state.theta + self.gains.recoil_rad * sin)
+            - self.gains.damping_v_s_per_rad * (theta_dot + self.gains.recoil_rad * swing)
     }
 }
 
@@ -123,15 +128,15 @@ mod tests {
         let mut controller = ClassicalController::new(ClassicalGains::default());
         let (mut state, mut earned) = (start, 0.0);
         for step in 0..600 {
-            if SafetyBox::THESIS.violation(&state).is_some() {
-                return (earned, step, state);
-            }
             let seen = estimator.update(&Measurement {
                 device_time_us: step as u64 * 10_000,
                 theta_counts: counts(state.theta),
                 alpha_counts: counts(state.alpha),
                 ..Measurement::default()
             });
+            if SafetyBox::GUARDED.violation(&seen).is_some() {
+                return (earned, step, state);
+            }
             let voltage_v = controller.voltage_v(&seen);
             earned += RewardWeights::THESIS.reward(&state, voltage_v);
             state = control_step(&dynamics, state, voltage_v);
@@ -141,7 +146,7 @@ mod tests {
 
     #[test]
     fn it_swings_up_and_balances_from_any_start_near_hanging() {
-        for corner_rad_s in [50.0, 200.0] {
+        for corner_rad_s in [200.0, 1000.0] {
             for theta in [-0.1, 0.0, 0.1] {
                 for alpha in [-0.1, 0.0, 0.1] {
                     let start = State { theta, alpha, ..State::default() };

@@ -282,11 +282,12 @@ fn read_layers(
 }
 
 /// The gains by name, so that a file says what its numbers mean.
-fn named_gains(gains: &ClassicalGains) -> [(&'static str, &[f64]); 7] {
+fn named_gains(gains: &ClassicalGains) -> [(&'static str, &[f64]); 8] {
     use std::slice::from_ref;
     [
         ("pump_v_per_j", from_ref(&gains.pump_v_per_j)),
         ("pump_limit_v", from_ref(&gains.pump_limit_v)),
+        ("recoil_rad", from_ref(&gains.recoil_rad)),
         ("centring_v_per_rad", from_ref(&gains.centring_v_per_rad)),
         ("damping_v_s_per_rad", from_ref(&gains.damping_v_s_per_rad)),
         ("balance", &gains.balance),
@@ -307,9 +308,12 @@ fn gain_tensors(gains: &ClassicalGains) -> Vec<(String, Tensor)> {
 
 fn read_gains(tensors: &SafeTensors<'_>) -> Result<ClassicalGains, PolicyFault> {
     let one = |name| read_f64::<1>(tensors, name).map(|[value]| value);
+    // Files from before there was one centre the arm alone.
+    let has_recoil = tensors.names().contains(&"recoil_rad");
     let gains = ClassicalGains {
         pump_v_per_j: one("pump_v_per_j")?,
         pump_limit_v: one("pump_limit_v")?,
+        recoil_rad: if has_recoil { one("recoil_rad")? } else { 0.0 },
         centring_v_per_rad: one("centring_v_per_rad")?,
         damping_v_s_per_rad: one("damping_v_s_per_rad")?,
         balance: read_f64(tensors, "balance")?,

@@ -22,6 +22,7 @@ fn network_policy() -> Policy {
             preset: "quick".to_owned(),
             steps: 4_800_000,
             gradient_steps: 750_000,
+            guard: SimulatedGuard::Envelope,
             sensors: SimulatedSensors::Encoders {
                 corner_rad_s: 200.0,
                 counts_per_revolution: 2048,

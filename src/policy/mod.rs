@@ -17,7 +17,7 @@ use std::path::Path;
 pub use classical::{ClassicalController, ClassicalGains};
 pub use file::{FORMAT_VERSION, MAX_FILE_BYTES, PolicyError, PolicyFault};
 pub use network::{LayerWeights, MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
-pub use training_record::{SimulatedSensors, TrainingRecord};
+pub use training_record::{SimulatedGuard, SimulatedSensors, TrainingRecord};
 
 use crate::qube::State;
 
@@ -38,6 +38,18 @@ pub struct NetworkPolicy {
     pub network: Network,
     /// How it was trained.
     pub training: TrainingRecord,
+}
+
+/// Whatever wants a voltage at each step of a rollout. A [`Policy`], or what a test puts in its place.
+pub trait Controller: Send {
+    /// The voltage for a state, V. It allocates nothing; the voltage gate of `safety` limits it.
+    fn voltage_v(&mut self, state: &State) -> f64;
+}
+
+impl Controller for Policy {
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        Self::voltage_v(self, state)
+    }
 }
 
 impl Policy {

@@ -22,10 +22,32 @@ pub struct TrainingRecord {
     pub gradient_steps: u64,
     /// How the simulation showed the state.
     pub sensors: SimulatedSensors,
+    /// What ended a simulated rollout early beside the safety box.
+    #[serde(default, skip_serializing_if = "SimulatedGuard::is_box")]
+    pub guard: SimulatedGuard,
     /// Mean return of the deterministic evaluation by which this policy was chosen.
     pub best_return: Option<f64>,
     /// Version of the program that trained it.
     pub program_version: String,
+}
+
+/// The guard of a training: `safety::Guard`, as a policy's file names it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SimulatedGuard {
+    /// Nothing beside the box; also that of files which name none.
+    #[default]
+    Box,
+    /// The speed envelope.
+    Envelope,
+}
+
+impl SimulatedGuard {
+    /// Whether files need not name it.
+    #[must_use]
+    pub fn is_box(&self) -> bool {
+        *self == Self::Box
+    }
 }
 
 /// The sensor model of a training.

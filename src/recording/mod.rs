@@ -38,6 +38,9 @@ pub const FORMAT_VERSION: u32 = 1;
 /// Name of the attachment that holds the policy file.
 pub const POLICY_ATTACHMENT: &str = "policy.safetensors";
 
+/// Name of the attachment with the last second before a fault: one JSON object a line, a tick each.
+pub const LAST_TICKS_ATTACHMENT: &str = "last-ticks.jsonl";
+
 #[cfg(test)]
 pub(crate) mod samples;
 #[cfg(test)]

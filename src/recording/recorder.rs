@@ -28,7 +28,7 @@ const OLDEST_UNFLUSHED: Duration = Duration::from_millis(120);
 #[derive(Debug)]
 pub struct Recorder {
     path: PathBuf,
-    outcome: Option<Sender<RolloutOutcome>>,
+    outcome: Option<Sender<Closing>>,
     failed: Arc<AtomicBool>,
     thread: Option<JoinHandle<Result<(), RecordingError>>>,
 }
@@ -79,15 +79,20 @@ impl Recorder {
         self.failed.load(Ordering::Relaxed)
     }
 
-    /// Writes what is still in the ring and the outcome, closes the file, and returns its path when
+    /// Writes what is still in the ring, the outcome and the last second before a fault (none where
+    /// there was no fault), closes the file, and returns its path when
     /// it would survive a loss of power. Nothing may be put into the ring any more.
     ///
     /// # Errors
     /// What went wrong while writing, at whatever tick: a full disk, any other failure.
-    pub fn finish(mut self, outcome: RolloutOutcome) -> Result<PathBuf, RecordingError> {
+    pub fn finish(
+        mut self,
+        outcome: RolloutOutcome,
+        last_ticks: Vec<TickRecord>,
+    ) -> Result<PathBuf, RecordingError> {
         if let Some(sender) = self.outcome.take() {
             // A thread that has gone says why when it is joined.
-            let _ = sender.send(outcome);
+            let _ = sender.send((outcome, last_ticks));
         }
         self.join()?;
         Ok(self.path.clone())
@@ -112,11 +117,14 @@ impl Drop for Recorder {
     }
 }
 
+/// How a rollout ended, and its last ticks if that was a fault.
+type Closing = (RolloutOutcome, Vec<TickRecord>);
+
 struct Worker<W: Sink> {
     /// None after a failure.
     writer: Option<RolloutWriter<W>>,
     ticks: rtrb::Consumer<TickRecord>,
-    outcome: Receiver<RolloutOutcome>,
+    outcome: Receiver<Closing>,
     failed: Arc<AtomicBool>,
     in_real_time: bool,
 }
@@ -135,10 +143,13 @@ impl<W: Sink> Worker<W> {
                 result = Err(error);
             }
             match order {
-                Ok(outcome) => {
+                Ok((outcome, last_ticks)) => {
                     result?;
                     return match self.writer.take() {
-                        Some(writer) => writer.finish(&outcome).map(drop),
+                        Some(mut writer) => {
+                            writer.attach_last_ticks(&last_ticks)?;
+                            writer.finish(&outcome).map(drop)
+                        }
                         None => Ok(()),
                     };
                 }
@@ -217,7 +228,7 @@ mod tests {
         while !recorder.has_failed() {
             std::thread::yield_now();
         }
-        let error = recorder.finish(outcome()).unwrap_err();
+        let error = recorder.finish(outcome(), Vec::new()).unwrap_err();
         assert!(matches!(error, RecordingError::DiskFull { .. }), "{error}");
     }
 }

@@ -448,7 +448,7 @@ fn the_recorder_writes_what_comes_through_the_ring() {
     for number in 0..33 {
         producer.push(tick(number)).unwrap();
     }
-    assert_eq!(recorder.finish(outcome()).unwrap(), path);
+    assert_eq!(recorder.finish(outcome(), Vec::new()).unwrap(), path);
     assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(33)), "same bytes as in memory");
     let (_, consumer) = rtrb::RingBuffer::new(64);
     let again = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer);

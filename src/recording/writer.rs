@@ -13,7 +13,7 @@ use super::scene::{FrameTransforms, SceneUpdate};
 use super::tick_messages::{
     CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TimingMessage,
 };
-use super::{POLICY_ATTACHMENT, RecordingError, metadata};
+use super::{LAST_TICKS_ATTACHMENT, POLICY_ATTACHMENT, RecordingError, metadata};
 use crate::storage::{Disk, DiskFile, sync_name};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
 
@@ -216,6 +216,34 @@ impl<W: Sink> RolloutWriter<W> {
     #[must_use]
     pub fn has_open_block(&self) -> bool {
         self.ticks_in_block > 0
+    }
+
+    /// Attaches the last ticks before a fault, whatever the recorder had room for; nothing for none.
+    ///
+    /// # Errors
+    /// The sink failed.
+    pub fn attach_last_ticks(&mut self, ticks: &[TickRecord]) -> Result<(), RecordingError> {
+        if ticks.is_empty() {
+            return Ok(());
+        }
+        self.try_attach(ticks).map_err(|error| RecordingError::write(&self.path, io_error(error)))
+    }
+
+    fn try_attach(&mut self, ticks: &[TickRecord]) -> Result<(), McapError> {
+        let mut lines = Vec::new();
+        for tick in ticks {
+            serde_json::to_writer(&mut lines, tick).map_err(io::Error::from)?;
+            lines.push(b'\n');
+        }
+        self.close_block()?;
+        let log_time = self.last.1;
+        self.mcap.as_mut().ok_or_else(closed)?.attach(&Attachment {
+            log_time,
+            create_time: log_time,
+            name: LAST_TICKS_ATTACHMENT.to_owned(),
+            media_type: "application/jsonl".to_owned(),
+            data: lines.into(),
+        })
     }
 
     /// Closes the recording with its outcome, index and checksums, waits until it would survive a

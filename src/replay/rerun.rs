@@ -116,8 +116,8 @@ mod tests {
     use super::*;
     use crate::policy::{ClassicalController, ClassicalGains};
     use crate::qube::{
-        CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, State, Status, control_step,
-        counts,
+        CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, RAD_PER_COUNT, State, Status,
+        control_step, counts,
     };
     use crate::recording::samples::{POLICY, header, outcome};
     use crate::recording::{RolloutWriter, parse};
@@ -144,6 +144,7 @@ mod tests {
                 device_time_us: u64::from(number) * 10_000,
                 theta_counts: counts(plant.theta),
                 alpha_counts: counts(plant.alpha),
+                tachometer_counts_s: (plant.theta_dot / RAD_PER_COUNT) as i32,
                 status,
                 ..Measurement::default()
             });

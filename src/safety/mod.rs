@@ -1,11 +1,16 @@
-//! What ends a rollout and what the motor is told then: the safety box, the braking rule, the latch.
+//! What ends a rollout and what the motor is told then: the safety box, the speed envelope, the
+//! braking rules, the last gate.
 //!
 //! Pure state machine, readable alone. May import `qube` and `elementary`.
 
 mod braking;
+mod guard;
 mod safety_box;
+mod speed_envelope;
 mod voltage_gate;
 
-pub use braking::brake_voltage;
+pub use braking::{brake_voltage, retreat_voltage};
+pub use guard::Guard;
 pub use safety_box::{Limit, SafetyBox};
+pub use speed_envelope::SpeedEnvelope;
 pub use voltage_gate::{NotANumber, gate};

@@ -2,6 +2,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
+use super::{Guard, SpeedEnvelope};
 use crate::elementary::Scalar;
 use crate::qube::State;
 
@@ -19,6 +20,8 @@ pub struct SafetyBox<T = f64> {
     pub theta_dot: T,
     /// Largest |alpha_dot|, rad/s.
     pub alpha_dot: T,
+    /// Whether the speed envelope ends a rollout before the box does.
+    pub guard: Guard,
 }
 
 /// Which side of the box was left.
@@ -33,6 +36,8 @@ pub enum Limit {
     ThetaDot,
     /// |alpha_dot|.
     AlphaDot,
+    /// The speed envelope: a little later the hard stop could not be avoided any more.
+    Envelope,
 }
 
 impl std::fmt::Display for Limit {
@@ -42,13 +47,19 @@ impl std::fmt::Display for Limit {
             Self::Alpha => "alpha",
             Self::ThetaDot => "theta_dot",
             Self::AlphaDot => "alpha_dot",
+            Self::Envelope => "the speed envelope",
         })
     }
 }
 
 impl SafetyBox {
     /// The thesis's limits (section 5.1).
-    pub const THESIS: Self = Self { theta: 2.3, alpha: 4.0 * PI, theta_dot: 30.0, alpha_dot: 40.0 };
+    pub const THESIS: Self =
+        Self { theta: 2.3, alpha: 4.0 * PI, theta_dot: 30.0, alpha_dot: 40.0, guard: Guard::Box };
+
+    /// The thesis's limits inside the speed envelope: what every rollout on a Qube runs under unless
+    /// somebody switches the envelope off.
+    pub const GUARDED: Self = Self { guard: Guard::Envelope, ..Self::THESIS };
 
     /// The same box in another number type.
     #[must_use]
@@ -58,6 +69,7 @@ impl SafetyBox {
             alpha: T::from_f64(self.alpha),
             theta_dot: T::from_f64(self.theta_dot),
             alpha_dot: T::from_f64(self.alpha_dot),
+            guard: self.guard,
         }
     }
 
@@ -73,6 +85,8 @@ impl SafetyBox {
             Some(Limit::ThetaDot)
         } else if !keeps(state.alpha_dot, self.alpha_dot) {
             Some(Limit::AlphaDot)
+        } else if !self.guard.is_box() && !SpeedEnvelope::contains(state) {
+            Some(Limit::Envelope)
         } else {
             None
         }
@@ -87,6 +101,7 @@ impl<T: Scalar> SafetyBox<T> {
             & (state.alpha.abs() < self.alpha)
             & (state.theta_dot.abs() < self.theta_dot)
             & (state.alpha_dot.abs() < self.alpha_dot)
+            & (self.guard.is_box() || SpeedEnvelope::contains(state))
     }
 }
 

@@ -29,4 +29,33 @@ mod tests {
             assert_eq!(gate(bad), Err(NotANumber));
         }
     }
+
+    /// What a policy of 32-bit numbers asked for, and what may come of it.
+    fn check(bits: u32) {
+        let wanted_v = f32::from_bits(bits);
+        match gate(f64::from(wanted_v)) {
+            Ok(millivolts) => {
+                assert!(wanted_v.is_finite() && (-5000..=5000).contains(&millivolts), "{bits:#x}");
+                let limited_v = wanted_v.clamp(-5.0, 5.0);
+                assert!((f32::from(millivolts) - 1000.0 * limited_v).abs() <= 0.501, "{bits:#x}");
+            }
+            Err(NotANumber) => assert!(!wanted_v.is_finite(), "{bits:#x}"),
+        }
+    }
+
+    #[test]
+    fn a_sample_of_all_patterns_of_an_f32_passes_the_gate_or_is_refused() {
+        // A stride without a common factor with 2^32 meets every exponent and both signs.
+        (0..200_000_u32).for_each(|number| check(number.wrapping_mul(21_467)));
+        for edge in [0.0, -0.0, 5.0, -5.0, f32::MIN_POSITIVE, f32::MAX, f32::NAN, f32::INFINITY] {
+            let bits = edge.to_bits();
+            [bits.wrapping_sub(1), bits, bits + 1].into_iter().for_each(check);
+        }
+    }
+
+    #[test]
+    #[ignore = "all 2^32 patterns, half a minute: scripts/adversary runs it"]
+    fn every_pattern_of_an_f32_passes_the_gate_or_is_refused() {
+        (0..=u32::MAX).for_each(check);
+    }
 }

@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use thiserror::Error;
 
 use crate::clock::{Clock, MonotonicClock, RealtimeReport, VirtualClock};
-use crate::control::{ControlThread, HomingSettings, RING_CAPACITY, ThreadGone};
+use crate::control::{ControlError, ControlThread, HomingSettings, RING_CAPACITY, ThreadGone};
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{Device, DeviceError, Identity, SerialLink};
 use crate::estimation::Calibration;
@@ -17,7 +17,7 @@ use crate::preflight::{
 use crate::recording::{Recorder, RecordingError};
 use crate::storage::Disk;
 use crate::telemetry::{
-    CheckResult, Ending, Fault, Preflight, RolloutHeader, RolloutOutcome, TickSettings,
+    CheckResult, Ending, Fault, Preflight, RolloutHeader, RolloutOutcome, TickRecord, TickSettings,
 };
 
 /// Where the Qube is.
@@ -72,12 +72,20 @@ pub enum RigError {
     /// The device.
     #[error(transparent)]
     Device(#[from] DeviceError),
+    /// Control refused: no hello, or no homing.
+    #[error("{0}")]
+    Refused(ControlError),
     /// The control thread has died.
     #[error(transparent)]
     ThreadGone(#[from] ThreadGone),
     /// Homing ended by a fault.
-    #[error("homing failed: {0}. The motor is off; look at the Qube, then start again")]
-    Homing(Fault),
+    #[error("homing failed: {fault}. The motor is off; look at the Qube, then start again")]
+    Homing {
+        /// Which.
+        fault: Fault,
+        /// The last second before it: homing has no recording.
+        last_ticks: Vec<TickRecord>,
+    },
     /// Somebody asked to stop during the check or homing.
     #[error("stopped while homing")]
     Stopped,
@@ -111,6 +119,15 @@ pub enum RigError {
     /// The bytes are no policy.
     #[error("the policy cannot be run: {0}")]
     Policy(#[from] PolicyFault),
+}
+
+impl From<ControlError> for RigError {
+    fn from(error: ControlError) -> Self {
+        match error {
+            ControlError::Device(error) => Self::Device(error),
+            refused @ ControlError::Refused { .. } => Self::Refused(refused),
+        }
+    }
 }
 
 /// What a rig is opened with.
@@ -236,7 +253,7 @@ impl Rig {
         examination.results.push(if examination.passed() {
             match self.home() {
                 Ok(()) => homed(&self.calibration),
-                Err(RigError::Homing(fault)) => not_homed(fault),
+                Err(RigError::Homing { fault, .. }) => not_homed(fault),
                 Err(error) => return Err(error),
             }
         } else {
@@ -254,7 +271,7 @@ impl Rig {
         };
         let examination = self
             .control
-            .lend(move |device, clock, stop| examine(device, clock, stop, &settings))??
+            .lend(move |device, clock, stop| examine(device, clock, stop, &settings))???
             .ok_or(RigError::Stopped)?;
         self.homing.signs = examination.signs;
         self.homing.hand_counts = examination.start_theta_counts;
@@ -280,7 +297,9 @@ impl Rig {
                 self.homing.hand_counts = Some(calibration.theta_counts_at(middle_rad));
                 Ok(())
             }
-            (Ending::Fault(fault), None) => Err(RigError::Homing(fault)),
+            (Ending::Fault(fault), None) => {
+                Err(RigError::Homing { fault, last_ticks: report.last_ticks })
+            }
             (_, None) => Err(RigError::Stopped),
         }
     }
@@ -322,7 +341,7 @@ impl Rig {
         let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let recorder = Recorder::start(disk, path, header, policy_file, consumer)?;
         let report = self.control.rollout(settings, policy, producer)??;
-        let path = recorder.finish(report.outcome.clone())?;
+        let path = recorder.finish(report.outcome.clone(), report.last_ticks)?;
         Ok(Recorded { path, outcome: report.outcome })
     }
 

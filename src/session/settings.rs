@@ -6,7 +6,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Origin, TrainSettings};
 use crate::qube::QubeModel;
-use crate::safety::SafetyBox;
+use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
 use crate::simulation::{DomainDistribution, Family, PSI_DIMENSIONS, Psi, PsiError};
 use crate::surrogate::SearchBox;
@@ -92,19 +92,27 @@ impl SessionSettings {
             family: Family::Normal,
             extent: Extent::QUICK,
             estimator: EstimatorSettings::default(),
-            safety_box: SafetyBox::THESIS,
+            safety_box: SafetyBox::GUARDED,
             homing: HomingSettings::default(),
             emulated: EmulatedQubeSettings::default(),
             strategy: StrategyKind::BayRn,
             bayrn: BayRnSettings::default(),
-            training: TrainSettings::quick(),
+            training: guarded(TrainSettings::quick()),
         }
     }
 
     /// The thesis's own extent and training budget.
     #[must_use]
     pub fn thesis() -> Self {
-        Self { extent: Extent::THESIS, training: TrainSettings::thesis(), ..Self::quick() }
+        Self { extent: Extent::THESIS, training: guarded(TrainSettings::thesis()), ..Self::quick() }
+    }
+
+    /// Puts rollouts and simulations alike under this guard.
+    #[must_use]
+    pub fn under(mut self, guard: Guard) -> Self {
+        self.safety_box.guard = guard;
+        self.training.simulation.safety_box.guard = guard;
+        self
     }
 
     /// The strategy that chooses psi.
@@ -139,15 +147,24 @@ impl SessionSettings {
             Model::OptNominal => "opt-nominal",
             Model::OptHandcrafted => "opt-handcrafted",
         };
-        let preset = if self.training == TrainSettings::quick() {
+        // The guard is named in the policy's record beside the preset.
+        let mut training = self.training.clone();
+        training.simulation.safety_box.guard = Guard::Box;
+        let preset = if training == TrainSettings::quick() {
             "quick"
-        } else if self.training == TrainSettings::thesis() {
+        } else if training == TrainSettings::thesis() {
             "thesis"
         } else {
             "custom"
         };
         Origin { model: model.into(), psi: Some(super::named(psi)), preset: preset.into() }
     }
+}
+
+/// Policies of a session are trained under the guard that they will run under.
+fn guarded(mut training: TrainSettings) -> TrainSettings {
+    training.simulation.safety_box = SafetyBox::GUARDED;
+    training
 }
 
 impl Default for SessionSettings {

@@ -100,6 +100,23 @@ pub enum Fault {
     /// The controller asked for a voltage that is not a number.
     #[error("the policy asked for a voltage that is not a number")]
     NotANumber,
+    /// An encoder moved farther than anything can between two samples.
+    #[error("an encoder jumped by more than 200 counts in 10 ms (a hard hit, or a loose cable?)")]
+    EncoderJump,
+    /// The motor drove and the arm's count stayed.
+    #[error(
+        "the arm's encoder stayed for 300 ms against 1 V or more (loose cable, or a held arm?)"
+    )]
+    EncoderFrozen,
+    /// The arm jerked and the pendulum's count stayed.
+    #[error("the pendulum's encoder stayed while the arm jerked (loose cable?)")]
+    PendulumFrozen,
+    /// The motor drove and the arm hardly turned.
+    #[error("the arm hardly turned for 500 ms against 2 V or more (is something in its way?)")]
+    Stall,
+    /// Counter and tachometer show different velocities.
+    #[error("the arm's counter and its tachometer disagreed for 300 ms")]
+    TachometerDisagrees,
     /// Arm and pendulum did not come to rest in time.
     #[error("arm and pendulum did not come to rest within 15 s")]
     SettlingTimedOut,

@@ -16,7 +16,7 @@ pub enum Phase {
 }
 
 /// One tick, as it leaves the control thread: everything that is needed to run it again.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TickRecord {
     /// Number of the tick in its rollout, from 0.
     pub tick: u32,

@@ -1,0 +1,303 @@
+use super::watch::Alarm;
+use crate::qube::{CONTROL_PERIOD_S, Measurement, RAD_PER_COUNT};
+use crate::telemetry::Fault;
+
+/// More counts than this in a control period (61 rad/s) are no motion but a jump.
+const JUMP_COUNTS: f64 = 200.0;
+
+/// A drive of this much, mV ...
+const FROZEN_DRIVE_MV: i16 = 1000;
+
+/// ... in one direction for so long, us ...
+const FROZEN_US: u64 = 300_000;
+
+/// ... moves an arm by more counts than these: friction holds no arm against 1 V.
+const FROZEN_COUNTS: i32 = 2;
+
+/// A drive of this much, mV ...
+const STALL_DRIVE_MV: i16 = 2000;
+
+/// ... in one direction for so long, us ...
+const STALL_US: u64 = 500_000;
+
+/// ... turns an arm faster than this, rad/s.
+const STALL_RAD_S: f64 = 0.5;
+
+/// An arm whose velocity changes by this much, rad/s, moves the pendulum by more than
+/// [`FROZEN_COUNTS`]: the same change of velocity reaches the pendulum, but where it is level, and
+/// there it falls.
+const JERK_RAD_S: f64 = 6.0;
+
+/// Counter and tachometer may differ by this much, counts/s (1.5 rad/s) ...
+const TACHOMETER_COUNTS_S: f64 = 500.0;
+
+/// ... and this share of the faster one ...
+const TACHOMETER_SHARE: f64 = 0.25;
+
+/// ... or more for less than this, us: a tachometer that measures the time between edges shows the
+/// last velocity for 0.21 s after a sudden stop.
+const TACHOMETER_US: u64 = 300_000;
+
+/// Watches encoders, motor and tachometer against each other, over the device's own time.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SensorWatch {
+    previous: Option<Measurement>,
+    frozen: Drive,
+    stall: Drive,
+    pendulum: Pendulum,
+    /// Since when counter and tachometer disagree.
+    disagree_since_us: Option<u64>,
+}
+
+/// A drive in one direction against an arm that hardly moves.
+#[derive(Clone, Copy, Debug, Default)]
+struct Drive {
+    since_us: Option<u64>,
+    positive: bool,
+    lowest: i32,
+    highest: i32,
+}
+
+impl Drive {
+    /// How long it has lasted, us; from now on where `goes_on` is false or the direction is new.
+    fn lasted_us(&mut self, sample: &Measurement, least_mv: i16, most_counts: i32) -> u64 {
+        let counts = sample.theta_counts;
+        let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
+        let drives = sample.applied_mv.saturating_abs() >= least_mv;
+        let positive = sample.applied_mv > 0;
+        let stays = highest.wrapping_sub(lowest) <= most_counts && positive == self.positive;
+        match self.since_us {
+            Some(since_us) if drives && stays => {
+                (self.lowest, self.highest) = (lowest, highest);
+                sample.device_time_us.saturating_sub(since_us)
+            }
+            _ => {
+                let since_us = drives.then_some(sample.device_time_us);
+                *self = Self { since_us, positive, lowest: counts, highest: counts };
+                0
+            }
+        }
+    }
+}
+
+/// A pendulum's count that stays, and what the arm's velocity was meanwhile.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pendulum {
+    lowest: i32,
+    highest: i32,
+    slowest_rad_s: f64,
+    fastest_rad_s: f64,
+}
+
+impl Pendulum {
+    /// Whether the arm's velocity has changed as no pendulum would let pass.
+    fn is_frozen(&mut self, counts: i32, arm_rad_s: f64) -> bool {
+        let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
+        if highest.wrapping_sub(lowest) > FROZEN_COUNTS {
+            *self = Self {
+                lowest: counts,
+                highest: counts,
+                slowest_rad_s: arm_rad_s,
+                fastest_rad_s: arm_rad_s,
+            };
+            return false;
+        }
+        *self = Self {
+            lowest,
+            highest,
+            slowest_rad_s: self.slowest_rad_s.min(arm_rad_s),
+            fastest_rad_s: self.fastest_rad_s.max(arm_rad_s),
+        };
+        self.fastest_rad_s - self.slowest_rad_s > JERK_RAD_S
+    }
+}
+
+impl SensorWatch {
+    /// Looks at one sample. `may_push` where the arm is meant to push against its stop.
+    ///
+    /// All of these end with the amplifier off at once: a brake would work with the very numbers
+    /// that cannot be believed, or against whatever holds the arm.
+    pub fn check(&mut self, sample: &Measurement, may_push: bool) -> Option<Alarm> {
+        let Some(previous) = self.previous.replace(*sample) else {
+            self.pendulum.lowest = sample.alpha_counts;
+            self.pendulum.highest = sample.alpha_counts;
+            return None;
+        };
+        let elapsed_us = sample.device_time_us.saturating_sub(previous.device_time_us);
+        if elapsed_us == 0 {
+            return None;
+        }
+        let elapsed_s = elapsed_us as f64 * 1e-6;
+        let moved = |now: i32, before: i32| f64::from(now.wrapping_sub(before));
+        let theta = moved(sample.theta_counts, previous.theta_counts);
+        let alpha = moved(sample.alpha_counts, previous.alpha_counts);
+        let periods = (elapsed_s / CONTROL_PERIOD_S).max(1.0);
+        if theta.abs() > JUMP_COUNTS * periods || alpha.abs() > JUMP_COUNTS * periods {
+            return Some(Alarm::Zero(Fault::EncoderJump));
+        }
+        let counts_s = theta / elapsed_s;
+        if self.disagrees(sample, counts_s) {
+            return Some(Alarm::Zero(Fault::TachometerDisagrees));
+        }
+        if self.pendulum.is_frozen(sample.alpha_counts, counts_s * RAD_PER_COUNT) {
+            return Some(Alarm::Zero(Fault::PendulumFrozen));
+        }
+        if may_push {
+            return None;
+        }
+        if self.frozen.lasted_us(sample, FROZEN_DRIVE_MV, FROZEN_COUNTS) >= FROZEN_US {
+            return Some(Alarm::Zero(Fault::EncoderFrozen));
+        }
+        let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / RAD_PER_COUNT) as i32;
+        // An arm that the pendulum throws to and fro stays near one place too, but not at one speed.
+        if counts_s.abs() > STALL_RAD_S / RAD_PER_COUNT + 1.0 / elapsed_s {
+            self.stall = Drive::default();
+        }
+        if self.stall.lasted_us(sample, STALL_DRIVE_MV, crept_counts) >= STALL_US {
+            return Some(Alarm::Zero(Fault::Stall));
+        }
+        None
+    }
+
+    fn disagrees(&mut self, sample: &Measurement, counts_s: f64) -> bool {
+        let tachometer = f64::from(sample.tachometer_counts_s);
+        let faster = tachometer.abs().max(counts_s.abs());
+        let allowed = TACHOMETER_COUNTS_S + TACHOMETER_SHARE * faster;
+        if (tachometer - counts_s).abs() <= allowed {
+            self.disagree_since_us = None;
+            return false;
+        }
+        let since_us = *self.disagree_since_us.get_or_insert(sample.device_time_us);
+        sample.device_time_us.saturating_sub(since_us) >= TACHOMETER_US
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Samples every 10 ms until the first alarm, and the tick at which it came.
+    fn first_alarm(
+        ticks: u32,
+        at: impl Fn(u32, &mut Measurement),
+        may_push: bool,
+    ) -> Option<(u32, Fault)> {
+        let mut watch = SensorWatch::default();
+        (0..ticks).find_map(|tick| {
+            let device_time_us = u64::from(tick) * 10_000;
+            let mut sample = Measurement { device_time_us, ..Measurement::default() };
+            at(tick, &mut sample);
+            match watch.check(&sample, may_push)? {
+                Alarm::Zero(fault) | Alarm::Brake(fault) => Some((tick, fault)),
+            }
+        })
+    }
+
+    #[test]
+    fn two_hundred_counts_a_period_are_motion_and_more_are_a_jump() {
+        for (step, expected) in [(200, None), (201, Some((10, Fault::EncoderJump)))] {
+            for pendulum in [false, true] {
+                let at = |tick: u32, sample: &mut Measurement| {
+                    let counts = if tick >= 10 { step } else { 0 };
+                    if pendulum {
+                        sample.alpha_counts = counts;
+                    } else {
+                        sample.theta_counts = counts;
+                        // Motion that the pendulum and the tachometer confirm.
+                        sample.alpha_counts = counts / 2;
+                    }
+                };
+                assert_eq!(first_alarm(30, at, false), expected);
+            }
+        }
+        // Over two periods twice as much is motion.
+        let mut watch = SensorWatch::default();
+        for (device_time_us, alpha_counts) in [(0, 0), (20_000, 400), (40_000, 801)] {
+            let sample = Measurement { device_time_us, alpha_counts, ..Measurement::default() };
+            let alarm = watch.check(&sample, false);
+            let expected = (alpha_counts == 801).then_some(Alarm::Zero(Fault::EncoderJump));
+            assert_eq!(alarm, expected);
+        }
+    }
+
+    #[test]
+    fn an_overflowing_counter_does_not_jump() {
+        let at = |tick: u32, sample: &mut Measurement| {
+            sample.alpha_counts = (i32::MAX - 20).wrapping_add(tick as i32);
+        };
+        assert_eq!(first_alarm(60, at, false), None);
+    }
+
+    #[test]
+    fn one_volt_that_moves_nothing_for_300_ms_is_a_frozen_encoder() {
+        let frozen = |least_mv: i16, flip: bool, counts: i32| {
+            let at = move |tick: u32, sample: &mut Measurement| {
+                let turn = flip && tick % 29 == 28;
+                sample.applied_mv = if turn { -least_mv } else { least_mv };
+                sample.theta_counts = (tick as i32 % 2) * counts;
+            };
+            first_alarm(100, at, false)
+        };
+        assert_eq!(frozen(1000, false, 2), Some((31, Fault::EncoderFrozen)));
+        assert_eq!(frozen(-1000, false, 0), Some((31, Fault::EncoderFrozen)));
+        assert_eq!(frozen(999, false, 0), None);
+        assert_eq!(frozen(1000, true, 0), None);
+        assert_eq!(frozen(1000, false, 3), None);
+    }
+
+    #[test]
+    fn two_volts_that_hardly_turn_the_arm_for_500_ms_are_a_stall() {
+        let creeping = |millivolts: i16, counts_per_tick: f64| {
+            let at = move |tick: u32, sample: &mut Measurement| {
+                sample.applied_mv = millivolts;
+                sample.theta_counts = (f64::from(tick) * counts_per_tick) as i32;
+            };
+            first_alarm(200, at, false).map(|(_, fault)| fault)
+        };
+        assert_eq!(creeping(2000, 1.0), Some(Fault::Stall));
+        assert_eq!(creeping(-2500, -1.5), Some(Fault::Stall));
+        assert_eq!(creeping(1999, 1.0), None);
+        assert_eq!(creeping(2000, 1.8), None);
+        let pushing = |_: u32, sample: &mut Measurement| sample.applied_mv = 4000;
+        assert_eq!(first_alarm(500, pushing, true), None, "homing pushes against the stops");
+    }
+
+    #[test]
+    fn a_pendulum_that_stays_while_the_arm_jerks_is_frozen() {
+        let jerking = |alpha_per_tick: i32| {
+            let at = move |tick: u32, sample: &mut Measurement| {
+                // From rest to 7 rad/s in 70 ms.
+                let speed = f64::from(tick.min(7)) / RAD_PER_COUNT;
+                sample.tachometer_counts_s = speed as i32;
+                let turned = (0..=tick.min(7)).sum::<u32>() + tick.saturating_sub(7) * 7;
+                sample.theta_counts = (f64::from(turned) * 0.01 / RAD_PER_COUNT) as i32;
+                sample.alpha_counts = alpha_per_tick * tick as i32;
+            };
+            first_alarm(30, at, false).map(|(_, fault)| fault)
+        };
+        assert_eq!(jerking(0), Some(Fault::PendulumFrozen));
+        assert_eq!(jerking(-3), None);
+        // At a steady velocity a pendulum hangs still.
+        let steady = |tick: u32, sample: &mut Measurement| {
+            sample.theta_counts = 10 * tick as i32;
+            sample.tachometer_counts_s = 1000;
+        };
+        assert_eq!(first_alarm(200, steady, false), None);
+    }
+
+    #[test]
+    fn counter_and_tachometer_may_differ_for_less_than_300_ms() {
+        let differing = |from: u32, to: u32, tachometer: i32| {
+            let at = move |tick: u32, sample: &mut Measurement| {
+                sample.theta_counts = 10 * tick as i32;
+                let wrong = (from..to).contains(&tick);
+                sample.tachometer_counts_s = if wrong { tachometer } else { 1000 };
+            };
+            first_alarm(200, at, false)
+        };
+        assert_eq!(differing(50, 80, 0), None);
+        assert_eq!(differing(50, 82, 0), Some((80, Fault::TachometerDisagrees)));
+        assert_eq!(differing(50, 200, -1000), Some((80, Fault::TachometerDisagrees)));
+        assert_eq!(differing(50, 200, 1600), None);
+    }
+}

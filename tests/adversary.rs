@@ -1,0 +1,45 @@
+//! The speed envelope against policies that are searched for one purpose: to throw the arm against
+//! its hard stop. `scripts/adversary` plays 10^6 episodes of this; here is a small count.
+
+#[path = "adversary/mod.rs"]
+mod adversary;
+
+use adversary::episode::{Domain, PROMISED, play};
+use adversary::search::search;
+use qube_hil::qube::HARD_STOP_RAD;
+use qube_hil::safety::SafetyBox;
+
+#[test]
+fn no_adversary_reaches_the_hard_stop_or_more_than_five_volts() {
+    for seed in 1000..1003 {
+        let worst = search(&PROMISED, seed, 12);
+        println!(
+            "search {seed}: {:.3} rad in {} episodes",
+            worst.episode.farthest_rad, worst.episodes
+        );
+        assert!(
+            worst.episode.farthest_rad < HARD_STOP_RAD,
+            "delays of seed {}, genes {:?}: {:?}",
+            worst.seed,
+            worst.genes,
+            worst.episode
+        );
+        assert_eq!(worst.largest_mv, 5000, "the gate lets 5 V through and no more");
+    }
+}
+
+/// The search is worth something: without the envelope it needs no time at all.
+#[test]
+fn without_the_envelope_the_same_search_hits_at_once() {
+    let domain = Domain { safety_box: SafetyBox::THESIS, ..PROMISED };
+    let worst = search(&domain, 1, 2);
+    assert!(worst.episode.farthest_rad > HARD_STOP_RAD, "{:?}", worst.episode);
+}
+
+#[test]
+fn an_episode_repeats() {
+    let worst = search(&PROMISED, 7, 1);
+    let again = play(&worst.genes, &PROMISED, worst.seed);
+    assert_eq!(again.farthest_rad.to_bits(), worst.episode.farthest_rad.to_bits());
+    assert_eq!((again.ending, again.ticks), (worst.episode.ending, worst.episode.ticks));
+}

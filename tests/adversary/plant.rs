@@ -1,0 +1,74 @@
+//! The Qube that the adversary plays with: the shared physics, and what a real one adds.
+
+use qube_hil::qube::{DomainParameter, DomainParameters, Dynamics, State, counts, runge_kutta_4};
+
+/// Longest integration step, s.
+const STEP_S: f64 = 0.005;
+
+/// Friction and cable act on the arm; written as the volts that they take from the motor.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Roughness {
+    /// Coulomb friction of the arm, V.
+    pub coulomb_v: f64,
+    /// Stiffness of the encoder's cable, V/rad, on one side of `cable_theta`; its sign says which.
+    pub cable_v_rad: f64,
+    /// Where the cable begins to pull, rad.
+    pub cable_theta: f64,
+}
+
+/// A Qube without stops: how far the arm gets is what is asked.
+pub struct Plant {
+    pub state: State,
+    /// The largest |theta| so far, rad.
+    pub farthest_rad: f64,
+    dynamics: Dynamics,
+    roughness: Roughness,
+    voltage_v: f64,
+    time_s: f64,
+}
+
+impl Plant {
+    /// A Qube at rest, each parameter scaled by its entry of `factors`.
+    pub fn new(factors: &[f64; 9], roughness: Roughness, theta: f64) -> Self {
+        let mut parameters = DomainParameters::NOMINAL;
+        for (parameter, factor) in DomainParameter::ALL.into_iter().zip(factors) {
+            parameters.set(parameter, parameters.get(parameter) * factor);
+        }
+        Self {
+            state: State { theta, ..State::default() },
+            farthest_rad: 0.0,
+            dynamics: Dynamics::new(&parameters),
+            roughness,
+            voltage_v: 0.0,
+            time_s: 0.0,
+        }
+    }
+
+    /// Lets time pass up to `time_s`.
+    pub fn advance_to(&mut self, time_s: f64) {
+        while self.time_s < time_s - 1e-9 {
+            let step_s = STEP_S.min(time_s - self.time_s);
+            let voltage_v = self.voltage_v - self.lost_v();
+            self.state = runge_kutta_4(&self.dynamics, self.state, voltage_v, step_s);
+            self.time_s += step_s;
+            self.farthest_rad = self.farthest_rad.max(self.state.theta.abs());
+        }
+    }
+
+    fn lost_v(&self) -> f64 {
+        let Roughness { coulomb_v, cable_v_rad, cable_theta } = self.roughness;
+        let past = self.state.theta - cable_theta;
+        let pulled = if past * cable_v_rad > 0.0 { cable_v_rad.abs() * past } else { 0.0 };
+        // Smooth over 0.1 rad/s, so that an arm at rest stays there.
+        coulomb_v * (10.0 * self.state.theta_dot).clamp(-1.0, 1.0) + pulled
+    }
+
+    pub fn set_voltage(&mut self, voltage_v: f64) {
+        self.voltage_v = voltage_v;
+    }
+
+    /// What the two encoders show.
+    pub fn counts(&self) -> (i32, i32) {
+        (counts(self.state.theta), counts(self.state.alpha))
+    }
+}
