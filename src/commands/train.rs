@@ -13,9 +13,8 @@ use super::stop::Stop;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
-use crate::safety::SafetyBox;
 use crate::session::{named, write_whole};
-use crate::simulation::{DomainDistribution, Family, Psi, SensorModel, SimulationSettings};
+use crate::simulation::{DomainDistribution, Family, Psi, SensorModel};
 use crate::storage::MachineDisk;
 
 /// Train one policy in randomised simulation
@@ -36,12 +35,12 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
     psi: Option<PathBuf>,
 
-    /// `quick` stops as soon as the policy is good, `thesis` spends the published budget
-    #[arg(long, value_enum, default_value_t = Preset::Quick)]
+    /// Budget and simulation: `machine` for a policy to run, `quick` and `thesis` as published
+    #[arg(long, value_enum, default_value_t = Preset::Machine)]
     preset: Preset,
 
-    /// What ends a simulated rollout: the speed envelope too, or the box alone [default: box for
-    /// `thesis`, whose published figures have no envelope; envelope for `quick`]
+    /// What ends a simulated rollout: the speed envelope too, or the box alone [default: as the
+    /// preset]
     #[arg(long, value_enum)]
     guard: Option<GuardArgument>,
 
@@ -54,9 +53,9 @@ pub struct Arguments {
     out: PathBuf,
 
     /// What the simulation shows of the state: as it is, or through encoders and the velocity filter,
-    /// as on the machine
-    #[arg(long, value_enum, default_value_t = Sensors::True)]
-    sensors: Sensors,
+    /// as on the machine [default: as the preset]
+    #[arg(long, value_enum)]
+    sensors: Option<Sensors>,
 
     /// Keep the training in this file every ten updates, and go on from it when it exists; the
     /// policy is the same as without an interruption
@@ -121,9 +120,11 @@ enum Model {
 /// How much training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Preset {
-    /// Seconds
+    /// Seconds, with the machine's encoders, velocity filter and speed envelope
+    Machine,
+    /// A second or two, on true states in the thesis's box
     Quick,
-    /// 100 updates of 48 000 transitions
+    /// The published budget, on true states in the thesis's box: 100 updates of 48 000 transitions
     Thesis,
 }
 
@@ -131,23 +132,22 @@ enum Preset {
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let distribution = distribution(&arguments)?;
     let preset = match arguments.preset {
+        Preset::Machine => TrainSettings::machine(),
         Preset::Quick => TrainSettings::quick(),
         Preset::Thesis => TrainSettings::thesis(),
     };
-    let guard = arguments.guard.unwrap_or(match arguments.preset {
-        Preset::Quick => GuardArgument::Envelope,
-        Preset::Thesis => GuardArgument::Box,
-    });
-    let sensors = match arguments.sensors {
-        Sensors::True => SensorModel::TrueState,
-        Sensors::Encoders => SensorModel::Encoders { estimator: EstimatorSettings::default() },
-    };
-    let safety_box = SafetyBox { guard: guard.into(), ..preset.simulation.safety_box };
-    let settings = TrainSettings {
-        threads: arguments.threads.into(),
-        simulation: SimulationSettings { sensors, safety_box, ..preset.simulation },
-        ..preset
-    };
+    let mut simulation = preset.simulation;
+    if let Some(guard) = arguments.guard {
+        simulation.safety_box.guard = guard.into();
+    }
+    match arguments.sensors {
+        Some(Sensors::True) => simulation.sensors = SensorModel::TrueState,
+        Some(Sensors::Encoders) => {
+            simulation.sensors = SensorModel::Encoders { estimator: EstimatorSettings::default() };
+        }
+        None => {}
+    }
+    let settings = TrainSettings { threads: arguments.threads.into(), simulation, ..preset };
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
     Level::from(arguments.instruction_set).forbid_better();

@@ -8,7 +8,9 @@ use crate::learning::{Origin, TrainSettings};
 use crate::qube::QubeModel;
 use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
-use crate::simulation::{DomainDistribution, Family, PSI_DIMENSIONS, Psi, PsiError};
+use crate::simulation::{
+    DomainDistribution, Family, PSI_DIMENSIONS, Psi, PsiError, SimulationSettings,
+};
 use crate::surrogate::SearchBox;
 
 /// What the parameters are drawn from that psi does not cover: g, R_m, k_m, D_r, D_p.
@@ -82,7 +84,7 @@ pub struct SessionSettings {
 }
 
 impl SessionSettings {
-    /// A session of minutes: fewer points, two rollouts each, the quick training.
+    /// A session of minutes: fewer points, two rollouts each, a training of seconds.
     #[must_use]
     pub fn quick() -> Self {
         Self {
@@ -97,14 +99,17 @@ impl SessionSettings {
             emulated: EmulatedQubeSettings::default(),
             strategy: StrategyKind::BayRn,
             bayrn: BayRnSettings::default(),
-            training: guarded(TrainSettings::quick()),
+            training: TrainSettings::machine(),
         }
     }
 
-    /// The thesis's own extent and training budget.
+    /// The thesis's own extent and training budget. Simulations have the machine's sensors and guard:
+    /// what is trained on true states fails on the machine (docs/learning.md).
     #[must_use]
     pub fn thesis() -> Self {
-        Self { extent: Extent::THESIS, training: guarded(TrainSettings::thesis()), ..Self::quick() }
+        let training =
+            TrainSettings { simulation: SimulationSettings::machine(), ..TrainSettings::thesis() };
+        Self { extent: Extent::THESIS, training, ..Self::quick() }
     }
 
     /// Puts rollouts and simulations alike under this guard.
@@ -147,24 +152,22 @@ impl SessionSettings {
             Model::OptNominal => "opt-nominal",
             Model::OptHandcrafted => "opt-handcrafted",
         };
-        // The guard is named in the policy's record beside the preset.
-        let mut training = self.training.clone();
-        training.simulation.safety_box.guard = Guard::Box;
-        let preset = if training == TrainSettings::quick() {
+        // Sensors and guard are named in the policy's record beside the preset.
+        let same_budget = |preset: TrainSettings| {
+            let simulation = self.training.simulation;
+            self.training == TrainSettings { simulation, ..preset }
+        };
+        let preset = if same_budget(TrainSettings::machine()) {
+            "machine"
+        } else if same_budget(TrainSettings::quick()) {
             "quick"
-        } else if training == TrainSettings::thesis() {
+        } else if same_budget(TrainSettings::thesis()) {
             "thesis"
         } else {
             "custom"
         };
         Origin { model: model.into(), psi: Some(super::named(psi)), preset: preset.into() }
     }
-}
-
-/// Policies of a session are trained under the guard that they will run under.
-fn guarded(mut training: TrainSettings) -> TrainSettings {
-    training.simulation.safety_box = SafetyBox::GUARDED;
-    training
 }
 
 impl Default for SessionSettings {

@@ -16,6 +16,18 @@ pub struct SimulationSettings {
     pub safety_box: SafetyBox,
 }
 
+impl SimulationSettings {
+    /// What the machine has: encoders, their velocity filter, and the speed envelope.
+    #[must_use]
+    pub fn machine() -> Self {
+        Self {
+            sensors: SensorModel::Encoders { estimator: EstimatorSettings::default() },
+            safety_box: SafetyBox::GUARDED,
+            ..Self::default()
+        }
+    }
+}
+
 impl Default for SimulationSettings {
     /// The thesis's: true states, its reward and its box.
     fn default() -> Self {
