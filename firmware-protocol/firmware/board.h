@@ -34,10 +34,8 @@ void board_send(const uint8_t *bytes, uint8_t length);
  * from its begin until `board_qube_ended` has told of its end. Returns when chip select fell. */
 bool board_qube_is_busy(void);
 uint32_t board_qube_begin(const uint8_t command[QUBE_FRAME_BYTES]);
-/* Puts another motor word into the frame under way, unless it is too late for that. */
-void board_qube_overtake(uint16_t motor_word);
-/* Whether a frame has ended since it was asked last; then what came, and the motor word sent. */
-bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES], uint16_t *motor_word_sent);
+/* Whether a frame has ended since it was asked last, and what came with it. */
+bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES]);
 
 /* The chip's own watchdog: without this for 16 ms it switches the motor off and restarts. */
 void board_feed_hardware_watchdog(void);

@@ -241,25 +241,13 @@ uint32_t board_qube_begin(const uint8_t command[QUBE_FRAME_BYTES])
     return began_us;
 }
 
-void board_qube_overtake(uint16_t motor_word)
-{
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (qube_busy && qube_index < QUBE_MOTOR_BYTE) {
-            qube_command[QUBE_MOTOR_BYTE] = (uint8_t)(motor_word >> 8);
-            qube_command[QUBE_MOTOR_BYTE + 1u] = (uint8_t)motor_word;
-        }
-    }
-}
-
-bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES], uint16_t *motor_word_sent)
+bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES])
 {
     if (!qube_ended) {
         return false;
     }
     qube_ended = false;
     memcpy(answer, (const uint8_t *)qube_answer, QUBE_FRAME_BYTES);
-    *motor_word_sent = (uint16_t)((uint16_t)qube_command[QUBE_MOTOR_BYTE] << 8) |
-                       qube_command[QUBE_MOTOR_BYTE + 1u];
     return true;
 }
 

@@ -314,12 +314,6 @@ bool device_wants_frame(const struct device *device)
            device->sample_waits;
 }
 
-bool device_frame_may_be_overtaken(const struct device *device)
-{
-    /* A stall error is cleared by a frame with motor word 0x0000 and nothing else. */
-    return !device->clearing_frame || device->motor_word == MOTOR_OFF;
-}
-
 static void light(const struct device *device, uint32_t now_us, struct qube_command *command)
 {
     command->red = 0;
@@ -353,6 +347,7 @@ void device_compose_frame(struct device *device, uint32_t now_us, struct qube_co
     command->write_mask =
         device->clearing_frame ? QUBE_WRITE_ALL_AND_PRESETS : QUBE_WRITE_ALL;
     command->motor_word = device->clearing_frame ? MOTOR_OFF : device->motor_word;
+    device->motor_word_under_way = command->motor_word;
     light(device, now_us, command);
 
     /* What is in force while the encoders are read is what the frames before have brought. */
@@ -394,12 +389,11 @@ static void take_readings(struct device *device, const struct qube_readings *rea
     device->sample = *begun;
 }
 
-void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_BYTES],
-                        uint16_t motor_word_sent)
+void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_BYTES])
 {
     struct qube_readings readings;
     qube_frame_decode(answer, &readings);
-    device->motor_word_at_qube = motor_word_sent;
+    device->motor_word_at_qube = device->motor_word_under_way;
     device->qube_was_asked = true;
     device->module_id = readings.module_id;
     device->qube_present = readings.module_id == QUBE_MODULE_ID;

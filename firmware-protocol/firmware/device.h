@@ -46,8 +46,10 @@ struct device {
     uint16_t sample_to_act_us;
     uint16_t dropped_frames;
 
-    /* The motor word that should be in force, and the one that the Qube got last. */
+    /* The motor word that should be in force, the one that the frame under way carries, and the one
+     * that the Qube got last. */
     uint16_t motor_word;
+    uint16_t motor_word_under_way;
     uint16_t motor_word_at_qube;
     /* Counts the requests that change what a sample is to show. */
     uint8_t change;
@@ -88,14 +90,11 @@ void device_poll(struct device *device, uint32_t now_us);
 
 /* Whether a frame should begin now, without waiting for the sampling timer. */
 bool device_wants_frame(const struct device *device);
-/* Whether the frame under way may carry another motor word than it began with. */
-bool device_frame_may_be_overtaken(const struct device *device);
 /* What the frame that begins now is to say; `device_frame_began` tells when its encoders were
  * read. */
 void device_compose_frame(struct device *device, uint32_t now_us, struct qube_command *command);
 void device_frame_began(struct device *device, uint32_t time_us);
-/* It has ended, and carried this motor word. */
-void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_BYTES],
-                        uint16_t motor_word_sent);
+/* It has ended. */
+void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_BYTES]);
 
 #endif

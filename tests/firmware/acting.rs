@@ -16,8 +16,8 @@ const FRAME_US: u64 = 17 * 11;
 /// From the firmware's first instruction to the start of its clock.
 const BOOT_US: u64 = 1000;
 
-/// An act begins a frame in that moment, or goes along with the one under way; only one that comes
-/// with the frame's last two bytes needs another. To wait for the sampling timer would take 2 ms.
+/// An act begins a frame in that moment, or directly after the one under way. To wait for the
+/// sampling timer would take 2 ms.
 #[test]
 fn the_firmware_passes_an_act_on_at_once() {
     scenario(|driver| {

@@ -74,7 +74,7 @@ static void arm(struct device *device, uint16_t sequence, uint32_t now_us)
     device_start(device, &IDENTITY, first_boot);
     device_compose_frame(device, now_us, &command);
     device_frame_began(device, now_us);
-    device_frame_ended(device, ANSWER, command.motor_word);
+    device_frame_ended(device, ANSWER);
     ask(device, REQUEST_HELLO, sequence - 1, PROTOCOL_VERSION, 2, now_us, &reply);
     ask(device, REQUEST_ARM, sequence, device->nonce, 4, now_us, &reply);
     if (device->state != STATE_ARMED) {
