@@ -196,7 +196,7 @@ fn a_cable_that_is_pulled_is_named_in_each_phase() {
     let greeting = Rig::open(&settings(Some("unplug@0")), &stop()).err().unwrap();
     assert!(greeting.to_string().contains("unplugged"), "{greeting}");
     let homing = Rig::open(&settings(Some("unplug@2")), &stop()).err().unwrap();
-    assert!(matches!(homing, RigError::Homing(Fault::LinkGone)), "{homing}");
+    assert!(matches!(homing, RigError::Homing { fault: Fault::LinkGone, .. }), "{homing}");
     let checking = Rig::connect(&settings(Some("unplug@0.5")), &stop()).unwrap().check(false);
     let checking = checking.unwrap_err().to_string();
     assert!(checking.contains("unplugged"), "{checking}");

@@ -106,10 +106,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             seed: arguments.seed,
             policy: arguments.policy.clone(),
             estimator,
-            safety_box: device.safety_box(SafetyBox {
-                guard: arguments.guard.into(),
-                ..SafetyBox::THESIS
-            }),
+            safety_box: device
+                .safety_box(SafetyBox { guard: arguments.guard.into(), ..SafetyBox::THESIS }),
             steps: MAX_STEPS as u32,
         };
         let path = directory.join(format!("rollout-{rollout}.mcap"));

@@ -81,7 +81,7 @@ pub struct RigLimits {
 
 impl Default for RigLimits {
     fn default() -> Self {
-        let SafetyBox { theta, alpha, theta_dot, alpha_dot } = SafetyBox::THESIS;
+        let SafetyBox { theta, alpha, theta_dot, alpha_dot, guard: _ } = SafetyBox::THESIS;
         Self {
             theta_rad: theta,
             alpha_rad: alpha,
@@ -159,6 +159,7 @@ impl QubeFile {
             alpha: of_the_task.alpha.min(self.limits.alpha_rad),
             theta_dot: of_the_task.theta_dot.min(self.limits.theta_dot_rad_s),
             alpha_dot: of_the_task.alpha_dot.min(self.limits.alpha_dot_rad_s),
+            guard: of_the_task.guard,
         }
     }
 }
