@@ -48,6 +48,7 @@ fn main() {
     let episodes: u64 = results.iter().map(|(_, worst)| u64::from(worst.episodes)).sum();
     let hits =
         results.iter().filter(|(_, worst)| worst.episode.farthest_rad >= HARD_STOP_RAD).count();
+    let false_faults: u64 = results.iter().map(|(_, worst)| u64::from(worst.false_faults)).sum();
     let largest_mv = results.iter().map(|(_, worst)| worst.largest_mv).max().unwrap_or(0);
     for (seed, worst) in results.iter().take(3) {
         println!(
@@ -67,7 +68,8 @@ fn main() {
         domain.safety_box.guard
     );
     println!(
-        "farthest {:.3} rad of {HARD_STOP_RAD}; {hits} searches reached it; largest {largest_mv} mV",
+        "farthest {:.3} rad of {HARD_STOP_RAD}; {hits} searches reached it; largest {largest_mv} mV; {false_faults} \
+         episodes ended by a fault",
         results.first().map_or(0.0, |(_, worst)| worst.episode.farthest_rad)
     );
     let failed = hits > 0 || largest_mv > 5000;

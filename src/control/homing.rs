@@ -523,6 +523,24 @@ mod tests {
     }
 
     #[test]
+    fn after_a_fault_the_arm_must_have_been_at_rest_for_a_second() {
+        let ticks_of = |alpha_dot: f64, mut homing: Homing| {
+            let mut device = PlantDevice::new(State { alpha_dot, ..State::default() });
+            let clock = device.clock.clone();
+            let stop = AtomicBool::new(false);
+            let report = drive(&mut device, &clock, &mut homing, None, &stop).unwrap();
+            assert_eq!(report.outcome.ending, Ending::Completed);
+            device.voltages_mv.len()
+        };
+        let settings = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
+        let plain = ticks_of(0.0, Homing::new(&settings));
+        let rested = ticks_of(0.0, Homing::after_fault(&settings));
+        assert!((100..110).contains(&(rested - plain)), "{rested} and {plain} ticks");
+        let still_moving = ticks_of(12.0, Homing::after_fault(&settings));
+        assert!(still_moving > rested + 50, "{still_moving} ticks");
+    }
+
+    #[test]
     fn an_arm_that_does_not_move_has_no_travel() {
         let frozen = TickInput {
             measurement: Some(Measurement {

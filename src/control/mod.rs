@@ -26,8 +26,10 @@ pub use latency::LatencyHistogram;
 pub use machine::{ControlAction, ControlEvent, ControlState, state_diagram};
 pub use motion::{Motion, TickInput, TickOutput};
 pub use nudge::{Nudge, NudgeResponse};
+pub use sensor_watch::SensorWatch;
 pub use thread::{ControlError, ControlThread, ThreadGone};
 pub use tick::Tick;
+pub use watch::Alarm;
 
 /// Records that the ring from the tick to the recorder holds: more than the longest rollout has
 /// ticks (15 s of settling, 6 s of running, 1 s of braking), so that even a stalled recorder

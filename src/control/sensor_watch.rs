@@ -28,6 +28,9 @@ const STALL_RAD_S: f64 = 0.5;
 /// there it falls.
 const JERK_RAD_S: f64 = 6.0;
 
+/// ... and shows within this, us: a hit may catch it at the instant when it turns round.
+const PENDULUM_US: u64 = 100_000;
+
 /// Counter and tachometer may differ by this much, counts/s (1.5 rad/s) ...
 const TACHOMETER_COUNTS_S: f64 = 500.0;
 
@@ -83,6 +86,7 @@ impl Drive {
 /// A pendulum's count that stays, and what the arm's velocity was meanwhile.
 #[derive(Clone, Copy, Debug, Default)]
 struct Pendulum {
+    since_us: u64,
     lowest: i32,
     highest: i32,
     slowest_rad_s: f64,
@@ -91,10 +95,12 @@ struct Pendulum {
 
 impl Pendulum {
     /// Whether the arm's velocity has changed as no pendulum would let pass.
-    fn is_frozen(&mut self, counts: i32, arm_rad_s: f64) -> bool {
+    fn is_frozen(&mut self, sample: &Measurement, arm_rad_s: f64) -> bool {
+        let counts = sample.alpha_counts;
         let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
         if highest.wrapping_sub(lowest) > FROZEN_COUNTS {
             *self = Self {
+                since_us: sample.device_time_us,
                 lowest: counts,
                 highest: counts,
                 slowest_rad_s: arm_rad_s,
@@ -105,10 +111,12 @@ impl Pendulum {
         *self = Self {
             lowest,
             highest,
+            since_us: self.since_us,
             slowest_rad_s: self.slowest_rad_s.min(arm_rad_s),
             fastest_rad_s: self.fastest_rad_s.max(arm_rad_s),
         };
         self.fastest_rad_s - self.slowest_rad_s > JERK_RAD_S
+            && sample.device_time_us.saturating_sub(self.since_us) >= PENDULUM_US
     }
 }
 
@@ -119,8 +127,12 @@ impl SensorWatch {
     /// that cannot be believed, or against whatever holds the arm.
     pub fn check(&mut self, sample: &Measurement, may_push: bool) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
-            self.pendulum.lowest = sample.alpha_counts;
-            self.pendulum.highest = sample.alpha_counts;
+            self.pendulum = Pendulum {
+                since_us: sample.device_time_us,
+                lowest: sample.alpha_counts,
+                highest: sample.alpha_counts,
+                ..Pendulum::default()
+            };
             return None;
         };
         let elapsed_us = sample.device_time_us.saturating_sub(previous.device_time_us);
@@ -139,7 +151,7 @@ impl SensorWatch {
         if self.disagrees(sample, counts_s) {
             return Some(Alarm::Zero(Fault::TachometerDisagrees));
         }
-        if self.pendulum.is_frozen(sample.alpha_counts, counts_s * RAD_PER_COUNT) {
+        if self.pendulum.is_frozen(sample, counts_s * RAD_PER_COUNT) {
             return Some(Alarm::Zero(Fault::PendulumFrozen));
         }
         if may_push {
@@ -204,7 +216,7 @@ mod tests {
                     } else {
                         sample.theta_counts = counts;
                         // Motion that the pendulum and the tachometer confirm.
-                        sample.alpha_counts = counts / 2;
+                        sample.alpha_counts = 5 * tick as i32;
                     }
                 };
                 assert_eq!(first_alarm(30, at, false), expected);

@@ -251,3 +251,68 @@ fn driven(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::plant_device::{Mishap, PlantDevice};
+    use super::*;
+    use crate::control::RING_CAPACITY;
+    use crate::estimation::EstimatorSettings;
+    use crate::policy::{ClassicalController, ClassicalGains};
+    use crate::qube::State;
+    use crate::safety::SafetyBox;
+    use crate::telemetry::{Ending, Fault};
+
+    /// A thread whose device loses its port at this sample, and settings for a short rollout on it.
+    fn control(gone_at: u32) -> (ControlThread, TickSettings) {
+        let mut device = PlantDevice::new(State::default());
+        device.mishap = Box::new(move |sample| (sample == gone_at).then_some(Mishap::Gone));
+        let clock: Arc<dyn Clock> = Arc::new(device.clock.clone());
+        let stop = Arc::new(AtomicBool::new(false));
+        let thread = ControlThread::spawn(Box::new(device), clock, false, stop).unwrap();
+        let settings = TickSettings {
+            calibration: Calibration::IDENTITY,
+            estimator: EstimatorSettings::default(),
+            safety_box: SafetyBox::GUARDED,
+            max_steps: 100,
+            start_theta_rad: 0.0,
+        };
+        (thread, settings)
+    }
+
+    fn rollout(thread: &ControlThread, settings: TickSettings) -> Result<Ending, ControlError> {
+        let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+        let (producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
+        thread.rollout(settings, policy, producer).unwrap().map(|report| report.outcome.ending)
+    }
+
+    fn is_refused(result: &Result<Ending, ControlError>) -> bool {
+        matches!(result, Err(ControlError::Refused { .. }))
+    }
+
+    #[test]
+    fn a_rollout_needs_a_hello_and_homing_and_again_after_a_fault() {
+        // Far enough for homing and the beginning of a rollout.
+        let (thread, settings) = control(3000);
+        assert!(is_refused(&rollout(&thread, settings)));
+        assert!(thread.home(HomingSettings::default()).unwrap().is_err());
+        thread.hello().unwrap().unwrap();
+        assert!(is_refused(&rollout(&thread, settings)));
+        let (_, found) = thread.home(HomingSettings::default()).unwrap().unwrap();
+        assert!(found.is_some());
+        let mut ending = rollout(&thread, settings).unwrap();
+        while ending == Ending::Completed {
+            ending = rollout(&thread, settings).unwrap();
+        }
+        assert_eq!(ending, Ending::Fault(Fault::LinkGone));
+        // Latched: neither homing nor a rollout, until there is a new hello and then homing.
+        assert!(is_refused(&rollout(&thread, settings)));
+        assert!(thread.home(HomingSettings::default()).unwrap().is_err());
+        assert!(thread.lend(|_, _, _| ()).unwrap().is_err());
+        thread.hello().unwrap().unwrap();
+        assert!(is_refused(&rollout(&thread, settings)));
+        let (_, found) = thread.home(HomingSettings::default()).unwrap().unwrap();
+        assert!(found.is_some());
+        assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
+    }
+}

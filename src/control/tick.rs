@@ -319,6 +319,36 @@ mod tests {
     }
 
     #[test]
+    fn under_the_envelope_the_arm_comes_back_and_never_touches_its_stop() {
+        let outward = ClassicalGains {
+            pump_v_per_j: 0.0,
+            centring_v_per_rad: -100.0,
+            damping_v_s_per_rad: 0.0,
+            ..ClassicalGains::default()
+        };
+        let settings = TickSettings { safety_box: SafetyBox::GUARDED, ..settings() };
+        let mut device = PlantDevice::new(State::default());
+        let clock = device.clock.clone();
+        let mut tick = Tick::new(&settings, ClassicalController::new(outward));
+        let stop = AtomicBool::new(false);
+        let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+        assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Envelope));
+        assert_eq!(tick.control_state(), ControlState::Ready);
+        assert!(report.last_ticks.is_empty());
+        assert!(device.furthest_rad < 2.0, "{} rad", device.furthest_rad);
+        assert!(device.state.theta.abs() < 0.6, "{:?}", device.state);
+    }
+
+    #[test]
+    fn the_last_hundred_ticks_travel_with_a_fault() {
+        let mut device = PlantDevice::new(State::default());
+        device.mishap = Box::new(|tick| (tick == 170).then_some(Mishap::Gone));
+        let (report, records) = rollout(&mut device, classical(), false);
+        assert_eq!(report.outcome.ending, Ending::Fault(Fault::LinkGone));
+        assert_eq!(report.last_ticks, records[records.len() - 100..]);
+    }
+
+    #[test]
     fn a_policy_that_asks_for_no_number_is_braked_and_named() {
         let broken = ClassicalGains {
             pump_limit_v: 0.0,

@@ -46,6 +46,12 @@ pub trait Controller: Send {
     fn voltage_v(&mut self, state: &State) -> f64;
 }
 
+impl Controller for ClassicalController {
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        Self::voltage_v(self, state)
+    }
+}
+
 impl Controller for Policy {
     fn voltage_v(&mut self, state: &State) -> f64 {
         Self::voltage_v(self, state)

@@ -467,3 +467,34 @@ fn a_recorder_that_is_dropped_leaves_a_readable_recording() {
     assert_eq!(all_bits(&recording.ticks), all_bits(&ticks(1)));
     assert_eq!(recording.outcome, None);
 }
+
+#[test]
+fn the_last_ticks_of_a_fault_are_attached() {
+    let mut writer =
+        RolloutWriter::begin(Vec::new(), Path::new("memory"), header(), POLICY).unwrap();
+    for number in 0..7 {
+        writer.write(&tick(number)).unwrap();
+    }
+    writer.attach_last_ticks(&ticks(7)[2..]).unwrap();
+    let bytes = writer.finish(&outcome()).unwrap();
+
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let index = summary
+        .attachment_indexes
+        .iter()
+        .find(|index| index.name == LAST_TICKS_ATTACHMENT)
+        .unwrap();
+    let attachment = mcap::read::attachment(&bytes, index).unwrap();
+    let lines: Vec<serde_json::Value> = attachment
+        .data
+        .split(|byte| *byte == b'\n')
+        .filter(|line| !line.is_empty())
+        .map(|line| serde_json::from_slice(line).unwrap())
+        .collect();
+    let numbers: Vec<_> = lines.iter().map(|line| line["tick"].as_u64().unwrap()).collect();
+    assert_eq!(numbers, [2, 3, 4, 5, 6]);
+
+    let recording = parse(&bytes).unwrap();
+    assert_eq!(recording.completeness, Completeness::Whole);
+    assert_eq!(all_bits(&recording.ticks), all_bits(&ticks(7)));
+}

@@ -81,7 +81,7 @@ pub struct RigLimits {
 
 impl Default for RigLimits {
     fn default() -> Self {
-        let SafetyBox { theta, alpha, theta_dot, alpha_dot, .. } = SafetyBox::THESIS;
+        let SafetyBox { theta, alpha, theta_dot, alpha_dot, guard: _ } = SafetyBox::THESIS;
         Self {
             theta_rad: theta,
             alpha_rad: alpha,

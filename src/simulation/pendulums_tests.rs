@@ -133,6 +133,36 @@ fn every_instruction_set_computes_the_bits_of_the_scalar_equations() {
 }
 
 #[test]
+fn the_envelope_ends_a_lane_as_it_ends_a_rollout() {
+    let reach = State { theta: 1.5, alpha: 3.0, theta_dot: 8.0, alpha_dot: 15.0 };
+    let settings =
+        SimulationSettings { safety_box: SafetyBox::GUARDED, ..SimulationSettings::default() };
+    let guarded = SafetyBox::GUARDED.cast::<f32>();
+    for level in Level::ALL {
+        let lanes = 64;
+        let mut bench = Bench::new(lanes, &settings);
+        bench.pendulums = bench.pendulums.clone().at_level(level);
+        for lane in 0..lanes {
+            bench.pendulums.restart(lane, &anywhere(lane as u64, &reach));
+            bench.voltages_v[lane] = voltage_v(lane);
+        }
+        let (mut inside_only_the_box, mut inside_both) = (0, 0);
+        for _ in 0..20 {
+            bench.step();
+            for lane in 0..lanes {
+                let state = bench.pendulums.state(lane);
+                let left = bench.progress[lane] == Progress::LeftBox;
+                assert_eq!(left, !guarded.contains(&state), "{level:?}, lane {lane}");
+                inside_both += u32::from(!left);
+                let in_the_box = SafetyBox::THESIS.cast::<f32>().contains(&state);
+                inside_only_the_box += u32::from(left && in_the_box);
+            }
+        }
+        assert!(inside_only_the_box > 100 && inside_both > 100);
+    }
+}
+
+#[test]
 fn a_lane_knows_nothing_of_the_others() {
     let reach = State { theta: 1.0, alpha: 3.0, theta_dot: 5.0, alpha_dot: 5.0 };
     let mut few = Bench::new(16, &SimulationSettings::default());

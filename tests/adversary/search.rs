@@ -1,6 +1,7 @@
 //! The search for the worst adversary: the cross-entropy method over genomes, started anew again and
 //! again.
 
+use qube_hil::telemetry::Ending;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -19,6 +20,8 @@ pub struct Worst {
     pub episode: Episode,
     pub largest_mv: i16,
     pub episodes: u32,
+    /// Episodes that a fault ended, though nothing was faulty.
+    pub false_faults: u32,
 }
 
 /// One search of this many generations; the same seed gives the same result.
@@ -31,7 +34,7 @@ pub fn search(domain: &Domain, seed: u64, generations: u32) -> Worst {
     }
     let mut deviation = [1.0; GENES];
     let mut worst: Option<Worst> = None;
-    let (mut largest_mv, mut episodes) = (0, 0);
+    let (mut largest_mv, mut episodes, mut false_faults) = (0, 0, 0);
     for _ in 0..generations {
         let mut played: Vec<(f64, Genome)> = Vec::with_capacity(POPULATION);
         for _ in 0..POPULATION {
@@ -40,10 +43,18 @@ pub fn search(domain: &Domain, seed: u64, generations: u32) -> Worst {
             let seed = random.random::<u64>();
             let episode = play(&genes, domain, seed);
             episodes += 1;
+            false_faults += u32::from(matches!(episode.ending, Some(Ending::Fault(_))));
             largest_mv = largest_mv.max(episode.largest_mv);
             played.push((episode.farthest_rad, genes));
             if worst.is_none_or(|worst| episode.farthest_rad > worst.episode.farthest_rad) {
-                worst = Some(Worst { genes, seed, episode, largest_mv: 0, episodes: 0 });
+                worst = Some(Worst {
+                    genes,
+                    seed,
+                    episode,
+                    largest_mv: 0,
+                    episodes: 0,
+                    false_faults: 0,
+                });
             }
         }
         played.sort_by(|one, other| other.0.total_cmp(&one.0));
@@ -57,7 +68,7 @@ pub fn search(domain: &Domain, seed: u64, generations: u32) -> Worst {
         }
     }
     let worst = worst.expect("a search has at least one generation");
-    Worst { largest_mv, episodes, ..worst }
+    Worst { largest_mv, episodes, false_faults, ..worst }
 }
 
 fn normal(random: &mut ChaCha8Rng) -> f64 {

@@ -1,0 +1,97 @@
+//! A healthy Qube raises no fault: rollouts in virtual time, with policies that swing up, that push
+//! against the limits, and that know nothing.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::clock::VirtualClock;
+use qube_hil::control::{Homing, HomingSettings, Tick, drive};
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::device::{Device, SerialLink};
+use qube_hil::estimation::EstimatorSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
+use qube_hil::qube::State;
+use qube_hil::safety::{Limit, SafetyBox};
+use qube_hil::telemetry::{Ending, TickSettings};
+
+/// An untrained policy: smooth nonsense, another for each seed.
+struct Untrained {
+    seed: f64,
+}
+
+impl Controller for Untrained {
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        let mix = |phase: f64| {
+            (1.7 * self.seed + phase + state.theta + 2.0 * state.alpha + 0.1 * state.theta_dot
+                - 0.07 * state.alpha_dot)
+                .sin()
+        };
+        8.0 * mix(0.0) * mix(2.0 + self.seed)
+    }
+}
+
+/// Homes a Qube of this seed and runs one rollout on it.
+fn rollout(seed: u64, controller: impl Controller) -> Ending {
+    let clock = VirtualClock::default();
+    let settings = EmulatorSettings { seed, ..EmulatorSettings::default() };
+    let mut device = SerialLink::in_process(settings, clock.clone());
+    device.hello().expect("an emulated Qube answers");
+    let stop = AtomicBool::new(false);
+    let mut homing = Homing::new(&HomingSettings::default());
+    let homed = drive(&mut device, &clock, &mut homing, None, &stop).expect("it arms");
+    assert_eq!(homed.outcome.ending, Ending::Completed, "homing, seed {seed}");
+    let settings = TickSettings {
+        calibration: homing.calibration().expect("it homes"),
+        estimator: EstimatorSettings::default(),
+        safety_box: SafetyBox::GUARDED,
+        max_steps: 600,
+        start_theta_rad: 0.1 * (seed as f64).sin(),
+    };
+    let mut tick = Tick::new(&settings, controller);
+    drive(&mut device, &clock, &mut tick, None, &stop).expect("it arms").outcome.ending
+}
+
+/// Endings of rollouts with the three kinds of policy in turn.
+fn endings(seeds: std::ops::Range<u64>) -> Vec<(u64, Ending)> {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors");
+    let trained = Policy::load(&shipped).expect("the shipped policy");
+    seeds
+        .map(|seed| {
+            let ending = match seed % 3 {
+                0 => rollout(seed, ClassicalController::new(ClassicalGains::default())),
+                1 => rollout(seed, trained.clone()),
+                _ => rollout(seed, Untrained { seed: seed as f64 }),
+            };
+            (seed, ending)
+        })
+        .collect()
+}
+
+fn no_fault_and_swing_ups_complete(seeds: std::ops::Range<u64>) {
+    let endings = endings(seeds);
+    let count = |wanted: fn(&Ending) -> bool| endings.iter().filter(|(_, e)| wanted(e)).count();
+    println!(
+        "{} rollouts: {} completed, {} left the envelope, {} faults",
+        endings.len(),
+        count(|ending| *ending == Ending::Completed),
+        count(|ending| *ending == Ending::LeftBox(Limit::Envelope)),
+        count(|ending| matches!(ending, Ending::Fault(_)))
+    );
+    for (seed, ending) in endings {
+        assert!(!matches!(ending, Ending::Fault(_)), "seed {seed}: {ending:?}");
+        if seed % 3 != 2 {
+            assert_eq!(ending, Ending::Completed, "seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn a_healthy_qube_raises_no_fault_and_its_swing_ups_stay_in_the_envelope() {
+    no_fault_and_swing_ups_complete(0..24);
+}
+
+#[test]
+#[ignore = "a minute: scripts/adversary runs it"]
+fn nor_in_a_thousand_rollouts() {
+    no_fault_and_swing_ups_complete(0..1000);
+}
