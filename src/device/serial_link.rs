@@ -282,7 +282,7 @@ impl<T: Transport> Device for SerialLink<T> {
         self.accept(&reply)
     }
 
-    /// Arms; when the answer is lost, greets and arms anew.
+    /// Arms; when the answer is lost or a frame came twice, greets and arms anew.
     fn arm(&mut self) -> Result<(), DeviceError> {
         let Some(mut nonce) = self.nonce.take() else {
             return Err(self.refused("arm", RefusalReason::NotGreeted));
@@ -290,7 +290,13 @@ impl<T: Transport> Device for SerialLink<T> {
         for attempt in 1.. {
             match self.exchange(Request::Arm { nonce }, ANSWER_TIME_NS) {
                 Ok(Reply::Arm { .. }) => break,
-                Ok(Reply::Refusal { reason, .. }) => return Err(self.refused("arm", reason)),
+                // A hello that came twice has made its first nonce worthless; an arm that came
+                // twice is refused the second time.
+                Ok(Reply::Refusal { reason, .. })
+                    if attempt == ATTEMPTS || !is_cured_by_greeting(reason) =>
+                {
+                    return Err(self.refused("arm", reason));
+                }
                 Ok(_) | Err(LinkFault::Timeout | LinkFault::Full) if attempt < ATTEMPTS => {
                     let reply = self.greet(HELLO_TIME_NS)?;
                     self.accept(&reply)?;
@@ -351,6 +357,11 @@ impl<T: Transport> Drop for SerialLink<T> {
             let _ = self.send(Request::Disarm);
         }
     }
+}
+
+/// Whether an arm that was refused for this is worth another try after a new hello.
+fn is_cured_by_greeting(reason: RefusalReason) -> bool {
+    matches!(reason, RefusalReason::WrongNonce | RefusalReason::AlreadyArmed)
 }
 
 fn kind_name(kind: u8) -> String {
