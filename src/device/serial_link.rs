@@ -1,8 +1,8 @@
 use std::sync::Arc;
 
 use firmware_protocol::{
-    Decoder, DeviceKind, HelloReply, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason,
-    Reply, Request, SampleReply, StatusBits,
+    Decoder, DeviceKind, DeviceState, HelloReply, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID,
+    RefusalReason, Reply, Request, SampleReply, StatusBits,
 };
 
 use super::{Device, DeviceError, Identity, LinkFault, Transport};
@@ -332,11 +332,18 @@ impl<T: Transport> Device for SerialLink<T> {
     }
 
     fn disarm(&mut self) -> Result<(), DeviceError> {
+        let was_armed = self.motor == Motor::Armed;
         self.motor = Motor::Off;
         for attempt in 1.. {
             match self.exchange(Request::Disarm, ANSWER_TIME_NS) {
                 Ok(Reply::Disarm(reply)) => {
                     self.nonce = (reply.nonce != 0).then_some(reply.nonce);
+                    // While a lost disarm was waited for the watchdog did its work. That is no fault
+                    // that anybody would have to look at; a trip before it is, and stays latched.
+                    if was_armed && attempt > 1 && reply.state == DeviceState::Tripped {
+                        let reply = self.greet(HELLO_TIME_NS)?;
+                        self.accept(&reply)?;
+                    }
                     break;
                 }
                 Ok(Reply::Refusal { reason, .. }) => return Err(self.refused("disarm", reason)),
