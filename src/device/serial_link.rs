@@ -1,8 +1,8 @@
 use std::sync::Arc;
 
 use firmware_protocol::{
-    Decoder, DeviceKind, HelloReply, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason,
-    Reply, Request, SampleReply, StatusBits,
+    Decoder, DeviceKind, DeviceState, HelloReply, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID,
+    RefusalReason, Reply, Request, SampleReply, StatusBits,
 };
 
 use super::{Device, DeviceError, Identity, LinkFault, Transport};
@@ -282,7 +282,7 @@ impl<T: Transport> Device for SerialLink<T> {
         self.accept(&reply)
     }
 
-    /// Arms; when the answer is lost, greets and arms anew.
+    /// Arms; when the answer is lost or a frame came twice, greets and arms anew.
     fn arm(&mut self) -> Result<(), DeviceError> {
         let Some(mut nonce) = self.nonce.take() else {
             return Err(self.refused("arm", RefusalReason::NotGreeted));
@@ -290,7 +290,13 @@ impl<T: Transport> Device for SerialLink<T> {
         for attempt in 1.. {
             match self.exchange(Request::Arm { nonce }, ANSWER_TIME_NS) {
                 Ok(Reply::Arm { .. }) => break,
-                Ok(Reply::Refusal { reason, .. }) => return Err(self.refused("arm", reason)),
+                // A hello that came twice has made its first nonce worthless; an arm that came
+                // twice is refused the second time.
+                Ok(Reply::Refusal { reason, .. })
+                    if attempt == ATTEMPTS || !is_cured_by_greeting(reason) =>
+                {
+                    return Err(self.refused("arm", reason));
+                }
                 Ok(_) | Err(LinkFault::Timeout | LinkFault::Full) if attempt < ATTEMPTS => {
                     let reply = self.greet(HELLO_TIME_NS)?;
                     self.accept(&reply)?;
@@ -326,11 +332,18 @@ impl<T: Transport> Device for SerialLink<T> {
     }
 
     fn disarm(&mut self) -> Result<(), DeviceError> {
+        let was_armed = self.motor == Motor::Armed;
         self.motor = Motor::Off;
         for attempt in 1.. {
             match self.exchange(Request::Disarm, ANSWER_TIME_NS) {
                 Ok(Reply::Disarm(reply)) => {
                     self.nonce = (reply.nonce != 0).then_some(reply.nonce);
+                    // While a lost disarm was waited for the watchdog did its work. That is no fault
+                    // that anybody would have to look at; a trip before it is, and stays latched.
+                    if was_armed && attempt > 1 && reply.state == DeviceState::Tripped {
+                        let reply = self.greet(HELLO_TIME_NS)?;
+                        self.accept(&reply)?;
+                    }
                     break;
                 }
                 Ok(Reply::Refusal { reason, .. }) => return Err(self.refused("disarm", reason)),
@@ -351,6 +364,11 @@ impl<T: Transport> Drop for SerialLink<T> {
             let _ = self.send(Request::Disarm);
         }
     }
+}
+
+/// Whether an arm that was refused for this is worth another try after a new hello.
+fn is_cured_by_greeting(reason: RefusalReason) -> bool {
+    matches!(reason, RefusalReason::WrongNonce | RefusalReason::AlreadyArmed)
 }
 
 fn kind_name(kind: u8) -> String {

@@ -125,8 +125,10 @@ pub enum PolicyFault {
     /// Numbers that make no network.
     #[error("holds no network that can run: {0}")]
     Network(#[from] NetworkError),
-    /// A gain that is not a number.
-    #[error("holds {value} for the gain `{name}`: it must be a finite number")]
+    /// A gain that is not a number, or a limit below zero.
+    #[error(
+        "holds {value} for the gain `{name}`: it must be a finite number, and a limit not below 0"
+    )]
     Gain {
         /// The gain.
         name: &'static str,
@@ -322,7 +324,10 @@ fn read_gains(tensors: &SafeTensors<'_>) -> Result<ClassicalGains, PolicyFault> 
     };
     let named = named_gains(&gains);
     for (name, values) in named {
-        if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
+        // With a limit below zero there would be no voltage between its two ends.
+        let is_limit = name == "pump_limit_v";
+        let is_bad = |value: &&f64| !value.is_finite() || (is_limit && **value < 0.0);
+        if let Some(&value) = values.iter().find(is_bad) {
             return Err(PolicyFault::Gain { name, value });
         }
     }
