@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::sensor_watch::SensorWatch;
-use super::settling::settling_voltage;
+use super::settling::{Settler, settling_voltage};
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
@@ -21,8 +21,9 @@ const REST_TICKS: u32 = 100;
 /// How fast the arm looks for its stops, rad/s: slow enough to touch them without a hit.
 const SEEK_RAD_S: f64 = 1.5;
 
-/// How far ahead of the arm its moving target may run, rad: against a stop that pushes with 1 V.
-const SEEK_LEAD_RAD: f64 = 0.6;
+/// How far ahead of the arm its moving target may run, rad: against a stop that pushes with 1.6 V. A
+/// real Qube's cable, friction and dead zone together take 1.2 V; 2 V are taken for a stalled motor.
+const SEEK_LEAD_RAD: f64 = 0.95;
 
 /// An arm that gains no more than this against its drive stands at a stop, rad ...
 const PROGRESS_RAD: f64 = 0.01;
@@ -111,6 +112,7 @@ pub struct Homing {
     ticks: u32,
     seek: Option<Seek>,
     swing: Swing,
+    settler: Settler,
     state: State,
     voltage_mv: i16,
     found: Option<Calibration>,
@@ -229,6 +231,7 @@ impl Homing {
             ticks: 0,
             seek: None,
             swing: Swing::default(),
+            settler: Settler::default(),
             state: State::default(),
             voltage_mv: 0,
             found: None,
@@ -308,6 +311,7 @@ impl Homing {
                         }
                         self.middle_rad = Some(0.5 * (at_stop_rad + negative_rad));
                         self.swing = Swing::default();
+                        self.settler = Settler::default();
                         self.stage = Stage::Calm;
                     }
                 }
@@ -359,11 +363,11 @@ impl Homing {
         self.middle_rad.unwrap_or(0.0)
     }
 
-    fn wanted_voltage(&self) -> f64 {
+    fn wanted_voltage(&mut self) -> f64 {
         let seen = State { alpha: self.state.alpha - self.hanging_rad, ..self.state };
         match self.stage {
             Stage::Observe => -LOOSE_HOLD_V_PER_RAD * (seen.theta - self.calm_rad()),
-            Stage::Calm => settling_voltage(&seen, self.calm_rad()),
+            Stage::Calm => self.settler.voltage(&seen, self.calm_rad()),
             Stage::Seek { .. } => {
                 settling_voltage(&seen, self.seek.map_or(seen.theta, |seek| seek.target_rad))
             }

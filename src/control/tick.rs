@@ -1,5 +1,5 @@
 use super::sensor_watch::SensorWatch;
-use super::settling::{BackDetector, RestDetector, settling_voltage};
+use super::settling::{BackDetector, RestDetector, Settler};
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::Estimator;
@@ -37,6 +37,7 @@ pub struct Tick<C = Policy> {
     estimator: Estimator,
     watch: Watch,
     sensors: SensorWatch,
+    settler: Settler,
     rest: RestDetector,
     back: BackDetector,
     control: ControlState,
@@ -59,6 +60,7 @@ impl<C: Controller> Tick<C> {
             estimator: Estimator::new(settings.estimator, settings.calibration),
             watch: Watch::default(),
             sensors: SensorWatch::default(),
+            settler: Settler::default(),
             rest: RestDetector::default(),
             back: BackDetector::default(),
             control: ControlState::Ready,
@@ -155,7 +157,7 @@ impl<C: Controller> Tick<C> {
 
     fn wanted_voltage(&mut self) -> f64 {
         match self.phase {
-            Phase::Settling => settling_voltage(&self.state, self.settings.start_theta_rad),
+            Phase::Settling => self.settler.voltage(&self.state, self.settings.start_theta_rad),
             Phase::Running => self.policy.voltage_v(&self.state),
             Phase::Braking => self.braking_voltage(),
         }

@@ -11,7 +11,7 @@ use crate::toolchain::{Chip, toolchain};
 /// policy left the box.
 const ATTEMPTS: u32 = 4;
 
-fn swings_up(chip: Chip, policy: &str, settings: &[&str]) {
+fn swings_up(chip: Chip, policy: &str) {
     let Some(toolchain) = toolchain() else { return };
     let mut complaints = String::new();
     for _ in 0..ATTEMPTS {
@@ -23,7 +23,6 @@ fn swings_up(chip: Chip, policy: &str, settings: &[&str]) {
             .args(["--json", "run", "--policy", policy, "--device", board.port(), "--out", out])
             // Which has a test of its own; a busy computer would fail it here for its latency.
             .arg("--skip-check")
-            .args(settings)
             .output()
             .expect("it runs");
         let simulated_s = board.time_us() as f64 * 1e-6;
@@ -51,13 +50,11 @@ fn swings_up(chip: Chip, policy: &str, settings: &[&str]) {
 
 #[test]
 fn the_classical_controller_swings_up_on_the_firmware() {
-    swings_up(Chip::Atmega328p, "classical", &[]);
+    swings_up(Chip::Atmega328p, "classical");
 }
 
-/// The shipped policy was trained on true velocities: with the filter's default corner it does not
-/// swing up on the emulated Qube either (`qube-hil run --clock virtual`).
 #[test]
 fn a_trained_policy_swings_up_on_the_firmware() {
     let policy = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/nominal.safetensors");
-    swings_up(Chip::Atmega2560, policy, &["--filter", "500"]);
+    swings_up(Chip::Atmega2560, policy);
 }
