@@ -14,8 +14,8 @@ fn no_adversary_reaches_the_hard_stop_or_more_than_five_volts() {
     for seed in 1000..1003 {
         let worst = search(&PROMISED, seed, 12);
         println!(
-            "search {seed}: {:.3} rad in {} episodes",
-            worst.episode.farthest_rad, worst.episodes
+            "search {seed}: {:.3} rad in {} episodes, {} of them ended by a fault",
+            worst.episode.farthest_rad, worst.episodes, worst.false_faults
         );
         assert!(
             worst.episode.farthest_rad < HARD_STOP_RAD,
