@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use super::exit::Failure;
+use super::number_arguments::between;
 use super::profile;
 use crate::qube::{DomainParameter, Profile, QubeModel};
 use crate::session::EmulatedQubeSettings;
@@ -66,19 +67,12 @@ impl EmulatedArguments {
     }
 }
 
-fn number_between(text: &str, smallest: f64, largest: f64) -> Result<f64, String> {
-    match text.parse() {
-        Ok(value) if (smallest..=largest).contains(&value) => Ok(value),
-        _ => Err(format!("give a number from {smallest} to {largest}")),
-    }
-}
-
 fn factor(text: &str) -> Result<f64, String> {
-    number_between(text, 0.0, 5.0)
+    between(text, 0.0, 5.0)
 }
 
 fn milliseconds(text: &str) -> Result<f64, String> {
-    number_between(text, 0.0, 100.0)
+    between(text, 0.0, 100.0)
 }
 
 fn scaling(text: &str) -> Result<(DomainParameter, f64), String> {
@@ -87,5 +81,5 @@ fn scaling(text: &str) -> Result<(DomainParameter, f64), String> {
         let known = DomainParameter::ALL.map(DomainParameter::symbol).join(", ");
         format!("there is no parameter {symbol}; there are {known}")
     })?;
-    Ok((parameter, number_between(factor, 0.1, 10.0)?))
+    Ok((parameter, between(factor, 0.1, 10.0)?))
 }

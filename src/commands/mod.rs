@@ -13,6 +13,7 @@ mod exit;
 mod failures;
 mod guard_argument;
 mod identify;
+mod number_arguments;
 mod output;
 mod profile;
 mod recover;

@@ -7,6 +7,7 @@ use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::guard_argument::GuardArgument;
+use super::number_arguments::positive;
 use super::output::Output;
 use super::stop::Stop;
 use super::{dated_folder, failures, timing_lines, warn_without_realtime};
@@ -64,13 +65,6 @@ pub struct Arguments {
 
     #[command(flatten)]
     check: CheckArguments,
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
-        _ => Err("give a number above 0".into()),
-    }
 }
 
 /// Runs the rollouts and prints what they earned.

@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 
 use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::exit::Failure;
+use super::number_arguments::positive;
 use super::output::Output;
 use super::stop::Stop;
 use super::{failures, warn_without_realtime};
@@ -36,7 +37,7 @@ const WARM_UP_ROLLOUTS: u64 = 20;
     qube-hil soak --hours 8 --device /dev/ttyACM0")]
 pub struct Arguments {
     /// Hours of ticks
-    #[arg(long, default_value_t = 24.0, value_parser = hours)]
+    #[arg(long, default_value_t = 24.0, value_parser = positive)]
     hours: f64,
 
     /// Decides where the arm starts and what the emulated Qube is like
@@ -52,13 +53,6 @@ pub struct Arguments {
 
     #[command(flatten)]
     check: CheckArguments,
-}
-
-fn hours(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
-        _ => Err("give a number above 0".into()),
-    }
 }
 
 /// Runs until the hours are over and says what came of it.

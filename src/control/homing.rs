@@ -7,7 +7,7 @@ use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOu
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, Measurement, RAD_PER_COUNT, State};
 use crate::safety::gate;
-use crate::telemetry::{Ending, Fault, Phase};
+use crate::telemetry::{Ending, Fault};
 
 /// Most ticks for the whole of homing: 60 s.
 const MAX_TICKS: u32 = 6000;
@@ -375,13 +375,7 @@ impl Homing {
     }
 
     fn output(&self, wanted_v: Option<f64>, ending: Option<Ending>) -> TickOutput {
-        TickOutput {
-            phase: Phase::Settling,
-            state: self.state,
-            wanted_v,
-            voltage_mv: self.voltage_mv,
-            ending,
-        }
+        TickOutput { wanted_v, ending, ..TickOutput::settling(self.state, self.voltage_mv) }
     }
 
     fn off(&mut self, ending: Ending) -> TickOutput {

@@ -34,6 +34,13 @@ pub struct TickOutput {
     pub ending: Option<Ending>,
 }
 
+impl TickOutput {
+    /// Of a motion that is no rollout: nothing asked for, nothing ended.
+    pub fn settling(state: State, voltage_mv: i16) -> Self {
+        Self { phase: Phase::Settling, state, wanted_v: None, voltage_mv, ending: None }
+    }
+}
+
 /// Something that moves the arm tick by tick: a rollout or a homing. Pure: the same inputs give
 /// the same outputs, bit for bit.
 pub trait Motion: Send {

@@ -3,7 +3,7 @@ use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::State;
 use crate::safety::{brake_voltage, gate};
-use crate::telemetry::{Ending, Phase};
+use crate::telemetry::Ending;
 
 /// Most ticks of each of the three stages: 0.1 s, 0.3 s for the whole.
 const STAGE_TICKS: u32 = 10;
@@ -151,13 +151,7 @@ impl Nudge {
     }
 
     fn output(&self, wanted_v: Option<f64>, ending: Option<Ending>) -> TickOutput {
-        TickOutput {
-            phase: Phase::Settling,
-            state: self.state,
-            wanted_v,
-            voltage_mv: self.voltage_mv,
-            ending,
-        }
+        TickOutput { wanted_v, ending, ..TickOutput::settling(self.state, self.voltage_mv) }
     }
 
     fn off(&mut self, ending: Ending) -> TickOutput {

@@ -1,0 +1,17 @@
+//! Numbers on the command line that must lie in a range.
+
+/// A finite number above 0.
+pub fn positive(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
+        _ => Err("give a number above 0".into()),
+    }
+}
+
+/// A number from `smallest` to `largest`.
+pub fn between(text: &str, smallest: f64, largest: f64) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if (smallest..=largest).contains(&value) => Ok(value),
+        _ => Err(format!("give a number from {smallest} to {largest}")),
+    }
+}
