@@ -50,10 +50,11 @@ fn main() {
         results.iter().filter(|(_, worst)| worst.episode.farthest_rad >= HARD_STOP_RAD).count();
     let false_faults: u64 = results.iter().map(|(_, worst)| u64::from(worst.false_faults)).sum();
     let largest_mv = results.iter().map(|(_, worst)| worst.largest_mv).max().unwrap_or(0);
-    for (seed, worst) in results.iter().take(3) {
+    for (seed, worst) in results.iter().take(5) {
         println!(
-            "search {seed}: {:.3} rad, {:?} after {} ticks, delays of seed {}, genes {:.2?}",
+            "search {seed}: {:.3} rad at {:.2} s, {:?} after {} ticks, delays of seed {}, genes {:.2?}",
             worst.episode.farthest_rad,
+            worst.episode.farthest_at_s,
             worst.episode.ending,
             worst.episode.ticks,
             worst.seed,

@@ -102,10 +102,9 @@ fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
                     alpha_counts: (sample.state.alpha / RAD_PER_COUNT).round() as i32,
                     // The recordings have no tachometer; their filter stands in for it.
                     tachometer_counts_s: (sample.state.theta_dot / RAD_PER_COUNT) as i32,
-                    applied_mv: (1000.0 * sample.voltage_v) as i16,
                     ..Measurement::default()
                 },
-                false,
+                Some((1000.0 * sample.voltage_v) as i16),
             );
             assert_eq!(alarm, None, "{} at {} s", path.display(), sample.time_s);
         }

@@ -29,7 +29,7 @@ const STALL_RAD_S: f64 = 0.5;
 const JERK_RAD_S: f64 = 6.0;
 
 /// ... and shows within this, us: a hit may catch it at the instant when it turns round.
-const PENDULUM_US: u64 = 100_000;
+const PENDULUM_US: u64 = 300_000;
 
 /// Counter and tachometer may differ by this much, counts/s (1.5 rad/s) ...
 const TACHOMETER_COUNTS_S: f64 = 500.0;
@@ -63,11 +63,17 @@ struct Drive {
 
 impl Drive {
     /// How long it has lasted, us; from now on where `goes_on` is false or the direction is new.
-    fn lasted_us(&mut self, sample: &Measurement, least_mv: i16, most_counts: i32) -> u64 {
+    fn lasted_us(
+        &mut self,
+        sample: &Measurement,
+        drive_mv: i16,
+        least_mv: i16,
+        most_counts: i32,
+    ) -> u64 {
         let counts = sample.theta_counts;
         let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
-        let drives = sample.applied_mv.saturating_abs() >= least_mv;
-        let positive = sample.applied_mv > 0;
+        let drives = drive_mv.saturating_abs() >= least_mv;
+        let positive = drive_mv > 0;
         let stays = highest.wrapping_sub(lowest) <= most_counts && positive == self.positive;
         match self.since_us {
             Some(since_us) if drives && stays => {
@@ -121,11 +127,13 @@ impl Pendulum {
 }
 
 impl SensorWatch {
-    /// Looks at one sample. `may_push` where the arm is meant to push against its stop.
+    /// Looks at one sample. `drive_mv` is what was sent last: what the device reports between two acts
+    /// may show one sign of a voltage that goes to and fro. None where the arm is meant to push
+    /// against its stops.
     ///
     /// All of these end with the amplifier off at once: a brake would work with the very numbers
     /// that cannot be believed, or against whatever holds the arm.
-    pub fn check(&mut self, sample: &Measurement, may_push: bool) -> Option<Alarm> {
+    pub fn check(&mut self, sample: &Measurement, drive_mv: Option<i16>) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
             self.pendulum = Pendulum {
                 since_us: sample.device_time_us,
@@ -154,10 +162,8 @@ impl SensorWatch {
         if self.pendulum.is_frozen(sample, counts_s * RAD_PER_COUNT) {
             return Some(Alarm::Zero(Fault::PendulumFrozen));
         }
-        if may_push {
-            return None;
-        }
-        if self.frozen.lasted_us(sample, FROZEN_DRIVE_MV, FROZEN_COUNTS) >= FROZEN_US {
+        let drive_mv = drive_mv?;
+        if self.frozen.lasted_us(sample, drive_mv, FROZEN_DRIVE_MV, FROZEN_COUNTS) >= FROZEN_US {
             return Some(Alarm::Zero(Fault::EncoderFrozen));
         }
         let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / RAD_PER_COUNT) as i32;
@@ -165,7 +171,7 @@ impl SensorWatch {
         if counts_s.abs() > STALL_RAD_S / RAD_PER_COUNT + 1.0 / elapsed_s {
             self.stall = Drive::default();
         }
-        if self.stall.lasted_us(sample, STALL_DRIVE_MV, crept_counts) >= STALL_US {
+        if self.stall.lasted_us(sample, drive_mv, STALL_DRIVE_MV, crept_counts) >= STALL_US {
             return Some(Alarm::Zero(Fault::Stall));
         }
         None
@@ -199,7 +205,8 @@ mod tests {
             let device_time_us = u64::from(tick) * 10_000;
             let mut sample = Measurement { device_time_us, ..Measurement::default() };
             at(tick, &mut sample);
-            match watch.check(&sample, may_push)? {
+            let drive_mv = (!may_push).then_some(sample.applied_mv);
+            match watch.check(&sample, drive_mv)? {
                 Alarm::Zero(fault) | Alarm::Brake(fault) => Some((tick, fault)),
             }
         })
@@ -226,7 +233,7 @@ mod tests {
         let mut watch = SensorWatch::default();
         for (device_time_us, alpha_counts) in [(0, 0), (20_000, 400), (40_000, 801)] {
             let sample = Measurement { device_time_us, alpha_counts, ..Measurement::default() };
-            let alarm = watch.check(&sample, false);
+            let alarm = watch.check(&sample, Some(0));
             let expected = (alpha_counts == 801).then_some(Alarm::Zero(Fault::EncoderJump));
             assert_eq!(alarm, expected);
         }
@@ -285,7 +292,7 @@ mod tests {
                 sample.theta_counts = (f64::from(turned) * 0.01 / RAD_PER_COUNT) as i32;
                 sample.alpha_counts = alpha_per_tick * tick as i32;
             };
-            first_alarm(30, at, false).map(|(_, fault)| fault)
+            first_alarm(60, at, false).map(|(_, fault)| fault)
         };
         assert_eq!(jerking(0), Some(Fault::PendulumFrozen));
         assert_eq!(jerking(-3), None);

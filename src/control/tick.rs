@@ -5,7 +5,7 @@ use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOu
 use crate::estimation::Estimator;
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, State};
-use crate::safety::{Guard, brake_voltage, gate, retreat_voltage};
+use crate::safety::{Guard, Retreat, SpeedEnvelope, brake_voltage, gate, retreat_voltage};
 use crate::telemetry::{Ending, Fault, Phase, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
@@ -14,8 +14,14 @@ const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 /// Most ticks for braking: 1 s for a brake that only stops the arm ...
 const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
-/// ... and 8 s for one that brings it back to the middle and waits for the pendulum.
-const MAX_RETREAT_TICKS: u32 = (8.0 / CONTROL_PERIOD_S) as u32;
+/// ... and 15 s for one that brings it back to the middle and waits for the pendulum.
+const MAX_RETREAT_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
+
+/// The time for full voltage against a momentum that leaves the envelope: 0.5 s.
+const HARD_RETREAT_TICKS: u32 = (0.5 / CONTROL_PERIOD_S) as u32;
+
+/// A brake that has not brought the arm back in 1 s goes on gently.
+const FIRM_RETREAT_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
 /// Below this the arm counts as stopped, rad/s ...
 const STOPPED_RAD_S: f64 = 0.5;
@@ -44,6 +50,7 @@ pub struct Tick<C = Policy> {
     phase: Phase,
     periods_in_phase: u32,
     stopped_ticks: u32,
+    retreat: Retreat,
     /// What the rollout ends with.
     reason: Ending,
     state: State,
@@ -67,6 +74,7 @@ impl<C: Controller> Tick<C> {
             phase: Phase::Settling,
             periods_in_phase: 0,
             stopped_ticks: 0,
+            retreat: Retreat::Hard,
             reason: Ending::Completed,
             state: State::default(),
             voltage_mv: 0,
@@ -148,10 +156,23 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    fn braking_voltage(&self) -> f64 {
+    fn braking_voltage(&mut self) -> f64 {
         match self.settings.safety_box.guard {
             Guard::Box => brake_voltage(self.state.theta_dot),
-            Guard::Envelope => retreat_voltage(&self.state),
+            Guard::Envelope => {
+                // Once it has done what it is for, a hard brake is not taken up again: to and fro it
+                // could swing the pendulum.
+                let outside = SpeedEnvelope::outward(&self.state) != 0.0;
+                if self.retreat == Retreat::Hard
+                    && (!outside || self.periods_in_phase >= HARD_RETREAT_TICKS)
+                {
+                    self.retreat = Retreat::Firm;
+                }
+                if self.periods_in_phase >= FIRM_RETREAT_TICKS {
+                    self.retreat = Retreat::Gentle;
+                }
+                retreat_voltage(&self.state, self.retreat)
+            }
         }
     }
 
@@ -183,7 +204,10 @@ impl<C: Controller> Motion for Tick<C> {
         self.periods_in_phase += input.skipped_periods;
 
         // Watch the link, the clock, the device's own flags, and the sensors.
-        let seen = input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, false));
+        let seen = input
+            .measurement
+            .as_ref()
+            .and_then(|sample| self.sensors.check(sample, Some(self.voltage_mv)));
         let off = match self.watch.check(input).or(seen) {
             Some(Alarm::Zero(fault)) => self.take(ControlEvent::ZeroFault, Ending::Fault(fault)),
             Some(Alarm::Brake(fault)) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
