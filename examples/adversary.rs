@@ -1,6 +1,6 @@
 //! Searches the worst adversary of the speed envelope: `scripts/adversary` runs it over 10^6 episodes.
 //!
-//! `cargo run --release --example adversary -- SEARCHES [SPREAD [DELAY_MS [CORNER [box]]]]`
+//! `cargo run --release --example adversary -- SEARCHES [SPREAD [DELAY_MS [CORNER [envelope|box [FIRST]]]]]`
 
 #[path = "../tests/adversary/mod.rs"]
 mod adversary;
@@ -29,6 +29,7 @@ fn main() {
         ..PROMISED
     };
     let searches = number(0, 100.0) as u64;
+    let first_seed = number(5, 0.0) as u64;
     let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
     let mut results: Vec<(u64, Worst)> = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..threads)
@@ -36,6 +37,7 @@ fn main() {
                 scope.spawn(move || {
                     (thread..searches)
                         .step_by(threads as usize)
+                        .map(|number| number + first_seed)
                         .map(|seed| (seed, search(&domain, seed, GENERATIONS)))
                         .collect::<Vec<_>>()
                 })

@@ -1,11 +1,12 @@
-use super::sensor_watch::SensorWatch;
+use super::sensor_watch::{Drive, SensorWatch};
 use super::settling::{BackDetector, RestDetector, Settler};
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
+use crate::elementary::Scalar;
 use crate::estimation::Estimator;
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, State};
-use crate::safety::{Guard, Retreat, SpeedEnvelope, brake_voltage, gate, retreat_voltage};
+use crate::safety::{Guard, Retreat, brake_voltage, gate};
 use crate::telemetry::{Ending, Fault, Phase, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
@@ -16,12 +17,6 @@ const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
 /// ... and 15 s for one that brings it back to the middle and waits for the pendulum.
 const MAX_RETREAT_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
-
-/// The time for full voltage against a momentum that leaves the envelope: 0.5 s.
-const HARD_RETREAT_TICKS: u32 = (0.5 / CONTROL_PERIOD_S) as u32;
-
-/// A brake that has not brought the arm back in 1 s goes on gently.
-const FIRM_RETREAT_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
 /// Below this the arm counts as stopped, rad/s ...
 const STOPPED_RAD_S: f64 = 0.5;
@@ -74,7 +69,7 @@ impl<C: Controller> Tick<C> {
             phase: Phase::Settling,
             periods_in_phase: 0,
             stopped_ticks: 0,
-            retreat: Retreat::Hard,
+            retreat: Retreat::default(),
             reason: Ending::Completed,
             state: State::default(),
             voltage_mv: 0,
@@ -159,20 +154,7 @@ impl<C: Controller> Tick<C> {
     fn braking_voltage(&mut self) -> f64 {
         match self.settings.safety_box.guard {
             Guard::Box => brake_voltage(self.state.theta_dot),
-            Guard::Envelope => {
-                // Once it has done what it is for, a hard brake is not taken up again: to and fro it
-                // could swing the pendulum.
-                let outside = SpeedEnvelope::outward(&self.state) != 0.0;
-                if self.retreat == Retreat::Hard
-                    && (!outside || self.periods_in_phase >= HARD_RETREAT_TICKS)
-                {
-                    self.retreat = Retreat::Firm;
-                }
-                if self.periods_in_phase >= FIRM_RETREAT_TICKS {
-                    self.retreat = Retreat::Gentle;
-                }
-                retreat_voltage(&self.state, self.retreat)
-            }
+            Guard::Envelope => self.retreat.voltage_v(&self.state),
         }
     }
 
@@ -204,13 +186,20 @@ impl<C: Controller> Motion for Tick<C> {
         self.periods_in_phase += input.skipped_periods;
 
         // Watch the link, the clock, the device's own flags, and the sensors.
-        let seen = input
-            .measurement
-            .as_ref()
-            .and_then(|sample| self.sensors.check(sample, Some(self.voltage_mv)));
+        let drive = Drive {
+            voltage_mv: self.voltage_mv,
+            swing_rad_s: Scalar::sin_cos(self.state.alpha).1 * self.state.alpha_dot,
+        };
+        let seen =
+            input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, Some(drive)));
         let off = match self.watch.check(input).or(seen) {
             Some(Alarm::Zero(fault)) => self.take(ControlEvent::ZeroFault, Ending::Fault(fault)),
-            Some(Alarm::Brake(fault)) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
+            Some(Alarm::Brake(fault)) => {
+                if matches!(fault, Fault::PendulumJump | Fault::PendulumFrozen) {
+                    self.retreat.disbelieve_pendulum();
+                }
+                self.take(ControlEvent::BrakeFault, Ending::Fault(fault))
+            }
             None => false,
         };
         if off {

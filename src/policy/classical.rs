@@ -35,11 +35,11 @@ impl Default for ClassicalGains {
     /// starts of the test below, among those that stay inside the speed envelope.
     fn default() -> Self {
         Self {
-            pump_v_per_j: 131.0,
-            pump_limit_v: 2.55,
+            pump_v_per_j: 111.0,
+            pump_limit_v: 2.0,
             recoil_rad: 0.57,
-            centring_v_per_rad: 2.6,
-            damping_v_s_per_rad: 0.26,
+            centring_v_per_rad: 1.8,
+            damping_v_s_per_rad: 0.22,
             balance: [-3.265, 28.028, -1.267, 2.338],
             catch_rad: 0.35,
             lose_rad: 0.7,

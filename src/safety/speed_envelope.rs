@@ -108,7 +108,7 @@ mod tests {
     use crate::qube::{
         DomainParameters, Dynamics, HARD_STOP_RAD, MAX_VOLTAGE_V, RAD_PER_COUNT, runge_kutta_4,
     };
-    use crate::safety::{Retreat, retreat_voltage};
+    use crate::safety::Retreat;
 
     fn states() -> impl Strategy<Value = State> {
         (-3.0..3.0, -13.0..13.0, -40.0..40.0, -60.0..60.0).prop_map(
@@ -214,13 +214,14 @@ mod tests {
         const DELAY: usize = 10;
         let mut state = start;
         let mut late = [outward * MAX_VOLTAGE_V; DELAY];
+        let mut wanted_v = 0.0;
         let mut farthest = 0.0_f64;
-        let mut retreat = Retreat::Hard;
+        let mut retreat = Retreat::default();
         for step in 0..300 {
-            if SpeedEnvelope::outward(&state) == 0.0 {
-                retreat = Retreat::Firm;
+            // The brake decides each control period.
+            if step % 5 == 0 {
+                wanted_v = retreat.voltage_v(&state);
             }
-            let wanted_v = retreat_voltage(&state, retreat);
             let voltage_v = std::mem::replace(&mut late[step % DELAY], wanted_v);
             state = runge_kutta_4(dynamics, state, voltage_v, STEP_S);
             farthest = farthest.max(state.theta.abs());

@@ -100,9 +100,12 @@ pub enum Fault {
     /// The controller asked for a voltage that is not a number.
     #[error("the policy asked for a voltage that is not a number")]
     NotANumber,
-    /// An encoder moved farther than anything can between two samples.
-    #[error("an encoder jumped by more than 200 counts in 10 ms (a hard hit, or a loose cable?)")]
+    /// The arm's encoder moved farther than an arm can between two samples.
+    #[error("the arm's encoder jumped by more than 200 counts in 10 ms (a hard hit?)")]
     EncoderJump,
+    /// The pendulum's encoder moved farther than a pendulum should between two samples.
+    #[error("the pendulum's encoder jumped by more than 200 counts in 10 ms (a loose cable?)")]
+    PendulumJump,
     /// The motor drove and the arm's count stayed.
     #[error(
         "the arm's encoder stayed for 300 ms against 1 V or more (loose cable, or a held arm?)"
