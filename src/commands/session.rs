@@ -15,7 +15,7 @@ use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
-use crate::session::{DeviceChoice, Session, SessionFolder, SessionSettings};
+use crate::session::{Session, SessionFolder, SessionSettings};
 
 /// Do the whole method: search the distribution of simulations whose policies earn most on the Qube
 ///
@@ -51,7 +51,7 @@ pub struct Arguments {
     resume: Option<PathBuf>,
 
     /// Guard of rollouts and training: the speed envelope, or the thesis's box alone [default: the
-    /// envelope on a port, the box on the emulated Qube, with --config as configured]
+    /// envelope, with --config as configured]
     #[arg(long, value_enum, conflicts_with = "resume")]
     guard: Option<GuardArgument>,
 
@@ -139,10 +139,7 @@ fn begun(
         Some(path) => preset.overridden_by(path).map_err(Failure::usage)?,
         None => preset,
     };
-    // The emulated Qube cannot be hurt, and within the box alone its policies learn in seconds.
-    let emulated = matches!(device.choice, DeviceChoice::Emulated) && arguments.config.is_none();
-    let default = emulated.then_some(GuardArgument::Box);
-    if let Some(guard) = arguments.guard.or(default) {
+    if let Some(guard) = arguments.guard {
         settings = settings.under(guard.into());
     }
     settings.seed = arguments.seed.unwrap_or(settings.seed);
