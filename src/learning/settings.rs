@@ -39,7 +39,7 @@ pub struct TrainSettings {
     pub adam_beta_1: f32,
     /// Adam's decay of the second moment.
     pub adam_beta_2: f32,
-    /// Adam's epsilon.
+    /// Adam's epsilon; its square is added to the second moment, under the root.
     pub adam_epsilon: f32,
     /// Logarithm of the policy's standard deviation at the start, in units of the net's output.
     pub first_log_std: f32,
