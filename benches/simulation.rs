@@ -5,7 +5,6 @@
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use qube_hil::elementary::Level;
 use qube_hil::estimation::EstimatorSettings;
-use qube_hil::qube::OBSERVATION_SIZE;
 use qube_hil::simulation::{
     DomainDistribution, Family, Pendulums, Progress, SensorModel, SimulationSettings, Trajectory,
 };
@@ -45,7 +44,7 @@ fn bench_level(
     let mut voltages_v = vec![0.0_f32; lanes];
     let mut rewards = vec![0.0; lanes];
     let mut progress = vec![Progress::Running; lanes];
-    let mut observations = vec![0.0; OBSERVATION_SIZE * lanes];
+    let mut observations = vec![0.0; pendulums.observation_size() * lanes];
     let mut steps = 0_usize;
     group.throughput(Throughput::Elements(lanes as u64));
     group.bench_function(BenchmarkId::new(format!("{level:?}"), lanes), |bencher| {

@@ -17,7 +17,6 @@ use std::time::Instant;
 
 use qube_hil::learning::{TrainSettings, train};
 use qube_hil::policy::Network;
-use qube_hil::qube::OBSERVATION_SIZE;
 use qube_hil::simulation::{DomainDistribution, Family, SimulationSettings, Trajectory, evaluate};
 
 /// Starts of the evaluation after training, all of them new to the policy.
@@ -98,8 +97,8 @@ fn fresh_return(
     let mut actor = |observations: &[f32], voltages_v: &mut [f32]| {
         let lanes = voltages_v.len();
         for (lane, voltage_v) in voltages_v.iter_mut().enumerate() {
-            let observation: [f32; OBSERVATION_SIZE] =
-                std::array::from_fn(|feature| observations[feature * lanes + lane]);
+            let observation: Vec<f32> =
+                observations.iter().skip(lane).step_by(lanes).copied().collect();
             *voltage_v = network.voltage_of_observation_v(&observation);
         }
     };

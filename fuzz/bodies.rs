@@ -13,7 +13,7 @@ use firmware_protocol::{Decoder, DeviceState, EncodedFrame, Reply, Request};
 use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::device::emulator::{Board, EmulatorSettings};
 use qube_hil::device::{Device, LinkFault, SerialLink, Transport};
-use qube_hil::policy::Policy;
+use qube_hil::policy::{Controller, Policy};
 use qube_hil::qube::State;
 use qube_hil::session::{Extent, SessionSettings, candidates, next_step, parse_ledger};
 
@@ -133,9 +133,11 @@ pub fn policy(bytes: &[u8]) {
     let again = policy.to_bytes();
     let same = Policy::from_bytes(&again).map(|policy| policy.to_bytes());
     assert!(same.is_ok_and(|same| same == again));
+    policy.start();
     for scale in [0.0, 1.0, 1e3, f64::NAN] {
         let state = State { theta: scale, alpha: -scale, theta_dot: 9.0 * scale, alpha_dot: scale };
         let _ = policy.voltage_v(&state);
+        policy.applied(scale);
     }
 }
 

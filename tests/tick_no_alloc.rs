@@ -12,7 +12,7 @@ use qube_hil::control::{Homing, HomingMethod, HomingSettings, Motion, RING_CAPAC
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::estimation::{Calibration, EstimatorSettings};
-use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::policy::{ClassicalController, ClassicalGains, Network, Policy};
 use qube_hil::qube::Measurement;
 use qube_hil::safety::SafetyBox;
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
@@ -103,6 +103,17 @@ fn network() -> Policy {
     Policy::load(&path).expect("the shipped policy")
 }
 
+/// The shipped policy with a history that it looks at a little.
+fn network_with_history() -> Policy {
+    let Policy::Network(mut policy) = network() else { unreachable!("it is a network") };
+    let (mut sizes, mut layers) = (policy.network.sizes().to_vec(), policy.network.layers());
+    sizes[0] += 3;
+    let rows = layers[0].weight.chunks(6);
+    layers[0].weight = rows.flat_map(|row| [row, &[0.01; 3]].concat()).collect();
+    policy.network = Network::new(&sizes, &layers, 5.0).expect("a network");
+    Policy::Network(policy)
+}
+
 fn rollout(policy: Policy, max_steps: u32) -> Tick {
     let settings = TickSettings {
         calibration: Calibration::IDENTITY,
@@ -143,7 +154,7 @@ fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
 
 #[test]
 fn a_rollout_in_virtual_time_allocates_nothing() {
-    for policy in [classical(), network()] {
+    for policy in [classical(), network(), network_with_history()] {
         let clock = VirtualClock::default();
         let device = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
         let (_, allocations) = driven(device, &clock, &mut rollout(policy, 600));

@@ -5,7 +5,7 @@ use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOu
 use crate::elementary::Scalar;
 use crate::estimation::Estimator;
 use crate::policy::{Controller, Policy};
-use crate::qube::{CONTROL_PERIOD_S, State};
+use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, State};
 use crate::safety::{Guard, Retreat, brake_voltage, gate};
 use crate::telemetry::{Ending, Fault, Phase, TickSettings};
 
@@ -92,6 +92,7 @@ impl<C: Controller> Tick<C> {
             ControlAction::RunPolicy => {
                 // The box counts whole turns of the pendulum from the start of each rollout.
                 self.state = self.estimator.forget_whole_turns();
+                self.policy.start();
                 self.phase = Phase::Running;
             }
             ControlAction::Brake => self.phase = Phase::Braking,
@@ -166,6 +167,16 @@ impl<C: Controller> Tick<C> {
         }
     }
 
+    /// While the policy has the motor: what the motor had since the last tick.
+    fn tell_policy_what_was_applied(&mut self, skipped_periods: u32) {
+        if self.phase == Phase::Running {
+            // Older than the longest history, all is forgotten anyway.
+            for _ in 0..=skipped_periods.min(MAX_HISTORY as u32) {
+                self.policy.applied(f64::from(self.voltage_mv) * 1e-3);
+            }
+        }
+    }
+
     fn off(&self) -> TickOutput {
         TickOutput { ending: Some(self.reason), ..self.output() }
     }
@@ -184,6 +195,7 @@ impl<C: Controller> Tick<C> {
 impl<C: Controller> Motion for Tick<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.periods_in_phase += input.skipped_periods;
+        self.tell_policy_what_was_applied(input.skipped_periods);
 
         // Watch the link, the clock, the device's own flags, and the sensors.
         let drive = Drive {
@@ -352,6 +364,57 @@ mod tests {
         assert!(report.last_ticks.is_empty());
         assert!(device.furthest_rad < 2.0, "{} rad", device.furthest_rad);
         assert!(device.state.theta.abs() < 0.6, "{:?}", device.state);
+    }
+
+    /// Asks for another voltage each time and notes what it is told.
+    #[derive(Default)]
+    struct Listener {
+        starts: u32,
+        told_v: Vec<f64>,
+        asked: u32,
+    }
+
+    impl Controller for Listener {
+        fn start(&mut self) {
+            self.starts += 1;
+            self.told_v.clear();
+        }
+
+        fn applied(&mut self, voltage_v: f64) {
+            self.told_v.push(voltage_v);
+        }
+
+        fn voltage_v(&mut self, _: &State) -> f64 {
+            self.asked += 1;
+            if self.asked == 3 { -7.0 } else { 0.2 * f64::from(self.asked % 5) - 0.4 }
+        }
+    }
+
+    #[test]
+    fn a_policy_is_told_what_the_motor_had_in_each_period_of_its_rollout() {
+        let mut device = PlantDevice::new(State::default());
+        device.mishap = Box::new(|tick| match tick {
+            80 => Some(Mishap::Slow(34_000_000)),
+            tick => (tick % 17 == 3).then_some(Mishap::Lost),
+        });
+        let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
+        let mut tick = Tick::new(&settings(), Listener::default());
+        let clock = device.clock.clone();
+        let stop = AtomicBool::new(false);
+        drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
+        let records: Vec<TickRecord> = std::iter::from_fn(|| consumer.pop().ok()).collect();
+        let mut expected_v = Vec::new();
+        for pair in records.windows(2) {
+            if pair[0].phase == Phase::Running {
+                let periods = 1 + pair[1].skipped_periods as usize;
+                let voltage_v = f64::from(pair[0].voltage_mv) * 1e-3;
+                expected_v.extend(std::iter::repeat_n(voltage_v, periods));
+            }
+        }
+        assert_eq!(tick.policy.told_v, expected_v);
+        assert_eq!(tick.policy.starts, 1);
+        assert!(expected_v.contains(&-5.0), "what is told is limited");
+        assert!(expected_v.len() > tick.policy.asked as usize, "nothing was held over");
     }
 
     #[test]

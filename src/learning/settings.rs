@@ -39,7 +39,7 @@ pub struct TrainSettings {
     pub adam_beta_1: f32,
     /// Adam's decay of the second moment.
     pub adam_beta_2: f32,
-    /// Adam's epsilon.
+    /// Adam's epsilon; its square is added to the second moment, under the root.
     pub adam_epsilon: f32,
     /// Logarithm of the policy's standard deviation at the start, in units of the net's output.
     pub first_log_std: f32,
@@ -128,6 +128,7 @@ impl TrainSettings {
         bounded("first_log_std", self.first_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("smallest_log_std", self.smallest_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("widening", self.widening, 0.0..=1.0, "0 to 1")?;
+        bounded("simulation.history", self.simulation.history, 0..=0, "0")?;
         bounded("evaluation_starts", self.evaluation_starts, 1..=10_000, "1 to 10 000")?;
         bounded("threads", self.threads, 1..=1024, "at least 1")
     }

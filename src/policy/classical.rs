@@ -70,8 +70,8 @@ impl ClassicalController {
         &self.gains
     }
 
-    /// Forgets whether it was balancing, as at the start of a rollout.
-    pub fn reset(&mut self) {
+    /// Forgets whether it was balancing.
+    pub fn start(&mut self) {
         self.balancing = false;
     }
 

@@ -13,6 +13,7 @@ use thiserror::Error;
 
 use super::network::{LayerWeights, NetworkError, bias_name, check_sizes, weight_name};
 use super::{ClassicalController, ClassicalGains, Network, NetworkPolicy, Policy, TrainingRecord};
+use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE};
 
 /// Version of the format. Another one is refused.
 pub const FORMAT_VERSION: u32 = 1;
@@ -22,9 +23,20 @@ pub const MAX_FILE_BYTES: u64 = 8 << 20;
 
 const METADATA_KEY: &str = "policy";
 
-/// What the network sees, in order: see [`crate::qube::observation`].
-const OBSERVATION_LAYOUT: [&str; 6] =
-    ["sin(theta)", "cos(theta)", "sin(alpha)", "cos(alpha)", "0.1 theta_dot", "0.05 alpha_dot"];
+/// What a network may see, in order: the state (see [`crate::qube::observation`]), then as many of
+/// the last commands as it was trained with.
+const OBSERVATION_LAYOUT: [&str; OBSERVATION_SIZE + MAX_HISTORY] = [
+    "sin(theta)",
+    "cos(theta)",
+    "sin(alpha)",
+    "cos(alpha)",
+    "0.1 theta_dot",
+    "0.05 alpha_dot",
+    "last command / 5 V",
+    "last command but one / 5 V",
+    "last command but two / 5 V",
+    "last command but three / 5 V",
+];
 
 const ACTIVATION: &str = "tanh";
 
@@ -82,11 +94,21 @@ pub enum PolicyFault {
     },
     /// The network sees something else.
     #[error(
-        "was trained for the observation {layout:?}; this program has {OBSERVATION_LAYOUT:?}. Train it again"
+        "was trained for the observation {layout:?}; this program has the first 6 to 10 of {OBSERVATION_LAYOUT:?}. Train it again"
     )]
     Observation {
         /// The file's layout.
         layout: Vec<String>,
+    },
+    /// The network has another number of inputs than the observation has entries.
+    #[error(
+        "names {entries} entries of the observation for a network of sizes {sizes:?}. Train it again"
+    )]
+    Inputs {
+        /// How many it names.
+        entries: usize,
+        /// The network's sizes.
+        sizes: Vec<usize>,
     },
     /// The network's hidden layers are not of this kind.
     #[error("has the activation `{activation}`; this program has `{ACTIVATION}`. Train it again")]
@@ -187,11 +209,18 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
         ControllerMetadata::Network(metadata) => {
             let NetworkMetadata { observation, sizes, activation, action_scale_v, training } =
                 *metadata;
-            if observation != OBSERVATION_LAYOUT {
+            let known = OBSERVATION_LAYOUT
+                .get(..observation.len())
+                .is_some_and(|layout| layout == observation);
+            if !known || observation.len() < OBSERVATION_SIZE {
                 return Err(PolicyFault::Observation { layout: observation });
             }
             if activation != ACTIVATION {
                 return Err(PolicyFault::Activation { activation });
+            }
+            check_sizes(&sizes)?;
+            if observation.len() != sizes[0] {
+                return Err(PolicyFault::Inputs { entries: observation.len(), sizes });
             }
             let network = Network::new(&sizes, &read_layers(&tensors, &sizes)?, action_scale_v)?;
             Ok(Policy::Network(NetworkPolicy { network, training }))
@@ -206,7 +235,10 @@ pub(super) fn write(policy: &Policy) -> Vec<u8> {
     let (controller, tensors) = match policy {
         Policy::Network(NetworkPolicy { network, training }) => (
             ControllerMetadata::Network(Box::new(NetworkMetadata {
-                observation: OBSERVATION_LAYOUT.map(str::to_owned).to_vec(),
+                observation: OBSERVATION_LAYOUT[..network.sizes()[0]]
+                    .iter()
+                    .map(|&entry| entry.to_owned())
+                    .collect(),
                 sizes: network.sizes().to_vec(),
                 activation: ACTIVATION.to_owned(),
                 action_scale_v: network.action_scale_v(),
@@ -268,7 +300,6 @@ fn read_layers(
     tensors: &SafeTensors<'_>,
     sizes: &[usize],
 ) -> Result<Vec<LayerWeights>, PolicyFault> {
-    check_sizes(sizes)?;
     let mut expected = Vec::new();
     let mut layers = Vec::new();
     for (index, size) in sizes.windows(2).enumerate() {

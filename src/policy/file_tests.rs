@@ -5,16 +5,22 @@ use std::collections::BTreeMap;
 use proptest::prelude::*;
 
 use super::*;
+use crate::qube::MAX_HISTORY;
 
 fn network_policy() -> Policy {
+    network_policy_with_history(0)
+}
+
+fn network_policy_with_history(history: usize) -> Policy {
     let value = |i: usize| (0.31 * i as f32).sin();
     let layer = |inputs: usize, outputs: usize| LayerWeights {
         weight: (0..inputs * outputs).map(value).collect(),
         bias: (0..outputs).map(value).collect(),
     };
-    let layers = [layer(6, 5), layer(5, 3), layer(3, 1)];
+    let inputs = 6 + history;
+    let layers = [layer(inputs, 5), layer(5, 3), layer(3, 1)];
     Policy::Network(NetworkPolicy {
-        network: Network::new(&[6, 5, 3, 1], &layers, 5.0).unwrap(),
+        network: Network::new(&[inputs, 5, 3, 1], &layers, 5.0).unwrap(),
         training: TrainingRecord {
             model: "opt-nominal".to_owned(),
             psi: Some(BTreeMap::from([("mean_M_p".to_owned(), 0.1 + 0.2)])),
@@ -61,6 +67,22 @@ fn a_network_comes_back_bit_for_bit_and_so_do_its_bytes() {
     assert_eq!(read.to_bytes(), bytes);
     let Policy::Network(read) = read else { panic!("a classical controller came back") };
     assert_eq!(&read, original);
+}
+
+#[test]
+fn a_network_comes_back_with_its_history_and_a_file_says_what_it_sees() {
+    for history in 0..=MAX_HISTORY {
+        let bytes = network_policy_with_history(history).to_bytes();
+        let Policy::Network(read) = Policy::from_bytes(&bytes).unwrap() else { unreachable!() };
+        assert_eq!(read.network.history(), history);
+        let text = String::from_utf8_lossy(&bytes);
+        assert_eq!(text.contains("last command / 5 V"), history > 0);
+    }
+    let bytes = network_policy_with_history(1).to_bytes();
+    let other = fault(&with_header_text(&bytes, "last command / 5 V", "last command / 9 V"));
+    assert!(other.contains("last command / 9 V"), "{other}");
+    let fewer = fault(&with_header_text(&bytes, "[7,5,3,1]", "[8,5,3,1]"));
+    assert!(fewer.contains("7 entries") && fewer.contains("[8, 5, 3, 1]"), "{fewer}");
 }
 
 #[test]

@@ -42,40 +42,51 @@ pub struct NetworkPolicy {
 
 /// Whatever wants a voltage at each step of a rollout. A [`Policy`], or what a test puts in its place.
 pub trait Controller: Send {
+    /// A rollout begins: what an earlier one left behind is forgotten.
+    fn start(&mut self) {}
+
+    /// The motor was given this voltage, V, for one control period of the rollout: what was let through
+    /// of the last one asked for, once more for each period without a decision.
+    fn applied(&mut self, _voltage_v: f64) {}
+
     /// The voltage for a state, V. It allocates nothing; the voltage gate of `safety` limits it.
     fn voltage_v(&mut self, state: &State) -> f64;
 }
 
 impl Controller for ClassicalController {
+    fn start(&mut self) {
+        Self::start(self);
+    }
+
     fn voltage_v(&mut self, state: &State) -> f64 {
         Self::voltage_v(self, state)
     }
 }
 
 impl Controller for Policy {
-    fn voltage_v(&mut self, state: &State) -> f64 {
-        Self::voltage_v(self, state)
-    }
-}
-
-impl Policy {
-    /// Forgets what an earlier rollout left behind: call it at the start of each.
-    pub fn reset(&mut self) {
+    fn start(&mut self) {
         match self {
-            Self::Network(_) => {}
-            Self::Classical(controller) => controller.reset(),
+            Self::Network(policy) => policy.network.start(),
+            Self::Classical(controller) => controller.start(),
         }
     }
 
-    /// The voltage for a state, V. It allocates nothing; the voltage gate of `safety` limits it.
-    #[must_use]
-    pub fn voltage_v(&mut self, state: &State) -> f64 {
+    fn applied(&mut self, voltage_v: f64) {
+        match self {
+            Self::Network(policy) => policy.network.applied(voltage_v),
+            Self::Classical(_) => {}
+        }
+    }
+
+    fn voltage_v(&mut self, state: &State) -> f64 {
         match self {
             Self::Network(policy) => policy.network.voltage_v(state),
             Self::Classical(controller) => controller.voltage_v(state),
         }
     }
+}
 
+impl Policy {
     /// Reads a policy file.
     ///
     /// # Errors

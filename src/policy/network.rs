@@ -1,7 +1,7 @@
 use thiserror::Error;
 
 use crate::elementary::{InstructionSet, Kernel, dispatch, tanh};
-use crate::qube::{OBSERVATION_SIZE, State, observation};
+use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State, observation};
 
 /// Most hidden layers. With [`MAX_WIDTH`] this bounds an inference to some tens of microseconds, a
 /// small part of the tick.
@@ -27,7 +27,7 @@ pub struct LayerWeights {
 pub enum NetworkError {
     /// Layer sizes that no policy has.
     #[error(
-        "the network's sizes are {sizes:?}: they must be 6 inputs, 1 to {MAX_HIDDEN_LAYERS} hidden layers of 1 to {MAX_WIDTH}, and 1 output"
+        "the network's sizes are {sizes:?}: they must be 6 to 10 inputs, 1 to {MAX_HIDDEN_LAYERS} hidden layers of 1 to {MAX_WIDTH}, and 1 output"
     )]
     Sizes {
         /// What was given.
@@ -64,6 +64,10 @@ pub enum NetworkError {
 /// A multilayer perceptron: observation in, tanh in the hidden layers, one linear output, which
 /// times the action scale is the voltage.
 ///
+/// The observation is that of a state and, for networks with more inputs than it has numbers, the last
+/// commands as fractions of 5 V, newest first. The network keeps them from [`Self::start`] to the next
+/// one and learns of each by [`Self::applied`].
+///
 /// Every output starts from its bias and takes its inputs in ascending order, each with one fused
 /// multiply-add: the same bits on any processor. An inference allocates nothing.
 #[derive(Clone, Debug)]
@@ -73,6 +77,8 @@ pub struct Network {
     layers: Vec<Layer>,
     /// Inputs and outputs of the layer at work, each as wide as the widest.
     activations: [Vec<f32>; 2],
+    /// The last commands, newest first; of as many as are inputs.
+    commands: [f32; MAX_HISTORY],
 }
 
 /// One layer, transposed so that neighbouring outputs are neighbours in memory.
@@ -118,6 +124,7 @@ impl Network {
             action_scale_v,
             layers: layers.map(|(layer, size)| Layer::new(layer, size[0], size[1])).collect(),
             activations: [vec![0.0; widest], vec![0.0; widest]],
+            commands: [0.0; MAX_HISTORY],
         })
     }
 
@@ -125,6 +132,23 @@ impl Network {
     #[must_use]
     pub fn sizes(&self) -> &[usize] {
         &self.sizes
+    }
+
+    /// How many last commands it sees beside the state.
+    #[must_use]
+    pub fn history(&self) -> usize {
+        self.sizes[0] - OBSERVATION_SIZE
+    }
+
+    /// Forgets the last commands: before them the motor was still.
+    pub fn start(&mut self) {
+        self.commands = [0.0; MAX_HISTORY];
+    }
+
+    /// The motor was given this voltage, V, for one control period.
+    pub fn applied(&mut self, voltage_v: f64) {
+        self.commands.rotate_right(1);
+        self.commands[0] = (voltage_v / MAX_VOLTAGE_V) as f32;
     }
 
     /// Volts for an output of 1.
@@ -151,10 +175,15 @@ impl Network {
         f64::from(dispatch(Infer { network: self, input: Input::State(state) }))
     }
 
-    /// The voltage for an observation, V; not limited. The same bits as for its state.
+    /// The voltage for a whole observation, V; not limited. The same bits as for its state and last
+    /// commands.
+    ///
+    /// # Panics
+    /// If the observation has another length than the network has inputs.
     #[must_use]
-    pub fn voltage_of_observation_v(&mut self, observation: &[f32; OBSERVATION_SIZE]) -> f32 {
-        dispatch(Infer { network: self, input: Input::Observation(*observation) })
+    pub fn voltage_of_observation_v(&mut self, observation: &[f32]) -> f32 {
+        assert_eq!(observation.len(), self.sizes[0], "observation: [inputs]");
+        dispatch(Infer { network: self, input: Input::Observation(observation) })
     }
 }
 
@@ -179,7 +208,8 @@ pub(super) fn bias_name(layer: usize) -> String {
 
 /// Says whether these are sizes that a network may have.
 pub(super) fn check_sizes(sizes: &[usize]) -> Result<(), NetworkError> {
-    if let [OBSERVATION_SIZE, hidden @ .., 1] = sizes
+    if let [inputs, hidden @ .., 1] = sizes
+        && (OBSERVATION_SIZE..=OBSERVATION_SIZE + MAX_HISTORY).contains(inputs)
         && (1..=MAX_HIDDEN_LAYERS).contains(&hidden.len())
         && hidden.iter().all(|width| (1..=MAX_WIDTH).contains(width))
     {
@@ -249,14 +279,14 @@ impl Layer {
     }
 }
 
-enum Input {
+enum Input<'a> {
     State(State<f32>),
-    Observation([f32; OBSERVATION_SIZE]),
+    Observation(&'a [f32]),
 }
 
 struct Infer<'a> {
     network: &'a mut Network,
-    input: Input,
+    input: Input<'a>,
 }
 
 impl Kernel for Infer<'_> {
@@ -264,12 +294,17 @@ impl Kernel for Infer<'_> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> f32 {
-        let Network { action_scale_v, layers, activations: [inputs, outputs], .. } = self.network;
-        let observed = match self.input {
-            Input::State(state) => observation(&state),
-            Input::Observation(observed) => observed,
-        };
-        inputs[..OBSERVATION_SIZE].copy_from_slice(&observed);
+        let history = self.network.history();
+        let Network { action_scale_v, layers, activations: [inputs, outputs], commands, .. } =
+            self.network;
+        match self.input {
+            Input::State(state) => {
+                let (of_state, of_commands) = inputs.split_at_mut(OBSERVATION_SIZE);
+                of_state.copy_from_slice(&observation(&state));
+                of_commands[..history].copy_from_slice(&commands[..history]);
+            }
+            Input::Observation(observed) => inputs[..observed.len()].copy_from_slice(observed),
+        }
         let last = layers.len() - 1;
         for layer in &layers[..last] {
             layer.apply(inputs, outputs);
@@ -303,8 +338,9 @@ mod tests {
     }
 
     /// The same network in `f64`, written as the textbook does.
-    fn textbook_voltage(network: &Network, state: &State) -> f64 {
+    fn textbook_voltage(network: &Network, state: &State, commands_v: &[f64]) -> f64 {
         let mut values = observation(state).to_vec();
+        values.extend(commands_v.iter().map(|command_v| command_v / 5.0));
         let layers = network.layers();
         for (index, layer) in layers.iter().enumerate() {
             values = layer
@@ -338,8 +374,27 @@ mod tests {
         for sizes in [&[6, 64, 64, 1][..], &[6, 7, 1], &[6, 33, 1, 20, 17, 1]] {
             let mut network = network(sizes);
             for state in states() {
-                let error = network.voltage_v(&state) - textbook_voltage(&network, &state);
+                let error = network.voltage_v(&state) - textbook_voltage(&network, &state, &[]);
                 assert!(error.abs() < 1e-4, "{sizes:?}: off by {error:e} V");
+            }
+        }
+    }
+
+    #[test]
+    fn last_commands_are_seen_newest_first_and_forgotten_at_a_start() {
+        for history in 1..=MAX_HISTORY {
+            let mut network = network(&[6 + history, 12, 1]);
+            for start in states().take(3) {
+                network.start();
+                let mut last_v = vec![0.0; history];
+                for state in states().take(10) {
+                    let expected = textbook_voltage(&network, &state, &last_v);
+                    assert!((network.voltage_v(&state) - expected).abs() < 1e-4);
+                    let command_v = start.theta + state.theta;
+                    network.applied(command_v);
+                    last_v.insert(0, command_v);
+                    last_v.pop();
+                }
             }
         }
     }
@@ -379,6 +434,7 @@ mod tests {
             &[6],
             &[6, 1],
             &[5, 8, 1],
+            &[11, 8, 1],
             &[6, 8, 2],
             &[6, 0, 1],
             &[6, 257, 1],

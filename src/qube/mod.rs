@@ -24,7 +24,7 @@ pub use gap::{Gap, GapDynamics, QubeModel};
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
 pub use measurement::{Measurement, Status};
-pub use observation::{OBSERVATION_SIZE, observation};
+pub use observation::{MAX_HISTORY, OBSERVATION_SIZE, observation};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
 pub use profile::{Profile, ProfileError, Provenance};
 pub use reward::RewardWeights;

@@ -4,6 +4,10 @@ use crate::elementary::Scalar;
 /// Numbers in an [`observation`].
 pub const OBSERVATION_SIZE: usize = 6;
 
+/// Most last commands that a policy may see beside the [`observation`]. Four are those of 40 ms: what
+/// may still be on its way to the motor.
+pub const MAX_HISTORY: usize = 4;
+
 /// What a policy sees of a state: [sin theta, cos theta, sin alpha, cos alpha, 0.1 theta_dot,
 /// 0.05 alpha_dot].
 ///

@@ -114,7 +114,10 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::policy::{ClassicalController, ClassicalGains};
+    use crate::policy::{
+        ClassicalController, ClassicalGains, Controller, LayerWeights, Network, NetworkPolicy,
+        SimulatedGuard, SimulatedSensors, TrainingRecord,
+    };
     use crate::qube::{
         CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, RAD_PER_COUNT, State, Status,
         control_step, counts,
@@ -125,6 +128,21 @@ mod tests {
 
     fn classical(gains: ClassicalGains) -> Policy {
         Policy::Classical(ClassicalController::new(gains))
+    }
+
+    fn training_record() -> TrainingRecord {
+        TrainingRecord {
+            model: "nominal".into(),
+            psi: None,
+            seed: 0,
+            preset: "quick".into(),
+            steps: 0,
+            gradient_steps: 0,
+            sensors: SimulatedSensors::TrueState,
+            guard: SimulatedGuard::Box,
+            best_return: None,
+            program_version: "0".into(),
+        }
     }
 
     /// A rollout on an ideal plant, as it comes back from its file. Each 13th sample is lost.
@@ -179,6 +197,28 @@ mod tests {
         assert!(rerun.actions_compared > 300);
         assert!(rerun.return_recorded > 1.0);
         assert_eq!(rerun.ending, Some(Ending::Completed));
+    }
+
+    #[test]
+    fn a_network_with_a_history_comes_out_again_bit_for_bit() {
+        let weights = |inputs: usize, outputs: usize| LayerWeights {
+            weight: (0..inputs * outputs).map(|i| (0.7 * i as f32).sin()).collect(),
+            bias: vec![0.1; outputs],
+        };
+        let policy = |newest: f32| {
+            let mut layers = [weights(9, 5), weights(5, 1)];
+            // Of the second neuron; the output does not look at the first.
+            layers[0].weight[9 + 6] = newest;
+            let network = Network::new(&[9, 5, 1], &layers, 0.05).unwrap();
+            Policy::Network(NetworkPolicy { network, training: training_record() })
+        };
+        let recording = recorded_rollout(policy(0.3), None);
+        let mut used = policy(0.3);
+        used.applied(4.0);
+        let again = rerun(&recording, used);
+        assert!(again.agrees(), "{again:?}");
+        let other = rerun(&recording, policy(0.31));
+        assert!(other.actions_different > 50, "the last command plays no part: {other:?}");
     }
 
     #[test]

@@ -228,7 +228,7 @@ impl Session {
                 let saved = result.map_err(SessionError::from).and_then(|trained| {
                     let best_return = trained.best_return;
                     let psi = &all[candidate as usize].psi;
-                    save(folder, candidate, trained, settings.origin(psi))?;
+                    save(folder, candidate, *trained, settings.origin(psi))?;
                     Ok(best_return)
                 });
                 match saved {

@@ -30,7 +30,7 @@ pub enum News {
         /// The candidate.
         candidate: u32,
         /// Its policy and curve.
-        result: Result<Trained, TrainError>,
+        result: Result<Box<Trained>, TrainError>,
     },
 }
 
@@ -55,6 +55,7 @@ pub fn train_all(
                         train(&job.distribution, settings, job.seed, None, stop, |update| {
                             let _ = sender.send(News::Update { candidate, update: *update });
                         });
+                    let result = result.map(Box::new);
                     let _ = sender.send(News::Finished { candidate, result });
                 }
             });

@@ -7,8 +7,8 @@ use super::pendulums::Progress;
 use crate::elementary::{InstructionSet, Kernel};
 use crate::estimation::{FilterGains, VelocityFilter};
 use crate::qube::{
-    CONTROL_PERIOD_S, DomainParameters, Dynamics, MAX_STEPS, MAX_VOLTAGE_V, OBSERVATION_SIZE,
-    RewardWeights, SUBSTEPS, State, observation, quantised, runge_kutta_4,
+    CONTROL_PERIOD_S, DomainParameters, Dynamics, MAX_HISTORY, MAX_STEPS, MAX_VOLTAGE_V,
+    OBSERVATION_SIZE, RewardWeights, SUBSTEPS, State, observation, quantised, runge_kutta_4,
 };
 use crate::safety::SafetyBox;
 
@@ -26,6 +26,8 @@ pub(super) struct Block {
     /// What sensors and estimator make of it.
     seen: State<Lanes>,
     dynamics: Dynamics<Lanes>,
+    /// The last commands as they were let through, V, newest first.
+    commands_v: [Lanes; MAX_HISTORY],
     /// Steps since the start.
     steps: [u32; BLOCK],
 }
@@ -53,6 +55,7 @@ impl Block {
                 arm_damping: [nominal.arm_damping; BLOCK],
                 pendulum_damping: [nominal.pendulum_damping; BLOCK],
             },
+            commands_v: [[0.0; BLOCK]; MAX_HISTORY],
             steps: [0; BLOCK],
         }
     }
@@ -63,6 +66,17 @@ impl Block {
 
     pub(super) fn seen(&self, lane: usize) -> State<f32> {
         lane_of(&self.seen, lane)
+    }
+
+    /// What a policy sees of a lane with the longest history.
+    pub(super) fn observed(&self, lane: usize) -> [f32; OBSERVATION_SIZE + MAX_HISTORY] {
+        let mut observed = [0.0; OBSERVATION_SIZE + MAX_HISTORY];
+        let (state, commands) = observed.split_at_mut(OBSERVATION_SIZE);
+        state.copy_from_slice(&observation(&self.seen(lane)));
+        for (observed, command_v) in commands.iter_mut().zip(&self.commands_v) {
+            *observed = command_fraction(command_v[lane]);
+        }
+        observed
     }
 
     pub(super) fn restart(
@@ -82,6 +96,9 @@ impl Block {
         self.dynamics.torque_per_volt[lane] = dynamics.torque_per_volt;
         self.dynamics.arm_damping[lane] = dynamics.arm_damping;
         self.dynamics.pendulum_damping[lane] = dynamics.pendulum_damping;
+        for command_v in &mut self.commands_v {
+            command_v[lane] = 0.0;
+        }
         self.steps[lane] = 0;
     }
 }
@@ -109,6 +126,8 @@ fn set_lane(states: &mut State<Lanes>, lane: usize, state: &State<f32>) {
 pub(super) struct Surroundings {
     /// Gains of the velocity filter; none when the true state is seen.
     pub(super) filter: Option<FilterGains<f32>>,
+    /// How many last commands are observed.
+    pub(super) history: usize,
     pub(super) reward: RewardWeights<f32>,
     pub(super) safety_box: SafetyBox<f32>,
 }
@@ -120,7 +139,7 @@ pub(super) struct Step<'a> {
     pub(super) voltages_v: &'a [Lanes],
     pub(super) rewards: &'a mut [Lanes],
     pub(super) progress: &'a mut [[Progress; BLOCK]],
-    /// [6][blocks][16].
+    /// [6 + history][blocks][16].
     pub(super) observations: &'a mut [Lanes],
 }
 
@@ -148,14 +167,18 @@ impl Kernel for Step<'_> {
                 None => block.seen = block.state,
             }
             judge(block, &surroundings.safety_box, progress);
-            write_observations(block, index, count, observations);
+            if surroundings.history > 0 {
+                remember(block, &voltages_v[index]);
+            }
+            write_observations(block, index, count, surroundings.history, observations);
         }
     }
 }
 
-/// Writes the observations of all blocks: [6][blocks][16].
+/// Writes the observations of all blocks: [6 + history][blocks][16].
 pub(super) struct Observe<'a> {
     pub(super) blocks: &'a [Block],
+    pub(super) history: usize,
     pub(super) observations: &'a mut [Lanes],
 }
 
@@ -164,8 +187,9 @@ impl Kernel for Observe<'_> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
-        for (index, block) in self.blocks.iter().enumerate() {
-            write_observations(block, index, self.blocks.len(), self.observations);
+        let Self { blocks, history, observations } = self;
+        for (index, block) in blocks.iter().enumerate() {
+            write_observations(block, index, blocks.len(), history, observations);
         }
     }
 }
@@ -224,8 +248,23 @@ fn judge(block: &mut Block, safety_box: &SafetyBox<f32>, progress: &mut [Progres
     }
 }
 
+/// Puts this period's commands before those of the periods before it.
 #[inline(always)]
-fn write_observations(block: &Block, index: usize, blocks: usize, observations: &mut [Lanes]) {
+fn remember(block: &mut Block, voltages_v: &Lanes) {
+    block.commands_v.rotate_right(1);
+    for lane in 0..BLOCK {
+        block.commands_v[0][lane] = limited(voltages_v[lane]);
+    }
+}
+
+#[inline(always)]
+fn write_observations(
+    block: &Block,
+    index: usize,
+    blocks: usize,
+    history: usize,
+    observations: &mut [Lanes],
+) {
     let mut own = [[0.0; BLOCK]; OBSERVATION_SIZE];
     for lane in 0..BLOCK {
         let observed = observation(&lane_of(&block.seen, lane));
@@ -236,6 +275,18 @@ fn write_observations(block: &Block, index: usize, blocks: usize, observations: 
     for (feature, lanes) in own.into_iter().enumerate() {
         observations[feature * blocks + index] = lanes;
     }
+    for (age, commands_v) in block.commands_v.iter().take(history).enumerate() {
+        let observed = &mut observations[(OBSERVATION_SIZE + age) * blocks + index];
+        for lane in 0..BLOCK {
+            observed[lane] = command_fraction(commands_v[lane]);
+        }
+    }
+}
+
+/// A command as a policy sees it.
+#[inline(always)]
+fn command_fraction(command_v: f32) -> f32 {
+    command_v * (1.0 / MAX_VOLTAGE_V) as f32
 }
 
 #[inline(always)]

@@ -1,10 +1,11 @@
 use super::{DomainDistribution, Pendulums, Progress, SimulationSettings, Trajectory};
-use crate::qube::{MAX_STEPS, OBSERVATION_SIZE};
+use crate::qube::MAX_STEPS;
 
 /// Whatever chooses voltages for many pendulums at once.
 pub trait Actor {
-    /// Voltages in V for `observations`, `[6][lanes]`; `voltages_v` has `lanes` entries, a multiple
-    /// of [`super::LANES_MULTIPLE`].
+    /// Voltages in V for `observations`, `[observation_size][lanes]` (see
+    /// [`SimulationSettings::observation_size`]); `voltages_v` has `lanes` entries, a multiple of
+    /// [`super::LANES_MULTIPLE`].
     fn act(&mut self, observations: &[f32], voltages_v: &mut [f32]);
 }
 
@@ -56,7 +57,7 @@ pub fn evaluate(
         pendulums.restart(lane, &Trajectory::draw(distribution, seed, lane as u64));
     }
     let lanes = pendulums.lanes();
-    let mut observations = vec![0.0; OBSERVATION_SIZE * lanes];
+    let mut observations = vec![0.0; pendulums.observation_size() * lanes];
     let mut voltages_v = vec![0.0; lanes];
     let mut rewards = vec![0.0; lanes];
     let mut progress = vec![Progress::Running; lanes];

@@ -2,7 +2,7 @@ use super::block::{BLOCK, Block, Observe, Step, Surroundings};
 use super::{SensorModel, SimulationSettings, Trajectory};
 use crate::elementary::{Level, Scalar, dispatch_at};
 use crate::estimation::FilterGains;
-use crate::qube::{CONTROL_PERIOD_S, Dynamics, OBSERVATION_SIZE, State, observation, quantised};
+use crate::qube::{CONTROL_PERIOD_S, Dynamics, MAX_HISTORY, State, quantised};
 
 /// The number of lanes is a multiple of this.
 pub const LANES_MULTIPLE: usize = BLOCK;
@@ -23,21 +23,28 @@ pub enum Progress {
 /// Many pendulums at once, in lanes, in `f32`: each with its own parameters and its own trajectory,
 /// all of them advancing one control period with each [`Self::step`].
 ///
-/// Slices over lanes have length [`Self::lanes`]; observations are feature-major, `[6][lanes]`:
-/// feature `f` of lane `i` is entry `f * lanes + i`. A lane's numbers depend on its own
-/// trajectory and voltages alone, and are the same bits on every instruction set.
+/// Slices over lanes have length [`Self::lanes`]; observations are feature-major,
+/// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`. The features are
+/// those of [`crate::qube::observation`], then the last commands as fractions of 5 V, newest first,
+/// zeros at the start of a trajectory. A lane's numbers depend on its own trajectory and voltages
+/// alone, and are the same bits on every instruction set.
 #[derive(Clone, Debug)]
 pub struct Pendulums {
     blocks: Vec<Block>,
     surroundings: Surroundings,
+    observation_size: usize,
     level: Level,
 }
 
 impl Pendulums {
     /// At least `lanes` pendulums (rounded up to a multiple of [`LANES_MULTIPLE`]), nominal and
     /// hanging at rest until they are [`restarted`](Self::restart).
+    ///
+    /// # Panics
+    /// If the history is longer than [`MAX_HISTORY`].
     #[must_use]
     pub fn new(lanes: usize, settings: &SimulationSettings) -> Self {
+        assert!(settings.history <= MAX_HISTORY, "history: 0 to {MAX_HISTORY}");
         let filter = match settings.sensors {
             SensorModel::TrueState => None,
             SensorModel::Encoders { estimator } => {
@@ -48,9 +55,11 @@ impl Pendulums {
             blocks: vec![Block::hanging(); lanes.div_ceil(BLOCK)],
             surroundings: Surroundings {
                 filter,
+                history: settings.history,
                 reward: settings.reward.cast(),
                 safety_box: settings.safety_box.cast(),
             },
+            observation_size: settings.observation_size(),
             level: Level::best(),
         }
     }
@@ -67,6 +76,12 @@ impl Pendulums {
     #[must_use]
     pub fn lanes(&self) -> usize {
         self.blocks.len() * BLOCK
+    }
+
+    /// Numbers in an observation: those of a state, then the last commands.
+    #[must_use]
+    pub fn observation_size(&self) -> usize {
+        self.observation_size
     }
 
     /// Puts a new trajectory into a lane, at its step 0.
@@ -97,25 +112,26 @@ impl Pendulums {
         self.blocks[lane / BLOCK].restart(lane % BLOCK, &dynamics, &state, &seen);
     }
 
-    /// Writes what is observed now in all lanes to `observations`, `[6][lanes]`.
+    /// Writes what is observed now in all lanes to `observations`, `[observation_size][lanes]`.
     ///
     /// # Panics
     /// If the length is another.
     pub fn observe(&self, observations: &mut [f32]) {
-        assert_eq!(observations.len(), OBSERVATION_SIZE * self.lanes(), "observations: [6][lanes]");
+        self.check_length_of(observations);
         let (observations, _) = observations.as_chunks_mut();
-        dispatch_at(self.level, Observe { blocks: &self.blocks, observations });
+        let history = self.surroundings.history;
+        dispatch_at(self.level, Observe { blocks: &self.blocks, history, observations });
     }
 
-    /// Writes what is observed now in one lane to its entries of `observations`, `[6][lanes]`: after
-    /// a restart.
+    /// Writes what is observed now in one lane to its entries of `observations`,
+    /// `[observation_size][lanes]`: after a restart.
     ///
     /// # Panics
     /// If there is no such lane or the length is another.
     pub fn observe_lane(&self, lane: usize, observations: &mut [f32]) {
-        assert_eq!(observations.len(), OBSERVATION_SIZE * self.lanes(), "observations: [6][lanes]");
-        let observed = observation(&self.blocks[lane / BLOCK].seen(lane % BLOCK));
-        for (feature, value) in observed.into_iter().enumerate() {
+        self.check_length_of(observations);
+        let observed = self.blocks[lane / BLOCK].observed(lane % BLOCK);
+        for (feature, value) in observed.into_iter().take(self.observation_size).enumerate() {
             observations[feature * self.lanes() + lane] = value;
         }
     }
@@ -124,7 +140,7 @@ impl Pendulums {
     ///
     /// `voltages_v` is limited to the motor's +-5 V. Written are: the `rewards` of the states before
     /// the step with these voltages; how each trajectory stands now; and the `observations`,
-    /// `[6][lanes]`, of the states after the step, also of those that end with it.
+    /// `[observation_size][lanes]`, after the step, also of those that end with it.
     ///
     /// A lane that has ended runs on into the meaningless until it is restarted; nothing of it
     /// reaches other lanes. A state that is not a number counts as outside of the box.
@@ -142,7 +158,7 @@ impl Pendulums {
         assert_eq!(voltages_v.len(), lanes, "voltages_v: [lanes]");
         assert_eq!(rewards.len(), lanes, "rewards: [lanes]");
         assert_eq!(progress.len(), lanes, "progress: [lanes]");
-        assert_eq!(observations.len(), OBSERVATION_SIZE * lanes, "observations: [6][lanes]");
+        self.check_length_of(observations);
         let (voltages_v, _) = voltages_v.as_chunks();
         let (rewards, _) = rewards.as_chunks_mut();
         let (progress, _) = progress.as_chunks_mut();
@@ -156,6 +172,11 @@ impl Pendulums {
             observations,
         };
         dispatch_at(self.level, step);
+    }
+
+    fn check_length_of(&self, observations: &[f32]) {
+        let expected = self.observation_size * self.lanes();
+        assert_eq!(observations.len(), expected, "observations: [observation_size][lanes]");
     }
 
     /// The true state in a lane.

@@ -6,8 +6,8 @@ use super::{
 use crate::elementary::Level;
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::{
-    DomainParameters, Dynamics, MAX_STEPS, Measurement, OBSERVATION_SIZE, RAD_PER_COUNT,
-    RewardWeights, State, control_step, counts, observation,
+    DomainParameters, Dynamics, MAX_HISTORY, MAX_STEPS, Measurement, OBSERVATION_SIZE,
+    RAD_PER_COUNT, RewardWeights, State, control_step, counts, observation,
 };
 use crate::safety::SafetyBox;
 
@@ -29,7 +29,7 @@ impl Bench {
             voltages_v: vec![0.0; lanes],
             rewards: vec![0.0; lanes],
             progress: vec![Progress::Running; lanes],
-            observations: vec![0.0; OBSERVATION_SIZE * lanes],
+            observations: vec![0.0; settings.observation_size() * lanes],
         }
     }
 
@@ -265,6 +265,38 @@ fn observing_writes_what_the_step_wrote() {
         bench.pendulums.observe_lane(lane, &mut lane_by_lane);
     }
     assert_eq!(lane_by_lane, bench.observations);
+}
+
+#[test]
+fn last_commands_are_observed_newest_first_and_forgotten_at_a_restart() {
+    for history in 1..=MAX_HISTORY {
+        let settings = SimulationSettings { history, ..SimulationSettings::default() };
+        let mut bench = Bench::new(32, &settings);
+        let commands = |bench: &Bench, lane: usize| -> Vec<f32> {
+            (0..history)
+                .map(|age| bench.observations[(OBSERVATION_SIZE + age) * 32 + lane])
+                .collect()
+        };
+        let mut expected = vec![0.0; history];
+        for step in 0..10 {
+            // Beyond 5 V from step 6 on.
+            let command_v = 0.9 * step as f32;
+            bench.voltages_v = vec![command_v; 32];
+            bench.step();
+            expected.insert(0, command_v.min(5.0) / 5.0);
+            expected.pop();
+            for (seen, expected) in commands(&bench, 17).into_iter().zip(&expected) {
+                assert!((seen - expected).abs() < 1e-6);
+            }
+            let written = bench.observations.clone();
+            bench.pendulums.observe(&mut bench.observations);
+            assert_eq!(bench.observations, written);
+        }
+        bench.pendulums.restart(17, &anywhere(3, &State::default()));
+        bench.pendulums.observe_lane(17, &mut bench.observations);
+        assert_eq!(commands(&bench, 17), vec![0.0; history]);
+        assert_eq!(commands(&bench, 16)[0], 1.0);
+    }
 }
 
 #[test]

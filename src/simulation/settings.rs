@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::estimation::EstimatorSettings;
-use crate::qube::RewardWeights;
+use crate::qube::{OBSERVATION_SIZE, RewardWeights};
 use crate::safety::SafetyBox;
 
 /// What surrounds the physics: what is seen of it, what it earns, when it ends.
@@ -10,6 +10,9 @@ use crate::safety::SafetyBox;
 pub struct SimulationSettings {
     /// What observation, reward and safety box see of the state.
     pub sensors: SensorModel,
+    /// How many last commands a policy sees beside the state, 0 to [`crate::qube::MAX_HISTORY`]. With
+    /// them it knows what is still on its way to the motor.
+    pub history: usize,
     /// What a step earns.
     pub reward: RewardWeights,
     /// What ends a trajectory early.
@@ -17,6 +20,12 @@ pub struct SimulationSettings {
 }
 
 impl SimulationSettings {
+    /// Numbers in what a policy sees: those of a state, then the last commands.
+    #[must_use]
+    pub fn observation_size(&self) -> usize {
+        OBSERVATION_SIZE + self.history
+    }
+
     /// What the machine has: encoders, their velocity filter, and the speed envelope.
     #[must_use]
     pub fn machine() -> Self {
@@ -33,6 +42,7 @@ impl Default for SimulationSettings {
     fn default() -> Self {
         Self {
             sensors: SensorModel::TrueState,
+            history: 0,
             reward: RewardWeights::THESIS,
             safety_box: SafetyBox::THESIS,
         }
