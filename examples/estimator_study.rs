@@ -283,45 +283,50 @@ impl Tally {
             return;
         };
         let records: Vec<TickRecord> = std::iter::from_fn(|| consumer.pop().ok()).collect();
+        let running = records.iter().filter(|tick| tick.phase == Phase::Running);
+        let seen: Vec<State> = running.map(|tick| tick.state).collect();
         let return_ = return_of(&records, &RewardWeights::THESIS);
-        let running: Vec<_> = records.iter().filter(|tick| tick.phase == Phase::Running).collect();
-        let stands = running.len() == 600
-            && running[500..].iter().all(|tick| wrap_angle(tick.state.alpha - PI).abs() < 0.2);
-        let success = report.outcome.ending == Ending::Completed && return_ >= 400.0 && stands;
-        self.successes += u32::from(success);
-        self.return_sum += return_;
+        self.count(&seen, return_, report.outcome.ending == Ending::Completed);
         self.astray += report.outcome.times_astray;
+    }
+
+    /// One rollout of a policy that is shown the true state at the instant of its command.
+    fn add_exact(&mut self, model: &QubeModel, policy: &Policy, seed: u64) {
+        let theta = 0.1 * (seed as f64).sin();
+        let ride = swing_up(model, policy, State { theta, ..State::default() });
+        let states: Vec<State> = ride.truth.iter().step_by(GRID).copied().collect();
+        let stays = |state: &&State| SafetyBox::THESIS.violation(state).is_none();
+        let inside = states.iter().take_while(stays).count();
+        let earned = states.iter().zip(&ride.samples).take(inside);
+        let return_ = earned
+            .map(|(state, (_, voltage_v))| RewardWeights::THESIS.reward(state, *voltage_v))
+            .sum();
+        self.rollouts += 1;
+        self.count(&states[..inside], return_, inside == states.len());
+    }
+
+    fn count(&mut self, states: &[State], return_: f64, completed: bool) {
+        let stands = states.len() == 600
+            && states[500..].iter().all(|state| wrap_angle(state.alpha - PI).abs() < 0.2);
+        self.successes += u32::from(completed && return_ >= 400.0 && stands);
+        self.return_sum += return_;
     }
 }
 
 fn delays(lab: &QubeModel, policies: &[Policy]) {
-    let delays_ms = [0.0, 6.0, 10.0, 16.0, 20.0];
+    let plants = [0.0, 6.0, 10.0, 16.0, 20.0].map(|delay_ms| {
+        let mut plant = *lab;
+        plant.gap.command_delay_s = 1e-3 * delay_ms;
+        Column { plants: vec![plant], rollouts: ROLLOUTS, delay_s: 1e-3 * delay_ms }
+    });
     println!("| estimator | 0 ms | 6 ms | 10 ms | 16 ms | 20 ms |");
     println!("| --- | --- | --- | --- | --- | --- |");
-    for row in 0..estimators(lab, 0.0).len() {
-        let mut cells = Vec::new();
-        let mut name = String::new();
-        for delay_ms in delays_ms {
-            let mut plant = *lab;
-            plant.gap.command_delay_s = 1e-3 * delay_ms;
-            let (own_name, estimator) = estimators(lab, 1e-3 * delay_ms).swap_remove(row);
-            name = own_name;
-            let mut tally = Tally::default();
-            for policy in policies {
-                for seed in 0..ROLLOUTS {
-                    tally.add(&plant, estimator, policy, seed);
-                }
-            }
-            cells.push(tally.cell());
-        }
-        println!("| {name} | {} |", cells.join(" | "));
-    }
+    transfer(lab, &plants, policies);
 }
 
 fn plants(lab: &QubeModel, policies: &[Policy]) {
-    let delay_s = lab.gap.command_delay_s;
     let mut random = ChaCha8Rng::seed_from_u64(1);
-    let around: Vec<QubeModel> = (0..PLANTS)
+    let around = (0..PLANTS)
         .map(|_| {
             let mut model = *lab;
             for parameter in DomainParameter::ALL {
@@ -331,27 +336,51 @@ fn plants(lab: &QubeModel, policies: &[Policy]) {
             model
         })
         .collect();
+    let column = |plants, rollouts| Column { plants, rollouts, delay_s: lab.gap.command_delay_s };
+    let columns =
+        [column(vec![*lab], ROLLOUTS), column(around, 1), column(vec![lab.scaled(1.5)], ROLLOUTS)];
     println!(
         "| estimator | lab | each parameter within 10 %, {PLANTS} Qubes | 1.5 times the gap |"
     );
     println!("| --- | --- | --- | --- |");
-    for (name, estimator) in estimators(lab, delay_s) {
-        let tally = |plants: &[QubeModel], rollouts: u64| {
-            let mut tally = Tally::default();
-            for plant in plants {
-                for policy in policies {
-                    for seed in 0..rollouts {
-                        tally.add(plant, estimator, policy, seed);
+    transfer(lab, &columns, policies);
+}
+
+/// Qubes whose rollouts are counted together.
+struct Column {
+    plants: Vec<QubeModel>,
+    /// Of each policy on each Qube.
+    rollouts: u64,
+    /// What the estimators take for their delay.
+    delay_s: f64,
+}
+
+/// One row for each estimator, and one for policies that are shown the true state.
+fn transfer(lab: &QubeModel, columns: &[Column], policies: &[Policy]) {
+    let cells = |rollout: &dyn Fn(&mut Tally, &QubeModel, f64, &Policy, u64)| {
+        let cells: Vec<String> = columns
+            .iter()
+            .map(|column| {
+                let mut tally = Tally::default();
+                for plant in &column.plants {
+                    for policy in policies {
+                        for seed in 0..column.rollouts {
+                            rollout(&mut tally, plant, column.delay_s, policy, seed);
+                        }
                     }
                 }
-            }
-            tally.cell()
-        };
-        println!(
-            "| {name} | {} | {} | {} |",
-            tally(&[*lab], ROLLOUTS),
-            tally(&around, 1),
-            tally(&[lab.scaled(1.5)], ROLLOUTS)
-        );
+                tally.cell()
+            })
+            .collect();
+        cells.join(" | ")
+    };
+    let exact = cells(&|tally, plant, _, policy, seed| tally.add_exact(plant, policy, seed));
+    println!("| the true state at the command | {exact} |");
+    for (row, (name, _)) in estimators(lab, 0.0).into_iter().enumerate() {
+        let row = cells(&|tally, plant, delay_s, policy, seed| {
+            let (_, estimator) = estimators(lab, delay_s).swap_remove(row);
+            tally.add(plant, estimator, policy, seed);
+        });
+        println!("| {name} | {row} |");
     }
 }
