@@ -1,13 +1,8 @@
-use std::path::Path;
-
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::profile;
-use crate::qube::{DomainParameter, Profile, QubeModel};
+use crate::qube::DomainParameter;
 use crate::session::EmulatedQubeSettings;
-
-/// The profile that comes with the program: a real Qube of which recordings are published.
-const LAB: &str = include_str!("../../profiles/lab.toml");
 
 /// What the emulated Qube is like.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -46,13 +41,7 @@ impl EmulatedArguments {
         if !asked {
             return Ok(None);
         }
-        let mut model = match self.profile.as_deref() {
-            None | Some("ideal") => QubeModel::NOMINAL,
-            Some("lab") => Profile::parse(LAB)
-                .map_err(|error| Failure::failed(format!("the profile lab: {error}")))?
-                .model(),
-            Some(path) => profile::load(Path::new(path))?.model(),
-        };
+        let mut model = profile::named(self.profile.as_deref().unwrap_or(profile::IDEAL))?;
         if let Some(factor) = self.gap {
             model = model.scaled(factor);
         }

@@ -9,6 +9,7 @@ mod device_arguments;
 mod doctor;
 mod emulate;
 mod emulated_arguments;
+mod estimator_arguments;
 mod exit;
 mod failures;
 mod guard_argument;

@@ -5,14 +5,13 @@ use serde_json::{Value, json};
 
 use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
+use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::guard_argument::GuardArgument;
-use super::number_arguments::positive;
 use super::output::Output;
 use super::stop::Stop;
 use super::{dated_folder, failures, timing_lines, warn_without_realtime};
 use crate::control::HomingMethod;
-use crate::estimation::EstimatorSettings;
 use crate::policy::{ClassicalController, ClassicalGains, Policy};
 use crate::qube::MAX_STEPS;
 use crate::recording::read;
@@ -31,6 +30,7 @@ use crate::telemetry::Ending;
     qube-hil run --policy classical                       # a swing-up at once, nothing trained\n  \
     qube-hil run --policy policies/nominal.safetensors --rollouts 5\n  \
     qube-hil run --policy best.safetensors --device /dev/ttyACM0 --out logs/monday\n  \
+    qube-hil run --policy best.safetensors --profile lab --estimator observer --estimator-profile lab\n  \
     qube-hil run --policy classical --qube qube.toml      # port and signs from check --write")]
 pub struct Arguments {
     /// A policy file, or `classical` for the built-in energy swing-up with balance
@@ -49,13 +49,12 @@ pub struct Arguments {
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
-    /// Corner of the velocity filter, rad/s (50 is the thesis's set-up)
-    #[arg(long, default_value_t = EstimatorSettings::default().corner_rad_s, value_parser = positive)]
-    filter: f64,
-
     /// What ends a rollout: the speed envelope too, or the box alone
     #[arg(long, value_enum, default_value_t = GuardArgument::Envelope)]
     guard: GuardArgument,
+
+    #[command(flatten)]
+    estimator: EstimatorArguments,
 
     #[command(flatten)]
     device: DeviceArguments,
@@ -73,7 +72,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("run"));
 
-    let estimator = EstimatorSettings { corner_rad_s: arguments.filter };
+    let estimator = arguments.estimator.settings()?.unwrap_or_default();
     let device = arguments.device.choose()?;
     let emulated = arguments.emulated.settings()?.unwrap_or_default();
     let emulator = emulated.emulator(arguments.seed);
@@ -154,6 +153,8 @@ struct Results {
     success: Vec<bool>,
     recordings: Vec<PathBuf>,
     latencies: Latencies,
+    /// How often the observer had lost the Qube.
+    times_astray: u64,
     /// Why the last rollout is void, if a fault made it so.
     fault: Option<String>,
 }
@@ -162,6 +163,8 @@ impl Results {
     fn add(&mut self, path: &Path) -> Result<(), Failure> {
         let recording = read(path).map_err(Failure::data_lost)?;
         self.latencies.add(&recording.ticks);
+        let outcome = recording.outcome.as_ref();
+        self.times_astray += outcome.map_or(0, |outcome| u64::from(outcome.times_astray));
         let rollout = self.returns.len();
         let _ = match judge_recording(&recording) {
             Verdict::Result { return_, success, outcome } => {
@@ -200,8 +203,14 @@ impl Results {
 
     fn text(&self) -> String {
         let directory = self.recordings.first().and_then(|path| path.parent());
+        let astray = match self.times_astray {
+            0 => String::new(),
+            times => format!(
+                "the observer had lost the Qube {times} times: its model or its delay is of another\n"
+            ),
+        };
         format!(
-            "{}{}recordings in {}",
+            "{}{astray}{}recordings in {}",
             self.lines,
             timing_lines(&self.latencies),
             directory.unwrap_or(Path::new(".")).display()
@@ -213,6 +222,7 @@ impl Results {
             "returns": self.returns,
             "ended_early": self.ended_early,
             "success": self.success,
+            "times_astray": self.times_astray,
             "missed_deadlines": self.latencies.missed_deadlines(),
             "lateness_us": self.latencies.lateness_us(),
             "sample_to_act_us": self.latencies.sample_to_act_us(),

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use super::dated_folder;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
+use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
 use super::guard_argument::GuardArgument;
@@ -56,6 +57,9 @@ pub struct Arguments {
     guard: Option<GuardArgument>,
 
     #[command(flatten)]
+    estimator: EstimatorArguments,
+
+    #[command(flatten)]
     device: DeviceArguments,
 
     #[command(flatten)]
@@ -83,6 +87,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             return Err(Failure::usage(
                 "a session goes on with the emulated Qube that it began with: leave --profile, \
                  --gap, --delay-ms, --jitter-ms and --scale out",
+            ));
+        }
+        Some(_) if arguments.estimator.settings()?.is_some() => {
+            return Err(Failure::usage(
+                "a session goes on with the estimator that it began with: leave --estimator, \
+                 --filter, --estimator-profile and --estimator-delay-ms out",
             ));
         }
         Some(directory) => resumed(directory, &device)?,
@@ -147,6 +157,7 @@ fn begun(
     settings.name = directory
         .file_name()
         .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
+    settings.estimator = arguments.estimator.settings()?.unwrap_or(settings.estimator);
     settings.emulated = arguments.emulated.settings()?.unwrap_or(settings.emulated);
     let settings = on_this_qube(settings, device);
     let configuration = settings.to_toml().map_err(Failure::failed)?;

@@ -262,7 +262,7 @@ impl Homing {
             }
             Estimator::new(self.settings.estimator, self.provisional)
         });
-        estimator.update(measurement)
+        estimator.update(measurement).guarded
     }
 
     /// Moves on to the next stage where one has reached its end.

@@ -15,7 +15,7 @@ use crate::safety::{Limit, SafetyBox};
 pub struct TickSettings {
     /// Counts to angles, wanted to sent voltage.
     pub calibration: Calibration,
-    /// How velocities are estimated.
+    /// How the state is estimated that the policy sees.
     pub estimator: EstimatorSettings,
     /// The box that ends the rollout.
     pub safety_box: SafetyBox,
@@ -147,10 +147,18 @@ pub struct RolloutOutcome {
     pub missed_deadlines: u32,
     /// Records that the recorder had no room for: above 0, the file has gaps.
     pub records_lost: u64,
+    /// How often the observer had lost the Qube and started anew from encoders and filter: its model
+    /// is of another Qube, or something hit this one.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub times_astray: u32,
     /// Wake-up lateness, microseconds.
     pub lateness_us: LatencySummary,
     /// From sample to act by the device's clock, microseconds.
     pub sample_to_act_us: LatencySummary,
+}
+
+fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 /// Percentiles of a latency.

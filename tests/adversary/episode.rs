@@ -122,7 +122,7 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
     let mut plant = Plant::new(&factors, roughness, start_theta_rad);
     let settings = TickSettings {
         calibration: Calibration::IDENTITY,
-        estimator: EstimatorSettings { corner_rad_s: domain.corner_rad_s },
+        estimator: EstimatorSettings::filter(domain.corner_rad_s),
         safety_box: domain.safety_box,
         max_steps: STEPS,
         start_theta_rad,
