@@ -18,14 +18,17 @@ use super::plant_arguments::PlantArguments;
 use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
 use crate::experiment::{
-    Experiment, ExperimentFolder, ExperimentSettings, Plant, Recipe, RecipeModel, Results,
+    Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe, RecipeModel,
+    Results, densities_svg, searches_svg,
 };
 use crate::learning::TrainSettings;
 use crate::safety::Guard;
 use crate::search::BayRnSettings;
-use crate::session::{DeviceChoice, Extent, RigSettings, SessionSettings, write_whole};
+use crate::session::{
+    DeviceChoice, Extent, FolderError, RigSettings, SessionSettings, write_whole,
+};
 use crate::simulation::{Family, SensorModel};
-use crate::storage::MachineDisk;
+use crate::storage::{Disk, MachineDisk};
 
 /// Compare recipes: train some policies by each, run them all on the Qube, print the table
 ///
@@ -111,6 +114,10 @@ pub struct Arguments {
     /// Also write a line for each policy to this file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
+
+    /// Also draw the thesis's figures 5.2 and 5.3 into this folder
+    #[arg(long, value_name = "DIR")]
+    figures: Option<PathBuf>,
 
     #[command(flatten)]
     qube: QubeArguments,
@@ -209,12 +216,30 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         write_whole(&MachineDisk, path, csv(&results).as_bytes())
             .map_err(|error| failures::folder(&error))?;
     }
+    if let Some(folder) = &arguments.figures {
+        draw(&experiment, folder).map_err(failed)?;
+    }
     let directory = experiment.folder().root().display().to_string();
     let mut result = value(&results);
     result["directory"] = json!(directory);
     result["wall_s"] = json!(started.elapsed().as_secs_f64());
     let text = format!("{}\neverything is in {directory}", table(&results));
     output.print(&text, &result);
+    Ok(())
+}
+
+fn draw(experiment: &Experiment, folder: &Path) -> Result<(), ExperimentError> {
+    let is_optimised = |recipe: &Recipe| recipe.model.is_optimised();
+    let mut figures = vec![("figure-5.2.svg", densities_svg(experiment)?)];
+    if experiment.settings().recipes.iter().any(is_optimised) {
+        figures.push(("figure-5.3.svg", searches_svg(experiment)?));
+    }
+    MachineDisk
+        .create_folder(folder)
+        .map_err(|source| FolderError::Io { path: folder.to_owned(), source })?;
+    for (name, svg) in figures {
+        write_whole(&MachineDisk, &folder.join(name), svg.as_bytes())?;
+    }
     Ok(())
 }
 

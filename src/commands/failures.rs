@@ -75,6 +75,7 @@ pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure 
         ExperimentError::Training(_)
         | ExperimentError::Ledger(_)
         | ExperimentError::Unwritable(_)
+        | ExperimentError::Drawing { .. }
         | ExperimentError::WorkerGone => Failure::failed(error),
         ExperimentError::NotAnExperiment { .. }
         | ExperimentError::Settings { .. }

@@ -41,6 +41,12 @@ pub enum ExperimentError {
     /// Settings that cannot be written.
     #[error("the experiment's settings cannot be written: {0}")]
     Unwritable(#[from] toml::ser::Error),
+    /// The drawing library failed.
+    #[error("the figure could not be drawn: {reason}")]
+    Drawing {
+        /// Why.
+        reason: String,
+    },
     /// A worker thread panicked.
     #[error("a worker of the experiment has ended unexpectedly; --resume goes on")]
     WorkerGone,

@@ -11,6 +11,7 @@
 
 mod behaviour;
 mod error;
+mod figures;
 mod folder;
 mod plant;
 mod queue;
@@ -24,6 +25,7 @@ mod work;
 
 pub use behaviour::Behaviour;
 pub use error::ExperimentError;
+pub use figures::{densities_svg, searches_svg};
 pub use folder::ExperimentFolder;
 pub use plant::Plant;
 pub use recipe::{Recipe, RecipeModel};

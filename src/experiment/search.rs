@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use super::ExperimentError;
 use crate::session::{
     Entry, Extent, LedgerError, Progress, Purpose, RigSettings, Session, SessionFolder,
-    SessionSettings, Step, candidates, next_step, parse_ledger,
+    SessionSettings, Step, Verdict, candidates, judge, next_step, parse_ledger,
 };
 use crate::storage::{Disk, MachineDisk};
 
@@ -62,8 +62,25 @@ pub(super) fn found_psi(
     Ok(answer.map(|candidate| candidate.psi))
 }
 
+/// The returns of each candidate's rollouts, without the answer's, which verify it.
+pub(super) fn searched(folder: &Path) -> Result<Vec<Vec<f64>>, ExperimentError> {
+    let all = candidates(&ledger(folder)?);
+    let searched = all.iter().filter(|it| it.purpose != Purpose::Verification);
+    searched
+        .map(|candidate| {
+            let rollouts = candidate.finished.iter().map(|&(rollout, attempt)| {
+                let name = format!("rollout-{rollout}-attempt-{attempt}.mcap");
+                let number = format!("{:03}", candidate.number);
+                judge(&MachineDisk, &folder.join("candidates").join(number).join(name))
+            });
+            let verdicts = rollouts.collect::<Result<Vec<_>, _>>()?;
+            Ok(verdicts.iter().filter_map(Verdict::return_).collect())
+        })
+        .collect()
+}
+
 /// What a search has decided and finished; nothing where it has not begun.
-pub(super) fn ledger(folder: &Path) -> Result<Vec<Entry>, ExperimentError> {
+fn ledger(folder: &Path) -> Result<Vec<Entry>, ExperimentError> {
     let path = folder.join("ledger.jsonl");
     if !MachineDisk.exists(&path) {
         return Ok(Vec::new());
