@@ -23,7 +23,7 @@ use qube_hil::device::{Device, SerialLink};
 use qube_hil::estimation::{
     Calibration, Estimates, Estimator, EstimatorSettings, ObserverSettings, SentVoltages,
 };
-use qube_hil::policy::Policy;
+use qube_hil::policy::{Controller, Policy};
 use qube_hil::qube::{
     DomainParameter, GapDynamics, Measurement, Profile, QubeModel, RewardWeights, State, counts,
     runge_kutta_4, wrap_angle,
@@ -100,7 +100,7 @@ struct SwingUp {
 /// The policy, shown the true state at the instant at which its command will act, on this Qube.
 fn swing_up(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
     let (dynamics, mut policy) = (GapDynamics::<f64>::new(model), policy.clone());
-    policy.reset();
+    policy.start();
     let mut sent = SentVoltages::new(model.gap.command_delay_s, 0.0);
     let mut state = start;
     let mut swing_up = SwingUp { samples: Vec::new(), truth: Vec::new() };

@@ -98,6 +98,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Some(directory) => resumed(directory, &device)?,
         None => begun(&arguments, &device)?,
     };
+    let profile = device.profile()?;
     let stop = Stop::on_signals()?;
     let rig_settings = crate::session::RigSettings {
         homing: settings.homing,
@@ -117,7 +118,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut progress = SessionProgress::new(&settings);
     let mut session =
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
-            .map_err(failed)?;
+            .map_err(failed)?
+            .beside(profile);
     service_manager::ready();
     let ended = session.run(&mut |news| {
         service_manager::alive();
