@@ -147,12 +147,12 @@ mod x86 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{exp, sin_cos, tanh};
+    use super::super::{exp, inverse_square_root, sin_cos, tanh};
     use super::*;
 
     struct AllFunctions<'a> {
         inputs: &'a [f32],
-        outputs: &'a mut [[f32; 4]],
+        outputs: &'a mut [[f32; 5]],
     }
 
     impl Kernel for AllFunctions<'_> {
@@ -162,7 +162,7 @@ mod tests {
         fn run<I: InstructionSet>(self) -> Level {
             for (&x, output) in self.inputs.iter().zip(self.outputs) {
                 let (sin, cos) = sin_cos(x);
-                *output = [sin, cos, tanh(x), exp(x)];
+                *output = [sin, cos, tanh(x), exp(x), inverse_square_root(x.abs())];
             }
             I::LEVEL
         }
@@ -172,14 +172,14 @@ mod tests {
     fn every_instruction_set_computes_the_bits_of_the_scalar_functions() {
         let inputs: Vec<f32> = (-40_000..40_000).map(|i| i as f32 * 2.3e-3).collect();
         for level in Level::ALL {
-            let mut outputs = vec![[0.0; 4]; inputs.len()];
+            let mut outputs = vec![[0.0; 5]; inputs.len()];
             let ran = dispatch_at(level, AllFunctions { inputs: &inputs, outputs: &mut outputs });
             if ran != level {
                 println!("{level:?} is not available here: checked {ran:?} instead");
             }
             for (&x, output) in inputs.iter().zip(&outputs) {
                 let (sin, cos) = sin_cos(x);
-                let expected = [sin, cos, tanh(x), exp(x)];
+                let expected = [sin, cos, tanh(x), exp(x), inverse_square_root(x.abs())];
                 assert_eq!(
                     output.map(f32::to_bits),
                     expected.map(f32::to_bits),

@@ -89,6 +89,20 @@ pub fn exp(x: f32) -> f32 {
     polynomial * power_of_two
 }
 
+/// 1 / sqrt(x) of a positive normal number; relative error at most 8e-7. Zero gives a large number.
+///
+/// Halving the exponent in the bits themselves gives 3 %, and each of two Newton steps squares
+/// that. The integer and the constants beside 3/2 are those for which the largest error on either
+/// side is the same after each step. Neither a division nor a square root, which are slow, and none
+/// of the processor's approximations, which differ from one to another.
+#[inline(always)]
+pub fn inverse_square_root(x: f32) -> f32 {
+    let half = 0.5 * x;
+    let y = f32::from_bits(0x5f37_6900_u32.wrapping_sub(x.to_bits() >> 1));
+    let y = y * (-half * y).mul_add(y, 1.500_878_9);
+    y * (-half * y).mul_add(y, 1.500_000_6)
+}
+
 impl Scalar for f32 {
     #[inline(always)]
     fn from_f64(value: f64) -> Self {
@@ -180,5 +194,18 @@ mod tests {
         }
         assert!(exp(f32::NAN).is_nan());
         assert_eq!(exp(0.0), 1.0);
+    }
+
+    #[test]
+    fn inverse_square_root_is_within_8e_7_of_its_value_from_tiny_to_huge() {
+        let check = |x: f32| {
+            let relative = f64::from(inverse_square_root(x)) * f64::from(x).sqrt() - 1.0;
+            assert!(relative.abs() <= 8e-7, "1 / sqrt({x}) is off by {relative:e} of its value");
+        };
+        // The error repeats every second power of two.
+        grid(1.0, 4.0, 1_000_000).for_each(check);
+        (-126..128).for_each(|power| check(2.0_f32.powi(power) * 1.7));
+        let largest = inverse_square_root(0.0);
+        assert!(largest.is_normal() && largest > 1e19, "{largest:e}");
     }
 }

@@ -13,7 +13,7 @@ use super::trainer::Trainer;
 use super::{TrainError, TrainSettings};
 
 /// Changes when the content of a checkpoint does.
-const VERSION: &str = "1";
+const VERSION: &str = "2";
 
 /// Where a training keeps itself, so that it can go on after an interruption.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -20,11 +20,11 @@ pub(super) struct Batch {
 }
 
 /// What is collected with.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub(super) struct Collector<'a> {
     pub policy: &'a Network,
     pub value: &'a Network,
-    pub distribution: &'a DomainDistribution,
+    pub distribution: DomainDistribution,
     pub settings: &'a TrainSettings,
     pub seed: u64,
     pub update: u32,
@@ -137,7 +137,7 @@ impl Collector<'_> {
     fn explorer(&self, lane: usize, number: u16) -> Explorer {
         let stream = |noise| Stream::Trajectory { update: self.update, lane, number, noise };
         Explorer {
-            trajectory: Trajectory::draw(self.distribution, self.seed, stream(false).number()),
+            trajectory: Trajectory::draw(&self.distribution, self.seed, stream(false).number()),
             number,
             generator: stream(true).generator(self.seed),
             spare: None,

@@ -34,8 +34,8 @@ pub(super) struct Network {
     pub second_bias: Row,
     /// `[neuron of the layer before]`.
     pub last: Row,
-    /// [`OUTPUT_BIAS`], [`LOG_STD`], and zeros that fill a vector.
-    pub tail: [f32; 16],
+    /// [`OUTPUT_BIAS`], [`LOG_STD`], and zeros that fill the row.
+    pub tail: Row,
 }
 
 /// Where `tail` keeps the bias of the output.
@@ -51,10 +51,10 @@ impl Network {
         second: [[0.0; WIDTH]; WIDTH],
         second_bias: [0.0; WIDTH],
         last: [0.0; WIDTH],
-        tail: [0.0; 16],
+        tail: [0.0; WIDTH],
     };
 
-    /// The parameters in one fixed order, in slices whose lengths are multiples of 16.
+    /// The parameters in one fixed order, in slices whose lengths are multiples of [`WIDTH`].
     #[inline(always)]
     pub fn slices(&self) -> [&[f32]; 5] {
         [

@@ -46,6 +46,7 @@ pub(super) fn for_each_minibatch(
     mut learn: impl FnMut(&Minibatch),
 ) {
     let minibatches = order.as_chunks().0;
+    let mut minibatch = Minibatch::empty();
     for (number, indices) in minibatches.iter().enumerate() {
         if stop.load(Ordering::Relaxed) {
             break;
@@ -54,7 +55,8 @@ pub(super) fn for_each_minibatch(
         for &index in minibatches.get(number + 1).into_iter().flatten() {
             prefetch(&transitions[index as usize]);
         }
-        learn(&Minibatch::gather(transitions, indices));
+        minibatch.gather(transitions, indices);
+        learn(&minibatch);
     }
 }
 

@@ -77,27 +77,30 @@ pub(super) fn inputs<'a>(
 }
 
 impl Minibatch {
-    /// The transitions with these indices.
-    pub fn gather(transitions: &[Transition], indices: &[u32; WIDTH]) -> Self {
+    /// With nothing in it yet.
+    pub fn empty() -> Self {
         let zero = [0.0; WIDTH];
-        let mut minibatch = Self {
+        Self {
             inputs: constant_inputs(),
             action: zero,
             log_probability: zero,
             advantage: zero,
             return_: zero,
-        };
+        }
+    }
+
+    /// Takes in the transitions with these indices.
+    pub fn gather(&mut self, transitions: &[Transition], indices: &[u32; WIDTH]) {
         for (sample, &index) in indices.iter().enumerate() {
             let transition = &transitions[index as usize];
-            for (row, &entry) in minibatch.inputs.iter_mut().zip(&transition.observation) {
+            for (row, &entry) in self.inputs.iter_mut().zip(&transition.observation) {
                 row[sample] = entry;
             }
-            minibatch.action[sample] = transition.action;
-            minibatch.log_probability[sample] = transition.log_probability;
-            minibatch.advantage[sample] = transition.advantage;
-            minibatch.return_[sample] = transition.return_;
+            self.action[sample] = transition.action;
+            self.log_probability[sample] = transition.log_probability;
+            self.advantage[sample] = transition.advantage;
+            self.return_[sample] = transition.return_;
         }
-        minibatch
     }
 }
 
@@ -160,8 +163,8 @@ mod tests {
                 }
             })
             .collect();
-        let minibatch =
-            Minibatch::gather(&transitions, &std::array::from_fn(|sample| 99 - sample as u32));
+        let mut minibatch = Minibatch::empty();
+        minibatch.gather(&transitions, &std::array::from_fn(|sample| 99 - sample as u32));
         for sample in 0..WIDTH {
             let base = 10.0 * (99 - sample) as f32;
             for entry in 0..OBSERVATION_SIZE {

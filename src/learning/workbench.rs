@@ -55,7 +55,8 @@ impl<'a> Workbench<'a> {
         let indices: [u32; WIDTH] =
             std::array::from_fn(|sample| ((start + sample * STRIDE) % count) as u32);
         self.next = (start + WIDTH * STRIDE) % count;
-        let minibatch = Minibatch::gather(&self.batch.transitions, &indices);
+        let mut minibatch = Minibatch::empty();
+        minibatch.gather(&self.batch.transitions, &indices);
         let Trainer { policy, value, settings, .. } = &mut self.trainer;
         ValueFit::new(value, settings, 0).step(&minibatch);
         PolicyImprovement::new(policy, settings, 0).step(&minibatch);

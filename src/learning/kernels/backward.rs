@@ -1,8 +1,9 @@
-use super::forward::{first_hidden, first_hidden_by_sample, output, second_hidden};
+use super::forward::{first_hidden, second_hidden_and_output};
 use super::head::{Head, Minibatch};
 use super::multiply_add;
 use super::product::{Left, product};
-use super::sum::{sum, sum_lanes};
+use super::sum::{LANES, sum, sum_each};
+use super::transpose::transpose;
 use crate::elementary::{InstructionSet, Kernel};
 use crate::learning::network::{LOG_STD, Network, OUTPUT_BIAS, Row, WIDTH};
 
@@ -48,9 +49,8 @@ impl<H: Head> Kernel for Gradient<'_, H> {
         let Workspace { hidden_1, hidden_1_by_sample, hidden_2, by_sum_1 } = workspace;
 
         first_hidden::<I>(network, &minibatch.inputs, hidden_1);
-        first_hidden_by_sample::<I>(network, &minibatch.inputs, hidden_1_by_sample);
-        second_hidden::<I>(network, hidden_1, hidden_2);
-        let output = output::<I>(network, hidden_2);
+        transpose(hidden_1, hidden_1_by_sample, hidden_2);
+        let output = second_hidden_and_output::<I>(network, hidden_1, hidden_2);
 
         let mut by_output = [0.0; WIDTH];
         let by_log_std = &mut gradient.tail[LOG_STD];
@@ -71,7 +71,8 @@ impl<H: Head> Kernel for Gradient<'_, H> {
 /// Turns the second hidden layer into the loss derivative by its sums, row by row, and takes the
 /// two gradients that are sums over samples on the way.
 ///
-/// Partial sums go to a table first: summing each row up at once would make every row wait for it.
+/// Four samples, 16 apart, are one lane of a table; the tables are summed up in the end. Summing up
+/// each row at once would make every row wait for it.
 #[inline(always)]
 fn through_output<I: InstructionSet>(
     network: &Network,
@@ -79,27 +80,25 @@ fn through_output<I: InstructionSet>(
     hidden_2: &mut [Row; WIDTH],
     gradient: &mut Network,
 ) {
-    let mut by_weights = [[0.0; 16]; WIDTH];
-    let mut by_biases = [[0.0; 16]; WIDTH];
+    let mut by_weights = [[0.0; LANES]; WIDTH];
+    let mut by_biases = [[0.0; LANES]; WIDTH];
     for (neuron, hidden) in hidden_2.iter_mut().enumerate() {
         let weight = network.last[neuron];
-        let (mut by_weight, mut by_bias) = ([0.0; 16], [0.0; 16]);
-        for quarter in 0..WIDTH / 16 {
-            for lane in 0..16 {
-                let sample = quarter * 16 + lane;
+        for lane in 0..LANES {
+            let (mut by_weight, mut by_bias) = (0.0, 0.0);
+            for sample in (lane..WIDTH).step_by(LANES) {
                 let value = hidden[sample];
-                by_weight[lane] = multiply_add::<I>(value, by_output[sample], by_weight[lane]);
+                by_weight = multiply_add::<I>(value, by_output[sample], by_weight);
                 let slope = multiply_add::<I>(-value, value, 1.0);
                 hidden[sample] = weight * by_output[sample] * slope;
-                by_bias[lane] += hidden[sample];
+                by_bias += hidden[sample];
             }
+            by_weights[neuron][lane] = by_weight;
+            by_biases[neuron][lane] = by_bias;
         }
-        (by_weights[neuron], by_biases[neuron]) = (by_weight, by_bias);
     }
-    for neuron in 0..WIDTH {
-        gradient.last[neuron] = sum_lanes(&by_weights[neuron]);
-        gradient.second_bias[neuron] = sum_lanes(&by_biases[neuron]);
-    }
+    gradient.last = sum_each(&by_weights);
+    gradient.second_bias = sum_each(&by_biases);
 }
 
 /// From the derivative by tanh's values to that by its arguments: times 1 - tanh^2.

@@ -2,7 +2,7 @@
 //!
 //! Activations lie feature by feature, `[feature][64 samples]`, hidden weights
 //! `[neuron][neuron before]`. Then one kernel ([`product`]) does every product without packing,
-//! and only the first hidden layer is needed a second time sample by sample.
+//! and only the first hidden layer is needed a second time sample by sample ([`transpose`]).
 //!
 //! Each file is plain loops over arrays of fixed size; `crate::elementary` compiles them for each
 //! instruction set. Sums run in one fixed order, so AVX-512 and AVX2 give the same bits. Processors
@@ -16,6 +16,7 @@ mod product;
 mod sum;
 #[cfg(test)]
 mod tests;
+mod transpose;
 
 pub(super) use adam::{AdamStep, Moments};
 pub(super) use backward::{Gradient, Workspace};

@@ -1,4 +1,7 @@
-use crate::learning::network::Row;
+use crate::learning::network::{Row, WIDTH};
+
+/// Lanes of the widest vector, in which sums are taken.
+pub(super) const LANES: usize = 16;
 
 /// The sum of a row in one fixed order: four vectors of 16 into one, then halves onto halves.
 #[inline(always)]
@@ -17,4 +20,25 @@ pub(super) fn sum_lanes(lanes: &[f32; 16]) -> f32 {
     let eight: [f32; 8] = std::array::from_fn(|lane| lanes[lane] + lanes[lane + 8]);
     let four: [f32; 4] = std::array::from_fn(|lane| eight[lane] + eight[lane + 4]);
     (four[0] + four[2]) + (four[1] + four[3])
+}
+
+/// The sum of each row of a table, neighbours onto neighbours, all rows side by side.
+#[inline(always)]
+pub(super) fn sum_each(table: &[[f32; LANES]; WIDTH]) -> Row {
+    let mut eight = [0.0; 8 * WIDTH];
+    add_neighbours(table.as_flattened(), &mut eight);
+    let mut four = [0.0; 4 * WIDTH];
+    add_neighbours(&eight, &mut four);
+    let mut two = [0.0; 2 * WIDTH];
+    add_neighbours(&four, &mut two);
+    let mut one = [0.0; WIDTH];
+    add_neighbours(&two, &mut one);
+    one
+}
+
+#[inline(always)]
+fn add_neighbours(values: &[f32], sums: &mut [f32]) {
+    for (sum, [left, right]) in sums.iter_mut().zip(values.as_chunks().0) {
+        *sum = left + right;
+    }
 }

@@ -93,7 +93,7 @@ mod textbook {
     }
 
     pub fn policy_loss(p: &[f64], minibatch: &Minibatch) -> f64 {
-        let log_std = p[p.len() - 16 + LOG_STD];
+        let log_std = p[p.len() - WIDTH + LOG_STD];
         let clip = f64::from(POLICY.clip);
         let advantages = minibatch.advantage.map(f64::from);
         let average = advantages.iter().sum::<f64>() / WIDTH as f64;
@@ -217,7 +217,7 @@ fn the_plain_path_differs_by_rounding_only() {
 }
 
 #[test]
-fn adam_follows_the_formulas_of_its_paper_after_shortening_the_gradient() {
+fn adam_follows_its_formulas_after_shortening_the_gradient() {
     let mut network = Network::ZERO;
     let (mut gradient, mut moments) = (Network::ZERO, Moments::ZERO);
     let (mut parameter, mut m, mut v) = (0.0_f64, 0.0_f64, 0.0_f64);
@@ -233,7 +233,7 @@ fn adam_follows_the_formulas_of_its_paper_after_shortening_the_gradient() {
         v = 0.999 * v + 0.001 * g * g;
         let t = step as i32 + 1;
         let (m_hat, v_hat) = (m / (1.0 - 0.9_f64.powi(t)), v / (1.0 - 0.999_f64.powi(t)));
-        parameter -= 1e-3 * m_hat / (v_hat.sqrt() + 1e-5);
+        parameter -= 1e-3 * m_hat / (v_hat + 1e-5_f64.powi(2)).sqrt();
         assert!((f64::from(network.second[3][5]) - parameter).abs() < 1e-6, "step {step}");
     }
     assert_eq!(network.second[3][6], 0.0);

@@ -1,0 +1,42 @@
+use crate::learning::network::{Row, WIDTH};
+
+/// Rows become columns. `scratch` is overwritten.
+///
+/// Interleaving the four quarters of an array moves the upper two bits of each entry's index to the
+/// lower end. An index has twelve bits, six for the row and six for the column, so three times
+/// exchange them. Interleaving is what compilers make good vector code of.
+#[inline(always)]
+pub(super) fn transpose(
+    rows: &[Row; WIDTH],
+    columns: &mut [Row; WIDTH],
+    scratch: &mut [Row; WIDTH],
+) {
+    interleave_quarters(rows, columns);
+    interleave_quarters(columns, scratch);
+    interleave_quarters(scratch, columns);
+}
+
+#[inline(always)]
+fn interleave_quarters(from: &[Row; WIDTH], to: &mut [Row; WIDTH]) {
+    const QUARTER: usize = WIDTH * WIDTH / 4;
+    let from = from.as_flattened();
+    for (index, to) in to.as_flattened_mut().as_chunks_mut::<4>().0.iter_mut().enumerate() {
+        *to = std::array::from_fn(|quarter| from[quarter * QUARTER + index]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn entries_change_places_across_the_diagonal() {
+        let at = |row: usize, column: usize| (row * WIDTH + column) as f32;
+        let rows = std::array::from_fn(|row| std::array::from_fn(|column| at(row, column)));
+        let (mut columns, mut scratch) = ([[0.0; WIDTH]; WIDTH], [[0.0; WIDTH]; WIDTH]);
+        transpose(&rows, &mut columns, &mut scratch);
+        for (column, entries) in columns.iter().enumerate() {
+            assert_eq!(*entries, std::array::from_fn(|row| at(row, column)));
+        }
+    }
+}
