@@ -8,13 +8,19 @@ use serde_json::json;
 use super::exit::Failure;
 use super::failures;
 use super::guard_argument::GuardArgument;
+use super::number_arguments::{between, positive};
 use super::output::Output;
+use super::profile;
 use super::stop::Stop;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
+use crate::qube::{GapTerm, MAX_HISTORY};
 use crate::session::{named, write_whole};
-use crate::simulation::{DomainDistribution, Family, Psi, SensorModel};
+use crate::simulation::{
+    Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Psi, SensorModel,
+    SimulationSettings,
+};
 use crate::storage::MachineDisk;
 
 /// Train one policy in randomised simulation
@@ -24,12 +30,26 @@ use crate::storage::MachineDisk;
 #[command(after_help = "Examples:\n  \
     qube-hil train --model nominal --out policies/mine.safetensors\n  \
     qube-hil train --model handcrafted --preset thesis --seed 4\n  \
+    qube-hil train --model robust                  # for a Qube that nobody has identified\n  \
+    qube-hil train --profile lab --spread 0.1      # around an identified one\n  \
     qube-hil train --model psi --psi psi.toml      # a distribution of your own\n  \
     qube-hil train --preset thesis --checkpoint half-done.safetensors  # goes on where it stopped")]
 pub struct Arguments {
     /// What the simulations' parameters are drawn from
     #[arg(long, value_enum, default_value_t = Model::Nominal)]
     model: Model,
+
+    /// Train around an identified Qube instead of a model: `lab`, or a file that `identify` wrote
+    #[arg(long, value_name = "lab|FILE", conflicts_with_all = ["model", "psi"])]
+    profile: Option<String>,
+
+    /// Standard deviations around the profile, as a part of each of its values
+    #[arg(long, value_name = "PART", default_value_t = 0.1, requires = "profile", value_parser = spread)]
+    spread: f64,
+
+    /// Delay of the simulated commands, or its range, instead of the model's or profile's
+    #[arg(long, value_name = "MS|FROM..TO", value_parser = delays_s)]
+    delay_ms: Option<(f64, f64)>,
 
     /// Means and standard deviations of masses and lengths, for --model psi
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
@@ -56,6 +76,15 @@ pub struct Arguments {
     /// as on the machine [default: as the preset]
     #[arg(long, value_enum)]
     sensors: Option<Sensors>,
+
+    /// Corner of the simulated velocity filter, rad/s [default: 200]
+    #[arg(long, value_name = "RAD/S", value_parser = positive)]
+    filter: Option<f64>,
+
+    /// How many last commands the policy sees beside the state, 0 to 4 [default: 2 with --model
+    /// robust, --profile or --delay-ms, else 0]
+    #[arg(long, value_name = "COMMANDS", value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64))]
+    history: Option<u8>,
 
     /// Keep the training in this file every ten updates, and go on from it when it exists; the
     /// policy is the same as without an interruption
@@ -113,6 +142,9 @@ enum Model {
     Handcrafted,
     /// Masses and lengths vary by a fifth
     NominalHandcrafted,
+    /// Parameters vary a little, friction, dead zone, cable and delay within what Qubes were found to
+    /// have
+    Robust,
     /// Masses and lengths as --psi says, the other five nominal
     Psi,
 }
@@ -136,17 +168,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Preset::Quick => TrainSettings::quick(),
         Preset::Thesis => TrainSettings::thesis(),
     };
-    let mut simulation = preset.simulation;
-    if let Some(guard) = arguments.guard {
-        simulation.safety_box.guard = guard.into();
-    }
-    match arguments.sensors {
-        Some(Sensors::True) => simulation.sensors = SensorModel::TrueState,
-        Some(Sensors::Encoders) => {
-            simulation.sensors = SensorModel::Encoders { estimator: EstimatorSettings::default() };
-        }
-        None => {}
-    }
+    let simulation = simulation(&arguments, preset.simulation)?;
     let settings = TrainSettings { threads: arguments.threads.into(), simulation, ..preset };
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
@@ -205,6 +227,53 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
+/// The preset's simulation as the arguments change it.
+fn simulation(
+    arguments: &Arguments,
+    mut simulation: SimulationSettings,
+) -> Result<SimulationSettings, Failure> {
+    if let Some(guard) = arguments.guard {
+        simulation.safety_box.guard = guard.into();
+    }
+    match arguments.sensors {
+        Some(Sensors::True) => simulation.sensors = SensorModel::TrueState,
+        Some(Sensors::Encoders) => {
+            simulation.sensors = SensorModel::Encoders { estimator: EstimatorSettings::default() };
+        }
+        None => {}
+    }
+    match (&mut simulation.sensors, arguments.filter) {
+        (SensorModel::Encoders { estimator }, Some(corner_rad_s)) => {
+            estimator.corner_rad_s = corner_rad_s;
+        }
+        (SensorModel::TrueState, Some(_)) => {
+            return Err(Failure::usage("--filter goes with --sensors encoders"));
+        }
+        (_, None) => {}
+    }
+    let has_delay = arguments.profile.is_some()
+        || arguments.delay_ms.is_some()
+        || arguments.model == Model::Robust;
+    let default = if has_delay { SimulationSettings::machine_with_history().history } else { 0 };
+    simulation.history = arguments.history.map_or(default, usize::from);
+    Ok(simulation)
+}
+
+/// A part from 0 to 1.
+fn spread(text: &str) -> Result<f64, String> {
+    between(text, 0.0, 1.0)
+}
+
+/// A delay in ms, or a range of them, in s.
+fn delays_s(text: &str) -> Result<(f64, f64), String> {
+    let (from, to) = text.split_once("..").unwrap_or((text, text));
+    let delay_s = |text| between(text, 0.0, 1e3 * MAX_COMMAND_DELAY_S).map(|ms| 1e-3 * ms);
+    match (delay_s(from)?, delay_s(to)?) {
+        (from_s, to_s) if from_s <= to_s => Ok((from_s, to_s)),
+        _ => Err("write the shorter delay first, as 0..16".into()),
+    }
+}
+
 fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
     let name = |value: &dyn std::fmt::Debug| format!("{value:?}").to_lowercase();
     let psi = match &arguments.psi {
@@ -212,10 +281,11 @@ fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
         None => None,
     };
     Ok(Origin {
-        model: match arguments.model {
-            Model::NominalHandcrafted => "nominal-handcrafted".into(),
-            Model::Psi => "opt-nominal".into(),
-            other => name(&other),
+        model: match (&arguments.profile, arguments.model) {
+            (Some(profile), _) => format!("around {profile}"),
+            (None, Model::NominalHandcrafted) => "nominal-handcrafted".into(),
+            (None, Model::Psi) => "opt-nominal".into(),
+            (None, other) => name(&other),
         },
         psi: psi.map(|psi| named(psi.values())),
         preset: name(&arguments.preset),
@@ -223,12 +293,30 @@ fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
 }
 
 fn distribution(arguments: &Arguments) -> Result<DomainDistribution, Failure> {
+    let distribution = match &arguments.profile {
+        Some(name) => {
+            let model = profile::named(name)?;
+            DomainDistribution::around(&model, arguments.spread, Family::Normal)
+                .map_err(|error| Failure::usage(format!("--profile {name}: {error}")))?
+        }
+        None => distribution_of_model(arguments)?,
+    };
+    match arguments.delay_ms {
+        Some((from_s, to_s)) => distribution
+            .with(GapTerm::CommandDelay, Distribution::between(from_s, to_s))
+            .map_err(Failure::usage),
+        None => Ok(distribution),
+    }
+}
+
+fn distribution_of_model(arguments: &Arguments) -> Result<DomainDistribution, Failure> {
     Ok(match (arguments.model, &arguments.psi) {
         (Model::Nominal, None) => DomainDistribution::nominal(),
         (Model::Handcrafted, None) => DomainDistribution::handcrafted(Family::Normal),
         (Model::NominalHandcrafted, None) => {
             DomainDistribution::nominal_handcrafted(Family::Normal)
         }
+        (Model::Robust, None) => DomainDistribution::robust(),
         (Model::Psi, Some(path)) => {
             let psi = Psi::load(path).map_err(Failure::usage)?;
             DomainDistribution::opt_nominal(&psi, Family::Normal)

@@ -1,8 +1,8 @@
 use super::kernels::Forward;
-use super::network::{Network, WIDTH};
+use super::network::{CONSTANT, Network, WIDTH};
 use super::transition::constant_inputs;
 use crate::elementary::dispatch;
-use crate::qube::{MAX_VOLTAGE_V, OBSERVATION_SIZE};
+use crate::qube::MAX_VOLTAGE_V;
 use crate::simulation::Actor;
 
 /// Volts for an output of 1. Outputs beyond +-1 are clipped by the motor's limit.
@@ -20,13 +20,14 @@ impl Actor for NetworkActor<'_> {
     }
 }
 
-/// A net's outputs for `observations`, `[6][lanes]`.
+/// A net's outputs for `observations`, `[observation_size][lanes]`.
 pub(super) fn outputs(network: &Network, observations: &[f32], outputs: &mut [f32]) {
     let lanes = outputs.len();
-    debug_assert_eq!(observations.len(), OBSERVATION_SIZE * lanes);
+    debug_assert_eq!(observations.len(), network.observation_size * lanes);
     for (block, outputs) in outputs.chunks_mut(WIDTH).enumerate() {
         let mut inputs = constant_inputs();
-        for (row, observed) in inputs.iter_mut().zip(observations.chunks_exact(lanes)) {
+        let rows = inputs[CONSTANT + 1..].iter_mut();
+        for (row, observed) in rows.zip(observations.chunks_exact(lanes)) {
             row[..outputs.len()].copy_from_slice(&observed[block * WIDTH..][..outputs.len()]);
         }
         let all = dispatch(Forward { network, inputs: &inputs });

@@ -7,9 +7,9 @@ use super::actor::{VOLTS_PER_OUTPUT, outputs};
 use super::kernels::{Forward, gaussian_log_probability};
 use super::network::{LOG_STD, Network, WIDTH};
 use super::random::{Stream, normal_pair};
-use super::transition::{Continuation, Transition, estimate_advantages, inputs};
+use super::transition::{End, Observation, Transition, estimate_advantages, inputs};
 use crate::elementary::{dispatch, exp};
-use crate::qube::{MAX_STEPS, OBSERVATION_SIZE};
+use crate::qube::MAX_STEPS;
 use crate::simulation::{DomainDistribution, Pendulums, Progress, Trajectory};
 
 /// The transitions of one update, lane after lane and each lane in order of time.
@@ -64,13 +64,14 @@ impl Collector<'_> {
         for (lane, explorer) in explorers.iter().enumerate() {
             pendulums.restart(lane, &explorer.trajectory);
         }
-        let mut observations = vec![0.0; OBSERVATION_SIZE * width];
+        let mut observations = vec![0.0; pendulums.observation_size() * width];
         let mut means = vec![0.0; width];
         let mut voltages_v = vec![0.0; width];
         let mut rewards = vec![0.0; width];
         let mut progress = vec![Progress::Running; width];
         let mut transitions = vec![Transition::default(); lanes.len() * MAX_STEPS];
-        let mut cut: Vec<(usize, [f32; OBSERVATION_SIZE])> = Vec::new();
+        let mut ends = Vec::new();
+        let mut cut: Vec<(usize, Observation)> = Vec::new();
         let log_std = self.policy.tail[LOG_STD];
         let (std, inverse_std) = (exp(log_std), exp(-log_std));
 
@@ -89,18 +90,16 @@ impl Collector<'_> {
             pendulums.step(&voltages_v, &mut rewards, &mut progress, &mut observations);
             for (lane, explorer) in explorers.iter_mut().enumerate() {
                 let index = lane * MAX_STEPS + step;
-                let transition = &mut transitions[index];
-                transition.reward = rewards[lane];
+                transitions[index].reward = rewards[lane];
                 let is_last = step + 1 == MAX_STEPS;
-                transition.continuation = match progress[lane] {
-                    Progress::LeftBox => Continuation::LeftBox,
-                    Progress::TimeUp => Continuation::Cut,
-                    Progress::Running if is_last => Continuation::Cut,
-                    Progress::Running => continue,
-                };
-                if transition.continuation == Continuation::Cut {
-                    cut.push((index, observation(&observations, lane, width)));
+                match progress[lane] {
+                    Progress::Running if !is_last => continue,
+                    Progress::Running | Progress::TimeUp => {
+                        cut.push((ends.len(), observation(&observations, lane, width)));
+                    }
+                    Progress::LeftBox => {}
                 }
+                ends.push(End { index, value_after: 0.0 });
                 if !is_last {
                     *explorer = self.explorer(lanes.start + lane, explorer.number + 1);
                     pendulums.restart(lane, &explorer.trajectory);
@@ -108,13 +107,19 @@ impl Collector<'_> {
                 }
             }
         }
-        self.appraise(&mut transitions, &cut);
+        self.appraise(&mut transitions, ends, &cut);
         let trajectories = explorers.iter().map(|explorer| u32::from(explorer.number) + 1).sum();
         Batch { transitions, trajectories }
     }
 
-    /// Fills in values, advantages and returns.
-    fn appraise(&self, transitions: &mut [Transition], cut: &[(usize, [f32; OBSERVATION_SIZE])]) {
+    /// Fills in values, advantages and returns. `cut` has, for each end that was a cut, its place
+    /// among the ends and what was observed after it.
+    fn appraise(
+        &self,
+        transitions: &mut [Transition],
+        mut ends: Vec<End>,
+        cut: &[(usize, Observation)],
+    ) {
         for block in transitions.chunks_mut(WIDTH) {
             let inputs = inputs(block.iter().map(|transition| &transition.observation));
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
@@ -125,13 +130,13 @@ impl Collector<'_> {
         for block in cut.chunks(WIDTH) {
             let inputs = inputs(block.iter().map(|(_, observation)| observation));
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
-            for (&(index, _), value) in block.iter().zip(values) {
-                transitions[index].value_after = value;
+            for (&(place, _), value) in block.iter().zip(values) {
+                ends[place].value_after = value;
             }
         }
-        for lane in transitions.chunks_mut(MAX_STEPS) {
-            estimate_advantages(lane, self.settings.discount, self.settings.trace_decay);
-        }
+        ends.sort_unstable_by_key(|end| end.index);
+        let TrainSettings { discount, trace_decay, .. } = *self.settings;
+        estimate_advantages(transitions, &ends, discount, trace_decay);
     }
 
     fn explorer(&self, lane: usize, number: u16) -> Explorer {
@@ -164,6 +169,10 @@ impl Explorer {
     }
 }
 
-fn observation(observations: &[f32], lane: usize, lanes: usize) -> [f32; OBSERVATION_SIZE] {
-    std::array::from_fn(|feature| observations[feature * lanes + lane])
+fn observation(observations: &[f32], lane: usize, lanes: usize) -> Observation {
+    let mut observation = Observation::default();
+    for (entry, of_lanes) in observation.iter_mut().zip(observations.chunks_exact(lanes)) {
+        *entry = of_lanes[lane];
+    }
+    observation
 }

@@ -1,17 +1,22 @@
 use rand::Rng;
 
-use super::network::{LOG_STD, Network, Row, WIDTH};
+use super::network::{CONSTANT, LOG_STD, Network, Row, WIDTH};
 use super::random::normal_pair;
-use crate::qube::OBSERVATION_SIZE;
 
 /// Gain of the hidden layers, as is usual for PPO.
 const HIDDEN_GAIN: f64 = std::f64::consts::SQRT_2;
 
 impl Network {
     /// Orthogonal weights, zero biases. A small `output_gain` lets a policy start near 0 V.
-    pub fn orthogonal(generator: &mut impl Rng, output_gain: f64, log_std: f32) -> Self {
-        let mut network = Self::ZERO;
-        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.first[..OBSERVATION_SIZE]);
+    pub fn orthogonal(
+        observation_size: usize,
+        generator: &mut impl Rng,
+        output_gain: f64,
+        log_std: f32,
+    ) -> Self {
+        let mut network = Self::zero(observation_size);
+        let observed = CONSTANT + 1..network.inputs();
+        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.first[observed]);
         orthonormal_rows(generator, HIDDEN_GAIN, &mut network.second);
         orthonormal_rows(generator, output_gain, std::slice::from_mut(&mut network.last));
         network.tail[LOG_STD] = log_std;
@@ -47,7 +52,7 @@ mod tests {
 
     #[test]
     fn rows_are_orthogonal_and_as_long_as_the_gain() {
-        let network = Network::orthogonal(&mut Stream::Weights.generator(3), 0.01, -0.5);
+        let network = Network::orthogonal(8, &mut Stream::Weights.generator(3), 0.01, -0.5);
         for (i, a) in network.second.iter().enumerate() {
             for (j, b) in network.second.iter().enumerate() {
                 let product: f32 = a.iter().zip(b).map(|(a, b)| a * b).sum();
@@ -58,6 +63,7 @@ mod tests {
         let length: f32 = network.last.iter().map(|a| a * a).sum::<f32>().sqrt();
         assert!((length - 0.01).abs() < 1e-7);
         assert_eq!(network.tail[LOG_STD], -0.5);
-        assert_eq!(network.first[OBSERVATION_SIZE..], [[0.0; WIDTH]; 2]);
+        assert_eq!(network.first[CONSTANT], [0.0; WIDTH]);
+        assert_eq!(network.first[9..], [[0.0; WIDTH]; 3]);
     }
 }

@@ -27,10 +27,10 @@ impl Learner {
     /// A learner that has not yet learned.
     pub fn new(network: Network) -> Box<Self> {
         Box::new(Self {
-            network,
-            moments: Moments::ZERO,
+            moments: Moments::zero(network.observation_size),
             level: Level::best(),
-            gradient: Network::ZERO,
+            gradient: Network::zero(network.observation_size),
+            network,
             workspace: Workspace::ZERO,
         })
     }

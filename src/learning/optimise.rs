@@ -42,11 +42,12 @@ pub(super) fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) 
 pub(super) fn for_each_minibatch(
     transitions: &[Transition],
     order: &[u32],
+    observation_size: usize,
     stop: &AtomicBool,
     mut learn: impl FnMut(&Minibatch),
 ) {
     let minibatches = order.as_chunks().0;
-    let mut minibatch = Minibatch::empty();
+    let mut minibatch = Minibatch::empty(observation_size);
     for (number, indices) in minibatches.iter().enumerate() {
         if stop.load(Ordering::Relaxed) {
             break;

@@ -4,6 +4,7 @@ use std::ops::RangeBounds;
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
+use crate::qube::MAX_HISTORY;
 use crate::simulation::SimulationSettings;
 
 /// How a policy is trained. The presets [`Self::thesis`] and [`Self::quick`] are the only place
@@ -128,7 +129,7 @@ impl TrainSettings {
         bounded("first_log_std", self.first_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("smallest_log_std", self.smallest_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("widening", self.widening, 0.0..=1.0, "0 to 1")?;
-        bounded("simulation.history", self.simulation.history, 0..=0, "0")?;
+        bounded("simulation.history", self.simulation.history, 0..=MAX_HISTORY, "0 to 4")?;
         bounded("evaluation_starts", self.evaluation_starts, 1..=10_000, "1 to 10 000")?;
         bounded("threads", self.threads, 1..=1024, "at least 1")
     }

@@ -1,7 +1,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::*;
-use crate::simulation::{DomainDistribution, Family};
+use crate::simulation::{DomainDistribution, Family, SimulationSettings};
 
 /// Small enough for a test, large enough that each part of the trainer has something to do.
 fn small() -> TrainSettings {
@@ -12,6 +12,13 @@ fn small() -> TrainSettings {
         evaluation_starts: 20,
         ..TrainSettings::quick()
     }
+}
+
+/// With the last two commands beside the state.
+fn small_with_history() -> TrainSettings {
+    let settings = small();
+    let simulation = SimulationSettings { history: 2, ..settings.simulation };
+    TrainSettings { simulation, ..settings }
 }
 
 fn train_small(
@@ -38,17 +45,31 @@ fn the_same_seed_gives_the_same_policy_on_one_and_on_two_threads() {
 }
 
 #[test]
+fn a_history_is_seen_by_the_network_and_changes_the_policy() {
+    let without = train_small(&small(), 5, None, u32::MAX).unwrap();
+    let with = train_small(&small_with_history(), 5, None, u32::MAX).unwrap();
+    assert_eq!(without.network.sizes(), [6, 64, 64, 1]);
+    assert_eq!(with.network.sizes(), [8, 64, 64, 1]);
+    let mut network = with.network.clone();
+    let mut voltage_after =
+        |last: f32| network.voltage_of_observation_v(&[0.0, 1.0, 0.0, 1.0, 0.0, 0.0, last, 0.0]);
+    assert_ne!(voltage_after(1.0), voltage_after(-1.0));
+    assert!(with.curve.iter().all(|update| update.mean_return.is_finite()));
+}
+
+#[test]
 fn a_training_that_was_interrupted_goes_on_to_the_same_policy() {
     let folder = tempfile::tempdir().unwrap();
     let checkpointing = Checkpointing { path: folder.path().join("checkpoint"), every: 1 };
-    let whole = train_small(&small(), 8, None, u32::MAX).unwrap();
+    let settings = small_with_history();
+    let whole = train_small(&settings, 8, None, u32::MAX).unwrap();
     for stop_after in [1, 2] {
-        let stopped = train_small(&small(), 8, Some(&checkpointing), stop_after);
+        let stopped = train_small(&settings, 8, Some(&checkpointing), stop_after);
         assert!(matches!(stopped, Err(TrainError::Stopped)));
         assert!(checkpointing.path.exists());
     }
     let resumed =
-        train_small(&TrainSettings { threads: 2, ..small() }, 8, Some(&checkpointing), u32::MAX);
+        train_small(&TrainSettings { threads: 2, ..settings }, 8, Some(&checkpointing), u32::MAX);
     assert_eq!(resumed.unwrap(), whole);
     assert!(!checkpointing.path.exists(), "a finished training leaves no checkpoint");
 }
@@ -98,6 +119,8 @@ fn settings_out_of_range_are_named() {
     assert_eq!(refused(TrainSettings { clip: 0.0, ..small() }), "clip");
     assert_eq!(refused(TrainSettings { evaluation_starts: 0, ..small() }), "evaluation_starts");
     assert_eq!(refused(TrainSettings { threads: 0, ..small() }), "threads");
+    let simulation = SimulationSettings { history: 5, ..small().simulation };
+    assert_eq!(refused(TrainSettings { simulation, ..small() }), "simulation.history");
     assert!(TrainSettings::thesis().check().is_ok() && TrainSettings::quick().check().is_ok());
 }
 

@@ -40,8 +40,9 @@ impl<'a> Trainer<'a> {
         seed: u64,
     ) -> Self {
         let mut generator = Stream::Weights.generator(seed);
-        let policy = Network::orthogonal(&mut generator, POLICY_GAIN, settings.first_log_std);
-        let value = Network::orthogonal(&mut generator, VALUE_GAIN, 0.0);
+        let size = settings.simulation.observation_size();
+        let policy = Network::orthogonal(size, &mut generator, POLICY_GAIN, settings.first_log_std);
+        let value = Network::orthogonal(size, &mut generator, VALUE_GAIN, 0.0);
         Self {
             distribution,
             settings,
@@ -120,6 +121,7 @@ impl<'a> Trainer<'a> {
         stop: &AtomicBool,
     ) -> PolicyProgress {
         let (settings, seed) = (self.settings, self.seed);
+        let size = settings.simulation.observation_size();
         let order = shuffled(transitions.len(), settings.epochs, seed, update);
         let (policy, value) = (&mut self.policy, &mut self.value);
         let mut policy = PolicyImprovement::new(policy, settings, update);
@@ -127,12 +129,12 @@ impl<'a> Trainer<'a> {
         if settings.threads > 1 {
             std::thread::scope(|scope| {
                 scope.spawn(|| {
-                    for_each_minibatch(transitions, &order, stop, |batch| value.step(batch));
+                    for_each_minibatch(transitions, &order, size, stop, |batch| value.step(batch));
                 });
-                for_each_minibatch(transitions, &order, stop, |batch| policy.step(batch));
+                for_each_minibatch(transitions, &order, size, stop, |batch| policy.step(batch));
             });
         } else {
-            for_each_minibatch(transitions, &order, stop, |batch| {
+            for_each_minibatch(transitions, &order, size, stop, |batch| {
                 value.step(batch);
                 policy.step(batch);
             });

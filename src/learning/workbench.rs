@@ -55,7 +55,7 @@ impl<'a> Workbench<'a> {
         let indices: [u32; WIDTH] =
             std::array::from_fn(|sample| ((start + sample * STRIDE) % count) as u32);
         self.next = (start + WIDTH * STRIDE) % count;
-        let mut minibatch = Minibatch::empty();
+        let mut minibatch = Minibatch::empty(self.trainer.settings.simulation.observation_size());
         minibatch.gather(&self.batch.transitions, &indices);
         let Trainer { policy, value, settings, .. } = &mut self.trainer;
         ValueFit::new(value, settings, 0).step(&minibatch);

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
-use super::{Distribution, DistributionError, Psi};
-use crate::qube::{DomainParameter, DomainParameters};
+use super::{Distribution, DistributionError, Psi, reach};
+use crate::qube::{DomainParameter, GapTerm, Quantity, QubeModel};
 
 /// Standard deviation of a handcrafted distribution as a part of the nominal value (thesis,
 /// section 5.2).
@@ -37,29 +37,31 @@ impl Family {
     }
 }
 
-/// p_psi(xi): how each of the nine domain parameters is drawn, independently, for a trajectory.
+/// p_psi(xi): how each of the nine domain parameters and of the gap's terms is drawn, independently,
+/// for a trajectory. The gap is zero where nothing is said of it.
 ///
 /// Checked when it is made: what it draws is always physical.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DomainDistribution {
-    /// In the order of [`DomainParameter::ALL`].
-    distributions: [Distribution; 9],
+    /// In the order of [`Quantity::all`].
+    distributions: [Distribution; Quantity::COUNT],
 }
 
 impl DomainDistribution {
     /// The model `nominal`: no randomisation at all.
     #[must_use]
     pub fn nominal() -> Self {
-        Self::constant(&DomainParameters::NOMINAL)
+        Self::constant(&QubeModel::NOMINAL)
     }
 
-    /// Always these parameters, which the caller has checked.
+    /// Always this Qube, which the caller has checked.
     #[must_use]
-    pub fn constant(parameters: &DomainParameters) -> Self {
-        Self {
-            distributions: DomainParameter::ALL
-                .map(|parameter| Distribution::Constant { value: parameters.get(parameter) }),
+    pub fn constant(model: &QubeModel) -> Self {
+        let mut distributions = [Distribution::Constant { value: 0.0 }; Quantity::COUNT];
+        for quantity in Quantity::all() {
+            distributions[quantity.index()] = Distribution::Constant { value: model.get(quantity) };
         }
+        Self { distributions }
     }
 
     /// The model `handcrafted`: all nine normal around nominal, standard deviation a fifth of it.
@@ -72,6 +74,59 @@ impl DomainDistribution {
     #[must_use]
     pub fn nominal_handcrafted(family: Family) -> Self {
         Self::nominal().with_handcrafted(&MASSES_AND_LENGTHS, family)
+    }
+
+    /// The model `robust`, for a Qube that nobody has identified: what name plate, ruler and balance
+    /// leave open of the parameters, and a gap of any size that Qubes were found to have.
+    #[must_use]
+    pub fn robust() -> Self {
+        let mut robust = Self::nominal();
+        let mut draw = |quantity: Quantity, distribution| {
+            robust.distributions[quantity.index()] = distribution;
+        };
+        for (parameter, spread) in [
+            (DomainParameter::MotorResistance, 0.1),
+            (DomainParameter::MotorBackEmf, 0.1),
+            (DomainParameter::RotaryMass, 0.15),
+            (DomainParameter::PendulumMass, 0.15),
+            (DomainParameter::RotaryLength, 0.05),
+            (DomainParameter::PendulumLength, 0.05),
+        ] {
+            let mean = QubeModel::NOMINAL.parameters.get(parameter);
+            let normal = Distribution::Normal { mean, standard_deviation: spread * mean };
+            draw(parameter.into(), normal);
+        }
+        for (term, lower, upper) in [
+            (GapTerm::CoulombTorque, 0.0, 0.7e-3),
+            (GapTerm::PositiveDeadZone, 0.0, 0.35),
+            (GapTerm::NegativeDeadZone, 0.0, 0.35),
+            (GapTerm::CableStiffness, 0.0, 1.2e-3),
+            (GapTerm::CableRest, -1.2, 1.2),
+            (GapTerm::CommandDelay, 0.0, 0.016),
+        ] {
+            draw(term.into(), Distribution::between(lower, upper));
+        }
+        robust
+    }
+
+    /// Around an identified Qube: each quantity with its value as the mean and `spread` (from 0 to 1)
+    /// times that as the standard deviation.
+    ///
+    /// # Errors
+    /// It has what cannot be simulated, as too long a delay.
+    pub fn around(
+        model: &QubeModel,
+        spread: f64,
+        family: Family,
+    ) -> Result<Self, DistributionError> {
+        let mut around = Self::constant(model);
+        for quantity in Quantity::all() {
+            let mean = model.get(quantity);
+            // Near the end of a range there is less room.
+            let standard_deviation = (spread * mean.abs()).min(reach(quantity, mean));
+            around = around.with(quantity, family.with_moments(mean, standard_deviation))?;
+        }
+        Ok(around)
     }
 
     /// The model `opt-nominal`: masses and lengths by psi, the rest nominal.
@@ -92,38 +147,39 @@ impl DomainDistribution {
         Self { distributions: self.distributions.map(|distribution| distribution.narrowed(share)) }
     }
 
-    /// How a parameter is drawn.
+    /// How a quantity is drawn.
     #[must_use]
-    pub fn get(&self, parameter: DomainParameter) -> Distribution {
-        self.distributions[parameter as usize]
+    pub fn get(&self, quantity: impl Into<Quantity>) -> Distribution {
+        self.distributions[quantity.into().index()]
     }
 
-    /// The same with one parameter drawn otherwise.
+    /// The same with one quantity drawn otherwise.
     ///
     /// # Errors
-    /// The parameter cannot be drawn so: the draws would not be physical.
+    /// The quantity cannot be drawn so: the draws would not be physical.
     pub fn with(
         mut self,
-        parameter: DomainParameter,
+        quantity: impl Into<Quantity>,
         distribution: Distribution,
     ) -> Result<Self, DistributionError> {
-        distribution.check(parameter)?;
-        self.distributions[parameter as usize] = distribution;
+        let quantity = quantity.into();
+        distribution.check(quantity)?;
+        self.distributions[quantity.index()] = distribution;
         Ok(self)
     }
 
-    /// One xi.
-    pub fn sample(&self, rng: &mut impl rand::Rng) -> DomainParameters {
-        let mut parameters = DomainParameters::NOMINAL;
-        for parameter in DomainParameter::ALL {
-            parameters.set(parameter, self.get(parameter).sample(rng));
+    /// One xi. What is constant takes nothing from the generator.
+    pub fn sample(&self, rng: &mut impl rand::Rng) -> QubeModel {
+        let mut model = QubeModel::NOMINAL;
+        for quantity in Quantity::all() {
+            model.set(quantity, self.get(quantity).sample(quantity, rng));
         }
-        parameters
+        model
     }
 
     fn with_handcrafted(mut self, parameters: &[DomainParameter], family: Family) -> Self {
         for &parameter in parameters {
-            let nominal = DomainParameters::NOMINAL.get(parameter);
+            let nominal = QubeModel::NOMINAL.parameters.get(parameter);
             self.distributions[parameter as usize] =
                 family.with_moments(nominal, HANDCRAFTED_SPREAD * nominal);
         }
@@ -205,10 +261,41 @@ mod tests {
                     assert_eq!(distribution.get(parameter).check(parameter), Ok(()));
                 }
                 for _ in 0..100 {
-                    assert_eq!(distribution.sample(&mut rng).check(), Ok(()));
+                    assert_eq!(distribution.sample(&mut rng).parameters.check(), Ok(()));
                 }
             }
         }
+    }
+
+    #[test]
+    fn around_a_qube_its_values_are_the_means_and_what_is_zero_stays() {
+        let mut model = QubeModel::NOMINAL;
+        model.gap.cable_rest_rad = -1.0;
+        model.gap.command_delay_s = 0.01;
+        let around = DomainDistribution::around(&model, 0.1, Family::Normal).unwrap();
+        for quantity in Quantity::all() {
+            let (own, mean) = (around.get(quantity), model.get(quantity));
+            assert_eq!(own.mean(), mean);
+            assert!((own.standard_deviation() - 0.1 * mean.abs()).abs() < 1e-15);
+        }
+        let exact = DomainDistribution::around(&model, 0.0, Family::Normal).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        assert_eq!(exact.sample(&mut rng), model);
+        model.gap.command_delay_s = 0.05;
+        let refused = DomainDistribution::around(&model, 0.1, Family::Normal).unwrap_err();
+        assert!(refused.to_string().contains("delay"), "{refused}");
+    }
+
+    #[test]
+    fn the_robust_distribution_is_physical_and_meets_the_lab() {
+        let robust = DomainDistribution::robust();
+        for quantity in Quantity::all() {
+            assert_eq!(robust.get(quantity).check(quantity), Ok(()), "{quantity:?}");
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let delays: Vec<f64> =
+            (0..500).map(|_| robust.sample(&mut rng).gap.command_delay_s).collect();
+        assert!(delays.iter().any(|&s| s < 0.001) && delays.iter().any(|&s| s > 0.015));
     }
 
     #[test]

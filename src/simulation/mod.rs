@@ -4,17 +4,21 @@
 //! May import `qube`, `elementary`, `estimation`, `safety`.
 
 mod block;
+mod delay;
 mod distribution;
 mod domain_distribution;
 mod evaluation;
+mod lanes;
 mod pendulums;
+#[cfg(test)]
+mod pendulums_gap_tests;
 #[cfg(test)]
 mod pendulums_tests;
 mod psi;
 mod settings;
 mod trajectory;
 
-pub use distribution::{Distribution, DistributionError, TRUNCATION};
+pub use distribution::{Distribution, DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
 pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate};
 pub use pendulums::{LANES_MULTIPLE, Pendulums, Progress};

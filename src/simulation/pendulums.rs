@@ -1,8 +1,9 @@
-use super::block::{BLOCK, Block, Observe, Step, Surroundings};
-use super::{SensorModel, SimulationSettings, Trajectory};
+use super::block::{Block, Observe, Step, Surroundings};
+use super::lanes::BLOCK;
+use super::{MAX_COMMAND_DELAY_S, SensorModel, SimulationSettings, Trajectory};
 use crate::elementary::{Level, Scalar, dispatch_at};
 use crate::estimation::FilterGains;
-use crate::qube::{CONTROL_PERIOD_S, Dynamics, MAX_HISTORY, State, quantised};
+use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, State, quantised};
 
 /// The number of lanes is a multiple of this.
 pub const LANES_MULTIPLE: usize = BLOCK;
@@ -20,8 +21,8 @@ pub enum Progress {
     TimeUp,
 }
 
-/// Many pendulums at once, in lanes, in `f32`: each with its own parameters and its own trajectory,
-/// all of them advancing one control period with each [`Self::step`].
+/// Many pendulums at once, in lanes, in `f32`: each with its own parameters, gap and trajectory, all
+/// of them advancing one control period with each [`Self::step`].
 ///
 /// Slices over lanes have length [`Self::lanes`]; observations are feature-major,
 /// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`. The features are
@@ -88,10 +89,14 @@ impl Pendulums {
     ///
     /// The lane's entries in an array of observations are as they were; see [`Self::observe_lane`].
     ///
+    /// A command may be delayed by [`super::MAX_COMMAND_DELAY_S`] at most.
+    ///
     /// # Panics
-    /// If there is no such lane.
+    /// If there is no such lane, or the delay is longer.
     pub fn restart(&mut self, lane: usize, trajectory: &Trajectory) {
-        let start = &trajectory.start;
+        let Trajectory { model, start } = trajectory;
+        let delays = 0.0..=MAX_COMMAND_DELAY_S;
+        assert!(delays.contains(&model.gap.command_delay_s), "delay: {delays:?} s");
         let state: State<f32> = State {
             theta: f32::from_f64(start.theta),
             alpha: f32::from_f64(start.alpha),
@@ -108,8 +113,7 @@ impl Pendulums {
                 alpha_dot: 0.0,
             },
         };
-        let dynamics = Dynamics::new(&trajectory.parameters);
-        self.blocks[lane / BLOCK].restart(lane % BLOCK, &dynamics, &state, &seen);
+        self.blocks[lane / BLOCK].restart(lane % BLOCK, model, &state, &seen);
     }
 
     /// Writes what is observed now in all lanes to `observations`, `[observation_size][lanes]`.

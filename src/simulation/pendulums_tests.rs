@@ -6,8 +6,8 @@ use super::{
 use crate::elementary::Level;
 use crate::estimation::{Calibration, Estimates, Estimator, EstimatorSettings};
 use crate::qube::{
-    DomainParameters, Dynamics, MAX_HISTORY, MAX_STEPS, Measurement, OBSERVATION_SIZE,
-    RAD_PER_COUNT, RewardWeights, State, control_step, counts, observation,
+    Dynamics, MAX_HISTORY, MAX_STEPS, Measurement, OBSERVATION_SIZE, QubeModel, RAD_PER_COUNT,
+    RewardWeights, State, control_step, counts, observation,
 };
 use crate::safety::SafetyBox;
 
@@ -78,8 +78,8 @@ fn a_step_is_within_a_microradian_of_the_same_step_in_f64() {
     }
     bench.step();
     for lane in 0..lanes {
-        let Trajectory { parameters, start } = anywhere(lane as u64, &reach);
-        let exact = control_step(&Dynamics::new(&parameters), start, voltage_v(lane).into());
+        let Trajectory { model, start } = anywhere(lane as u64, &reach);
+        let exact = control_step(&Dynamics::new(&model.parameters), start, voltage_v(lane).into());
         let single = bench.pendulums.state(lane);
         worst_angle = worst_angle
             .max((f64::from(single.theta) - exact.theta).abs())
@@ -117,7 +117,7 @@ fn every_instruction_set_computes_the_bits_of_the_scalar_equations() {
             let before: Vec<_> = (0..lanes).map(|lane| bench.pendulums.state(lane)).collect();
             bench.step();
             for (lane, before) in before.into_iter().enumerate() {
-                let parameters = anywhere(lane as u64, &reach).parameters;
+                let parameters = anywhere(lane as u64, &reach).model.parameters;
                 let voltage_v = voltage_v(lane);
                 let after = control_step(&Dynamics::new(&parameters), before, voltage_v);
                 assert_eq!(bench.pendulums.state(lane), after, "{level:?}, lane {lane}");
@@ -304,10 +304,7 @@ fn lanes_come_in_whole_blocks_and_start_as_nominal_qubes_at_rest() {
     let bench = Bench::new(17, &SimulationSettings::default());
     assert_eq!(bench.pendulums.lanes(), 32);
     let mut same = Bench::new(17, &SimulationSettings::default());
-    same.pendulums.restart(
-        20,
-        &Trajectory { parameters: DomainParameters::NOMINAL, start: State::default() },
-    );
+    same.pendulums.restart(20, &Trajectory { model: QubeModel::NOMINAL, start: State::default() });
     same.voltages_v = vec![2.0; 32];
     for _ in 0..10 {
         same.step();

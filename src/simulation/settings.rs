@@ -26,6 +26,12 @@ impl SimulationSettings {
         OBSERVATION_SIZE + self.history
     }
 
+    /// What the machine has, and the last two commands in the observation: for Qubes with a delay.
+    #[must_use]
+    pub fn machine_with_history() -> Self {
+        Self { history: 2, ..Self::machine() }
+    }
+
     /// What the machine has: encoders, their velocity filter, and the speed envelope.
     #[must_use]
     pub fn machine() -> Self {

@@ -14,7 +14,13 @@ pub(in crate::learning) struct Moments {
 
 impl Moments {
     /// Before the first step.
-    pub const ZERO: Self = Self { first: Network::ZERO, second: Network::ZERO, steps: 0 };
+    pub const fn zero(observation_size: usize) -> Self {
+        Self {
+            first: Network::zero(observation_size),
+            second: Network::zero(observation_size),
+            steps: 0,
+        }
+    }
 }
 
 /// One step of Adam along a gradient that is first shortened to a largest norm. Gives the norm

@@ -29,6 +29,10 @@ pub(in crate::learning) struct Workspace {
     hidden_2: [Row; WIDTH],
     /// Loss derivative by the first layer's sums, `[sample][neuron]`.
     by_sum_1: [Row; WIDTH],
+    /// Loss derivative by the output's weights, `[neuron]`, in lanes yet to be summed.
+    by_last: [[f32; LANES]; WIDTH],
+    /// By the second layer's biases, as well.
+    by_second_bias: [[f32; LANES]; WIDTH],
 }
 
 impl Workspace {
@@ -37,6 +41,8 @@ impl Workspace {
         hidden_1_by_sample: [[0.0; WIDTH]; WIDTH],
         hidden_2: [[0.0; WIDTH]; WIDTH],
         by_sum_1: [[0.0; WIDTH]; WIDTH],
+        by_last: [[0.0; LANES]; WIDTH],
+        by_second_bias: [[0.0; LANES]; WIDTH],
     };
 }
 
@@ -46,7 +52,8 @@ impl<H: Head> Kernel for Gradient<'_, H> {
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> H::Statistics {
         let Self { network, minibatch, head, workspace, gradient } = self;
-        let Workspace { hidden_1, hidden_1_by_sample, hidden_2, by_sum_1 } = workspace;
+        let Workspace { hidden_1, hidden_1_by_sample, hidden_2, by_sum_1, by_last, by_second_bias } =
+            workspace;
 
         first_hidden::<I>(network, &minibatch.inputs, hidden_1);
         transpose(hidden_1, hidden_1_by_sample, hidden_2);
@@ -58,12 +65,16 @@ impl<H: Head> Kernel for Gradient<'_, H> {
             head.differentiate::<I>(network, minibatch, &output, &mut by_output, by_log_std);
 
         gradient.tail[OUTPUT_BIAS] = sum(&by_output);
-        through_output::<I>(network, &by_output, hidden_2, gradient);
+        through_output::<I>(network, &by_output, hidden_2, by_last, by_second_bias);
+        gradient.last = sum_each(by_last);
+        gradient.second_bias = sum_each(by_second_bias);
         let by_sum_2 = &*hidden_2;
-        product::<I, _, _>(Left::ByRow(by_sum_2), hidden_1_by_sample, &mut gradient.second);
-        product::<I, _, _>(Left::ByTerm(by_sum_2), &network.second, by_sum_1);
+        product::<I>(Left::ByRow(by_sum_2), hidden_1_by_sample, &mut gradient.second);
+        product::<I>(Left::ByTerm(by_sum_2), &network.second, by_sum_1);
         through_tanh::<I>(hidden_1_by_sample.as_flattened(), by_sum_1.as_flattened_mut());
-        product::<I, _, _>(Left::ByRow(&minibatch.inputs), by_sum_1, &mut gradient.first);
+        let rows = network.padded_inputs();
+        let inputs = &minibatch.inputs[..rows];
+        product::<I>(Left::ByRow(inputs), by_sum_1, &mut gradient.first[..rows]);
         statistics
     }
 }
@@ -71,17 +82,16 @@ impl<H: Head> Kernel for Gradient<'_, H> {
 /// Turns the second hidden layer into the loss derivative by its sums, row by row, and takes the
 /// two gradients that are sums over samples on the way.
 ///
-/// Four samples, 16 apart, are one lane of a table; the tables are summed up in the end. Summing up
+/// Four samples, 16 apart, go to one lane of a table, and the tables are summed up later: summing up
 /// each row at once would make every row wait for it.
 #[inline(always)]
 fn through_output<I: InstructionSet>(
     network: &Network,
     by_output: &Row,
     hidden_2: &mut [Row; WIDTH],
-    gradient: &mut Network,
+    by_last: &mut [[f32; LANES]; WIDTH],
+    by_second_bias: &mut [[f32; LANES]; WIDTH],
 ) {
-    let mut by_weights = [[0.0; LANES]; WIDTH];
-    let mut by_biases = [[0.0; LANES]; WIDTH];
     for (neuron, hidden) in hidden_2.iter_mut().enumerate() {
         let weight = network.last[neuron];
         for lane in 0..LANES {
@@ -93,12 +103,10 @@ fn through_output<I: InstructionSet>(
                 hidden[sample] = weight * by_output[sample] * slope;
                 by_bias += hidden[sample];
             }
-            by_weights[neuron][lane] = by_weight;
-            by_biases[neuron][lane] = by_bias;
+            by_last[neuron][lane] = by_weight;
+            by_second_bias[neuron][lane] = by_bias;
         }
     }
-    gradient.last = sum_each(&by_weights);
-    gradient.second_bias = sum_each(&by_biases);
 }
 
 /// From the derivative by tanh's values to that by its arguments: times 1 - tanh^2.

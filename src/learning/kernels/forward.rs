@@ -28,7 +28,8 @@ pub(super) fn first_hidden<I: InstructionSet>(
     inputs: &Inputs,
     hidden: &mut [Row; WIDTH],
 ) {
-    product::<I, _, _>(Left::ByTerm(&network.first), inputs, hidden);
+    let used = network.inputs();
+    product::<I>(Left::ByTerm(&network.first[..used]), &inputs[..used], hidden);
     for value in hidden.as_flattened_mut() {
         *value = tanh(*value);
     }
@@ -41,7 +42,7 @@ pub(super) fn second_hidden_and_output<I: InstructionSet>(
     hidden_1: &[Row; WIDTH],
     hidden_2: &mut [Row; WIDTH],
 ) -> Row {
-    product::<I, _, _>(Left::ByRow(&network.second), hidden_1, hidden_2);
+    product::<I>(Left::ByRow(&network.second), hidden_1, hidden_2);
     let mut output = [network.tail[OUTPUT_BIAS]; WIDTH];
     for (neuron, row) in hidden_2.iter_mut().enumerate() {
         let (bias, weight) = (network.second_bias[neuron], network.last[neuron]);

@@ -5,8 +5,10 @@ use crate::learning::network::{Inputs, LOG_STD, Network, Row, WIDTH};
 /// 64 transitions, as the gradient wants them.
 #[derive(Clone, Debug)]
 pub(in crate::learning) struct Minibatch {
-    /// `[input][sample]`.
+    /// `[input][sample]`; rows beyond the observation are zero.
     pub inputs: Inputs,
+    /// Numbers in an observation.
+    pub observation_size: usize,
     /// The action as it was drawn, in units of the net's output (before scale and clipping).
     pub action: Row,
     /// Its log probability under the policy that drew it.

@@ -5,53 +5,44 @@ use crate::learning::network::{Row, WIDTH};
 
 /// The left factor of a product, as it lies in memory.
 #[derive(Clone, Copy)]
-pub(super) enum Left<'a, const ROWS: usize, const TERMS: usize> {
-    /// `[row][term]`.
-    ByRow(&'a [[f32; TERMS]; ROWS]),
-    /// `[term][row]`.
-    ByTerm(&'a [[f32; ROWS]; TERMS]),
+pub(super) enum Left<'a> {
+    /// `[row][term]`, 64 terms.
+    ByRow(&'a [Row]),
+    /// `[term][row]`, 64 rows.
+    ByTerm(&'a [Row]),
 }
 
 /// `result[row][..] = sum over terms of left(row, term) right[term][..]`
 ///
 /// The one kernel behind every product of the nets: rows of the right factor are vectors, entries
 /// of the left one are broadcast, so neither is packed or transposed. Each entry is summed in the
-/// order of the terms whatever the tile, so the tile does not change a bit.
+/// order of the terms whatever the tile, so the tile does not change a bit. The number of rows is a
+/// multiple of four.
 #[inline(always)]
-pub(super) fn product<I: InstructionSet, const ROWS: usize, const TERMS: usize>(
-    left: Left<'_, ROWS, TERMS>,
-    right: &[Row; TERMS],
-    result: &mut [Row; ROWS],
-) {
+pub(super) fn product<I: InstructionSet>(left: Left<'_>, right: &[Row], result: &mut [Row]) {
     // The sums of a tile fill half of the registers, which hides the latency of four cycles. The
     // shapes are those that the compiler unrolls into registers; 8 x 32 it does not.
     match I::LEVEL {
-        Level::Avx512 => tiled::<I, 4, 64, ROWS, TERMS>(left, right, result),
-        Level::Avx2 => tiled::<I, 4, 16, ROWS, TERMS>(left, right, result),
-        Level::Plain => tiled::<I, 4, 8, ROWS, TERMS>(left, right, result),
+        Level::Avx512 => tiled::<I, 64>(left, right, result),
+        Level::Avx2 => tiled::<I, 16>(left, right, result),
+        Level::Plain => tiled::<I, 8>(left, right, result),
     }
 }
 
+/// Rows of a tile.
+const TALL: usize = 4;
+
 #[inline(always)]
-fn tiled<
-    I: InstructionSet,
-    const TALL: usize,
-    const WIDE: usize,
-    const ROWS: usize,
-    const TERMS: usize,
->(
-    left: Left<'_, ROWS, TERMS>,
-    right: &[Row; TERMS],
-    result: &mut [Row; ROWS],
-) {
-    const { assert!(ROWS.is_multiple_of(TALL) && WIDTH.is_multiple_of(WIDE)) };
+fn tiled<I: InstructionSet, const WIDE: usize>(left: Left<'_>, right: &[Row], result: &mut [Row]) {
+    const { assert!(WIDTH.is_multiple_of(TALL) && WIDTH.is_multiple_of(WIDE)) };
+    debug_assert!(result.len().is_multiple_of(TALL));
     for (tile, result) in result.as_chunks_mut::<TALL>().0.iter_mut().enumerate() {
         for column in 0..WIDTH / WIDE {
             let mut sums = [[0.0; WIDE]; TALL];
             match left {
                 Left::ByRow(left) => {
                     let left = &left.as_chunks::<TALL>().0[tile];
-                    for (term, right) in right.iter().enumerate() {
+                    for (term, right) in (0..WIDTH).zip(right) {
                         let right = &right.as_chunks::<WIDE>().0[column];
                         for (sum, left) in sums.iter_mut().zip(left) {
                             accumulate::<I, WIDE>(sum, left[term], right);

@@ -3,25 +3,33 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::elementary::dispatch_at;
-use crate::learning::network::{CONSTANT, INPUTS, LOG_STD, Network, OUTPUT_BIAS, WIDTH};
+use crate::learning::network::{
+    CONSTANT, LOG_STD, MAX_INPUTS, MAX_OBSERVATION_SIZE, Network, OUTPUT_BIAS, WIDTH,
+};
 use crate::qube::OBSERVATION_SIZE;
 
 const POLICY: PolicyHead = PolicyHead { clip: 0.1, entropy_weight: 0.01, kl_weight: 0.3 };
 
-fn example() -> (Network, Minibatch) {
+/// Without a history, with one that fills a group of rows and one that does not, and the longest.
+const OBSERVATION_SIZES: [usize; 4] =
+    [OBSERVATION_SIZE, OBSERVATION_SIZE + 1, OBSERVATION_SIZE + 2, MAX_OBSERVATION_SIZE];
+
+fn example(observation_size: usize) -> (Network, Minibatch) {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
-    let mut network = Network::ZERO;
+    let mut network = Network::zero(observation_size);
     for slice in network.slices_mut() {
         slice.fill_with(|| rng.random_range(-0.3..0.3));
     }
-    network.first[INPUTS - 1] = [0.0; WIDTH];
+    let used = network.inputs();
+    network.first[used..].fill([0.0; WIDTH]);
     network.tail[2..].fill(0.0);
     let mut row = |low: f32, high: f32| std::array::from_fn(|_| rng.random_range(low..high));
-    let mut inputs = [[0.0; WIDTH]; INPUTS];
-    inputs[..OBSERVATION_SIZE].fill_with(|| row(-1.0, 1.0));
+    let mut inputs = [[0.0; WIDTH]; MAX_INPUTS];
+    inputs[CONSTANT + 1..used].fill_with(|| row(-1.0, 1.0));
     inputs[CONSTANT] = [1.0; WIDTH];
     let minibatch = Minibatch {
         inputs,
+        observation_size,
         action: row(-1.0, 1.0),
         log_probability: row(-1.5, -0.5),
         advantage: row(-2.0, 2.0),
@@ -30,9 +38,9 @@ fn example() -> (Network, Minibatch) {
     (network, minibatch)
 }
 
-fn gradient_at<H: Head>(level: Level, head: &H) -> (Network, H::Statistics) {
-    let (network, minibatch) = example();
-    let (mut gradient, mut workspace) = (Network::ZERO, Workspace::ZERO);
+fn gradient_at<H: Head>(level: Level, size: usize, head: &H) -> (Network, H::Statistics) {
+    let (network, minibatch) = example(size);
+    let (mut gradient, mut workspace) = (Network::zero(size), Workspace::ZERO);
     let statistics = dispatch_at(
         level,
         Gradient {
@@ -61,7 +69,8 @@ mod textbook {
 
     /// Outputs of the net whose parameters are `p`, in the order of [`Network::slices`].
     fn outputs(p: &[f64], minibatch: &Minibatch) -> Vec<f64> {
-        let second = INPUTS * WIDTH;
+        let inputs = p.len() / WIDTH - (WIDTH + 3);
+        let second = inputs * WIDTH;
         let second_bias = second + WIDTH * WIDTH;
         let last = second_bias + WIDTH;
         let tail = last + WIDTH;
@@ -69,7 +78,7 @@ mod textbook {
             .map(|sample| {
                 let first: Vec<f64> = (0..WIDTH)
                     .map(|neuron| {
-                        let products = (0..INPUTS).map(|input| {
+                        let products = (0..inputs).map(|input| {
                             p[input * WIDTH + neuron] * f64::from(minibatch.inputs[input][sample])
                         });
                         products.sum::<f64>().tanh()
@@ -116,14 +125,15 @@ mod textbook {
 
 /// Central differences in `f64`, for each parameter that is in use.
 fn check_by_finite_differences(gradient: &Network, loss: fn(&[f64], &Minibatch) -> f64) {
-    let (network, minibatch) = example();
+    let (network, minibatch) = example(gradient.observation_size);
     let mut parameters: Vec<f64> =
         network.slices().into_iter().flatten().map(|&value| value.into()).collect();
     let gradient: Vec<f32> = gradient.slices().into_iter().flatten().copied().collect();
     let largest = gradient.iter().fold(0.0_f32, |largest, g| largest.max(g.abs()));
     assert!(largest > 1e-2, "the example has no gradient to check");
     // All parameters outside of the big layer, and every 37th of it.
-    let big_layer = INPUTS * WIDTH..(INPUTS + WIDTH) * WIDTH;
+    let inputs = network.padded_inputs();
+    let big_layer = inputs * WIDTH..(inputs + WIDTH) * WIDTH;
     for index in (0..parameters.len()).filter(|i| !big_layer.contains(i) || i % 37 == 0) {
         let at = parameters[index];
         let mut loss_at = |value: f64| {
@@ -140,8 +150,8 @@ fn check_by_finite_differences(gradient: &Network, loss: fn(&[f64], &Minibatch) 
 
 #[test]
 fn gradients_of_the_policy_are_those_of_finite_differences_on_every_path() {
-    for level in available() {
-        let (gradient, statistics) = gradient_at(level, &POLICY);
+    for (level, size) in available().flat_map(|level| OBSERVATION_SIZES.map(|size| (level, size))) {
+        let (gradient, statistics) = gradient_at(level, size, &POLICY);
         check_by_finite_differences(&gradient, textbook::policy_loss);
         assert!((0.3..0.95).contains(&statistics.clip_fraction), "both sides of the clip are seen");
         assert!(statistics.approximate_kl > 0.0);
@@ -150,15 +160,16 @@ fn gradients_of_the_policy_are_those_of_finite_differences_on_every_path() {
 
 #[test]
 fn gradients_of_the_value_net_are_those_of_finite_differences_on_every_path() {
-    for level in available() {
-        check_by_finite_differences(&gradient_at(level, &ValueHead).0, textbook::value_loss);
+    for (level, size) in available().flat_map(|level| OBSERVATION_SIZES.map(|size| (level, size))) {
+        let (gradient, ()) = gradient_at(level, size, &ValueHead);
+        check_by_finite_differences(&gradient, textbook::value_loss);
     }
 }
 
 /// Some steps of Adam along real gradients.
-fn trained_at(level: Level) -> (Network, Vec<f32>) {
-    let (mut network, minibatch) = example();
-    let (mut gradient, mut moments) = (Network::ZERO, Moments::ZERO);
+fn trained_at(level: Level, size: usize) -> (Network, Vec<f32>) {
+    let (mut network, minibatch) = example(size);
+    let (mut gradient, mut moments) = (Network::zero(size), Moments::zero(size));
     let mut workspace = Workspace::ZERO;
     let norms = (0..20).map(|_| {
         dispatch_at(
@@ -200,15 +211,18 @@ fn avx512_and_avx2_give_the_same_bits() {
         println!("this processor does not have both: nothing was compared");
         return;
     }
-    let (wide, narrow) = (trained_at(Level::Avx512), trained_at(Level::Avx2));
-    assert_eq!(wide, narrow);
-    let (example, _) = example();
-    assert_ne!(wide.0, example, "nothing was learned");
+    for size in OBSERVATION_SIZES {
+        let (wide, narrow) = (trained_at(Level::Avx512, size), trained_at(Level::Avx2, size));
+        assert_eq!(wide, narrow);
+        assert_ne!(wide.0, example(size).0, "nothing was learned");
+        assert_eq!(wide.0.first[1 + size..], Network::zero(size).first[1 + size..]);
+    }
 }
 
 #[test]
 fn the_plain_path_differs_by_rounding_only() {
-    let (best, plain) = (trained_at(Level::best()).0, trained_at(Level::Plain).0);
+    let at = |level| trained_at(level, OBSERVATION_SIZE).0;
+    let (best, plain) = (at(Level::best()), at(Level::Plain));
     for (a, b) in best.slices().into_iter().zip(plain.slices()) {
         for (a, b) in a.iter().zip(b) {
             assert!((a - b).abs() < 1e-3, "{a} and {b}");
@@ -218,8 +232,9 @@ fn the_plain_path_differs_by_rounding_only() {
 
 #[test]
 fn adam_follows_its_formulas_after_shortening_the_gradient() {
-    let mut network = Network::ZERO;
-    let (mut gradient, mut moments) = (Network::ZERO, Moments::ZERO);
+    let zero = Network::zero(OBSERVATION_SIZE);
+    let (mut network, mut gradient) = (zero.clone(), zero);
+    let mut moments = Moments::zero(OBSERVATION_SIZE);
     let (mut parameter, mut m, mut v) = (0.0_f64, 0.0_f64, 0.0_f64);
     for (step, (g, h)) in [(0.1, 0.0), (-0.3, 0.2), (3.0, 4.0), (0.0, 0.0)].into_iter().enumerate()
     {
@@ -241,11 +256,11 @@ fn adam_follows_its_formulas_after_shortening_the_gradient() {
 
 #[test]
 fn forward_gives_what_the_gradient_sees() {
-    let (network, minibatch) = example();
-    for level in available() {
+    for (level, size) in available().flat_map(|level| OBSERVATION_SIZES.map(|size| (level, size))) {
+        let (network, minibatch) = example(size);
         let output = dispatch_at(level, Forward { network: &network, inputs: &minibatch.inputs });
-        let value_minibatch = Minibatch { return_: output, ..minibatch.clone() };
-        let (mut gradient, mut workspace) = (Network::ZERO, Workspace::ZERO);
+        let value_minibatch = Minibatch { return_: output, ..minibatch };
+        let (mut gradient, mut workspace) = (Network::zero(size), Workspace::ZERO);
         dispatch_at(
             level,
             Gradient {
@@ -256,6 +271,6 @@ fn forward_gives_what_the_gradient_sees() {
                 gradient: &mut gradient,
             },
         );
-        assert_eq!(gradient, Network::ZERO, "{level:?}: no error, no gradient");
+        assert_eq!(gradient, Network::zero(size), "{level:?}: no error, no gradient");
     }
 }
