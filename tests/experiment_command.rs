@@ -95,7 +95,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let output = experiment(whole.path(), &BEGIN).output().unwrap();
     let text = succeeds(&output);
     assert!(text.contains("on lab") && text.contains("on worse"), "{text}");
-    assert!(text.contains("of 3") && text.contains("tiny-opt-nominal"), "{text}");
+    assert!(text.contains("/3 ") && text.contains("tiny-opt-nominal"), "{text}");
     let expected = table(whole.path());
     assert!(expected.starts_with(&text), "resuming what is finished prints the same table");
     let expected_files = files(&whole.path().join("one"));

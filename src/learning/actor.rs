@@ -1,5 +1,5 @@
 use super::kernels::Forward;
-use super::network::{CONSTANT, Network, WIDTH};
+use super::network::{CONSTANT, NARROW, Network, WIDTH};
 use super::transition::constant_inputs;
 use crate::elementary::dispatch;
 use crate::qube::MAX_VOLTAGE_V;
@@ -20,17 +20,33 @@ impl Actor for NetworkActor<'_> {
     }
 }
 
-/// A net's outputs for `observations`, `[observation_size][lanes]`.
+/// A net's outputs for `observations`, `[observation_size][lanes]`; the number of lanes is a
+/// multiple of 16.
 pub(super) fn outputs(network: &Network, observations: &[f32], outputs: &mut [f32]) {
     let lanes = outputs.len();
     debug_assert_eq!(observations.len(), network.observation_size * lanes);
-    for (block, outputs) in outputs.chunks_mut(WIDTH).enumerate() {
-        let mut inputs = constant_inputs();
-        let rows = inputs[CONSTANT + 1..].iter_mut();
-        for (row, observed) in rows.zip(observations.chunks_exact(lanes)) {
-            row[..outputs.len()].copy_from_slice(&observed[block * WIDTH..][..outputs.len()]);
-        }
-        let all = dispatch(Forward { network, inputs: &inputs });
-        outputs.copy_from_slice(&all[..outputs.len()]);
+    debug_assert!(lanes.is_multiple_of(NARROW));
+    let (whole, rest) = outputs.as_chunks_mut::<WIDTH>();
+    let first_of_rest = whole.len() * WIDTH;
+    for (block, outputs) in whole.iter_mut().enumerate() {
+        *outputs = outputs_of_block(network, observations, lanes, block * WIDTH);
     }
+    for (block, outputs) in rest.as_chunks_mut::<NARROW>().0.iter_mut().enumerate() {
+        let first = first_of_rest + block * NARROW;
+        *outputs = outputs_of_block(network, observations, lanes, first);
+    }
+}
+
+fn outputs_of_block<const SAMPLES: usize>(
+    network: &Network,
+    observations: &[f32],
+    lanes: usize,
+    first_lane: usize,
+) -> [f32; SAMPLES] {
+    let mut inputs = constant_inputs();
+    let rows = inputs[CONSTANT + 1..].iter_mut();
+    for (row, observed) in rows.zip(observations.chunks_exact(lanes)) {
+        row.copy_from_slice(&observed[first_lane..][..SAMPLES]);
+    }
+    dispatch(Forward { network, inputs: &inputs })
 }

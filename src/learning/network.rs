@@ -16,11 +16,14 @@ pub(super) const MAX_INPUTS: usize = (1 + MAX_OBSERVATION_SIZE).next_multiple_of
 /// The row of the constant 1; the observation's rows follow it.
 pub(super) const CONSTANT: usize = 0;
 
+/// Samples of a narrow block, for as many pendulums as do not fill a whole one.
+pub(super) const NARROW: usize = 16;
+
 /// A row across neurons or across the samples of a minibatch.
 pub(super) type Row = [f32; WIDTH];
 
 /// What enters the first layer: `[input][sample]`.
-pub(super) type Inputs = [Row; MAX_INPUTS];
+pub(super) type Inputs<const SAMPLES: usize = WIDTH> = [[f32; SAMPLES]; MAX_INPUTS];
 
 /// One multilayer perceptron with tanh and the layers observation-64-64-1; also the shape of its
 /// gradient and moments.

@@ -57,9 +57,9 @@ pub(super) fn estimate_advantages(
 }
 
 /// Inputs of the first layer with nothing observed yet, only the constant 1 that carries the bias.
-pub(super) fn constant_inputs() -> Inputs {
-    let mut inputs = [[0.0; WIDTH]; MAX_INPUTS];
-    inputs[CONSTANT] = [1.0; WIDTH];
+pub(super) fn constant_inputs<const SAMPLES: usize>() -> Inputs<SAMPLES> {
+    let mut inputs = [[0.0; SAMPLES]; MAX_INPUTS];
+    inputs[CONSTANT] = [1.0; SAMPLES];
     inputs
 }
 

@@ -55,9 +55,9 @@ impl<H: Head> Kernel for Gradient<'_, H> {
         let Workspace { hidden_1, hidden_1_by_sample, hidden_2, by_sum_1, by_last, by_second_bias } =
             workspace;
 
-        first_hidden::<I>(network, &minibatch.inputs, hidden_1);
+        first_hidden::<I, _>(network, &minibatch.inputs, hidden_1);
         transpose(hidden_1, hidden_1_by_sample, hidden_2);
-        let output = second_hidden_and_output::<I>(network, hidden_1, hidden_2);
+        let output = second_hidden_and_output::<I, _>(network, hidden_1, hidden_2);
 
         let mut by_output = [0.0; WIDTH];
         let by_log_std = &mut gradient.tail[LOG_STD];
@@ -69,12 +69,12 @@ impl<H: Head> Kernel for Gradient<'_, H> {
         gradient.last = sum_each(by_last);
         gradient.second_bias = sum_each(by_second_bias);
         let by_sum_2 = &*hidden_2;
-        product::<I>(Left::ByRow(by_sum_2), hidden_1_by_sample, &mut gradient.second);
-        product::<I>(Left::ByTerm(by_sum_2), &network.second, by_sum_1);
+        product::<I, _>(Left::ByRow(by_sum_2), hidden_1_by_sample, &mut gradient.second);
+        product::<I, _>(Left::ByTerm(by_sum_2), &network.second, by_sum_1);
         through_tanh::<I>(hidden_1_by_sample.as_flattened(), by_sum_1.as_flattened_mut());
         let rows = network.padded_inputs();
         let inputs = &minibatch.inputs[..rows];
-        product::<I>(Left::ByRow(inputs), by_sum_1, &mut gradient.first[..rows]);
+        product::<I, _>(Left::ByRow(inputs), by_sum_1, &mut gradient.first[..rows]);
         statistics
     }
 }

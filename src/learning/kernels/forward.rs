@@ -1,35 +1,35 @@
 use super::multiply_add;
 use super::product::{Left, product};
 use crate::elementary::{InstructionSet, Kernel, tanh};
-use crate::learning::network::{Inputs, Network, OUTPUT_BIAS, Row, WIDTH};
+use crate::learning::network::{Inputs, Network, OUTPUT_BIAS, WIDTH};
 
-/// The net's outputs for 64 samples.
-pub(in crate::learning) struct Forward<'a> {
+/// The net's outputs for a block of samples, 64 or 16.
+pub(in crate::learning) struct Forward<'a, const SAMPLES: usize> {
     pub network: &'a Network,
-    pub inputs: &'a Inputs,
+    pub inputs: &'a Inputs<SAMPLES>,
 }
 
-impl Kernel for Forward<'_> {
-    type Output = Row;
+impl<const SAMPLES: usize> Kernel for Forward<'_, SAMPLES> {
+    type Output = [f32; SAMPLES];
 
     #[inline(always)]
-    fn run<I: InstructionSet>(self) -> Row {
-        let mut hidden_1 = [[0.0; WIDTH]; WIDTH];
-        let mut hidden_2 = [[0.0; WIDTH]; WIDTH];
-        first_hidden::<I>(self.network, self.inputs, &mut hidden_1);
-        second_hidden_and_output::<I>(self.network, &hidden_1, &mut hidden_2)
+    fn run<I: InstructionSet>(self) -> [f32; SAMPLES] {
+        let mut hidden_1 = [[0.0; SAMPLES]; WIDTH];
+        let mut hidden_2 = [[0.0; SAMPLES]; WIDTH];
+        first_hidden::<I, _>(self.network, self.inputs, &mut hidden_1);
+        second_hidden_and_output::<I, _>(self.network, &hidden_1, &mut hidden_2)
     }
 }
 
 /// `[neuron][sample]` of the first hidden layer.
 #[inline(always)]
-pub(super) fn first_hidden<I: InstructionSet>(
+pub(super) fn first_hidden<I: InstructionSet, const SAMPLES: usize>(
     network: &Network,
-    inputs: &Inputs,
-    hidden: &mut [Row; WIDTH],
+    inputs: &Inputs<SAMPLES>,
+    hidden: &mut [[f32; SAMPLES]; WIDTH],
 ) {
     let used = network.inputs();
-    product::<I>(Left::ByTerm(&network.first[..used]), &inputs[..used], hidden);
+    product::<I, _>(Left::ByTerm(&network.first[..used]), &inputs[..used], hidden);
     for value in hidden.as_flattened_mut() {
         *value = tanh(*value);
     }
@@ -37,13 +37,13 @@ pub(super) fn first_hidden<I: InstructionSet>(
 
 /// `[neuron][sample]` of the second hidden layer, and the output of each sample.
 #[inline(always)]
-pub(super) fn second_hidden_and_output<I: InstructionSet>(
+pub(super) fn second_hidden_and_output<I: InstructionSet, const SAMPLES: usize>(
     network: &Network,
-    hidden_1: &[Row; WIDTH],
-    hidden_2: &mut [Row; WIDTH],
-) -> Row {
-    product::<I>(Left::ByRow(&network.second), hidden_1, hidden_2);
-    let mut output = [network.tail[OUTPUT_BIAS]; WIDTH];
+    hidden_1: &[[f32; SAMPLES]; WIDTH],
+    hidden_2: &mut [[f32; SAMPLES]; WIDTH],
+) -> [f32; SAMPLES] {
+    product::<I, _>(Left::ByRow(&network.second), hidden_1, hidden_2);
+    let mut output = [network.tail[OUTPUT_BIAS]; SAMPLES];
     for (neuron, row) in hidden_2.iter_mut().enumerate() {
         let (bias, weight) = (network.second_bias[neuron], network.last[neuron]);
         for (value, output) in row.iter_mut().zip(&mut output) {

@@ -19,13 +19,17 @@ pub(super) enum Left<'a> {
 /// order of the terms whatever the tile, so the tile does not change a bit. The number of rows is a
 /// multiple of four.
 #[inline(always)]
-pub(super) fn product<I: InstructionSet>(left: Left<'_>, right: &[Row], result: &mut [Row]) {
+pub(super) fn product<I: InstructionSet, const COLUMNS: usize>(
+    left: Left<'_>,
+    right: &[[f32; COLUMNS]],
+    result: &mut [[f32; COLUMNS]],
+) {
     // The sums of a tile fill half of the registers, which hides the latency of four cycles. The
-    // shapes are those that the compiler unrolls into registers; 8 x 32 it does not.
-    match I::LEVEL {
-        Level::Avx512 => tiled::<I, 64>(left, right, result),
-        Level::Avx2 => tiled::<I, 16>(left, right, result),
-        Level::Plain => tiled::<I, 8>(left, right, result),
+    // shapes are those that the compiler unrolls into registers; 8 x 32 and 8 x 16 it does not.
+    match (I::LEVEL, COLUMNS) {
+        (Level::Avx512, WIDTH) => tiled::<I, 64, COLUMNS>(left, right, result),
+        (Level::Avx512 | Level::Avx2, _) => tiled::<I, 16, COLUMNS>(left, right, result),
+        (Level::Plain, _) => tiled::<I, 8, COLUMNS>(left, right, result),
     }
 }
 
@@ -33,11 +37,14 @@ pub(super) fn product<I: InstructionSet>(left: Left<'_>, right: &[Row], result: 
 const TALL: usize = 4;
 
 #[inline(always)]
-fn tiled<I: InstructionSet, const WIDE: usize>(left: Left<'_>, right: &[Row], result: &mut [Row]) {
-    const { assert!(WIDTH.is_multiple_of(TALL) && WIDTH.is_multiple_of(WIDE)) };
-    debug_assert!(result.len().is_multiple_of(TALL));
+fn tiled<I: InstructionSet, const WIDE: usize, const COLUMNS: usize>(
+    left: Left<'_>,
+    right: &[[f32; COLUMNS]],
+    result: &mut [[f32; COLUMNS]],
+) {
+    assert!(result.len().is_multiple_of(TALL) && COLUMNS.is_multiple_of(WIDE));
     for (tile, result) in result.as_chunks_mut::<TALL>().0.iter_mut().enumerate() {
-        for column in 0..WIDTH / WIDE {
+        for column in 0..COLUMNS / WIDE {
             let mut sums = [[0.0; WIDE]; TALL];
             match left {
                 Left::ByRow(left) => {

@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::elementary::dispatch_at;
 use crate::learning::network::{
-    CONSTANT, LOG_STD, MAX_INPUTS, MAX_OBSERVATION_SIZE, Network, OUTPUT_BIAS, WIDTH,
+    CONSTANT, LOG_STD, MAX_INPUTS, MAX_OBSERVATION_SIZE, NARROW, Network, OUTPUT_BIAS, WIDTH,
 };
 use crate::qube::OBSERVATION_SIZE;
 
@@ -123,14 +123,21 @@ mod textbook {
     }
 }
 
-/// Central differences in `f64`, for each parameter that is in use.
-fn check_by_finite_differences(gradient: &Network, loss: fn(&[f64], &Minibatch) -> f64) {
-    let (network, minibatch) = example(gradient.observation_size);
+/// The gradients of every path beside central differences in `f64`, for each parameter in use.
+fn check_by_finite_differences(
+    size: usize,
+    gradients: &[(Level, Network)],
+    loss: fn(&[f64], &Minibatch) -> f64,
+) {
+    let (network, minibatch) = example(size);
     let mut parameters: Vec<f64> =
         network.slices().into_iter().flatten().map(|&value| value.into()).collect();
-    let gradient: Vec<f32> = gradient.slices().into_iter().flatten().copied().collect();
-    let largest = gradient.iter().fold(0.0_f32, |largest, g| largest.max(g.abs()));
-    assert!(largest > 1e-2, "the example has no gradient to check");
+    let gradients: Vec<(Level, Vec<f32>)> =
+        gradients.iter().map(|(level, gradient)| (*level, gradient.slices().concat())).collect();
+    for (level, gradient) in &gradients {
+        let largest = gradient.iter().fold(0.0_f32, |largest, g| largest.max(g.abs()));
+        assert!(largest > 1e-2, "{level:?}: the example has no gradient to check");
+    }
     // All parameters outside of the big layer, and every 37th of it.
     let inputs = network.padded_inputs();
     let big_layer = inputs * WIDTH..(inputs + WIDTH) * WIDTH;
@@ -143,26 +150,35 @@ fn check_by_finite_differences(gradient: &Network, loss: fn(&[f64], &Minibatch) 
         const STEP: f64 = 1e-5;
         let difference = (loss_at(at + STEP) - loss_at(at - STEP)) / (2.0 * STEP);
         parameters[index] = at;
-        let error = (f64::from(gradient[index]) - difference).abs();
-        assert!(error < 2e-5, "parameter {index}: {} instead of {difference}", gradient[index]);
+        for (level, gradient) in &gradients {
+            let error = (f64::from(gradient[index]) - difference).abs();
+            let found = gradient[index];
+            assert!(error < 2e-5, "{level:?}, parameter {index}: {found} instead of {difference}");
+        }
     }
 }
 
 #[test]
 fn gradients_of_the_policy_are_those_of_finite_differences_on_every_path() {
-    for (level, size) in available().flat_map(|level| OBSERVATION_SIZES.map(|size| (level, size))) {
-        let (gradient, statistics) = gradient_at(level, size, &POLICY);
-        check_by_finite_differences(&gradient, textbook::policy_loss);
-        assert!((0.3..0.95).contains(&statistics.clip_fraction), "both sides of the clip are seen");
-        assert!(statistics.approximate_kl > 0.0);
+    for size in [OBSERVATION_SIZE, MAX_OBSERVATION_SIZE] {
+        let mut gradients = Vec::new();
+        for level in available() {
+            let (gradient, statistics) = gradient_at(level, size, &POLICY);
+            let clipped = statistics.clip_fraction;
+            assert!((0.3..0.95).contains(&clipped), "both sides of the clip are seen");
+            assert!(statistics.approximate_kl > 0.0);
+            gradients.push((level, gradient));
+        }
+        check_by_finite_differences(size, &gradients, textbook::policy_loss);
     }
 }
 
 #[test]
 fn gradients_of_the_value_net_are_those_of_finite_differences_on_every_path() {
-    for (level, size) in available().flat_map(|level| OBSERVATION_SIZES.map(|size| (level, size))) {
-        let (gradient, ()) = gradient_at(level, size, &ValueHead);
-        check_by_finite_differences(&gradient, textbook::value_loss);
+    for size in [OBSERVATION_SIZE, MAX_OBSERVATION_SIZE] {
+        let gradients: Vec<_> =
+            available().map(|level| (level, gradient_at(level, size, &ValueHead).0)).collect();
+        check_by_finite_differences(size, &gradients, textbook::value_loss);
     }
 }
 
@@ -259,6 +275,9 @@ fn forward_gives_what_the_gradient_sees() {
     for (level, size) in available().flat_map(|level| OBSERVATION_SIZES.map(|size| (level, size))) {
         let (network, minibatch) = example(size);
         let output = dispatch_at(level, Forward { network: &network, inputs: &minibatch.inputs });
+        let narrow = minibatch.inputs.map(|row| *row.last_chunk::<NARROW>().unwrap());
+        let of_narrow = dispatch_at(level, Forward { network: &network, inputs: &narrow });
+        assert_eq!(output.last_chunk(), Some(&of_narrow), "{level:?}");
         let value_minibatch = Minibatch { return_: output, ..minibatch };
         let (mut gradient, mut workspace) = (Network::zero(size), Workspace::ZERO);
         dispatch_at(
