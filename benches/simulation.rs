@@ -13,12 +13,17 @@ use qube_hil::simulation::{
 /// inside the box, and what leaves it starts again.
 fn control_steps(criterion: &mut Criterion) {
     let encoders = SensorModel::Encoders { estimator: EstimatorSettings::default() };
-    for (name, sensors) in [("true_state", SensorModel::TrueState), ("encoders", encoders)] {
-        let settings = SimulationSettings { sensors, ..SimulationSettings::default() };
+    let handcrafted = DomainDistribution::handcrafted(Family::Normal);
+    for (name, sensors, history, distribution) in [
+        ("true_state", SensorModel::TrueState, 0, &handcrafted),
+        ("encoders", encoders, 0, &handcrafted),
+        ("gap_and_history", encoders, 2, &DomainDistribution::robust()),
+    ] {
+        let settings = SimulationSettings { sensors, history, ..SimulationSettings::default() };
         let mut group = criterion.benchmark_group(format!("control_step/{name}"));
         for level in Level::ALL.into_iter().filter(|level| level.is_available()) {
             for lanes in [80, 512] {
-                bench_level(&mut group, &settings, level, lanes);
+                bench_level(&mut group, &settings, distribution, level, lanes);
             }
         }
         group.finish();
@@ -28,14 +33,14 @@ fn control_steps(criterion: &mut Criterion) {
 fn bench_level(
     group: &mut criterion::BenchmarkGroup<'_, criterion::measurement::WallTime>,
     settings: &SimulationSettings,
+    distribution: &DomainDistribution,
     level: Level,
     lanes: usize,
 ) {
-    let distribution = DomainDistribution::handcrafted(Family::Normal);
     let mut pendulums = Pendulums::new(lanes, settings).at_level(level);
     let mut next_trajectory = 0;
     let mut restart = |pendulums: &mut Pendulums, lane| {
-        pendulums.restart(lane, &Trajectory::draw(&distribution, 1, next_trajectory));
+        pendulums.restart(lane, &Trajectory::draw(distribution, 1, next_trajectory));
         next_trajectory += 1;
     };
     for lane in 0..lanes {

@@ -103,6 +103,25 @@ fn a_psi_that_cannot_be() {
 }
 
 #[test]
+fn simulations_that_cannot_be() {
+    let directory = tempfile::tempdir().unwrap();
+    let cases: [(&[&str], &[&str]); 8] = [
+        (&["--profile", "nowhere.toml"], &["nowhere.toml"]),
+        (&["--profile", "lab", "--model", "robust"], &["--profile", "--model"]),
+        (&["--profile", "lab", "--spread", "1.5"], &["--spread", "from 0 to 1"]),
+        (&["--spread", "0.1"], &["--profile"]),
+        (&["--delay-ms", "16..3"], &["--delay-ms", "0..16"]),
+        (&["--delay-ms", "50"], &["--delay-ms", "from 0 to 40"]),
+        (&["--history", "5"], &["--history", "5"]),
+        (&["--preset", "thesis", "--filter", "50"], &["--sensors encoders"]),
+    ];
+    for (arguments, words) in cases {
+        let arguments = [&["train"], arguments].concat();
+        refused(directory.path(), &arguments, 2, words);
+    }
+}
+
+#[test]
 fn recordings_that_are_torn_or_changed() {
     let directory = tempfile::tempdir().unwrap();
     let made = qube_hil(
