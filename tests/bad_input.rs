@@ -91,14 +91,14 @@ fn configurations_that_are_none() {
 }
 
 #[test]
-fn a_psi_outside_its_box() {
+fn a_psi_that_cannot_be() {
     let directory = tempfile::tempdir().unwrap();
     let mut file = std::fs::File::create(directory.path().join("psi.toml")).unwrap();
-    let text = "mean_M_p = 0.5\nstd_M_p = 0.001\nmean_M_r = 0.1\nstd_M_r = 0.001\n\
+    let text = "mean_M_p = -0.5\nstd_M_p = 0.001\nmean_M_r = 0.1\nstd_M_r = 0.001\n\
                 mean_L_p = 0.13\nstd_L_p = 0.001\nmean_L_r = 0.08\nstd_L_r = 0.001\n";
     file.write_all(text.as_bytes()).unwrap();
     let arguments = ["train", "--model", "psi", "--psi", "psi.toml"];
-    refused(directory.path(), &arguments, 2, &["psi.toml", "mean_M_p", "0.5", "0.019"]);
+    refused(directory.path(), &arguments, 2, &["psi.toml", "mean_M_p", "-0.5", "above 0"]);
     refused(directory.path(), &["train", "--model", "psi"], 2, &["--psi"]);
 }
 

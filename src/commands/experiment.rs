@@ -144,6 +144,8 @@ enum ModelArgument {
     OptHandcrafted,
     /// Masses and lengths by a psi that is searched
     OptNominal,
+    /// Parameters and gap as for a Qube that nobody has identified
+    Robust,
 }
 
 impl From<ModelArgument> for RecipeModel {
@@ -256,7 +258,7 @@ fn begun(
     let base = base(arguments, device)?;
     let mut recipes = Vec::new();
     let models: Vec<RecipeModel> = match arguments.models.as_slice() {
-        [] if arguments.recipe.is_empty() => RecipeModel::ALL.into(),
+        [] if arguments.recipe.is_empty() => RecipeModel::THESIS.into(),
         named => named.iter().map(|&model| model.into()).collect(),
     };
     recipes.extend(models.into_iter().map(|model| Recipe::of(model, &base)));

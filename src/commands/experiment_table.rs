@@ -3,7 +3,6 @@ use std::fmt::Write;
 use serde_json::{Map, Value, json};
 
 use crate::experiment::{Behaviour, RecipeResult, Results};
-use crate::session::named;
 
 /// Columns of a name.
 const NAME: usize = 20;
@@ -96,7 +95,7 @@ fn model(recipe: &RecipeResult) -> Value {
         "success_rate": recipe.success_rate(),
         "success_interval": recipe.success_interval(),
         "rollouts": shares,
-        "psi": named(&recipe.psi),
+        "psi": recipe.psi,
     })
 }
 
@@ -144,7 +143,7 @@ mod tests {
             recipes: vec![RecipeResult {
                 recipe: "nominal-handcrafted-with-a-long-name".into(),
                 plant: "lab".into(),
-                psi: Vec::new(),
+                psi: Default::default(),
                 policies: policies.collect(),
             }],
         }

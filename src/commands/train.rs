@@ -16,7 +16,7 @@ use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
 use crate::qube::{GapTerm, MAX_HISTORY};
-use crate::session::{named, write_whole};
+use crate::session::write_whole;
 use crate::simulation::{
     Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Psi, SensorModel,
     SimulationSettings,
@@ -51,7 +51,7 @@ pub struct Arguments {
     #[arg(long, value_name = "MS|FROM..TO", value_parser = delays_s)]
     delay_ms: Option<(f64, f64)>,
 
-    /// Means and standard deviations of masses and lengths, for --model psi
+    /// Means and standard deviations of any quantities, for --model psi
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
     psi: Option<PathBuf>,
 
@@ -145,7 +145,7 @@ enum Model {
     /// Parameters vary a little, friction, dead zone, cable and delay within what Qubes were found to
     /// have
     Robust,
-    /// Masses and lengths as --psi says, the other five nominal
+    /// What --psi names as it says, the rest nominal
     Psi,
 }
 
@@ -287,7 +287,7 @@ fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
             (None, Model::Psi) => "opt-nominal".into(),
             (None, other) => name(&other),
         },
-        psi: psi.map(|psi| named(psi.values())),
+        psi: psi.map(|psi| psi.named_values()),
         preset: name(&arguments.preset),
     })
 }

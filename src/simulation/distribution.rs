@@ -86,6 +86,15 @@ pub fn reach(quantity: Quantity, mean: f64) -> f64 {
     }
 }
 
+/// The largest standard deviation that a quantity may be drawn with around a mean.
+#[must_use]
+pub(super) fn largest_standard_deviation(quantity: Quantity, mean: f64) -> f64 {
+    match quantity {
+        Quantity::Parameter(_) => mean,
+        Quantity::Gap(_) => reach(quantity, mean),
+    }
+}
+
 fn simulated_range(term: GapTerm) -> (f64, f64) {
     let (smallest, largest) = term.range().into_inner();
     (smallest, if term == GapTerm::CommandDelay { MAX_COMMAND_DELAY_S } else { largest })
@@ -154,10 +163,7 @@ impl Distribution {
         if !physical {
             return Err(DistributionError::Mean { symbol, mean, bound });
         }
-        let largest = match quantity {
-            Quantity::Parameter(_) => mean,
-            Quantity::Gap(_) => reach(quantity, mean),
-        };
+        let largest = largest_standard_deviation(quantity, mean);
         if !(0.0..=largest).contains(&standard_deviation) {
             let error =
                 DistributionError::StandardDeviation { symbol, standard_deviation, mean, largest };

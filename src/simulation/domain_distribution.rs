@@ -1,5 +1,6 @@
 use serde::{Deserialize, Serialize};
 
+use super::distribution::largest_standard_deviation;
 use super::{Distribution, DistributionError, Psi, reach};
 use crate::qube::{DomainParameter, GapTerm, Quantity, QubeModel};
 
@@ -7,7 +8,7 @@ use crate::qube::{DomainParameter, GapTerm, Quantity, QubeModel};
 /// section 5.2).
 const HANDCRAFTED_SPREAD: f64 = 0.2;
 
-/// Masses and lengths: what psi shapes, and what `nominal-handcrafted` draws.
+/// Masses and lengths: what `nominal-handcrafted` draws, and the thesis's psi shapes.
 const MASSES_AND_LENGTHS: [DomainParameter; 4] = [
     DomainParameter::RotaryMass,
     DomainParameter::PendulumMass,
@@ -129,16 +130,36 @@ impl DomainDistribution {
         Ok(around)
     }
 
-    /// The model `opt-nominal`: masses and lengths by psi, the rest nominal.
+    /// The model `opt-nominal`: what psi names by psi, the rest nominal.
     #[must_use]
     pub fn opt_nominal(psi: &Psi, family: Family) -> Self {
-        Self::nominal().with_psi(psi, family)
+        Self::nominal().shaped_by(psi, family)
     }
 
-    /// The model `opt-handcrafted`: masses and lengths by psi, the rest as in `handcrafted`.
+    /// The model `opt-handcrafted`: what psi names by psi, the rest as in `handcrafted`.
     #[must_use]
     pub fn opt_handcrafted(psi: &Psi, family: Family) -> Self {
-        Self::handcrafted(family).with_psi(psi, family)
+        Self::handcrafted(family).shaped_by(psi, family)
+    }
+
+    /// The same with the quantities that psi names drawn from this family with psi's moments; where it
+    /// names one moment alone, the other stays. A standard deviation that is larger than the mean
+    /// allows is the largest that it allows.
+    #[must_use]
+    pub fn shaped_by(mut self, psi: &Psi, family: Family) -> Self {
+        for quantity in Quantity::all() {
+            let (mean, standard_deviation) = psi.moments(quantity);
+            if mean.is_none() && standard_deviation.is_none() {
+                continue;
+            }
+            let own = self.get(quantity);
+            let mean = mean.unwrap_or(own.mean());
+            let standard_deviation = standard_deviation
+                .unwrap_or(own.standard_deviation())
+                .min(largest_standard_deviation(quantity, mean));
+            self.distributions[quantity.index()] = family.with_moments(mean, standard_deviation);
+        }
+        self
     }
 
     /// The same means, each standard deviation `share` times as large, 0 to 1.
@@ -185,23 +206,20 @@ impl DomainDistribution {
         }
         self
     }
-
-    fn with_psi(mut self, psi: &Psi, family: Family) -> Self {
-        for parameter in MASSES_AND_LENGTHS {
-            if let Some((mean, standard_deviation)) = psi.moments(parameter) {
-                self.distributions[parameter as usize] =
-                    family.with_moments(mean, standard_deviation);
-            }
-        }
-        self
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulation::PsiSpace;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
+
+    /// The psi in the middle of its box.
+    fn middle(space: &PsiSpace) -> Psi {
+        let point = space.lower().into_iter().zip(space.upper()).map(|(a, b)| 0.5 * (a + b));
+        space.psi(&point.collect::<Vec<_>>()).unwrap()
+    }
 
     fn is_random(distribution: &DomainDistribution) -> [bool; 9] {
         DomainParameter::ALL.map(|parameter| distribution.get(parameter).standard_deviation() > 0.0)
@@ -209,7 +227,7 @@ mod tests {
 
     #[test]
     fn the_models_randomise_what_the_thesis_says() {
-        let psi = Psi::from_unit_cube(&[0.5; 8]);
+        let psi = middle(&PsiSpace::thesis());
         let masses_and_lengths = [false, false, false, false, false, true, true, true, true];
         for family in [Family::Normal, Family::Uniform] {
             assert_eq!(is_random(&DomainDistribution::nominal()), [false; 9]);
@@ -237,7 +255,8 @@ mod tests {
 
     #[test]
     fn psi_shapes_the_parameter_that_it_names() {
-        let psi = Psi::new([0.020, 0.001, 0.090, 0.002, 0.120, 0.003, 0.080, 0.004]).unwrap();
+        let point = [0.020, 0.001, 0.090, 0.002, 0.120, 0.003, 0.080, 0.004];
+        let psi = PsiSpace::thesis().psi(&point).unwrap();
         let opt = DomainDistribution::opt_nominal(&psi, Family::Normal);
         for (parameter, mean, standard_deviation) in [
             (DomainParameter::PendulumMass, 0.020, 0.001),
@@ -252,18 +271,57 @@ mod tests {
     #[test]
     fn whatever_the_corner_of_the_box_draws_are_physical() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let thesis = PsiSpace::thesis();
+        let names = [
+            "mean_delay",
+            "std_delay",
+            "mean_coulomb",
+            "std_coulomb",
+            "mean_cable_rest",
+            "std_R_m",
+        ];
+        let gap = PsiSpace::named(&names).unwrap();
         for corner in 0..256_u32 {
-            let unit: [f64; 8] = std::array::from_fn(|i| f64::from(corner >> i & 1));
-            let psi = Psi::from_unit_cube(&unit);
+            let at_corner = |space: &PsiSpace| {
+                let ends = space.dimensions().iter().enumerate().map(|(i, dimension)| {
+                    if corner >> i & 1 == 1 { dimension.upper } else { dimension.lower }
+                });
+                space.psi(&ends.collect::<Vec<_>>()).unwrap()
+            };
+            let (psi, gap) = (at_corner(&thesis), at_corner(&gap));
             for family in [Family::Normal, Family::Uniform] {
-                let distribution = DomainDistribution::opt_handcrafted(&psi, family);
-                for parameter in DomainParameter::ALL {
-                    assert_eq!(distribution.get(parameter).check(parameter), Ok(()));
+                let distribution =
+                    DomainDistribution::opt_handcrafted(&psi, family).shaped_by(&gap, family);
+                for quantity in Quantity::all() {
+                    assert_eq!(distribution.get(quantity).check(quantity), Ok(()));
                 }
-                for _ in 0..100 {
-                    assert_eq!(distribution.sample(&mut rng).parameters.check(), Ok(()));
+                for _ in 0..50 {
+                    let model = distribution.sample(&mut rng);
+                    assert_eq!(model.parameters.check(), Ok(()));
+                    for term in GapTerm::ALL {
+                        assert!(term.range().contains(&model.gap.get(term)), "{model:?}");
+                    }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn one_moment_alone_leaves_the_other_and_what_psi_does_not_name_stays() {
+        let psi = PsiSpace::named(&["mean_delay", "std_M_p"]).unwrap().psi(&[0.01, 0.002]).unwrap();
+        let base = DomainDistribution::robust();
+        let shaped = base.clone().shaped_by(&psi, Family::Normal);
+        let moments = |quantity: Quantity| {
+            let own = shaped.get(quantity);
+            (own.mean(), own.standard_deviation())
+        };
+        let deviation = base.get(GapTerm::CommandDelay).standard_deviation();
+        assert_eq!(moments(GapTerm::CommandDelay.into()), (0.01, deviation));
+        assert_eq!(moments(DomainParameter::PendulumMass.into()), (0.024, 0.002));
+        for quantity in Quantity::all() {
+            let named = quantity == GapTerm::CommandDelay.into()
+                || quantity == DomainParameter::PendulumMass.into();
+            assert_eq!(shaped.get(quantity) == base.get(quantity), !named, "{quantity:?}");
         }
     }
 

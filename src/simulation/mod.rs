@@ -15,6 +15,8 @@ mod pendulums_gap_tests;
 #[cfg(test)]
 mod pendulums_tests;
 mod psi;
+mod psi_dimension;
+mod psi_space;
 mod settings;
 mod trajectory;
 
@@ -22,6 +24,8 @@ pub use distribution::{Distribution, DistributionError, MAX_COMMAND_DELAY_S, TRU
 pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate};
 pub use pendulums::{LANES_MULTIPLE, Pendulums, Progress};
-pub use psi::{PSI_DIMENSIONS, Psi, PsiDimension, PsiError};
+pub use psi::{Psi, PsiError};
+pub use psi_dimension::{PsiDimension, PsiTarget};
+pub use psi_space::PsiSpace;
 pub use settings::{SensorModel, SimulationSettings};
 pub use trajectory::{START_REACH_RAD, Trajectory};

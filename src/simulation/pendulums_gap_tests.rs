@@ -5,7 +5,7 @@ use super::{
 };
 use crate::device::emulator::{EmulatorSettings, Plant};
 use crate::elementary::Level;
-use crate::qube::{Gap, GapDynamics, GapTerm, QubeModel, State, control_step};
+use crate::qube::{Gap, GapDynamics, GapTerm, QubeModel, RAD_PER_COUNT, State, control_step};
 
 /// A Qube with all there is, different in each lane; delays from 0 to 40 ms.
 fn gapped(lane: usize) -> QubeModel {
@@ -44,8 +44,9 @@ fn run(level: Level, trajectories: &[Trajectory], steps: usize) -> Vec<State<f32
     (0..trajectories.len()).map(|lane| pendulums.state(lane)).collect()
 }
 
-#[test]
-fn a_lane_follows_the_plant_of_the_emulator() {
+/// How far the lanes are from the emulator's plants at the end of 0.8 s, rad; each with its own
+/// delay, and with these parts of the gap.
+fn farthest_from_plants(gapped: impl Fn(usize) -> QubeModel) -> f64 {
     let steps = 80;
     let plant = |lane: usize| {
         let settings = EmulatorSettings { seed: lane as u64, ..EmulatorSettings::default() };
@@ -76,10 +77,27 @@ fn a_lane_follows_the_plant_of_the_emulator() {
             .max((f64::from(single.theta) - exact.theta).abs())
             .max((f64::from(single.alpha) - exact.alpha).abs());
     }
-    println!("worst: {worst:e} rad after {steps} steps in {compared} lanes");
+    println!("worst: {worst:e} rad in {compared} lanes");
     assert!(compared >= 32, "{compared} lanes stay off the stops");
-    // The plant's own steps are up to 5 ms long.
-    assert!(worst < 3e-4, "{worst:e} rad");
+    worst
+}
+
+#[test]
+fn delay_dead_zone_and_cable_move_a_lane_as_they_move_the_plant() {
+    let worst = farthest_from_plants(|lane| {
+        let mut model = gapped(lane);
+        model.gap.coulomb_torque_n_m = 0.0;
+        model
+    });
+    assert!(worst < 3e-5, "{worst:e} rad");
+}
+
+/// Neither resolves the steep part of friction where the arm turns round: beside steps of 0.1 ms lanes
+/// are off by up to 7e-4 rad here, and the plant, whose steps are longer, by 2e-3.
+#[test]
+fn friction_moves_a_lane_as_the_plant_within_two_counts() {
+    let worst = farthest_from_plants(gapped);
+    assert!(worst < 2.0 * RAD_PER_COUNT, "{worst:e} rad");
 }
 
 #[test]

@@ -4,6 +4,8 @@ use crate::estimation::EstimatorSettings;
 use crate::qube::{OBSERVATION_SIZE, RewardWeights};
 use crate::safety::SafetyBox;
 
+use super::Psi;
+
 /// What surrounds the physics: what is seen of it, what it earns, when it ends.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -24,6 +26,18 @@ impl SimulationSettings {
     #[must_use]
     pub fn observation_size(&self) -> usize {
         OBSERVATION_SIZE + self.history
+    }
+
+    /// The same with the velocity filter that psi asks for, where it names one; where the true state is
+    /// seen, there is none.
+    #[must_use]
+    pub fn shaped_by(mut self, psi: &Psi) -> Self {
+        if let (SensorModel::Encoders { estimator }, Some(corner_rad_s)) =
+            (&mut self.sensors, psi.filter_corner_rad_s())
+        {
+            estimator.corner_rad_s = corner_rad_s;
+        }
+        self
     }
 
     /// What the machine has, and the last two commands in the observation: for Qubes with a delay.
