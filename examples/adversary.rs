@@ -1,6 +1,6 @@
 //! Searches the worst adversary of the speed envelope: `scripts/adversary` runs it over 10^6 episodes.
 //!
-//! `cargo run --release --example adversary -- SEARCHES [SPREAD [DELAY_MS [CORNER [box]]]]`
+//! `cargo run --release --example adversary -- SEARCHES [SPREAD [DELAY_MS [CORNER [envelope|box [FIRST]]]]]`
 
 #[path = "../tests/adversary/mod.rs"]
 mod adversary;
@@ -29,6 +29,7 @@ fn main() {
         ..PROMISED
     };
     let searches = number(0, 100.0) as u64;
+    let first_seed = number(5, 0.0) as u64;
     let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
     let mut results: Vec<(u64, Worst)> = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..threads)
@@ -36,6 +37,7 @@ fn main() {
                 scope.spawn(move || {
                     (thread..searches)
                         .step_by(threads as usize)
+                        .map(|number| number + first_seed)
                         .map(|seed| (seed, search(&domain, seed, GENERATIONS)))
                         .collect::<Vec<_>>()
                 })
@@ -50,10 +52,11 @@ fn main() {
         results.iter().filter(|(_, worst)| worst.episode.farthest_rad >= HARD_STOP_RAD).count();
     let false_faults: u64 = results.iter().map(|(_, worst)| u64::from(worst.false_faults)).sum();
     let largest_mv = results.iter().map(|(_, worst)| worst.largest_mv).max().unwrap_or(0);
-    for (seed, worst) in results.iter().take(3) {
+    for (seed, worst) in results.iter().take(5) {
         println!(
-            "search {seed}: {:.3} rad, {:?} after {} ticks, delays of seed {}, genes {:.2?}",
+            "search {seed}: {:.3} rad at {:.2} s, {:?} after {} ticks, delays of seed {}, genes {:.2?}",
             worst.episode.farthest_rad,
+            worst.episode.farthest_at_s,
             worst.episode.ending,
             worst.episode.ticks,
             worst.seed,

@@ -15,9 +15,9 @@
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-use qube_hil::learning::{TrainSettings, train};
+use qube_hil::learning::{TrainSettings, evaluate_afresh, train};
 use qube_hil::policy::Network;
-use qube_hil::simulation::{DomainDistribution, Family, SimulationSettings, Trajectory, evaluate};
+use qube_hil::simulation::{DomainDistribution, Family, Trajectory};
 
 /// Starts of the evaluation after training, all of them new to the policy.
 const FRESH_STARTS: usize = 1000;
@@ -55,8 +55,10 @@ fn main() -> anyhow::Result<()> {
             }
         })?;
         let seconds = started.elapsed().as_secs_f64();
-        let fresh_return =
-            |network: &Network| fresh_return(network, &distribution, &settings.simulation);
+        let fresh_return = |network: &Network| {
+            let (simulation, seed) = (&settings.simulation, FRESH_SEED);
+            evaluate_afresh(network, &distribution, simulation, seed, FRESH_STARTS).mean_return()
+        };
         let (fresh, fresh_final) =
             (fresh_return(&trained.network), fresh_return(&trained.final_network));
         let (best, last) = (trained.best_return, trained.final_return);
@@ -86,23 +88,6 @@ fn with_settings(preset: &str, replaced: &[String]) -> anyhow::Result<TrainSetti
 fn one_of_handcrafted(number: u64) -> DomainDistribution {
     let handcrafted = DomainDistribution::handcrafted(Family::Normal);
     DomainDistribution::constant(&Trajectory::draw(&handcrafted, FRESH_SEED, number).parameters)
-}
-
-fn fresh_return(
-    network: &Network,
-    distribution: &DomainDistribution,
-    simulation: &SimulationSettings,
-) -> f64 {
-    let mut network = network.clone();
-    let mut actor = |observations: &[f32], voltages_v: &mut [f32]| {
-        let lanes = voltages_v.len();
-        for (lane, voltage_v) in voltages_v.iter_mut().enumerate() {
-            let observation: Vec<f32> =
-                observations.iter().skip(lane).step_by(lanes).copied().collect();
-            *voltage_v = network.voltage_of_observation_v(&observation);
-        }
-    };
-    evaluate(&mut actor, distribution, simulation, FRESH_SEED, FRESH_STARTS).mean_return()
 }
 
 /// What one training gave. Both returns are fresh: evaluations during training flatter the best.

@@ -11,6 +11,7 @@ pub mod control;
 pub mod device;
 pub mod elementary;
 pub mod estimation;
+pub mod experiment;
 pub mod identification;
 pub mod learning;
 pub mod policy;

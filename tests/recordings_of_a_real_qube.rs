@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use qube_hil::control::SensorWatch;
+use qube_hil::control::{Drive, SensorWatch};
 use qube_hil::identification::{Unknown, horizon_error, identify};
 use qube_hil::qube::{Measurement, QubeModel, RAD_PER_COUNT};
 use qube_hil::replay::{AngleError, MotionLog, simulate_beside};
@@ -102,10 +102,12 @@ fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
                     alpha_counts: (sample.state.alpha / RAD_PER_COUNT).round() as i32,
                     // The recordings have no tachometer; their filter stands in for it.
                     tachometer_counts_s: (sample.state.theta_dot / RAD_PER_COUNT) as i32,
-                    applied_mv: (1000.0 * sample.voltage_v) as i16,
                     ..Measurement::default()
                 },
-                false,
+                Some(Drive {
+                    voltage_mv: (1000.0 * sample.voltage_v) as i16,
+                    swing_rad_s: sample.state.alpha.cos() * sample.state.alpha_dot,
+                }),
             );
             assert_eq!(alarm, None, "{} at {} s", path.display(), sample.time_s);
         }

@@ -11,7 +11,7 @@ use qube_hil::clock::{Clock, MonotonicClock, VirtualClock};
 use qube_hil::control::{Homing, HomingMethod, HomingSettings, Motion, RING_CAPACITY, Tick, drive};
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
-use qube_hil::estimation::{Calibration, EstimatorSettings};
+use qube_hil::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Network, Policy};
 use qube_hil::qube::Measurement;
 use qube_hil::safety::SafetyBox;
@@ -115,9 +115,13 @@ fn network_with_history() -> Policy {
 }
 
 fn rollout(policy: Policy, max_steps: u32) -> Tick {
+    rollout_seen_by(EstimatorSettings::default(), policy, max_steps)
+}
+
+fn rollout_seen_by(estimator: EstimatorSettings, policy: Policy, max_steps: u32) -> Tick {
     let settings = TickSettings {
         calibration: Calibration::IDENTITY,
-        estimator: EstimatorSettings::default(),
+        estimator,
         safety_box: SafetyBox::THESIS,
         max_steps,
         start_theta_rad: 0.0,
@@ -154,10 +158,17 @@ fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
 
 #[test]
 fn a_rollout_in_virtual_time_allocates_nothing() {
-    for policy in [classical(), network(), network_with_history()] {
+    let delayed = ObserverSettings::default().with_delay(0.0234);
+    for (policy, estimator) in [
+        (classical(), EstimatorSettings::default()),
+        (network(), EstimatorSettings::default()),
+        (network_with_history(), EstimatorSettings::default()),
+        (network(), EstimatorSettings::observer(delayed)),
+    ] {
         let clock = VirtualClock::default();
         let device = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
-        let (_, allocations) = driven(device, &clock, &mut rollout(policy, 600));
+        let mut rollout = rollout_seen_by(estimator, policy, 600);
+        let (_, allocations) = driven(device, &clock, &mut rollout);
         assert_eq!(allocations, 0);
     }
 }

@@ -66,7 +66,10 @@ const ROOMS: &[Room] = &[
                         "firmware_protocol"]),
     room("session", &["clock", "elementary", "qube", "estimation", "safety", "policy",
                       "simulation", "learning", "surrogate", "search", "device", "telemetry",
-                      "control", "recording", "replay", "preflight", "storage"]),
+                      "control", "recording", "replay", "identification", "preflight",
+                      "storage"]),
+    room("experiment", &["qube", "estimation", "safety", "policy", "simulation", "learning", "search",
+                         "recording", "telemetry", "session", "storage"]),
     room("commands", EVERY_ROOM),
 ];
 

@@ -3,9 +3,11 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 
 use super::exit::Failure;
+use super::profile;
 use crate::control::{HomingMethod, HomingSettings};
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
+use crate::qube::QubeModel;
 use crate::safety::SafetyBox;
 use crate::session::{ClockChoice, DeviceChoice, QUBE_FILE, QubeFile, RigSettings};
 
@@ -15,6 +17,17 @@ const EMULATED: &str = "emulated";
 /// Which Qube, and which time.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DeviceArguments {
+    #[command(flatten)]
+    qube: QubeArguments,
+
+    /// Which time passes; `virtual` runs the emulated Qube as fast as the processor can
+    #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
+    clock: ClockArgument,
+}
+
+/// Which Qube.
+#[derive(Clone, Debug, clap::Args)]
+pub struct QubeArguments {
     /// `emulated`, or the serial port of a Qube [default: the port in --qube, else emulated]
     #[arg(long, value_name = "emulated|PORT")]
     device: Option<String>,
@@ -27,10 +40,6 @@ pub struct DeviceArguments {
     /// How the arm's middle is found: between its stops, or where it was put by hand
     #[arg(long, value_enum)]
     home: Option<HomeArgument>,
-
-    /// Which time passes; `virtual` runs the emulated Qube as fast as the processor can
-    #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
-    clock: ClockArgument,
 }
 
 /// The two clocks by name.
@@ -61,10 +70,24 @@ pub struct ChosenDevice {
     /// What is particular about it, where a file says so.
     pub file: Option<QubeFile>,
     home: Option<HomingMethod>,
+    /// Where the profile is that the file names.
+    profile: Option<PathBuf>,
 }
 
 impl DeviceArguments {
-    /// Reads the file about the Qube, where there is one, and finds out which Qube is meant.
+    /// As [`QubeArguments::choose`], with the clock that was asked for.
+    pub fn choose(&self) -> Result<ChosenDevice, Failure> {
+        let clock = match self.clock {
+            ClockArgument::Wall => ClockChoice::Wall,
+            ClockArgument::Virtual => ClockChoice::Virtual,
+        };
+        Ok(ChosenDevice { clock, ..self.qube.choose()? })
+    }
+}
+
+impl QubeArguments {
+    /// Reads the file about the Qube, where there is one, and finds out which Qube is meant. An
+    /// emulated one is in virtual time.
     ///
     /// The file in the working directory counts only with a port: without `--device` and `--qube`
     /// nothing but the emulated Qube moves, whatever lies around.
@@ -86,12 +109,17 @@ impl DeviceArguments {
                 Failure::usage(format!("{} names no port: give --device too", path.display()))
             })?),
         };
+        let clock = match choice {
+            DeviceChoice::Emulated => ClockChoice::Virtual,
+            DeviceChoice::Port(_) | DeviceChoice::Other(_) => ClockChoice::Wall,
+        };
+        let named = file.as_ref().and_then(|file| file.profile.as_deref());
+        let folder = path.and_then(Path::parent).unwrap_or(Path::new(""));
+        let profile = named.map(|profile| folder.join(profile));
         Ok(ChosenDevice {
             choice,
-            clock: match self.clock {
-                ClockArgument::Wall => ClockChoice::Wall,
-                ClockArgument::Virtual => ClockChoice::Virtual,
-            },
+            clock,
+            profile,
             file,
             home: self.home.map(|home| match home {
                 HomeArgument::Stops => HomingMethod::Stops,
@@ -111,6 +139,11 @@ impl ChosenDevice {
     /// A box no wider than its file allows.
     pub fn safety_box(&self, of_the_task: SafetyBox) -> SafetyBox {
         self.file.as_ref().map_or(of_the_task, |file| file.within_limits(&of_the_task))
+    }
+
+    /// What the Qube was when its profile was made, where its file names one.
+    pub fn profile(&self) -> Result<Option<QubeModel>, Failure> {
+        self.profile.as_deref().map(|path| Ok(profile::load(path)?.model())).transpose()
     }
 
     /// What a rig is opened with.

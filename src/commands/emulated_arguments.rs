@@ -1,13 +1,11 @@
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::profile;
-use crate::qube::{DomainParameter, Profile, QubeModel};
+use crate::qube::DomainParameter;
 use crate::session::EmulatedQubeSettings;
-
-/// The profile that comes with the program: a real Qube of which recordings are published.
-const LAB: &str = include_str!("../../profiles/lab.toml");
 
 /// What the emulated Qube is like.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -36,6 +34,56 @@ pub struct EmulatedArguments {
 }
 
 impl EmulatedArguments {
+    /// The same from a file's entries, by the rules of the command line.
+    ///
+    /// # Errors
+    /// What cannot be, in words.
+    pub fn checked(
+        profile: Option<String>,
+        gap: Option<f64>,
+        delay_ms: Option<f64>,
+        jitter_ms: Option<f64>,
+        scale: &BTreeMap<String, f64>,
+    ) -> Result<Self, String> {
+        let number = |name: &str, value: Option<f64>, rule: fn(&str) -> Result<f64, String>| {
+            let check =
+                |value: f64| rule(&value.to_string()).map_err(|why| format!("{name}: {why}"));
+            value.map(check).transpose()
+        };
+        Ok(Self {
+            profile,
+            gap: number("gap", gap, factor)?,
+            delay_ms: number("delay_ms", delay_ms, milliseconds)?,
+            jitter_ms: number("jitter_ms", jitter_ms, milliseconds)?,
+            scale: scale
+                .iter()
+                .map(|(symbol, factor)| scaling(&format!("{symbol}={factor}")))
+                .collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// A name for what they ask for, which a folder can have: `lab+gap1.5+10ms`.
+    pub fn name(&self) -> String {
+        let profile = self.profile.as_deref().unwrap_or("ideal");
+        let stem = Path::new(profile).file_stem().unwrap_or_default().to_string_lossy();
+        let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
+        let mut name: String =
+            stem.chars().map(|letter| if allowed(letter) { letter } else { '-' }).collect();
+        if let Some(factor) = self.gap {
+            name += &format!("+gap{factor}");
+        }
+        if let Some(milliseconds) = self.delay_ms {
+            name += &format!("+{milliseconds}ms");
+        }
+        if let Some(milliseconds) = self.jitter_ms {
+            name += &format!("+jitter{milliseconds}ms");
+        }
+        for (parameter, factor) in &self.scale {
+            name += &format!("+{}x{factor}", parameter.symbol());
+        }
+        name
+    }
+
     /// What they ask for; None when they ask for nothing.
     pub fn settings(&self) -> Result<Option<EmulatedQubeSettings>, Failure> {
         let asked = self.profile.is_some()
@@ -46,13 +94,7 @@ impl EmulatedArguments {
         if !asked {
             return Ok(None);
         }
-        let mut model = match self.profile.as_deref() {
-            None | Some("ideal") => QubeModel::NOMINAL,
-            Some("lab") => Profile::parse(LAB)
-                .map_err(|error| Failure::failed(format!("the profile lab: {error}")))?
-                .model(),
-            Some(path) => profile::load(Path::new(path))?.model(),
-        };
+        let mut model = profile::named(self.profile.as_deref().unwrap_or(profile::IDEAL))?;
         if let Some(factor) = self.gap {
             model = model.scaled(factor);
         }

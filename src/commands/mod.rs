@@ -9,12 +9,17 @@ mod device_arguments;
 mod doctor;
 mod emulate;
 mod emulated_arguments;
+mod estimator_arguments;
 mod exit;
+mod experiment;
+mod experiment_progress;
+mod experiment_table;
 mod failures;
 mod guard_argument;
 mod identify;
 mod number_arguments;
 mod output;
+mod plant_arguments;
 mod profile;
 mod recover;
 mod replay;
@@ -63,6 +68,7 @@ struct CommandLine {
 #[derive(Debug, Subcommand)]
 enum Command {
     Session(session::Arguments),
+    Experiment(experiment::Arguments),
     Train(train::Arguments),
     Identify(identify::Arguments),
     Run(run::Arguments),
@@ -84,6 +90,7 @@ pub fn main() -> ExitCode {
     let output = Output::new(command_line.json);
     let outcome = match command_line.command {
         Command::Session(arguments) => session::run(arguments, &output),
+        Command::Experiment(arguments) => experiment::run(arguments, &output),
         Command::Train(arguments) => train::run(arguments, &output),
         Command::Identify(arguments) => identify::run(&arguments, &output),
         Command::Run(arguments) => run::run(arguments, &output),

@@ -1,7 +1,24 @@
 use std::path::Path;
 
 use super::exit::Failure;
-use crate::qube::Profile;
+use crate::qube::{Profile, QubeModel};
+
+/// The name of the thesis's Qube.
+pub const IDEAL: &str = "ideal";
+
+/// The profile that comes with the program: a real Qube of which recordings are published.
+const LAB: &str = include_str!("../../profiles/lab.toml");
+
+/// The Qube of this name: `ideal`, `lab`, or a file that describes one.
+pub fn named(name: &str) -> Result<QubeModel, Failure> {
+    Ok(match name {
+        IDEAL => QubeModel::NOMINAL,
+        "lab" => Profile::parse(LAB)
+            .map_err(|error| Failure::failed(format!("the profile lab: {error}")))?
+            .model(),
+        path => load(Path::new(path))?.model(),
+    })
+}
 
 /// Reads the file that describes a Qube.
 pub fn load(path: &Path) -> Result<Profile, Failure> {

@@ -1,28 +1,35 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
 use serde_json::{Value, json};
 
 use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
+use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::guard_argument::GuardArgument;
-use super::number_arguments::positive;
+use super::number_arguments::between;
 use super::output::Output;
 use super::stop::Stop;
 use super::{dated_folder, failures, timing_lines, warn_without_realtime};
 use crate::control::HomingMethod;
-use crate::estimation::EstimatorSettings;
-use crate::policy::{ClassicalController, ClassicalGains, Policy};
-use crate::qube::MAX_STEPS;
-use crate::recording::read;
+use crate::identification::{Unfit, check_recording};
+use crate::policy::{
+    ClassicalController, ClassicalGains, EXCITATION_STEPS, Excitation, ExcitationShape, Policy,
+};
+use crate::qube::{MAX_STEPS, QubeModel};
+use crate::recording::{Recording, read};
+use crate::replay::MotionLog;
 use crate::safety::SafetyBox;
-use crate::session::{Latencies, Rig, RolloutPlan, Verdict, judge_recording};
+use crate::session::{
+    DRIFT_ROLLOUTS, Drift, Latencies, Rig, RolloutPlan, Verdict, judge_recording,
+};
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
 
 /// Run a policy on the Qube and log it: homing, then for each rollout settling, six seconds of
-/// policy, braking
+/// policy, braking; or excite it for `identify`
 ///
 /// Exit code 0 also when a rollout left the safety box: that is a result. 4 when a fault ended the
 /// last one.
@@ -31,11 +38,22 @@ use crate::telemetry::Ending;
     qube-hil run --policy classical                       # a swing-up at once, nothing trained\n  \
     qube-hil run --policy policies/nominal.safetensors --rollouts 5\n  \
     qube-hil run --policy best.safetensors --device /dev/ttyACM0 --out logs/monday\n  \
+    qube-hil run --policy best.safetensors --profile lab --estimator observer --estimator-profile lab\n  \
+    qube-hil run --excite chirp --rollouts 4 --out logs/chirps   # for qube-hil identify\n  \
     qube-hil run --policy classical --qube qube.toml      # port and signs from check --write")]
 pub struct Arguments {
     /// A policy file, or `classical` for the built-in energy swing-up with balance
-    #[arg(long, value_name = "FILE|classical")]
-    policy: String,
+    #[arg(long, value_name = "FILE|classical", required_unless_present = "excite")]
+    policy: Option<String>,
+
+    /// No policy but a voltage for 10 s that makes a recording for `identify`, each rollout
+    /// beginning with the other sign; the box and the guard hold as for a policy
+    #[arg(long, value_enum, conflicts_with = "policy")]
+    excite: Option<ExciteArgument>,
+
+    /// Most volts of the excitation
+    #[arg(long, value_name = "V", default_value_t = 1.5, value_parser = volts, requires = "excite")]
+    volts: f64,
 
     /// How many rollouts
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
@@ -49,13 +67,12 @@ pub struct Arguments {
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
-    /// Corner of the velocity filter, rad/s (50 is the thesis's set-up)
-    #[arg(long, default_value_t = EstimatorSettings::default().corner_rad_s, value_parser = positive)]
-    filter: f64,
-
     /// What ends a rollout: the speed envelope too, or the box alone
     #[arg(long, value_enum, default_value_t = GuardArgument::Envelope)]
     guard: GuardArgument,
+
+    #[command(flatten)]
+    estimator: EstimatorArguments,
 
     #[command(flatten)]
     device: DeviceArguments,
@@ -67,14 +84,61 @@ pub struct Arguments {
     check: CheckArguments,
 }
 
+/// The excitations by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ExciteArgument {
+    /// A cosine from 5 Hz down to 0
+    Chirp,
+    /// Voltages held for 0.1 to 0.4 s, up and down without a pattern
+    Steps,
+}
+
+impl From<ExciteArgument> for ExcitationShape {
+    fn from(argument: ExciteArgument) -> Self {
+        match argument {
+            ExciteArgument::Chirp => Self::Chirp,
+            ExciteArgument::Steps => Self::Steps,
+        }
+    }
+}
+
+/// What drives the motor: named for the header, and for each rollout the bytes of its file.
+struct Driver {
+    name: String,
+    files: Vec<Vec<u8>>,
+    steps: u32,
+}
+
+impl Driver {
+    fn chosen(arguments: &Arguments) -> Result<Self, Failure> {
+        if let Some(argument) = arguments.excite {
+            let shape = ExcitationShape::from(argument);
+            let file = |volts| Policy::Excitation(Excitation::new(shape, volts)).to_bytes();
+            return Ok(Self {
+                name: format!("excitation by {}", format!("{shape:?}").to_lowercase()),
+                files: [arguments.volts, -arguments.volts].map(file).into(),
+                steps: EXCITATION_STEPS,
+            });
+        }
+        let name = arguments.policy.clone().unwrap_or_default();
+        Ok(Self { files: vec![policy_file(&name)?], name, steps: MAX_STEPS as u32 })
+    }
+
+    /// The file of a rollout.
+    fn file(&self, rollout: u32) -> &[u8] {
+        &self.files[rollout as usize % self.files.len()]
+    }
+}
+
 /// Runs the rollouts and prints what they earned.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
-    let policy = policy_file(&arguments.policy)?;
+    let driver = Driver::chosen(&arguments)?;
     let stop = Stop::on_signals()?;
     let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("run"));
 
-    let estimator = EstimatorSettings { corner_rad_s: arguments.filter };
+    let estimator = arguments.estimator.settings()?.unwrap_or_default();
     let device = arguments.device.choose()?;
+    let profile = device.profile()?;
     let emulated = arguments.emulated.settings()?.unwrap_or_default();
     let emulator = emulated.emulator(arguments.seed);
     let settings = device.rig_settings(emulator, estimator, arguments.check.skip_check);
@@ -89,7 +153,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     std::fs::create_dir_all(&directory)
         .map_err(|error| Failure::usage(format!("--out {}: {error}", directory.display())))?;
 
-    let mut results = Results::default();
+    let mut results = Results { excited: arguments.excite.is_some(), ..Results::default() };
     for rollout in 0..arguments.rollouts {
         let plan = RolloutPlan {
             session: "run".into(),
@@ -98,15 +162,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             attempt: 0,
             psi: Default::default(),
             seed: arguments.seed,
-            policy: arguments.policy.clone(),
+            policy: driver.name.clone(),
             estimator,
             safety_box: device
                 .safety_box(SafetyBox { guard: arguments.guard.into(), ..SafetyBox::THESIS }),
-            steps: MAX_STEPS as u32,
+            steps: driver.steps,
         };
         let path = directory.join(format!("rollout-{rollout}.mcap"));
-        let recorded =
-            rig.rollout(&MachineDisk, &path, plan.header(), &policy).map_err(|error| {
+        let recorded = rig
+            .rollout(&MachineDisk, &path, plan.header(), driver.file(rollout))
+            .map_err(|error| {
                 // What was finished before it is on disk, and worth seeing.
                 eprint!("{}", results.lines);
                 failures::rig(error, &stop)
@@ -123,6 +188,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
                 ))
             })?;
         }
+    }
+    if let Some(profile) = profile {
+        results.compare(&profile);
     }
     output.print(&results.text(), &results.json());
     if stop.requested() {
@@ -144,24 +212,50 @@ fn policy_file(name: &str) -> Result<Vec<u8>, Failure> {
     Policy::load(Path::new(name)).map_err(Failure::usage).map(|policy| policy.to_bytes())
 }
 
+/// What `identify` would make of the recording of an excitation.
+fn fitness(recording: &Recording) -> String {
+    let Some(log) = MotionLog::of_recording(recording) else {
+        return "no motion: `identify` cannot use it".into();
+    };
+    let duration_s = log.samples.last().map_or(0.0, |last| last.time_s);
+    match check_recording(&log) {
+        Ok(()) => format!("{duration_s:.1} s recorded, fit for identify"),
+        Err(unfit) => format!("{duration_s:.1} s recorded, but not fit for identify: {unfit}"),
+    }
+}
+
+fn volts(text: &str) -> Result<f64, String> {
+    between(text, 0.1, 3.0)
+}
+
 /// What the rollouts came to, read back from their recordings.
 #[derive(Debug, Default)]
 struct Results {
     lines: String,
+    /// No policy drove: what counts is whether `identify` can use it.
+    excited: bool,
     /// None where a rollout came to no result.
     returns: Vec<Option<f64>>,
     ended_early: Vec<Option<String>>,
     success: Vec<bool>,
     recordings: Vec<PathBuf>,
     latencies: Latencies,
+    /// How often the observer had lost the Qube.
+    times_astray: u64,
     /// Why the last rollout is void, if a fault made it so.
     fault: Option<String>,
+    /// The first rollouts that came to a result.
+    first: Vec<Recording>,
+    /// The rig beside its profile, or why that cannot be said.
+    drift: Option<Result<Drift, Unfit>>,
 }
 
 impl Results {
     fn add(&mut self, path: &Path) -> Result<(), Failure> {
         let recording = read(path).map_err(Failure::data_lost)?;
         self.latencies.add(&recording.ticks);
+        let outcome = recording.outcome.as_ref();
+        self.times_astray += outcome.map_or(0, |outcome| u64::from(outcome.times_astray));
         let rollout = self.returns.len();
         let _ = match judge_recording(&recording) {
             Verdict::Result { return_, success, outcome } => {
@@ -170,6 +264,7 @@ impl Results {
                     _ => None,
                 };
                 let word = match &ended_early {
+                    _ if self.excited => fitness(&recording),
                     Some(reason) => format!("{reason} after {} steps", outcome.steps),
                     None if success => "success".into(),
                     None => "not standing at the end".into(),
@@ -178,7 +273,11 @@ impl Results {
                 self.returns.push(Some(return_));
                 self.ended_early.push(ended_early);
                 self.success.push(success);
-                writeln!(self.lines, "rollout {rollout}: return {return_:6.1}  {word}")
+                if self.excited {
+                    writeln!(self.lines, "rollout {rollout}: {word}")
+                } else {
+                    writeln!(self.lines, "rollout {rollout}: return {return_:6.1}  {word}")
+                }
             }
             Verdict::Void { reason } => {
                 self.fault = Some(reason.clone());
@@ -187,7 +286,15 @@ impl Results {
             Verdict::Unfinished => self.no_result("stopped".into()),
         };
         self.recordings.push(path.to_owned());
+        if self.fault.is_none() && self.first.len() < DRIFT_ROLLOUTS {
+            self.first.push(recording);
+        }
         Ok(())
+    }
+
+    /// Compares the first rollouts with what the Qube was when its profile was made.
+    fn compare(&mut self, profile: &QubeModel) {
+        self.drift = Some(Drift::of(&self.first, profile));
     }
 
     fn no_result(&mut self, why: String) -> std::fmt::Result {
@@ -200,12 +307,27 @@ impl Results {
 
     fn text(&self) -> String {
         let directory = self.recordings.first().and_then(|path| path.parent());
-        format!(
-            "{}{}recordings in {}",
-            self.lines,
-            timing_lines(&self.latencies),
-            directory.unwrap_or(Path::new(".")).display()
-        )
+        let directory = directory.unwrap_or(Path::new(".")).display();
+        let astray = match self.times_astray {
+            0 => String::new(),
+            times => format!(
+                "the observer had lost the Qube {times} times: its model or its delay is of another\n"
+            ),
+        };
+        let next = if self.excited {
+            format!("\nqube-hil identify {directory}/*.mcap says which Qube this is")
+        } else {
+            String::new()
+        };
+        let timing = timing_lines(&self.latencies);
+        let drift = match &self.drift {
+            Some(Ok(drift)) => format!("{drift}\n"),
+            Some(Err(unfit)) => {
+                format!("these rollouts say nothing of how the rig is today: {unfit}\n")
+            }
+            None => String::new(),
+        };
+        format!("{}{astray}{drift}{timing}recordings in {directory}{next}", self.lines)
     }
 
     fn json(&self) -> Value {
@@ -213,10 +335,12 @@ impl Results {
             "returns": self.returns,
             "ended_early": self.ended_early,
             "success": self.success,
+            "times_astray": self.times_astray,
             "missed_deadlines": self.latencies.missed_deadlines(),
             "lateness_us": self.latencies.lateness_us(),
             "sample_to_act_us": self.latencies.sample_to_act_us(),
             "recordings": self.recordings,
+            "drift": self.drift.as_ref().and_then(|drift| drift.as_ref().ok()),
         })
     }
 }

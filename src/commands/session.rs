@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use super::dated_folder;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
+use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
 use super::guard_argument::GuardArgument;
@@ -15,7 +16,7 @@ use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
-use crate::session::{DeviceChoice, Session, SessionFolder, SessionSettings};
+use crate::session::{Session, SessionFolder, SessionSettings};
 
 /// Do the whole method: search the distribution of simulations whose policies earn most on the Qube
 ///
@@ -51,9 +52,12 @@ pub struct Arguments {
     resume: Option<PathBuf>,
 
     /// Guard of rollouts and training: the speed envelope, or the thesis's box alone [default: the
-    /// envelope on a port, the box on the emulated Qube, with --config as configured]
+    /// envelope, with --config as configured]
     #[arg(long, value_enum, conflicts_with = "resume")]
     guard: Option<GuardArgument>,
+
+    #[command(flatten)]
+    estimator: EstimatorArguments,
 
     #[command(flatten)]
     device: DeviceArguments,
@@ -85,9 +89,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
                  --gap, --delay-ms, --jitter-ms and --scale out",
             ));
         }
+        Some(_) if arguments.estimator.settings()?.is_some() => {
+            return Err(Failure::usage(
+                "a session goes on with the estimator that it began with: leave --estimator, \
+                 --filter, --estimator-profile and --estimator-delay-ms out",
+            ));
+        }
         Some(directory) => resumed(directory, &device)?,
         None => begun(&arguments, &device)?,
     };
+    let profile = device.profile()?;
     let stop = Stop::on_signals()?;
     let rig_settings = crate::session::RigSettings {
         homing: settings.homing,
@@ -107,7 +118,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut progress = SessionProgress::new(&settings);
     let mut session =
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
-            .map_err(failed)?;
+            .map_err(failed)?
+            .beside(profile);
     service_manager::ready();
     let ended = session.run(&mut |news| {
         service_manager::alive();
@@ -139,10 +151,7 @@ fn begun(
         Some(path) => preset.overridden_by(path).map_err(Failure::usage)?,
         None => preset,
     };
-    // The emulated Qube cannot be hurt, and within the box alone its policies learn in seconds.
-    let emulated = matches!(device.choice, DeviceChoice::Emulated) && arguments.config.is_none();
-    let default = emulated.then_some(GuardArgument::Box);
-    if let Some(guard) = arguments.guard.or(default) {
+    if let Some(guard) = arguments.guard {
         settings = settings.under(guard.into());
     }
     settings.seed = arguments.seed.unwrap_or(settings.seed);
@@ -150,6 +159,7 @@ fn begun(
     settings.name = directory
         .file_name()
         .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
+    settings.estimator = arguments.estimator.settings()?.unwrap_or(settings.estimator);
     settings.emulated = arguments.emulated.settings()?.unwrap_or(settings.emulated);
     let settings = on_this_qube(settings, device);
     let configuration = settings.to_toml().map_err(Failure::failed)?;

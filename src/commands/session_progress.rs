@@ -72,6 +72,9 @@ impl SessionProgress {
                 }
                 self.connected = true;
             }
+            Progress::Drift(Ok(drift)) => self.line(drift.to_string()),
+            Progress::Drift(Err(unfit)) => self
+                .line(format!("the first rollouts say nothing of how the rig is today: {unfit}")),
             Progress::Rollout { candidate, rollout, attempt, verdict } => {
                 let again =
                     if *attempt > 0 { format!(" (try {})", attempt + 1) } else { String::new() };

@@ -118,6 +118,7 @@ pub fn drive(
             steps: turns.steps,
             missed_deadlines: turns.missed_deadlines,
             records_lost: turns.records_lost,
+            times_astray: motion.times_astray(),
             lateness_us: lateness.summary(),
             sample_to_act_us: sample_to_act.summary(),
         },

@@ -262,7 +262,7 @@ impl Homing {
             }
             Estimator::new(self.settings.estimator, self.provisional)
         });
-        estimator.update(measurement)
+        estimator.update(measurement).guarded
     }
 
     /// Moves on to the next stage where one has reached its end.
@@ -394,7 +394,7 @@ impl Motion for Homing {
         self.ticks += 1 + input.skipped_periods;
 
         // The arm is slow here: a fault that would brake a rollout can switch off at once.
-        let seen = input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, true));
+        let seen = input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, None));
         let alarm = self.watch.check(input).or(seen);
         if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = alarm {
             return self.off(Ending::Fault(fault));

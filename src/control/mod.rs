@@ -26,7 +26,7 @@ pub use latency::LatencyHistogram;
 pub use machine::{ControlAction, ControlEvent, ControlState, state_diagram};
 pub use motion::{Motion, TickInput, TickOutput};
 pub use nudge::{Nudge, NudgeResponse};
-pub use sensor_watch::SensorWatch;
+pub use sensor_watch::{Drive, SensorWatch};
 pub use thread::{ControlError, ControlThread, ThreadGone};
 pub use tick::Tick;
 pub use watch::Alarm;

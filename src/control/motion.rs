@@ -24,7 +24,7 @@ pub struct TickInput {
 pub struct TickOutput {
     /// What the tick was doing.
     pub phase: Phase,
-    /// The estimated state.
+    /// The estimated state that a policy sees.
     pub state: State,
     /// What the controller asked for, V; none while held over or switched off.
     pub wanted_v: Option<f64>,
@@ -49,6 +49,11 @@ pub trait Motion: Send {
 
     /// Where the motion has come to in the table of states.
     fn control_state(&self) -> ControlState;
+
+    /// How often an observer had lost the Qube and started anew.
+    fn times_astray(&self) -> u32 {
+        0
+    }
 
     /// The voltage as the device's wiring wants it, mV.
     fn device_mv(&self, voltage_mv: i16) -> i16;

@@ -170,7 +170,7 @@ impl Motion for Nudge {
             self.ticks += 1;
             return self.output(None, None);
         };
-        self.state = self.estimator.update(measurement);
+        self.state = self.estimator.update(measurement).guarded;
         self.current_a = self.current_a.max(f64::from(measurement.current_a).abs());
         let start = *self.start.get_or_insert(self.state);
         if self.advance(&start) {

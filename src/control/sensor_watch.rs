@@ -23,13 +23,18 @@ const STALL_US: u64 = 500_000;
 /// ... turns an arm faster than this, rad/s.
 const STALL_RAD_S: f64 = 0.5;
 
+/// A still arm that is driven this way while cos(alpha) alpha_dot grows by more than this the same way,
+/// rad/s, is held by the pendulum: it takes what the motor gives. One that only seems still lets the
+/// pendulum swing the other way.
+const CARRIED_RAD_S: f64 = 2.0;
+
 /// An arm whose velocity changes by this much, rad/s, moves the pendulum by more than
 /// [`FROZEN_COUNTS`]: the same change of velocity reaches the pendulum, but where it is level, and
 /// there it falls.
 const JERK_RAD_S: f64 = 6.0;
 
 /// ... and shows within this, us: a hit may catch it at the instant when it turns round.
-const PENDULUM_US: u64 = 100_000;
+const PENDULUM_US: u64 = 300_000;
 
 /// Counter and tachometer may differ by this much, counts/s (1.5 rad/s) ...
 const TACHOMETER_COUNTS_S: f64 = 500.0;
@@ -45,41 +50,69 @@ const TACHOMETER_US: u64 = 300_000;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensorWatch {
     previous: Option<Measurement>,
-    frozen: Drive,
-    stall: Drive,
+    frozen: Push,
+    stall: Push,
     pendulum: Pendulum,
     /// Since when counter and tachometer disagree.
     disagree_since_us: Option<u64>,
 }
 
+/// What the arm was driven by since the last sample, in the signs of the convention.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Drive {
+    /// The voltage that was sent last. What the device reports between two acts may show one sign of
+    /// a voltage that goes to and fro.
+    pub voltage_mv: i16,
+    /// cos(alpha) alpha_dot as estimated then, rad/s: the pendulum's share of the momentum.
+    pub swing_rad_s: f64,
+}
+
 /// A drive in one direction against an arm that hardly moves.
 #[derive(Clone, Copy, Debug, Default)]
-struct Drive {
+struct Push {
     since_us: Option<u64>,
     positive: bool,
     lowest: i32,
     highest: i32,
+    first_swing_rad_s: f64,
 }
 
-impl Drive {
-    /// How long it has lasted, us; from now on where `goes_on` is false or the direction is new.
-    fn lasted_us(&mut self, sample: &Measurement, least_mv: i16, most_counts: i32) -> u64 {
+impl Push {
+    /// Whether a drive of at least `least_mv` has lasted for `longest_us` in one direction, the arm
+    /// within `most_counts` all along, and no pendulum took it.
+    fn moves_nothing(
+        &mut self,
+        sample: &Measurement,
+        drive: Drive,
+        (least_mv, most_counts, longest_us): (i16, i32, u64),
+    ) -> bool {
         let counts = sample.theta_counts;
         let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
-        let drives = sample.applied_mv.saturating_abs() >= least_mv;
-        let positive = sample.applied_mv > 0;
+        let drives = drive.voltage_mv.saturating_abs() >= least_mv;
+        let positive = drive.voltage_mv > 0;
         let stays = highest.wrapping_sub(lowest) <= most_counts && positive == self.positive;
-        match self.since_us {
-            Some(since_us) if drives && stays => {
-                (self.lowest, self.highest) = (lowest, highest);
-                sample.device_time_us.saturating_sub(since_us)
+        if let Some(since_us) = self.since_us
+            && drives
+            && stays
+        {
+            (self.lowest, self.highest) = (lowest, highest);
+            if sample.device_time_us.saturating_sub(since_us) < longest_us {
+                return false;
             }
-            _ => {
-                let since_us = drives.then_some(sample.device_time_us);
-                *self = Self { since_us, positive, lowest: counts, highest: counts };
-                0
+            let taken_rad_s = drive.swing_rad_s - self.first_swing_rad_s;
+            let carried = if positive { taken_rad_s } else { -taken_rad_s } > CARRIED_RAD_S;
+            if !carried {
+                return true;
             }
         }
+        *self = Self {
+            since_us: drives.then_some(sample.device_time_us),
+            positive,
+            lowest: counts,
+            highest: counts,
+            first_swing_rad_s: drive.swing_rad_s,
+        };
+        false
     }
 }
 
@@ -121,11 +154,12 @@ impl Pendulum {
 }
 
 impl SensorWatch {
-    /// Looks at one sample. `may_push` where the arm is meant to push against its stop.
+    /// Looks at one sample; without a `drive` where the arm is meant to push against its stops.
     ///
-    /// All of these end with the amplifier off at once: a brake would work with the very numbers
-    /// that cannot be believed, or against whatever holds the arm.
-    pub fn check(&mut self, sample: &Measurement, may_push: bool) -> Option<Alarm> {
+    /// What concerns the arm ends with the amplifier off at once: a brake would work with the very
+    /// numbers that cannot be believed, or against whatever holds the arm. What concerns the pendulum
+    /// brakes: the arm may be under way, and the brake can do without the pendulum.
+    pub fn check(&mut self, sample: &Measurement, drive: Option<Drive>) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
             self.pendulum = Pendulum {
                 since_us: sample.device_time_us,
@@ -144,28 +178,29 @@ impl SensorWatch {
         let theta = moved(sample.theta_counts, previous.theta_counts);
         let alpha = moved(sample.alpha_counts, previous.alpha_counts);
         let periods = (elapsed_s / CONTROL_PERIOD_S).max(1.0);
-        if theta.abs() > JUMP_COUNTS * periods || alpha.abs() > JUMP_COUNTS * periods {
+        if theta.abs() > JUMP_COUNTS * periods {
             return Some(Alarm::Zero(Fault::EncoderJump));
+        }
+        if alpha.abs() > JUMP_COUNTS * periods {
+            return Some(Alarm::Brake(Fault::PendulumJump));
         }
         let counts_s = theta / elapsed_s;
         if self.disagrees(sample, counts_s) {
             return Some(Alarm::Zero(Fault::TachometerDisagrees));
         }
         if self.pendulum.is_frozen(sample, counts_s * RAD_PER_COUNT) {
-            return Some(Alarm::Zero(Fault::PendulumFrozen));
+            return Some(Alarm::Brake(Fault::PendulumFrozen));
         }
-        if may_push {
-            return None;
-        }
-        if self.frozen.lasted_us(sample, FROZEN_DRIVE_MV, FROZEN_COUNTS) >= FROZEN_US {
+        let drive = drive?;
+        if self.frozen.moves_nothing(sample, drive, (FROZEN_DRIVE_MV, FROZEN_COUNTS, FROZEN_US)) {
             return Some(Alarm::Zero(Fault::EncoderFrozen));
         }
         let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / RAD_PER_COUNT) as i32;
         // An arm that the pendulum throws to and fro stays near one place too, but not at one speed.
         if counts_s.abs() > STALL_RAD_S / RAD_PER_COUNT + 1.0 / elapsed_s {
-            self.stall = Drive::default();
+            self.stall = Push::default();
         }
-        if self.stall.lasted_us(sample, STALL_DRIVE_MV, crept_counts) >= STALL_US {
+        if self.stall.moves_nothing(sample, drive, (STALL_DRIVE_MV, crept_counts, STALL_US)) {
             return Some(Alarm::Zero(Fault::Stall));
         }
         None
@@ -199,7 +234,8 @@ mod tests {
             let device_time_us = u64::from(tick) * 10_000;
             let mut sample = Measurement { device_time_us, ..Measurement::default() };
             at(tick, &mut sample);
-            match watch.check(&sample, may_push)? {
+            let drive = Drive { voltage_mv: sample.applied_mv, swing_rad_s: 0.0 };
+            match watch.check(&sample, (!may_push).then_some(drive))? {
                 Alarm::Zero(fault) | Alarm::Brake(fault) => Some((tick, fault)),
             }
         })
@@ -207,8 +243,8 @@ mod tests {
 
     #[test]
     fn two_hundred_counts_a_period_are_motion_and_more_are_a_jump() {
-        for (step, expected) in [(200, None), (201, Some((10, Fault::EncoderJump)))] {
-            for pendulum in [false, true] {
+        for (step, jumps) in [(200, false), (201, true)] {
+            for (pendulum, fault) in [(false, Fault::EncoderJump), (true, Fault::PendulumJump)] {
                 let at = |tick: u32, sample: &mut Measurement| {
                     let counts = if tick >= 10 { step } else { 0 };
                     if pendulum {
@@ -219,15 +255,15 @@ mod tests {
                         sample.alpha_counts = 5 * tick as i32;
                     }
                 };
-                assert_eq!(first_alarm(30, at, false), expected);
+                assert_eq!(first_alarm(30, at, false), jumps.then_some((10, fault)));
             }
         }
         // Over two periods twice as much is motion.
         let mut watch = SensorWatch::default();
         for (device_time_us, alpha_counts) in [(0, 0), (20_000, 400), (40_000, 801)] {
             let sample = Measurement { device_time_us, alpha_counts, ..Measurement::default() };
-            let alarm = watch.check(&sample, false);
-            let expected = (alpha_counts == 801).then_some(Alarm::Zero(Fault::EncoderJump));
+            let alarm = watch.check(&sample, Some(Drive::default()));
+            let expected = (alpha_counts == 801).then_some(Alarm::Brake(Fault::PendulumJump));
             assert_eq!(alarm, expected);
         }
     }
@@ -258,6 +294,25 @@ mod tests {
     }
 
     #[test]
+    fn an_arm_that_the_pendulum_holds_is_not_frozen() {
+        let alarm = |rad_s_each_tick: f64, voltage_mv: i16| {
+            let mut watch = SensorWatch::default();
+            (0..40_u32).find_map(|tick| {
+                let device_time_us = u64::from(tick) * 10_000;
+                let sample = Measurement { device_time_us, ..Measurement::default() };
+                let swing_rad_s = f64::from(tick) * rad_s_each_tick;
+                watch.check(&sample, Some(Drive { voltage_mv, swing_rad_s }))
+            })
+        };
+        assert_eq!(alarm(0.1, 3000), None);
+        assert_eq!(alarm(-0.1, -3000), None);
+        let frozen = Some(Alarm::Zero(Fault::EncoderFrozen));
+        for (swing, voltage_mv) in [(-0.1, 3000), (0.1, -3000), (0.05, 3000), (0.0, 3000)] {
+            assert_eq!(alarm(swing, voltage_mv), frozen);
+        }
+    }
+
+    #[test]
     fn two_volts_that_hardly_turn_the_arm_for_500_ms_are_a_stall() {
         let creeping = |millivolts: i16, counts_per_tick: f64| {
             let at = move |tick: u32, sample: &mut Measurement| {
@@ -285,7 +340,7 @@ mod tests {
                 sample.theta_counts = (f64::from(turned) * 0.01 / RAD_PER_COUNT) as i32;
                 sample.alpha_counts = alpha_per_tick * tick as i32;
             };
-            first_alarm(30, at, false).map(|(_, fault)| fault)
+            first_alarm(60, at, false).map(|(_, fault)| fault)
         };
         assert_eq!(jerking(0), Some(Fault::PendulumFrozen));
         assert_eq!(jerking(-3), None);

@@ -1,11 +1,12 @@
-use super::sensor_watch::SensorWatch;
+use super::sensor_watch::{Drive, SensorWatch};
 use super::settling::{BackDetector, RestDetector, Settler};
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
-use crate::estimation::Estimator;
+use crate::elementary::Scalar;
+use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, State};
-use crate::safety::{Guard, brake_voltage, gate, retreat_voltage};
+use crate::safety::{Guard, Retreat, brake_voltage, gate};
 use crate::telemetry::{Ending, Fault, Phase, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
@@ -14,8 +15,8 @@ const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 /// Most ticks for braking: 1 s for a brake that only stops the arm ...
 const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
-/// ... and 8 s for one that brings it back to the middle and waits for the pendulum.
-const MAX_RETREAT_TICKS: u32 = (8.0 / CONTROL_PERIOD_S) as u32;
+/// ... and 15 s for one that brings it back to the middle and waits for the pendulum.
+const MAX_RETREAT_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
 /// Below this the arm counts as stopped, rad/s ...
 const STOPPED_RAD_S: f64 = 0.5;
@@ -44,9 +45,11 @@ pub struct Tick<C = Policy> {
     phase: Phase,
     periods_in_phase: u32,
     stopped_ticks: u32,
+    retreat: Retreat,
     /// What the rollout ends with.
     reason: Ending,
-    state: State,
+    /// What the policy sees; what guard, settling and brake go by.
+    estimates: Estimates,
     voltage_mv: i16,
 }
 
@@ -67,8 +70,9 @@ impl<C: Controller> Tick<C> {
             phase: Phase::Settling,
             periods_in_phase: 0,
             stopped_ticks: 0,
+            retreat: Retreat::default(),
             reason: Ending::Completed,
-            state: State::default(),
+            estimates: Estimates::default(),
             voltage_mv: 0,
         };
         tick.take(ControlEvent::Rollout, Ending::Completed);
@@ -88,7 +92,7 @@ impl<C: Controller> Tick<C> {
             ControlAction::Settle => self.phase = Phase::Settling,
             ControlAction::RunPolicy => {
                 // The box counts whole turns of the pendulum from the start of each rollout.
-                self.state = self.estimator.forget_whole_turns();
+                self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
                 self.phase = Phase::Running;
             }
@@ -110,7 +114,7 @@ impl<C: Controller> Tick<C> {
             Phase::Braking => self.braked(),
             _ if stopped.is_some() => stopped,
             Phase::Settling => {
-                if self.rest.at_rest(&self.state, self.settings.start_theta_rad) {
+                if self.rest.at_rest(&self.estimates.guarded, self.settings.start_theta_rad) {
                     Some((ControlEvent::AtRest, Ending::Completed))
                 } else if self.periods_in_phase >= MAX_SETTLING_TICKS {
                     Some((ControlEvent::BrakeFault, Ending::Fault(Fault::SettlingTimedOut)))
@@ -122,7 +126,7 @@ impl<C: Controller> Tick<C> {
                 Some((ControlEvent::TimeUp, Ending::Completed))
             }
             Phase::Running => {
-                let limit = self.settings.safety_box.violation(&self.state)?;
+                let limit = self.settings.safety_box.violation(&self.estimates.guarded)?;
                 Some((ControlEvent::LimitLeft, Ending::LeftBox(limit)))
             }
         }
@@ -130,14 +134,15 @@ impl<C: Controller> Tick<C> {
 
     /// Whether braking is over.
     fn braked(&mut self) -> Option<(ControlEvent, Ending)> {
-        let speed_rad_s = self.state.theta_dot.abs();
+        let State { theta, theta_dot, .. } = self.estimates.guarded;
+        let speed_rad_s = theta_dot.abs();
         let (stands, most_ticks) = match self.settings.safety_box.guard {
             Guard::Box => {
                 let slow = speed_rad_s < STOPPED_RAD_S;
                 self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };
                 (self.stopped_ticks >= STOPPED_TICKS, MAX_BRAKING_TICKS)
             }
-            Guard::Envelope => (self.back.is_back(self.state.theta), MAX_RETREAT_TICKS),
+            Guard::Envelope => (self.back.is_back(theta), MAX_RETREAT_TICKS),
         };
         let time_is_up = self.periods_in_phase >= most_ticks;
         if !stands && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
@@ -149,17 +154,19 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    fn braking_voltage(&self) -> f64 {
+    fn braking_voltage(&mut self) -> f64 {
         match self.settings.safety_box.guard {
-            Guard::Box => brake_voltage(self.state.theta_dot),
-            Guard::Envelope => retreat_voltage(&self.state),
+            Guard::Box => brake_voltage(self.estimates.guarded.theta_dot),
+            Guard::Envelope => self.retreat.voltage_v(&self.estimates.guarded),
         }
     }
 
     fn wanted_voltage(&mut self) -> f64 {
         match self.phase {
-            Phase::Settling => self.settler.voltage(&self.state, self.settings.start_theta_rad),
-            Phase::Running => self.policy.voltage_v(&self.state),
+            Phase::Settling => {
+                self.settler.voltage(&self.estimates.guarded, self.settings.start_theta_rad)
+            }
+            Phase::Running => self.policy.voltage_v(&self.estimates.seen),
             Phase::Braking => self.braking_voltage(),
         }
     }
@@ -181,7 +188,7 @@ impl<C: Controller> Tick<C> {
     fn output(&self) -> TickOutput {
         TickOutput {
             phase: self.phase,
-            state: self.state,
+            state: self.estimates.seen,
             wanted_v: None,
             voltage_mv: self.voltage_mv,
             ending: None,
@@ -195,10 +202,21 @@ impl<C: Controller> Motion for Tick<C> {
         self.tell_policy_what_was_applied(input.skipped_periods);
 
         // Watch the link, the clock, the device's own flags, and the sensors.
-        let seen = input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, false));
+        let drive = Drive {
+            voltage_mv: self.voltage_mv,
+            swing_rad_s: Scalar::sin_cos(self.estimates.guarded.alpha).1
+                * self.estimates.guarded.alpha_dot,
+        };
+        let seen =
+            input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, Some(drive)));
         let off = match self.watch.check(input).or(seen) {
             Some(Alarm::Zero(fault)) => self.take(ControlEvent::ZeroFault, Ending::Fault(fault)),
-            Some(Alarm::Brake(fault)) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
+            Some(Alarm::Brake(fault)) => {
+                if matches!(fault, Fault::PendulumJump | Fault::PendulumFrozen) {
+                    self.retreat.disbelieve_pendulum();
+                }
+                self.take(ControlEvent::BrakeFault, Ending::Fault(fault))
+            }
             None => false,
         };
         if off {
@@ -210,7 +228,7 @@ impl<C: Controller> Motion for Tick<C> {
             self.periods_in_phase += 1;
             return self.output();
         };
-        self.state = self.estimator.update(measurement);
+        self.estimates = self.estimator.update(measurement);
 
         // Guard: leave the phase where the state asks for it. A brake that has just begun may find
         // the arm at rest.
@@ -236,6 +254,7 @@ impl<C: Controller> Motion for Tick<C> {
                 gate(wanted_v).unwrap_or(0)
             }
         };
+        self.estimator.send(f64::from(self.voltage_mv) / 1000.0);
         self.periods_in_phase += 1;
         TickOutput { wanted_v: Some(wanted_v), ..self.output() }
     }
@@ -247,6 +266,10 @@ impl<C: Controller> Motion for Tick<C> {
     fn control_state(&self) -> ControlState {
         self.control
     }
+
+    fn times_astray(&self) -> u32 {
+        self.estimator.times_astray()
+    }
 }
 
 #[cfg(test)]
@@ -257,9 +280,9 @@ mod tests {
     use super::super::plant_device::{Mishap, PlantDevice};
     use super::super::{DriveReport, RING_CAPACITY, drive};
     use super::*;
-    use crate::estimation::{Calibration, EstimatorSettings};
+    use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
     use crate::policy::{ClassicalController, ClassicalGains};
-    use crate::qube::{Status, wrap_angle};
+    use crate::qube::{DomainParameters, QubeModel, Status, wrap_angle};
     use crate::safety::{Limit, SafetyBox};
     use crate::telemetry::TickRecord;
 
@@ -330,6 +353,41 @@ mod tests {
         let braking = records.iter().find(|r| r.phase == Phase::Braking).unwrap();
         assert!(f64::from(braking.voltage_mv) * braking.state.theta_dot < 0.0);
         assert!(device.voltages_mv.iter().all(|voltage_mv| voltage_mv.abs() <= 5000));
+    }
+
+    #[test]
+    fn no_observer_however_wrong_moves_the_limits_of_the_box() {
+        let outward = ClassicalGains {
+            pump_v_per_j: 0.0,
+            centring_v_per_rad: -100.0,
+            damping_v_s_per_rad: 0.0,
+            ..ClassicalGains::default()
+        };
+        // A Qube whose arm is a hundred times as heavy and whose voltages act a tenth of a second
+        // late: what this observer shows is far from where the arm is.
+        let parameters = DomainParameters { rotary_mass_kg: 9.5, ..DomainParameters::NOMINAL };
+        let model = QubeModel { parameters, ..QubeModel::NOMINAL };
+        let astray = ObserverSettings {
+            theta_noise_rad_s2: 0.1,
+            astray_rad: 10.0,
+            ..ObserverSettings::of(model)
+        };
+        let estimator = EstimatorSettings::observer(astray.with_delay(0.1));
+        let settings = TickSettings { estimator, ..settings() };
+        let mut device = PlantDevice::new(State::default());
+        let clock = device.clock.clone();
+        let mut tick = Tick::new(&settings, ClassicalController::new(outward));
+        let stop = AtomicBool::new(false);
+        let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
+        let report = drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
+        assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Theta));
+        let records: Vec<TickRecord> = std::iter::from_fn(|| consumer.pop().ok()).collect();
+        let first = records.iter().position(|record| record.phase == Phase::Braking).unwrap();
+        let angle = |record: &TickRecord| {
+            Calibration::IDENTITY.angles_rad(&record.measurement.unwrap()).0.abs()
+        };
+        assert!(angle(&records[first]) >= 2.3 && angle(&records[first - 1]) < 2.3);
+        assert!((records[first].state.theta.abs() - angle(&records[first])).abs() > 0.1);
     }
 
     #[test]

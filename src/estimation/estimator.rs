@@ -1,97 +1,114 @@
 use std::f64::consts::PI;
 
-use serde::{Deserialize, Serialize};
-
-use super::{Calibration, FilterGains, VelocityFilter};
+use super::observer::Observer;
+use super::{Calibration, EstimatorSettings, FilterGains, through_filters};
 use crate::qube::{COUNTS_PER_REVOLUTION, Measurement, RAD_PER_COUNT, State, wrap_angle};
 
-/// How velocities are estimated.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct EstimatorSettings {
-    /// Corner of the velocity filter in rad/s. 200 by default; 50 is the thesis's set-up, whose lag
-    /// alone makes a quarter of nominal policies fail.
-    pub corner_rad_s: f64,
-}
-
-impl Default for EstimatorSettings {
-    fn default() -> Self {
-        Self { corner_rad_s: 200.0 }
-    }
-}
-
-/// State from measurements: angles by calibration, velocities by filter over the device's own time.
+/// State from measurements, over the device's own time.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimator {
     settings: EstimatorSettings,
     calibration: Calibration,
+    observer: Option<Observer>,
     previous: Option<Previous>,
+}
+
+/// What is made of the samples so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Estimates {
+    /// What policy and reward see: by the filter or the observer of the settings.
+    pub seen: State,
+    /// What the guard judges, and what settles and brakes the arm: always by a filter, and never by
+    /// a slower one than [`super::GUARD_CORNER_RAD_S`]. No model can make it wrong.
+    pub guarded: State,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Previous {
     device_time_us: u64,
-    theta: VelocityFilter,
-    alpha: VelocityFilter,
-    state: State,
+    estimates: Estimates,
 }
 
 impl Estimator {
     /// An estimator that takes the first measurement as one at rest.
     #[must_use]
     pub fn new(settings: EstimatorSettings, calibration: Calibration) -> Self {
-        Self { settings, calibration, previous: None }
+        Self { settings, calibration, observer: None, previous: None }
     }
 
-    /// The state after one more measurement. A measurement no newer than the last changes nothing.
-    pub fn update(&mut self, measurement: &Measurement) -> State {
+    /// The estimates after one more measurement. A measurement no newer than the last changes
+    /// nothing.
+    pub fn update(&mut self, measurement: &Measurement) -> Estimates {
         let (theta, alpha) = self.calibration.angles_rad(measurement);
-        let Some(previous) = &mut self.previous else {
-            let state = State { theta, alpha, ..State::default() };
-            self.previous = Some(Previous {
-                device_time_us: measurement.device_time_us,
-                theta: VelocityFilter::at_rest(theta),
-                alpha: VelocityFilter::at_rest(alpha),
-                state,
-            });
-            return state;
+        let now_us = measurement.device_time_us;
+        let estimates = match self.previous {
+            None => {
+                let at_rest = State { theta, alpha, ..State::default() };
+                self.observer =
+                    self.settings.observer.as_ref().map(|own| Observer::new(own, at_rest));
+                Estimates { seen: at_rest, guarded: at_rest }
+            }
+            Some(Previous { device_time_us: before_us, estimates }) if now_us > before_us => {
+                let elapsed_s = (now_us - before_us) as f64 * 1e-6;
+                let filtered = |state: &State, corner_rad_s| {
+                    let gains = FilterGains::new(corner_rad_s, elapsed_s);
+                    through_filters(state, theta, alpha, &gains)
+                };
+                let guarded = filtered(&estimates.guarded, self.settings.guard_corner_rad_s());
+                let seen = match &mut self.observer {
+                    Some(observer) => observer.update(before_us, now_us, &guarded),
+                    None if self.settings.policy_sees_as_guard() => guarded,
+                    None => filtered(&estimates.seen, self.settings.corner_rad_s),
+                };
+                Estimates { seen, guarded }
+            }
+            Some(Previous { estimates, .. }) => return estimates,
         };
-        let elapsed_us = measurement.device_time_us.saturating_sub(previous.device_time_us);
-        if elapsed_us > 0 {
-            let gains = FilterGains::new(self.settings.corner_rad_s, elapsed_us as f64 * 1e-6);
-            previous.device_time_us = measurement.device_time_us;
-            previous.state = State {
-                theta,
-                alpha,
-                theta_dot: previous.theta.update(theta, &gains),
-                alpha_dot: previous.alpha.update(alpha, &gains),
-            };
+        self.previous = Some(Previous { device_time_us: now_us, estimates });
+        estimates
+    }
+
+    /// Remembers what was sent in answer to the last measurement, V: an observer predicts by it.
+    pub fn send(&mut self, voltage_v: f64) {
+        if let (Some(observer), Some(previous)) = (&mut self.observer, &self.previous) {
+            observer.send(previous.device_time_us, voltage_v);
         }
-        previous.state
     }
 
     /// Counts the pendulum's whole turns from here on, so that alpha lies in (-pi, pi] now, and
-    /// returns the state as it reads then. Velocities are kept.
-    pub fn forget_whole_turns(&mut self) -> State {
-        let Some(previous) = &mut self.previous else {
-            return State::default();
+    /// returns the estimates as they read then. Velocities are kept.
+    pub fn forget_whole_turns(&mut self) -> Estimates {
+        let Some(Previous { estimates, .. }) = &mut self.previous else {
+            return Estimates::default();
         };
-        let turns =
-            ((previous.state.alpha - wrap_angle(previous.state.alpha)) / (2.0 * PI)).round();
+        let alpha = estimates.guarded.alpha;
+        let turns = ((alpha - wrap_angle(alpha)) / (2.0 * PI)).round();
         let turns_counts = turns as i32 * COUNTS_PER_REVOLUTION;
         let moved = if self.calibration.alpha_inverted { -turns_counts } else { turns_counts };
         self.calibration.alpha_zero_counts = self.calibration.alpha_zero_counts.wrapping_add(moved);
         // The same count under the new zero, so that the next difference does not see a jump.
-        previous.state.alpha -= f64::from(turns_counts) * RAD_PER_COUNT;
-        previous.alpha.move_to(previous.state.alpha);
-        previous.state
+        let by_rad = -f64::from(turns_counts) * RAD_PER_COUNT;
+        estimates.guarded.alpha += by_rad;
+        estimates.seen.alpha += by_rad;
+        if let Some(observer) = &mut self.observer {
+            observer.shift_alpha(by_rad);
+        }
+        *estimates
+    }
+
+    /// How often the observer had lost the Qube and started anew from encoders and filter; 0 where
+    /// there is none.
+    #[must_use]
+    pub fn times_astray(&self) -> u32 {
+        self.observer.as_ref().map_or(0, Observer::times_astray)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::{ObserverSettings, SentVoltages};
     use super::*;
-    use crate::qube::counts;
+    use crate::qube::{DomainParameters, Gap, GapDynamics, QubeModel, counts, runge_kutta_4};
 
     #[test]
     fn counts_of_a_steady_turn_become_its_velocity_within_one_count_of_noise() {
@@ -101,12 +118,14 @@ mod tests {
         let mut state = State::default();
         for step in 0..100_u64 {
             let time_s = step as f64 * 0.01;
-            state = estimator.update(&Measurement {
+            let estimates = estimator.update(&Measurement {
                 device_time_us: step * 10_000,
                 theta_counts: counts(2.0 * time_s) - 500,
                 alpha_counts: counts(-5.0 * time_s),
                 ..Measurement::default()
             });
+            assert_eq!(estimates.seen, estimates.guarded);
+            state = estimates.seen;
         }
         assert!((state.theta - 1.98).abs() < 0.004, "{state:?}");
         assert!((state.alpha - 4.95).abs() < 0.004, "{state:?}");
@@ -116,9 +135,14 @@ mod tests {
 
     #[test]
     fn forgetting_whole_turns_moves_alpha_and_nothing_else() {
-        for alpha_inverted in [false, true] {
+        let observer = EstimatorSettings::observer(ObserverSettings::default());
+        for (alpha_inverted, settings) in [
+            (false, EstimatorSettings::filter(50.0)),
+            (true, EstimatorSettings::default()),
+            (true, observer),
+        ] {
             let calibration = Calibration { alpha_inverted, ..Calibration::IDENTITY };
-            let mut estimator = Estimator::new(EstimatorSettings::default(), calibration);
+            let mut estimator = Estimator::new(settings, calibration);
             let at = |tick: u64| Measurement {
                 device_time_us: tick * 10_000,
                 alpha_counts: 3 * COUNTS_PER_REVOLUTION + 7 + tick as i32,
@@ -130,12 +154,157 @@ mod tests {
             estimator.update(&at(0));
             let before = estimator.update(&at(1));
             let after = estimator.forget_whole_turns();
-            assert!((after.alpha - wrap_angle(before.alpha)).abs() < 1e-9);
-            assert_eq!(after.alpha_dot, before.alpha_dot);
             let (next, expected) = (estimator.update(&at(2)), undisturbed.update(&at(2)));
-            assert!((next.alpha - wrap_angle(expected.alpha)).abs() < 1e-9);
-            assert!((next.alpha_dot - expected.alpha_dot).abs() < 1e-9);
+            for of in [|both: &Estimates| both.seen, |both: &Estimates| both.guarded] {
+                let (before, after) = (of(&before), of(&after));
+                assert!((after.alpha - wrap_angle(before.alpha)).abs() < 1e-9);
+                assert_eq!(after.alpha_dot, before.alpha_dot);
+                let (next, expected) = (of(&next), of(&expected));
+                assert!((next.alpha - wrap_angle(expected.alpha)).abs() < 1e-9);
+                assert!((next.alpha_dot - expected.alpha_dot).abs() < 1e-9);
+            }
         }
+    }
+
+    /// What is left of the plant that a test moves: its state at the last sample.
+    struct Ride {
+        sent: SentVoltages,
+        state: State,
+        now_us: u64,
+    }
+
+    impl Ride {
+        fn new(model: &QubeModel) -> Self {
+            let sent = SentVoltages::new(model.gap.command_delay_s, 0.0);
+            Self { sent, state: State { theta: 0.2, alpha: 0.1, ..State::default() }, now_us: 0 }
+        }
+
+        /// The state some time after the last sample, by much finer steps than the observer's.
+        fn at(&self, model: &QubeModel, until_us: u64) -> State {
+            let dynamics = GapDynamics::<f64>::new(model);
+            let mut state = self.state;
+            for piece in self.sent.between(self.now_us, until_us) {
+                for _ in 0..20 {
+                    let step_s = piece.duration_us as f64 * 1e-6 / 20.0;
+                    state = runge_kutta_4(&dynamics, state, piece.voltage, step_s);
+                }
+            }
+            state
+        }
+
+        fn sample(&self) -> Measurement {
+            Measurement {
+                device_time_us: self.now_us,
+                theta_counts: counts(self.state.theta),
+                alpha_counts: counts(self.state.alpha),
+                ..Measurement::default()
+            }
+        }
+    }
+
+    fn real() -> QubeModel {
+        QubeModel {
+            parameters: DomainParameters { motor_resistance_ohm: 9.1, ..DomainParameters::NOMINAL },
+            gap: Gap {
+                coulomb_torque_n_m: 4e-4,
+                cable_stiffness_n_m_rad: 9e-4,
+                command_delay_s: 0.0134,
+                ..Gap::default()
+            },
+        }
+    }
+
+    /// Root mean square errors of both velocities over 3 s of swinging, against the true state at
+    /// the instant at which the command acts.
+    fn velocity_errors(settings: EstimatorSettings, ahead_us: u64) -> (f64, f64) {
+        let model = real();
+        let mut ride = Ride::new(&model);
+        let mut estimator = Estimator::new(settings, Calibration::IDENTITY);
+        let (mut theta, mut alpha) = (0.0, 0.0);
+        for tick in 0..300_u64 {
+            // Each ninth sample is lost; its command with it.
+            if tick % 9 == 4 {
+                continue;
+            }
+            let now_us = tick * 10_000;
+            ride.state = ride.at(&model, now_us);
+            ride.now_us = now_us;
+            let Estimates { seen, .. } = estimator.update(&ride.sample());
+            let then = ride.at(&model, now_us + ahead_us);
+            theta += (seen.theta_dot - then.theta_dot).powi(2) / 300.0;
+            alpha += (seen.alpha_dot - then.alpha_dot).powi(2) / 300.0;
+            let voltage_v = 3.0 * (0.13 * tick as f64).sin().signum();
+            estimator.send(voltage_v);
+            ride.sent.send(now_us, voltage_v);
+        }
+        (theta.sqrt(), alpha.sqrt())
+    }
+
+    #[test]
+    fn an_observer_of_the_right_qube_knows_the_velocities_at_the_instant_of_the_command() {
+        let observer = EstimatorSettings::observer(ObserverSettings::of(real()));
+        let (theta, alpha) = velocity_errors(observer, 13_400);
+        println!("observer {theta} {alpha}");
+        assert!(theta < 0.15 && alpha < 0.15, "{theta} {alpha}");
+        let (theta, alpha) = velocity_errors(EstimatorSettings::default(), 13_400);
+        println!("filter {theta} {alpha}");
+        assert!(theta > 0.5 && alpha > 0.5, "{theta} {alpha}");
+    }
+
+    #[test]
+    fn what_the_guard_sees_is_the_fast_filter_whatever_the_policy_sees() {
+        let nonsense = QubeModel {
+            gap: Gap { cable_stiffness_n_m_rad: -1e6, ..Gap::default() },
+            ..QubeModel::NOMINAL
+        };
+        let mut plain = Estimator::new(EstimatorSettings::default(), Calibration::IDENTITY);
+        let mut others = [
+            EstimatorSettings::filter(50.0),
+            EstimatorSettings::observer(ObserverSettings::of(real())),
+            EstimatorSettings::observer(ObserverSettings::of(nonsense)),
+        ]
+        .map(|settings| Estimator::new(settings, Calibration::IDENTITY));
+        let model = real();
+        let mut ride = Ride::new(&model);
+        for tick in 0..200_u64 {
+            ride.state = ride.at(&model, tick * 10_000);
+            ride.now_us = tick * 10_000;
+            let voltage_v = 4.0 * (0.1 * tick as f64).sin();
+            ride.sent.send(ride.now_us, voltage_v);
+            let expected = plain.update(&ride.sample());
+            for other in &mut others {
+                let estimates = other.update(&ride.sample());
+                assert_eq!(estimates.guarded, expected.guarded);
+                assert!(tick < 5 || estimates.seen != expected.seen || other.times_astray() > 0);
+                assert!(estimates.seen.is_finite());
+                other.send(voltage_v);
+            }
+        }
+    }
+
+    #[test]
+    fn an_observer_that_has_lost_the_qube_starts_anew_from_encoders_and_filter_and_says_so() {
+        let settings = EstimatorSettings::observer(ObserverSettings::default());
+        let mut estimator = Estimator::new(settings, Calibration::IDENTITY);
+        let at = |tick: u64, theta_counts| Measurement {
+            device_time_us: tick * 10_000,
+            theta_counts,
+            ..Measurement::default()
+        };
+        for tick in 0..20 {
+            estimator.update(&at(tick, 0));
+        }
+        assert_eq!(estimator.times_astray(), 0);
+        // Somebody has turned the arm by a tenth of a turn.
+        let estimates = estimator.update(&at(20, 205));
+        assert_eq!((estimates.seen, estimator.times_astray()), (estimates.guarded, 1));
+        // A silence that nothing predicts over.
+        for tick in 21..60 {
+            estimator.update(&at(tick, 205));
+        }
+        let before = estimator.times_astray();
+        let estimates = estimator.update(&at(71, 206));
+        assert_eq!((estimates.seen, estimator.times_astray()), (estimates.guarded, before + 1));
     }
 
     #[test]
@@ -147,8 +316,8 @@ mod tests {
             ..Measurement::default()
         };
         estimator.update(&at(0, 0));
-        let state = estimator.update(&at(10_000, 5));
-        assert_eq!(estimator.update(&at(10_000, 90)), state);
-        assert_eq!(estimator.update(&at(5_000, 90)), state);
+        let estimates = estimator.update(&at(10_000, 5));
+        assert_eq!(estimator.update(&at(10_000, 90)), estimates);
+        assert_eq!(estimator.update(&at(5_000, 90)), estimates);
     }
 }

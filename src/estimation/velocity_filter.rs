@@ -1,4 +1,5 @@
 use crate::elementary::Scalar;
+use crate::qube::State;
 
 /// Velocity from angles by the filter omega s / (s + omega), discretised exactly for an angle that
 /// moves in a straight line between samples:
@@ -52,17 +53,28 @@ impl<T: Scalar> VelocityFilter<T> {
         Self { angle, velocity }
     }
 
-    /// Takes this as the last angle without a change of velocity: for a zero that moved.
-    pub fn move_to(&mut self, angle: T) {
-        self.angle = angle;
-    }
-
     /// Takes the next angle and returns the velocity in angle units per second.
     #[inline(always)]
     pub fn update(&mut self, angle: T, gains: &FilterGains<T>) -> T {
         self.velocity = gains.decay * self.velocity + gains.rate * (angle - self.angle);
         self.angle = angle;
         self.velocity
+    }
+}
+
+/// The state of these angles: both velocities by filters whose memory is the state before.
+#[inline(always)]
+pub fn through_filters<T: Scalar>(
+    before: &State<T>,
+    theta: T,
+    alpha: T,
+    gains: &FilterGains<T>,
+) -> State<T> {
+    State {
+        theta,
+        alpha,
+        theta_dot: VelocityFilter::at(before.theta, before.theta_dot).update(theta, gains),
+        alpha_dot: VelocityFilter::at(before.alpha, before.alpha_dot).update(alpha, gains),
     }
 }
 

@@ -1,7 +1,7 @@
 use thiserror::Error;
 
 use super::stretch::duration_of;
-use crate::qube::{HARD_STOP_RAD, RAD_PER_COUNT};
+use crate::qube::{HARD_STOP_RAD, RAD_PER_COUNT, State};
 use crate::replay::{MotionLog, MotionSample};
 
 /// The shortest recording that is fitted, s.
@@ -25,6 +25,30 @@ const TURNING_VOLTAGE_V: f64 = 1.0;
 
 /// How far the arm may go while the pendulum's count stands still, rad.
 const ARM_ALONE_RAD: f64 = 0.3;
+
+/// How far the pendulum may go to and fro while the arm's count stands still, rad: its pull on the
+/// arm is then several times any friction.
+const PENDULUM_ALONE_RAD: f64 = 0.6;
+
+/// Faster than this nothing turns, rad/s ...
+const FASTEST_RAD_S: f64 = 80.0;
+
+/// ... and a single step has this much room for noise, rad.
+const STEP_ROOM_RAD: f64 = 0.1;
+
+/// An angle that comes in steps of this many counts and then stays at its extreme ...
+const CLIPPED_STEP_COUNTS: f64 = 4.5;
+
+/// ... for this many samples was cut off there: at a turning point it would slow down first.
+const CLIPPED_SAMPLES: usize = 4;
+
+/// How many times as fast as its velocities say an angle may move. A filter makes velocities a
+/// little too small (1.02 to 1.10 in recordings of a real Qube through 50 s/(s+50)); what is outside
+/// of these bounds has wrong times: another rate is mostly off by 2 or more.
+const RATE_FACTORS: std::ops::RangeInclusive<f64> = 0.8..=1.8;
+
+/// Velocities that are slower than this say nothing of the times, rad/s (root mean square).
+const RATE_SPEED_RAD_S: f64 = 0.5;
 
 /// Why a recording says nothing of the Qube that made it, or something wrong. Times count from the
 /// recording's start.
@@ -70,6 +94,40 @@ pub enum Unfit {
         /// Where the arm was.
         theta_rad: f64,
     },
+    /// An angle is somewhere else from one sample to the next.
+    #[error(
+        "{angle} jumps by {jump_rad:.2} rad at {at_s:.3} s: a loose encoder, or an angle that was \
+         wrapped to one turn, which has to be unwrapped"
+    )]
+    Jump {
+        /// Which angle.
+        angle: &'static str,
+        /// Since the start.
+        at_s: f64,
+        /// How far.
+        jump_rad: f64,
+    },
+    /// An angle that stops dead at its largest or smallest value.
+    #[error("clipped: {angle} is cut off at {value_rad:.2} rad at {at_s:.3} s")]
+    Clipped {
+        /// Which angle.
+        angle: &'static str,
+        /// Since the start.
+        at_s: f64,
+        /// Where.
+        value_rad: f64,
+    },
+    /// The velocities belong to other times.
+    #[error(
+        "its times are not those it was recorded at: {angle} moves {factor:.2} times as fast as its \
+         velocities say. Was it recorded at another rate?"
+    )]
+    OtherRate {
+        /// Which angle.
+        angle: &'static str,
+        /// The slope of the angle over the velocity.
+        factor: f64,
+    },
     /// The arm's count stood still under voltage.
     #[error(
         "the arm's count stands still from {at_s:.3} s on under {voltage_v:.2} V: the arm was stalled \
@@ -80,6 +138,15 @@ pub enum Unfit {
         at_s: f64,
         /// The voltage.
         voltage_v: f64,
+    },
+    /// The arm's count stood still while the pendulum swung.
+    #[error(
+        "the arm's count stands still from {at_s:.3} s on while the pendulum swings: the arm was held \
+         or its encoder unplugged"
+    )]
+    FrozenArmUnderPendulum {
+        /// Since the start.
+        at_s: f64,
     },
     /// The pendulum's count stood still while the arm swung.
     #[error(
@@ -117,23 +184,101 @@ pub fn check_recording(log: &MotionLog) -> Result<(), Unfit> {
         let (at_s, theta_rad) = (sample.time_s - start_s, sample.state.theta);
         return Err(Unfit::AtStop { at_s, theta_rad });
     }
+    for angle in ANGLES {
+        jump(samples, angle)?;
+    }
     frozen(samples, start_s)?;
-    for (angle, values) in [
-        ("theta", samples.iter().map(|s| s.state.theta).collect::<Vec<_>>()),
-        ("alpha", samples.iter().map(|s| s.state.alpha).collect()),
-    ] {
+    for angle in ANGLES {
+        let values: Vec<f64> = samples.iter().map(|sample| (angle.of)(&sample.state)).collect();
         let moved_rad = range(&values);
         if moved_rad < LEAST_MOTION_RAD {
-            return Err(Unfit::NoMotion { angle, moved_rad });
+            return Err(Unfit::NoMotion { angle: angle.name, moved_rad });
+        }
+        clipped(samples, &values, angle)?;
+        other_rate(samples, angle)?;
+    }
+    Ok(())
+}
+
+/// One of the two angles.
+#[derive(Clone, Copy)]
+struct Angle {
+    name: &'static str,
+    of: fn(&State) -> f64,
+    velocity_of: fn(&State) -> f64,
+}
+
+const ANGLES: [Angle; 2] = [
+    Angle { name: "theta", of: |state| state.theta, velocity_of: |state| state.theta_dot },
+    Angle { name: "alpha", of: |state| state.alpha, velocity_of: |state| state.alpha_dot },
+];
+
+/// Looks for a step that nothing could have made.
+fn jump(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
+    for pair in samples.windows(2) {
+        let step_s = pair[1].time_s - pair[0].time_s;
+        let jump_rad = (angle.of)(&pair[1].state) - (angle.of)(&pair[0].state);
+        if jump_rad.abs() > FASTEST_RAD_S * step_s + STEP_ROOM_RAD {
+            let at_s = pair[1].time_s - samples[0].time_s;
+            return Err(Unfit::Jump { angle: angle.name, at_s, jump_rad });
         }
     }
     Ok(())
 }
 
+/// Looks for an angle that stops dead at its extreme and stays there.
+fn clipped(samples: &[MotionSample], values: &[f64], angle: Angle) -> Result<(), Unfit> {
+    let lowest = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let highest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    for (index, run) in values.windows(CLIPPED_SAMPLES + 1).enumerate() {
+        let stays_at = |extreme: f64| {
+            run[1..].iter().all(|value| (value - extreme).abs() < 0.5 * RAD_PER_COUNT)
+        };
+        let step_counts = (run[1] - run[0]).abs() / RAD_PER_COUNT;
+        if step_counts > CLIPPED_STEP_COUNTS && (stays_at(lowest) || stays_at(highest)) {
+            let at_s = samples[index + 1].time_s - samples[0].time_s;
+            return Err(Unfit::Clipped { angle: angle.name, at_s, value_rad: run[1] });
+        }
+    }
+    Ok(())
+}
+
+/// Compares how far an angle goes in 50 ms with what its velocities add up to: a filter delays
+/// these and hardly changes their size. Recordings without velocities are not judged.
+fn other_rate(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
+    let (mut slopes, mut velocities, mut count) = (0.0, 0.0, 0);
+    let mut first = 0;
+    while let Some(end) =
+        (first..samples.len()).find(|&index| samples[index].time_s - samples[first].time_s >= 0.05)
+    {
+        let duration_s = samples[end].time_s - samples[first].time_s;
+        let moved = (angle.of)(&samples[end].state) - (angle.of)(&samples[first].state);
+        let swept: f64 = samples[first..=end]
+            .windows(2)
+            .map(|pair| (angle.velocity_of)(&pair[1].state) * (pair[1].time_s - pair[0].time_s))
+            .sum();
+        slopes += (moved / duration_s).powi(2);
+        velocities += (swept / duration_s).powi(2);
+        count += 1;
+        first = end;
+    }
+    let rms = |squares: f64| (squares / f64::from(count.max(1))).sqrt();
+    let (slope, velocity) = (rms(slopes), rms(velocities));
+    if slope < RATE_SPEED_RAD_S || velocity == 0.0 {
+        return Ok(());
+    }
+    let factor = slope / velocity;
+    if RATE_FACTORS.contains(&factor) {
+        Ok(())
+    } else {
+        Err(Unfit::OtherRate { angle: angle.name, factor })
+    }
+}
+
 /// Looks for a count that stands still for 0.3 s while something says that it should not.
 fn frozen(samples: &[MotionSample], start_s: f64) -> Result<(), Unfit> {
     // Where each angle stood still, and the voltage had one sign, since.
-    let (mut arm_since, mut pendulum_since) = (0, 0);
+    let (mut arm_since, mut pendulum_since, mut held_since) = (0, 0, 0);
     for (now, sample) in samples.iter().enumerate() {
         let of = |index: usize| &samples[index];
         let same = |a: f64, b: f64| (a - b).abs() <= 2.01 * RAD_PER_COUNT;
@@ -145,6 +290,17 @@ fn frozen(samples: &[MotionSample], start_s: f64) -> Result<(), Unfit> {
         if sample.time_s - of(arm_since).time_s >= LONGEST_STILL_S {
             let at_s = of(arm_since).time_s - start_s;
             return Err(Unfit::FrozenArm { at_s, voltage_v: sample.voltage_v });
+        }
+        if !same(sample.state.theta, of(held_since).state.theta) {
+            held_since = now;
+        }
+        let held = &samples[held_since..=now];
+        let pendulum: Vec<f64> = held.iter().map(|s| s.state.alpha).collect();
+        if sample.time_s - of(held_since).time_s >= LONGEST_STILL_S
+            && range(&pendulum) > PENDULUM_ALONE_RAD
+        {
+            let at_s = of(held_since).time_s - start_s;
+            return Err(Unfit::FrozenArmUnderPendulum { at_s });
         }
         if (sample.state.alpha - of(pendulum_since).state.alpha).abs() > 0.5 * RAD_PER_COUNT {
             pendulum_since = now;

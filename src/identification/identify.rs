@@ -13,6 +13,10 @@ use crate::replay::MotionLog;
 /// tell small effects from noise.
 const STAGES_S: [f64; 2] = [0.5, 2.0];
 
+/// A fit that is farther off over the shortest stretches explains nothing, rad (root mean square).
+/// The real Qube's chirps come to 0.01.
+const LARGEST_RESIDUAL_RAD: f64 = 0.1;
+
 /// A Qube that was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Identified {
@@ -36,6 +40,18 @@ pub enum IdentifyError {
         index: usize,
         /// Why.
         why: Unfit,
+    },
+    /// A fit that fits nothing.
+    #[error(
+        "no Qube explains the recordings: over {STRETCH_S} s the best fit is off by {theta_rad:.2} rad \
+         (arm) and {alpha_rad:.2} rad (pendulum). Is a sign turned round, or the pendulum another one?",
+        STRETCH_S = STAGES_S[0]
+    )]
+    Unexplained {
+        /// Root mean square over stretches of half a second, arm.
+        theta_rad: f64,
+        /// And pendulum.
+        alpha_rad: f64,
     },
     /// An empty list.
     #[error("there are no recordings")]
@@ -64,7 +80,12 @@ pub fn identify(
         fit.run();
         fit
     };
-    let near = STAGES_S.iter().fold(*first_guess, |model, &stage_s| stage(model, stage_s).model);
+    let short = stage(*first_guess, STAGES_S[0]);
+    let ResidualScale { theta_rad, alpha_rad } = short.scale;
+    if theta_rad.max(alpha_rad) > LARGEST_RESIDUAL_RAD {
+        return Err(IdentifyError::Unexplained { theta_rad, alpha_rad });
+    }
+    let near = stage(short.model, STAGES_S[1]).model;
     let fit = stage(near, f64::INFINITY);
     let (estimates, blind) = estimates(&fit);
     Ok(Identified { model: fit.model, estimates, blind, scale: fit.scale })

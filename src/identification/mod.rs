@@ -5,6 +5,7 @@
 //!
 //! May import `qube` and `replay`.
 
+mod drift;
 mod fit;
 mod fitness;
 mod identify;
@@ -15,6 +16,7 @@ mod tests;
 mod uncertainty;
 mod unknowns;
 
+pub use drift::{DriftEstimate, drift};
 pub use fit::ResidualScale;
 pub use fitness::{Unfit, check_recording};
 pub use identify::{Identified, IdentifyError, identify};

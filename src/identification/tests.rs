@@ -110,16 +110,78 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
     assert!(matches!(still, Unfit::NoMotion { angle: "theta", .. }));
     let hit = changed(&|index, sample| sample.state.theta += if index > 500 { 2.5 } else { 0.0 });
     assert!(matches!(hit, Unfit::AtStop { .. }));
+    let held = good.samples[500].state;
     let stalled = changed(&|index, sample| {
         if index > 500 {
-            (sample.state.theta, sample.voltage_v) = (0.3, 2.0);
+            (sample.state.theta, sample.voltage_v) = (held.theta, 2.0);
         }
     });
-    assert!(matches!(stalled, Unfit::FrozenArm { .. }));
+    assert!(matches!(stalled, Unfit::FrozenArm { .. }), "{stalled}");
+    let arm_unplugged = changed(&|index, sample| {
+        if index > 500 {
+            sample.state.theta = held.theta;
+        }
+    });
+    assert!(matches!(arm_unplugged, Unfit::FrozenArmUnderPendulum { .. }), "{arm_unplugged}");
     let unplugged = changed(&|index, sample| {
         if index > 500 {
-            sample.state.alpha = 0.1;
+            sample.state.alpha = held.alpha;
         }
     });
-    assert!(matches!(unplugged, Unfit::FrozenPendulum { .. }));
+    assert!(matches!(unplugged, Unfit::FrozenPendulum { .. }), "{unplugged}");
+    // A sample that was lost on the wire is no gap.
+    let mut lost = good.clone();
+    lost.samples.retain(|sample| (sample.time_s * 250.0).round() as u32 % 7 != 3);
+    assert_eq!(check_recording(&lost), Ok(()));
+}
+
+#[test]
+fn recordings_with_wrong_times_or_cut_off_angles_are_named() {
+    let good = chirp(&truth(), 1.0, 4.0);
+    let changed = |change: &dyn Fn(usize, &mut MotionSample)| {
+        let mut log = good.clone();
+        log.samples.iter_mut().enumerate().for_each(|(index, sample)| change(index, sample));
+        check_recording(&log)
+    };
+    // Recorded at 250 Hz, and written down as 100 or 500 Hz.
+    for rate_hz in [100.0, 500.0] {
+        let unfit = changed(&|index, sample| sample.time_s = index as f64 / rate_hz);
+        assert!(matches!(unfit, Err(Unfit::OtherRate { .. })), "{rate_hz}: {unfit:?}");
+    }
+    // An angle that a program kept within bounds that the motion left.
+    for limit_rad in [0.3, 0.6] {
+        let unfit = changed(&|_, sample| {
+            sample.state.alpha = quantised(sample.state.alpha.clamp(-limit_rad, limit_rad));
+        });
+        let Err(Unfit::Clipped { angle: "alpha", value_rad, .. }) = unfit else {
+            panic!("{limit_rad}: {unfit:?}");
+        };
+        assert!((value_rad.abs() - limit_rad).abs() < 0.01);
+    }
+    // A pendulum that went over the top, with its angle kept within one turn.
+    let unfit = changed(&|index, sample| {
+        if index >= 600 {
+            sample.state.alpha -= 2.0 * std::f64::consts::PI;
+        }
+    });
+    assert!(matches!(unfit, Err(Unfit::Jump { angle: "alpha", .. })), "{unfit:?}");
+    // A loose contact.
+    let unfit = changed(&|index, sample| {
+        if index == 600 {
+            sample.state.theta += 1.0;
+        }
+    });
+    assert!(matches!(unfit, Err(Unfit::Jump { angle: "theta", .. })), "{unfit:?}");
+}
+
+#[test]
+fn a_recording_that_no_qube_makes_is_no_silent_fit() {
+    // The voltage's sign is the other one.
+    let mut log = chirp(&truth(), 1.0, 4.0);
+    for sample in &mut log.samples {
+        sample.voltage_v = -sample.voltage_v;
+    }
+    assert_eq!(check_recording(&log), Ok(()));
+    let refused = identify(&[log], &Unknown::ALL, &QubeModel::NOMINAL);
+    assert!(matches!(refused, Err(IdentifyError::Unexplained { .. })), "{refused:?}");
 }

@@ -20,11 +20,11 @@ pub(super) struct Batch {
 }
 
 /// What is collected with.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub(super) struct Collector<'a> {
     pub policy: &'a Network,
     pub value: &'a Network,
-    pub distribution: &'a DomainDistribution,
+    pub distribution: DomainDistribution,
     pub settings: &'a TrainSettings,
     pub seed: u64,
     pub update: u32,
@@ -121,14 +121,16 @@ impl Collector<'_> {
         cut: &[(usize, Observation)],
     ) {
         for block in transitions.chunks_mut(WIDTH) {
-            let inputs = inputs(block.iter().map(|transition| &transition.observation));
+            let observations = block.iter().map(|transition| &transition.observation);
+            let inputs = inputs(self.value.observation_size, observations);
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
             for (transition, value) in block.iter_mut().zip(values) {
                 transition.value = value;
             }
         }
         for block in cut.chunks(WIDTH) {
-            let inputs = inputs(block.iter().map(|(_, observation)| observation));
+            let observations = block.iter().map(|(_, observation)| observation);
+            let inputs = inputs(self.value.observation_size, observations);
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
             for (&(place, _), value) in block.iter().zip(values) {
                 ends[place].value_after = value;
@@ -142,7 +144,7 @@ impl Collector<'_> {
     fn explorer(&self, lane: usize, number: u16) -> Explorer {
         let stream = |noise| Stream::Trajectory { update: self.update, lane, number, noise };
         Explorer {
-            trajectory: Trajectory::draw(self.distribution, self.seed, stream(false).number()),
+            trajectory: Trajectory::draw(&self.distribution, self.seed, stream(false).number()),
             number,
             generator: stream(true).generator(self.seed),
             spare: None,

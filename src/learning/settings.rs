@@ -47,6 +47,10 @@ pub struct TrainSettings {
     /// And the smallest that it may become. Without it the standard deviation shrinks until a
     /// gradient step moves the mean by as much, and the policy collapses (docs/learning.md).
     pub smallest_log_std: f32,
+    /// Share of the updates over which the distribution widens, from its means alone to all of its
+    /// spread: who has learned to swing up one pendulum learns to swing up others. 0 is the thesis's
+    /// training; evaluations are under the whole distribution all along.
+    pub widening: f32,
     /// Fixed starts of the evaluation after each update.
     pub evaluation_starts: u16,
     /// Training ends early once an evaluation reaches this mean return.
@@ -79,6 +83,7 @@ impl TrainSettings {
             adam_epsilon: 1e-5,
             first_log_std: 0.0,
             smallest_log_std: -1.0,
+            widening: 0.0,
             evaluation_starts: 100,
             enough: None,
             simulation: SimulationSettings::default(),
@@ -123,6 +128,7 @@ impl TrainSettings {
         bounded("largest_gradient_norm", self.largest_gradient_norm, norms, "above 0")?;
         bounded("first_log_std", self.first_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("smallest_log_std", self.smallest_log_std, -10.0..=2.0, "-10 to 2")?;
+        bounded("widening", self.widening, 0.0..=1.0, "0 to 1")?;
         bounded("simulation.history", self.simulation.history, 0..=MAX_HISTORY, "0 to 4")?;
         bounded("evaluation_starts", self.evaluation_starts, 1..=10_000, "1 to 10 000")?;
         bounded("threads", self.threads, 1..=1024, "at least 1")
@@ -139,15 +145,23 @@ impl TrainSettings {
 
     /// A policy that the machine can run, in some seconds: as [`Self::quick`], but in a simulation
     /// with the machine's sensors and guard. The speed envelope leaves less room to swing up in, so
-    /// that twice the pendulums and a third more updates are needed.
+    /// that twice the pendulums, a third more updates and a distribution that widens are needed.
     #[must_use]
     pub fn machine() -> Self {
         Self {
             updates: 80,
             pendulums: 32,
+            widening: 0.6,
             simulation: SimulationSettings::machine(),
             ..Self::quick()
         }
+    }
+
+    /// How much of the distribution's spread an update draws from, 0 to 1.
+    #[must_use]
+    pub fn spread_at(&self, update: u32) -> f64 {
+        let widening_updates = f64::from(self.widening) * f64::from(self.updates);
+        if widening_updates > 0.0 { (f64::from(update) / widening_updates).min(1.0) } else { 1.0 }
     }
 
     /// Learning rate of an update.

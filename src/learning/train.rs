@@ -53,7 +53,7 @@ impl Trained {
         let last = self.curve.last();
         let sensors = match self.sensors {
             SensorModel::TrueState => SimulatedSensors::TrueState,
-            SensorModel::Encoders { estimator: EstimatorSettings { corner_rad_s } } => {
+            SensorModel::Encoders { estimator: EstimatorSettings { corner_rad_s, .. } } => {
                 let counts_per_revolution = COUNTS_PER_REVOLUTION;
                 SimulatedSensors::Encoders { corner_rad_s, counts_per_revolution }
             }

@@ -90,13 +90,14 @@ impl<'a> Trainer<'a> {
 
     /// What collects the next update's batch.
     pub fn collector(&self) -> Collector<'_> {
+        let update = self.curve.len() as u32;
         Collector {
             policy: &self.policy.network,
             value: &self.value.network,
-            distribution: self.distribution,
+            distribution: self.distribution.narrowed(self.settings.spread_at(update)),
             settings: self.settings,
             seed: self.seed,
-            update: self.curve.len() as u32,
+            update,
         }
     }
 

@@ -117,24 +117,24 @@ impl ClassicalController {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimation::{Calibration, Estimator, EstimatorSettings};
+    use crate::estimation::{Calibration, Estimates, Estimator, EstimatorSettings};
     use crate::qube::{Measurement, RewardWeights, control_step, counts};
     use crate::safety::SafetyBox;
 
     fn rollout(start: State, corner_rad_s: f64) -> (f64, usize, State) {
         let dynamics = Dynamics::new(&DomainParameters::NOMINAL);
         let mut estimator =
-            Estimator::new(EstimatorSettings { corner_rad_s }, Calibration::IDENTITY);
+            Estimator::new(EstimatorSettings::filter(corner_rad_s), Calibration::IDENTITY);
         let mut controller = ClassicalController::new(ClassicalGains::default());
         let (mut state, mut earned) = (start, 0.0);
         for step in 0..600 {
-            let seen = estimator.update(&Measurement {
+            let Estimates { seen, guarded } = estimator.update(&Measurement {
                 device_time_us: step as u64 * 10_000,
                 theta_counts: counts(state.theta),
                 alpha_counts: counts(state.alpha),
                 ..Measurement::default()
             });
-            if SafetyBox::GUARDED.violation(&seen).is_some() {
+            if SafetyBox::GUARDED.violation(&guarded).is_some() {
                 return (earned, step, state);
             }
             let voltage_v = controller.voltage_v(&seen);

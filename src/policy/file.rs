@@ -12,8 +12,11 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::network::{LayerWeights, NetworkError, bias_name, check_sizes, weight_name};
-use super::{ClassicalController, ClassicalGains, Network, NetworkPolicy, Policy, TrainingRecord};
-use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE};
+use super::{
+    ClassicalController, ClassicalGains, Excitation, ExcitationShape, Network, NetworkPolicy,
+    Policy, TrainingRecord,
+};
+use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
 
 /// Version of the format. Another one is refused.
 pub const FORMAT_VERSION: u32 = 1;
@@ -147,6 +150,12 @@ pub enum PolicyFault {
     /// Numbers that make no network.
     #[error("holds no network that can run: {0}")]
     Network(#[from] NetworkError),
+    /// An excitation beyond what the motor may get.
+    #[error("excites with {voltage_v} V: give at most {MAX_VOLTAGE_V} V of either sign")]
+    ExcitationVoltage {
+        /// What is there.
+        voltage_v: f64,
+    },
     /// A gain that is not a number, or a limit below zero.
     #[error(
         "holds {value} for the gain `{name}`: it must be a finite number, and a limit not below 0"
@@ -177,6 +186,7 @@ struct Metadata {
 enum ControllerMetadata {
     Network(Box<NetworkMetadata>),
     Classical,
+    Excitation { shape: ExcitationShape, voltage_v: f64 },
 }
 
 #[derive(Serialize, Deserialize)]
@@ -228,6 +238,13 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
         ControllerMetadata::Classical => {
             Ok(Policy::Classical(ClassicalController::new(read_gains(&tensors)?)))
         }
+        ControllerMetadata::Excitation { shape, voltage_v } => {
+            refuse_others(&tensors, |_| false)?;
+            if !(voltage_v.abs() <= MAX_VOLTAGE_V) {
+                return Err(PolicyFault::ExcitationVoltage { voltage_v });
+            }
+            Ok(Policy::Excitation(Excitation::new(shape, voltage_v)))
+        }
     }
 }
 
@@ -248,6 +265,10 @@ pub(super) fn write(policy: &Policy) -> Vec<u8> {
         ),
         Policy::Classical(controller) => {
             (ControllerMetadata::Classical, gain_tensors(controller.gains()))
+        }
+        Policy::Excitation(excitation) => {
+            let (shape, voltage_v) = (excitation.shape(), excitation.limit_v());
+            (ControllerMetadata::Excitation { shape, voltage_v }, Vec::new())
         }
     };
     let json = serde_json::to_string(&Metadata { format_version: FORMAT_VERSION, controller });

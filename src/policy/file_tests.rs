@@ -91,8 +91,21 @@ fn a_classical_controller_comes_back() {
     let bytes = Policy::Classical(ClassicalController::new(gains)).to_bytes();
     match Policy::from_bytes(&bytes).unwrap() {
         Policy::Classical(controller) => assert_eq!(controller.gains(), &gains),
-        Policy::Network(_) => panic!("a network came back"),
+        other => panic!("{other:?} came back"),
     }
+}
+
+#[test]
+fn an_excitation_comes_back_and_one_beyond_the_motor_is_refused() {
+    for shape in [ExcitationShape::Chirp, ExcitationShape::Steps] {
+        let bytes = Policy::Excitation(Excitation::new(shape, -1.25)).to_bytes();
+        match Policy::from_bytes(&bytes).unwrap() {
+            Policy::Excitation(read) => assert_eq!(read, Excitation::new(shape, -1.25)),
+            other => panic!("{other:?} came back"),
+        }
+    }
+    let bytes = Policy::Excitation(Excitation::new(ExcitationShape::Steps, 5.5)).to_bytes();
+    assert!(fault(&bytes).contains("5.5 V"), "{}", fault(&bytes));
 }
 
 #[test]

@@ -1,9 +1,11 @@
-//! An exported policy: observation, network, inference without allocation, file format; and the
-//! classical controller (energy swing-up + balance), which needs no training.
+//! An exported policy: observation, network, inference without allocation, file format; the
+//! classical controller (energy swing-up + balance), which needs no training; and excitations,
+//! whose recordings tell what a Qube is made of.
 //!
 //! May import `qube` and `elementary`; never `learning`: what is deployed runs without the trainer.
 
 mod classical;
+mod excitation;
 mod file;
 #[cfg(test)]
 mod file_tests;
@@ -15,13 +17,14 @@ use std::io::Read;
 use std::path::Path;
 
 pub use classical::{ClassicalController, ClassicalGains};
+pub use excitation::{EXCITATION_STEPS, Excitation, ExcitationShape};
 pub use file::{FORMAT_VERSION, MAX_FILE_BYTES, PolicyError, PolicyFault};
 pub use network::{LayerWeights, MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
 pub use training_record::{SimulatedGuard, SimulatedSensors, TrainingRecord};
 
 use crate::qube::State;
 
-/// What decides the voltage in a rollout. Both kinds travel as the same sort of file, so that a
+/// What decides the voltage in a rollout. All kinds travel as the same sort of file, so that a
 /// rollout's recording holds whatever drove it.
 #[derive(Clone, Debug)]
 pub enum Policy {
@@ -29,6 +32,8 @@ pub enum Policy {
     Network(NetworkPolicy),
     /// The classical controller.
     Classical(ClassicalController),
+    /// No policy at all, but a voltage over time.
+    Excitation(Excitation),
 }
 
 /// A network and where it comes from.
@@ -68,13 +73,14 @@ impl Controller for Policy {
         match self {
             Self::Network(policy) => policy.network.start(),
             Self::Classical(controller) => controller.start(),
+            Self::Excitation(excitation) => excitation.start(),
         }
     }
 
     fn applied(&mut self, voltage_v: f64) {
         match self {
             Self::Network(policy) => policy.network.applied(voltage_v),
-            Self::Classical(_) => {}
+            Self::Classical(_) | Self::Excitation(_) => {}
         }
     }
 
@@ -82,6 +88,7 @@ impl Controller for Policy {
         match self {
             Self::Network(policy) => policy.network.voltage_v(state),
             Self::Classical(controller) => controller.voltage_v(state),
+            Self::Excitation(excitation) => excitation.voltage_v(state),
         }
     }
 }

@@ -114,13 +114,14 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::estimation::{EstimatorSettings, ObserverSettings};
     use crate::policy::{
         ClassicalController, ClassicalGains, Controller, LayerWeights, Network, NetworkPolicy,
         SimulatedGuard, SimulatedSensors, TrainingRecord,
     };
     use crate::qube::{
-        CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, RAD_PER_COUNT, State, Status,
-        control_step, counts,
+        CONTROL_PERIOD_NS, DomainParameters, Dynamics, Gap, Measurement, QubeModel, RAD_PER_COUNT,
+        State, Status, control_step, counts,
     };
     use crate::recording::samples::{POLICY, header, outcome};
     use crate::recording::{RolloutWriter, parse};
@@ -147,7 +148,16 @@ mod tests {
 
     /// A rollout on an ideal plant, as it comes back from its file. Each 13th sample is lost.
     fn recorded_rollout(policy: Policy, link_breaks_at: Option<u32>) -> Recording {
+        recorded_with(EstimatorSettings::default(), policy, link_breaks_at)
+    }
+
+    fn recorded_with(
+        estimator: EstimatorSettings,
+        policy: Policy,
+        link_breaks_at: Option<u32>,
+    ) -> Recording {
         let mut header: RolloutHeader = header();
+        header.settings.estimator = estimator;
         header.settings.max_steps = 300;
         header.settings.calibration.theta_zero_counts = 0;
         let mut writer =
@@ -219,6 +229,28 @@ mod tests {
         assert!(again.agrees(), "{again:?}");
         let other = rerun(&recording, policy(0.31));
         assert!(other.actions_different > 50, "the last command plays no part: {other:?}");
+    }
+
+    #[test]
+    fn what_an_observer_or_a_slow_filter_showed_comes_out_again_bit_for_bit() {
+        let model = QubeModel {
+            gap: Gap { command_delay_s: 0.0037, ..Gap::default() },
+            ..QubeModel::NOMINAL
+        };
+        let fast = recorded_rollout(classical(ClassicalGains::default()), None);
+        for estimator in [
+            EstimatorSettings::observer(ObserverSettings::of(model)),
+            EstimatorSettings::filter(120.0),
+        ] {
+            let recording = recorded_with(estimator, classical(ClassicalGains::default()), None);
+            assert_eq!(recording.header.settings.estimator, estimator);
+            let rerun = rerun(&recording, classical(ClassicalGains::default()));
+            assert!(rerun.agrees(), "{rerun:?}");
+            assert!(rerun.actions_compared > 300);
+            // The policy did see something else.
+            let differs = |pair: (&TickRecord, &TickRecord)| pair.0.state != pair.1.state;
+            assert!(recording.ticks.iter().zip(&fast.ticks).any(differs));
+        }
     }
 
     #[test]

@@ -1,3 +1,4 @@
+use super::SpeedEnvelope;
 use crate::qube::{MAX_VOLTAGE_V, State};
 
 /// Volts against each rad/s of the arm: full voltage from 5 rad/s on, and below that gentle enough
@@ -11,8 +12,8 @@ pub fn brake_voltage(theta_dot: f64) -> f64 {
 }
 
 /// Volts against each rad/s of the arm while it is brought back: takes the pendulum's energy through
-/// the arm fastest, and rings through 20 ms of delay on no Qube within 30 %.
-const RETREAT_DAMPING_V_S: f64 = 0.4;
+/// the arm fast, and strong enough for a Qube with a weak motor that crosses the middle.
+const RETREAT_DAMPING_V_S: f64 = 0.5;
 
 /// Volts towards the middle for each rad.
 const RETREAT_CENTRING_V_RAD: f64 = 0.3;
@@ -23,17 +24,66 @@ const WALL_RAD: f64 = 0.5;
 /// ... by so many more volts for each rad.
 const WALL_V_RAD: f64 = 8.0;
 
-/// The voltage that brakes the arm and brings it back to the middle.
+/// After this long, in control periods, the brake goes on with a share of its firmness: light and
+/// strong Qubes may ring with a firm one through 20 ms of delay, and no Qube within 30 % with this.
+const FIRM_PERIODS: u32 = 100;
+
+/// That share.
+const GENTLE: f64 = 0.45;
+
+/// Full pushes against a momentum that leaves the envelope end after this long, in control periods:
+/// to and fro they would keep some Qubes' pendulums swinging for good.
+const PUSHING_PERIODS: u32 = 150;
+
+/// A full push the other way within so many control periods of the last one means that the first has
+/// overshot: a Qube as strong as that is stopped without full pushes.
+const OVERSHOT_PERIODS: u32 = 20;
+
+/// The brake of the speed envelope: stops the arm and brings it back to the middle.
 ///
-/// A brake against the velocity alone leaves the arm where the pendulum, which may still hold more
-/// momentum than the arm, throws it next. This is a damper and a spring on the arm, steep far
-/// out: it can only take energy, whatever the masses and lengths are. Feedback of the pendulum
+/// At first, while arm and pendulum hold a momentum that leaves the envelope, it pushes against that at
+/// full voltage, whoever of the two holds it. Otherwise it is a damper and a spring on the arm alone, steep
+/// far out: it can only take energy, whatever the masses and lengths are. A brake against the arm's
+/// velocity alone leaves the arm where the pendulum throws it next; feedback of the pendulum
 /// would calm a nominal Qube sooner and drives one with another recoil faster and faster.
-#[must_use]
-pub fn retreat_voltage(state: &State) -> f64 {
-    let beyond_rad = (state.theta.abs() - WALL_RAD).max(0.0).copysign(state.theta);
-    let wanted_v = -(RETREAT_DAMPING_V_S * state.theta_dot
-        + RETREAT_CENTRING_V_RAD * state.theta
-        + WALL_V_RAD * beyond_rad);
-    wanted_v.clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V)
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Retreat {
+    /// Direction of the last full push, 0 before the first.
+    push: f64,
+    periods_since_push: u32,
+    periods: u32,
+    /// Whether full pushes are over.
+    without_pushes: bool,
+}
+
+impl Retreat {
+    /// From now on without full pushes: where the pendulum's encoder cannot be believed.
+    pub fn disbelieve_pendulum(&mut self) {
+        self.without_pushes = true;
+    }
+
+    /// The voltage for the next control period, V.
+    #[must_use]
+    pub fn voltage_v(&mut self, state: &State) -> f64 {
+        self.periods = self.periods.saturating_add(1);
+        self.periods_since_push = self.periods_since_push.saturating_add(1);
+        let push = -SpeedEnvelope::outward(state);
+        if push != 0.0 {
+            let late = self.periods > PUSHING_PERIODS;
+            let overshot = push == -self.push && self.periods_since_push <= OVERSHOT_PERIODS;
+            self.without_pushes |= late || overshot;
+            if !self.without_pushes {
+                self.push = push;
+                self.periods_since_push = 0;
+                return push * MAX_VOLTAGE_V;
+            }
+        }
+        let firmness = if self.periods > FIRM_PERIODS { GENTLE } else { 1.0 };
+        let beyond_rad = (state.theta.abs() - WALL_RAD).max(0.0).copysign(state.theta);
+        let wanted_v = -firmness
+            * (RETREAT_DAMPING_V_S * state.theta_dot
+                + RETREAT_CENTRING_V_RAD * state.theta
+                + WALL_V_RAD * beyond_rad);
+        wanted_v.clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V)
+    }
 }

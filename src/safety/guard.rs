@@ -8,7 +8,7 @@ pub enum Guard {
     /// and that of every file which does not name its guard.
     #[default]
     Box,
-    /// The [`super::SpeedEnvelope`], and [`super::retreat_voltage`] back to the middle.
+    /// The [`super::SpeedEnvelope`], and [`super::Retreat`] back to the middle.
     Envelope,
 }
 

@@ -9,7 +9,7 @@ mod safety_box;
 mod speed_envelope;
 mod voltage_gate;
 
-pub use braking::{brake_voltage, retreat_voltage};
+pub use braking::{Retreat, brake_voltage};
 pub use guard::Guard;
 pub use safety_box::{Limit, SafetyBox};
 pub use speed_envelope::SpeedEnvelope;

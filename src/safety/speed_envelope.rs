@@ -1,25 +1,35 @@
 use crate::elementary::Scalar;
 use crate::qube::State;
 
-/// How far the arm may be going to reach, rad: 0.89 rad inside of the hard stop. What is left takes
-/// the error of the two bounds below; SAFETY.md has the derivation, `examples/adversary.rs` the
-/// search for a policy that uses it up.
-const FARTHEST_REACH_RAD: f64 = 1.5;
-
 /// How long the arm goes on before a brake can act, s: 20 ms of delay and 10 ms of filter lag.
 const BLIND_S: f64 = 0.03;
 
-/// What the brake is trusted to take off the arm's momentum, rad/s^2: a little over half of what
-/// 5 V do to a nominal Qube (108 rad/s^2), as a Qube with 30 % less motor and more mass has it.
-const BRAKING_RAD_S2: f64 = 60.0;
+/// How a Qube brakes, and how far its arm may be going to reach.
+struct Kind {
+    /// What 5 V take off the arm's momentum, rad/s^2.
+    braking_rad_s2: f64,
+    /// Where the arm must come to rest before, rad.
+    farthest_rad: f64,
+}
+
+/// A Qube whose motor is 30 % weaker and whose masses and lengths are 30 % larger: it needs the room
+/// that its own equations ask for.
+const WEAK: Kind = Kind { braking_rad_s2: 26.0, farthest_rad: 2.1 };
+
+/// A nominal Qube (108 rad/s^2) and all stronger ones: they leave more room, because their pendulum
+/// may throw the arm farther than a nominal one (r up to 1.2), and the brake may overshoot.
+const STRONG: Kind = Kind { braking_rad_s2: 100.0, farthest_rad: 1.7 };
 
 /// r = c / A of a nominal Qube: how far the arm recoils, in rad, when the pendulum swings from
 /// hanging to horizontal.
 const RECOIL_RAD: f64 = 0.57;
 
+/// q / A: how much heavier the arm turns when the pendulum is level.
+const LEVEL_INERTIA: f64 = 0.43;
+
 /// Between these r lies for the masses and lengths that a momentum must be judged for.
-const LEAST_RECOIL_RAD: f64 = 0.3;
-const LARGEST_RECOIL_RAD: f64 = 0.8;
+const LEAST_RECOIL_RAD: f64 = 0.4;
+const LARGEST_RECOIL_RAD: f64 = 0.7;
 
 /// The speed envelope: says brake as long as braking can still keep the arm off its hard stop.
 ///
@@ -36,20 +46,25 @@ const LARGEST_RECOIL_RAD: f64 = 0.8;
 /// when the pendulum has given everything:
 ///
 /// ```text
-/// reach = th + r (1 + sin a) + tau u + u^2 / 2 b,      u = max(0, th' + r cos a a'),  r = c / A
+/// reach = th + r (1 + sin a) + tau u + u^2 / 2 b,      u = p / A = (1 + q/A sin^2 a) th' + r cos a a',  r = c / A
 /// ```
 ///
 /// and for the other side the same of the mirrored state. It is monotone: farther out, faster
 /// outward or a pendulum that will push outward never make it smaller.
+///
+/// It is asked for two kinds of Qubes, and both must be inside.
 pub struct SpeedEnvelope;
 
 impl SpeedEnvelope {
-    /// How far the arm may get towards positive theta before it can be stopped, rad.
+    /// Towards which stop the state has left the envelope: 1 for the positive one, -1 for the negative
+    /// one, 0 for neither or both.
     #[must_use]
-    #[inline(always)]
-    pub fn reach<T: Scalar>(state: &State<T>) -> T {
-        let (sin, cos) = state.alpha.sin_cos();
-        one_sided(state.theta, sin, state.theta_dot, cos * state.alpha_dot)
+    pub fn outward(state: &State) -> f64 {
+        let (sin, cos) = Scalar::sin_cos(state.alpha);
+        let swing = cos * state.alpha_dot;
+        let positive = one_sided(state.theta, sin, state.theta_dot, swing);
+        let negative = one_sided(-state.theta, -sin, -state.theta_dot, -swing);
+        f64::from(u8::from(negative)) - f64::from(u8::from(positive))
     }
 
     /// Whether braking need not begin, on either side; not for what is not a number.
@@ -58,24 +73,29 @@ impl SpeedEnvelope {
     pub fn contains<T: Scalar>(state: &State<T>) -> bool {
         let (sin, cos) = state.alpha.sin_cos();
         let swing = cos * state.alpha_dot;
-        let farthest = T::from_f64(FARTHEST_REACH_RAD);
-        (one_sided(state.theta, sin, state.theta_dot, swing) < farthest)
-            & (one_sided(-state.theta, -sin, -state.theta_dot, -swing) < farthest)
+        one_sided(state.theta, sin, state.theta_dot, swing)
+            & one_sided(-state.theta, -sin, -state.theta_dot, -swing)
     }
 }
 
+/// Whether an arm stays short of its positive stop.
 #[inline(always)]
-fn one_sided<T: Scalar>(theta: T, sin: T, theta_dot: T, swing: T) -> T {
-    let one = T::from_f64(1.0);
+fn one_sided<T: Scalar>(theta: T, sin: T, theta_dot: T, swing: T) -> bool {
     let most = T::from_f64(LARGEST_RECOIL_RAD) * swing;
     let least = T::from_f64(LEAST_RECOIL_RAD) * swing;
     let handed_over = if most > least { most } else { least };
-    let momentum = theta_dot + handed_over;
+    let heavier = T::from_f64(LEVEL_INERTIA).mul_add(sin * sin, T::from_f64(1.0));
+    let momentum = heavier.mul_add(theta_dot, handed_over);
     // Not a number goes on as one: the comparison is false for it.
     let outward = if momentum < T::from_f64(0.0) { T::from_f64(0.0) } else { momentum };
-    let stopping = T::from_f64(0.5 / BRAKING_RAD_S2).mul_add(outward, T::from_f64(BLIND_S));
-    let recoil = T::from_f64(RECOIL_RAD).mul_add(one + sin, theta);
-    stopping.mul_add(outward, recoil)
+    let thrown = T::from_f64(RECOIL_RAD).mul_add(T::from_f64(1.0) + sin, theta);
+    let when_braked = T::from_f64(BLIND_S).mul_add(outward, thrown);
+    let square = outward * outward;
+    let stays_short = |kind: Kind| {
+        let reach = T::from_f64(0.5 / kind.braking_rad_s2).mul_add(square, when_braked);
+        reach < T::from_f64(kind.farthest_rad)
+    };
+    stays_short(WEAK) & stays_short(STRONG)
 }
 
 #[cfg(test)]
@@ -88,12 +108,17 @@ mod tests {
     use crate::qube::{
         DomainParameters, Dynamics, HARD_STOP_RAD, MAX_VOLTAGE_V, RAD_PER_COUNT, runge_kutta_4,
     };
-    use crate::safety::retreat_voltage;
+    use crate::safety::Retreat;
 
     fn states() -> impl Strategy<Value = State> {
         (-3.0..3.0, -13.0..13.0, -40.0..40.0, -60.0..60.0).prop_map(
             |(theta, alpha, theta_dot, alpha_dot)| State { theta, alpha, theta_dot, alpha_dot },
         )
+    }
+
+    fn positive_side(state: &State) -> bool {
+        let (sin, cos) = state.alpha.sin_cos();
+        one_sided(state.theta, sin, state.theta_dot, cos * state.alpha_dot)
     }
 
     fn mirrored(state: &State) -> State {
@@ -107,33 +132,37 @@ mod tests {
 
     proptest! {
         #[test]
-        fn farther_out_and_faster_outward_never_reach_less(
+        fn farther_out_and_faster_outward_never_comes_back_inside(
             state in states(),
             more in 0.0..5.0_f64,
         ) {
-            let reach = SpeedEnvelope::reach(&state);
-            prop_assert!(reach >= state.theta);
+            let outside = |state: &State| !positive_side(state);
             let farther = State { theta: state.theta + more, ..state };
-            prop_assert!(SpeedEnvelope::reach(&farther) >= reach);
             let faster = State { theta_dot: state.theta_dot + more, ..state };
-            prop_assert!(SpeedEnvelope::reach(&faster) >= reach);
-            let pushed = State { alpha_dot: state.alpha_dot + more * state.alpha.cos().signum(), ..state };
-            prop_assert!(SpeedEnvelope::reach(&pushed) >= reach);
+            let outward = more * state.alpha.cos().signum();
+            let pushed = State { alpha_dot: state.alpha_dot + outward, ..state };
+            for further in [farther, faster, pushed] {
+                prop_assert!(!outside(&state) || outside(&further), "{:?}", further);
+            }
+            prop_assert!(state.theta < STRONG.farthest_rad || outside(&state));
         }
 
         #[test]
         fn both_sides_are_judged_alike_and_in_both_number_types(state in states()) {
             let inside = SpeedEnvelope::contains(&state);
             prop_assert_eq!(SpeedEnvelope::contains(&mirrored(&state)), inside);
-            let reach = SpeedEnvelope::reach(&state).max(SpeedEnvelope::reach(&mirrored(&state)));
-            prop_assert_eq!(inside, reach < FARTHEST_REACH_RAD);
+            prop_assert_eq!(inside, positive_side(&state) && positive_side(&mirrored(&state)));
             let single: State<f32> = State {
                 theta: state.theta as f32,
                 alpha: state.alpha as f32,
                 theta_dot: state.theta_dot as f32,
                 alpha_dot: state.alpha_dot as f32,
             };
-            if (reach - FARTHEST_REACH_RAD).abs() > 1e-3 {
+            // Off the edge, where the last bit decides.
+            let off = |by: f64| State { theta: state.theta + by, ..state };
+            let (inward, outward) = (off(-1e-3), off(1e-3));
+            if SpeedEnvelope::contains(&inward) == inside && SpeedEnvelope::contains(&outward) == inside
+            {
                 prop_assert_eq!(SpeedEnvelope::contains(&single), inside);
             }
         }
@@ -160,7 +189,7 @@ mod tests {
             (0..count).map(move |i| largest * (2.0 * i as f64 / (count - 1) as f64 - 1.0))
         };
         let (mut farthest, mut states) = (0.0_f64, 0);
-        for theta in grid(steps[0], FARTHEST_REACH_RAD) {
+        for theta in grid(steps[0], STRONG.farthest_rad) {
             let theta = (theta / RAD_PER_COUNT).round() * RAD_PER_COUNT;
             for alpha in grid(steps[1], PI) {
                 for theta_dot in grid(steps[2], 30.0) {
@@ -185,9 +214,14 @@ mod tests {
         const DELAY: usize = 10;
         let mut state = start;
         let mut late = [outward * MAX_VOLTAGE_V; DELAY];
+        let mut wanted_v = 0.0;
         let mut farthest = 0.0_f64;
+        let mut retreat = Retreat::default();
         for step in 0..300 {
-            let wanted_v = retreat_voltage(&state);
+            // The brake decides each control period.
+            if step % 5 == 0 {
+                wanted_v = retreat.voltage_v(&state);
+            }
             let voltage_v = std::mem::replace(&mut late[step % DELAY], wanted_v);
             state = runge_kutta_4(dynamics, state, voltage_v, STEP_S);
             farthest = farthest.max(state.theta.abs());

@@ -104,7 +104,6 @@ impl SessionSettings {
     /// Says in words what cannot be, if anything cannot.
     fn check(&self) -> Result<(), String> {
         let positive = [
-            ("estimator.corner_rad_s", self.estimator.corner_rad_s),
             ("safety_box.theta", self.safety_box.theta),
             ("safety_box.alpha", self.safety_box.alpha),
             ("safety_box.theta_dot", self.safety_box.theta_dot),
@@ -115,6 +114,7 @@ impl SessionSettings {
                 return Err(format!("{name} = {value}: give a number above 0"));
             }
         }
+        self.estimator.check().map_err(|error| format!("estimator.{error}"))?;
         let counts = [
             ("extent.initial_candidates", self.extent.initial_candidates, 1000),
             ("extent.rollouts", self.extent.rollouts, 1000),

@@ -167,21 +167,20 @@ impl SessionFolder {
         self.disk.create_folder(&path).map_err(io(&path))
     }
 
-    /// Gives a recording that never came to an end another name, so that the rollout can be done
-    /// again under its own. It is kept: what a crash leaves may say why.
-    ///
-    /// # Errors
-    /// It cannot be renamed.
-    pub fn put_aside(&self, recording: &Path) -> Result<(), FolderError> {
-        let free =
-            (1..).map(|number| recording.with_extension(format!("unfinished-{number}.mcap")));
-        let aside = free.into_iter().find(|path| !self.disk.exists(path)).unwrap_or_default();
-        self.disk.rename(recording, &aside).map_err(io(recording))
-    }
-
     fn candidate(&self, candidate: u32) -> PathBuf {
         self.root.join("candidates").join(format!("{candidate:03}"))
     }
+}
+
+/// Gives a recording that never came to an end another name, so that the rollout can be done again
+/// under its own. It is kept: what a crash leaves may say why.
+///
+/// # Errors
+/// It cannot be renamed.
+pub fn put_aside(disk: &dyn Disk, recording: &Path) -> Result<(), FolderError> {
+    let free = (1..).map(|number| recording.with_extension(format!("unfinished-{number}.mcap")));
+    let aside = free.into_iter().find(|path| !disk.exists(path)).unwrap_or_default();
+    disk.rename(recording, &aside).map_err(io(recording))
 }
 
 /// Writes a file so that it is there whole or not at all, also after a loss of power.

@@ -4,6 +4,7 @@
 //! [`Session`] does it, [`Rig`] is the Qube it is done on, [`judge`] says what a recording is worth.
 
 mod configuration;
+mod drift;
 mod error;
 mod folder;
 mod header;
@@ -19,8 +20,9 @@ mod training;
 mod verdict;
 
 pub use configuration::ConfigurationError;
+pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use error::SessionError;
-pub use folder::{FolderError, SessionFolder, write_whole};
+pub use folder::{FolderError, SessionFolder, put_aside, write_whole};
 pub use header::RolloutPlan;
 pub use latencies::Latencies;
 pub use ledger::{DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger};
@@ -30,5 +32,6 @@ pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use rig::{
     ClockChoice, Connect, DeviceChoice, Recorded, Rig, RigError, RigSettings, TimedDevice,
 };
+pub use seeds::{Purpose as SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, Model, SessionSettings};
 pub use verdict::{Verdict, judge, judge_recording};

@@ -3,16 +3,19 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::folder::write_whole;
+use super::folder::{put_aside, write_whole};
 use super::seeds::{Purpose as SeedFor, derived_seed};
 use super::training::{Job, News, train_all};
 use super::{
-    Candidate, ClockChoice, DeviceChoice, Entry, Ledger, Purpose, Rig, RigSettings, RolloutPlan,
-    SessionError, SessionFolder, SessionSettings, Step, Verdict, candidates, judge, next_step,
+    Candidate, ClockChoice, DRIFT_ROLLOUTS, DeviceChoice, Drift, Entry, Ledger, Purpose, Rig,
+    RigSettings, RolloutPlan, SessionError, SessionFolder, SessionSettings, Step, Verdict,
+    candidates, judge, judge_recording, next_step,
 };
+use crate::identification::Unfit;
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
 use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
-use crate::recording::RecordingError;
+use crate::qube::QubeModel;
+use crate::recording::{Recording, RecordingError, read_on};
 use crate::search::Observation;
 use crate::simulation::{PSI_DIMENSIONS, Psi};
 
@@ -52,6 +55,8 @@ pub enum Progress<'a> {
         /// What it is worth.
         verdict: &'a Verdict,
     },
+    /// How the rig is today beside its profile, or why that cannot be said.
+    Drift(&'a Result<Drift, Unfit>),
 }
 
 /// A session in its folder: the algorithm of the method's section 1, one step at a time.
@@ -63,6 +68,11 @@ pub struct Session {
     rig: Option<Rig>,
     verdicts: HashMap<(u32, u32, u32), Verdict>,
     stop: Arc<AtomicBool>,
+    cores: usize,
+    /// What the rig was when its profile was made, until today's drift is known.
+    profile: Option<QubeModel>,
+    /// Today's rollouts, until there are enough for that.
+    today: Vec<Recording>,
 }
 
 impl Session {
@@ -90,7 +100,24 @@ impl Session {
             rig: None,
             verdicts: HashMap::new(),
             stop,
+            cores: std::thread::available_parallelism().map_or(1, usize::from),
+            profile: None,
+            today: Vec::new(),
         })
+    }
+
+    /// Compares the rig with its profile after the first rollouts from now on, and tells.
+    #[must_use]
+    pub fn beside(mut self, profile: Option<QubeModel>) -> Self {
+        self.profile = profile;
+        self
+    }
+
+    /// Trains on no more than so many cores; without this on all of them. The policies are the same.
+    #[must_use]
+    pub fn on_cores(mut self, cores: usize) -> Self {
+        self.cores = cores.max(1);
+        self
     }
 
     /// Goes on until the answer is verified, a fault stops it, or somebody does.
@@ -220,7 +247,7 @@ impl Session {
         }
         let mut failed = None;
         let (folder, settings) = (&self.folder, &self.settings);
-        train_all(&jobs, &self.settings.training, &self.stop, |news| match news {
+        train_all(&jobs, &self.settings.training, self.cores, &self.stop, |news| match news {
             News::Update { candidate, update } => {
                 tell(Progress::Training { candidate, update: &update });
             }
@@ -263,7 +290,7 @@ impl Session {
         if self.folder.disk().exists(&path) {
             match judge(self.folder.disk(), &path) {
                 Ok(Verdict::Unfinished) | Err(RecordingError::Unreadable { .. }) => {
-                    self.folder.put_aside(&path)?;
+                    put_aside(self.folder.disk(), &path)?;
                 }
                 Ok(Verdict::Result { .. } | Verdict::Void { .. }) => {}
                 Err(error) => return Err(error.into()),
@@ -272,7 +299,8 @@ impl Session {
         if !self.folder.disk().exists(&path) {
             self.perform(candidate, rollout, attempt, &path, tell)?;
         }
-        let verdict = judge(self.folder.disk(), &path)?;
+        let recording = read_on(self.folder.disk(), &path)?;
+        let verdict = judge_recording(&recording);
         tell(Progress::Rollout { candidate, rollout, attempt, verdict: &verdict });
         match &verdict {
             Verdict::Result { .. } => {
@@ -292,8 +320,22 @@ impl Session {
             // The stop is still set and ends the session; --resume does the rollout again.
             Verdict::Unfinished => {}
         }
+        if matches!(verdict, Verdict::Result { .. }) {
+            self.watch_drift(recording, tell);
+        }
         self.verdicts.insert((candidate, rollout, attempt), verdict);
         Ok(())
+    }
+
+    /// Once there are enough of today's rollouts, says where the rig stands beside its profile.
+    fn watch_drift(&mut self, recording: Recording, tell: &mut dyn FnMut(Progress)) {
+        let Some(profile) = self.profile else { return };
+        self.today.push(recording);
+        if self.today.len() == DRIFT_ROLLOUTS {
+            let drift = Drift::of(&std::mem::take(&mut self.today), &profile);
+            self.profile = None;
+            tell(Progress::Drift(&drift));
+        }
     }
 
     fn perform(

@@ -1,7 +1,7 @@
 //! `qube.toml`: what is particular about one Qube. Written by `check --write`, read wherever that
 //! Qube is driven.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -29,6 +29,10 @@ pub struct QubeFile {
     /// The serial number of its board: the signs of another rig would be dangerous.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub board: Option<String>,
+    /// What it is made of, as `identify` found it: the first rollouts of each day are compared with
+    /// this profile. Relative to the folder of this file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<PathBuf>,
     /// Which way round things are wired.
     pub signs: Signs,
     /// How the arm's zero is found.
@@ -222,6 +226,7 @@ mod tests {
         let file = QubeFile {
             port: Some("/dev/serial/by-id/usb-Arduino_Uno-if00".into()),
             board: Some("0123456789abcdef".into()),
+            profile: Some("lab.toml".into()),
             signs: Signs { alpha_inverted: true, ..Signs::default() },
             homing: RigHoming { method: HomingMethod::Hand, theta_offset_rad: -0.05 },
             limits: RigLimits { theta_rad: 2.0, ..RigLimits::default() },

@@ -31,6 +31,13 @@ pub enum Purpose {
         /// Which try.
         attempt: u32,
     },
+    /// A session within an experiment: its candidates are others than the experiment's policies.
+    Search,
+    /// What the Qube of a policy is like, where each policy has its own.
+    Qube {
+        /// The policy.
+        policy: u32,
+    },
 }
 
 /// The stream's number: the kind in the highest byte, then candidate, rollout and try.
@@ -45,6 +52,8 @@ fn stream(purpose: Purpose) -> u64 {
         Purpose::Start { candidate, rollout } => number(1, candidate, rollout, 0),
         Purpose::Training { candidate } => number(2, candidate, 0, 0),
         Purpose::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
+        Purpose::Search => number(4, 0, 0, 0),
+        Purpose::Qube { policy } => number(5, policy, 0, 0),
     }
 }
 
@@ -73,9 +82,10 @@ mod tests {
 
     #[test]
     fn purposes_do_not_share_a_stream() {
-        let mut purposes = Vec::new();
+        let mut purposes = vec![Purpose::Search];
         for candidate in 0..4 {
             purposes.push(Purpose::Training { candidate });
+            purposes.push(Purpose::Qube { policy: candidate });
             for rollout in 0..4 {
                 purposes.push(Purpose::Start { candidate, rollout });
                 for attempt in 0..4 {

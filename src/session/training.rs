@@ -34,15 +34,15 @@ pub enum News {
     },
 }
 
-/// Trains policies side by side, one on each core; a policy's bytes do not depend on how many.
-/// Returns when all have ended; a set `stop` ends them soon.
+/// Trains policies side by side, one on each of so many cores; a policy's bytes do not depend on how
+/// many. Returns when all have ended; a set `stop` ends them soon.
 pub fn train_all(
     jobs: &[Job],
     settings: &TrainSettings,
+    cores: usize,
     stop: &AtomicBool,
     mut tell: impl FnMut(News),
 ) {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let (sender, receiver) = unbounded();
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {

@@ -4,7 +4,7 @@ use super::{
     DomainDistribution, Family, Pendulums, Progress, SensorModel, SimulationSettings, Trajectory,
 };
 use crate::elementary::Level;
-use crate::estimation::{Calibration, Estimator, EstimatorSettings};
+use crate::estimation::{Calibration, Estimates, Estimator, EstimatorSettings};
 use crate::qube::{
     DomainParameters, Dynamics, MAX_HISTORY, MAX_STEPS, Measurement, OBSERVATION_SIZE,
     RAD_PER_COUNT, RewardWeights, State, control_step, counts, observation,
@@ -217,7 +217,7 @@ fn a_trajectory_ends_at_the_box_at_what_is_not_a_number_and_after_600_steps() {
 
 #[test]
 fn encoders_show_what_the_estimator_of_the_machine_makes_of_the_counts() {
-    let estimator_settings = EstimatorSettings { corner_rad_s: 50.0 };
+    let estimator_settings = EstimatorSettings::filter(50.0);
     let settings = SimulationSettings {
         sensors: SensorModel::Encoders { estimator: estimator_settings },
         ..SimulationSettings::default()
@@ -229,7 +229,7 @@ fn encoders_show_what_the_estimator_of_the_machine_makes_of_the_counts() {
     let mut estimator = Estimator::new(estimator_settings, Calibration::IDENTITY);
     for step in 0..300_u64 {
         let state = bench.pendulums.state(3);
-        let expected = estimator.update(&Measurement {
+        let Estimates { seen: expected, .. } = estimator.update(&Measurement {
             device_time_us: 10_000 * step,
             theta_counts: counts(state.theta.into()),
             alpha_counts: counts(state.alpha.into()),

@@ -15,7 +15,7 @@ use crate::safety::{Limit, SafetyBox};
 pub struct TickSettings {
     /// Counts to angles, wanted to sent voltage.
     pub calibration: Calibration,
-    /// How velocities are estimated.
+    /// How the state is estimated that the policy sees.
     pub estimator: EstimatorSettings,
     /// The box that ends the rollout.
     pub safety_box: SafetyBox,
@@ -100,9 +100,12 @@ pub enum Fault {
     /// The controller asked for a voltage that is not a number.
     #[error("the policy asked for a voltage that is not a number")]
     NotANumber,
-    /// An encoder moved farther than anything can between two samples.
-    #[error("an encoder jumped by more than 200 counts in 10 ms (a hard hit, or a loose cable?)")]
+    /// The arm's encoder moved farther than an arm can between two samples.
+    #[error("the arm's encoder jumped by more than 200 counts in 10 ms (a hard hit?)")]
     EncoderJump,
+    /// The pendulum's encoder moved farther than a pendulum should between two samples.
+    #[error("the pendulum's encoder jumped by more than 200 counts in 10 ms (a loose cable?)")]
+    PendulumJump,
     /// The motor drove and the arm's count stayed.
     #[error(
         "the arm's encoder stayed for 300 ms against 1 V or more (loose cable, or a held arm?)"
@@ -144,10 +147,18 @@ pub struct RolloutOutcome {
     pub missed_deadlines: u32,
     /// Records that the recorder had no room for: above 0, the file has gaps.
     pub records_lost: u64,
+    /// How often the observer had lost the Qube and started anew from encoders and filter: its model
+    /// is of another Qube, or something hit this one.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub times_astray: u32,
     /// Wake-up lateness, microseconds.
     pub lateness_us: LatencySummary,
     /// From sample to act by the device's clock, microseconds.
     pub sample_to_act_us: LatencySummary,
+}
+
+fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 /// Percentiles of a latency.

@@ -32,7 +32,8 @@ pub struct TickRecord {
     pub stop_requested: bool,
     /// The sample, or none when no valid one came in time and the last voltage was held over.
     pub measurement: Option<Measurement>,
-    /// The estimated state that the controller saw.
+    /// The estimated state that the policy sees, in the phases before and after it too. What judges,
+    /// settles and brakes goes by a filter of its own, which follows from the samples.
     pub state: State,
     /// What the controller asked for, V, before any limit; none while held over.
     pub wanted_v: Option<f64>,

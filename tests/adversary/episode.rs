@@ -48,6 +48,8 @@ pub const PROMISED: Domain = Domain {
 pub struct Episode {
     /// The farthest that the arm got, rad.
     pub farthest_rad: f64,
+    /// When it got there, s.
+    pub farthest_at_s: f64,
     /// The largest voltage sent, mV.
     pub largest_mv: i16,
     /// How the tick ended it.
@@ -120,7 +122,7 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
     let mut plant = Plant::new(&factors, roughness, start_theta_rad);
     let settings = TickSettings {
         calibration: Calibration::IDENTITY,
-        estimator: EstimatorSettings { corner_rad_s: domain.corner_rad_s },
+        estimator: EstimatorSettings::filter(domain.corner_rad_s),
         safety_box: domain.safety_box,
         max_steps: STEPS,
         start_theta_rad,
@@ -129,7 +131,8 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut acts: VecDeque<(f64, i16)> = VecDeque::with_capacity(8);
     let mut sent_at_s = 0.0_f64;
-    let mut episode = Episode { farthest_rad: 0.0, largest_mv: 0, ending: None, ticks: 0 };
+    let mut episode =
+        Episode { farthest_rad: 0.0, farthest_at_s: 0.0, largest_mv: 0, ending: None, ticks: 0 };
     let mut applied_mv = 0;
     for number in 0_u32.. {
         let now_s = f64::from(number) * 0.01;
@@ -172,6 +175,6 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
         let voltage_mv = if output.ending.is_some() { 0 } else { output.voltage_mv };
         acts.push_back((sent_at_s, voltage_mv));
     }
-    episode.farthest_rad = plant.farthest_rad;
+    (episode.farthest_rad, episode.farthest_at_s) = (plant.farthest_rad, plant.farthest_at_s);
     episode
 }

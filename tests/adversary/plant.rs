@@ -21,6 +21,8 @@ pub struct Plant {
     pub state: State,
     /// The largest |theta| so far, rad.
     pub farthest_rad: f64,
+    /// When it got there, s.
+    pub farthest_at_s: f64,
     dynamics: Dynamics,
     roughness: Roughness,
     voltage_v: f64,
@@ -37,6 +39,7 @@ impl Plant {
         Self {
             state: State { theta, ..State::default() },
             farthest_rad: 0.0,
+            farthest_at_s: 0.0,
             dynamics: Dynamics::new(&parameters),
             roughness,
             voltage_v: 0.0,
@@ -51,7 +54,9 @@ impl Plant {
             let voltage_v = self.voltage_v - self.lost_v();
             self.state = runge_kutta_4(&self.dynamics, self.state, voltage_v, step_s);
             self.time_s += step_s;
-            self.farthest_rad = self.farthest_rad.max(self.state.theta.abs());
+            if self.state.theta.abs() > self.farthest_rad {
+                (self.farthest_rad, self.farthest_at_s) = (self.state.theta.abs(), self.time_s);
+            }
         }
     }
 

@@ -1,0 +1,331 @@
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use clap::ValueEnum;
+use serde_json::json;
+
+use super::dated_folder;
+use super::device_arguments::{CheckArguments, ChosenDevice, QubeArguments};
+use super::exit::Failure;
+use super::experiment_progress::ExperimentProgress;
+use super::experiment_table::{csv, table, value};
+use super::failures;
+use super::guard_argument::GuardArgument;
+use super::number_arguments::positive;
+use super::output::Output;
+use super::plant_arguments::PlantArguments;
+use super::stop::Stop;
+use crate::estimation::EstimatorSettings;
+use crate::experiment::{
+    Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe, RecipeModel,
+    Results, densities_svg, searches_svg,
+};
+use crate::learning::TrainSettings;
+use crate::safety::Guard;
+use crate::search::BayRnSettings;
+use crate::session::{
+    DeviceChoice, Extent, FolderError, RigSettings, SessionSettings, write_whole,
+};
+use crate::simulation::{Family, SensorModel};
+use crate::storage::{Disk, MachineDisk};
+
+/// Compare recipes: train some policies by each, run them all on the Qube, print the table
+///
+/// A recipe is a model of the thesis (its table 5.3) or a file of your own. For the optimised
+/// models a session looks for psi first. On the emulated Qube everything is in virtual time and on
+/// all processors. Whatever ends it, --resume goes on without losing or repeating what is finished;
+/// of an experiment that is finished it prints the table again. A policy succeeds when its mean
+/// return is at least 400 and at least 4 of 5 of its rollouts stand to the end.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil experiment --profile lab                   # the thesis's table on an identified Qube\n  \
+    qube-hil experiment --profile lab --models nominal,handcrafted --preset thesis --out logs/t53\n  \
+    qube-hil experiment --resume logs/t53\n  \
+    qube-hil experiment --recipe mine.toml --plants plants.toml --policies 5\n\n\
+    A recipe file:\n  \
+    name = \"slow-filter\"\n  \
+    model = \"nominal\"          # or any of --models\n  \
+    [settings.estimator]       # whatever differs from the flags, as in a session.toml\n  \
+    corner_rad_s = 20.0")]
+pub struct Arguments {
+    /// Models of the thesis, with commas between [default: all five, or none beside --recipe]
+    #[arg(
+        long,
+        value_name = "NAMES",
+        value_enum,
+        value_delimiter = ',',
+        conflicts_with = "resume"
+    )]
+    models: Vec<ModelArgument>,
+
+    /// A recipe of your own; may be given several times
+    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
+    recipe: Vec<PathBuf>,
+
+    /// Shape of all distributions
+    #[arg(long, value_enum, default_value_t = FamilyArgument::Normal, conflicts_with = "resume")]
+    family: FamilyArgument,
+
+    /// Policies of each recipe
+    #[arg(long, default_value_t = 20, conflicts_with = "resume")]
+    policies: u32,
+
+    /// Rollouts of each policy
+    #[arg(long, default_value_t = 5, conflicts_with = "resume")]
+    rollouts: u32,
+
+    /// Training budget, and what of the machine training knows: `quick` and `thesis` nothing, as
+    /// published
+    #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
+    preset: Preset,
+
+    /// Corner of the velocity filter on the machine, rad/s [default: 50, the thesis's; 200 with
+    /// --preset machine]
+    #[arg(long, value_parser = positive, conflicts_with = "resume")]
+    filter: Option<f64>,
+
+    /// Guard of rollouts and simulations [default: the box, as published; on a port and with
+    /// --preset machine the envelope]
+    #[arg(long, value_enum, conflicts_with = "resume")]
+    guard: Option<GuardArgument>,
+
+    /// What simulations show of the state: as it is, or through encoders and the machine's filter
+    /// [default: as it is; with --preset machine encoders]
+    #[arg(long, value_enum, conflicts_with = "resume")]
+    sensors: Option<Sensors>,
+
+    /// Everything random follows from it
+    #[arg(long, default_value_t = 0, conflicts_with = "resume")]
+    seed: u64,
+
+    /// Folder for the experiment, which must not exist [default: logs/experiment-DATE-TIME]
+    #[arg(long, value_name = "DIR", conflicts_with = "resume")]
+    out: Option<PathBuf>,
+
+    /// Go on with an experiment from its folder
+    #[arg(long, value_name = "DIR")]
+    resume: Option<PathBuf>,
+
+    /// Processors to use [default: all]; the results are the same
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+
+    /// Also write a line for each policy to this file
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+
+    /// Also draw the thesis's figures 5.2 and 5.3 into this folder
+    #[arg(long, value_name = "DIR")]
+    figures: Option<PathBuf>,
+
+    #[command(flatten)]
+    qube: QubeArguments,
+
+    #[command(flatten)]
+    plants: PlantArguments,
+
+    #[command(flatten)]
+    check: CheckArguments,
+}
+
+/// The models by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ModelArgument {
+    /// The name plate's values, always the same
+    Nominal,
+    /// All nine parameters vary by a fifth
+    Handcrafted,
+    /// Masses and lengths vary by a fifth
+    NominalHandcrafted,
+    /// Masses and lengths by a psi that is searched, the others vary by a fifth
+    OptHandcrafted,
+    /// Masses and lengths by a psi that is searched
+    OptNominal,
+}
+
+impl From<ModelArgument> for RecipeModel {
+    fn from(argument: ModelArgument) -> Self {
+        Self::ALL[argument as usize]
+    }
+}
+
+/// The two shapes by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum FamilyArgument {
+    Normal,
+    Uniform,
+}
+
+/// How much training, in what simulation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Preset {
+    /// A second or two a policy, on true states in the thesis's box
+    Quick,
+    /// Seconds a policy, with the machine's encoders, velocity filter and speed envelope
+    Machine,
+    /// The published budget, on true states in the thesis's box
+    Thesis,
+}
+
+/// What the simulation shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Sensors {
+    /// Angles and velocities without error
+    True,
+    /// Angles in encoder counts, velocities by the filter that runs on the machine
+    Encoders,
+}
+
+/// Fresh starts of the evaluation in simulation.
+const SIMULATED_STARTS: u32 = 1000;
+
+/// Runs or resumes an experiment and prints its table.
+pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
+    let started = Instant::now();
+    let device = arguments.qube.choose()?;
+    let opened = match &arguments.resume {
+        Some(directory) => resumed(directory),
+        None => begun(&arguments, &device),
+    };
+    let (folder, settings) = opened?;
+    let stop = Stop::on_signals()?;
+    let resume = format!("qube-hil experiment --resume {}", folder.root().display());
+    eprintln!("experiment in {}", folder.root().display());
+
+    let first = &settings.recipes[0].settings;
+    let rig = RigSettings {
+        homing: first.homing,
+        ..device.rig_settings(
+            settings.plants[0].emulated.emulator(settings.seed),
+            first.estimator,
+            arguments.check.skip_check,
+        )
+    };
+    let all = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = arguments.threads.map_or(all, usize::from);
+    let failed = |error| failures::experiment(error, &stop, &resume);
+    let progress = ExperimentProgress::new(&settings);
+    let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag));
+    let ended = experiment.run(&|news| progress.tell(&news));
+    progress.finish();
+    ended.map_err(failed)?;
+
+    let results = Results::read(&experiment).map_err(failed)?;
+    if let Some(path) = &arguments.csv {
+        write_whole(&MachineDisk, path, csv(&results).as_bytes())
+            .map_err(|error| failures::folder(&error))?;
+    }
+    if let Some(folder) = &arguments.figures {
+        draw(&experiment, folder).map_err(failed)?;
+    }
+    let directory = experiment.folder().root().display().to_string();
+    let mut result = value(&results);
+    result["directory"] = json!(directory);
+    result["wall_s"] = json!(started.elapsed().as_secs_f64());
+    let text = format!("{}\neverything is in {directory}", table(&results));
+    output.print(&text, &result);
+    Ok(())
+}
+
+fn draw(experiment: &Experiment, folder: &Path) -> Result<(), ExperimentError> {
+    let is_optimised = |recipe: &Recipe| recipe.model.is_optimised();
+    let mut figures = vec![("figure-5.2.svg", densities_svg(experiment)?)];
+    if experiment.settings().recipes.iter().any(is_optimised) {
+        figures.push(("figure-5.3.svg", searches_svg(experiment)?));
+    }
+    MachineDisk
+        .create_folder(folder)
+        .map_err(|source| FolderError::Io { path: folder.to_owned(), source })?;
+    for (name, svg) in figures {
+        write_whole(&MachineDisk, &folder.join(name), svg.as_bytes())?;
+    }
+    Ok(())
+}
+
+fn begun(
+    arguments: &Arguments,
+    device: &ChosenDevice,
+) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
+    let is_emulated = matches!(device.choice, DeviceChoice::Emulated);
+    let base = base(arguments, device);
+    let mut recipes = Vec::new();
+    let models: Vec<RecipeModel> = match arguments.models.as_slice() {
+        [] if arguments.recipe.is_empty() => RecipeModel::ALL.into(),
+        named => named.iter().map(|&model| model.into()).collect(),
+    };
+    recipes.extend(models.into_iter().map(|model| Recipe::of(model, &base)));
+    for path in &arguments.recipe {
+        recipes.push(Recipe::load(path, &base).map_err(Failure::usage)?);
+    }
+    let plants = match is_emulated {
+        true => arguments.plants.plants()?,
+        false => vec![Plant { name: "device".into(), emulated: Default::default(), vary: 0.0 }],
+    };
+    let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("experiment"));
+    let settings = ExperimentSettings {
+        name: directory
+            .file_name()
+            .map_or_else(|| "experiment".into(), |name| name.to_string_lossy().into_owned()),
+        seed: arguments.seed,
+        policies: arguments.policies,
+        rollouts: arguments.rollouts,
+        simulated_starts: SIMULATED_STARTS,
+        plants,
+        recipes,
+    };
+    settings.check().map_err(Failure::usage)?;
+    let toml = settings.to_toml().map_err(Failure::failed)?;
+    let folder = ExperimentFolder::create(&directory, &toml).map_err(Failure::usage)?;
+    Ok((folder, settings))
+}
+
+/// What the flags ask for, to which each recipe adds its model.
+fn base(arguments: &Arguments, device: &ChosenDevice) -> SessionSettings {
+    let is_emulated = matches!(device.choice, DeviceChoice::Emulated);
+    let knows_the_machine = arguments.preset == Preset::Machine;
+    let mut training = match arguments.preset {
+        Preset::Quick => TrainSettings::quick(),
+        Preset::Machine => TrainSettings::machine(),
+        Preset::Thesis => TrainSettings::thesis(),
+    };
+    let published = EstimatorSettings::filter(50.0);
+    let mut estimator = if knows_the_machine { EstimatorSettings::default() } else { published };
+    if let Some(corner_rad_s) = arguments.filter {
+        estimator.corner_rad_s = corner_rad_s;
+    }
+    let encoders = match arguments.sensors {
+        Some(sensors) => sensors == Sensors::Encoders,
+        None => knows_the_machine,
+    };
+    training.simulation.sensors =
+        if encoders { SensorModel::Encoders { estimator } } else { SensorModel::TrueState };
+    let guard = match arguments.guard {
+        Some(guard) => guard.into(),
+        None if knows_the_machine || !is_emulated => Guard::Envelope,
+        None => Guard::Box,
+    };
+    let settings = SessionSettings {
+        family: match arguments.family {
+            FamilyArgument::Normal => Family::Normal,
+            FamilyArgument::Uniform => Family::Uniform,
+        },
+        extent: Extent::THESIS,
+        bayrn: if knows_the_machine { BayRnSettings::default() } else { BayRnSettings::thesis() },
+        estimator,
+        training,
+        ..SessionSettings::thesis()
+    };
+    let settings = settings.under(guard);
+    SessionSettings {
+        homing: device.homing(settings.homing),
+        safety_box: device.safety_box(settings.safety_box),
+        ..settings
+    }
+}
+
+fn resumed(directory: &Path) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
+    let folder = ExperimentFolder::open(directory).map_err(Failure::usage)?;
+    let settings = ExperimentSettings::load(&folder.settings()).map_err(Failure::usage)?;
+    Ok((folder, settings))
+}

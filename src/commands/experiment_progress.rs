@@ -1,0 +1,76 @@
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::experiment::{Behaviour, ExperimentSettings, News};
+use crate::session::Progress;
+
+/// What the operator sees on stderr while an experiment runs: a line for each thing that is
+/// finished, and a bar over policies.
+pub struct ExperimentProgress {
+    bar: ProgressBar,
+}
+
+impl ExperimentProgress {
+    /// For an experiment of this extent.
+    pub fn new(settings: &ExperimentSettings) -> Self {
+        let count = settings.recipes.len() * settings.plants.len();
+        let bar = ProgressBar::new(count as u64 * u64::from(settings.policies));
+        if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos} of {len} policies {msg}") {
+            bar.set_style(style);
+        }
+        bar.enable_steady_tick(Duration::from_millis(200));
+        Self { bar }
+    }
+
+    /// Shows one piece of news.
+    pub fn tell(&self, news: &News) {
+        match news {
+            News::Search { recipe, progress } => self.searching(recipe, progress),
+            News::Trained { recipe, policy, best_return: Some(best_return) } => {
+                self.line(format!("{recipe} {policy}: trained, {best_return:.0} in simulation"));
+            }
+            News::Trained { .. } => {}
+            News::Ran { recipe, policy, plant, results } => {
+                let count = |kind| results.iter().filter(|it| it.behaviour == kind).count();
+                let kinds: Vec<String> = Behaviour::ALL
+                    .into_iter()
+                    .filter(|&kind| count(kind) > 0)
+                    .map(|kind| format!("{} {}", count(kind), kind.name().replace('_', " ")))
+                    .collect();
+                let returns: Vec<f64> = results.iter().filter_map(|it| it.return_).collect();
+                let mean = returns.iter().sum::<f64>() / returns.len().max(1) as f64;
+                let kinds = kinds.join(", ");
+                self.line(format!("{recipe} {policy} on {plant}: mean return {mean:.0}; {kinds}"));
+                self.bar.inc(1);
+            }
+        }
+    }
+
+    fn searching(&self, recipe: &str, progress: &Progress) {
+        match progress {
+            Progress::Proposed { candidate, .. } => {
+                self.line(format!("{recipe}: the search proposes candidate {candidate}"));
+            }
+            Progress::Training { candidate, update } => {
+                let done = update.update + 1;
+                self.bar.set_message(format!("{recipe}: candidate {candidate}, update {done}"));
+            }
+            Progress::Rollout { candidate, rollout, verdict, .. } => {
+                let return_ = verdict.return_().map_or("void".into(), |it| format!("{it:.0}"));
+                self.line(format!("{recipe}: candidate {candidate}, rollout {rollout}: {return_}"));
+            }
+            Progress::Trained { .. } | Progress::Connected(_) | Progress::Drift(_) => {}
+        }
+    }
+
+    /// Clears the bar.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    fn line(&self, text: String) {
+        // Without a terminal the bar is hidden and would swallow the line.
+        if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
+    }
+}

@@ -1,0 +1,81 @@
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::emulated_arguments::EmulatedArguments;
+use super::exit::Failure;
+use super::number_arguments::between;
+use crate::experiment::Plant;
+
+/// The emulated Qubes that policies are run on.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PlantArguments {
+    #[command(flatten)]
+    emulated: EmulatedArguments,
+
+    /// Each policy has its own Qube, every parameter uniformly within this part of its value
+    #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = part)]
+    vary: f64,
+
+    /// Several Qubes: a TOML file with one [[plants]] for each: name, profile, gap, delay_ms,
+    /// jitter_ms, scale = { M_p = 1.1 }, vary; psi is searched on the first
+    #[arg(long, value_name = "FILE",
+          conflicts_with_all = ["profile", "gap", "delay_ms", "jitter_ms", "scale", "vary"])]
+    plants: Option<PathBuf>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlantsFile {
+    plants: Vec<PlantEntry>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlantEntry {
+    name: String,
+    profile: Option<String>,
+    gap: Option<f64>,
+    delay_ms: Option<f64>,
+    jitter_ms: Option<f64>,
+    #[serde(default)]
+    scale: BTreeMap<String, f64>,
+    #[serde(default)]
+    vary: f64,
+}
+
+impl PlantArguments {
+    /// What they ask for: at least one.
+    pub fn plants(&self) -> Result<Vec<Plant>, Failure> {
+        let Some(path) = &self.plants else {
+            let emulated = self.emulated.settings()?.unwrap_or_default();
+            let mut name = self.emulated.name();
+            if self.vary > 0.0 {
+                name += &format!("+vary{}%", 100.0 * self.vary);
+            }
+            return Ok(vec![Plant { name, emulated, vary: self.vary }]);
+        };
+        let wrong = |reason: String| Failure::usage(format!("{}: {reason}", path.display()));
+        let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+        let file: PlantsFile =
+            toml::from_str(&text).map_err(|error| wrong(error.to_string().trim_end().into()))?;
+        file.plants.into_iter().map(|entry| entry.plant(path)).collect()
+    }
+}
+
+impl PlantEntry {
+    fn plant(self, path: &Path) -> Result<Plant, Failure> {
+        let Self { name, profile, gap, delay_ms, jitter_ms, scale, vary } = self;
+        // By the rules of the command line, which are written once.
+        let emulated = EmulatedArguments::checked(profile, gap, delay_ms, jitter_ms, &scale)
+            .map_err(|reason| {
+                Failure::usage(format!("{}: plant {name}: {reason}", path.display()))
+            })?;
+        Ok(Plant { name, emulated: emulated.settings()?.unwrap_or_default(), vary })
+    }
+}
+
+fn part(text: &str) -> Result<f64, String> {
+    between(text, 0.0, 0.5)
+}

@@ -1,0 +1,87 @@
+use crate::elementary::Scalar;
+use crate::qube::RAD_PER_COUNT;
+
+/// What one angle's disagreement with its prediction corrects: the steady-state Kalman gains of one
+/// axis.
+///
+/// The axis is taken as angle and velocity, which a constant acceleration that the model does not
+/// know of drives through one interval T; it is white from interval to interval with standard
+/// deviation `sigma_a`. The angle is measured with the noise of an encoder, a count's uniform
+/// distribution: `sigma_r` = (2 pi / 2048) / sqrt(12). The Riccati equation then has a closed
+/// solution in `Lambda = sigma_a T^2 / sigma_r` (the tracking index; P. R. Kalata, IEEE Trans. AES
+/// 20 (1984) 174):
+///
+/// ```text
+/// r = (4 + Lambda - sqrt(8 Lambda + Lambda^2)) / 4
+/// angle gain = 1 - r^2,  velocity gain = 2 (1 - r)^2 / T
+/// ```
+///
+/// How one axis pulls on the other is in the prediction, which is by the whole equations of motion,
+/// and not in the gains: those would have to change with every angle of the pendulum.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KalmanGains<T = f64> {
+    /// Correction of the angle for each rad.
+    pub angle: T,
+    /// Correction of the velocity for each rad, 1/s.
+    pub velocity: T,
+}
+
+impl KalmanGains {
+    /// For an acceleration that is off by `noise_rad_s2` (standard deviation), over intervals of
+    /// `interval_s`; both above 0.
+    #[must_use]
+    pub fn steady_state(noise_rad_s2: f64, interval_s: f64) -> Self {
+        let quantisation_rad = RAD_PER_COUNT / 12.0_f64.sqrt();
+        let index = noise_rad_s2 * interval_s * interval_s / quantisation_rad;
+        // (4 + index)^2 - (8 index + index^2) = 16: the same r without a difference of large numbers.
+        let r = 4.0 / (4.0 + index + (index * (8.0 + index)).sqrt());
+        Self { angle: 1.0 - r * r, velocity: 2.0 * (1.0 - r) * (1.0 - r) / interval_s }
+    }
+
+    /// The same gains in another number type.
+    #[must_use]
+    pub fn cast<T: Scalar>(self) -> KalmanGains<T> {
+        KalmanGains { angle: T::from_f64(self.angle), velocity: T::from_f64(self.velocity) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The gains to which the Riccati recursion comes.
+    fn iterated(noise_rad_s2: f64, interval_s: f64) -> (f64, f64) {
+        let (t, variance) = (interval_s, noise_rad_s2 * noise_rad_s2);
+        let noise = RAD_PER_COUNT * RAD_PER_COUNT / 12.0;
+        let (mut p11, mut p12, mut p22) = (1.0, 0.0, 1.0);
+        let mut gains = (0.0, 0.0);
+        for _ in 0..20_000 {
+            p11 += 2.0 * t * p12 + t * t * p22 + 0.25 * variance * t.powi(4);
+            p12 += t * p22 + 0.5 * variance * t.powi(3);
+            p22 += variance * t * t;
+            gains = (p11 / (p11 + noise), p12 / (p11 + noise));
+            (p22, p12, p11) = (p22 - gains.1 * p12, (1.0 - gains.0) * p12, (1.0 - gains.0) * p11);
+        }
+        gains
+    }
+
+    #[test]
+    fn the_closed_form_is_where_the_riccati_recursion_comes_to() {
+        for noise_rad_s2 in [0.3, 10.0, 300.0] {
+            for interval_s in [0.005, 0.01, 0.03] {
+                let gains = KalmanGains::steady_state(noise_rad_s2, interval_s);
+                let (angle, velocity) = iterated(noise_rad_s2, interval_s);
+                assert!((gains.angle - angle).abs() < 1e-9, "{gains:?} {angle}");
+                assert!((gains.velocity / velocity - 1.0).abs() < 1e-9, "{gains:?} {velocity}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_model_that_is_trusted_hardly_listens_and_one_that_is_not_takes_the_angle_as_it_is() {
+        let gains = KalmanGains::steady_state(1e-3, 0.01);
+        assert!(gains.angle < 0.05 && gains.velocity < 0.1, "{gains:?}");
+        let gains = KalmanGains::steady_state(1e5, 0.01);
+        assert!(gains.angle > 0.999 && (gains.velocity - 200.0).abs() < 2.0, "{gains:?}");
+    }
+}

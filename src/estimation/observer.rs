@@ -1,0 +1,159 @@
+use super::{KalmanGains, ObserverSettings, SentVoltages};
+use crate::elementary::Scalar;
+use crate::qube::{GapDynamics, State, runge_kutta_4};
+
+/// Longest integration step, us: 6e-6 rad off at the worst speeds of a swing-up, a five hundredth of
+/// an encoder count.
+const MAX_STEP_US: u64 = 5_000;
+
+/// Longest time between two samples that is predicted over, us. A link that is silent for as long
+/// has ended the rollout before.
+const MAX_INTERVAL_US: u64 = 100_000;
+
+/// No angle or velocity of a Qube comes near this, rad and rad/s: a prediction beyond it, or one
+/// that is not a number, is none.
+const SENSELESS: f64 = 1e4;
+
+/// The observer's equations, for the one Qube of the machine and for the lanes of a simulation.
+#[derive(Clone, Copy, Debug)]
+pub struct ObserverEquations<T = f64> {
+    dynamics: GapDynamics<T>,
+    astray: T,
+}
+
+impl<T: Scalar> ObserverEquations<T> {
+    /// For the Qube and the limit of these settings.
+    #[must_use]
+    pub fn new(settings: &ObserverSettings) -> Self {
+        Self {
+            dynamics: GapDynamics::new(&settings.model),
+            astray: T::from_f64(settings.astray_rad),
+        }
+    }
+
+    /// The state a time step later, under a voltage.
+    #[inline(always)]
+    pub fn predict(&self, state: State<T>, voltage_v: T, step_s: T) -> State<T> {
+        runge_kutta_4(&self.dynamics, state, voltage_v, step_s)
+    }
+
+    /// The prediction corrected by the angles that the encoders show, which are those of `filtered`;
+    /// and whether it had gone astray: then `filtered` takes its place.
+    #[inline(always)]
+    pub fn correct(
+        &self,
+        predicted: &State<T>,
+        filtered: &State<T>,
+        theta_gains: &KalmanGains<T>,
+        alpha_gains: &KalmanGains<T>,
+    ) -> (State<T>, bool) {
+        let theta_off = filtered.theta - predicted.theta;
+        let alpha_off = filtered.alpha - predicted.alpha;
+        let corrected = State {
+            theta: theta_gains.angle.mul_add(theta_off, predicted.theta),
+            alpha: alpha_gains.angle.mul_add(alpha_off, predicted.alpha),
+            theta_dot: theta_gains.velocity.mul_add(theta_off, predicted.theta_dot),
+            alpha_dot: alpha_gains.velocity.mul_add(alpha_off, predicted.alpha_dot),
+        };
+        // What is not a number is not near.
+        let near = (theta_off.abs() < self.astray) & (alpha_off.abs() < self.astray);
+        let kept = near & makes_sense(&corrected);
+        (if kept { corrected } else { *filtered }, !kept)
+    }
+
+    /// What the policy is shown: the state that was predicted ahead, or `filtered` where that makes
+    /// no sense.
+    #[inline(always)]
+    pub fn shown(ahead: &State<T>, filtered: &State<T>) -> State<T> {
+        if makes_sense(ahead) { *ahead } else { *filtered }
+    }
+}
+
+#[inline(always)]
+fn makes_sense<T: Scalar>(state: &State<T>) -> bool {
+    let limit = T::from_f64(SENSELESS);
+    (state.theta.abs() < limit)
+        & (state.alpha.abs() < limit)
+        & (state.theta_dot.abs() < limit)
+        & (state.alpha_dot.abs() < limit)
+}
+
+/// Steps that a time is integrated in, and the length of each, s.
+#[must_use]
+pub fn prediction_steps(duration_us: u64) -> (u64, f64) {
+    let steps = duration_us.div_ceil(MAX_STEP_US).max(1);
+    (steps, duration_us as f64 * 1e-6 / steps as f64)
+}
+
+/// The observer of one Qube, over the device's own time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Observer {
+    settings: ObserverSettings,
+    equations: ObserverEquations,
+    sent: SentVoltages,
+    /// At the last sample's instant.
+    estimate: State,
+    times_astray: u32,
+}
+
+impl Observer {
+    /// Of a Qube that is in this state and got no voltage yet.
+    pub(super) fn new(settings: &ObserverSettings, estimate: State) -> Self {
+        Self {
+            settings: *settings,
+            equations: ObserverEquations::new(settings),
+            sent: SentVoltages::new(settings.model.gap.command_delay_s, 0.0),
+            estimate,
+            times_astray: 0,
+        }
+    }
+
+    /// Takes the sample of `now_us` after that of `before_us`, with what the guard's filter makes of
+    /// it; returns the state when the command that is now computed will act.
+    pub(super) fn update(&mut self, before_us: u64, now_us: u64, filtered: &State) -> State {
+        let elapsed_us = now_us - before_us;
+        let (estimate, astray) = if elapsed_us <= MAX_INTERVAL_US {
+            let elapsed_s = elapsed_us as f64 * 1e-6;
+            let gains = |noise_rad_s2| KalmanGains::steady_state(noise_rad_s2, elapsed_s);
+            self.equations.correct(
+                &self.moved(before_us, now_us),
+                filtered,
+                &gains(self.settings.theta_noise_rad_s2),
+                &gains(self.settings.alpha_noise_rad_s2),
+            )
+        } else {
+            (*filtered, true)
+        };
+        self.estimate = estimate;
+        self.times_astray = self.times_astray.saturating_add(u32::from(astray));
+        let ahead = self.moved(now_us, now_us.saturating_add(self.sent.delay_us()));
+        ObserverEquations::shown(&ahead, filtered)
+    }
+
+    /// The estimate's state at one instant as the model moves it to another.
+    fn moved(&self, from_us: u64, until_us: u64) -> State {
+        let mut state = self.estimate;
+        for piece in self.sent.between(from_us, until_us) {
+            let (steps, step_s) = prediction_steps(piece.duration_us);
+            for _ in 0..steps {
+                state = self.equations.predict(state, piece.voltage, step_s);
+            }
+        }
+        state
+    }
+
+    /// Remembers what was sent in answer to the sample of this instant.
+    pub(super) fn send(&mut self, sample_us: u64, voltage_v: f64) {
+        self.sent.send(sample_us, voltage_v);
+    }
+
+    /// Counts the pendulum's angle from elsewhere.
+    pub(super) fn shift_alpha(&mut self, by_rad: f64) {
+        self.estimate.alpha += by_rad;
+    }
+
+    /// How often it had lost the Qube and started anew.
+    pub(super) fn times_astray(&self) -> u32 {
+        self.times_astray
+    }
+}

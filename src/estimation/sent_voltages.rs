@@ -1,0 +1,112 @@
+/// Commands that are remembered: longer than the longest delay, and the longest silence of a link
+/// before the rollout ends, together.
+const REMEMBERED: usize = 16;
+
+/// The voltages that were sent, and from when on each of them acts.
+///
+/// Generic over what is sent, so that a simulation with a fixed period can ask once which of its
+/// last commands act when.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SentVoltages<V = f64> {
+    delay_us: u64,
+    /// Oldest first. The first acts since ever.
+    commands: [Command<V>; REMEMBERED],
+    count: usize,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Command<V> {
+    acts_from_us: u64,
+    voltage: V,
+}
+
+/// A voltage and how long it acts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Piece<V = f64> {
+    /// The voltage.
+    pub voltage: V,
+    /// For how long, us.
+    pub duration_us: u64,
+}
+
+impl<V: Copy> SentVoltages<V> {
+    /// Nothing but `voltage` was ever sent; what is sent acts `delay_s` after its sample's instant.
+    #[must_use]
+    pub fn new(delay_s: f64, voltage: V) -> Self {
+        Self {
+            delay_us: (delay_s * 1e6).round() as u64,
+            commands: [Command { acts_from_us: 0, voltage }; REMEMBERED],
+            count: 1,
+        }
+    }
+
+    /// From a sample's instant until what was computed from it acts, us.
+    #[must_use]
+    pub fn delay_us(&self) -> u64 {
+        self.delay_us
+    }
+
+    /// Remembers what was sent in answer to the sample of this instant; instants only grow.
+    pub fn send(&mut self, sample_us: u64, voltage: V) {
+        if self.count == REMEMBERED {
+            self.commands.rotate_left(1);
+            self.count -= 1;
+        }
+        let acts_from_us = sample_us.saturating_add(self.delay_us);
+        self.commands[self.count] = Command { acts_from_us, voltage };
+        self.count += 1;
+    }
+
+    /// What acts from one instant to another, in order.
+    pub fn between(&self, from_us: u64, until_us: u64) -> impl Iterator<Item = Piece<V>> {
+        (0..self.count).filter_map(move |index| {
+            let Command { acts_from_us, voltage } = self.commands[index];
+            let begins_us = if index == 0 { 0 } else { acts_from_us };
+            let next = self.commands[..self.count].get(index + 1);
+            let ends_us = next.map_or(u64::MAX, |next| next.acts_from_us);
+            let duration_us = ends_us.min(until_us).saturating_sub(begins_us.max(from_us));
+            (duration_us > 0).then_some(Piece { voltage, duration_us })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pieces(sent: &SentVoltages, from_us: u64, until_us: u64) -> Vec<(f64, u64)> {
+        sent.between(from_us, until_us).map(|piece| (piece.voltage, piece.duration_us)).collect()
+    }
+
+    #[test]
+    fn each_voltage_acts_from_its_delay_until_that_of_the_next() {
+        let mut sent = SentVoltages::new(0.013, 0.0);
+        assert_eq!(pieces(&sent, 0, 10_000), [(0.0, 10_000)]);
+        sent.send(0, 1.0);
+        sent.send(10_000, 2.0);
+        // One sample was lost: what was sent before is held over.
+        sent.send(30_000, 3.0);
+        assert_eq!(pieces(&sent, 0, 10_000), [(0.0, 10_000)]);
+        assert_eq!(pieces(&sent, 10_000, 30_000), [(0.0, 3_000), (1.0, 10_000), (2.0, 7_000)]);
+        assert_eq!(pieces(&sent, 30_000, 60_000), [(2.0, 13_000), (3.0, 17_000)]);
+        assert_eq!(pieces(&sent, 60_000, 60_000), []);
+    }
+
+    #[test]
+    fn without_a_delay_a_voltage_acts_at_once() {
+        let mut sent = SentVoltages::new(0.0, 0.0);
+        sent.send(0, 1.0);
+        sent.send(10_000, 2.0);
+        assert_eq!(pieces(&sent, 0, 20_000), [(1.0, 10_000), (2.0, 10_000)]);
+    }
+
+    #[test]
+    fn what_is_remembered_covers_the_longest_delay_and_a_silence() {
+        let mut sent = SentVoltages::new(0.1, 0.0);
+        for step in 0..100_u64 {
+            sent.send(step * 10_000, step as f64);
+        }
+        let expected: Vec<(f64, u64)> = (86..=99).map(|step| (f64::from(step), 10_000)).collect();
+        assert_eq!(pieces(&sent, 960_000, 1_100_000), expected);
+    }
+}

@@ -1,0 +1,218 @@
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::qube::{Gap, ParameterError, QubeModel};
+
+/// The slowest corner of the filter that the guard is judged by, rad/s.
+pub const GUARD_CORNER_RAD_S: f64 = 200.0;
+
+/// How the state is estimated that the policy sees.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EstimatorSettings {
+    /// Corner of the velocity filter in rad/s. 200 by default; 50 is the thesis's set-up, whose lag
+    /// alone makes a quarter of nominal policies fail.
+    pub corner_rad_s: f64,
+    /// The observer that takes the filter's place; none is the filter, and that of every file which
+    /// names none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub observer: Option<ObserverSettings>,
+}
+
+/// An observer with a model of the Qube: it predicts by the equations of motion and the voltages
+/// that were sent, corrects by the encoders, and shows the state at the instant at which the command
+/// that is now computed will reach the motor.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ObserverSettings {
+    /// The Qube. The delay in its gap counts from the instant of a sample to the motor's having the
+    /// voltage that was computed from it.
+    pub model: QubeModel,
+    /// How far off the model's acceleration of the arm is taken to be, rad/s^2.
+    pub theta_noise_rad_s2: f64,
+    /// The same for the pendulum.
+    pub alpha_noise_rad_s2: f64,
+    /// When an encoder is farther from the prediction than this, rad, the observer has lost the
+    /// Qube and starts anew from the encoders and the guard's filter.
+    pub astray_rad: f64,
+}
+
+/// Why settings make no estimator.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum SettingsError {
+    /// A number that makes no sense.
+    #[error("{name} = {value}: give a number above 0 and up to {largest}")]
+    OutOfRange {
+        /// Which entry.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// The most that makes sense.
+        largest: f64,
+    },
+    /// A delay that no observer can predict over.
+    #[error("observer.model.gap.command_delay_s = {0}: give a number from 0 to 0.1")]
+    Delay(f64),
+    /// A Qube that cannot be.
+    #[error("observer.model.parameters.{0}")]
+    Parameter(#[from] ParameterError),
+    /// A gap that is no number.
+    #[error("observer.model.gap has an entry that is not a finite number")]
+    Gap,
+}
+
+impl EstimatorSettings {
+    /// The velocity filter with this corner.
+    #[must_use]
+    pub fn filter(corner_rad_s: f64) -> Self {
+        Self { corner_rad_s, observer: None }
+    }
+
+    /// An observer.
+    #[must_use]
+    pub fn observer(observer: ObserverSettings) -> Self {
+        Self { observer: Some(observer), ..Self::default() }
+    }
+
+    /// Corner of the filter that the guard is judged by, rad/s: the policy's own where that is
+    /// faster.
+    #[must_use]
+    pub fn guard_corner_rad_s(&self) -> f64 {
+        self.corner_rad_s.max(GUARD_CORNER_RAD_S)
+    }
+
+    /// Whether the policy sees what the guard sees.
+    #[must_use]
+    pub fn policy_sees_as_guard(&self) -> bool {
+        self.observer.is_none() && self.corner_rad_s >= GUARD_CORNER_RAD_S
+    }
+
+    /// Whether an estimator can be made of these.
+    ///
+    /// # Errors
+    /// The first entry that makes no sense.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        within("corner_rad_s", self.corner_rad_s, f64::MAX)?;
+        let Some(observer) = &self.observer else {
+            return Ok(());
+        };
+        within("observer.theta_noise_rad_s2", observer.theta_noise_rad_s2, 1e6)?;
+        within("observer.alpha_noise_rad_s2", observer.alpha_noise_rad_s2, 1e6)?;
+        within("observer.astray_rad", observer.astray_rad, 10.0)?;
+        let QubeModel { parameters, gap } = &observer.model;
+        parameters.check()?;
+        if !(0.0..=0.1).contains(&gap.command_delay_s) {
+            return Err(SettingsError::Delay(gap.command_delay_s));
+        }
+        let finite = [
+            gap.coulomb_torque_n_m,
+            gap.positive_dead_zone_v,
+            gap.negative_dead_zone_v,
+            gap.cable_stiffness_n_m_rad,
+            gap.cable_rest_rad,
+        ]
+        .iter()
+        .all(|value| value.is_finite());
+        if finite { Ok(()) } else { Err(SettingsError::Gap) }
+    }
+}
+
+fn within(name: &'static str, value: f64, largest: f64) -> Result<(), SettingsError> {
+    if value > 0.0 && value <= largest {
+        Ok(())
+    } else {
+        Err(SettingsError::OutOfRange { name, value, largest })
+    }
+}
+
+impl Default for EstimatorSettings {
+    fn default() -> Self {
+        Self::filter(200.0)
+    }
+}
+
+impl ObserverSettings {
+    /// An observer of this Qube.
+    #[must_use]
+    pub fn of(model: QubeModel) -> Self {
+        Self { model, ..Self::default() }
+    }
+
+    /// The same with another delay, s.
+    #[must_use]
+    pub fn with_delay(self, command_delay_s: f64) -> Self {
+        let gap = Gap { command_delay_s, ..self.model.gap };
+        Self { model: QubeModel { gap, ..self.model }, ..self }
+    }
+}
+
+impl Default for ObserverSettings {
+    /// Of the nominal Qube. The noises are a few parts in ten of what the motor can do, as a model
+    /// is off whose parameters are those of the name plate (docs/estimation.md).
+    fn default() -> Self {
+        Self {
+            model: QubeModel::NOMINAL,
+            theta_noise_rad_s2: 30.0,
+            alpha_noise_rad_s2: 30.0,
+            astray_rad: 0.1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::DomainParameters;
+
+    #[test]
+    fn files_that_name_a_corner_alone_still_mean_the_filter_and_are_written_the_same() {
+        let text = "corner_rad_s = 50.0\n";
+        let settings: EstimatorSettings = toml::from_str(text).unwrap();
+        assert_eq!(settings, EstimatorSettings::filter(50.0));
+        assert_eq!(toml::to_string(&settings).unwrap(), text);
+        let observer = EstimatorSettings::observer(ObserverSettings::default());
+        let text = toml::to_string(&observer).unwrap();
+        assert_eq!(toml::from_str::<EstimatorSettings>(&text).unwrap(), observer);
+        let short: EstimatorSettings = toml::from_str("[observer]\n").unwrap();
+        assert_eq!(short, observer);
+    }
+
+    #[test]
+    fn the_guard_never_sees_through_a_filter_slower_than_its_own() {
+        let observer = EstimatorSettings::observer(ObserverSettings::default());
+        for (settings, corner_rad_s, same) in [
+            (EstimatorSettings::filter(50.0), 200.0, false),
+            (EstimatorSettings::filter(200.0), 200.0, true),
+            (EstimatorSettings::filter(300.0), 300.0, true),
+            (observer, 200.0, false),
+        ] {
+            assert_eq!(settings.guard_corner_rad_s(), corner_rad_s);
+            assert_eq!(settings.policy_sees_as_guard(), same);
+        }
+    }
+
+    #[test]
+    fn what_makes_no_estimator_is_named() {
+        let fine = ObserverSettings::default();
+        assert_eq!(EstimatorSettings::observer(fine).check(), Ok(()));
+        let parameters = DomainParameters { pendulum_mass_kg: 0.0, ..DomainParameters::NOMINAL };
+        for (settings, words) in [
+            (EstimatorSettings::filter(f64::NAN), "corner_rad_s"),
+            (
+                EstimatorSettings::observer(ObserverSettings { theta_noise_rad_s2: 0.0, ..fine }),
+                "theta_noise_rad_s2",
+            ),
+            (EstimatorSettings::observer(fine.with_delay(0.2)), "command_delay_s = 0.2"),
+            (
+                EstimatorSettings::observer(ObserverSettings {
+                    model: QubeModel { parameters, ..fine.model },
+                    ..fine
+                }),
+                "M_p",
+            ),
+        ] {
+            let message = settings.check().unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
+    }
+}

@@ -1,0 +1,112 @@
+use std::fs::TryLockError;
+use std::path::{Path, PathBuf};
+
+use super::ExperimentError;
+use crate::session::{FolderError, write_whole};
+use crate::storage::{Disk, Hold, MachineDisk};
+
+/// The folder of an experiment, held by one process at a time. What is there and whole is finished;
+/// nothing else says so.
+///
+/// ```text
+/// experiment.toml                                 the resolved settings
+/// searches/RECIPE/                                the session that looks for a recipe's psi
+/// policies/RECIPE/000/policy.safetensors          a trained policy
+/// policies/RECIPE/000/curve.csv                   its training
+/// policies/RECIPE/000/PLANT/rollout-0-attempt-0.mcap   its rollouts
+/// ```
+#[derive(Debug)]
+pub struct ExperimentFolder {
+    root: PathBuf,
+    _hold: Hold,
+}
+
+impl ExperimentFolder {
+    /// Makes a new folder with the experiment's settings in it.
+    ///
+    /// # Errors
+    /// It exists, or cannot be made.
+    pub fn create(root: &Path, settings: &str) -> Result<Self, ExperimentError> {
+        if MachineDisk.exists(root) {
+            return Err(FolderError::Exists { path: root.to_owned() }.into());
+        }
+        make(root)?;
+        let folder = Self::hold(root)?;
+        write_whole(&MachineDisk, &folder.settings(), settings.as_bytes())?;
+        Ok(folder)
+    }
+
+    /// Opens the folder of an experiment that has begun.
+    ///
+    /// # Errors
+    /// It is no experiment, or another process has it.
+    pub fn open(root: &Path) -> Result<Self, ExperimentError> {
+        if !MachineDisk.exists(&root.join("experiment.toml")) {
+            return Err(ExperimentError::NotAnExperiment { path: root.to_owned() });
+        }
+        Self::hold(root)
+    }
+
+    fn hold(root: &Path) -> Result<Self, ExperimentError> {
+        let path = root.to_owned();
+        match MachineDisk.hold(root) {
+            Ok(hold) => Ok(Self { root: path, _hold: hold }),
+            Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path }.into()),
+            Err(TryLockError::Error(source)) => Err(FolderError::Io { path, source }.into()),
+        }
+    }
+
+    /// The folder itself.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The resolved settings.
+    #[must_use]
+    pub fn settings(&self) -> PathBuf {
+        self.root.join("experiment.toml")
+    }
+
+    /// The session that looks for a recipe's psi.
+    #[must_use]
+    pub fn search(&self, recipe: &str) -> PathBuf {
+        self.root.join("searches").join(recipe)
+    }
+
+    /// A policy's folder.
+    #[must_use]
+    pub fn policy_folder(&self, recipe: &str, policy: u32) -> PathBuf {
+        self.root.join("policies").join(recipe).join(format!("{policy:03}"))
+    }
+
+    /// A policy.
+    #[must_use]
+    pub fn policy(&self, recipe: &str, policy: u32) -> PathBuf {
+        self.policy_folder(recipe, policy).join("policy.safetensors")
+    }
+
+    /// A policy's training curve.
+    #[must_use]
+    pub fn curve(&self, recipe: &str, policy: u32) -> PathBuf {
+        self.policy_folder(recipe, policy).join("curve.csv")
+    }
+
+    /// Where a policy's recordings on a plant are.
+    #[must_use]
+    pub fn rollouts(&self, recipe: &str, policy: u32, plant: &str) -> PathBuf {
+        self.policy_folder(recipe, policy).join(plant)
+    }
+}
+
+/// The recording of one try of one rollout, in its folder.
+#[must_use]
+pub(super) fn recording(rollouts: &Path, rollout: u32, attempt: u32) -> PathBuf {
+    rollouts.join(format!("rollout-{rollout}-attempt-{attempt}.mcap"))
+}
+
+/// Makes a folder where there is none.
+pub(super) fn make(path: &Path) -> Result<(), FolderError> {
+    let io = |source| FolderError::Io { path: path.to_owned(), source };
+    MachineDisk.create_folder(path).map_err(io)
+}

@@ -1,0 +1,79 @@
+use rand::{RngExt as _, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::qube::{DomainParameter, QubeModel};
+use crate::session::{EmulatedQubeSettings, SeedFor, derived_seed};
+
+/// An emulated Qube that policies are run on, or one drawn around it for each policy.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plant {
+    /// Its name in tables, and its folder's.
+    pub name: String,
+    /// What it is like.
+    pub emulated: EmulatedQubeSettings,
+    /// Each policy's own Qube has every parameter and every strength of the gap within this part of
+    /// its value, uniformly; 0: it is the same for all.
+    #[serde(default)]
+    pub vary: f64,
+}
+
+impl Plant {
+    /// The Qube that the policy of this number runs on: the same for each recipe.
+    #[must_use]
+    pub fn for_policy(&self, seed: u64, policy: u32) -> EmulatedQubeSettings {
+        if self.vary == 0.0 {
+            return self.emulated;
+        }
+        let mut random = ChaCha8Rng::seed_from_u64(derived_seed(seed, SeedFor::Qube { policy }));
+        let mut varied = |value: f64| value * (1.0 + random.random_range(-self.vary..=self.vary));
+        let QubeModel { mut parameters, mut gap } = self.emulated.model;
+        for parameter in DomainParameter::ALL {
+            parameters.set(parameter, varied(parameters.get(parameter)));
+        }
+        // Where the cable rests is a place and no strength; it stays.
+        for strength in [
+            &mut gap.coulomb_torque_n_m,
+            &mut gap.positive_dead_zone_v,
+            &mut gap.negative_dead_zone_v,
+            &mut gap.cable_stiffness_n_m_rad,
+            &mut gap.command_delay_s,
+        ] {
+            *strength = varied(*strength);
+        }
+        EmulatedQubeSettings { model: QubeModel { parameters, gap }, ..self.emulated }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::Gap;
+
+    #[test]
+    fn each_policy_has_its_own_qube_within_the_range_and_always_the_same() {
+        let gap = Gap { command_delay_s: 0.01, cable_rest_rad: -1.0, ..Gap::default() };
+        let model = QubeModel { gap, ..QubeModel::NOMINAL };
+        let emulated = EmulatedQubeSettings { model, command_jitter_s: 0.001 };
+        let same = Plant { name: "lab".into(), emulated, vary: 0.0 };
+        assert_eq!(same.for_policy(1, 7), emulated);
+        let plant = Plant { vary: 0.1, ..same };
+        let (mut lowest, mut highest) = (f64::INFINITY, 0.0_f64);
+        for policy in 0..100 {
+            let drawn = plant.for_policy(3, policy);
+            assert_eq!(drawn, plant.for_policy(3, policy));
+            assert_eq!(drawn.model.gap.cable_rest_rad, -1.0);
+            assert_eq!(drawn.command_jitter_s, 0.001);
+            assert_eq!(drawn.model.parameters.check(), Ok(()));
+            let factors = DomainParameter::ALL.map(|parameter| {
+                drawn.model.parameters.get(parameter) / model.parameters.get(parameter)
+            });
+            for factor in factors.into_iter().chain([drawn.model.gap.command_delay_s / 0.01]) {
+                lowest = lowest.min(factor);
+                highest = highest.max(factor);
+            }
+        }
+        assert!((0.9..0.901).contains(&lowest) && (1.099..=1.1).contains(&highest));
+    }
+}

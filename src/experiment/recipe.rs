@@ -1,0 +1,177 @@
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::ExperimentError;
+use super::settings::check_name;
+use crate::learning::Origin;
+use crate::session::{Model, SessionSettings, named};
+use crate::simulation::{DomainDistribution, PsiError};
+
+/// What a recipe's simulations are drawn from (the thesis's section 5.2).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RecipeModel {
+    /// The name plate's values, always the same.
+    Nominal,
+    /// All nine parameters with a fifth of the nominal as standard deviation.
+    Handcrafted,
+    /// Masses and lengths so, the other five nominal.
+    NominalHandcrafted,
+    /// Masses and lengths by a psi that a session finds, the others as in `handcrafted`.
+    OptHandcrafted,
+    /// Masses and lengths by a psi that a session finds, the others nominal.
+    OptNominal,
+}
+
+impl RecipeModel {
+    /// All of them, in the order of the thesis's table 5.3.
+    pub const ALL: [Self; 5] = [
+        Self::Nominal,
+        Self::Handcrafted,
+        Self::NominalHandcrafted,
+        Self::OptHandcrafted,
+        Self::OptNominal,
+    ];
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        ["nominal", "handcrafted", "nominal-handcrafted", "opt-handcrafted", "opt-nominal"]
+            [self as usize]
+    }
+
+    /// Whether a session looks for its psi first.
+    #[must_use]
+    pub fn is_optimised(self) -> bool {
+        matches!(self, Self::OptHandcrafted | Self::OptNominal)
+    }
+}
+
+/// One way to make policies for a Qube and to run them on it: what they are trained on and how, how
+/// velocities are estimated and what guards them on the machine, and for the optimised ones how psi
+/// is searched.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recipe {
+    /// Its name in tables, and its folder's.
+    pub name: String,
+    /// What its simulations are drawn from.
+    pub model: RecipeModel,
+    /// All else, as in a `session.toml`. Name, seed and emulated Qube are the experiment's; the
+    /// extent is that of the search of psi.
+    #[serde(default)]
+    pub settings: SessionSettings,
+}
+
+/// A recipe as people write it: what it does not name is as in the base.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RecipeFile {
+    name: String,
+    model: RecipeModel,
+    #[serde(default)]
+    settings: toml::Table,
+}
+
+impl Recipe {
+    /// A model under its own name.
+    #[must_use]
+    pub fn of(model: RecipeModel, base: &SessionSettings) -> Self {
+        Self::new(model.name().to_owned(), model, base.clone())
+    }
+
+    /// Reads a recipe from a TOML file: `name`, `model`, and in `[settings]` whatever differs from
+    /// the base, by the names of a `session.toml`.
+    ///
+    /// # Errors
+    /// The file cannot be read or is no recipe.
+    pub fn load(path: &Path, base: &SessionSettings) -> Result<Self, ExperimentError> {
+        let unreadable = |reason: String| ExperimentError::Recipe { path: path.to_owned(), reason };
+        let text = std::fs::read_to_string(path).map_err(|error| unreadable(error.to_string()))?;
+        let file: RecipeFile = toml::from_str(&text)
+            .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
+        check_name("name", &file.name).map_err(unreadable)?;
+        let overrides =
+            toml::to_string(&file.settings).map_err(|error| unreadable(error.to_string()))?;
+        let settings = base.overridden_by_text(&overrides, path)?;
+        Ok(Self::new(file.name, file.model, settings))
+    }
+
+    fn new(name: String, model: RecipeModel, mut settings: SessionSettings) -> Self {
+        if model == RecipeModel::OptHandcrafted {
+            settings.model = Model::OptHandcrafted;
+        } else {
+            settings.model = Model::OptNominal;
+        }
+        Self { name, model, settings }
+    }
+
+    /// The simulations that its policies are trained and evaluated in; `psi` is what the search has
+    /// found, for the optimised ones.
+    ///
+    /// # Errors
+    /// The psi is none.
+    pub fn distribution(&self, psi: &[f64]) -> Result<DomainDistribution, PsiError> {
+        let family = self.settings.family;
+        Ok(match self.model {
+            RecipeModel::Nominal => DomainDistribution::nominal(),
+            RecipeModel::Handcrafted => DomainDistribution::handcrafted(family),
+            RecipeModel::NominalHandcrafted => DomainDistribution::nominal_handcrafted(family),
+            RecipeModel::OptHandcrafted | RecipeModel::OptNominal => {
+                self.settings.distribution(psi)?
+            }
+        })
+    }
+
+    /// What a policy's file says of where it comes from.
+    #[must_use]
+    pub fn origin(&self, psi: &[f64]) -> Origin {
+        Origin {
+            model: self.model.name().to_owned(),
+            psi: self.model.is_optimised().then(|| named(psi)),
+            ..self.settings.origin(psi)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_changes_what_it_names_and_leaves_the_rest() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("recipe.toml");
+        let base = SessionSettings::thesis();
+        let load = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            Recipe::load(&path, &base)
+        };
+        let text = "name = \"fast-filter\"\nmodel = \"opt-handcrafted\"\n\
+                    [settings.estimator]\ncorner_rad_s = 123.0\n";
+        let recipe = load(text).unwrap();
+        assert_eq!(recipe.settings.estimator.corner_rad_s, 123.0);
+        assert_eq!(recipe.settings.training, base.training);
+        assert_eq!(recipe.settings.model, Model::OptHandcrafted);
+        assert_eq!(recipe.origin(&[]).model, "opt-handcrafted");
+        for (text, words) in [
+            ("name = \"a\"\nmodel = \"nominl\"\n", "nominl"),
+            ("name = \"a/b\"\nmodel = \"nominal\"\n", "a/b"),
+            ("model = \"nominal\"\n", "name"),
+            ("name = \"a\"\nmodel = \"nominal\"\n[settings]\nfamly = \"normal\"\n", "famly"),
+        ] {
+            let message = load(text).unwrap_err().to_string();
+            assert!(message.contains(words) && message.contains("recipe.toml"), "{message}");
+        }
+    }
+
+    #[test]
+    fn names_stand_where_their_models_do() {
+        for model in RecipeModel::ALL {
+            let toml = toml::to_string(&Recipe::of(model, &SessionSettings::quick())).unwrap();
+            let again: Recipe = toml::from_str(&toml).unwrap();
+            assert_eq!((again.model, again.name.as_str()), (model, model.name()));
+        }
+    }
+}

@@ -1,0 +1,271 @@
+use std::sync::Mutex;
+use std::sync::PoisonError;
+use std::sync::atomic::AtomicBool;
+
+use super::queue::Queue;
+use super::rollouts::{Standing, standing};
+use super::statistics::{Interval, bootstrap_interval, mean, standard_deviation, wilson_interval};
+use super::{Behaviour, Experiment, ExperimentError, Recipe, RolloutResult};
+use crate::learning::evaluate_afresh;
+use crate::policy::Policy;
+use crate::simulation::DomainDistribution;
+use crate::storage::{Disk, MachineDisk};
+
+/// A policy succeeds with at least this mean return ...
+const SUCCESS_RETURN: f64 = 400.0;
+
+/// ... when at least this share of its rollouts does: four of five.
+const SUCCESS_SHARE: f64 = 0.8;
+
+/// Seed of the fresh starts in simulation: the same for every policy.
+const FRESH_SEED: u64 = 1_000_003;
+
+/// What an experiment has come to so far, computed from its policies and recordings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Results {
+    /// Each recipe on each plant, in the order of the settings.
+    pub recipes: Vec<RecipeResult>,
+}
+
+/// A recipe on a plant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecipeResult {
+    /// The recipe.
+    pub recipe: String,
+    /// The plant.
+    pub plant: String,
+    /// The psi that was found for it; empty where it has none.
+    pub psi: Vec<f64>,
+    /// The policies that have done all their rollouts there, in order.
+    pub policies: Vec<PolicyResult>,
+}
+
+/// A policy on a plant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PolicyResult {
+    /// Its number.
+    pub number: u32,
+    /// Mean return in its own simulations, from fresh starts.
+    pub simulated_return: f64,
+    /// Its rollouts, in order.
+    pub rollouts: Vec<RolloutResult>,
+}
+
+impl PolicyResult {
+    /// The mean of its returns; none where faults ended every rollout.
+    #[must_use]
+    pub fn mean_return(&self) -> Option<f64> {
+        let returns: Vec<f64> = self.rollouts.iter().filter_map(|it| it.return_).collect();
+        (!returns.is_empty()).then(|| mean(&returns))
+    }
+
+    /// How many of its rollouts did this.
+    #[must_use]
+    pub fn count(&self, behaviour: Behaviour) -> usize {
+        self.rollouts.iter().filter(|it| it.behaviour == behaviour).count()
+    }
+
+    /// Whether its mean return is at least 400 and at least four of five of its rollouts succeed.
+    #[must_use]
+    pub fn succeeds(&self) -> bool {
+        let stood = self.count(Behaviour::Stood) as f64;
+        self.mean_return().is_some_and(|it| it >= SUCCESS_RETURN)
+            && stood >= SUCCESS_SHARE * self.rollouts.len() as f64
+    }
+}
+
+impl RecipeResult {
+    /// The returns in simulation, a policy each.
+    #[must_use]
+    pub fn simulated_returns(&self) -> Vec<f64> {
+        self.policies.iter().map(|policy| policy.simulated_return).collect()
+    }
+
+    /// The mean returns on the plant, a policy each, without those of which faults ended everything.
+    #[must_use]
+    pub fn returns(&self) -> Vec<f64> {
+        self.policies.iter().filter_map(PolicyResult::mean_return).collect()
+    }
+
+    /// Mean and standard deviation over policies in simulation.
+    #[must_use]
+    pub fn simulated(&self) -> (f64, f64) {
+        let returns = self.simulated_returns();
+        (mean(&returns), standard_deviation(&returns))
+    }
+
+    /// Mean and standard deviation over policies on the plant.
+    #[must_use]
+    pub fn real(&self) -> (f64, f64) {
+        let returns = self.returns();
+        (mean(&returns), standard_deviation(&returns))
+    }
+
+    /// 95 % interval of the mean return on the plant: bootstrap over policies.
+    #[must_use]
+    pub fn return_interval(&self) -> Interval {
+        bootstrap_interval(&self.returns())
+    }
+
+    /// How many policies succeed.
+    #[must_use]
+    pub fn successes(&self) -> usize {
+        self.policies.iter().filter(|policy| policy.succeeds()).count()
+    }
+
+    /// Their share; NaN of no policy.
+    #[must_use]
+    pub fn success_rate(&self) -> f64 {
+        self.successes() as f64 / self.policies.len() as f64
+    }
+
+    /// Its 95 % interval by Wilson.
+    #[must_use]
+    pub fn success_interval(&self) -> Interval {
+        wilson_interval(self.successes(), self.policies.len())
+    }
+
+    /// The share of all rollouts that did this; NaN of none.
+    #[must_use]
+    pub fn share(&self, behaviour: Behaviour) -> f64 {
+        let count: usize = self.policies.iter().map(|policy| policy.count(behaviour)).sum();
+        let rollouts: usize = self.policies.iter().map(|policy| policy.rollouts.len()).sum();
+        count as f64 / rollouts as f64
+    }
+}
+
+impl Results {
+    /// Reads what is finished, on as many threads as the experiment has.
+    ///
+    /// # Errors
+    /// A policy or recording that is there and cannot be read.
+    pub fn read(experiment: &Experiment) -> Result<Self, ExperimentError> {
+        let settings = experiment.settings();
+        let mut recipes = Vec::new();
+        let mut jobs = Vec::new();
+        let mut distributions = Vec::new();
+        for (index, recipe) in settings.recipes.iter().enumerate() {
+            let psi = experiment.psi(recipe)?;
+            let distribution = match &psi {
+                Some(psi) => Some(recipe.distribution(psi)?),
+                None => None,
+            };
+            let is_trained = |policy: &u32| {
+                MachineDisk.exists(&experiment.folder().policy(&recipe.name, *policy))
+            };
+            if distribution.is_some() {
+                jobs.extend((0..settings.policies).filter(is_trained).map(|it| (index, it)));
+            }
+            distributions.push(distribution);
+            recipes.extend(settings.plants.iter().map(|plant| RecipeResult {
+                recipe: recipe.name.clone(),
+                plant: plant.name.clone(),
+                psi: psi.clone().unwrap_or_default(),
+                policies: Vec::new(),
+            }));
+        }
+        let plants = settings.plants.len();
+        let recipes = Mutex::new(recipes);
+        // Whoever asks for results wants them also after a stop.
+        let never = AtomicBool::new(false);
+        Queue::new(jobs, &never).run(experiment.threads(), |(index, number)| {
+            let Some(distribution) = &distributions[index] else { return Ok(Vec::new()) };
+            let recipe = &settings.recipes[index];
+            let ran = experiment.ran(recipe, number)?;
+            if ran.iter().any(Option::is_some) {
+                let simulated_return = experiment.simulated_return(recipe, number, distribution)?;
+                let mut recipes = recipes.lock().unwrap_or_else(PoisonError::into_inner);
+                for (plant, rollouts) in ran.into_iter().enumerate() {
+                    let Some(rollouts) = rollouts else { continue };
+                    let policy = PolicyResult { number, simulated_return, rollouts };
+                    recipes[index * plants + plant].policies.push(policy);
+                }
+            }
+            Ok(Vec::new())
+        })?;
+        let mut recipes = recipes.into_inner().unwrap_or_else(PoisonError::into_inner);
+        for recipe in &mut recipes {
+            recipe.policies.sort_by_key(|policy| policy.number);
+        }
+        Ok(Self { recipes })
+    }
+}
+
+impl Experiment {
+    /// A policy's rollouts on each plant; none where some are still to come.
+    fn ran(
+        &self,
+        recipe: &Recipe,
+        policy: u32,
+    ) -> Result<Vec<Option<Vec<RolloutResult>>>, ExperimentError> {
+        let repetitions = recipe.settings.extent.repetitions;
+        let on = |plant: &str| {
+            let folder = self.folder().rollouts(&recipe.name, policy, plant);
+            (0..self.settings().rollouts)
+                .map(|rollout| {
+                    Ok(match standing(&folder, rollout, repetitions)? {
+                        Standing::Finished(result) => Some(result),
+                        Standing::Due { .. } => None,
+                    })
+                })
+                .collect::<Result<Option<Vec<_>>, _>>()
+        };
+        self.settings().plants.iter().map(|plant| on(&plant.name)).collect()
+    }
+
+    fn simulated_return(
+        &self,
+        recipe: &Recipe,
+        policy: u32,
+        distribution: &DomainDistribution,
+    ) -> Result<f64, ExperimentError> {
+        let path = self.folder().policy(&recipe.name, policy);
+        let Policy::Network(policy) = Policy::load(&path)? else {
+            return Ok(f64::NAN);
+        };
+        let simulation = &recipe.settings.training.simulation;
+        let starts = self.settings().simulated_starts as usize;
+        let evaluation =
+            evaluate_afresh(&policy.network, distribution, simulation, FRESH_SEED, starts);
+        Ok(evaluation.mean_return())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn policy(returns: [f64; 5], stood: usize) -> PolicyResult {
+        let rollouts = returns.into_iter().enumerate().map(|(index, return_)| RolloutResult {
+            return_: Some(return_),
+            behaviour: if index < stood { Behaviour::Stood } else { Behaviour::Fell },
+        });
+        PolicyResult { number: 0, simulated_return: 500.0, rollouts: rollouts.collect() }
+    }
+
+    #[test]
+    fn a_policy_succeeds_by_its_mean_and_by_four_of_five() {
+        assert!(policy([550.0; 5], 5).succeeds());
+        assert!(policy([550.0, 550.0, 550.0, 550.0, 10.0], 4).succeeds());
+        assert!(!policy([550.0, 550.0, 550.0, 300.0, 300.0], 3).succeeds());
+        assert!(!policy([410.0, 410.0, 410.0, 410.0, 10.0], 4).succeeds());
+        let fault = RolloutResult { return_: None, behaviour: Behaviour::Fault };
+        let broken = PolicyResult { rollouts: vec![fault; 5], ..policy([0.0; 5], 0) };
+        assert!(!broken.succeeds() && broken.mean_return().is_none());
+    }
+
+    #[test]
+    fn a_recipe_is_summed_up_over_its_policies() {
+        let result = RecipeResult {
+            recipe: "nominal".into(),
+            plant: "lab".into(),
+            psi: Vec::new(),
+            policies: vec![policy([500.0; 5], 5), policy([100.0; 5], 0), policy([0.0; 5], 0)],
+        };
+        assert_eq!(result.real().0, 200.0);
+        assert_eq!(result.successes(), 1);
+        assert!((result.share(Behaviour::Fell) - 2.0 / 3.0).abs() < 1e-12);
+        let interval = result.return_interval();
+        assert!(interval.lower >= 0.0 && interval.upper <= 500.0 && interval.lower < 200.0);
+    }
+}

@@ -1,0 +1,146 @@
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{ExperimentError, Plant, Recipe};
+
+/// Everything that decides an experiment, as `experiment.toml` holds it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExperimentSettings {
+    /// The experiment's name.
+    pub name: String,
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// Policies of each recipe, each trained with a seed of its own.
+    pub policies: u32,
+    /// Rollouts of each policy on each plant.
+    pub rollouts: u32,
+    /// Fresh starts from which a policy's return in simulation is evaluated.
+    pub simulated_starts: u32,
+    /// What the policies are run on; psi is searched on the first. On a serial port there is one,
+    /// which is not emulated.
+    pub plants: Vec<Plant>,
+    /// What is compared.
+    pub recipes: Vec<Recipe>,
+}
+
+impl ExperimentSettings {
+    /// Reads `experiment.toml`.
+    ///
+    /// # Errors
+    /// The file cannot be read or is no experiment.
+    pub fn load(path: &Path) -> Result<Self, ExperimentError> {
+        let unreadable =
+            |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
+        let text = std::fs::read_to_string(path).map_err(|error| unreadable(error.to_string()))?;
+        let settings: Self = toml::from_str(&text)
+            .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
+        settings.check().map_err(unreadable)?;
+        Ok(settings)
+    }
+
+    /// The whole as TOML.
+    ///
+    /// # Errors
+    /// A number that TOML cannot hold.
+    pub fn to_toml(&self) -> Result<String, ExperimentError> {
+        Ok(toml::to_string_pretty(self)?)
+    }
+
+    /// Says in words what cannot be, if anything cannot.
+    ///
+    /// # Errors
+    /// The first thing that cannot be.
+    pub fn check(&self) -> Result<(), String> {
+        for (name, value, most) in [
+            ("policies", self.policies, 1000),
+            ("rollouts", self.rollouts, 1000),
+            ("simulated_starts", self.simulated_starts, 100_000),
+        ] {
+            if !(1..=most).contains(&value) {
+                return Err(format!("{name} = {value}: give a number from 1 to {most}"));
+            }
+        }
+        if self.recipes.is_empty() || self.plants.is_empty() {
+            return Err("an experiment needs at least one recipe and one plant".into());
+        }
+        let recipes = self.recipes.iter().map(|recipe| recipe.name.as_str());
+        distinct("recipes", &recipes.collect::<Vec<_>>())?;
+        let plants = self.plants.iter().map(|plant| plant.name.as_str());
+        distinct("plants", &plants.collect::<Vec<_>>())?;
+        for plant in &self.plants {
+            if !(0.0..=0.5).contains(&plant.vary) {
+                return Err(format!("vary = {}: give a number from 0 to 0.5", plant.vary));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn distinct(what: &str, names: &[&str]) -> Result<(), String> {
+    for (index, name) in names.iter().enumerate() {
+        check_name(what, name)?;
+        if names[..index].contains(name) {
+            return Err(format!("{what}: two are called {name}"));
+        }
+    }
+    Ok(())
+}
+
+/// A name is a folder's too.
+pub(super) fn check_name(what: &str, name: &str) -> Result<(), String> {
+    let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_.+%".contains(letter);
+    if !name.is_empty() && name.len() <= 60 && !name.starts_with('.') && name.chars().all(allowed) {
+        return Ok(());
+    }
+    Err(format!(
+        "{what}: {name:?} is no name: use letters, digits, and - _ . + %, at most 60 of them"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::RecipeModel;
+    use crate::session::{EmulatedQubeSettings, SessionSettings};
+
+    fn settings() -> ExperimentSettings {
+        let base = SessionSettings::thesis();
+        ExperimentSettings {
+            name: "table".into(),
+            seed: 7,
+            policies: 20,
+            rollouts: 5,
+            simulated_starts: 1000,
+            plants: vec![Plant {
+                name: "lab".into(),
+                emulated: EmulatedQubeSettings::default(),
+                vary: 0.1,
+            }],
+            recipes: RecipeModel::ALL.map(|model| Recipe::of(model, &base)).into(),
+        }
+    }
+
+    #[test]
+    fn what_is_written_reads_back_the_same() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("experiment.toml");
+        std::fs::write(&path, settings().to_toml().unwrap()).unwrap();
+        assert_eq!(ExperimentSettings::load(&path).unwrap(), settings());
+    }
+
+    #[test]
+    fn what_cannot_be_is_named() {
+        let wrong = |change: fn(&mut ExperimentSettings)| {
+            let mut settings = settings();
+            change(&mut settings);
+            settings.check().unwrap_err()
+        };
+        assert!(wrong(|it| it.policies = 0).contains("policies"));
+        assert!(wrong(|it| it.plants.clear()).contains("plant"));
+        assert!(wrong(|it| it.plants[0].vary = 0.9).contains("vary"));
+        assert!(wrong(|it| it.recipes[1].name = "nominal".into()).contains("nominal"));
+        assert!(wrong(|it| it.recipes[1].name = "../up".into()).contains("../up"));
+    }
+}

@@ -1,0 +1,50 @@
+use super::fit::Fit;
+use super::stretch::Stretch;
+use super::uncertainty::{Estimate, estimates};
+use super::{Unfit, Unknown, check_recording};
+use crate::qube::QubeModel;
+use crate::replay::MotionLog;
+
+/// What changes from day to day while the machine stays the same: how long a command takes, and
+/// where the cable pulls the arm to, seen from the zero that homing has found.
+const CHANGING: [Unknown; 2] = [Unknown::CommandDelay, Unknown::CableRest];
+
+/// Length of the stretches that are fitted, s: short enough for a pendulum that stands, whose motion
+/// no model predicts for long.
+const STRETCH_S: f64 = 0.5;
+
+/// What changed since a profile was made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DriftEstimate {
+    /// From command to motor, s.
+    pub command_delay: Estimate,
+    /// Where the cable does not pull, rad.
+    pub cable_rest: Estimate,
+    /// How many of the motions could be used.
+    pub motions: usize,
+}
+
+/// Estimates what changes from day to day, all else being as in `reference`; rollouts of a policy
+/// will do as motions. Those that cannot be fitted are left out.
+///
+/// # Errors
+/// None can be fitted: why the last one cannot. [`Unfit::Short`] for no motion at all.
+pub fn drift(motions: &[MotionLog], reference: &QubeModel) -> Result<DriftEstimate, Unfit> {
+    let mut unfit = Unfit::Short { duration_s: 0.0 };
+    let mut usable = Vec::new();
+    for motion in motions {
+        match check_recording(motion) {
+            Ok(()) => usable.push(motion),
+            Err(why) => unfit = why,
+        }
+    }
+    if usable.is_empty() {
+        return Err(unfit);
+    }
+    let stretches = usable.iter().flat_map(|log| Stretch::cut(&log.samples, STRETCH_S));
+    let mut fit = Fit::new(&CHANGING, *reference, stretches.collect());
+    fit.run();
+    let (found, _) = estimates(&fit);
+    let [command_delay, cable_rest] = [found[0], found[1]];
+    Ok(DriftEstimate { command_delay, cable_rest, motions: usable.len() })
+}

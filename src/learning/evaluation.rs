@@ -1,0 +1,24 @@
+use crate::policy::Network;
+use crate::simulation::{DomainDistribution, Evaluation, SimulationSettings, evaluate};
+
+/// Evaluates a policy as it is deployed from starts that its training has not seen: for a return to
+/// publish, 1000 of them or more. (The evaluations during training flatter the best.)
+#[must_use]
+pub fn evaluate_afresh(
+    network: &Network,
+    distribution: &DomainDistribution,
+    simulation: &SimulationSettings,
+    seed: u64,
+    starts: usize,
+) -> Evaluation {
+    let mut network = network.clone();
+    let mut actor = |observations: &[f32], voltages_v: &mut [f32]| {
+        let lanes = voltages_v.len();
+        for (lane, voltage_v) in voltages_v.iter_mut().enumerate() {
+            let observation: Vec<f32> =
+                observations.iter().skip(lane).step_by(lanes).copied().collect();
+            *voltage_v = network.voltage_of_observation_v(&observation);
+        }
+    };
+    evaluate(&mut actor, distribution, simulation, seed, starts)
+}

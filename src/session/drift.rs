@@ -1,0 +1,142 @@
+use std::fmt;
+
+use serde::Serialize;
+
+use crate::identification::{Unfit, drift};
+use crate::qube::{QubeModel, wrap_angle};
+use crate::recording::Recording;
+use crate::replay::MotionLog;
+use crate::telemetry::Phase;
+
+/// Rollouts that a day's drift is estimated from.
+pub const DRIFT_ROLLOUTS: usize = 3;
+
+/// A delay that differs by less is the same, s ...
+const DELAY_TOLERANCE_S: f64 = 0.002;
+
+/// ... and so is a rest of the cable, rad ...
+const REST_TOLERANCE_RAD: f64 = 0.1;
+
+/// ... and a hanging pendulum's angle, rad: five counts.
+const ALPHA_TOLERANCE_RAD: f64 = 5.0 * crate::qube::RAD_PER_COUNT;
+
+/// A difference must also be this many standard errors.
+const STANDARD_ERRORS: f64 = 3.0;
+
+/// Settled ticks at the end of settling over which the pendulum's angle is averaged.
+const SETTLED_TICKS: usize = 20;
+
+/// How a rig is today beside its profile, from the first rollouts.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Drift {
+    /// From command to motor, s.
+    pub command_delay_s: Compared,
+    /// Where the cable does not pull, rad from the arm's zero: what homing finds and how the cable
+    /// lies both move it.
+    pub cable_rest_rad: Compared,
+    /// The pendulum's angle where it hangs at rest, rad.
+    pub alpha_zero_rad: Compared,
+    /// Rollouts that it was estimated from.
+    pub rollouts: usize,
+}
+
+/// A quantity today and in the profile.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Compared {
+    /// Today.
+    pub today: f64,
+    /// How sure that is.
+    pub standard_error: f64,
+    /// In the profile.
+    pub profile: f64,
+    /// Whether they differ by more than chance and by enough to matter.
+    pub moved: bool,
+}
+
+impl Compared {
+    fn new(today: f64, standard_error: f64, profile: f64, tolerance: f64) -> Self {
+        let allowed = tolerance.max(STANDARD_ERRORS * standard_error);
+        Self { today, standard_error, profile, moved: (today - profile).abs() > allowed }
+    }
+}
+
+impl Drift {
+    /// Compares the first rollouts of a day with the profile.
+    ///
+    /// # Errors
+    /// The rollouts say nothing: why.
+    pub fn of(recordings: &[Recording], profile: &QubeModel) -> Result<Self, Unfit> {
+        let motions: Vec<MotionLog> =
+            recordings.iter().filter_map(MotionLog::of_recording).collect();
+        let found = drift(&motions, profile)?;
+        let hanging: Vec<f64> = recordings.iter().filter_map(hanging_rad).collect();
+        let count = hanging.len().max(1) as f64;
+        let alpha_rad = hanging.iter().sum::<f64>() / count;
+        let gap = &profile.gap;
+        let compared = |estimate: &crate::identification::Estimate, profile, tolerance| {
+            let mut compared =
+                Compared::new(estimate.value, estimate.standard_error, profile, tolerance);
+            // Of a cable that does not pull nothing can be said.
+            compared.moved &= estimate.is_told();
+            compared
+        };
+        Ok(Self {
+            command_delay_s: compared(&found.command_delay, gap.command_delay_s, DELAY_TOLERANCE_S),
+            cable_rest_rad: compared(&found.cable_rest, gap.cable_rest_rad, REST_TOLERANCE_RAD),
+            alpha_zero_rad: Compared::new(alpha_rad, 0.0, 0.0, ALPHA_TOLERANCE_RAD),
+            rollouts: found.motions,
+        })
+    }
+
+    /// Whether the rig has moved away from its profile.
+    #[must_use]
+    pub fn has_moved(&self) -> bool {
+        self.command_delay_s.moved || self.cable_rest_rad.moved || self.alpha_zero_rad.moved
+    }
+}
+
+impl fmt::Display for Drift {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let moved = |compared: &Compared| if compared.moved { "  MOVED" } else { "" };
+        let (delay, rest, zero) =
+            (&self.command_delay_s, &self.cable_rest_rad, &self.alpha_zero_rad);
+        writeln!(f, "today beside the profile, from {} rollouts:", self.rollouts)?;
+        writeln!(
+            f,
+            "  command delay {:6.1} ± {:.1} ms, profile {:6.1} ms{}",
+            1e3 * delay.today,
+            1e3 * delay.standard_error,
+            1e3 * delay.profile,
+            moved(delay)
+        )?;
+        writeln!(
+            f,
+            "  cable rest    {:6.2} ± {:.2} rad, profile {:5.2} rad{}",
+            rest.today,
+            rest.standard_error,
+            rest.profile,
+            moved(rest)
+        )?;
+        write!(f, "  alpha at rest {:6.3} rad{}", zero.today, moved(zero))?;
+        if self.has_moved() {
+            write!(
+                f,
+                "\nthe rig has moved away from its profile: see to cable and homing, or make a new \
+                 profile with run --excite and identify"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// The pendulum's angle at the end of settling.
+fn hanging_rad(recording: &Recording) -> Option<f64> {
+    let settled: Vec<f64> = recording
+        .ticks
+        .iter()
+        .filter(|tick| tick.phase == Phase::Settling)
+        .map(|tick| wrap_angle(tick.state.alpha))
+        .collect();
+    let last = settled.get(settled.len().checked_sub(SETTLED_TICKS)?..)?;
+    Some(last.iter().sum::<f64>() / SETTLED_TICKS as f64)
+}

@@ -1,0 +1,155 @@
+#![allow(
+    clippy::needless_range_loop,
+    reason = "a lane indexes many arrays at once, and plain index loops become vector code"
+)]
+
+use super::block::{BLOCK, Lanes, lane_of, set_lane};
+use crate::estimation::{
+    KalmanGains, ObserverEquations, ObserverSettings, SentVoltages, prediction_steps,
+};
+use crate::qube::{CONTROL_PERIOD_S, MAX_VOLTAGE_V, State};
+
+/// Last commands of a lane that may still be on their way at the longest delay of an observer.
+const REMEMBERED: usize = 12;
+
+/// Pieces of constant voltage in the longest prediction.
+const MAX_PIECES: usize = REMEMBERED;
+
+/// The observer of [`crate::estimation`] for the lanes of a simulation: with a fixed period, which
+/// command acts when is the same in each step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LaneObserver {
+    equations: ObserverEquations<f32>,
+    theta_gains: KalmanGains<f32>,
+    alpha_gains: KalmanGains<f32>,
+    /// From the last sample to this one.
+    since: Pieces,
+    /// From this one to the instant at which the next command acts.
+    ahead: Pieces,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Pieces {
+    pieces: [LanePiece; MAX_PIECES],
+    count: usize,
+}
+
+/// Steps of integration under one command.
+#[derive(Clone, Copy, Debug, Default)]
+struct LanePiece {
+    /// 0 is the newest command.
+    age: usize,
+    steps: u64,
+    step_s: f32,
+}
+
+/// What the observers of a block remember.
+#[derive(Clone, Debug)]
+pub(super) struct ObserverLanes {
+    /// At the last sample's instant.
+    estimate: State<Lanes>,
+    /// V, newest first.
+    commands_v: [Lanes; REMEMBERED],
+}
+
+impl ObserverLanes {
+    /// Of Qubes that are in these states and got no voltage yet.
+    pub(super) fn at_rest(estimate: State<Lanes>) -> Self {
+        Self { estimate, commands_v: [[0.0; BLOCK]; REMEMBERED] }
+    }
+
+    /// A new Qube in a lane.
+    pub(super) fn restart(&mut self, lane: usize, estimate: &State<f32>) {
+        set_lane(&mut self.estimate, lane, estimate);
+        for command_v in &mut self.commands_v {
+            command_v[lane] = 0.0;
+        }
+    }
+}
+
+impl LaneObserver {
+    pub(super) fn new(settings: &ObserverSettings) -> Self {
+        const PERIOD_US: u64 = (CONTROL_PERIOD_S * 1e6) as u64;
+        // Which command of a long row acts when, seen from its newest.
+        let newest = REMEMBERED as u64;
+        let mut sent = SentVoltages::new(settings.model.gap.command_delay_s, 0);
+        for command in 0..=newest {
+            sent.send(command * PERIOD_US, command);
+        }
+        let pieces = |from_us: u64, until_us: u64| {
+            let mut pieces = Pieces::default();
+            for piece in sent.between(from_us, until_us).take(MAX_PIECES) {
+                let (steps, step_s) = prediction_steps(piece.duration_us);
+                let age = (newest - piece.voltage) as usize;
+                pieces.pieces[pieces.count] = LanePiece { age, steps, step_s: step_s as f32 };
+                pieces.count += 1;
+            }
+            pieces
+        };
+        let (before_us, now_us) = (newest * PERIOD_US, (newest + 1) * PERIOD_US);
+        let gains = |noise_rad_s2| KalmanGains::steady_state(noise_rad_s2, CONTROL_PERIOD_S).cast();
+        Self {
+            equations: ObserverEquations::new(settings),
+            theta_gains: gains(settings.theta_noise_rad_s2),
+            alpha_gains: gains(settings.alpha_noise_rad_s2),
+            since: pieces(before_us, now_us),
+            ahead: pieces(now_us, now_us + sent.delay_us()),
+        }
+    }
+
+    /// One sample later: takes the commands of the period that is over and what the guard's filter
+    /// makes of the new sample; shows the states when the next commands will act.
+    #[inline(always)]
+    pub(super) fn update(
+        &self,
+        lanes: &mut ObserverLanes,
+        voltages_v: &Lanes,
+        filtered: &State<Lanes>,
+    ) -> State<Lanes> {
+        let ObserverLanes { estimate, commands_v } = lanes;
+        commands_v.rotate_right(1);
+        for lane in 0..BLOCK {
+            let most_v = MAX_VOLTAGE_V as f32;
+            commands_v[0][lane] = voltages_v[lane].clamp(-most_v, most_v);
+        }
+        self.predict(&self.since, estimate, commands_v);
+        for lane in 0..BLOCK {
+            let (corrected, _) = self.equations.correct(
+                &lane_of(estimate, lane),
+                &lane_of(filtered, lane),
+                &self.theta_gains,
+                &self.alpha_gains,
+            );
+            set_lane(estimate, lane, &corrected);
+        }
+        let mut shown = *estimate;
+        self.predict(&self.ahead, &mut shown, commands_v);
+        for lane in 0..BLOCK {
+            let own = ObserverEquations::shown(&lane_of(&shown, lane), &lane_of(filtered, lane));
+            set_lane(&mut shown, lane, &own);
+        }
+        shown
+    }
+
+    #[inline(always)]
+    fn predict(
+        &self,
+        pieces: &Pieces,
+        states: &mut State<Lanes>,
+        commands_v: &[Lanes; REMEMBERED],
+    ) {
+        for piece in pieces.pieces.iter().take(pieces.count) {
+            let voltages_v = &commands_v[piece.age.min(REMEMBERED - 1)];
+            for _ in 0..piece.steps {
+                for lane in 0..BLOCK {
+                    let next = self.equations.predict(
+                        lane_of(states, lane),
+                        voltages_v[lane],
+                        piece.step_s,
+                    );
+                    set_lane(states, lane, &next);
+                }
+            }
+        }
+    }
+}

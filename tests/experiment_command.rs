@@ -1,0 +1,185 @@
+//! An experiment as its users meet it: interrupted, killed and gone on with, on any number of
+//! threads, it comes to the same table, byte for byte, and repeats nothing that was finished.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, kill_process};
+
+/// Policies that have seen two small updates.
+const TINY: &str = "[settings.training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
+
+/// A search of four candidates.
+const SEARCH: &str = "[settings.extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 1\n\
+                      verification_rollouts = 1\n";
+
+const PLANTS: &str = "[[plants]]\nname = \"lab\"\nprofile = \"lab\"\n\n\
+                      [[plants]]\nname = \"worse\"\nprofile = \"lab\"\ngap = 1.5\nvary = 0.1\n";
+
+fn prepare(directory: &Path) {
+    let recipe = |model: &str, more: &str| {
+        let text = format!("name = \"tiny-{model}\"\nmodel = \"{model}\"\n{TINY}{more}");
+        std::fs::write(directory.join(format!("{model}.toml")), text).unwrap();
+    };
+    recipe("nominal", "");
+    recipe("opt-nominal", SEARCH);
+    std::fs::write(directory.join("plants.toml"), PLANTS).unwrap();
+}
+
+fn experiment(directory: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).arg("experiment").args(arguments).stdin(Stdio::null());
+    command
+}
+
+const BEGIN: [&str; 14] = [
+    "--recipe",
+    "nominal.toml",
+    "--recipe",
+    "opt-nominal.toml",
+    "--plants",
+    "plants.toml",
+    "--policies",
+    "3",
+    "--rollouts",
+    "2",
+    "--seed",
+    "4",
+    "--out",
+    "one",
+];
+
+fn succeeds(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+fn begin(directory: &Path, threads: &str) -> Child {
+    experiment(directory, &[&BEGIN[..], &["--threads", threads]].concat())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the program starts")
+}
+
+fn table(directory: &Path) -> String {
+    let output = experiment(directory, &["--resume", "one", "--csv", "one.csv"]).output().unwrap();
+    succeeds(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
+}
+
+/// Every policy and recording by its name, without what was put aside.
+fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.display().to_string();
+            if path.is_dir() {
+                folders.push(path);
+            } else if !name.contains("unfinished") {
+                let name = name.rsplit_once("/one/").unwrap().1.to_owned();
+                files.insert(name, std::fs::read(path).unwrap());
+            }
+        }
+    }
+    files
+}
+
+#[test]
+fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
+    let whole = tempfile::tempdir().unwrap();
+    prepare(whole.path());
+    let output = experiment(whole.path(), &BEGIN).output().unwrap();
+    let text = succeeds(&output);
+    assert!(text.contains("on lab") && text.contains("on worse"), "{text}");
+    assert!(text.contains("of 3") && text.contains("tiny-opt-nominal"), "{text}");
+    let expected = table(whole.path());
+    assert!(expected.starts_with(&text), "resuming what is finished prints the same table");
+    let expected_files = files(&whole.path().join("one"));
+    // 2 recipes of 3 policies with 2 rollouts on 2 plants, and a search with 4 rollouts.
+    let recordings = expected_files.keys().filter(|name| name.ends_with(".mcap")).count();
+    assert_eq!(recordings, 2 * 3 * 2 * 2 + 4);
+
+    let torn = tempfile::tempdir().unwrap();
+    prepare(torn.path());
+    let mut child = begin(torn.path(), "1");
+    let mut interruptions = 0;
+    loop {
+        // Whatever it is doing by then: the times walk through all its phases.
+        std::thread::sleep(Duration::from_millis(60 + 53 * (interruptions % 7)));
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success(), "after {interruptions} interruptions: {status}");
+            break;
+        }
+        // Each leaves more behind, so this ends; the limit only keeps a failure short.
+        if interruptions < 30 {
+            let signal = if interruptions % 2 == 0 { Signal::KILL } else { Signal::INT };
+            let _ = kill_process(Pid::from_child(&child), signal);
+            interruptions += 1;
+            let code = child.wait().unwrap().code();
+            assert!(matches!(code, None | Some(0 | 130)), "{code:?}");
+            child = if torn.path().join("one/experiment.toml").exists() {
+                let arguments = ["--resume", "one", "--threads", "2"];
+                let mut command = experiment(torn.path(), &arguments);
+                command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+            } else {
+                let _ = std::fs::remove_dir_all(torn.path().join("one"));
+                begin(torn.path(), "1")
+            };
+        }
+    }
+    assert!(interruptions > 0, "it was over before it could be interrupted");
+    assert_eq!(table(torn.path()), expected);
+    let torn_files = files(&torn.path().join("one"));
+    assert_eq!(torn_files.keys().collect::<Vec<_>>(), expected_files.keys().collect::<Vec<_>>());
+    for (name, bytes) in &expected_files {
+        assert!(*bytes == torn_files[name], "{name} differs");
+    }
+}
+
+#[test]
+fn what_cannot_be_is_refused_before_anything_is_made() {
+    let directory = tempfile::tempdir().unwrap();
+    prepare(directory.path());
+    std::fs::write(directory.path().join("bad.toml"), "name = \"x\"\nmodel = \"nominl\"\n")
+        .unwrap();
+    std::fs::write(directory.path().join("far.toml"), "[[plants]]\nname = \"x\"\ngap = 9.0\n")
+        .unwrap();
+    for (arguments, words) in [
+        (vec!["--recipe", "bad.toml"], "nominl"),
+        (vec!["--recipe", "nominal.toml", "--recipe", "nominal.toml"], "two are called"),
+        (vec!["--recipe", "nominal.toml", "--policies", "0"], "policies"),
+        (vec!["--recipe", "nominal.toml", "--plants", "far.toml"], "gap"),
+        (vec!["--resume", "nowhere"], "no experiment"),
+    ] {
+        let output = experiment(directory.path(), &arguments).args(["--json"]).output().unwrap();
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains(words), "{message}");
+    }
+    assert!(!directory.path().join("logs").exists());
+}
+
+#[test]
+fn scripts_get_the_models_with_their_intervals() {
+    let directory = tempfile::tempdir().unwrap();
+    prepare(directory.path());
+    let arguments = ["--recipe", "nominal.toml", "--policies", "2", "--rollouts", "1", "--json"];
+    let output = experiment(directory.path(), &arguments).output().unwrap();
+    let text = succeeds(&output);
+    let value: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+    let model = &value["models"][0];
+    assert_eq!(model["model"], "tiny-nominal");
+    assert_eq!(model["plant"], "ideal");
+    assert_eq!(model["policies"], 2);
+    for number in ["sim_mean", "sim_std", "mean_return", "std_return", "success_rate"] {
+        assert!(model[number].is_f64(), "{number} in {model}");
+    }
+    assert!(model["success_interval"]["upper"].as_f64().unwrap() < 1.0);
+    let shares = model["rollouts"].as_object().unwrap().values();
+    let sum: f64 = shares.map(|share| share.as_f64().unwrap()).sum();
+    assert!((sum - 1.0).abs() < 1e-12);
+}

@@ -1,0 +1,139 @@
+//! From a rig to its profile and back: excitations make recordings that `identify` turns into the
+//! profile they were made with, and the first rollouts of a day are compared with it.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::qube::Profile;
+use qube_hil::session::{Extent, SessionSettings};
+use serde_json::Value;
+
+fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    let output = command.current_dir(directory).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+fn json(output: &Output) -> Value {
+    let text = String::from_utf8_lossy(&output.stdout);
+    serde_json::from_str(text.lines().last().unwrap()).unwrap()
+}
+
+fn lab_path() -> String {
+    format!("{}/profiles/lab.toml", env!("CARGO_MANIFEST_DIR"))
+}
+
+fn lab() -> Profile {
+    Profile::parse(&std::fs::read_to_string(lab_path()).unwrap()).unwrap()
+}
+
+#[test]
+fn excitations_of_the_emulated_lab_give_its_profile_back() {
+    let directory = tempfile::tempdir().unwrap();
+    for shape in ["chirp", "steps"] {
+        let excited = qube_hil(
+            directory.path(),
+            &["run", "--excite", shape, "--profile", "lab", "--clock", "virtual", "--out", shape],
+        );
+        let text = String::from_utf8_lossy(&excited.stdout).into_owned();
+        assert!(text.contains("10.0 s recorded, fit for identify"), "{text}");
+    }
+    let files = ["chirp/rollout-0.mcap", "steps/rollout-0.mcap"];
+    // Excitations replay as policies do.
+    qube_hil(directory.path(), &["replay", files[0], files[1]]);
+    let found = json(&qube_hil(directory.path(), &["identify", files[0], files[1], "--json"]));
+    let lab = lab();
+    let expected = toml::Table::try_from(&lab).unwrap();
+    let mut told = 0;
+    for estimate in found["estimates"].as_array().unwrap() {
+        let name = estimate["name"].as_str().unwrap();
+        let number = |field: &str| estimate[field].as_f64().unwrap();
+        let (value, standard_error) = (number("value"), number("standard_error"));
+        let in_table = |table: &str| expected[table].get(name).and_then(toml::Value::as_float);
+        let expected = in_table("parameters").or_else(|| in_table("gap")).unwrap();
+        // What the recordings see of a delay begins with the sample: the wire's own time, 1 ms and
+        // a half at the most, comes on top of the profile's.
+        let wire = if name == "command_delay_s" { 0.0015 } else { 0.0 };
+        let off = (value - expected).abs();
+        assert!(off < 4.0 * standard_error + wire, "{name} = {value}, not {expected}: {estimate}");
+        told += u32::from(number("told_by_data") > 0.5);
+    }
+    assert!(told >= 6, "the recordings tell only {told} quantities");
+}
+
+#[test]
+fn the_first_rollouts_say_whether_the_rig_is_as_its_profile() {
+    let directory = tempfile::tempdir().unwrap();
+    let qube = format!("profile = {:?}\n", lab_path());
+    std::fs::write(directory.path().join("qube.toml"), qube).unwrap();
+    let mut shifted = lab();
+    shifted.gap.cable_rest_rad += 0.4;
+    let shifted = toml::to_string(&shifted).unwrap();
+    std::fs::write(directory.path().join("shifted.toml"), shifted).unwrap();
+
+    let drift = |out: &str, more: &[&str]| {
+        let common =
+            ["run", "--policy", "classical", "--qube", "qube.toml", "--device", "emulated"];
+        let rest = ["--clock", "virtual", "--rollouts", "3", "--json", "--out", out];
+        json(&qube_hil(directory.path(), &[&common, more, &rest].concat()))["drift"].clone()
+    };
+    let same = drift("same", &["--profile", "lab"]);
+    for quantity in ["command_delay_s", "cable_rest_rad", "alpha_zero_rad"] {
+        assert_eq!(same[quantity]["moved"], false, "{quantity}: {same}");
+    }
+    let late = drift("late", &["--profile", "lab", "--delay-ms", "17"]);
+    assert_eq!(late["command_delay_s"]["moved"], true, "{late}");
+    let today = late["command_delay_s"]["today"].as_f64().unwrap();
+    assert!((today - 0.0175).abs() < 0.002, "{late}");
+    let moved = drift("moved", &["--profile", "shifted.toml"]);
+    assert_eq!(moved["cable_rest_rad"]["moved"], true, "{moved}");
+    let today = moved["cable_rest_rad"]["today"].as_f64().unwrap();
+    assert!((today - (lab().gap.cable_rest_rad + 0.4)).abs() < 0.15, "{moved}");
+}
+
+#[test]
+fn a_session_says_that_its_rig_has_moved() {
+    let directory = tempfile::tempdir().unwrap();
+    let qube = format!("profile = {:?}\n", lab_path());
+    std::fs::write(directory.path().join("qube.toml"), qube).unwrap();
+    // Three candidates that need no training: the session takes over the policies that are there.
+    let mut emulated = lab();
+    emulated.gap.command_delay_s = 0.017;
+    let mut configuration = SessionSettings::quick();
+    configuration.extent = Extent {
+        initial_candidates: 3,
+        iterations: 0,
+        rollouts: 1,
+        verification_rollouts: 1,
+        ..Extent::QUICK
+    };
+    configuration.emulated.model = emulated.model();
+    let session = directory.path().join("one");
+    std::fs::create_dir_all(session.join("candidates")).unwrap();
+    std::fs::write(session.join("session.toml"), configuration.to_toml().unwrap()).unwrap();
+    let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
+    for candidate in ["000", "001", "002", "003"] {
+        let folder = session.join("candidates").join(candidate);
+        std::fs::create_dir(&folder).unwrap();
+        std::fs::write(folder.join("policy.safetensors"), &policy).unwrap();
+    }
+    let output = qube_hil(
+        directory.path(),
+        &[
+            "session",
+            "--resume",
+            "one",
+            "--clock",
+            "virtual",
+            "--qube",
+            "qube.toml",
+            "--device",
+            "emulated",
+        ],
+    );
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains("from 3 rollouts") && told.contains("MOVED"), "{told}");
+    assert!(told.contains("the rig has moved away from its profile"), "{told}");
+}
