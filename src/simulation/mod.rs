@@ -8,6 +8,7 @@ mod delay;
 mod distribution;
 mod domain_distribution;
 mod evaluation;
+mod lane_observer;
 mod lanes;
 mod pendulums;
 #[cfg(test)]
@@ -15,6 +16,7 @@ mod pendulums_gap_tests;
 #[cfg(test)]
 mod pendulums_tests;
 mod psi;
+mod sensors;
 mod settings;
 mod trajectory;
 
