@@ -91,6 +91,22 @@ fn configurations_that_are_none() {
 }
 
 #[test]
+fn estimators_that_are_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = |flags: &[&str], words: &[&str]| {
+        let arguments = [&["run", "--policy", "classical", "--clock", "virtual"], flags].concat();
+        refused(directory.path(), &arguments, 2, words);
+    };
+    run(&["--estimator", "observer", "--filter", "50"], &["--filter", "--estimator filter"]);
+    run(&["--estimator-delay-ms", "5"], &["--estimator-delay-ms", "--estimator observer"]);
+    run(&["--estimator", "observer", "--estimator-profile", "none.toml"], &["none.toml"]);
+    let path = directory.path().join("my.toml");
+    std::fs::write(&path, "[estimator.observer]\nastray_rad = -1.0\n").unwrap();
+    let arguments = ["session", "--clock", "virtual", "--config", "my.toml", "--out", "session"];
+    refused(directory.path(), &arguments, 2, &["my.toml", "estimator.observer.astray_rad = -1"]);
+}
+
+#[test]
 fn a_psi_that_cannot_be() {
     let directory = tempfile::tempdir().unwrap();
     let mut file = std::fs::File::create(directory.path().join("psi.toml")).unwrap();

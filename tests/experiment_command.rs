@@ -103,6 +103,16 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let recordings = expected_files.keys().filter(|name| name.ends_with(".mcap")).count();
     assert_eq!(recordings, 2 * 3 * 2 * 2 + 4);
 
+    // What is finished can be seen without running anything; what is missing is made again.
+    let lost = "one/policies/tiny-nominal/002/lab/rollout-1-attempt-0.mcap";
+    std::fs::remove_file(whole.path().join(lost)).unwrap();
+    let output = experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap();
+    let text = succeeds(&output);
+    assert!(text.contains("/2 ") && text.contains("/3 "), "{text}");
+    assert!(!whole.path().join(lost).exists());
+    assert_eq!(table(whole.path()), expected);
+    assert!(files(&whole.path().join("one")) == expected_files);
+
     let torn = tempfile::tempdir().unwrap();
     prepare(torn.path());
     let mut child = begin(torn.path(), "1");

@@ -46,6 +46,7 @@ use crate::storage::{Disk, MachineDisk};
     qube-hil experiment --profile lab                   # the thesis's table on an identified Qube\n  \
     qube-hil experiment --profile lab --models nominal,handcrafted --preset thesis --out logs/t53\n  \
     qube-hil experiment --resume logs/t53\n  \
+    qube-hil experiment --resume logs/t53 --table       # what is finished so far\n  \
     qube-hil experiment --recipe mine.toml --plants plants.toml --policies 5\n\n\
     A recipe file:\n  \
     name = \"slow-filter\"\n  \
@@ -105,6 +106,10 @@ pub struct Arguments {
     /// Go on with an experiment from its folder
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
+
+    /// Run nothing: print the table of what is finished
+    #[arg(long, requires = "resume")]
+    table: bool,
 
     /// Processors to use [default: all]; the results are the same
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
@@ -214,9 +219,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let failed = |error| failures::experiment(error, &stop, &resume);
     let progress = ExperimentProgress::new(&settings);
     let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag));
-    let ended = experiment.run(&|news| progress.tell(&news));
-    progress.finish();
-    ended.map_err(failed)?;
+    if !arguments.table {
+        let ended = experiment.run(&|news| progress.tell(&news));
+        progress.finish();
+        ended.map_err(failed)?;
+    }
 
     let results = Results::read(&experiment).map_err(failed)?;
     if let Some(path) = &arguments.csv {

@@ -5,10 +5,11 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
+use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
 use super::guard_argument::GuardArgument;
-use super::number_arguments::{between, positive};
+use super::number_arguments::between;
 use super::output::Output;
 use super::profile;
 use super::stop::Stop;
@@ -72,17 +73,13 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", default_value = "policy.safetensors")]
     out: PathBuf,
 
-    /// What the simulation shows of the state: as it is, or through encoders and the velocity filter,
-    /// as on the machine [default: as the preset]
+    /// What the simulation shows of the state: as it is, or through encoders and estimator, as on the
+    /// machine [default: as the preset]
     #[arg(long, value_enum)]
     sensors: Option<Sensors>,
 
-    /// Corner of the simulated velocity filter, rad/s [default: 200]
-    #[arg(long, value_name = "RAD/S", value_parser = positive)]
-    filter: Option<f64>,
-
     /// How many last commands the policy sees beside the state, 0 to 4 [default: 2 with --model
-    /// robust, --profile or --delay-ms, else 0]
+    /// robust, --profile or --delay-ms and no observer, else 0]
     #[arg(long, value_name = "COMMANDS", value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64))]
     history: Option<u8>,
 
@@ -98,6 +95,9 @@ pub struct Arguments {
     /// Use nothing better than this; the policy is the same on the first two
     #[arg(long, value_enum, default_value_t = InstructionSet::Avx512)]
     instruction_set: InstructionSet,
+
+    #[command(flatten)]
+    estimator: EstimatorArguments,
 }
 
 /// What the simulation shows.
@@ -105,7 +105,7 @@ pub struct Arguments {
 enum Sensors {
     /// Angles and velocities without error
     True,
-    /// Angles in encoder counts, velocities by the filter that runs on the machine
+    /// Angles in encoder counts, and what the estimator that runs on the machine makes of them
     Encoders,
 }
 
@@ -242,19 +242,23 @@ fn simulation(
         }
         None => {}
     }
-    match (&mut simulation.sensors, arguments.filter) {
-        (SensorModel::Encoders { estimator }, Some(corner_rad_s)) => {
-            estimator.corner_rad_s = corner_rad_s;
+    let mut observes = false;
+    match (&mut simulation.sensors, arguments.estimator.settings()?) {
+        (SensorModel::Encoders { estimator }, Some(asked)) => {
+            *estimator = asked;
+            observes = asked.observer.is_some();
         }
         (SensorModel::TrueState, Some(_)) => {
-            return Err(Failure::usage("--filter goes with --sensors encoders"));
+            return Err(Failure::usage("--estimator and --filter go with --sensors encoders"));
         }
         (_, None) => {}
     }
     let has_delay = arguments.profile.is_some()
         || arguments.delay_ms.is_some()
         || arguments.model == Model::Robust;
-    let default = if has_delay { SimulationSettings::machine_with_history().history } else { 0 };
+    // An observer has made up for the delay already.
+    let default =
+        if has_delay && !observes { SimulationSettings::machine_with_history().history } else { 0 };
     simulation.history = arguments.history.map_or(default, usize::from);
     Ok(simulation)
 }

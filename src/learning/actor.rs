@@ -1,5 +1,5 @@
 use super::kernels::Forward;
-use super::network::{CONSTANT, NARROW, Network, WIDTH};
+use super::network::{NARROW, Network, WIDTH};
 use super::transition::constant_inputs;
 use crate::elementary::dispatch;
 use crate::qube::MAX_VOLTAGE_V;
@@ -43,9 +43,8 @@ fn outputs_of_block<const SAMPLES: usize>(
     lanes: usize,
     first_lane: usize,
 ) -> [f32; SAMPLES] {
-    let mut inputs = constant_inputs();
-    let rows = inputs[CONSTANT + 1..].iter_mut();
-    for (row, observed) in rows.zip(observations.chunks_exact(lanes)) {
+    let mut inputs = constant_inputs(network.observation_size);
+    for (row, observed) in inputs.iter_mut().zip(observations.chunks_exact(lanes)) {
         row.copy_from_slice(&observed[first_lane..][..SAMPLES]);
     }
     dispatch(Forward { network, inputs: &inputs })

@@ -121,14 +121,16 @@ impl Collector<'_> {
         cut: &[(usize, Observation)],
     ) {
         for block in transitions.chunks_mut(WIDTH) {
-            let inputs = inputs(block.iter().map(|transition| &transition.observation));
+            let observations = block.iter().map(|transition| &transition.observation);
+            let inputs = inputs(self.value.observation_size, observations);
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
             for (transition, value) in block.iter_mut().zip(values) {
                 transition.value = value;
             }
         }
         for block in cut.chunks(WIDTH) {
-            let inputs = inputs(block.iter().map(|(_, observation)| observation));
+            let observations = block.iter().map(|(_, observation)| observation);
+            let inputs = inputs(self.value.observation_size, observations);
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
             for (&(place, _), value) in block.iter().zip(values) {
                 ends[place].value_after = value;

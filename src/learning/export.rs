@@ -1,14 +1,14 @@
 use super::TrainError;
 use super::actor::VOLTS_PER_OUTPUT;
-use super::network::{CONSTANT, Network, OUTPUT_BIAS, WIDTH};
+use super::network::{Network, OUTPUT_BIAS, WIDTH};
 use crate::policy::{self, LayerWeights};
 
 /// The net in the form that is deployed.
 pub(super) fn exported(network: &Network) -> Result<policy::Network, TrainError> {
-    let observed = &network.first[CONSTANT + 1..network.inputs()];
+    let observed = &network.first[..network.constant()];
     let first = LayerWeights {
         weight: (0..WIDTH).flat_map(|neuron| observed.iter().map(move |row| row[neuron])).collect(),
-        bias: network.first[CONSTANT].to_vec(),
+        bias: network.first[network.constant()].to_vec(),
     };
     let second = LayerWeights {
         weight: network.second.as_flattened().to_vec(),

@@ -1,6 +1,6 @@
 use rand::Rng;
 
-use super::network::{CONSTANT, LOG_STD, Network, Row, WIDTH};
+use super::network::{LOG_STD, Network, Row, WIDTH};
 use super::random::normal_pair;
 
 /// Gain of the hidden layers, as is usual for PPO.
@@ -15,8 +15,7 @@ impl Network {
         log_std: f32,
     ) -> Self {
         let mut network = Self::zero(observation_size);
-        let observed = CONSTANT + 1..network.inputs();
-        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.first[observed]);
+        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.first[..observation_size]);
         orthonormal_rows(generator, HIDDEN_GAIN, &mut network.second);
         orthonormal_rows(generator, output_gain, std::slice::from_mut(&mut network.last));
         network.tail[LOG_STD] = log_std;
@@ -63,7 +62,6 @@ mod tests {
         let length: f32 = network.last.iter().map(|a| a * a).sum::<f32>().sqrt();
         assert!((length - 0.01).abs() < 1e-7);
         assert_eq!(network.tail[LOG_STD], -0.5);
-        assert_eq!(network.first[CONSTANT], [0.0; WIDTH]);
-        assert_eq!(network.first[9..], [[0.0; WIDTH]; 3]);
+        assert_eq!(network.first[8..], [[0.0; WIDTH]; 4]);
     }
 }

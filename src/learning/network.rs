@@ -9,12 +9,9 @@ pub(super) const MAX_OBSERVATION_SIZE: usize = OBSERVATION_SIZE + MAX_HISTORY;
 /// Rows that enter the first layer come in groups of as many, so that tiles divide them.
 const ROW_GROUP: usize = 4;
 
-/// Rows that may enter the first layer: a constant 1 that carries the bias, the observation, and
+/// Rows that may enter the first layer: the observation, a constant 1 that carries the bias, and
 /// zeros that fill the last group.
 pub(super) const MAX_INPUTS: usize = (1 + MAX_OBSERVATION_SIZE).next_multiple_of(ROW_GROUP);
-
-/// The row of the constant 1; the observation's rows follow it.
-pub(super) const CONSTANT: usize = 0;
 
 /// Samples of a narrow block, for as many pendulums as do not fill a whole one.
 pub(super) const NARROW: usize = 16;
@@ -29,14 +26,14 @@ pub(super) type Inputs<const SAMPLES: usize = WIDTH> = [[f32; SAMPLES]; MAX_INPU
 /// gradient and moments.
 ///
 /// ```text
-/// hidden_1 = tanh(first^T [1, observation])
+/// hidden_1 = tanh(first^T [observation, 1])
 /// hidden_2 = tanh(second hidden_1 + second_bias)
 /// output   = last . hidden_2 + tail[OUTPUT_BIAS]
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Network {
-    /// `[input][neuron]`; row [`CONSTANT`] is the bias, rows beyond the observation stay zero.
+    /// `[input][neuron]`; row [`Self::constant`] is the bias, those after it stay zero.
     pub first: [Row; MAX_INPUTS],
     /// `[neuron][neuron of the layer before]`.
     pub second: [Row; WIDTH],
@@ -69,10 +66,16 @@ impl Network {
         }
     }
 
+    /// The row of the constant 1, behind those of the observation.
+    #[inline(always)]
+    pub fn constant(&self) -> usize {
+        self.observation_size
+    }
+
     /// Rows that enter the first layer.
     #[inline(always)]
     pub fn inputs(&self) -> usize {
-        1 + self.observation_size
+        self.observation_size + 1
     }
 
     /// Rows of the first layer that are in use, and the zeros that fill their last group.

@@ -1,5 +1,5 @@
 use super::kernels::Minibatch;
-use super::network::{CONSTANT, Inputs, MAX_INPUTS, MAX_OBSERVATION_SIZE, WIDTH};
+use super::network::{Inputs, MAX_INPUTS, MAX_OBSERVATION_SIZE, WIDTH};
 
 /// What a policy saw; entries beyond the observation's size are zero.
 pub(super) type Observation = [f32; MAX_OBSERVATION_SIZE];
@@ -57,17 +57,20 @@ pub(super) fn estimate_advantages(
 }
 
 /// Inputs of the first layer with nothing observed yet, only the constant 1 that carries the bias.
-pub(super) fn constant_inputs<const SAMPLES: usize>() -> Inputs<SAMPLES> {
+pub(super) fn constant_inputs<const SAMPLES: usize>(observation_size: usize) -> Inputs<SAMPLES> {
     let mut inputs = [[0.0; SAMPLES]; MAX_INPUTS];
-    inputs[CONSTANT] = [1.0; SAMPLES];
+    inputs[observation_size] = [1.0; SAMPLES];
     inputs
 }
 
 /// Observations of up to 64 samples as the first layer wants them; the rest stays zero.
-pub(super) fn inputs<'a>(observations: impl Iterator<Item = &'a Observation>) -> Inputs {
-    let mut inputs = constant_inputs();
+pub(super) fn inputs<'a>(
+    observation_size: usize,
+    observations: impl Iterator<Item = &'a Observation>,
+) -> Inputs {
+    let mut inputs = constant_inputs(observation_size);
     for (sample, observation) in observations.enumerate() {
-        for (row, &entry) in inputs[CONSTANT + 1..].iter_mut().zip(observation) {
+        for (row, &entry) in inputs[..observation_size].iter_mut().zip(observation) {
             row[sample] = entry;
         }
     }
@@ -79,7 +82,7 @@ impl Minibatch {
     pub fn empty(observation_size: usize) -> Self {
         let zero = [0.0; WIDTH];
         Self {
-            inputs: constant_inputs(),
+            inputs: constant_inputs(observation_size),
             observation_size,
             action: zero,
             log_probability: zero,
@@ -91,8 +94,7 @@ impl Minibatch {
     /// Takes in the transitions with these indices.
     pub fn gather(&mut self, transitions: &[Transition], indices: &[u32; WIDTH]) {
         let picked = indices.map(|index| &transitions[index as usize]);
-        let observed = self.inputs[CONSTANT + 1..].iter_mut().take(self.observation_size);
-        for (entry, row) in observed.enumerate() {
+        for (entry, row) in self.inputs[..self.observation_size].iter_mut().enumerate() {
             *row = picked.map(|transition| transition.observation[entry]);
         }
         self.action = picked.map(|transition| transition.action);
@@ -151,12 +153,12 @@ mod tests {
         for size in [6, MAX_OBSERVATION_SIZE] {
             let mut minibatch = Minibatch::empty(size);
             minibatch.gather(&transitions, &std::array::from_fn(|sample| 99 - sample as u32));
-            assert_eq!(minibatch.inputs[CONSTANT], [1.0; WIDTH]);
+            assert_eq!(minibatch.inputs[size], [1.0; WIDTH]);
             assert!(minibatch.inputs[1 + size..].iter().flatten().all(|&entry| entry == 0.0));
             for sample in 0..WIDTH {
                 let base = 20.0 * (99 - sample) as f32;
                 for entry in 0..size {
-                    assert_eq!(minibatch.inputs[1 + entry][sample], base + entry as f32);
+                    assert_eq!(minibatch.inputs[entry][sample], base + entry as f32);
                 }
                 assert_eq!(minibatch.action[sample], base + 10.0);
                 assert_eq!(minibatch.log_probability[sample], base + 11.0);

@@ -4,13 +4,14 @@
 )]
 
 use super::delay::{CommandLine, STEP_S, limited};
+use super::lane_observer::ObserverLanes;
 use super::lanes::{BLOCK, InLanes, Lanes};
 use super::pendulums::Progress;
+use super::sensors::{SeenLanes, Sensors};
 use crate::elementary::{InstructionSet, Kernel};
-use crate::estimation::{FilterGains, VelocityFilter};
 use crate::qube::{
     GapDynamics, MAX_HISTORY, MAX_STEPS, MAX_VOLTAGE_V, OBSERVATION_SIZE, QubeModel, RewardWeights,
-    SUBSTEPS, State, observation, quantised, runge_kutta_4,
+    SUBSTEPS, State, observation, runge_kutta_4,
 };
 use crate::safety::SafetyBox;
 
@@ -21,7 +22,7 @@ use crate::safety::SafetyBox;
 pub(super) struct Block {
     state: State<Lanes>,
     /// What sensors and estimator make of it.
-    seen: State<Lanes>,
+    sight: SeenLanes,
     dynamics: GapDynamics<Lanes>,
     commands: CommandLine,
     /// Which lanes are the thesis's Qube. A block of these alone takes a shorter way to the same bits.
@@ -33,10 +34,10 @@ pub(super) struct Block {
 impl Block {
     /// Nominal Qubes that hang at rest.
     pub(super) fn hanging() -> Self {
-        let at_rest = State::all(&State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 });
+        let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
         Self {
-            state: at_rest,
-            seen: at_rest,
+            state: State::all(&at_rest),
+            sight: SeenLanes::both(&at_rest),
             dynamics: GapDynamics::all(&GapDynamics::new(&QubeModel::NOMINAL)),
             commands: CommandLine::EMPTY,
             ideal: [true; BLOCK],
@@ -49,7 +50,7 @@ impl Block {
     }
 
     pub(super) fn seen(&self, lane: usize) -> State<f32> {
-        self.seen.lane(lane)
+        self.sight.seen.lane(lane)
     }
 
     /// What a policy sees of a lane with the longest history.
@@ -69,7 +70,7 @@ impl Block {
         seen: &State<f32>,
     ) {
         self.state.set_lane(lane, state);
-        self.seen.set_lane(lane, seen);
+        self.sight.restart(lane, seen);
         self.dynamics.set_lane(lane, &GapDynamics::new(model));
         self.commands.restart(lane, model.gap.command_delay_s);
         let gap = self.dynamics.lane(lane);
@@ -85,10 +86,10 @@ impl Block {
 }
 
 /// What surrounds the physics, in the lanes' number type.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Surroundings {
-    /// Gains of the velocity filter; none when the true state is seen.
-    pub(super) filter: Option<FilterGains<f32>>,
+    /// What policy and guard see of the states.
+    pub(super) sensors: Sensors,
     /// How many last commands are observed.
     pub(super) history: usize,
     pub(super) reward: RewardWeights<f32>,
@@ -98,6 +99,8 @@ pub(super) struct Surroundings {
 /// One control period of all blocks.
 pub(super) struct Step<'a> {
     pub(super) blocks: &'a mut [Block],
+    /// What the policies' observers remember, block by block; empty where there are none.
+    pub(super) observers: &'a mut [ObserverLanes],
     pub(super) surroundings: &'a Surroundings,
     pub(super) voltages_v: &'a [Lanes],
     pub(super) rewards: &'a mut [Lanes],
@@ -111,7 +114,8 @@ impl Kernel for Step<'_> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
-        let Self { blocks, surroundings, voltages_v, rewards, progress, observations } = self;
+        let Self { blocks, observers, surroundings, voltages_v, rewards, progress, observations } =
+            self;
         let earned = blocks.iter().zip(voltages_v).zip(rewards);
         for ((block, voltages_v), rewards) in earned {
             earn(block, &surroundings.reward, voltages_v, rewards);
@@ -136,10 +140,9 @@ impl Kernel for Step<'_> {
         }
         let count = blocks.len();
         for (index, (block, progress)) in blocks.iter_mut().zip(progress).enumerate() {
-            match &surroundings.filter {
-                Some(gains) => look_through_encoders(block, gains),
-                None => block.seen = block.state,
-            }
+            let Block { state, sight, .. } = block;
+            let observers = observers.get_mut(index);
+            surroundings.sensors.look(state, sight, observers, &voltages_v[index]);
             judge(block, &surroundings.safety_box, progress);
             if surroundings.history > 0 || block.ideal != [true; BLOCK] {
                 block.commands.end_period(&voltages_v[index]);
@@ -171,7 +174,7 @@ impl Kernel for Observe<'_> {
 #[inline(always)]
 fn earn(block: &Block, reward: &RewardWeights<f32>, voltages_v: &Lanes, rewards: &mut Lanes) {
     for lane in 0..BLOCK {
-        rewards[lane] = reward.reward(&block.seen.lane(lane), limited(voltages_v[lane]));
+        rewards[lane] = reward.reward(&block.sight.seen.lane(lane), limited(voltages_v[lane]));
     }
 }
 
@@ -199,27 +202,11 @@ fn advance(block: &mut Block, piece: usize) {
 }
 
 #[inline(always)]
-fn look_through_encoders(block: &mut Block, gains: &FilterGains<f32>) {
-    let Block { state, seen, .. } = block;
-    for lane in 0..BLOCK {
-        let before = seen.lane(lane);
-        let (theta, alpha) = (quantised(state.theta[lane]), quantised(state.alpha[lane]));
-        let now = State {
-            theta,
-            alpha,
-            theta_dot: VelocityFilter::at(before.theta, before.theta_dot).update(theta, gains),
-            alpha_dot: VelocityFilter::at(before.alpha, before.alpha_dot).update(alpha, gains),
-        };
-        seen.set_lane(lane, &now);
-    }
-}
-
-#[inline(always)]
 fn judge(block: &mut Block, safety_box: &SafetyBox<f32>, progress: &mut [Progress; BLOCK]) {
     for lane in 0..BLOCK {
         block.steps[lane] += 1;
         let time_is_up = block.steps[lane] >= MAX_STEPS as u32;
-        let inside = safety_box.contains(&block.seen.lane(lane));
+        let inside = safety_box.contains(&block.sight.guarded.lane(lane));
         let in_the_box = if time_is_up { Progress::TimeUp } else { Progress::Running };
         progress[lane] = if inside { in_the_box } else { Progress::LeftBox };
     }
@@ -235,7 +222,7 @@ fn write_observations(
 ) {
     let mut own = [[0.0; BLOCK]; OBSERVATION_SIZE];
     for lane in 0..BLOCK {
-        let observed = observation(&block.seen.lane(lane));
+        let observed = observation(&block.sight.seen.lane(lane));
         for (feature, value) in observed.into_iter().enumerate() {
             own[feature][lane] = value;
         }

@@ -8,6 +8,7 @@ mod delay;
 mod distribution;
 mod domain_distribution;
 mod evaluation;
+mod lane_observer;
 mod lanes;
 mod pendulums;
 #[cfg(test)]
@@ -17,6 +18,7 @@ mod pendulums_tests;
 mod psi;
 mod psi_dimension;
 mod psi_space;
+mod sensors;
 mod settings;
 mod trajectory;
 

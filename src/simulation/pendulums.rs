@@ -1,9 +1,10 @@
 use super::block::{Block, Observe, Step, Surroundings};
+use super::lane_observer::ObserverLanes;
 use super::lanes::BLOCK;
-use super::{MAX_COMMAND_DELAY_S, SensorModel, SimulationSettings, Trajectory};
+use super::sensors::Sensors;
+use super::{MAX_COMMAND_DELAY_S, SimulationSettings, Trajectory};
 use crate::elementary::{Level, Scalar, dispatch_at};
-use crate::estimation::FilterGains;
-use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, State, quantised};
+use crate::qube::{MAX_HISTORY, State};
 
 /// The number of lanes is a multiple of this.
 pub const LANES_MULTIPLE: usize = BLOCK;
@@ -32,6 +33,8 @@ pub enum Progress {
 #[derive(Clone, Debug)]
 pub struct Pendulums {
     blocks: Vec<Block>,
+    /// As many as blocks, or none.
+    observers: Vec<ObserverLanes>,
     surroundings: Surroundings,
     observation_size: usize,
     level: Level,
@@ -46,16 +49,13 @@ impl Pendulums {
     #[must_use]
     pub fn new(lanes: usize, settings: &SimulationSettings) -> Self {
         assert!(settings.history <= MAX_HISTORY, "history: 0 to {MAX_HISTORY}");
-        let filter = match settings.sensors {
-            SensorModel::TrueState => None,
-            SensorModel::Encoders { estimator } => {
-                Some(FilterGains::new(estimator.corner_rad_s, CONTROL_PERIOD_S).cast())
-            }
-        };
+        let (blocks, sensors) = (lanes.div_ceil(BLOCK), Sensors::new(&settings.sensors));
+        let observers = if sensors.observe() { blocks } else { 0 };
         Self {
-            blocks: vec![Block::hanging(); lanes.div_ceil(BLOCK)],
+            blocks: vec![Block::hanging(); blocks],
+            observers: vec![ObserverLanes::HANGING; observers],
             surroundings: Surroundings {
-                filter,
+                sensors,
                 history: settings.history,
                 reward: settings.reward.cast(),
                 safety_box: settings.safety_box.cast(),
@@ -103,17 +103,11 @@ impl Pendulums {
             theta_dot: f32::from_f64(start.theta_dot),
             alpha_dot: f32::from_f64(start.alpha_dot),
         };
-        // The estimator takes the first measurement as one at rest, here as on the machine.
-        let seen = match self.surroundings.filter {
-            None => state,
-            Some(_) => State {
-                theta: quantised(state.theta),
-                alpha: quantised(state.alpha),
-                theta_dot: 0.0,
-                alpha_dot: 0.0,
-            },
-        };
+        let seen = self.surroundings.sensors.first(&state);
         self.blocks[lane / BLOCK].restart(lane % BLOCK, model, &state, &seen);
+        if let Some(observers) = self.observers.get_mut(lane / BLOCK) {
+            observers.restart(lane % BLOCK, &seen);
+        }
     }
 
     /// Writes what is observed now in all lanes to `observations`, `[observation_size][lanes]`.
@@ -169,6 +163,7 @@ impl Pendulums {
         let (observations, _) = observations.as_chunks_mut();
         let step = Step {
             blocks: &mut self.blocks,
+            observers: &mut self.observers,
             surroundings: &self.surroundings,
             voltages_v,
             rewards,

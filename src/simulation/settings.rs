@@ -10,7 +10,7 @@ use super::Psi;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimulationSettings {
-    /// What observation, reward and safety box see of the state.
+    /// What observation and reward see of the state, and the guard through a filter of its own.
     pub sensors: SensorModel,
     /// How many last commands a policy sees beside the state, 0 to [`crate::qube::MAX_HISTORY`]. With
     /// them it knows what is still on its way to the motor.
@@ -76,10 +76,10 @@ pub enum SensorModel {
     /// As it is: angles and velocities without error.
     #[default]
     TrueState,
-    /// As on the machine: angles in encoder counts, velocities by the filter of
-    /// [`crate::estimation`], which the machine runs too.
+    /// As on the machine: encoder counts, and what the estimator of [`crate::estimation`] makes of
+    /// them, which the machine runs too.
     Encoders {
-        /// The velocity filter.
+        /// The filter or the observer.
         #[serde(default)]
         estimator: EstimatorSettings,
     },

@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::elementary::dispatch_at;
 use crate::learning::network::{
-    CONSTANT, LOG_STD, MAX_INPUTS, MAX_OBSERVATION_SIZE, NARROW, Network, OUTPUT_BIAS, WIDTH,
+    LOG_STD, MAX_INPUTS, MAX_OBSERVATION_SIZE, NARROW, Network, OUTPUT_BIAS, WIDTH,
 };
 use crate::qube::OBSERVATION_SIZE;
 
@@ -25,8 +25,8 @@ fn example(observation_size: usize) -> (Network, Minibatch) {
     network.tail[2..].fill(0.0);
     let mut row = |low: f32, high: f32| std::array::from_fn(|_| rng.random_range(low..high));
     let mut inputs = [[0.0; WIDTH]; MAX_INPUTS];
-    inputs[CONSTANT + 1..used].fill_with(|| row(-1.0, 1.0));
-    inputs[CONSTANT] = [1.0; WIDTH];
+    inputs[..observation_size].fill_with(|| row(-1.0, 1.0));
+    inputs[observation_size] = [1.0; WIDTH];
     let minibatch = Minibatch {
         inputs,
         observation_size,
