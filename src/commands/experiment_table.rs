@@ -33,11 +33,15 @@ pub fn table(results: &Results) -> String {
             "rollouts, %", "stood", "late", "left box", "chattered", "fell", "fault"
         );
         for recipe in &recipes {
-            let share = |behaviour| 100.0 * recipe.share(behaviour);
-            let [stood, late, left, chattered, fell, fault] = Behaviour::ALL.map(share);
+            let share = |behaviour| match recipe.policies.is_empty() {
+                true => "-".into(),
+                false => format!("{:.0}", 100.0 * recipe.share(behaviour)),
+            };
+            let [stood, late, left, chattered, fell, fault]: [String; 6] =
+                Behaviour::ALL.map(share);
             let _ = writeln!(
                 text,
-                "{:NAME$} {stood:8.0} {late:6.0} {left:9.0} {chattered:10.0} {fell:6.0} {fault:6.0}",
+                "{:NAME$} {stood:>8} {late:>6} {left:>9} {chattered:>10} {fell:>6} {fault:>6}",
                 short(&recipe.recipe)
             );
         }
@@ -152,9 +156,11 @@ mod tests {
     #[test]
     fn the_table_fits_a_terminal() {
         for policies in [0, 1, 20, 1000] {
-            for line in table(&results(policies)).lines() {
+            let table = table(&results(policies));
+            for line in table.lines() {
                 assert!(line.chars().count() <= 80, "{line}");
             }
+            assert!(!table.contains("NaN"), "{table}");
         }
     }
 
