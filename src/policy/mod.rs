@@ -27,6 +27,10 @@ use crate::qube::State;
 /// What decides the voltage in a rollout. All kinds travel as the same sort of file, so that a
 /// rollout's recording holds whatever drove it.
 #[derive(Clone, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one at a time, and it is never moved in the tick"
+)]
 pub enum Policy {
     /// A trained network.
     Network(NetworkPolicy),
