@@ -115,13 +115,15 @@ pub struct SessionSettings {
 }
 
 impl SessionSettings {
-    /// A session of minutes: fewer points, two rollouts each, a training of seconds.
+    /// A session of minutes: fewer points, two rollouts each, a training of seconds. What psi does not
+    /// shape is drawn as for a Qube that nobody has identified, friction, cable and delay too, and
+    /// policies see their last two commands: what crosses over to the machine best (docs/learning.md).
     #[must_use]
     pub fn quick() -> Self {
         Self {
             name: String::new(),
             seed: 0,
-            model: Model::OptNominal,
+            model: Model::OptRobust,
             profile: None,
             psi: PsiSpace::thesis(),
             family: Family::Normal,
@@ -132,17 +134,20 @@ impl SessionSettings {
             emulated: EmulatedQubeSettings::default(),
             strategy: StrategyKind::BayRn,
             bayrn: BayRnSettings::default(),
-            training: TrainSettings::machine(),
+            training: TrainSettings {
+                simulation: SimulationSettings::machine_with_history(),
+                ..TrainSettings::machine()
+            },
         }
     }
 
-    /// The thesis's own extent and training budget. Simulations have the machine's sensors and guard:
-    /// what is trained on true states fails on the machine (docs/learning.md).
+    /// The thesis's own model, extent and training budget. Simulations have the machine's sensors and
+    /// guard: what is trained on true states fails on the machine (docs/learning.md).
     #[must_use]
     pub fn thesis() -> Self {
         let training =
             TrainSettings { simulation: SimulationSettings::machine(), ..TrainSettings::thesis() };
-        Self { extent: Extent::THESIS, training, ..Self::quick() }
+        Self { model: Model::OptNominal, extent: Extent::THESIS, training, ..Self::quick() }
     }
 
     /// Puts rollouts and simulations alike under this guard.
