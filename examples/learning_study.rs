@@ -87,7 +87,7 @@ fn with_settings(preset: &str, replaced: &[String]) -> anyhow::Result<TrainSetti
 
 fn one_of_handcrafted(number: u64) -> DomainDistribution {
     let handcrafted = DomainDistribution::handcrafted(Family::Normal);
-    DomainDistribution::constant(&Trajectory::draw(&handcrafted, FRESH_SEED, number).parameters)
+    DomainDistribution::constant(&Trajectory::draw(&handcrafted, FRESH_SEED, number).model)
 }
 
 /// What one training gave. Both returns are fresh: evaluations during training flatter the best.

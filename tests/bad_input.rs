@@ -91,14 +91,30 @@ fn configurations_that_are_none() {
 }
 
 #[test]
-fn a_psi_outside_its_box() {
+fn estimators_that_are_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = |flags: &[&str], words: &[&str]| {
+        let arguments = [&["run", "--policy", "classical", "--clock", "virtual"], flags].concat();
+        refused(directory.path(), &arguments, 2, words);
+    };
+    run(&["--estimator", "observer", "--filter", "50"], &["--filter", "--estimator filter"]);
+    run(&["--estimator-delay-ms", "5"], &["--estimator-delay-ms", "--estimator observer"]);
+    run(&["--estimator", "observer", "--estimator-profile", "none.toml"], &["none.toml"]);
+    let path = directory.path().join("my.toml");
+    std::fs::write(&path, "[estimator.observer]\nastray_rad = -1.0\n").unwrap();
+    let arguments = ["session", "--clock", "virtual", "--config", "my.toml", "--out", "session"];
+    refused(directory.path(), &arguments, 2, &["my.toml", "estimator.observer.astray_rad = -1"]);
+}
+
+#[test]
+fn a_psi_that_cannot_be() {
     let directory = tempfile::tempdir().unwrap();
     let mut file = std::fs::File::create(directory.path().join("psi.toml")).unwrap();
-    let text = "mean_M_p = 0.5\nstd_M_p = 0.001\nmean_M_r = 0.1\nstd_M_r = 0.001\n\
+    let text = "mean_M_p = -0.5\nstd_M_p = 0.001\nmean_M_r = 0.1\nstd_M_r = 0.001\n\
                 mean_L_p = 0.13\nstd_L_p = 0.001\nmean_L_r = 0.08\nstd_L_r = 0.001\n";
     file.write_all(text.as_bytes()).unwrap();
     let arguments = ["train", "--model", "psi", "--psi", "psi.toml"];
-    refused(directory.path(), &arguments, 2, &["psi.toml", "mean_M_p", "0.5", "0.019"]);
+    refused(directory.path(), &arguments, 2, &["psi.toml", "mean_M_p", "-0.5", "above 0"]);
     refused(directory.path(), &["train", "--model", "psi"], 2, &["--psi"]);
 }
 

@@ -95,13 +95,23 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let output = experiment(whole.path(), &BEGIN).output().unwrap();
     let text = succeeds(&output);
     assert!(text.contains("on lab") && text.contains("on worse"), "{text}");
-    assert!(text.contains("of 3") && text.contains("tiny-opt-nominal"), "{text}");
+    assert!(text.contains("/3 ") && text.contains("tiny-opt-nominal"), "{text}");
     let expected = table(whole.path());
     assert!(expected.starts_with(&text), "resuming what is finished prints the same table");
     let expected_files = files(&whole.path().join("one"));
     // 2 recipes of 3 policies with 2 rollouts on 2 plants, and a search with 4 rollouts.
     let recordings = expected_files.keys().filter(|name| name.ends_with(".mcap")).count();
     assert_eq!(recordings, 2 * 3 * 2 * 2 + 4);
+
+    // What is finished can be seen without running anything; what is missing is made again.
+    let lost = "one/policies/tiny-nominal/002/lab/rollout-1-attempt-0.mcap";
+    std::fs::remove_file(whole.path().join(lost)).unwrap();
+    let output = experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap();
+    let text = succeeds(&output);
+    assert!(text.contains("/2 ") && text.contains("/3 "), "{text}");
+    assert!(!whole.path().join(lost).exists());
+    assert_eq!(table(whole.path()), expected);
+    assert!(files(&whole.path().join("one")) == expected_files);
 
     let torn = tempfile::tempdir().unwrap();
     prepare(torn.path());

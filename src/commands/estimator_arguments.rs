@@ -10,11 +10,12 @@ use crate::estimation::{EstimatorSettings, ObserverSettings};
 #[command(next_help_heading = "What the policy sees")]
 pub struct EstimatorArguments {
     /// Velocities by a filter, or the state by an observer that knows a model, what was sent and the
-    /// delay [default: filter, with --config as configured]
+    /// delay [default: filter; with --config as configured]
     #[arg(long, value_enum)]
     estimator: Option<EstimatorArgument>,
 
-    /// Corner of the velocity filter, rad/s (50 is the thesis's set-up) [default: 200]
+    /// Corner of the velocity filter, rad/s (50 is the thesis's set-up) [default: 200; `experiment`
+    /// without --preset machine: 50]
     #[arg(long, value_name = "CORNER", value_parser = positive)]
     filter: Option<f64>,
 

@@ -7,12 +7,12 @@ use serde_json::json;
 
 use super::dated_folder;
 use super::device_arguments::{CheckArguments, ChosenDevice, QubeArguments};
+use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::experiment_progress::ExperimentProgress;
 use super::experiment_table::{csv, table, value};
 use super::failures;
 use super::guard_argument::GuardArgument;
-use super::number_arguments::positive;
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
 use super::stop::Stop;
@@ -37,11 +37,16 @@ use crate::storage::{Disk, MachineDisk};
 /// all processors. Whatever ends it, --resume goes on without losing or repeating what is finished;
 /// of an experiment that is finished it prints the table again. A policy succeeds when its mean
 /// return is at least 400 and at least 4 of 5 of its rollouts stand to the end.
+///
+/// Without other flags everything is as published: true states in training, the plain box, a
+/// velocity filter of 50 rad/s on the machine. --preset machine has what the machine has, in training
+/// too, and the filter of 200 rad/s.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil experiment --profile lab                   # the thesis's table on an identified Qube\n  \
     qube-hil experiment --profile lab --models nominal,handcrafted --preset thesis --out logs/t53\n  \
     qube-hil experiment --resume logs/t53\n  \
+    qube-hil experiment --resume logs/t53 --table       # what is finished so far\n  \
     qube-hil experiment --recipe mine.toml --plants plants.toml --policies 5\n\n\
     A recipe file:\n  \
     name = \"slow-filter\"\n  \
@@ -80,11 +85,6 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
     preset: Preset,
 
-    /// Corner of the velocity filter on the machine, rad/s [default: 50, the thesis's; 200 with
-    /// --preset machine]
-    #[arg(long, value_parser = positive, conflicts_with = "resume")]
-    filter: Option<f64>,
-
     /// Guard of rollouts and simulations [default: the box, as published; on a port and with
     /// --preset machine the envelope]
     #[arg(long, value_enum, conflicts_with = "resume")]
@@ -107,6 +107,10 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
+    /// Run nothing: print the table of what is finished
+    #[arg(long, requires = "resume")]
+    table: bool,
+
     /// Processors to use [default: all]; the results are the same
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
@@ -118,6 +122,9 @@ pub struct Arguments {
     /// Also draw the thesis's figures 5.2 and 5.3 into this folder
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
+
+    #[command(flatten)]
+    estimator: EstimatorArguments,
 
     #[command(flatten)]
     qube: QubeArguments,
@@ -142,6 +149,8 @@ enum ModelArgument {
     OptHandcrafted,
     /// Masses and lengths by a psi that is searched
     OptNominal,
+    /// Parameters and gap as for a Qube that nobody has identified
+    Robust,
 }
 
 impl From<ModelArgument> for RecipeModel {
@@ -177,6 +186,9 @@ enum Sensors {
     Encoders,
 }
 
+/// Corner of the thesis's velocity filter, rad/s.
+const PUBLISHED_CORNER_RAD_S: f64 = 50.0;
+
 /// Fresh starts of the evaluation in simulation.
 const SIMULATED_STARTS: u32 = 1000;
 
@@ -207,9 +219,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let failed = |error| failures::experiment(error, &stop, &resume);
     let progress = ExperimentProgress::new(&settings);
     let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag));
-    let ended = experiment.run(&|news| progress.tell(&news));
-    progress.finish();
-    ended.map_err(failed)?;
+    if !arguments.table {
+        let ended = experiment.run(&|news| progress.tell(&news));
+        progress.finish();
+        ended.map_err(failed)?;
+    }
 
     let results = Results::read(&experiment).map_err(failed)?;
     if let Some(path) = &arguments.csv {
@@ -248,10 +262,10 @@ fn begun(
     device: &ChosenDevice,
 ) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
     let is_emulated = matches!(device.choice, DeviceChoice::Emulated);
-    let base = base(arguments, device);
+    let base = base(arguments, device)?;
     let mut recipes = Vec::new();
     let models: Vec<RecipeModel> = match arguments.models.as_slice() {
-        [] if arguments.recipe.is_empty() => RecipeModel::ALL.into(),
+        [] if arguments.recipe.is_empty() => RecipeModel::THESIS.into(),
         named => named.iter().map(|&model| model.into()).collect(),
     };
     recipes.extend(models.into_iter().map(|model| Recipe::of(model, &base)));
@@ -281,7 +295,7 @@ fn begun(
 }
 
 /// What the flags ask for, to which each recipe adds its model.
-fn base(arguments: &Arguments, device: &ChosenDevice) -> SessionSettings {
+fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let is_emulated = matches!(device.choice, DeviceChoice::Emulated);
     let knows_the_machine = arguments.preset == Preset::Machine;
     let mut training = match arguments.preset {
@@ -289,11 +303,11 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> SessionSettings {
         Preset::Machine => TrainSettings::machine(),
         Preset::Thesis => TrainSettings::thesis(),
     };
-    let published = EstimatorSettings::filter(50.0);
-    let mut estimator = if knows_the_machine { EstimatorSettings::default() } else { published };
-    if let Some(corner_rad_s) = arguments.filter {
-        estimator.corner_rad_s = corner_rad_s;
-    }
+    let estimator = match arguments.estimator.settings()? {
+        Some(estimator) => estimator,
+        None if knows_the_machine => EstimatorSettings::default(),
+        None => EstimatorSettings::filter(PUBLISHED_CORNER_RAD_S),
+    };
     let encoders = match arguments.sensors {
         Some(sensors) => sensors == Sensors::Encoders,
         None => knows_the_machine,
@@ -317,11 +331,11 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> SessionSettings {
         ..SessionSettings::thesis()
     };
     let settings = settings.under(guard);
-    SessionSettings {
+    Ok(SessionSettings {
         homing: device.homing(settings.homing),
         safety_box: device.safety_box(settings.safety_box),
         ..settings
-    }
+    })
 }
 
 fn resumed(directory: &Path) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {

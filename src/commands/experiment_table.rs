@@ -3,7 +3,6 @@ use std::fmt::Write;
 use serde_json::{Map, Value, json};
 
 use crate::experiment::{Behaviour, RecipeResult, Results};
-use crate::session::named;
 
 /// Columns of a name.
 const NAME: usize = 20;
@@ -54,8 +53,11 @@ fn line(recipe: &RecipeResult) -> String {
     };
     let returns = recipe.return_interval();
     let success = recipe.success_interval();
-    let succeed = format!("{} of {}", recipe.successes(), recipe.policies.len());
-    let from_to = |lower: f64, upper: f64| format!("{lower:.0} to {upper:.0}");
+    let succeed = format!("{}/{}", recipe.successes(), recipe.policies.len());
+    let from_to = |lower: f64, upper: f64| match recipe.policies.is_empty() {
+        true => "-".into(),
+        false => format!("{lower:.0} to {upper:.0}"),
+    };
     let (simulated, real) = (spread(recipe.simulated()), spread(recipe.real()));
     let return_interval = from_to(returns.lower, returns.upper);
     let success_interval = from_to(100.0 * success.lower, 100.0 * success.upper);
@@ -93,7 +95,7 @@ fn model(recipe: &RecipeResult) -> Value {
         "success_rate": recipe.success_rate(),
         "success_interval": recipe.success_interval(),
         "rollouts": shares,
-        "psi": named(&recipe.psi),
+        "psi": recipe.psi,
     })
 }
 
@@ -134,14 +136,14 @@ mod tests {
         let rollout = |return_, behaviour| RolloutResult { return_: Some(return_), behaviour };
         let policies = (0..policies).map(|number| PolicyResult {
             number,
-            simulated_return: 555.4 + f64::from(number),
+            simulated_return: 555.4 + f64::from(number % 3),
             rollouts: vec![rollout(541.2, Behaviour::Stood), rollout(0.4, Behaviour::LeftBox)],
         });
         Results {
             recipes: vec![RecipeResult {
                 recipe: "nominal-handcrafted-with-a-long-name".into(),
                 plant: "lab".into(),
-                psi: Vec::new(),
+                psi: Default::default(),
                 policies: policies.collect(),
             }],
         }

@@ -87,9 +87,9 @@ pub struct Arguments {
 /// The excitations by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum ExciteArgument {
-    /// A cosine from 5 Hz down to 0
+    /// A cosine from 5 Hz down to 1 Hz
     Chirp,
-    /// Voltages held for 0.1 to 0.4 s, up and down without a pattern
+    /// Voltages held for 0.05 to 0.2 s, up and down without a pattern
     Steps,
 }
 

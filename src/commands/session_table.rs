@@ -4,11 +4,12 @@ use serde_json::{Value, json};
 
 use super::timing_lines;
 use crate::recording::read;
-use crate::session::{Candidate, Latencies, Purpose, Session, SessionError, Verdict, named};
-use crate::simulation::PSI_DIMENSIONS;
+use crate::session::{Candidate, Latencies, Purpose, Session, SessionError, Verdict};
+use crate::simulation::PsiSpace;
 
 /// The end of a session: its candidates and the verified answer, read from its folder.
 pub struct SessionTable {
+    psi: PsiSpace,
     candidates: Vec<(Candidate, Vec<Verdict>)>,
     latencies: Latencies,
     directory: String,
@@ -30,7 +31,8 @@ impl SessionTable {
         let best_policy = verified(&candidates)
             .map(|(candidate, _)| folder.policy(candidate.number).display().to_string());
         let directory = folder.root().display().to_string();
-        Ok(Self { candidates, latencies, directory, best_policy })
+        let psi = session.settings().psi.clone();
+        Ok(Self { psi, candidates, latencies, directory, best_policy })
     }
 
     /// For people, 80 columns wide.
@@ -53,10 +55,10 @@ impl SessionTable {
                 "{:4}  {purpose:8} {mean}  {stood:2} of {:<2}  {}",
                 candidate.number,
                 verdicts.len(),
-                digits(&candidate.psi),
+                digits(&self.psi, &candidate.psi),
             );
         }
-        let _ = writeln!(text, "      psi: {}", PSI_DIMENSIONS.map(|it| it.name).join(" "));
+        let _ = writeln!(text, "      psi: {}", self.psi.names().collect::<Vec<_>>().join(" "));
         if let (Some((candidate, verdicts)), Some(policy)) =
             (verified(&self.candidates), &self.best_policy)
         {
@@ -68,8 +70,9 @@ impl SessionTable {
                 mean_return(verdicts).unwrap_or(0.0),
                 returns.len(),
             );
-            for (dimension, value) in PSI_DIMENSIONS.iter().zip(&candidate.psi) {
-                let _ = writeln!(text, "  {:9} {value:.5}", dimension.name);
+            let longest = self.psi.names().map(|name| name.len()).max().unwrap_or(0);
+            for (name, value) in self.psi.names().zip(&candidate.psi) {
+                let _ = writeln!(text, "  {name:longest$}  {value:.5}");
             }
             let _ = writeln!(text, "policy: {policy}");
         }
@@ -84,10 +87,10 @@ impl SessionTable {
             .candidates
             .iter()
             .filter(|(candidate, _)| candidate.purpose != Purpose::Verification)
-            .map(|(candidate, verdicts)| valued(candidate, verdicts))
+            .map(|(candidate, verdicts)| valued(&self.psi, candidate, verdicts))
             .collect::<Vec<Value>>();
         let best = verified(&self.candidates).map(|(candidate, verdicts)| {
-            let mut best = valued(candidate, verdicts);
+            let mut best = valued(&self.psi, candidate, verdicts);
             best["policy"] = json!(self.best_policy);
             best
         });
@@ -104,10 +107,10 @@ impl SessionTable {
     }
 }
 
-fn valued(candidate: &Candidate, verdicts: &[Verdict]) -> Value {
+fn valued(psi: &PsiSpace, candidate: &Candidate, verdicts: &[Verdict]) -> Value {
     let returns: Vec<f64> = verdicts.iter().filter_map(Verdict::return_).collect();
     json!({
-        "psi": named(&candidate.psi),
+        "psi": psi.with_names(&candidate.psi),
         "returns": returns,
         "mean_return": mean_return(verdicts),
     })
@@ -129,8 +132,9 @@ fn succeeded(verdict: &Verdict) -> bool {
 }
 
 /// Where each entry of psi lies between the ends of its box, as a digit.
-fn digits(psi: &[f64]) -> String {
-    PSI_DIMENSIONS
+fn digits(space: &PsiSpace, psi: &[f64]) -> String {
+    space
+        .dimensions()
         .iter()
         .zip(psi)
         .map(|(dimension, value)| {

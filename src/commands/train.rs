@@ -5,16 +5,23 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
+use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
 use super::guard_argument::GuardArgument;
+use super::number_arguments::between;
 use super::output::Output;
+use super::profile;
 use super::stop::Stop;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
-use crate::session::{named, write_whole};
-use crate::simulation::{DomainDistribution, Family, Psi, SensorModel};
+use crate::qube::{GapTerm, MAX_HISTORY};
+use crate::session::write_whole;
+use crate::simulation::{
+    Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Psi, SensorModel,
+    SimulationSettings,
+};
 use crate::storage::MachineDisk;
 
 /// Train one policy in randomised simulation
@@ -24,6 +31,8 @@ use crate::storage::MachineDisk;
 #[command(after_help = "Examples:\n  \
     qube-hil train --model nominal --out policies/mine.safetensors\n  \
     qube-hil train --model handcrafted --preset thesis --seed 4\n  \
+    qube-hil train --model robust                  # for a Qube that nobody has identified\n  \
+    qube-hil train --profile lab --spread 0.1      # around an identified one\n  \
     qube-hil train --model psi --psi psi.toml      # a distribution of your own\n  \
     qube-hil train --preset thesis --checkpoint half-done.safetensors  # goes on where it stopped")]
 pub struct Arguments {
@@ -31,7 +40,19 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Model::Nominal)]
     model: Model,
 
-    /// Means and standard deviations of masses and lengths, for --model psi
+    /// Train around an identified Qube instead of a model: `lab`, or a file that `identify` wrote
+    #[arg(long, value_name = "lab|FILE", conflicts_with_all = ["model", "psi"])]
+    profile: Option<String>,
+
+    /// Standard deviations around the profile, as a part of each of its values
+    #[arg(long, value_name = "PART", default_value_t = 0.1, requires = "profile", value_parser = spread)]
+    spread: f64,
+
+    /// Delay of the simulated commands, or its range, instead of the model's or profile's
+    #[arg(long, value_name = "MS|FROM..TO", value_parser = delays_s)]
+    delay_ms: Option<(f64, f64)>,
+
+    /// Means and standard deviations of any quantities, for --model psi
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
     psi: Option<PathBuf>,
 
@@ -52,10 +73,15 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", default_value = "policy.safetensors")]
     out: PathBuf,
 
-    /// What the simulation shows of the state: as it is, or through encoders and the velocity filter,
-    /// as on the machine [default: as the preset]
+    /// What the simulation shows of the state: as it is, or through encoders and estimator, as on the
+    /// machine [default: as the preset]
     #[arg(long, value_enum)]
     sensors: Option<Sensors>,
+
+    /// How many last commands the policy sees beside the state, 0 to 4 [default: 2 with --model
+    /// robust, --profile or --delay-ms and no observer, else 0]
+    #[arg(long, value_name = "COMMANDS", value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64))]
+    history: Option<u8>,
 
     /// Keep the training in this file every ten updates, and go on from it when it exists; the
     /// policy is the same as without an interruption
@@ -69,6 +95,9 @@ pub struct Arguments {
     /// Use nothing better than this; the policy is the same on the first two
     #[arg(long, value_enum, default_value_t = InstructionSet::Avx512)]
     instruction_set: InstructionSet,
+
+    #[command(flatten)]
+    estimator: EstimatorArguments,
 }
 
 /// What the simulation shows.
@@ -76,7 +105,7 @@ pub struct Arguments {
 enum Sensors {
     /// Angles and velocities without error
     True,
-    /// Angles in encoder counts, velocities by the filter that runs on the machine
+    /// Angles in encoder counts, and what the estimator that runs on the machine makes of them
     Encoders,
 }
 
@@ -113,7 +142,10 @@ enum Model {
     Handcrafted,
     /// Masses and lengths vary by a fifth
     NominalHandcrafted,
-    /// Masses and lengths as --psi says, the other five nominal
+    /// Parameters vary a little, friction, dead zone, cable and delay within what Qubes were found to
+    /// have
+    Robust,
+    /// What --psi names as it says, the rest nominal
     Psi,
 }
 
@@ -136,17 +168,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Preset::Quick => TrainSettings::quick(),
         Preset::Thesis => TrainSettings::thesis(),
     };
-    let mut simulation = preset.simulation;
-    if let Some(guard) = arguments.guard {
-        simulation.safety_box.guard = guard.into();
-    }
-    match arguments.sensors {
-        Some(Sensors::True) => simulation.sensors = SensorModel::TrueState,
-        Some(Sensors::Encoders) => {
-            simulation.sensors = SensorModel::Encoders { estimator: EstimatorSettings::default() };
-        }
-        None => {}
-    }
+    let simulation = simulation(&arguments, preset.simulation)?;
     let settings = TrainSettings { threads: arguments.threads.into(), simulation, ..preset };
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
@@ -205,6 +227,57 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
+/// The preset's simulation as the arguments change it.
+fn simulation(
+    arguments: &Arguments,
+    mut simulation: SimulationSettings,
+) -> Result<SimulationSettings, Failure> {
+    if let Some(guard) = arguments.guard {
+        simulation.safety_box.guard = guard.into();
+    }
+    match arguments.sensors {
+        Some(Sensors::True) => simulation.sensors = SensorModel::TrueState,
+        Some(Sensors::Encoders) => {
+            simulation.sensors = SensorModel::Encoders { estimator: EstimatorSettings::default() };
+        }
+        None => {}
+    }
+    let mut observes = false;
+    match (&mut simulation.sensors, arguments.estimator.settings()?) {
+        (SensorModel::Encoders { estimator }, Some(asked)) => {
+            *estimator = asked;
+            observes = asked.observer.is_some();
+        }
+        (SensorModel::TrueState, Some(_)) => {
+            return Err(Failure::usage("--estimator and --filter go with --sensors encoders"));
+        }
+        (_, None) => {}
+    }
+    let has_delay = arguments.profile.is_some()
+        || arguments.delay_ms.is_some()
+        || arguments.model == Model::Robust;
+    // An observer has made up for the delay already.
+    let default =
+        if has_delay && !observes { SimulationSettings::machine_with_history().history } else { 0 };
+    simulation.history = arguments.history.map_or(default, usize::from);
+    Ok(simulation)
+}
+
+/// A part from 0 to 1.
+fn spread(text: &str) -> Result<f64, String> {
+    between(text, 0.0, 1.0)
+}
+
+/// A delay in ms, or a range of them, in s.
+fn delays_s(text: &str) -> Result<(f64, f64), String> {
+    let (from, to) = text.split_once("..").unwrap_or((text, text));
+    let delay_s = |text| between(text, 0.0, 1e3 * MAX_COMMAND_DELAY_S).map(|ms| 1e-3 * ms);
+    match (delay_s(from)?, delay_s(to)?) {
+        (from_s, to_s) if from_s <= to_s => Ok((from_s, to_s)),
+        _ => Err("write the shorter delay first, as 0..16".into()),
+    }
+}
+
 fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
     let name = |value: &dyn std::fmt::Debug| format!("{value:?}").to_lowercase();
     let psi = match &arguments.psi {
@@ -212,23 +285,42 @@ fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
         None => None,
     };
     Ok(Origin {
-        model: match arguments.model {
-            Model::NominalHandcrafted => "nominal-handcrafted".into(),
-            Model::Psi => "opt-nominal".into(),
-            other => name(&other),
+        model: match (&arguments.profile, arguments.model) {
+            (Some(profile), _) => format!("around {profile}"),
+            (None, Model::NominalHandcrafted) => "nominal-handcrafted".into(),
+            (None, Model::Psi) => "opt-nominal".into(),
+            (None, other) => name(&other),
         },
-        psi: psi.map(|psi| named(psi.values())),
+        psi: psi.map(|psi| psi.named_values()),
         preset: name(&arguments.preset),
     })
 }
 
 fn distribution(arguments: &Arguments) -> Result<DomainDistribution, Failure> {
+    let distribution = match &arguments.profile {
+        Some(name) => {
+            let model = profile::named(name)?;
+            DomainDistribution::around(&model, arguments.spread, Family::Normal)
+                .map_err(|error| Failure::usage(format!("--profile {name}: {error}")))?
+        }
+        None => distribution_of_model(arguments)?,
+    };
+    match arguments.delay_ms {
+        Some((from_s, to_s)) => distribution
+            .with(GapTerm::CommandDelay, Distribution::between(from_s, to_s))
+            .map_err(Failure::usage),
+        None => Ok(distribution),
+    }
+}
+
+fn distribution_of_model(arguments: &Arguments) -> Result<DomainDistribution, Failure> {
     Ok(match (arguments.model, &arguments.psi) {
         (Model::Nominal, None) => DomainDistribution::nominal(),
         (Model::Handcrafted, None) => DomainDistribution::handcrafted(Family::Normal),
         (Model::NominalHandcrafted, None) => {
             DomainDistribution::nominal_handcrafted(Family::Normal)
         }
+        (Model::Robust, None) => DomainDistribution::robust(),
         (Model::Psi, Some(path)) => {
             let psi = Psi::load(path).map_err(Failure::usage)?;
             DomainDistribution::opt_nominal(&psi, Family::Normal)

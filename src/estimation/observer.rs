@@ -58,14 +58,26 @@ impl<T: Scalar> ObserverEquations<T> {
         // What is not a number is not near.
         let near = (theta_off.abs() < self.astray) & (alpha_off.abs() < self.astray);
         let kept = near & makes_sense(&corrected);
-        (if kept { corrected } else { *filtered }, !kept)
+        (choose(kept, &corrected, filtered), !kept)
     }
 
     /// What the policy is shown: the state that was predicted ahead, or `filtered` where that makes
     /// no sense.
     #[inline(always)]
     pub fn shown(ahead: &State<T>, filtered: &State<T>) -> State<T> {
-        if makes_sense(ahead) { *ahead } else { *filtered }
+        choose(makes_sense(ahead), ahead, filtered)
+    }
+}
+
+/// One of two states, number by number: so it becomes vector code, which a branch between states does
+/// not.
+#[inline(always)]
+fn choose<T: Scalar>(first: bool, a: &State<T>, b: &State<T>) -> State<T> {
+    State {
+        theta: if first { a.theta } else { b.theta },
+        alpha: if first { a.alpha } else { b.alpha },
+        theta_dot: if first { a.theta_dot } else { b.theta_dot },
+        alpha_dot: if first { a.alpha_dot } else { b.alpha_dot },
     }
 }
 

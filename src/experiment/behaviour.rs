@@ -19,12 +19,12 @@ const CHATTERING_SHARE: f64 = 0.5;
 /// Steps at the end in which the voltage's sign is watched: the last second.
 const SIGN_STEPS: usize = 100;
 
-/// A voltage below this has no sign: standing still needs a little of both, V.
-const SIGN_VOLTAGE_V: f64 = 0.5;
+/// A voltage below this has no sign: standing still takes less, V.
+const SIGN_VOLTAGE_V: f64 = 1.0;
 
 /// Changes of sign in the last second from which on a pendulum that stands is called chattering:
-/// 10 Hz there and back. What stands calmly changes it less than five times.
-const CHATTERING_CHANGES: usize = 20;
+/// 3 Hz to and fro. The limit cycle that filter and delay make has 5 to 6 Hz.
+const CHATTERING_CHANGES: usize = 6;
 
 /// What a rollout did, by its recording: each is exactly one of these.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -38,7 +38,8 @@ pub enum Behaviour {
     /// It left the safety box or the speed envelope.
     LeftBox,
     /// It kept the pendulum about upright (within 0.5 rad in half of its last 300 steps), but did
-    /// not hold it still, or held it by a voltage that changed its sign 20 times in the last second.
+    /// not hold it still, or held it by a voltage that went between more than 1 V of either sign six
+    /// times in the last second.
     Chattered,
     /// None of these: it never got the pendulum up, or lost it.
     Fell,

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::ExperimentError;
 use super::settings::check_name;
 use crate::learning::Origin;
-use crate::session::{Model, SessionSettings, named};
-use crate::simulation::{DomainDistribution, PsiError};
+use crate::session::{Model, SessionSettings};
+use crate::simulation::{DomainDistribution, PsiError, SimulationSettings};
 
 /// What a recipe's simulations are drawn from (the thesis's section 5.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -18,15 +18,36 @@ pub enum RecipeModel {
     Handcrafted,
     /// Masses and lengths so, the other five nominal.
     NominalHandcrafted,
-    /// Masses and lengths by a psi that a session finds, the others as in `handcrafted`.
+    /// By a psi that a session finds, what it does not shape as in `handcrafted`.
     OptHandcrafted,
-    /// Masses and lengths by a psi that a session finds, the others nominal.
+    /// By a psi that a session finds, what it does not shape nominal.
     OptNominal,
+    /// Parameters and gap as for a Qube that nobody has identified.
+    Robust,
+    /// Parameters and gap around the identified Qube of `settings.profile`.
+    Profile,
+    /// By a psi that a session finds, what it does not shape as in `robust`.
+    OptRobust,
+    /// By a psi that a session finds, what it does not shape as in `profile`.
+    OptProfile,
 }
 
 impl RecipeModel {
-    /// All of them, in the order of the thesis's table 5.3.
-    pub const ALL: [Self; 5] = [
+    /// All of them: the thesis's in the order of its table 5.3, then those with a gap.
+    pub const ALL: [Self; 9] = [
+        Self::Nominal,
+        Self::Handcrafted,
+        Self::NominalHandcrafted,
+        Self::OptHandcrafted,
+        Self::OptNominal,
+        Self::Robust,
+        Self::Profile,
+        Self::OptRobust,
+        Self::OptProfile,
+    ];
+
+    /// The thesis's five.
+    pub const THESIS: [Self; 5] = [
         Self::Nominal,
         Self::Handcrafted,
         Self::NominalHandcrafted,
@@ -37,14 +58,32 @@ impl RecipeModel {
     /// Its name.
     #[must_use]
     pub fn name(self) -> &'static str {
-        ["nominal", "handcrafted", "nominal-handcrafted", "opt-handcrafted", "opt-nominal"]
-            [self as usize]
+        match self {
+            Self::Nominal => "nominal",
+            Self::Handcrafted => "handcrafted",
+            Self::NominalHandcrafted => "nominal-handcrafted",
+            Self::Robust => "robust",
+            Self::Profile => "profile",
+            Self::OptHandcrafted | Self::OptNominal | Self::OptRobust | Self::OptProfile => {
+                self.base().name()
+            }
+        }
     }
 
     /// Whether a session looks for its psi first.
     #[must_use]
     pub fn is_optimised(self) -> bool {
-        matches!(self, Self::OptHandcrafted | Self::OptNominal)
+        matches!(self, Self::OptHandcrafted | Self::OptNominal | Self::OptRobust | Self::OptProfile)
+    }
+
+    /// The model of the session that finds its psi, or that draws as it does.
+    fn base(self) -> Model {
+        match self {
+            Self::OptHandcrafted | Self::Handcrafted => Model::OptHandcrafted,
+            Self::OptRobust | Self::Robust => Model::OptRobust,
+            Self::OptProfile | Self::Profile => Model::OptProfile,
+            Self::OptNominal | Self::Nominal | Self::NominalHandcrafted => Model::OptNominal,
+        }
     }
 }
 
@@ -75,10 +114,15 @@ struct RecipeFile {
 }
 
 impl Recipe {
-    /// A model under its own name.
+    /// A model under its own name. Where there is a delay, policies see their last commands.
     #[must_use]
     pub fn of(model: RecipeModel, base: &SessionSettings) -> Self {
-        Self::new(model.name().to_owned(), model, base.clone())
+        let mut settings = base.clone();
+        if matches!(model.base(), Model::OptRobust | Model::OptProfile) {
+            let history = SimulationSettings::machine_with_history().history;
+            settings.training.simulation.history = history;
+        }
+        Self::new(model.name().to_owned(), model, settings)
     }
 
     /// Reads a recipe from a TOML file: `name`, `model`, and in `[settings]` whatever differs from
@@ -99,11 +143,7 @@ impl Recipe {
     }
 
     fn new(name: String, model: RecipeModel, mut settings: SessionSettings) -> Self {
-        if model == RecipeModel::OptHandcrafted {
-            settings.model = Model::OptHandcrafted;
-        } else {
-            settings.model = Model::OptNominal;
-        }
+        settings.model = model.base();
         Self { name, model, settings }
     }
 
@@ -118,10 +158,24 @@ impl Recipe {
             RecipeModel::Nominal => DomainDistribution::nominal(),
             RecipeModel::Handcrafted => DomainDistribution::handcrafted(family),
             RecipeModel::NominalHandcrafted => DomainDistribution::nominal_handcrafted(family),
-            RecipeModel::OptHandcrafted | RecipeModel::OptNominal => {
-                self.settings.distribution(psi)?
-            }
+            RecipeModel::Robust | RecipeModel::Profile => self.settings.base_distribution()?,
+            RecipeModel::OptHandcrafted
+            | RecipeModel::OptNominal
+            | RecipeModel::OptRobust
+            | RecipeModel::OptProfile => self.settings.distribution(psi)?,
         })
+    }
+
+    /// What surrounds the physics in them.
+    ///
+    /// # Errors
+    /// The psi is none.
+    pub fn simulation(&self, psi: &[f64]) -> Result<SimulationSettings, PsiError> {
+        if self.model.is_optimised() {
+            self.settings.simulation(psi)
+        } else {
+            Ok(self.settings.training.simulation)
+        }
     }
 
     /// What a policy's file says of where it comes from.
@@ -129,7 +183,7 @@ impl Recipe {
     pub fn origin(&self, psi: &[f64]) -> Origin {
         Origin {
             model: self.model.name().to_owned(),
-            psi: self.model.is_optimised().then(|| named(psi)),
+            psi: self.model.is_optimised().then(|| self.settings.psi.with_names(psi)),
             ..self.settings.origin(psi)
         }
     }

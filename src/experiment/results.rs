@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::sync::atomic::AtomicBool;
@@ -8,7 +9,7 @@ use super::statistics::{Interval, bootstrap_interval, mean, standard_deviation, 
 use super::{Behaviour, Experiment, ExperimentError, Recipe, RolloutResult};
 use crate::learning::evaluate_afresh;
 use crate::policy::Policy;
-use crate::simulation::DomainDistribution;
+use crate::simulation::{DomainDistribution, SimulationSettings};
 use crate::storage::{Disk, MachineDisk};
 
 /// A policy succeeds with at least this mean return ...
@@ -34,8 +35,8 @@ pub struct RecipeResult {
     pub recipe: String,
     /// The plant.
     pub plant: String,
-    /// The psi that was found for it; empty where it has none.
-    pub psi: Vec<f64>,
+    /// The psi that was found for it, by name; empty where it has none.
+    pub psi: BTreeMap<String, f64>,
     /// The policies that have done all their rollouts there, in order.
     pub policies: Vec<PolicyResult>,
 }
@@ -143,24 +144,24 @@ impl Results {
         let settings = experiment.settings();
         let mut recipes = Vec::new();
         let mut jobs = Vec::new();
-        let mut distributions = Vec::new();
+        let mut all_simulations = Vec::new();
         for (index, recipe) in settings.recipes.iter().enumerate() {
             let psi = experiment.psi(recipe)?;
-            let distribution = match &psi {
-                Some(psi) => Some(recipe.distribution(psi)?),
+            let simulations = match &psi {
+                Some(psi) => Some((recipe.distribution(psi)?, recipe.simulation(psi)?)),
                 None => None,
             };
             let is_trained = |policy: &u32| {
                 MachineDisk.exists(&experiment.folder().policy(&recipe.name, *policy))
             };
-            if distribution.is_some() {
+            if simulations.is_some() {
                 jobs.extend((0..settings.policies).filter(is_trained).map(|it| (index, it)));
             }
-            distributions.push(distribution);
+            all_simulations.push(simulations);
             recipes.extend(settings.plants.iter().map(|plant| RecipeResult {
                 recipe: recipe.name.clone(),
                 plant: plant.name.clone(),
-                psi: psi.clone().unwrap_or_default(),
+                psi: recipe.settings.psi.with_names(psi.as_deref().unwrap_or_default()),
                 policies: Vec::new(),
             }));
         }
@@ -169,11 +170,14 @@ impl Results {
         // Whoever asks for results wants them also after a stop.
         let never = AtomicBool::new(false);
         Queue::new(jobs, &never).run(experiment.threads(), |(index, number)| {
-            let Some(distribution) = &distributions[index] else { return Ok(Vec::new()) };
+            let Some((distribution, simulation)) = &all_simulations[index] else {
+                return Ok(Vec::new());
+            };
             let recipe = &settings.recipes[index];
             let ran = experiment.ran(recipe, number)?;
             if ran.iter().any(Option::is_some) {
-                let simulated_return = experiment.simulated_return(recipe, number, distribution)?;
+                let simulated_return =
+                    experiment.simulated_return(recipe, number, distribution, simulation)?;
                 let mut recipes = recipes.lock().unwrap_or_else(PoisonError::into_inner);
                 for (plant, rollouts) in ran.into_iter().enumerate() {
                     let Some(rollouts) = rollouts else { continue };
@@ -218,12 +222,12 @@ impl Experiment {
         recipe: &Recipe,
         policy: u32,
         distribution: &DomainDistribution,
+        simulation: &SimulationSettings,
     ) -> Result<f64, ExperimentError> {
         let path = self.folder().policy(&recipe.name, policy);
         let Policy::Network(policy) = Policy::load(&path)? else {
             return Ok(f64::NAN);
         };
-        let simulation = &recipe.settings.training.simulation;
         let starts = self.settings().simulated_starts as usize;
         let evaluation =
             evaluate_afresh(&policy.network, distribution, simulation, FRESH_SEED, starts);
@@ -259,7 +263,7 @@ mod tests {
         let result = RecipeResult {
             recipe: "nominal".into(),
             plant: "lab".into(),
-            psi: Vec::new(),
+            psi: BTreeMap::new(),
             policies: vec![policy([500.0; 5], 5), policy([100.0; 5], 0), policy([0.0; 5], 0)],
         };
         assert_eq!(result.real().0, 200.0);

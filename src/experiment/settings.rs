@@ -118,7 +118,7 @@ mod tests {
                 emulated: EmulatedQubeSettings::default(),
                 vary: 0.1,
             }],
-            recipes: RecipeModel::ALL.map(|model| Recipe::of(model, &base)).into(),
+            recipes: RecipeModel::THESIS.map(|model| Recipe::of(model, &base)).into(),
         }
     }
 

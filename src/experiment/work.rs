@@ -10,7 +10,7 @@ use crate::learning::{TrainError, TrainSettings, curve_csv, train};
 use crate::policy::Policy;
 use crate::session::{
     ClockChoice, Progress, Rig, RigError, RigSettings, RolloutPlan, SeedFor, SessionError,
-    SessionSettings, derived_seed, named, write_whole,
+    SessionSettings, derived_seed, write_whole,
 };
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
@@ -211,7 +211,9 @@ impl Experiment {
         if !MachineDisk.exists(&path) {
             make(&self.folder.policy_folder(&recipe.name, policy))?;
             let psi = self.psi(recipe)?.unwrap_or_default();
-            let settings = TrainSettings { threads: 1, ..recipe.settings.training.clone() };
+            let simulation = recipe.simulation(&psi)?;
+            let training = recipe.settings.training.clone();
+            let settings = TrainSettings { threads: 1, simulation, ..training };
             let seed = derived_seed(self.settings.seed, SeedFor::Training { candidate: policy });
             let distribution = recipe.distribution(&psi)?;
             let trained = train(&distribution, &settings, seed, None, &self.stop, |_| {})?;
@@ -323,7 +325,7 @@ impl Experiment {
             candidate: Some(policy),
             rollout,
             attempt,
-            psi: named(&psi),
+            psi: recipe.settings.psi.with_names(&psi),
             seed: self.settings.seed,
             policy: format!("{} {policy}", recipe.name),
             estimator: recipe.settings.estimator,

@@ -1,7 +1,8 @@
 use super::fit::Fit;
+use super::fitness::check_motion;
 use super::stretch::Stretch;
 use super::uncertainty::{Estimate, estimates};
-use super::{Unfit, Unknown, check_recording};
+use super::{Unfit, Unknown};
 use crate::qube::QubeModel;
 use crate::replay::MotionLog;
 
@@ -12,6 +13,9 @@ const CHANGING: [Unknown; 2] = [Unknown::CommandDelay, Unknown::CableRest];
 /// Length of the stretches that are fitted, s: short enough for a pendulum that stands, whose motion
 /// no model predicts for long.
 const STRETCH_S: f64 = 0.5;
+
+/// The shortest motion that is used, s: a swing-up that left the box is worth something.
+const SHORTEST_S: f64 = 1.0;
 
 /// What changed since a profile was made.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,10 +34,10 @@ pub struct DriftEstimate {
 /// # Errors
 /// None can be fitted: why the last one cannot. [`Unfit::Short`] for no motion at all.
 pub fn drift(motions: &[MotionLog], reference: &QubeModel) -> Result<DriftEstimate, Unfit> {
-    let mut unfit = Unfit::Short { duration_s: 0.0 };
+    let mut unfit = Unfit::Short { duration_s: 0.0, shortest_s: SHORTEST_S };
     let mut usable = Vec::new();
     for motion in motions {
-        match check_recording(motion) {
+        match check_motion(motion, SHORTEST_S) {
             Ok(()) => usable.push(motion),
             Err(why) => unfit = why,
         }

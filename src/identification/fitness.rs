@@ -55,10 +55,12 @@ const RATE_SPEED_RAD_S: f64 = 0.5;
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum Unfit {
     /// Too little of it.
-    #[error("it lasts {duration_s:.2} s; give at least {SHORTEST_S} s")]
+    #[error("it lasts {duration_s:.2} s; give at least {shortest_s} s")]
     Short {
         /// How long it is.
         duration_s: f64,
+        /// How long it must be.
+        shortest_s: f64,
     },
     /// Samples are missing, or it was recorded too slowly.
     #[error(
@@ -164,10 +166,15 @@ pub enum Unfit {
 /// # Errors
 /// The first reason why not.
 pub fn check_recording(log: &MotionLog) -> Result<(), Unfit> {
+    check_motion(log, SHORTEST_S)
+}
+
+/// The same for a motion that lasts at least so long, s.
+pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit> {
     let samples = &log.samples;
     let duration_s = duration_of(samples);
-    if duration_s < SHORTEST_S {
-        return Err(Unfit::Short { duration_s });
+    if duration_s < shortest_s {
+        return Err(Unfit::Short { duration_s, shortest_s });
     }
     let start_s = samples[0].time_s;
     for pair in samples.windows(2) {

@@ -17,6 +17,10 @@ const STAGES_S: [f64; 2] = [0.5, 2.0];
 /// The real Qube's chirps come to 0.01.
 const LARGEST_RESIDUAL_RAD: f64 = 0.1;
 
+/// No quantity of a Qube is farther from what is likely, in standard deviations of its prior. The
+/// farthest of a real one is at 2.5.
+const FARTHEST_STDS: f64 = 5.0;
+
 /// A Qube that was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Identified {
@@ -53,6 +57,19 @@ pub enum IdentifyError {
         /// And pendulum.
         alpha_rad: f64,
     },
+    /// A fit that only a machine which is no Qube explains.
+    #[error(
+        "no Qube explains the recordings: the best fit has {name} = {value:.3e}, where {likely:.3e} is \
+         likely. Is a sign turned round, or the pendulum another one?"
+    )]
+    Implausible {
+        /// The quantity that is farthest from what can be.
+        name: &'static str,
+        /// Its value in SI units.
+        value: f64,
+        /// What is likely before there is data.
+        likely: f64,
+    },
     /// An empty list.
     #[error("there are no recordings")]
     NoRecordings,
@@ -87,6 +104,24 @@ pub fn identify(
     }
     let near = stage(short.model, STAGES_S[1]).model;
     let fit = stage(near, f64::INFINITY);
+    plausible(unknowns, &fit.model)?;
     let (estimates, blind) = estimates(&fit);
     Ok(Identified { model: fit.model, estimates, blind, scale: fit.scale })
+}
+
+/// Whether the fit is a Qube at all.
+fn plausible(unknowns: &[Unknown], model: &QubeModel) -> Result<(), IdentifyError> {
+    let stds = |unknown: &Unknown| {
+        let prior = unknown.prior();
+        (unknown.of(model) - prior.mean).abs() / prior.std
+    };
+    let farthest = unknowns.iter().max_by(|a, b| stds(a).total_cmp(&stds(b)));
+    match farthest {
+        Some(unknown) if stds(unknown) > FARTHEST_STDS => Err(IdentifyError::Implausible {
+            name: unknown.name(),
+            value: unknown.quantity(unknown.of(model)),
+            likely: unknown.quantity(unknown.prior().mean),
+        }),
+        _ => Ok(()),
+    }
 }

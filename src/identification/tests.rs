@@ -183,5 +183,14 @@ fn a_recording_that_no_qube_makes_is_no_silent_fit() {
     }
     assert_eq!(check_recording(&log), Ok(()));
     let refused = identify(&[log], &Unknown::ALL, &QubeModel::NOMINAL);
+    assert!(matches!(refused, Err(IdentifyError::Implausible { .. })), "{refused:?}");
+    // The angles have nothing to do with each other.
+    let mut log = chirp(&truth(), 1.0, 4.0);
+    let turned: Vec<f64> = log.samples.iter().rev().map(|sample| sample.state.alpha).collect();
+    for (sample, alpha) in log.samples.iter_mut().zip(turned) {
+        (sample.state.alpha, sample.state.alpha_dot) = (alpha, 0.0);
+    }
+    assert_eq!(check_recording(&log), Ok(()));
+    let refused = identify(&[log], &Unknown::ALL, &QubeModel::NOMINAL);
     assert!(matches!(refused, Err(IdentifyError::Unexplained { .. })), "{refused:?}");
 }

@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+use crate::estimation::SettingsError;
 use crate::policy::NetworkError;
 
 /// Why a training gave no policy.
@@ -20,6 +21,9 @@ pub enum TrainError {
         /// What it may be.
         bound: &'static str,
     },
+    /// The simulated estimator cannot be.
+    #[error("training setting simulation.sensors.estimator.{0}")]
+    Estimator(#[from] SettingsError),
     /// The best network is none.
     #[error("training diverged: {0}")]
     Diverged(#[from] NetworkError),

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::TrainError;
 use crate::qube::MAX_HISTORY;
-use crate::simulation::SimulationSettings;
+use crate::simulation::{SensorModel, SimulationSettings};
 
 /// How a policy is trained. The presets [`Self::thesis`] and [`Self::quick`] are the only place
 /// where these numbers are written down.
@@ -130,6 +130,9 @@ impl TrainSettings {
         bounded("smallest_log_std", self.smallest_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("widening", self.widening, 0.0..=1.0, "0 to 1")?;
         bounded("simulation.history", self.simulation.history, 0..=MAX_HISTORY, "0 to 4")?;
+        if let SensorModel::Encoders { estimator } = &self.simulation.sensors {
+            estimator.check()?;
+        }
         bounded("evaluation_starts", self.evaluation_starts, 1..=10_000, "1 to 10 000")?;
         bounded("threads", self.threads, 1..=1024, "at least 1")
     }

@@ -7,7 +7,8 @@ use super::trainer::Trainer;
 use super::{TrainError, TrainSettings};
 use crate::estimation::EstimatorSettings;
 use crate::policy::{
-    Network, NetworkPolicy, Policy, SimulatedGuard, SimulatedSensors, TrainingRecord,
+    Network, NetworkPolicy, Policy, SimulatedGuard, SimulatedObserver, SimulatedSensors,
+    TrainingRecord,
 };
 use crate::qube::COUNTS_PER_REVOLUTION;
 use crate::safety::Guard;
@@ -53,9 +54,17 @@ impl Trained {
         let last = self.curve.last();
         let sensors = match self.sensors {
             SensorModel::TrueState => SimulatedSensors::TrueState,
-            SensorModel::Encoders { estimator: EstimatorSettings { corner_rad_s, .. } } => {
-                let counts_per_revolution = COUNTS_PER_REVOLUTION;
-                SimulatedSensors::Encoders { corner_rad_s, counts_per_revolution }
+            SensorModel::Encoders { estimator: EstimatorSettings { corner_rad_s, observer } } => {
+                SimulatedSensors::Encoders {
+                    corner_rad_s,
+                    counts_per_revolution: COUNTS_PER_REVOLUTION,
+                    observer: observer.map(|observer| SimulatedObserver {
+                        model: observer.model,
+                        theta_noise_rad_s2: observer.theta_noise_rad_s2,
+                        alpha_noise_rad_s2: observer.alpha_noise_rad_s2,
+                        astray_rad: observer.astray_rad,
+                    }),
+                }
             }
         };
         let guard = match self.guard {

@@ -240,7 +240,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
         }
         ControllerMetadata::Excitation { shape, voltage_v } => {
             refuse_others(&tensors, |_| false)?;
-            if !(voltage_v.abs() <= MAX_VOLTAGE_V) {
+            if !(-MAX_VOLTAGE_V..=MAX_VOLTAGE_V).contains(&voltage_v) {
                 return Err(PolicyFault::ExcitationVoltage { voltage_v });
             }
             Ok(Policy::Excitation(Excitation::new(shape, voltage_v)))

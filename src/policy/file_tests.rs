@@ -32,6 +32,7 @@ fn network_policy_with_history(history: usize) -> Policy {
             sensors: SimulatedSensors::Encoders {
                 corner_rad_s: 200.0,
                 counts_per_revolution: 2048,
+                observer: None,
             },
             best_return: Some(551.3),
             program_version: "0.1.0".to_owned(),

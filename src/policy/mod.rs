@@ -20,7 +20,7 @@ pub use classical::{ClassicalController, ClassicalGains};
 pub use excitation::{EXCITATION_STEPS, Excitation, ExcitationShape};
 pub use file::{FORMAT_VERSION, MAX_FILE_BYTES, PolicyError, PolicyFault};
 pub use network::{LayerWeights, MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
-pub use training_record::{SimulatedGuard, SimulatedSensors, TrainingRecord};
+pub use training_record::{SimulatedGuard, SimulatedObserver, SimulatedSensors, TrainingRecord};
 
 use crate::qube::State;
 

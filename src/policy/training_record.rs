@@ -2,6 +2,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::qube::QubeModel;
+
 /// How a network was trained: kept in its file, shown to people, compared with the machine that it
 /// is about to run on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,11 +58,28 @@ impl SimulatedGuard {
 pub enum SimulatedSensors {
     /// True angles and velocities.
     TrueState,
-    /// Angles in encoder counts, velocities by the estimator's filter.
+    /// Angles in encoder counts, velocities by the estimator's filter, or the state by its observer.
     Encoders {
         /// Corner of that filter, rad/s.
         corner_rad_s: f64,
         /// Counts of one revolution.
         counts_per_revolution: i32,
+        /// The observer in the filter's place.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        observer: Option<SimulatedObserver>,
     },
+}
+
+/// The observer of a training: `estimation::ObserverSettings`, as a policy's file names it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedObserver {
+    /// The Qube that it believed in, and the delay.
+    pub model: QubeModel,
+    /// How far off its acceleration of the arm was taken to be, rad/s^2.
+    pub theta_noise_rad_s2: f64,
+    /// The same for the pendulum.
+    pub alpha_noise_rad_s2: f64,
+    /// From how far off, rad, it started anew.
+    pub astray_rad: f64,
 }

@@ -15,6 +15,7 @@ mod measurement;
 mod observation;
 mod parameters;
 mod profile;
+mod quantity;
 mod reward;
 mod state;
 
@@ -27,5 +28,6 @@ pub use measurement::{Measurement, Status};
 pub use observation::{MAX_HISTORY, OBSERVATION_SIZE, observation};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
 pub use profile::{Profile, ProfileError, Provenance};
+pub use quantity::{GapTerm, Quantity};
 pub use reward::RewardWeights;
 pub use state::{State, wrap_angle};

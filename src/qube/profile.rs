@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{DomainParameter, DomainParameters, Gap, ParameterError, QubeModel};
+use super::{DomainParameter, DomainParameters, Gap, GapTerm, ParameterError, QubeModel};
 
 /// One Qube in a file: what it is, how sure that is, and where it comes from. `identify` writes it;
 /// whoever simulates or emulates reads it.
@@ -74,17 +74,11 @@ impl Profile {
     pub fn parse(text: &str) -> Result<Self, ProfileError> {
         let profile: Self = toml::from_str(text).map_err(Box::new)?;
         profile.parameters.check()?;
-        let gap = &profile.gap;
-        for (name, value, smallest, largest) in [
-            ("coulomb_torque_n_m", gap.coulomb_torque_n_m, 0.0, 0.1),
-            ("positive_dead_zone_v", gap.positive_dead_zone_v, 0.0, 5.0),
-            ("negative_dead_zone_v", gap.negative_dead_zone_v, 0.0, 5.0),
-            ("cable_stiffness_n_m_rad", gap.cable_stiffness_n_m_rad, 0.0, 0.1),
-            ("cable_rest_rad", gap.cable_rest_rad, -10.0, 10.0),
-            ("command_delay_s", gap.command_delay_s, 0.0, 0.1),
-        ] {
-            if !(smallest..=largest).contains(&value) {
-                return Err(ProfileError::Gap { name, value, smallest, largest });
+        for term in GapTerm::ALL {
+            let (value, range) = (profile.gap.get(term), term.range());
+            if !range.contains(&value) {
+                let (smallest, largest) = range.into_inner();
+                return Err(ProfileError::Gap { name: term.name(), value, smallest, largest });
             }
         }
         Ok(profile)

@@ -1,3 +1,4 @@
+use std::f64::consts::PI;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -84,7 +85,8 @@ impl MotionLog {
     }
 
     /// The motion while the policy had the motor, by the device's own time. None if there are not
-    /// two samples of it.
+    /// two samples of it. Angles are those that the encoders showed: what the policy saw may be a
+    /// prediction.
     ///
     /// A tick whose sample did not come gives none: the voltage before it was held over, so the
     /// sample before it says what the motor got.
@@ -99,7 +101,13 @@ impl MotionLog {
             let time_s = measurement.device_time_us.saturating_sub(start_us) as f64 * 1e-6;
             if samples.last().is_none_or(|last| time_s > last.time_s) {
                 let voltage_v = f64::from(tick.voltage_mv) / 1000.0;
-                samples.push(MotionSample { time_s, state: tick.state, voltage_v });
+                let (theta, counted) =
+                    recording.header.settings.calibration.angles_rad(measurement);
+                // The tick counts whole turns from the start of the rollout.
+                let turns = ((tick.state.alpha - counted) / (2.0 * PI)).round();
+                let alpha = counted + 2.0 * PI * turns;
+                let state = State { theta, alpha, ..tick.state };
+                samples.push(MotionSample { time_s, state, voltage_v });
             }
         }
         (samples.len() >= 2).then_some(Self { samples })

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 use toml::{Table, Value};
 
-use super::{FolderError, SessionSettings};
+use super::{FolderError, ProfileSettings, SessionSettings};
 use crate::qube::MAX_STEPS;
+use crate::simulation::{PsiTarget, SensorModel};
 use crate::storage::{Disk, MachineDisk};
 
 /// The largest configuration that is read; ours have 2 kB.
@@ -115,6 +116,18 @@ impl SessionSettings {
             }
         }
         self.estimator.check().map_err(|error| format!("estimator.{error}"))?;
+        if let Some(ProfileSettings { spread, .. }) = self.profile
+            && !(0.0..=1.0).contains(&spread)
+        {
+            return Err(format!("profile.spread = {spread}: give a number from 0 to 1"));
+        }
+        self.base_distribution().map_err(|error| error.to_string())?;
+        let sees_truth = self.training.simulation.sensors == SensorModel::TrueState;
+        if self.psi.has(PsiTarget::Filter) && sees_truth {
+            return Err("psi has filter, but training.simulation.sensors shows true states: \
+                        make it type = \"encoders\""
+                .into());
+        }
         let counts = [
             ("extent.initial_candidates", self.extent.initial_candidates, 1000),
             ("extent.rollouts", self.extent.rollouts, 1000),
@@ -144,6 +157,8 @@ fn lay_over(below: &mut Table, above: Table) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::GapTerm;
+    use crate::simulation::PsiSpace;
 
     fn overridden(text: &str) -> Result<SessionSettings, ConfigurationError> {
         let directory = tempfile::tempdir().unwrap();
@@ -171,6 +186,25 @@ mod tests {
     }
 
     #[test]
+    fn psi_is_the_thesiss_eight_or_any_list() {
+        assert_eq!(overridden("seed = 1\n").unwrap().psi, PsiSpace::thesis());
+        let text = "model = \"opt-robust\"\n[[psi]]\nname = \"mean_delay\"\nupper = 0.03\n\
+                    [[psi]]\nname = \"filter\"\n";
+        let settings = overridden(text).unwrap();
+        assert_eq!(settings.psi.names().collect::<Vec<_>>(), ["mean_delay", "filter"]);
+        assert_eq!(settings.psi.upper(), [0.03, 500.0]);
+        let again = overridden(&settings.to_toml().unwrap()).unwrap();
+        assert_eq!(again, settings);
+        let point = [0.02, 50.0];
+        let delay = settings.distribution(&point).unwrap().get(GapTerm::CommandDelay);
+        assert_eq!(delay.mean(), 0.02);
+        let sensors = settings.simulation(&point).unwrap().sensors;
+        let SensorModel::Encoders { estimator } = sensors else { panic!("{sensors:?}") };
+        assert_eq!(estimator.corner_rad_s, 50.0);
+        assert!(settings.search().is_ok());
+    }
+
+    #[test]
     fn a_misspelt_key_is_an_error_with_its_line() {
         let message = overridden("seed = 7\nsed = 8\n").unwrap_err().to_string();
         assert!(message.contains("my.toml") && message.contains("line 2"), "{message}");
@@ -184,6 +218,13 @@ mod tests {
             ("[estimator]\ncorner_rad_s = 0.0\n", "estimator.corner_rad_s"),
             ("[safety_box]\ntheta = nan\n", "safety_box.theta"),
             ("[extent]\nrollouts = 0\n", "extent.rollouts"),
+            ("model = \"opt-profile\"\n", "[profile]"),
+            ("[[psi]]\nname = \"mean_M_x\"\n", "mean_M_x"),
+            ("psi = []\n", "no entry"),
+            (
+                "[[psi]]\nname = \"filter\"\n[training.simulation.sensors]\ntype = \"true_state\"\n",
+                "filter",
+            ),
         ] {
             let message = overridden(text).unwrap_err().to_string();
             assert!(message.contains(name), "{message}");

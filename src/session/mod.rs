@@ -26,12 +26,12 @@ pub use folder::{FolderError, SessionFolder, put_aside, write_whole};
 pub use header::RolloutPlan;
 pub use latencies::Latencies;
 pub use ledger::{DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger};
-pub use orchestrator::{Progress, Session, named};
+pub use orchestrator::{Progress, Session};
 pub use plan::{Candidate, Extent, Step, candidates, next_step};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use rig::{
     ClockChoice, Connect, DeviceChoice, Recorded, Rig, RigError, RigSettings, TimedDevice,
 };
 pub use seeds::{Purpose as SeedFor, derived_seed};
-pub use settings::{EmulatedQubeSettings, Model, SessionSettings};
+pub use settings::{EmulatedQubeSettings, Model, ProfileSettings, SessionSettings};
 pub use verdict::{Verdict, judge, judge_recording};

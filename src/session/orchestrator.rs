@@ -1,4 +1,4 @@
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +17,6 @@ use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::search::Observation;
-use crate::simulation::{PSI_DIMENSIONS, Psi};
 
 /// What a session tells while it runs.
 pub enum Progress<'a> {
@@ -89,7 +88,7 @@ impl Session {
         let ledger = Ledger::open(folder.disk(), &folder.ledger())?;
         for entry in ledger.entries() {
             if let Entry::Proposed { psi, .. } = entry {
-                Psi::try_from(psi.as_slice())?;
+                settings.psi.psi(psi)?;
             }
         }
         Ok(Self {
@@ -159,6 +158,12 @@ impl Session {
     #[must_use]
     pub fn folder(&self) -> &SessionFolder {
         &self.folder
+    }
+
+    /// What it was configured with.
+    #[must_use]
+    pub fn settings(&self) -> &SessionSettings {
+        &self.settings
     }
 
     /// What was decided and finished so far.
@@ -241,6 +246,7 @@ impl Session {
                 jobs.push(Job {
                     candidate: number,
                     distribution: self.settings.distribution(&candidate.psi)?,
+                    simulation: self.settings.simulation(&candidate.psi)?,
                     seed: derived_seed(self.settings.seed, SeedFor::Training { candidate: number }),
                 });
             }
@@ -353,7 +359,7 @@ impl Session {
             candidate: Some(candidate),
             rollout,
             attempt,
-            psi: named(&psi),
+            psi: self.settings.psi.with_names(&psi),
             seed: self.settings.seed,
             policy: format!("candidate {candidate}"),
             estimator: self.settings.estimator,
@@ -436,14 +442,4 @@ fn save(
     write_whole(folder.disk(), &folder.curve(candidate), curve_csv(&trained.curve).as_bytes())?;
     write_whole(folder.disk(), &folder.policy(candidate), &trained.into_policy(origin).to_bytes())?;
     Ok(())
-}
-
-/// A psi with its names.
-#[must_use]
-pub fn named(psi: &[f64]) -> BTreeMap<String, f64> {
-    PSI_DIMENSIONS
-        .iter()
-        .map(|dimension| dimension.name.to_owned())
-        .zip(psi.iter().copied())
-        .collect()
 }

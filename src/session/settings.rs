@@ -8,12 +8,11 @@ use crate::learning::{Origin, TrainSettings};
 use crate::qube::QubeModel;
 use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
-use crate::simulation::{
-    DomainDistribution, Family, PSI_DIMENSIONS, Psi, PsiError, SimulationSettings,
-};
+use crate::simulation::{DomainDistribution, Family, PsiError, PsiSpace, SimulationSettings};
 use crate::surrogate::SearchBox;
 
-/// What the parameters are drawn from that psi does not cover: g, R_m, k_m, D_r, D_p.
+/// What the quantities are drawn from that psi does not shape; in the thesis's sessions these are g,
+/// R_m, k_m, D_r and D_p.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
@@ -22,6 +21,33 @@ pub enum Model {
     OptNominal,
     /// Normal with a fifth of the nominal as standard deviation: `opt-handcrafted`.
     OptHandcrafted,
+    /// As for a Qube that nobody has identified, with its gap.
+    OptRobust,
+    /// Around an identified Qube, with its gap.
+    OptProfile,
+}
+
+impl Model {
+    /// Its name, as a policy's file gives it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::OptNominal => "opt-nominal",
+            Self::OptHandcrafted => "opt-handcrafted",
+            Self::OptRobust => "opt-robust",
+            Self::OptProfile => "opt-profile",
+        }
+    }
+}
+
+/// An identified Qube, and how far simulations are drawn around it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProfileSettings {
+    /// The Qube.
+    pub model: QubeModel,
+    /// Standard deviations, as a part of each of its values.
+    pub spread: f64,
 }
 
 /// What the emulated Qube is like.
@@ -61,8 +87,13 @@ pub struct SessionSettings {
     pub name: String,
     /// Everything random follows from it.
     pub seed: u64,
-    /// The five parameters that psi does not cover.
+    /// What psi does not shape.
     pub model: Model,
+    /// The Qube of the model `opt-profile`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<ProfileSettings>,
+    /// What psi shapes, and the box of the search.
+    pub psi: PsiSpace,
     /// Shape of the distributions that psi gives mean and standard deviation of.
     pub family: Family,
     /// How much is done.
@@ -91,6 +122,8 @@ impl SessionSettings {
             name: String::new(),
             seed: 0,
             model: Model::OptNominal,
+            profile: None,
+            psi: PsiSpace::thesis(),
             family: Family::Normal,
             extent: Extent::QUICK,
             estimator: EstimatorSettings::default(),
@@ -125,9 +158,7 @@ impl SessionSettings {
     /// # Errors
     /// The settings make no strategy.
     pub fn search(&self) -> Result<Box<dyn Strategy>, SearchError> {
-        let lower = PSI_DIMENSIONS.iter().map(|dimension| dimension.lower).collect();
-        let upper = PSI_DIMENSIONS.iter().map(|dimension| dimension.upper).collect();
-        let search_box = SearchBox::new(lower, upper)?;
+        let search_box = SearchBox::new(self.psi.lower(), self.psi.upper())?;
         let initial_points = self.extent.initial_candidates as usize;
         let bayrn = BayRnSettings { initial_points, ..self.bayrn.clone() };
         self.strategy.build(&search_box, &bayrn, self.seed)
@@ -138,20 +169,37 @@ impl SessionSettings {
     /// # Errors
     /// The psi is outside its box.
     pub fn distribution(&self, psi: &[f64]) -> Result<DomainDistribution, PsiError> {
-        let psi = Psi::try_from(psi)?;
-        Ok(match self.model {
-            Model::OptNominal => DomainDistribution::opt_nominal(&psi, self.family),
-            Model::OptHandcrafted => DomainDistribution::opt_handcrafted(&psi, self.family),
-        })
+        let base = self.base_distribution()?;
+        Ok(base.shaped_by(&self.psi.psi(psi)?, self.family))
+    }
+
+    /// What one psi's simulations surround the physics with.
+    ///
+    /// # Errors
+    /// The psi is outside its box.
+    pub fn simulation(&self, psi: &[f64]) -> Result<SimulationSettings, PsiError> {
+        Ok(self.training.simulation.shaped_by(&self.psi.psi(psi)?))
+    }
+
+    /// What is drawn where psi says nothing.
+    ///
+    /// # Errors
+    /// There is no profile where one is needed, or it has what cannot be simulated.
+    pub fn base_distribution(&self) -> Result<DomainDistribution, PsiError> {
+        match (self.model, &self.profile) {
+            (Model::OptHandcrafted, _) => Ok(DomainDistribution::handcrafted(self.family)),
+            (Model::OptRobust, _) => Ok(DomainDistribution::robust()),
+            (Model::OptProfile, Some(ProfileSettings { model, spread })) => {
+                DomainDistribution::around(model, *spread, self.family).map_err(PsiError::Base)
+            }
+            (Model::OptProfile, None) => Err(PsiError::NoProfile),
+            (Model::OptNominal, _) => Ok(DomainDistribution::nominal()),
+        }
     }
 
     /// What a policy's file says of where it comes from.
     #[must_use]
     pub fn origin(&self, psi: &[f64]) -> Origin {
-        let model = match self.model {
-            Model::OptNominal => "opt-nominal",
-            Model::OptHandcrafted => "opt-handcrafted",
-        };
         // Sensors and guard are named in the policy's record beside the preset.
         let same_budget = |preset: TrainSettings| {
             let simulation = self.training.simulation;
@@ -166,7 +214,11 @@ impl SessionSettings {
         } else {
             "custom"
         };
-        Origin { model: model.into(), psi: Some(super::named(psi)), preset: preset.into() }
+        Origin {
+            model: self.model.name().into(),
+            psi: Some(self.psi.with_names(psi)),
+            preset: preset.into(),
+        }
     }
 }
 

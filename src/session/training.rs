@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use crossbeam_channel::unbounded;
 
 use crate::learning::{TrainError, TrainSettings, TrainUpdate, Trained, train};
-use crate::simulation::DomainDistribution;
+use crate::simulation::{DomainDistribution, SimulationSettings};
 
 /// One policy to be trained.
 #[derive(Clone, Debug)]
@@ -12,6 +12,8 @@ pub struct Job {
     pub candidate: u32,
     /// The simulations it is trained over.
     pub distribution: DomainDistribution,
+    /// Their sensors, reward and box.
+    pub simulation: SimulationSettings,
     /// Everything random in it.
     pub seed: u64,
 }
@@ -34,7 +36,7 @@ pub enum News {
     },
 }
 
-/// Trains policies side by side, one on each of so many cores; a policy's bytes do not depend on how
+/// Trains policies side by side, each in its own simulations, one on each of so many cores; a policy's bytes do not depend on how
 /// many. Returns when all have ended; a set `stop` ends them soon.
 pub fn train_all(
     jobs: &[Job],
@@ -51,8 +53,9 @@ pub fn train_all(
             scope.spawn(move || {
                 while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
                     let candidate = job.candidate;
+                    let settings = TrainSettings { simulation: job.simulation, ..settings.clone() };
                     let result =
-                        train(&job.distribution, settings, job.seed, None, stop, |update| {
+                        train(&job.distribution, &settings, job.seed, None, stop, |update| {
                             let _ = sender.send(News::Update { candidate, update: *update });
                         });
                     let result = result.map(Box::new);

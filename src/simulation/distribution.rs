@@ -3,9 +3,10 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::qube::DomainParameter;
+use crate::qube::{CONTROL_PERIOD_S, GapTerm, MAX_HISTORY, Quantity};
 
-/// A draw is never farther from its mean than this part of it: between 0.1 and 1.9 times the mean.
+/// A draw of a parameter is never farther from its mean than this part of it: between 0.1 and 1.9
+/// times the mean.
 ///
 /// This is where draws that are not physical are made impossible: a parameter whose mean is above
 /// zero is above zero in every draw. A tenth rather than nothing, because the integrator's step
@@ -13,7 +14,10 @@ use crate::qube::DomainParameter;
 /// the mean of the draws is the mean asked for.
 pub const TRUNCATION: f64 = 0.9;
 
-/// How one domain parameter is drawn.
+/// The longest delay of a command that is simulated, s: what [`MAX_HISTORY`] last commands reach.
+pub const MAX_COMMAND_DELAY_S: f64 = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
+
+/// How one quantity of a Qube is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Distribution {
@@ -22,7 +26,7 @@ pub enum Distribution {
         /// The value.
         value: f64,
     },
-    /// Normal, drawn again while farther from the mean than [`TRUNCATION`] times the mean.
+    /// Normal, drawn again while farther from the mean than the quantity may be (see [`reach`]).
     Normal {
         /// Its mean.
         mean: f64,
@@ -30,7 +34,7 @@ pub enum Distribution {
         standard_deviation: f64,
     },
     /// Uniform with this mean and standard deviation (a half-width of sqrt(3) standard deviations),
-    /// its half-width cut to [`TRUNCATION`] times the mean.
+    /// its half-width cut to what the quantity may be (see [`reach`]).
     Uniform {
         /// Its mean.
         mean: f64,
@@ -39,34 +43,71 @@ pub enum Distribution {
     },
 }
 
-/// Why a parameter cannot be drawn so.
+/// Why a quantity cannot be drawn so.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum DistributionError {
-    /// The middle is not a value that the parameter may have.
-    #[error("the mean of {symbol} is {mean}, which is not physical: give a finite value {bound}")]
+    /// The middle is not a value that the quantity may have.
+    #[error("the mean of {symbol} is {mean}, which cannot be simulated: give a value {bound}")]
     Mean {
-        /// The parameter's symbol.
+        /// The quantity's symbol.
         symbol: &'static str,
         /// What was given.
         mean: f64,
-        /// `above 0` or `not below 0`.
-        bound: &'static str,
+        /// `above 0`, `not below 0`, or from where to where.
+        bound: String,
     },
-    /// The spread is negative, not finite, or wider than the mean is far from zero.
+    /// The spread is negative, not finite, or wider than the mean is far from what cannot be.
     #[error(
-        "the standard deviation of {symbol} is {standard_deviation}: give a value from 0 to its mean, {mean}"
+        "the standard deviation of {symbol} is {standard_deviation}: with the mean {mean} give a value from 0 to {largest}"
     )]
     StandardDeviation {
-        /// The parameter's symbol.
+        /// The quantity's symbol.
         symbol: &'static str,
         /// What was given.
         standard_deviation: f64,
         /// The mean it was given with.
         mean: f64,
+        /// The largest that it may be.
+        largest: f64,
     },
 }
 
+/// How far from a mean a quantity is drawn at most, on either side: [`TRUNCATION`] times the mean of a
+/// parameter; for a term of the gap, as far as the nearer end of its range, which for friction, dead
+/// zone, cable and delay is zero, so that a uniform draw may begin there.
+#[must_use]
+pub fn reach(quantity: Quantity, mean: f64) -> f64 {
+    match quantity {
+        Quantity::Parameter(_) => TRUNCATION * mean,
+        Quantity::Gap(term) => {
+            let (smallest, largest) = simulated_range(term);
+            (mean - smallest).min(largest - mean)
+        }
+    }
+}
+
+/// The largest standard deviation that a quantity may be drawn with around a mean.
+#[must_use]
+pub(super) fn largest_standard_deviation(quantity: Quantity, mean: f64) -> f64 {
+    match quantity {
+        Quantity::Parameter(_) => mean,
+        Quantity::Gap(_) => reach(quantity, mean),
+    }
+}
+
+fn simulated_range(term: GapTerm) -> (f64, f64) {
+    let (smallest, largest) = term.range().into_inner();
+    (smallest, if term == GapTerm::CommandDelay { MAX_COMMAND_DELAY_S } else { largest })
+}
+
 impl Distribution {
+    /// Uniform from one value to another.
+    #[must_use]
+    pub fn between(lower: f64, upper: f64) -> Self {
+        let (mean, half_width) = (0.5 * (lower + upper), 0.5 * (upper - lower));
+        Self::Uniform { mean, standard_deviation: half_width / sqrt(3.0) }
+    }
+
     /// The middle: the value, or the mean of the draws.
     #[must_use]
     pub fn mean(&self) -> f64 {
@@ -101,42 +142,55 @@ impl Distribution {
         }
     }
 
-    /// Says what is not physical about drawing `parameter` so, if anything is.
+    /// Says what is not physical about drawing this quantity so, if anything is.
     ///
     /// # Errors
-    /// The mean or the standard deviation, with the parameter's name.
-    pub fn check(&self, parameter: DomainParameter) -> Result<(), DistributionError> {
-        let symbol = parameter.symbol();
+    /// The mean or the standard deviation, with the quantity's name.
+    pub fn check(&self, quantity: impl Into<Quantity>) -> Result<(), DistributionError> {
+        let quantity = quantity.into();
+        let symbol = quantity.symbol();
         let (mean, standard_deviation) = (self.mean(), self.standard_deviation());
-        let physical = mean > 0.0 || (mean == 0.0 && parameter.may_be_zero());
-        if !(physical && mean.is_finite()) {
-            let bound = if parameter.may_be_zero() { "not below 0" } else { "above 0" };
+        let (physical, bound) = match quantity {
+            Quantity::Parameter(parameter) if parameter.may_be_zero() => {
+                ((0.0..f64::INFINITY).contains(&mean), "not below 0".into())
+            }
+            Quantity::Parameter(_) => (mean > 0.0 && mean.is_finite(), "above 0".into()),
+            Quantity::Gap(term) => {
+                let (smallest, largest) = simulated_range(term);
+                ((smallest..=largest).contains(&mean), format!("from {smallest} to {largest}"))
+            }
+        };
+        if !physical {
             return Err(DistributionError::Mean { symbol, mean, bound });
         }
-        if !(0.0..=mean).contains(&standard_deviation) {
-            return Err(DistributionError::StandardDeviation { symbol, standard_deviation, mean });
+        let largest = largest_standard_deviation(quantity, mean);
+        if !(0.0..=largest).contains(&standard_deviation) {
+            let error =
+                DistributionError::StandardDeviation { symbol, standard_deviation, mean, largest };
+            return Err(error);
         }
         Ok(())
     }
 
-    /// One draw. For a distribution that passes [`Self::check`] at least 63 % of the normal draws
-    /// lie within it, so that this ends soon.
-    pub fn sample(&self, rng: &mut impl rand::Rng) -> f64 {
+    /// One draw of this quantity. For a distribution that passes [`Self::check`] at least 63 % of the
+    /// normal draws lie within its [`reach`], so that this ends soon.
+    pub fn sample(&self, quantity: Quantity, rng: &mut impl rand::Rng) -> f64 {
         match *self {
             Self::Constant { value } => value,
             Self::Normal { mean, standard_deviation } => {
                 if standard_deviation == 0.0 {
                     return mean;
                 }
+                let reach = reach(quantity, mean);
                 loop {
                     let deviation = standard_deviation * standard_normal(rng);
-                    if deviation.abs() <= TRUNCATION * mean {
+                    if deviation.abs() <= reach {
                         return mean + deviation;
                     }
                 }
             }
             Self::Uniform { mean, standard_deviation } => {
-                let half_width = (sqrt(3.0) * standard_deviation).min(TRUNCATION * mean);
+                let half_width = (sqrt(3.0) * standard_deviation).min(reach(quantity, mean));
                 mean + half_width * (2.0 * rng.random::<f64>() - 1.0)
             }
         }
@@ -153,12 +207,17 @@ fn standard_normal(rng: &mut impl rand::Rng) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::DomainParameter;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
     fn draws(distribution: Distribution, count: usize) -> Vec<f64> {
+        draws_of(Quantity::Parameter(DomainParameter::RotaryDamping), distribution, count)
+    }
+
+    fn draws_of(quantity: Quantity, distribution: Distribution, count: usize) -> Vec<f64> {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
-        (0..count).map(|_| distribution.sample(&mut rng)).collect()
+        (0..count).map(|_| distribution.sample(quantity, &mut rng)).collect()
     }
 
     fn moments(values: &[f64]) -> (f64, f64) {
@@ -218,8 +277,31 @@ mod tests {
             assert_eq!(distribution.check(DomainParameter::RotaryDamping), Ok(()));
             assert!(matches!(
                 distribution.check(DomainParameter::Gravity),
-                Err(DistributionError::Mean { symbol: "g", bound: "above 0", .. })
+                Err(DistributionError::Mean { symbol: "g", .. })
             ));
+        }
+    }
+
+    #[test]
+    fn terms_of_the_gap_reach_to_zero_and_a_place_to_either_side() {
+        let uniform = Distribution::Uniform { mean: 0.2, standard_deviation: 0.2 / sqrt(3.0) };
+        let dead_zone = Quantity::Gap(GapTerm::PositiveDeadZone);
+        assert_eq!(uniform.check(dead_zone), Ok(()));
+        let values = draws_of(dead_zone, uniform, 100_000);
+        let least = values.iter().copied().fold(f64::MAX, f64::min);
+        let most = values.iter().copied().fold(f64::MIN, f64::max);
+        assert!((0.0..1e-4).contains(&least) && (0.3999..=0.4).contains(&most), "{least} {most}");
+
+        let place = Distribution::Normal { mean: -0.1, standard_deviation: 1.0 };
+        let rest = Quantity::Gap(GapTerm::CableRest);
+        assert_eq!(place.check(rest), Ok(()));
+        let (mean, deviation) = moments(&draws_of(rest, place, 100_000));
+        assert!((mean + 0.1).abs() < 0.02 && (deviation - 1.0).abs() < 0.02);
+
+        for (mean, standard_deviation) in [(-0.001, 0.0), (0.041, 0.0), (0.03, 0.011)] {
+            let refused = Distribution::Normal { mean, standard_deviation };
+            let message = refused.check(GapTerm::CommandDelay).unwrap_err().to_string();
+            assert!(message.contains("delay"), "{message}");
         }
     }
 

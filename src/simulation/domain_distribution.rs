@@ -1,13 +1,14 @@
 use serde::{Deserialize, Serialize};
 
-use super::{Distribution, DistributionError, Psi};
-use crate::qube::{DomainParameter, DomainParameters};
+use super::distribution::largest_standard_deviation;
+use super::{Distribution, DistributionError, Psi, reach};
+use crate::qube::{DomainParameter, GapTerm, Quantity, QubeModel};
 
 /// Standard deviation of a handcrafted distribution as a part of the nominal value (thesis,
 /// section 5.2).
 const HANDCRAFTED_SPREAD: f64 = 0.2;
 
-/// Masses and lengths: what psi shapes, and what `nominal-handcrafted` draws.
+/// Masses and lengths: what `nominal-handcrafted` draws, and the thesis's psi shapes.
 const MASSES_AND_LENGTHS: [DomainParameter; 4] = [
     DomainParameter::RotaryMass,
     DomainParameter::PendulumMass,
@@ -37,29 +38,31 @@ impl Family {
     }
 }
 
-/// p_psi(xi): how each of the nine domain parameters is drawn, independently, for a trajectory.
+/// p_psi(xi): how each of the nine domain parameters and of the gap's terms is drawn, independently,
+/// for a trajectory. The gap is zero where nothing is said of it.
 ///
 /// Checked when it is made: what it draws is always physical.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DomainDistribution {
-    /// In the order of [`DomainParameter::ALL`].
-    distributions: [Distribution; 9],
+    /// In the order of [`Quantity::all`].
+    distributions: [Distribution; Quantity::COUNT],
 }
 
 impl DomainDistribution {
     /// The model `nominal`: no randomisation at all.
     #[must_use]
     pub fn nominal() -> Self {
-        Self::constant(&DomainParameters::NOMINAL)
+        Self::constant(&QubeModel::NOMINAL)
     }
 
-    /// Always these parameters, which the caller has checked.
+    /// Always this Qube, which the caller has checked.
     #[must_use]
-    pub fn constant(parameters: &DomainParameters) -> Self {
-        Self {
-            distributions: DomainParameter::ALL
-                .map(|parameter| Distribution::Constant { value: parameters.get(parameter) }),
+    pub fn constant(model: &QubeModel) -> Self {
+        let mut distributions = [Distribution::Constant { value: 0.0 }; Quantity::COUNT];
+        for quantity in Quantity::all() {
+            distributions[quantity.index()] = Distribution::Constant { value: model.get(quantity) };
         }
+        Self { distributions }
     }
 
     /// The model `handcrafted`: all nine normal around nominal, standard deviation a fifth of it.
@@ -74,16 +77,89 @@ impl DomainDistribution {
         Self::nominal().with_handcrafted(&MASSES_AND_LENGTHS, family)
     }
 
-    /// The model `opt-nominal`: masses and lengths by psi, the rest nominal.
+    /// The model `robust`, for a Qube that nobody has identified: what name plate, ruler and balance
+    /// leave open of the parameters, and a gap of any size that Qubes were found to have.
     #[must_use]
-    pub fn opt_nominal(psi: &Psi, family: Family) -> Self {
-        Self::nominal().with_psi(psi, family)
+    pub fn robust() -> Self {
+        let mut robust = Self::nominal();
+        let mut draw = |quantity: Quantity, distribution| {
+            robust.distributions[quantity.index()] = distribution;
+        };
+        for (parameter, spread) in [
+            (DomainParameter::MotorResistance, 0.1),
+            (DomainParameter::MotorBackEmf, 0.1),
+            (DomainParameter::RotaryMass, 0.15),
+            (DomainParameter::PendulumMass, 0.15),
+            (DomainParameter::RotaryLength, 0.05),
+            (DomainParameter::PendulumLength, 0.05),
+        ] {
+            let mean = QubeModel::NOMINAL.parameters.get(parameter);
+            let normal = Distribution::Normal { mean, standard_deviation: spread * mean };
+            draw(parameter.into(), normal);
+        }
+        for (term, lower, upper) in [
+            (GapTerm::CoulombTorque, 0.0, 0.7e-3),
+            (GapTerm::PositiveDeadZone, 0.0, 0.35),
+            (GapTerm::NegativeDeadZone, 0.0, 0.35),
+            (GapTerm::CableStiffness, 0.0, 1.2e-3),
+            (GapTerm::CableRest, -1.2, 1.2),
+            (GapTerm::CommandDelay, 0.0, 0.016),
+        ] {
+            draw(term.into(), Distribution::between(lower, upper));
+        }
+        robust
     }
 
-    /// The model `opt-handcrafted`: masses and lengths by psi, the rest as in `handcrafted`.
+    /// Around an identified Qube: each quantity with its value as the mean and `spread` (from 0 to 1)
+    /// times that as the standard deviation.
+    ///
+    /// # Errors
+    /// It has what cannot be simulated, as too long a delay.
+    pub fn around(
+        model: &QubeModel,
+        spread: f64,
+        family: Family,
+    ) -> Result<Self, DistributionError> {
+        let mut around = Self::constant(model);
+        for quantity in Quantity::all() {
+            let mean = model.get(quantity);
+            // Near the end of a range there is less room.
+            let standard_deviation = (spread * mean.abs()).min(reach(quantity, mean));
+            around = around.with(quantity, family.with_moments(mean, standard_deviation))?;
+        }
+        Ok(around)
+    }
+
+    /// The model `opt-nominal`: what psi names by psi, the rest nominal.
+    #[must_use]
+    pub fn opt_nominal(psi: &Psi, family: Family) -> Self {
+        Self::nominal().shaped_by(psi, family)
+    }
+
+    /// The model `opt-handcrafted`: what psi names by psi, the rest as in `handcrafted`.
     #[must_use]
     pub fn opt_handcrafted(psi: &Psi, family: Family) -> Self {
-        Self::handcrafted(family).with_psi(psi, family)
+        Self::handcrafted(family).shaped_by(psi, family)
+    }
+
+    /// The same with the quantities that psi names drawn from this family with psi's moments; where it
+    /// names one moment alone, the other stays. A standard deviation that is larger than the mean
+    /// allows is the largest that it allows.
+    #[must_use]
+    pub fn shaped_by(mut self, psi: &Psi, family: Family) -> Self {
+        for quantity in Quantity::all() {
+            let (mean, standard_deviation) = psi.moments(quantity);
+            if mean.is_none() && standard_deviation.is_none() {
+                continue;
+            }
+            let own = self.get(quantity);
+            let mean = mean.unwrap_or(own.mean());
+            let standard_deviation = standard_deviation
+                .unwrap_or(own.standard_deviation())
+                .min(largest_standard_deviation(quantity, mean));
+            self.distributions[quantity.index()] = family.with_moments(mean, standard_deviation);
+        }
+        self
     }
 
     /// The same means, each standard deviation `share` times as large, 0 to 1.
@@ -92,50 +168,41 @@ impl DomainDistribution {
         Self { distributions: self.distributions.map(|distribution| distribution.narrowed(share)) }
     }
 
-    /// How a parameter is drawn.
+    /// How a quantity is drawn.
     #[must_use]
-    pub fn get(&self, parameter: DomainParameter) -> Distribution {
-        self.distributions[parameter as usize]
+    pub fn get(&self, quantity: impl Into<Quantity>) -> Distribution {
+        self.distributions[quantity.into().index()]
     }
 
-    /// The same with one parameter drawn otherwise.
+    /// The same with one quantity drawn otherwise.
     ///
     /// # Errors
-    /// The parameter cannot be drawn so: the draws would not be physical.
+    /// The quantity cannot be drawn so: the draws would not be physical.
     pub fn with(
         mut self,
-        parameter: DomainParameter,
+        quantity: impl Into<Quantity>,
         distribution: Distribution,
     ) -> Result<Self, DistributionError> {
-        distribution.check(parameter)?;
-        self.distributions[parameter as usize] = distribution;
+        let quantity = quantity.into();
+        distribution.check(quantity)?;
+        self.distributions[quantity.index()] = distribution;
         Ok(self)
     }
 
-    /// One xi.
-    pub fn sample(&self, rng: &mut impl rand::Rng) -> DomainParameters {
-        let mut parameters = DomainParameters::NOMINAL;
-        for parameter in DomainParameter::ALL {
-            parameters.set(parameter, self.get(parameter).sample(rng));
+    /// One xi. What is constant takes nothing from the generator.
+    pub fn sample(&self, rng: &mut impl rand::Rng) -> QubeModel {
+        let mut model = QubeModel::NOMINAL;
+        for quantity in Quantity::all() {
+            model.set(quantity, self.get(quantity).sample(quantity, rng));
         }
-        parameters
+        model
     }
 
     fn with_handcrafted(mut self, parameters: &[DomainParameter], family: Family) -> Self {
         for &parameter in parameters {
-            let nominal = DomainParameters::NOMINAL.get(parameter);
+            let nominal = QubeModel::NOMINAL.parameters.get(parameter);
             self.distributions[parameter as usize] =
                 family.with_moments(nominal, HANDCRAFTED_SPREAD * nominal);
-        }
-        self
-    }
-
-    fn with_psi(mut self, psi: &Psi, family: Family) -> Self {
-        for parameter in MASSES_AND_LENGTHS {
-            if let Some((mean, standard_deviation)) = psi.moments(parameter) {
-                self.distributions[parameter as usize] =
-                    family.with_moments(mean, standard_deviation);
-            }
         }
         self
     }
@@ -144,8 +211,15 @@ impl DomainDistribution {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulation::PsiSpace;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
+
+    /// The psi in the middle of its box.
+    fn middle(space: &PsiSpace) -> Psi {
+        let point = space.lower().into_iter().zip(space.upper()).map(|(a, b)| 0.5 * (a + b));
+        space.psi(&point.collect::<Vec<_>>()).unwrap()
+    }
 
     fn is_random(distribution: &DomainDistribution) -> [bool; 9] {
         DomainParameter::ALL.map(|parameter| distribution.get(parameter).standard_deviation() > 0.0)
@@ -153,7 +227,7 @@ mod tests {
 
     #[test]
     fn the_models_randomise_what_the_thesis_says() {
-        let psi = Psi::from_unit_cube(&[0.5; 8]);
+        let psi = middle(&PsiSpace::thesis());
         let masses_and_lengths = [false, false, false, false, false, true, true, true, true];
         for family in [Family::Normal, Family::Uniform] {
             assert_eq!(is_random(&DomainDistribution::nominal()), [false; 9]);
@@ -181,7 +255,8 @@ mod tests {
 
     #[test]
     fn psi_shapes_the_parameter_that_it_names() {
-        let psi = Psi::new([0.020, 0.001, 0.090, 0.002, 0.120, 0.003, 0.080, 0.004]).unwrap();
+        let point = [0.020, 0.001, 0.090, 0.002, 0.120, 0.003, 0.080, 0.004];
+        let psi = PsiSpace::thesis().psi(&point).unwrap();
         let opt = DomainDistribution::opt_nominal(&psi, Family::Normal);
         for (parameter, mean, standard_deviation) in [
             (DomainParameter::PendulumMass, 0.020, 0.001),
@@ -196,19 +271,89 @@ mod tests {
     #[test]
     fn whatever_the_corner_of_the_box_draws_are_physical() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let thesis = PsiSpace::thesis();
+        let names = [
+            "mean_delay",
+            "std_delay",
+            "mean_coulomb",
+            "std_coulomb",
+            "mean_cable_rest",
+            "std_R_m",
+        ];
+        let gap = PsiSpace::named(&names).unwrap();
         for corner in 0..256_u32 {
-            let unit: [f64; 8] = std::array::from_fn(|i| f64::from(corner >> i & 1));
-            let psi = Psi::from_unit_cube(&unit);
+            let at_corner = |space: &PsiSpace| {
+                let ends = space.dimensions().iter().enumerate().map(|(i, dimension)| {
+                    if corner >> i & 1 == 1 { dimension.upper } else { dimension.lower }
+                });
+                space.psi(&ends.collect::<Vec<_>>()).unwrap()
+            };
+            let (psi, gap) = (at_corner(&thesis), at_corner(&gap));
             for family in [Family::Normal, Family::Uniform] {
-                let distribution = DomainDistribution::opt_handcrafted(&psi, family);
-                for parameter in DomainParameter::ALL {
-                    assert_eq!(distribution.get(parameter).check(parameter), Ok(()));
+                let distribution =
+                    DomainDistribution::opt_handcrafted(&psi, family).shaped_by(&gap, family);
+                for quantity in Quantity::all() {
+                    assert_eq!(distribution.get(quantity).check(quantity), Ok(()));
                 }
-                for _ in 0..100 {
-                    assert_eq!(distribution.sample(&mut rng).check(), Ok(()));
+                for _ in 0..50 {
+                    let model = distribution.sample(&mut rng);
+                    assert_eq!(model.parameters.check(), Ok(()));
+                    for term in GapTerm::ALL {
+                        assert!(term.range().contains(&model.gap.get(term)), "{model:?}");
+                    }
                 }
             }
         }
+    }
+
+    #[test]
+    fn one_moment_alone_leaves_the_other_and_what_psi_does_not_name_stays() {
+        let psi = PsiSpace::named(&["mean_delay", "std_M_p"]).unwrap().psi(&[0.01, 0.002]).unwrap();
+        let base = DomainDistribution::robust();
+        let shaped = base.clone().shaped_by(&psi, Family::Normal);
+        let moments = |quantity: Quantity| {
+            let own = shaped.get(quantity);
+            (own.mean(), own.standard_deviation())
+        };
+        let deviation = base.get(GapTerm::CommandDelay).standard_deviation();
+        assert_eq!(moments(GapTerm::CommandDelay.into()), (0.01, deviation));
+        assert_eq!(moments(DomainParameter::PendulumMass.into()), (0.024, 0.002));
+        for quantity in Quantity::all() {
+            let named = quantity == GapTerm::CommandDelay.into()
+                || quantity == DomainParameter::PendulumMass.into();
+            assert_eq!(shaped.get(quantity) == base.get(quantity), !named, "{quantity:?}");
+        }
+    }
+
+    #[test]
+    fn around_a_qube_its_values_are_the_means_and_what_is_zero_stays() {
+        let mut model = QubeModel::NOMINAL;
+        model.gap.cable_rest_rad = -1.0;
+        model.gap.command_delay_s = 0.01;
+        let around = DomainDistribution::around(&model, 0.1, Family::Normal).unwrap();
+        for quantity in Quantity::all() {
+            let (own, mean) = (around.get(quantity), model.get(quantity));
+            assert_eq!(own.mean(), mean);
+            assert!((own.standard_deviation() - 0.1 * mean.abs()).abs() < 1e-15);
+        }
+        let exact = DomainDistribution::around(&model, 0.0, Family::Normal).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        assert_eq!(exact.sample(&mut rng), model);
+        model.gap.command_delay_s = 0.05;
+        let refused = DomainDistribution::around(&model, 0.1, Family::Normal).unwrap_err();
+        assert!(refused.to_string().contains("delay"), "{refused}");
+    }
+
+    #[test]
+    fn the_robust_distribution_is_physical_and_meets_the_lab() {
+        let robust = DomainDistribution::robust();
+        for quantity in Quantity::all() {
+            assert_eq!(robust.get(quantity).check(quantity), Ok(()), "{quantity:?}");
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let delays: Vec<f64> =
+            (0..500).map(|_| robust.sample(&mut rng).gap.command_delay_s).collect();
+        assert!(delays.iter().any(|&s| s < 0.001) && delays.iter().any(|&s| s > 0.015));
     }
 
     #[test]

@@ -3,11 +3,12 @@
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
 )]
 
-use super::block::{BLOCK, Lanes, lane_of, set_lane};
+use super::delay::limited;
+use super::lanes::{BLOCK, InLanes, Lanes};
 use crate::estimation::{
     KalmanGains, ObserverEquations, ObserverSettings, SentVoltages, prediction_steps,
 };
-use crate::qube::{CONTROL_PERIOD_S, MAX_VOLTAGE_V, State};
+use crate::qube::{CONTROL_PERIOD_S, State};
 
 /// Last commands of a lane that may still be on their way at the longest delay of an observer.
 const REMEMBERED: usize = 12;
@@ -53,14 +54,20 @@ pub(super) struct ObserverLanes {
 }
 
 impl ObserverLanes {
-    /// Of Qubes that are in these states and got no voltage yet.
-    pub(super) fn at_rest(estimate: State<Lanes>) -> Self {
-        Self { estimate, commands_v: [[0.0; BLOCK]; REMEMBERED] }
-    }
+    /// Of Qubes that hang at rest and got no voltage yet.
+    pub(super) const HANGING: Self = Self {
+        estimate: State {
+            theta: [0.0; BLOCK],
+            alpha: [0.0; BLOCK],
+            theta_dot: [0.0; BLOCK],
+            alpha_dot: [0.0; BLOCK],
+        },
+        commands_v: [[0.0; BLOCK]; REMEMBERED],
+    };
 
     /// A new Qube in a lane.
     pub(super) fn restart(&mut self, lane: usize, estimate: &State<f32>) {
-        set_lane(&mut self.estimate, lane, estimate);
+        self.estimate.set_lane(lane, estimate);
         for command_v in &mut self.commands_v {
             command_v[lane] = 0.0;
         }
@@ -109,24 +116,23 @@ impl LaneObserver {
         let ObserverLanes { estimate, commands_v } = lanes;
         commands_v.rotate_right(1);
         for lane in 0..BLOCK {
-            let most_v = MAX_VOLTAGE_V as f32;
-            commands_v[0][lane] = voltages_v[lane].clamp(-most_v, most_v);
+            commands_v[0][lane] = limited(voltages_v[lane]);
         }
         self.predict(&self.since, estimate, commands_v);
         for lane in 0..BLOCK {
             let (corrected, _) = self.equations.correct(
-                &lane_of(estimate, lane),
-                &lane_of(filtered, lane),
+                &estimate.lane(lane),
+                &filtered.lane(lane),
                 &self.theta_gains,
                 &self.alpha_gains,
             );
-            set_lane(estimate, lane, &corrected);
+            estimate.set_lane(lane, &corrected);
         }
         let mut shown = *estimate;
         self.predict(&self.ahead, &mut shown, commands_v);
         for lane in 0..BLOCK {
-            let own = ObserverEquations::shown(&lane_of(&shown, lane), &lane_of(filtered, lane));
-            set_lane(&mut shown, lane, &own);
+            let own = ObserverEquations::shown(&shown.lane(lane), &filtered.lane(lane));
+            shown.set_lane(lane, &own);
         }
         shown
     }
@@ -142,12 +148,9 @@ impl LaneObserver {
             let voltages_v = &commands_v[piece.age.min(REMEMBERED - 1)];
             for _ in 0..piece.steps {
                 for lane in 0..BLOCK {
-                    let next = self.equations.predict(
-                        lane_of(states, lane),
-                        voltages_v[lane],
-                        piece.step_s,
-                    );
-                    set_lane(states, lane, &next);
+                    let next =
+                        self.equations.predict(states.lane(lane), voltages_v[lane], piece.step_s);
+                    states.set_lane(lane, &next);
                 }
             }
         }

@@ -4,20 +4,30 @@
 //! May import `qube`, `elementary`, `estimation`, `safety`.
 
 mod block;
+mod delay;
 mod distribution;
 mod domain_distribution;
 mod evaluation;
+mod lane_observer;
+mod lanes;
 mod pendulums;
+#[cfg(test)]
+mod pendulums_gap_tests;
 #[cfg(test)]
 mod pendulums_tests;
 mod psi;
+mod psi_dimension;
+mod psi_space;
+mod sensors;
 mod settings;
 mod trajectory;
 
-pub use distribution::{Distribution, DistributionError, TRUNCATION};
+pub use distribution::{Distribution, DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
 pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate};
 pub use pendulums::{LANES_MULTIPLE, Pendulums, Progress};
-pub use psi::{PSI_DIMENSIONS, Psi, PsiDimension, PsiError};
+pub use psi::{Psi, PsiError};
+pub use psi_dimension::{PsiDimension, PsiTarget};
+pub use psi_space::PsiSpace;
 pub use settings::{SensorModel, SimulationSettings};
 pub use trajectory::{START_REACH_RAD, Trajectory};

@@ -1,8 +1,10 @@
-use super::block::{BLOCK, Block, Observe, Step, Surroundings};
-use super::{SensorModel, SimulationSettings, Trajectory};
+use super::block::{Block, Observe, Step, Surroundings};
+use super::lane_observer::ObserverLanes;
+use super::lanes::BLOCK;
+use super::sensors::Sensors;
+use super::{MAX_COMMAND_DELAY_S, SimulationSettings, Trajectory};
 use crate::elementary::{Level, Scalar, dispatch_at};
-use crate::estimation::FilterGains;
-use crate::qube::{CONTROL_PERIOD_S, Dynamics, MAX_HISTORY, State, quantised};
+use crate::qube::{MAX_HISTORY, State};
 
 /// The number of lanes is a multiple of this.
 pub const LANES_MULTIPLE: usize = BLOCK;
@@ -20,8 +22,8 @@ pub enum Progress {
     TimeUp,
 }
 
-/// Many pendulums at once, in lanes, in `f32`: each with its own parameters and its own trajectory,
-/// all of them advancing one control period with each [`Self::step`].
+/// Many pendulums at once, in lanes, in `f32`: each with its own parameters, gap and trajectory, all
+/// of them advancing one control period with each [`Self::step`].
 ///
 /// Slices over lanes have length [`Self::lanes`]; observations are feature-major,
 /// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`. The features are
@@ -31,6 +33,8 @@ pub enum Progress {
 #[derive(Clone, Debug)]
 pub struct Pendulums {
     blocks: Vec<Block>,
+    /// As many as blocks, or none.
+    observers: Vec<ObserverLanes>,
     surroundings: Surroundings,
     observation_size: usize,
     level: Level,
@@ -45,16 +49,13 @@ impl Pendulums {
     #[must_use]
     pub fn new(lanes: usize, settings: &SimulationSettings) -> Self {
         assert!(settings.history <= MAX_HISTORY, "history: 0 to {MAX_HISTORY}");
-        let filter = match settings.sensors {
-            SensorModel::TrueState => None,
-            SensorModel::Encoders { estimator } => {
-                Some(FilterGains::new(estimator.corner_rad_s, CONTROL_PERIOD_S).cast())
-            }
-        };
+        let (blocks, sensors) = (lanes.div_ceil(BLOCK), Sensors::new(&settings.sensors));
+        let observers = if sensors.observe() { blocks } else { 0 };
         Self {
-            blocks: vec![Block::hanging(); lanes.div_ceil(BLOCK)],
+            blocks: vec![Block::hanging(); blocks],
+            observers: vec![ObserverLanes::HANGING; observers],
             surroundings: Surroundings {
-                filter,
+                sensors,
                 history: settings.history,
                 reward: settings.reward.cast(),
                 safety_box: settings.safety_box.cast(),
@@ -88,28 +89,25 @@ impl Pendulums {
     ///
     /// The lane's entries in an array of observations are as they were; see [`Self::observe_lane`].
     ///
+    /// A command may be delayed by [`super::MAX_COMMAND_DELAY_S`] at most.
+    ///
     /// # Panics
-    /// If there is no such lane.
+    /// If there is no such lane, or the delay is longer.
     pub fn restart(&mut self, lane: usize, trajectory: &Trajectory) {
-        let start = &trajectory.start;
+        let Trajectory { model, start } = trajectory;
+        let delays = 0.0..=MAX_COMMAND_DELAY_S;
+        assert!(delays.contains(&model.gap.command_delay_s), "delay: {delays:?} s");
         let state: State<f32> = State {
             theta: f32::from_f64(start.theta),
             alpha: f32::from_f64(start.alpha),
             theta_dot: f32::from_f64(start.theta_dot),
             alpha_dot: f32::from_f64(start.alpha_dot),
         };
-        // The estimator takes the first measurement as one at rest, here as on the machine.
-        let seen = match self.surroundings.filter {
-            None => state,
-            Some(_) => State {
-                theta: quantised(state.theta),
-                alpha: quantised(state.alpha),
-                theta_dot: 0.0,
-                alpha_dot: 0.0,
-            },
-        };
-        let dynamics = Dynamics::new(&trajectory.parameters);
-        self.blocks[lane / BLOCK].restart(lane % BLOCK, &dynamics, &state, &seen);
+        let seen = self.surroundings.sensors.first(&state);
+        self.blocks[lane / BLOCK].restart(lane % BLOCK, model, &state, &seen);
+        if let Some(observers) = self.observers.get_mut(lane / BLOCK) {
+            observers.restart(lane % BLOCK, &seen);
+        }
     }
 
     /// Writes what is observed now in all lanes to `observations`, `[observation_size][lanes]`.
@@ -165,6 +163,7 @@ impl Pendulums {
         let (observations, _) = observations.as_chunks_mut();
         let step = Step {
             blocks: &mut self.blocks,
+            observers: &mut self.observers,
             surroundings: &self.surroundings,
             voltages_v,
             rewards,

@@ -4,11 +4,13 @@ use crate::estimation::EstimatorSettings;
 use crate::qube::{OBSERVATION_SIZE, RewardWeights};
 use crate::safety::SafetyBox;
 
+use super::Psi;
+
 /// What surrounds the physics: what is seen of it, what it earns, when it ends.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimulationSettings {
-    /// What observation, reward and safety box see of the state.
+    /// What observation and reward see of the state, and the guard through a filter of its own.
     pub sensors: SensorModel,
     /// How many last commands a policy sees beside the state, 0 to [`crate::qube::MAX_HISTORY`]. With
     /// them it knows what is still on its way to the motor.
@@ -24,6 +26,24 @@ impl SimulationSettings {
     #[must_use]
     pub fn observation_size(&self) -> usize {
         OBSERVATION_SIZE + self.history
+    }
+
+    /// The same with the velocity filter that psi asks for, where it names one; where the true state is
+    /// seen, there is none.
+    #[must_use]
+    pub fn shaped_by(mut self, psi: &Psi) -> Self {
+        if let (SensorModel::Encoders { estimator }, Some(corner_rad_s)) =
+            (&mut self.sensors, psi.filter_corner_rad_s())
+        {
+            estimator.corner_rad_s = corner_rad_s;
+        }
+        self
+    }
+
+    /// What the machine has, and the last two commands in the observation: for Qubes with a delay.
+    #[must_use]
+    pub fn machine_with_history() -> Self {
+        Self { history: 2, ..Self::machine() }
     }
 
     /// What the machine has: encoders, their velocity filter, and the speed envelope.
@@ -56,10 +76,10 @@ pub enum SensorModel {
     /// As it is: angles and velocities without error.
     #[default]
     TrueState,
-    /// As on the machine: angles in encoder counts, velocities by the filter of
-    /// [`crate::estimation`], which the machine runs too.
+    /// As on the machine: encoder counts, and what the estimator of [`crate::estimation`] makes of
+    /// them, which the machine runs too.
     Encoders {
-        /// The velocity filter.
+        /// The filter or the observer.
         #[serde(default)]
         estimator: EstimatorSettings,
     },

@@ -2,7 +2,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::DomainDistribution;
-use crate::qube::{DomainParameters, State};
+use crate::qube::{QubeModel, State};
 
 /// Start angles are uniform within this of hanging, in rad, at rest: in training and evaluation
 /// alike. (The thesis does not say.)
@@ -11,8 +11,8 @@ pub const START_REACH_RAD: f64 = 0.1;
 /// What is drawn for one trajectory: its Qube and where it starts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trajectory {
-    /// xi.
-    pub parameters: DomainParameters,
+    /// xi: the thesis's parameters, and what a real Qube adds to them.
+    pub model: QubeModel,
     /// The state at step 0.
     pub start: State,
 }
@@ -26,7 +26,7 @@ impl Trajectory {
         rng.set_stream(number);
         let mut angle = || START_REACH_RAD * (2.0 * rng.random::<f64>() - 1.0);
         let start = State { theta: angle(), alpha: angle(), ..State::default() };
-        Self { parameters: distribution.sample(&mut rng), start }
+        Self { model: distribution.sample(&mut rng), start }
     }
 }
 

@@ -1,0 +1,193 @@
+use std::ops::RangeInclusive;
+
+use super::{DomainParameter, Gap, QubeModel};
+
+/// A name for each term of the [`Gap`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum GapTerm {
+    /// Coulomb friction of the arm, N m.
+    CoulombTorque,
+    /// Dead zone for positive voltages, V.
+    PositiveDeadZone,
+    /// Dead zone for negative voltages, V.
+    NegativeDeadZone,
+    /// Stiffness of the cable, N m/rad.
+    CableStiffness,
+    /// Where the cable does not pull, rad.
+    CableRest,
+    /// From a command until the motor has it, s.
+    CommandDelay,
+}
+
+impl GapTerm {
+    /// All six, in order.
+    pub const ALL: [Self; 6] = [
+        Self::CoulombTorque,
+        Self::PositiveDeadZone,
+        Self::NegativeDeadZone,
+        Self::CableStiffness,
+        Self::CableRest,
+        Self::CommandDelay,
+    ];
+
+    /// The name as profiles write it, with its unit.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::CoulombTorque => "coulomb_torque_n_m",
+            Self::PositiveDeadZone => "positive_dead_zone_v",
+            Self::NegativeDeadZone => "negative_dead_zone_v",
+            Self::CableStiffness => "cable_stiffness_n_m_rad",
+            Self::CableRest => "cable_rest_rad",
+            Self::CommandDelay => "command_delay_s",
+        }
+    }
+
+    /// The name beside parameters' symbols, as psi and its tables write it.
+    #[must_use]
+    pub fn symbol(self) -> &'static str {
+        match self {
+            Self::CoulombTorque => "coulomb",
+            Self::PositiveDeadZone => "positive_dead_zone",
+            Self::NegativeDeadZone => "negative_dead_zone",
+            Self::CableStiffness => "cable_stiffness",
+            Self::CableRest => "cable_rest",
+            Self::CommandDelay => "delay",
+        }
+    }
+
+    /// What it may be at a Qube, in its unit. A place may be on either side; the others are strengths.
+    #[must_use]
+    pub fn range(self) -> RangeInclusive<f64> {
+        match self {
+            Self::CoulombTorque | Self::CableStiffness | Self::CommandDelay => 0.0..=0.1,
+            Self::PositiveDeadZone | Self::NegativeDeadZone => 0.0..=5.0,
+            Self::CableRest => -10.0..=10.0,
+        }
+    }
+}
+
+impl Gap {
+    /// The value of one term, in its unit.
+    #[must_use]
+    pub fn get(&self, term: GapTerm) -> f64 {
+        match term {
+            GapTerm::CoulombTorque => self.coulomb_torque_n_m,
+            GapTerm::PositiveDeadZone => self.positive_dead_zone_v,
+            GapTerm::NegativeDeadZone => self.negative_dead_zone_v,
+            GapTerm::CableStiffness => self.cable_stiffness_n_m_rad,
+            GapTerm::CableRest => self.cable_rest_rad,
+            GapTerm::CommandDelay => self.command_delay_s,
+        }
+    }
+
+    /// Sets one term, in its unit.
+    pub fn set(&mut self, term: GapTerm, value: f64) {
+        *match term {
+            GapTerm::CoulombTorque => &mut self.coulomb_torque_n_m,
+            GapTerm::PositiveDeadZone => &mut self.positive_dead_zone_v,
+            GapTerm::NegativeDeadZone => &mut self.negative_dead_zone_v,
+            GapTerm::CableStiffness => &mut self.cable_stiffness_n_m_rad,
+            GapTerm::CableRest => &mut self.cable_rest_rad,
+            GapTerm::CommandDelay => &mut self.command_delay_s,
+        } = value;
+    }
+}
+
+/// One number of a [`QubeModel`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Quantity {
+    /// One of the thesis's nine.
+    Parameter(DomainParameter),
+    /// One of what the thesis leaves out.
+    Gap(GapTerm),
+}
+
+impl Quantity {
+    /// How many there are.
+    pub const COUNT: usize = DomainParameter::ALL.len() + GapTerm::ALL.len();
+
+    /// All of them: the nine, then the gap's.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let parameters = DomainParameter::ALL.into_iter().map(Self::Parameter);
+        parameters.chain(GapTerm::ALL.into_iter().map(Self::Gap))
+    }
+
+    /// Its place among all.
+    #[must_use]
+    pub fn index(self) -> usize {
+        match self {
+            Self::Parameter(parameter) => parameter as usize,
+            Self::Gap(term) => DomainParameter::ALL.len() + term as usize,
+        }
+    }
+
+    /// `M_p`, `delay` ...: as psi and its tables write it.
+    #[must_use]
+    pub fn symbol(self) -> &'static str {
+        match self {
+            Self::Parameter(parameter) => parameter.symbol(),
+            Self::Gap(term) => term.symbol(),
+        }
+    }
+
+    /// The quantity with this symbol.
+    #[must_use]
+    pub fn from_symbol(symbol: &str) -> Option<Self> {
+        Self::all().find(|quantity| quantity.symbol() == symbol)
+    }
+}
+
+impl From<DomainParameter> for Quantity {
+    fn from(parameter: DomainParameter) -> Self {
+        Self::Parameter(parameter)
+    }
+}
+
+impl From<GapTerm> for Quantity {
+    fn from(term: GapTerm) -> Self {
+        Self::Gap(term)
+    }
+}
+
+impl QubeModel {
+    /// The value of one quantity, in its SI unit.
+    #[must_use]
+    pub fn get(&self, quantity: Quantity) -> f64 {
+        match quantity {
+            Quantity::Parameter(parameter) => self.parameters.get(parameter),
+            Quantity::Gap(term) => self.gap.get(term),
+        }
+    }
+
+    /// Sets one quantity, in its SI unit.
+    pub fn set(&mut self, quantity: Quantity, value: f64) {
+        match quantity {
+            Quantity::Parameter(parameter) => self.parameters.set(parameter, value),
+            Quantity::Gap(term) => self.gap.set(term, value),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_quantity_is_set_and_read_under_its_own_name() {
+        let mut model = QubeModel::NOMINAL;
+        for (index, quantity) in Quantity::all().enumerate() {
+            assert_eq!(quantity.index(), index);
+            model.set(quantity, 1.0 + index as f64);
+            assert_eq!(Quantity::from_symbol(quantity.symbol()), Some(quantity));
+        }
+        for (index, quantity) in Quantity::all().enumerate() {
+            assert_eq!(model.get(quantity), 1.0 + index as f64);
+        }
+        assert_eq!(Quantity::all().count(), Quantity::COUNT);
+        let gap = serde_json::to_value(model.gap).unwrap();
+        for term in GapTerm::ALL {
+            assert_eq!(gap[term.name()], model.gap.get(term));
+        }
+    }
+}

@@ -1,0 +1,164 @@
+#![allow(
+    clippy::needless_range_loop,
+    reason = "a lane indexes many arrays at once, and plain index loops become vector code"
+)]
+
+use super::lanes::{BLOCK, Lanes};
+use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, MAX_VOLTAGE_V, SUBSTEPS};
+
+/// Length of a substep, s.
+pub(super) const STEP_S: f32 = (CONTROL_PERIOD_S / SUBSTEPS as f64) as f32;
+
+/// Commands on their way to the motors of a block, each lane's with a delay of its own.
+///
+/// A delay of `n` periods and a part `f` of one means that the motor has command `k - n - 1` for the
+/// first `f` seconds of period `k` and command `k - n` after them. A period is integrated in
+/// `SUBSTEPS + 1` pieces: the substeps, with the one in which the voltage changes cut in two there.
+/// So the delay is exact, and each piece has the integrator's error for a step no longer than a
+/// substep. Without a delay the first piece is empty and the others are the substeps.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CommandLine {
+    /// The last commands as they were let through, V, newest first.
+    sent_v: [Lanes; MAX_HISTORY],
+    /// n.
+    whole_periods: Lanes,
+    /// f, s.
+    change_s: Lanes,
+    /// At the motor before `change_s` in the period at hand, V.
+    before_v: Lanes,
+    /// And after it, V.
+    after_v: Lanes,
+}
+
+impl CommandLine {
+    /// Without delay, and nothing sent.
+    pub(super) const EMPTY: Self = Self {
+        sent_v: [[0.0; BLOCK]; MAX_HISTORY],
+        whole_periods: [0.0; BLOCK],
+        change_s: [0.0; BLOCK],
+        before_v: [0.0; BLOCK],
+        after_v: [0.0; BLOCK],
+    };
+
+    /// A lane starts anew with this delay.
+    pub(super) fn restart(&mut self, lane: usize, delay_s: f64) {
+        for sent_v in &mut self.sent_v {
+            sent_v[lane] = 0.0;
+        }
+        let whole = (delay_s / CONTROL_PERIOD_S).floor();
+        self.whole_periods[lane] = whole as f32;
+        self.change_s[lane] = (delay_s - whole * CONTROL_PERIOD_S).max(0.0) as f32;
+    }
+
+    /// Whether a lane's commands arrive at once.
+    pub(super) fn is_immediate(&self, lane: usize) -> bool {
+        self.whole_periods[lane] == 0.0 && self.change_s[lane] == 0.0
+    }
+
+    /// The last commands of a lane, V, newest first.
+    pub(super) fn sent_v(&self, lane: usize) -> [f32; MAX_HISTORY] {
+        self.sent_v.map(|sent_v| sent_v[lane])
+    }
+
+    /// The last commands of all lanes, V, newest first.
+    #[inline(always)]
+    pub(super) fn all_sent_v(&self) -> &[Lanes; MAX_HISTORY] {
+        &self.sent_v
+    }
+
+    /// A period begins with these commands.
+    #[inline(always)]
+    pub(super) fn begin_period(&mut self, commands_v: &Lanes) {
+        for lane in 0..BLOCK {
+            let mut newer_v = limited(commands_v[lane]);
+            let (mut before_v, mut after_v) = (newer_v, newer_v);
+            for (age, sent_v) in self.sent_v.iter().enumerate() {
+                let older_v = sent_v[lane];
+                let arrives = self.whole_periods[lane] == age as f32;
+                before_v = if arrives { older_v } else { before_v };
+                after_v = if arrives { newer_v } else { after_v };
+                newer_v = older_v;
+            }
+            // The longest delay is a whole number of periods: there is nothing before the change.
+            let oldest = self.whole_periods[lane] == MAX_HISTORY as f32;
+            self.before_v[lane] = if oldest { newer_v } else { before_v };
+            self.after_v[lane] = if oldest { newer_v } else { after_v };
+        }
+    }
+
+    /// Length of a piece of the period in a lane, s, and the voltage at the motor, V.
+    #[inline(always)]
+    pub(super) fn piece(&self, piece: usize, lane: usize) -> (f32, f32) {
+        let change_s = self.change_s[lane];
+        // How much of a substep lies before the change.
+        let unchanged_s =
+            |substep: usize| (change_s - substep as f32 * STEP_S).max(0.0).min(STEP_S);
+        let rest_s = if piece == 0 { 0.0 } else { STEP_S - unchanged_s(piece - 1) };
+        let begun_s = if piece == SUBSTEPS { 0.0 } else { unchanged_s(piece) };
+        let changed = change_s <= piece as f32 * STEP_S;
+        (rest_s + begun_s, if changed { self.after_v[lane] } else { self.before_v[lane] })
+    }
+
+    /// The period is over: its commands come before those of the periods before it.
+    #[inline(always)]
+    pub(super) fn end_period(&mut self, commands_v: &Lanes) {
+        self.sent_v.rotate_right(1);
+        for lane in 0..BLOCK {
+            self.sent_v[0][lane] = limited(commands_v[lane]);
+        }
+    }
+}
+
+/// What is let through of a voltage.
+#[inline(always)]
+pub(super) fn limited(voltage_v: f32) -> f32 {
+    voltage_v.clamp(-MAX_VOLTAGE_V as f32, MAX_VOLTAGE_V as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What lane 0 has at the motor in a period, as (duration, voltage), without what is empty.
+    fn pieces(line: &CommandLine) -> Vec<(f32, f32)> {
+        let all = (0..=SUBSTEPS).map(|piece| line.piece(piece, 0));
+        all.filter(|(duration_s, _)| *duration_s > 1e-7).collect()
+    }
+
+    #[test]
+    fn a_command_is_at_the_motor_for_one_period_after_its_delay() {
+        for delay_us in (0..=40_000).step_by(250) {
+            let delay_s = f64::from(delay_us) * 1e-6;
+            let mut line = CommandLine::EMPTY;
+            line.restart(0, delay_s);
+            let mut time_s = 0.0;
+            for period in 0..20 {
+                // Command k is k + 1 tenths of a volt; before the first there is none.
+                let command_v = 0.1 * (period + 1) as f32;
+                line.begin_period(&[command_v; BLOCK]);
+                for (duration_s, voltage_v) in pieces(&line) {
+                    let middle_s = time_s + 0.5 * f64::from(duration_s);
+                    let sent = ((middle_s - delay_s) / CONTROL_PERIOD_S).floor() + 1.0;
+                    let expected_v = 0.1 * sent.max(0.0);
+                    assert!((f64::from(voltage_v) - expected_v).abs() < 1e-5, "{delay_us} us");
+                    assert!(duration_s <= STEP_S * 1.000_001);
+                    time_s += f64::from(duration_s);
+                }
+                line.end_period(&[command_v; BLOCK]);
+                assert!((time_s - 0.01 * f64::from(period + 1)).abs() < 1e-6, "{delay_us} us");
+            }
+        }
+    }
+
+    #[test]
+    fn without_a_delay_the_pieces_are_the_substeps_to_the_last_bit() {
+        let mut line = CommandLine::EMPTY;
+        line.restart(0, 0.0);
+        line.begin_period(&[7.0; BLOCK]);
+        assert!(line.is_immediate(0));
+        assert_eq!(line.piece(0, 0).0, 0.0);
+        for piece in 1..=SUBSTEPS {
+            assert_eq!(line.piece(piece, 0), (STEP_S, 5.0));
+        }
+    }
+}

@@ -1,0 +1,86 @@
+use crate::qube::{Dynamics, GapDynamics, State};
+
+/// Pendulums in a block: the widest vector's lanes.
+pub(super) const BLOCK: usize = 16;
+
+/// One quantity of sixteen pendulums.
+pub(super) type Lanes = [f32; BLOCK];
+
+/// Many of something, each number of theirs beside that of the next.
+pub(super) trait InLanes {
+    /// One of them.
+    type One;
+
+    /// As many of the same.
+    fn all(one: &Self::One) -> Self;
+
+    /// The one in a lane.
+    fn lane(&self, lane: usize) -> Self::One;
+
+    /// Puts one into a lane.
+    fn set_lane(&mut self, lane: usize, one: &Self::One);
+}
+
+impl InLanes for Lanes {
+    type One = f32;
+
+    #[inline(always)]
+    fn all(one: &f32) -> Self {
+        [*one; BLOCK]
+    }
+
+    #[inline(always)]
+    fn lane(&self, lane: usize) -> f32 {
+        self[lane]
+    }
+
+    #[inline(always)]
+    fn set_lane(&mut self, lane: usize, one: &f32) {
+        self[lane] = *one;
+    }
+}
+
+macro_rules! in_lanes {
+    ($name:ident { $($field:ident),* $(,)? }) => {
+        impl InLanes for $name<Lanes> {
+            type One = $name<f32>;
+
+            #[inline(always)]
+            fn all(one: &$name<f32>) -> Self {
+                $name { $($field: InLanes::all(&one.$field)),* }
+            }
+
+            #[inline(always)]
+            fn lane(&self, lane: usize) -> $name<f32> {
+                $name { $($field: self.$field.lane(lane)),* }
+            }
+
+            #[inline(always)]
+            fn set_lane(&mut self, lane: usize, one: &$name<f32>) {
+                $(self.$field.set_lane(lane, &one.$field);)*
+            }
+        }
+    };
+}
+
+in_lanes!(State { theta, alpha, theta_dot, alpha_dot });
+
+in_lanes!(Dynamics {
+    arm_inertia,
+    quarter_inertia,
+    coupling,
+    pendulum_inertia,
+    gravity_torque,
+    torque_per_volt,
+    arm_damping,
+    pendulum_damping,
+});
+
+in_lanes!(GapDynamics {
+    ideal,
+    coulomb_torque,
+    positive_dead_zone,
+    negative_dead_zone,
+    cable_stiffness,
+    cable_rest,
+});

@@ -1,0 +1,211 @@
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::PsiError;
+use crate::qube::{DomainParameter, GapTerm, Quantity, QubeModel};
+
+/// What an entry of psi shapes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum PsiTarget {
+    /// The mean of a quantity's draws, in its SI unit: `mean_M_p`, `mean_delay` ...
+    Mean(Quantity),
+    /// Their standard deviation: `std_M_p`, `std_delay` ... One that is larger than the mean allows is
+    /// the largest that it allows.
+    StandardDeviation(Quantity),
+    /// The corner of the simulated velocity filter, rad/s: `filter`.
+    Filter,
+}
+
+impl PsiTarget {
+    /// The target with this name.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn from_name(name: &str) -> Result<Self, PsiError> {
+        let quantity = |symbol: &str| Quantity::from_symbol(symbol);
+        let target = match name.split_once('_') {
+            Some(("mean", symbol)) => quantity(symbol).map(Self::Mean),
+            Some(("std", symbol)) => quantity(symbol).map(Self::StandardDeviation),
+            _ => (name == "filter").then_some(Self::Filter),
+        };
+        target.ok_or_else(|| PsiError::UnknownName { name: name.to_owned() })
+    }
+
+    /// The range that is searched when nobody says otherwise: that of the thesis's table 5.2 where it
+    /// has one; around nominal for other parameters; beyond what Qubes were found to have for the gap.
+    #[must_use]
+    pub fn default_range(self) -> (f64, f64) {
+        use DomainParameter as P;
+        use GapTerm as G;
+        match self {
+            Self::Mean(Quantity::Parameter(P::PendulumMass)) => (0.019, 0.029),
+            Self::StandardDeviation(Quantity::Parameter(P::PendulumMass)) => (5e-5, 5e-3),
+            Self::Mean(Quantity::Parameter(P::RotaryMass)) => (0.085, 0.110),
+            Self::StandardDeviation(Quantity::Parameter(P::RotaryMass)) => (3e-4, 3e-2),
+            Self::Mean(Quantity::Parameter(P::PendulumLength)) => (0.115, 0.140),
+            Self::StandardDeviation(Quantity::Parameter(P::PendulumLength)) => (5e-4, 5e-2),
+            Self::Mean(Quantity::Parameter(P::RotaryLength)) => (0.070, 0.095),
+            Self::StandardDeviation(Quantity::Parameter(P::RotaryLength)) => (2e-4, 2e-2),
+            Self::Mean(Quantity::Parameter(other)) => {
+                let nominal = QubeModel::NOMINAL.parameters.get(other);
+                (0.8 * nominal, 1.2 * nominal)
+            }
+            Self::StandardDeviation(Quantity::Parameter(other)) => {
+                (0.0, 0.3 * QubeModel::NOMINAL.parameters.get(other))
+            }
+            Self::Mean(Quantity::Gap(term)) => match term {
+                G::CoulombTorque => (0.0, 1e-3),
+                G::PositiveDeadZone | G::NegativeDeadZone => (0.0, 0.5),
+                G::CableStiffness => (0.0, 2e-3),
+                G::CableRest => (-1.5, 1.5),
+                G::CommandDelay => (0.0, 0.02),
+            },
+            Self::StandardDeviation(Quantity::Gap(term)) => match term {
+                G::CoulombTorque => (0.0, 5e-4),
+                G::PositiveDeadZone | G::NegativeDeadZone => (0.0, 0.25),
+                G::CableStiffness => (0.0, 1e-3),
+                G::CableRest => (0.0, 1.0),
+                G::CommandDelay => (0.0, 0.01),
+            },
+            Self::Filter => (20.0, 500.0),
+        }
+    }
+
+    /// Says whether it may have this value.
+    ///
+    /// # Errors
+    /// The value is not physical.
+    pub fn check(self, value: f64) -> Result<(), PsiError> {
+        let impossible =
+            |reason: String| PsiError::Impossible { name: self.to_string(), value, reason };
+        match self {
+            Self::Mean(quantity) => super::Distribution::Constant { value }
+                .check(quantity)
+                .map_err(|error| impossible(error.to_string())),
+            Self::StandardDeviation(_) if value >= 0.0 && value.is_finite() => Ok(()),
+            Self::StandardDeviation(_) => Err(impossible("give a number not below 0".into())),
+            Self::Filter if value > 0.0 && value.is_finite() => Ok(()),
+            Self::Filter => Err(impossible("give a number above 0".into())),
+        }
+    }
+}
+
+/// Its name, as files, tables and the ledger write it.
+impl fmt::Display for PsiTarget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Mean(quantity) => write!(f, "mean_{}", quantity.symbol()),
+            Self::StandardDeviation(quantity) => write!(f, "std_{}", quantity.symbol()),
+            Self::Filter => f.write_str("filter"),
+        }
+    }
+}
+
+/// One dimension of psi: what it shapes, and the range that is searched, in the unit of what it shapes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "DimensionTable", into = "DimensionTable")]
+pub struct PsiDimension {
+    /// What it shapes.
+    pub target: PsiTarget,
+    /// Lower end of the range.
+    pub lower: f64,
+    /// Upper end of the range.
+    pub upper: f64,
+}
+
+impl PsiDimension {
+    /// The dimension with this name and its default range.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn named(name: &str) -> Result<Self, PsiError> {
+        let target = PsiTarget::from_name(name)?;
+        let (lower, upper) = target.default_range();
+        Ok(Self { target, lower, upper })
+    }
+
+    fn check(&self) -> Result<(), PsiError> {
+        let Self { target, lower, upper } = *self;
+        target.check(lower)?;
+        target.check(upper)?;
+        if lower < upper {
+            Ok(())
+        } else {
+            Err(PsiError::EmptyRange { name: target.to_string(), lower, upper })
+        }
+    }
+}
+
+/// A dimension as `session.toml` writes it; the ends may be left out.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DimensionTable {
+    name: String,
+    lower: Option<f64>,
+    upper: Option<f64>,
+}
+
+impl TryFrom<DimensionTable> for PsiDimension {
+    type Error = PsiError;
+
+    fn try_from(table: DimensionTable) -> Result<Self, PsiError> {
+        let default = Self::named(&table.name)?;
+        let dimension = Self {
+            lower: table.lower.unwrap_or(default.lower),
+            upper: table.upper.unwrap_or(default.upper),
+            ..default
+        };
+        dimension.check()?;
+        Ok(dimension)
+    }
+}
+
+impl From<PsiDimension> for DimensionTable {
+    fn from(dimension: PsiDimension) -> Self {
+        let PsiDimension { target, lower, upper } = dimension;
+        Self { name: target.to_string(), lower: Some(lower), upper: Some(upper) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_target_has_a_name_of_its_own_and_a_range_that_can_be() {
+        let targets = Quantity::all()
+            .flat_map(|quantity| {
+                [PsiTarget::Mean(quantity), PsiTarget::StandardDeviation(quantity)]
+            })
+            .chain([PsiTarget::Filter]);
+        for target in targets {
+            assert_eq!(PsiTarget::from_name(&target.to_string()).unwrap(), target);
+            PsiDimension::named(&target.to_string()).unwrap().check().unwrap();
+        }
+        for name in ["mean_M_x", "median_M_p", "delay", "mean_", "filter_"] {
+            let message = PsiTarget::from_name(name).unwrap_err().to_string();
+            assert!(message.contains(name) && message.contains("std_delay"), "{message}");
+        }
+    }
+
+    #[test]
+    fn ends_may_be_left_out_and_bad_ones_are_named() {
+        let read = |text: &str| toml::from_str::<PsiDimension>(text);
+        let default = PsiDimension::named("mean_delay").unwrap();
+        assert_eq!(read("name = \"mean_delay\"\n").unwrap(), default);
+        let shorter = read("name = \"mean_delay\"\nupper = 0.01\n").unwrap();
+        assert_eq!(shorter, PsiDimension { upper: 0.01, ..default });
+        assert_eq!(read(&toml::to_string(&shorter).unwrap()).unwrap(), shorter);
+        for (text, words) in [
+            ("name = \"mean_delay\"\nupper = 0.3\n", "mean_delay = 0.3"),
+            ("name = \"mean_delay\"\nlower = 0.02\n", "0.02"),
+            ("name = \"std_M_p\"\nlower = -0.02\n", "std_M_p = -0.02"),
+            ("name = \"filter\"\nlower = 0.0\n", "filter = 0"),
+            ("name = \"mean_delay\"\nuper = 0.01\n", "uper"),
+        ] {
+            let message = read(text).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
+    }
+}

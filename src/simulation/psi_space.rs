@@ -1,0 +1,162 @@
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Psi, PsiDimension, PsiError, PsiTarget};
+
+/// The thesis's eight dimensions (table 5.2): mean and standard deviation of each mass and length.
+const THESIS: [&str; 8] =
+    ["mean_M_p", "std_M_p", "mean_M_r", "std_M_r", "mean_L_p", "std_L_p", "mean_L_r", "std_L_r"];
+
+/// Which entries psi has in a search, in the order of its points, and the box of each.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Vec<PsiDimension>", into = "Vec<PsiDimension>")]
+pub struct PsiSpace {
+    dimensions: Vec<PsiDimension>,
+}
+
+impl PsiSpace {
+    /// A space of these dimensions.
+    ///
+    /// # Errors
+    /// There is none, or one twice.
+    pub fn new(dimensions: Vec<PsiDimension>) -> Result<Self, PsiError> {
+        if dimensions.is_empty() {
+            return Err(PsiError::NoDimensions);
+        }
+        let mut targets: Vec<PsiTarget> = dimensions.iter().map(|it| it.target).collect();
+        targets.sort_unstable();
+        match targets.windows(2).find(|pair| pair[0] == pair[1]) {
+            Some(pair) => Err(PsiError::Twice { name: pair[0].to_string() }),
+            None => Ok(Self { dimensions }),
+        }
+    }
+
+    /// The dimensions with these names and their default ranges.
+    ///
+    /// # Errors
+    /// A name that does not exist, or one twice.
+    pub fn named(names: &[&str]) -> Result<Self, PsiError> {
+        let dimensions = names.iter().map(|name| PsiDimension::named(name));
+        Self::new(dimensions.collect::<Result<_, _>>()?)
+    }
+
+    /// The thesis's: mean and standard deviation of each mass and length, in the box of its table 5.2.
+    ///
+    /// # Panics
+    /// Never.
+    #[must_use]
+    pub fn thesis() -> Self {
+        Self::named(&THESIS).expect("names that exist, each once")
+    }
+
+    /// The dimensions, in the order of a point's entries.
+    #[must_use]
+    pub fn dimensions(&self) -> &[PsiDimension] {
+        &self.dimensions
+    }
+
+    /// Their names, in order.
+    pub fn names(&self) -> impl Iterator<Item = String> {
+        self.dimensions.iter().map(|dimension| dimension.target.to_string())
+    }
+
+    /// Lower ends, in order.
+    #[must_use]
+    pub fn lower(&self) -> Vec<f64> {
+        self.dimensions.iter().map(|dimension| dimension.lower).collect()
+    }
+
+    /// Upper ends, in order.
+    #[must_use]
+    pub fn upper(&self) -> Vec<f64> {
+        self.dimensions.iter().map(|dimension| dimension.upper).collect()
+    }
+
+    /// Whether psi shapes this.
+    #[must_use]
+    pub fn has(&self, target: PsiTarget) -> bool {
+        self.dimensions.iter().any(|dimension| dimension.target == target)
+    }
+
+    /// A point with its names.
+    #[must_use]
+    pub fn with_names(&self, point: &[f64]) -> BTreeMap<String, f64> {
+        self.names().zip(point.iter().copied()).collect()
+    }
+
+    /// The psi at a point.
+    ///
+    /// # Errors
+    /// A point of another space, or outside of the box.
+    pub fn psi(&self, point: &[f64]) -> Result<Psi, PsiError> {
+        if point.len() != self.dimensions.len() {
+            return Err(PsiError::WrongLength {
+                entries: point.len(),
+                expected: self.names().collect::<Vec<_>>().join(", "),
+            });
+        }
+        for (&PsiDimension { target, lower, upper }, &value) in self.dimensions.iter().zip(point) {
+            if !(lower..=upper).contains(&value) {
+                let name = target.to_string();
+                return Err(PsiError::OutsideTheBox { name, value, lower, upper });
+            }
+        }
+        let targets = self.dimensions.iter().map(|dimension| dimension.target);
+        Psi::new(targets.zip(point.iter().copied()).collect())
+    }
+}
+
+impl Default for PsiSpace {
+    fn default() -> Self {
+        Self::thesis()
+    }
+}
+
+impl TryFrom<Vec<PsiDimension>> for PsiSpace {
+    type Error = PsiError;
+
+    fn try_from(dimensions: Vec<PsiDimension>) -> Result<Self, PsiError> {
+        Self::new(dimensions)
+    }
+}
+
+impl From<PsiSpace> for Vec<PsiDimension> {
+    fn from(space: PsiSpace) -> Self {
+        space.dimensions
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ends_of_the_box_belong_to_it_and_what_is_beyond_is_named() {
+        let space = PsiSpace::thesis();
+        assert!(space.psi(&space.lower()).is_ok());
+        assert!(space.psi(&space.upper()).is_ok());
+        for (index, dimension) in space.dimensions().iter().enumerate() {
+            for value in [dimension.lower * 0.999, dimension.upper * 1.001, f64::NAN] {
+                let mut values = space.lower();
+                values[index] = value;
+                let message = space.psi(&values).unwrap_err().to_string();
+                assert!(message.contains(&dimension.target.to_string()), "{message}");
+            }
+        }
+        let short = space.psi(&[0.02]).unwrap_err().to_string();
+        assert!(short.contains("mean_M_p") && short.contains('1'), "{short}");
+    }
+
+    #[test]
+    fn any_list_makes_a_space_but_an_empty_one_and_one_with_a_name_twice() {
+        let space = PsiSpace::named(&["mean_delay", "filter", "std_coulomb"]).unwrap();
+        assert!(space.has(PsiTarget::Filter));
+        let point = [0.01, 50.0, 1e-4];
+        assert_eq!(space.psi(&point).unwrap().filter_corner_rad_s(), Some(50.0));
+        assert_eq!(space.with_names(&point)["mean_delay"], 0.01);
+        assert!(matches!(PsiSpace::named(&[]), Err(PsiError::NoDimensions)));
+        let twice = PsiSpace::named(&["filter", "mean_delay", "filter"]).unwrap_err().to_string();
+        assert!(twice.contains("filter"), "{twice}");
+    }
+}
