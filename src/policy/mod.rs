@@ -27,6 +27,7 @@ use crate::qube::State;
 /// What decides the voltage in a rollout. All kinds travel as the same sort of file, so that a
 /// rollout's recording holds whatever drove it.
 #[derive(Clone, Debug)]
+#[allow(clippy::large_enum_variant, reason = "there is one at a time, and it is not moved about")]
 pub enum Policy {
     /// A trained network.
     Network(NetworkPolicy),

@@ -91,8 +91,7 @@ impl CommandLine {
     pub(super) fn piece(&self, piece: usize, lane: usize) -> (f32, f32) {
         let change_s = self.change_s[lane];
         // How much of a substep lies before the change.
-        let unchanged_s =
-            |substep: usize| (change_s - substep as f32 * STEP_S).max(0.0).min(STEP_S);
+        let unchanged_s = |substep: usize| (change_s - substep as f32 * STEP_S).clamp(0.0, STEP_S);
         let rest_s = if piece == 0 { 0.0 } else { STEP_S - unchanged_s(piece - 1) };
         let begun_s = if piece == SUBSTEPS { 0.0 } else { unchanged_s(piece) };
         let changed = change_s <= piece as f32 * STEP_S;
