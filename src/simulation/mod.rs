@@ -12,14 +12,14 @@ mod lane_observer;
 mod lanes;
 mod pendulums;
 #[cfg(test)]
-mod pendulums_gap_tests;
-#[cfg(test)]
 mod pendulums_tests;
 mod psi;
 mod psi_dimension;
 mod psi_space;
 mod sensors;
 mod settings;
+#[cfg(test)]
+mod tests;
 mod trajectory;
 
 pub use distribution::{Distribution, DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
