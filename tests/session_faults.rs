@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
-use qube_hil::safety::Guard;
 use qube_hil::session::{
     ClockChoice, DeviceChoice, Entry, Extent, Ledger, RigSettings, Session, SessionError,
     SessionFolder, SessionSettings, Verdict, judge,
@@ -26,8 +25,7 @@ fn settings() -> SessionSettings {
     settings.training.updates = 1;
     settings.training.pendulums = 16;
     settings.training.epochs = 1;
-    // Rollouts of policies that know nothing last longer within the box than under the envelope.
-    settings.under(Guard::Box)
+    settings
 }
 
 fn run(folder: SessionFolder, fault: Option<EmulatorFault>) -> Result<(), SessionError> {
@@ -49,8 +47,9 @@ fn begin(root: &Path) -> SessionFolder {
 
 #[test]
 fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
-    // Each rollout has a new Qube, which is homed first; in one of them the fault comes after that.
-    for fault in ["silent@15", "amplifier@15", "unplug@15"] {
+    // Each rollout has a new Qube, which is homed within 12.5 s; a policy that knows nothing leaves the
+    // envelope soon after that, and braking takes some seconds.
+    for fault in ["silent@13.5", "amplifier@13.5", "unplug@13.5"] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("session");
         let fault: EmulatorFault = fault.parse().unwrap();
