@@ -181,29 +181,41 @@ impl SensorWatch {
         if theta.abs() > JUMP_COUNTS * periods {
             return Some(Alarm::Zero(Fault::EncoderJump));
         }
-        if alpha.abs() > JUMP_COUNTS * periods {
-            return Some(Alarm::Brake(Fault::PendulumJump));
-        }
         let counts_s = theta / elapsed_s;
         if self.disagrees(sample, counts_s) {
             return Some(Alarm::Zero(Fault::TachometerDisagrees));
         }
-        if self.pendulum.is_frozen(sample, counts_s * RAD_PER_COUNT) {
-            return Some(Alarm::Brake(Fault::PendulumFrozen));
+        let pendulum_is_frozen = self.pendulum.is_frozen(sample, counts_s * RAD_PER_COUNT);
+        // The arm first: a pendulum's fault lasts while the brake works, and may hide none of the arm's.
+        let held = drive.and_then(|drive| self.held(sample, drive, counts_s, elapsed_s));
+        if let Some(fault) = held {
+            return Some(Alarm::Zero(fault));
         }
-        let drive = drive?;
+        if alpha.abs() > JUMP_COUNTS * periods {
+            return Some(Alarm::Brake(Fault::PendulumJump));
+        }
+        pendulum_is_frozen.then_some(Alarm::Brake(Fault::PendulumFrozen))
+    }
+
+    /// What is wrong with an arm that is driven and does not follow.
+    fn held(
+        &mut self,
+        sample: &Measurement,
+        drive: Drive,
+        counts_s: f64,
+        elapsed_s: f64,
+    ) -> Option<Fault> {
         if self.frozen.moves_nothing(sample, drive, (FROZEN_DRIVE_MV, FROZEN_COUNTS, FROZEN_US)) {
-            return Some(Alarm::Zero(Fault::EncoderFrozen));
+            return Some(Fault::EncoderFrozen);
         }
         let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / RAD_PER_COUNT) as i32;
         // An arm that the pendulum throws to and fro stays near one place too, but not at one speed.
         if counts_s.abs() > STALL_RAD_S / RAD_PER_COUNT + 1.0 / elapsed_s {
             self.stall = Push::default();
         }
-        if self.stall.moves_nothing(sample, drive, (STALL_DRIVE_MV, crept_counts, STALL_US)) {
-            return Some(Alarm::Zero(Fault::Stall));
-        }
-        None
+        let stalls =
+            self.stall.moves_nothing(sample, drive, (STALL_DRIVE_MV, crept_counts, STALL_US));
+        stalls.then_some(Fault::Stall)
     }
 
     fn disagrees(&mut self, sample: &Measurement, counts_s: f64) -> bool {
@@ -350,6 +362,26 @@ mod tests {
             sample.tachometer_counts_s = 1000;
         };
         assert_eq!(first_alarm(200, steady, false), None);
+    }
+
+    #[test]
+    fn a_pendulum_that_is_frozen_hides_no_arm_that_is_held() {
+        let mut watch = SensorWatch::default();
+        let mut alarms = Vec::new();
+        for tick in 0..100_u32 {
+            // From rest to 7 rad/s in 70 ms, the pendulum's count standing; then the arm is held too.
+            let turned = (0..=tick.min(7)).sum::<u32>() + tick.clamp(7, 40) * 7 - 49;
+            let speed_rad_s = if tick <= 40 { f64::from(tick.min(7)) } else { 0.0 };
+            let sample = Measurement {
+                device_time_us: u64::from(tick) * 10_000,
+                theta_counts: (f64::from(turned) * 0.01 / RAD_PER_COUNT) as i32,
+                tachometer_counts_s: (speed_rad_s / RAD_PER_COUNT) as i32,
+                ..Measurement::default()
+            };
+            alarms.extend(watch.check(&sample, Some(Drive { voltage_mv: 3000, swing_rad_s: 0.0 })));
+        }
+        assert_eq!(alarms[0], Alarm::Brake(Fault::PendulumFrozen));
+        assert!(alarms.contains(&Alarm::Zero(Fault::EncoderFrozen)), "{alarms:?}");
     }
 
     #[test]
