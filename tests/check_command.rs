@@ -12,7 +12,8 @@ use serde_json::Value;
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
-    command.current_dir(directory).args(arguments).output().expect("it runs")
+    command.current_dir(directory).env("TMPDIR", directory).args(arguments);
+    command.output().expect("it runs")
 }
 
 fn stdout(output: &Output) -> String {
@@ -141,13 +142,21 @@ fn a_session_on_a_qube_that_is_not_fit_stops_before_anything_is_trained() {
 }
 
 #[test]
-fn a_cable_that_is_pulled_while_homing_is_a_fault() {
+fn a_fault_in_homing_is_named_and_its_last_second_kept() {
     let directory = tempfile::tempdir().unwrap();
     let qube = with_fault("unplug@3");
     let arguments = ["run", "--policy", "classical", "--skip-check", "--device", port(&qube)];
     let output = qube_hil(directory.path(), &arguments);
     assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
-    assert!(stderr(&output).contains("unplugged"), "{}", stderr(&output));
+    let told = stderr(&output);
+    assert!(told.contains("unplugged"), "{told}");
+    let kept = told.trim().rsplit(' ').next().unwrap();
+    let ticks = std::fs::read_to_string(kept).unwrap_or_else(|error| panic!("{told}: {error}"));
+    assert!((50..=100).contains(&ticks.lines().count()), "{told}");
+    for line in ticks.lines() {
+        let tick: Value = serde_json::from_str(line).unwrap();
+        assert!(tick["lateness_ns"].is_u64(), "{line}");
+    }
 }
 
 #[test]

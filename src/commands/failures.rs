@@ -1,5 +1,9 @@
 //! Which exit code each of the library's errors stands for.
 
+use std::fs::File;
+use std::io::Write;
+use std::time::{SystemTime, UNIX_EPOCH};
+
 use super::exit::Failure;
 use super::stop::Stop;
 use crate::experiment::ExperimentError;
@@ -10,12 +14,7 @@ use crate::session::{FolderError, RigError, SessionError};
 pub fn rig(error: RigError, stop: &Stop) -> Failure {
     match error {
         RigError::Stopped => stop.failure("stopped while homing"),
-        RigError::Homing { ref last_ticks, .. } => {
-            for tick in last_ticks {
-                tracing::warn!("{}", serde_json::json!(tick));
-            }
-            Failure::fault(error)
-        }
+        RigError::Homing { .. } => Failure::fault(format!("{error}{}", with_last_ticks(&error))),
         RigError::ThreadGone(_) | RigError::Refused(_) => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
         RigError::Emulator(_) | RigError::Thread(_) | RigError::Unfit { .. } => {
@@ -25,6 +24,22 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         | RigError::OtherBoard { .. }
         | RigError::Device(_)
         | RigError::Policy(_) => Failure::usage(error),
+    }
+}
+
+/// Homing has no recording, so the second before its fault gets a file of its own, one tick a line.
+/// Says where, to be put behind the error; nothing for other errors.
+pub fn with_last_ticks(error: &RigError) -> String {
+    let RigError::Homing { last_ticks, .. } = error else { return String::new() };
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let name = format!("qube-hil-homing-{}.jsonl", since_1970.as_millis());
+    let path = std::env::temp_dir().join(name);
+    let lines = last_ticks.iter().map(|tick| format!("{}\n", serde_json::json!(tick)));
+    let text: String = lines.collect();
+    let written = File::create_new(&path).and_then(|mut file| file.write_all(text.as_bytes()));
+    match written {
+        Ok(()) => format!(". The second before it is in {}", path.display()),
+        Err(reason) => format!(". The second before it could not be kept: {reason}"),
     }
 }
 
@@ -50,8 +65,9 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     match error {
         SessionError::Stopped => stop.failure(format!("stopped; go on with {resume}")),
         _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
-        SessionError::GivenUp { .. } | SessionError::NotStartedAgain { .. } => {
-            Failure::fault(error)
+        SessionError::GivenUp { .. } => Failure::fault(error),
+        SessionError::NotStartedAgain { ref source, .. } => {
+            Failure::fault(format!("{error}{}", with_last_ticks(source)))
         }
         SessionError::Rig(error) => rig(error, stop),
         SessionError::Recording(error) => recording(&error),

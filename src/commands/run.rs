@@ -184,7 +184,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         if matches!(recorded.outcome.ending, Ending::Fault(_)) && !last {
             rig.start_again().map_err(|error| {
                 Failure::fault(format!(
-                    "a fault ended rollout {rollout}, and the Qube cannot be started again: {error}"
+                    "a fault ended rollout {rollout}, and the Qube cannot be started again: {error}{}",
+                    failures::with_last_ticks(&error)
                 ))
             })?;
         }

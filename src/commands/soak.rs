@@ -70,6 +70,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let ticks_wanted = (arguments.hours * 3600e9 / CONTROL_PERIOD_NS as f64).ceil() as u64;
     let started = Instant::now();
     let mut soaked = Soaked::default();
+    let mut ended_early = None;
     while soaked.ticks < ticks_wanted && !stop.requested() {
         let rollout = soaked.rollouts as u32;
         let path = folder.path.join(format!("rollout-{rollout}.mcap"));
@@ -93,7 +94,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             eprintln!("{:.1} h of {} h", soaked.hours(), arguments.hours);
         }
         if soaked.last_was_void && !stop.requested() {
-            rig.start_again().map_err(|error| failures::rig(error, &stop))?;
+            if let Err(error) = rig.start_again() {
+                ended_early = Some(failures::rig(error, &stop));
+                break;
+            }
         }
     }
 
@@ -102,6 +106,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     output.print(&soaked.text(), &result);
     if stop.requested() {
         return Err(stop.failure("stopped before the hours were over"));
+    }
+    if let Some(failure) = ended_early {
+        return Err(failure);
     }
     soaked.judge()
 }

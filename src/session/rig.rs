@@ -20,6 +20,9 @@ use crate::telemetry::{
     CheckResult, Ending, Fault, Preflight, RolloutHeader, RolloutOutcome, TickRecord, TickSettings,
 };
 
+/// How often homing is tried while faults of time end it.
+const HOMING_TRIES: u32 = 3;
+
 /// Where the Qube is.
 #[derive(Clone, Debug)]
 pub enum DeviceChoice {
@@ -287,7 +290,22 @@ impl Rig {
         self.home()
     }
 
+    /// Homes the arm; again when only the link or the computer was late meanwhile, which says nothing
+    /// against the Qube.
     fn home(&mut self) -> Result<(), RigError> {
+        for _ in 1..HOMING_TRIES {
+            match self.home_once() {
+                Err(RigError::Homing { fault, .. }) if fault.is_of_time() => {
+                    tracing::warn!("homing was ended ({fault}) and begins again");
+                    self.identity = self.control.hello()??;
+                }
+                homed_or_not => return homed_or_not,
+            }
+        }
+        self.home_once()
+    }
+
+    fn home_once(&mut self) -> Result<(), RigError> {
         let (report, found) = self.control.home(self.homing)??;
         match (report.outcome.ending, found) {
             (_, Some(calibration)) => {

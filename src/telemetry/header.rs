@@ -134,6 +134,15 @@ pub enum Fault {
     TravelBlocked,
 }
 
+impl Fault {
+    /// Whether samples or commands came too late and nothing is known against the Qube itself: a
+    /// computer or a link that was busy for a moment.
+    #[must_use]
+    pub fn is_of_time(self) -> bool {
+        matches!(self, Self::NoSample | Self::WatchdogTripped | Self::NotArmed | Self::TooLate)
+    }
+}
+
 /// What is known of a rollout when it is over; the return is not here, it is computed from the ticks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RolloutOutcome {

@@ -39,7 +39,12 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
     let wiring = Wiring::new(vec![plan], None, Arc::default());
     let stop = Arc::new(AtomicBool::new(false));
     let outcome = match Rig::open(&wiring.clone().rig_settings(method), &stop) {
-        Err(error) => Outcome::NotOpened(named(&error)),
+        Err(error) => {
+            let passed = plan.is_some_and(|plan| !plan.lasting);
+            let of_time = matches!(error, RigError::Homing { fault, .. } if fault.is_of_time());
+            assert!(!(passed && of_time), "{plan:?}: homing was not tried again: {error}");
+            Outcome::NotOpened(named(&error))
+        }
         Ok(mut rig) => {
             let outcome = rollout(&rig, &disk);
             // Whatever struck once is over: the machine must come back without anybody's help.
