@@ -25,7 +25,9 @@ impl SessionProgress {
             bar.set_style(style);
         }
         bar.enable_steady_tick(Duration::from_millis(120));
-        let last_candidate = settings.extent.initial_candidates + settings.extent.iterations;
+        let extent = &settings.extent;
+        let searched = extent.initial_candidates + extent.iterations;
+        let last_candidate = searched + u32::from(extent.verifies_incumbent);
         Self { bar, last_candidate, training: BTreeMap::new(), connected: false }
     }
 
@@ -37,6 +39,7 @@ impl SessionProgress {
                     Purpose::Initial => "an initial point",
                     Purpose::Search => "proposed by the search",
                     Purpose::Verification => "the search's answer, to be verified",
+                    Purpose::Incumbent => "the best candidate's policy, to be verified too",
                 };
                 self.line(format!("candidate {candidate} of {}: {why}", self.last_candidate));
             }

@@ -4,16 +4,22 @@ use serde_json::{Value, json};
 
 use super::timing_lines;
 use crate::recording::read;
-use crate::session::{Candidate, Latencies, Purpose, Session, SessionError, Verdict};
+use crate::session::{Candidate, Latencies, Purpose, Session, SessionError, Verdict, mean_return};
 use crate::simulation::PsiSpace;
 
-/// The end of a session: its candidates and the verified answer, read from its folder.
+/// The end of a session: its candidates and what was verified, read from its folder.
 pub struct SessionTable {
     psi: PsiSpace,
     candidates: Vec<(Candidate, Vec<Verdict>)>,
     latencies: Latencies,
     directory: String,
-    best_policy: Option<String>,
+    /// The policy to use: of what was verified, the one that earned the most.
+    best: Option<Best>,
+}
+
+struct Best {
+    candidate: usize,
+    policy: String,
 }
 
 impl SessionTable {
@@ -28,11 +34,13 @@ impl SessionTable {
                 latencies.add(&read(&path)?.ticks);
             }
         }
-        let best_policy = verified(&candidates)
-            .map(|(candidate, _)| folder.policy(candidate.number).display().to_string());
+        let best = best(&candidates).map(|candidate| Best {
+            candidate,
+            policy: folder.policy(candidate as u32).display().to_string(),
+        });
         let directory = folder.root().display().to_string();
         let psi = session.settings().psi.clone();
-        Ok(Self { psi, candidates, latencies, directory, best_policy })
+        Ok(Self { psi, candidates, latencies, directory, best })
     }
 
     /// For people, 80 columns wide.
@@ -44,6 +52,7 @@ impl SessionTable {
                 Purpose::Initial => "initial",
                 Purpose::Search => "search",
                 Purpose::Verification => "answer",
+                Purpose::Incumbent => "best",
             };
             let mean = match mean_return(verdicts) {
                 Some(mean) => format!("{mean:11.1}"),
@@ -59,22 +68,23 @@ impl SessionTable {
             );
         }
         let _ = writeln!(text, "      psi: {}", self.psi.names().collect::<Vec<_>>().join(" "));
-        if let (Some((candidate, verdicts)), Some(policy)) =
-            (verified(&self.candidates), &self.best_policy)
-        {
-            let returns: Vec<f64> = verdicts.iter().filter_map(Verdict::return_).collect();
+        if let Some(Best { candidate, policy }) = &self.best {
+            let (candidate, verdicts) = &self.candidates[*candidate];
+            let whose = match candidate.purpose {
+                Purpose::Incumbent => "the best candidate, trained before,",
+                _ => "the search's answer",
+            };
             let stood = verdicts.iter().filter(|verdict| succeeded(verdict)).count();
             let _ = writeln!(
                 text,
-                "\nverified answer: mean return {:.1} over {} rollouts, {stood} of them stand",
+                "\nbest policy: {policy}\n{whose} earns {:.1} in {} rollouts, {stood} of them stand",
                 mean_return(verdicts).unwrap_or(0.0),
-                returns.len(),
+                verdicts.len(),
             );
             let longest = self.psi.names().map(|name| name.len()).max().unwrap_or(0);
             for (name, value) in self.psi.names().zip(&candidate.psi) {
                 let _ = writeln!(text, "  {name:longest$}  {value:.5}");
             }
-            let _ = writeln!(text, "policy: {policy}");
         }
         text.push_str(&timing_lines(&self.latencies));
         let _ = writeln!(text, "everything is in {}", self.directory);
@@ -83,20 +93,22 @@ impl SessionTable {
 
     /// For scripts; the caller adds how long it took.
     pub fn json(&self) -> Value {
-        let searched = self
-            .candidates
-            .iter()
-            .filter(|(candidate, _)| candidate.purpose != Purpose::Verification)
-            .map(|(candidate, verdicts)| valued(&self.psi, candidate, verdicts))
-            .collect::<Vec<Value>>();
-        let best = verified(&self.candidates).map(|(candidate, verdicts)| {
+        let all = |purposes: &dyn Fn(Purpose) -> bool| {
+            let chosen = self.candidates.iter().filter(|(it, _)| purposes(it.purpose));
+            chosen
+                .map(|(candidate, verdicts)| valued(&self.psi, candidate, verdicts))
+                .collect::<Vec<Value>>()
+        };
+        let best = self.best.as_ref().map(|Best { candidate, policy }| {
+            let (candidate, verdicts) = &self.candidates[*candidate];
             let mut best = valued(&self.psi, candidate, verdicts);
-            best["policy"] = json!(self.best_policy);
+            best["policy"] = json!(policy);
             best
         });
         let rollouts: usize = self.candidates.iter().map(|(_, verdicts)| verdicts.len()).sum();
         json!({
-            "candidates": searched,
+            "candidates": all(&Purpose::is_searched),
+            "verified": all(&|purpose| !purpose.is_searched()),
             "best": best,
             "rollouts": rollouts,
             "missed_deadlines": self.latencies.missed_deadlines(),
@@ -110,21 +122,26 @@ impl SessionTable {
 fn valued(psi: &PsiSpace, candidate: &Candidate, verdicts: &[Verdict]) -> Value {
     let returns: Vec<f64> = verdicts.iter().filter_map(Verdict::return_).collect();
     json!({
+        "candidate": candidate.number,
+        "purpose": candidate.purpose,
         "psi": psi.with_names(&candidate.psi),
         "returns": returns,
         "mean_return": mean_return(verdicts),
     })
 }
 
-fn verified(candidates: &[(Candidate, Vec<Verdict>)]) -> Option<&(Candidate, Vec<Verdict>)> {
-    candidates.iter().find(|(candidate, verdicts)| {
-        candidate.purpose == Purpose::Verification && !verdicts.is_empty()
-    })
-}
-
-fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
-    let returns: Vec<f64> = verdicts.iter().filter_map(Verdict::return_).collect();
-    (!returns.is_empty()).then(|| returns.iter().sum::<f64>() / returns.len() as f64)
+/// Of what was verified, what earned the most: the answer where there is nothing between them.
+fn best(candidates: &[(Candidate, Vec<Verdict>)]) -> Option<usize> {
+    let mut best: Option<(usize, f64)> = None;
+    for (index, (candidate, verdicts)) in candidates.iter().enumerate() {
+        let Some(mean) = mean_return(verdicts).filter(|_| !candidate.purpose.is_searched()) else {
+            continue;
+        };
+        if best.is_none_or(|(_, so_far)| mean > so_far) {
+            best = Some((index, mean));
+        }
+    }
+    best.map(|(index, _)| index)
 }
 
 fn succeeded(verdict: &Verdict) -> bool {

@@ -144,6 +144,8 @@ impl Recipe {
 
     fn new(name: String, model: RecipeModel, mut settings: SessionSettings) -> Self {
         settings.model = model.base();
+        // What is looked for is psi; policies are run afterwards.
+        settings.extent.verifies_incumbent = false;
         Self { name, model, settings }
     }
 

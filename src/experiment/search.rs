@@ -65,7 +65,7 @@ pub(super) fn found_psi(
 /// The returns of each candidate's rollouts, without the answer's, which verify it.
 pub(super) fn searched(folder: &Path) -> Result<Vec<Vec<f64>>, ExperimentError> {
     let all = candidates(&ledger(folder)?);
-    let searched = all.iter().filter(|it| it.purpose != Purpose::Verification);
+    let searched = all.iter().filter(|it| it.purpose.is_searched());
     searched
         .map(|candidate| {
             let rollouts = candidate.finished.iter().map(|&(rollout, attempt)| {

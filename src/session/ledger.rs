@@ -17,7 +17,7 @@ pub enum Entry {
     Proposed {
         /// The candidate's number.
         candidate: u32,
-        /// Why: an initial point, one of the search, or the answer that is to be verified.
+        /// Why: an initial point, one of the search, or what is to be verified.
         purpose: Purpose,
         /// Its psi in the units and order of the search box.
         psi: Vec<f64>,
@@ -57,6 +57,18 @@ pub enum Purpose {
     Search,
     /// The search's answer, trained and run to verify it.
     Verification,
+    /// The best of the points that were searched: its own policy, run once more beside the answer's.
+    /// What all rollouts of one policy share is how its training went, and that of the answer may have
+    /// gone worse.
+    Incumbent,
+}
+
+impl Purpose {
+    /// Whether its rollouts tell the search something; the others verify what came of it.
+    #[must_use]
+    pub fn is_searched(self) -> bool {
+        matches!(self, Self::Initial | Self::Search)
+    }
 }
 
 /// Why a ledger cannot be used.

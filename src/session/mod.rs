@@ -34,4 +34,4 @@ pub use rig::{
 };
 pub use seeds::{Purpose as SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, Model, ProfileSettings, SessionSettings};
-pub use verdict::{Verdict, judge, judge_recording};
+pub use verdict::{Verdict, judge, judge_recording, mean_return};

@@ -9,14 +9,14 @@ use super::training::{Job, News, train_all};
 use super::{
     Candidate, ClockChoice, DRIFT_ROLLOUTS, DeviceChoice, Drift, Entry, Ledger, Purpose, Rig,
     RigSettings, RolloutPlan, SessionError, SessionFolder, SessionSettings, Step, Verdict,
-    candidates, judge, judge_recording, next_step,
+    candidates, judge, judge_recording, mean_return, next_step,
 };
 use crate::identification::Unfit;
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
 use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
-use crate::search::Observation;
+use crate::search::{Observation, SearchError};
 
 /// What a session tells while it runs.
 pub enum Progress<'a> {
@@ -204,6 +204,7 @@ impl Session {
             }
             Purpose::Search => strategy.propose(&self.observations()?, count as usize)?,
             Purpose::Verification => vec![strategy.best(&self.observations()?)?.point],
+            Purpose::Incumbent => vec![self.incumbent()?.psi],
         };
         for psi in chosen {
             let candidate = candidates(self.ledger.entries()).len() as u32;
@@ -221,14 +222,23 @@ impl Session {
         Ok(self
             .valued_candidates()?
             .into_iter()
-            .filter(|(candidate, verdicts)| {
-                candidate.purpose != Purpose::Verification && !verdicts.is_empty()
-            })
+            .filter(|(candidate, verdicts)| candidate.purpose.is_searched() && !verdicts.is_empty())
             .map(|(candidate, verdicts)| Observation {
                 point: candidate.psi,
                 returns: returns(verdicts),
             })
             .collect())
+    }
+
+    /// The searched candidate whose rollouts earned the most on average.
+    fn incumbent(&mut self) -> Result<Candidate, SessionError> {
+        let valued = self.valued_candidates()?;
+        let searched = valued.into_iter().filter(|(candidate, _)| candidate.purpose.is_searched());
+        searched
+            .filter_map(|(candidate, verdicts)| Some((mean_return(&verdicts)?, candidate)))
+            .max_by(|(one, _), (other, _)| one.total_cmp(other))
+            .map(|(_, candidate)| candidate)
+            .ok_or(SearchError::NothingEvaluated.into())
     }
 
     fn train(
@@ -243,6 +253,12 @@ impl Session {
             // Policy files appear whole or not at all: one that is there was trained before a crash.
             if !self.folder.disk().exists(&self.folder.policy(number)) {
                 let candidate = &all[number as usize];
+                if candidate.purpose == Purpose::Incumbent {
+                    let incumbent = self.incumbent()?.number;
+                    let policy = self.policy(incumbent)?;
+                    write_whole(self.folder.disk(), &self.folder.policy(number), &policy)?;
+                    continue;
+                }
                 jobs.push(Job {
                     candidate: number,
                     distribution: self.settings.distribution(&candidate.psi)?,

@@ -18,6 +18,9 @@ pub struct Extent {
     pub rollouts: u32,
     /// Rollouts that verify the answer.
     pub verification_rollouts: u32,
+    /// Whether the best candidate's own policy is verified too, by as many.
+    #[serde(default)]
+    pub verifies_incumbent: bool,
     /// Steps of a rollout; the thesis's are 600, which is 6 s.
     pub steps: u32,
     /// How often a rollout that ended by a fault is tried again before the session stops.
@@ -31,6 +34,7 @@ impl Extent {
         iterations: 4,
         rollouts: 2,
         verification_rollouts: 5,
+        verifies_incumbent: true,
         steps: MAX_STEPS as u32,
         repetitions: 3,
     };
@@ -77,7 +81,7 @@ pub enum Step {
         /// Its rollout.
         rollout: u32,
     },
-    /// The answer is verified.
+    /// What came of the search is verified.
     Done,
 }
 
@@ -152,7 +156,7 @@ pub fn next_step(entries: &[Entry], extent: &Extent) -> Step {
     }
     for it in &candidates {
         let wanted = match it.purpose {
-            Purpose::Verification => extent.verification_rollouts,
+            Purpose::Verification | Purpose::Incumbent => extent.verification_rollouts,
             Purpose::Initial | Purpose::Search => extent.rollouts,
         };
         let rollout = it.finished.len() as u32;
@@ -169,6 +173,8 @@ pub fn next_step(entries: &[Entry], extent: &Extent) -> Step {
         Step::Propose { count: 1, purpose: Purpose::Search }
     } else if count == searched {
         Step::Propose { count: 1, purpose: Purpose::Verification }
+    } else if extent.verifies_incumbent && count == searched + 1 {
+        Step::Propose { count: 1, purpose: Purpose::Incumbent }
     } else {
         Step::Done
     }
@@ -183,6 +189,7 @@ mod tests {
         iterations: 2,
         rollouts: 2,
         verification_rollouts: 4,
+        verifies_incumbent: true,
         steps: MAX_STEPS as u32,
         repetitions: 3,
     };
@@ -219,14 +226,30 @@ mod tests {
     }
 
     #[test]
-    fn every_candidate_gets_its_rollouts_and_the_answer_is_verified_last() {
+    fn every_candidate_gets_its_rollouts_and_what_came_of_them_is_verified_last() {
         for fault_every in [2, 5, 1000] {
             let candidates = candidates(&session(fault_every));
-            assert_eq!(candidates.len(), 6);
+            assert_eq!(candidates.len(), 7);
             assert!(candidates[..5].iter().all(|it| it.finished.len() == 2));
             assert_eq!(candidates[5].purpose, Purpose::Verification);
-            assert_eq!(candidates[5].finished.len(), 4);
+            assert_eq!(candidates[6].purpose, Purpose::Incumbent);
+            assert!(candidates[5..].iter().all(|it| it.finished.len() == 4));
         }
+    }
+
+    #[test]
+    fn a_session_that_was_begun_without_it_ends_with_the_answer() {
+        let old: Extent = toml::from_str("initial_candidates = 3\niterations = 2").unwrap();
+        assert!(!old.verifies_incumbent);
+        let whole = session(1000);
+        let asked = |entry: &Entry| matches!(entry, Entry::Proposed { candidate: 6, .. });
+        let until = whole.iter().position(asked).unwrap();
+        assert_eq!(
+            next_step(&whole[..until], &EXTENT),
+            Step::Propose { count: 1, purpose: Purpose::Incumbent }
+        );
+        let without = Extent { verifies_incumbent: false, ..EXTENT };
+        assert_eq!(next_step(&whole[..until], &without), Step::Done);
     }
 
     #[test]

@@ -49,6 +49,13 @@ impl Verdict {
     }
 }
 
+/// Mean of what rollouts earned; none where none has a result.
+#[must_use]
+pub fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
+    let returns: Vec<f64> = verdicts.iter().filter_map(Verdict::return_).collect();
+    (!returns.is_empty()).then(|| returns.iter().sum::<f64>() / returns.len() as f64)
+}
+
 /// Reads a recording and judges it.
 ///
 /// # Errors

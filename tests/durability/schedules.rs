@@ -41,6 +41,7 @@ pub fn settings(seed: u64) -> SessionSettings {
         iterations: 1,
         rollouts: 1,
         verification_rollouts: 1,
+        verifies_incumbent: true,
         steps: STEPS,
         repetitions: 3,
     };
@@ -282,7 +283,7 @@ impl Schedule {
         if given_up {
             return;
         }
-        assert_eq!(finished, [(0, 0), (1, 0), (2, 0)]);
+        assert_eq!(finished, [(0, 0), (1, 0), (2, 0), (3, 0)]);
         if !self.with_wire_faults {
             let undisturbed = String::from_utf8_lossy(&self.world.ledger);
             assert_eq!(String::from_utf8_lossy(&bytes), undisturbed);

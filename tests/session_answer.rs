@@ -1,0 +1,53 @@
+//! What a session hands on: the search's answer or the best candidate's policy, whichever earned more
+//! when both were verified.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+const SMALL: &str = "seed = 5\nstrategy = \"random\"\n\
+    [extent]\ninitial_candidates = 3\niterations = 1\nrollouts = 1\nverification_rollouts = 2\n\
+    [training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
+
+fn session(directory: &Path, arguments: &[&str]) -> Value {
+    let mut command = Command::cargo_bin("qube-hil").unwrap();
+    command.current_dir(directory).args(["session", "--clock", "virtual", "--json"]);
+    let output = command.args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn policy(directory: &Path, candidate: &Value) -> Vec<u8> {
+    let number = candidate["candidate"].as_u64().unwrap();
+    std::fs::read(directory.join(format!("s/candidates/{number:03}/policy.safetensors"))).unwrap()
+}
+
+fn mean(candidate: &Value) -> f64 {
+    candidate["mean_return"].as_f64().unwrap()
+}
+
+#[test]
+fn the_best_candidates_own_policy_is_verified_beside_the_answer_and_the_better_is_handed_on() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("small.toml"), SMALL).unwrap();
+    let told = session(directory.path(), &["--config", "small.toml", "--out", "s"]);
+    let (searched, verified) = (&told["candidates"], &told["verified"]);
+    let searched = searched.as_array().unwrap();
+    let [answer, incumbent] = verified.as_array().unwrap().as_slice() else { panic!("{told}") };
+    assert_eq!(
+        (&answer["purpose"], &incumbent["purpose"]),
+        (&"verification".into(), &"incumbent".into())
+    );
+    assert_eq!((searched.len(), incumbent["returns"].as_array().unwrap().len()), (4, 2));
+
+    let luckiest = searched.iter().max_by(|a, b| mean(a).total_cmp(&mean(b))).unwrap();
+    assert_eq!(policy(directory.path(), incumbent), policy(directory.path(), luckiest));
+    assert_eq!(incumbent["psi"], luckiest["psi"]);
+
+    let better = if mean(incumbent) > mean(answer) { incumbent } else { answer };
+    assert_eq!(told["best"]["candidate"], better["candidate"]);
+    assert!(Path::new(told["best"]["policy"].as_str().unwrap()).ends_with("policy.safetensors"));
+    // What is finished is only read again.
+    assert_eq!(session(directory.path(), &["--resume", "s"])["best"], told["best"]);
+}
