@@ -78,6 +78,7 @@ fn with_settings(preset: &str, replaced: &[String]) -> anyhow::Result<TrainSetti
         "thesis" => TrainSettings::thesis(),
         "quick" => TrainSettings::quick(),
         "machine" => TrainSettings::machine(),
+        "robust" => TrainSettings::robust(),
         other => anyhow::bail!("{other} is not thesis, quick or machine"),
     };
     let mut table = toml::Table::try_from(settings)?;

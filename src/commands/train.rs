@@ -56,9 +56,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
     psi: Option<PathBuf>,
 
-    /// Budget and simulation: `machine` for a policy to run, `quick` and `thesis` as published
-    #[arg(long, value_enum, default_value_t = Preset::Machine)]
-    preset: Preset,
+    /// Budget and simulation: `machine` and `robust` for a policy to run, `quick` and `thesis` as
+    /// published [default: robust with --model robust, --profile or --delay-ms, else machine]
+    #[arg(long, value_enum)]
+    preset: Option<Preset>,
 
     /// What ends a simulated rollout: the speed envelope too, or the box alone [default: as the
     /// preset]
@@ -98,6 +99,18 @@ pub struct Arguments {
 
     #[command(flatten)]
     estimator: EstimatorArguments,
+}
+
+impl Arguments {
+    /// Whether the simulated Qubes have what real ones have beside the equations of motion.
+    fn has_gap(&self) -> bool {
+        self.profile.is_some() || self.delay_ms.is_some() || self.model == Model::Robust
+    }
+
+    fn preset(&self) -> Preset {
+        let default = if self.has_gap() { Preset::Robust } else { Preset::Machine };
+        self.preset.unwrap_or(default)
+    }
 }
 
 /// What the simulation shows.
@@ -154,6 +167,8 @@ enum Model {
 enum Preset {
     /// Seconds, with the machine's encoders, velocity filter and speed envelope
     Machine,
+    /// Half a minute, as `machine` and with more to learn: for Qubes with a delay that differ
+    Robust,
     /// A second or two, on true states in the thesis's box
     Quick,
     /// The published budget, on true states in the thesis's box: 100 updates of 48 000 transitions
@@ -163,8 +178,9 @@ enum Preset {
 /// Trains and saves.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let distribution = distribution(&arguments)?;
-    let preset = match arguments.preset {
+    let preset = match arguments.preset() {
         Preset::Machine => TrainSettings::machine(),
+        Preset::Robust => TrainSettings::robust(),
         Preset::Quick => TrainSettings::quick(),
         Preset::Thesis => TrainSettings::thesis(),
     };
@@ -253,12 +269,9 @@ fn simulation(
         }
         (_, None) => {}
     }
-    let has_delay = arguments.profile.is_some()
-        || arguments.delay_ms.is_some()
-        || arguments.model == Model::Robust;
     // An observer has made up for the delay already.
     let default =
-        if has_delay && !observes { SimulationSettings::machine_with_history().history } else { 0 };
+        if arguments.has_gap() && !observes { SimulationSettings::robust().history } else { 0 };
     simulation.history = arguments.history.map_or(default, usize::from);
     Ok(simulation)
 }
@@ -292,7 +305,7 @@ fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
             (None, other) => name(&other),
         },
         psi: psi.map(|psi| psi.named_values()),
-        preset: name(&arguments.preset),
+        preset: name(&arguments.preset()),
     })
 }
 

@@ -119,7 +119,7 @@ impl Recipe {
     pub fn of(model: RecipeModel, base: &SessionSettings) -> Self {
         let mut settings = base.clone();
         if matches!(model.base(), Model::OptRobust | Model::OptProfile) {
-            let history = SimulationSettings::machine_with_history().history;
+            let history = SimulationSettings::robust().history;
             settings.training.simulation.history = history;
         }
         Self::new(model.name().to_owned(), model, settings)

@@ -130,6 +130,8 @@ impl TrainSettings {
         bounded("smallest_log_std", self.smallest_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("widening", self.widening, 0.0..=1.0, "0 to 1")?;
         bounded("simulation.history", self.simulation.history, 0..=MAX_HISTORY, "0 to 4")?;
+        let room_rad = self.simulation.envelope_room_rad;
+        bounded("simulation.envelope_room_rad", room_rad, 0.0..=1.0, "0 to 1")?;
         if let SensorModel::Encoders { estimator } = &self.simulation.sensors {
             estimator.check()?;
         }
@@ -157,6 +159,20 @@ impl TrainSettings {
             widening: 0.6,
             simulation: SimulationSettings::machine(),
             ..Self::quick()
+        }
+    }
+
+    /// A policy for a Qube that is not quite known, in half a minute: of the distribution's Qubes many
+    /// leave the envelope if swung up as others can be, so that there is more to learn than for
+    /// [`Self::machine`], and the last two commands help.
+    #[must_use]
+    pub fn robust() -> Self {
+        Self {
+            updates: 120,
+            pendulums: 64,
+            widening: 0.4,
+            simulation: SimulationSettings::robust(),
+            ..Self::machine()
         }
     }
 

@@ -94,14 +94,15 @@ impl SafetyBox {
 }
 
 impl<T: Scalar> SafetyBox<T> {
-    /// Whether a state keeps all limits, without a branch: for loops over many pendulums.
+    /// Whether a state keeps all limits, and so much room to the envelope where that is the guard;
+    /// without a branch, for loops over many pendulums.
     #[inline(always)]
-    pub fn contains(&self, state: &State<T>) -> bool {
+    pub fn contains(&self, state: &State<T>, envelope_room_rad: T) -> bool {
         (state.theta.abs() < self.theta)
             & (state.alpha.abs() < self.alpha)
             & (state.theta_dot.abs() < self.theta_dot)
             & (state.alpha_dot.abs() < self.alpha_dot)
-            & (self.guard.is_box() || SpeedEnvelope::contains(state))
+            & (self.guard.is_box() || SpeedEnvelope::contains_with_room(state, envelope_room_rad))
     }
 }
 
@@ -119,7 +120,7 @@ mod tests {
     fn each_limit_is_named_on_both_sides_and_for_nan() {
         let inside = State { theta: 2.29, alpha: -12.5, theta_dot: 29.9, alpha_dot: -39.9 };
         assert_eq!(SafetyBox::THESIS.violation(&inside), None);
-        assert!(SafetyBox::THESIS.contains(&inside));
+        assert!(SafetyBox::THESIS.contains(&inside, 0.0));
         for sign in [1.0, -1.0, f64::NAN] {
             for (state, limit) in [
                 (State { theta: 2.3 * sign, ..inside }, Limit::Theta),
@@ -128,7 +129,7 @@ mod tests {
                 (State { alpha_dot: 40.0 * sign, ..inside }, Limit::AlphaDot),
             ] {
                 assert_eq!(SafetyBox::THESIS.violation(&state), Some(limit));
-                assert!(!SafetyBox::THESIS.contains(&state));
+                assert!(!SafetyBox::THESIS.contains(&state, 0.0));
             }
         }
     }

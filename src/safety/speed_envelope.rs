@@ -71,10 +71,18 @@ impl SpeedEnvelope {
     #[must_use]
     #[inline(always)]
     pub fn contains<T: Scalar>(state: &State<T>) -> bool {
+        Self::contains_with_room(state, T::from_f64(0.0))
+    }
+
+    /// The same with so much room, rad, left to where braking would begin: how policies learn not to
+    /// count on its last centimetre.
+    #[must_use]
+    #[inline(always)]
+    pub fn contains_with_room<T: Scalar>(state: &State<T>, room_rad: T) -> bool {
         let (sin, cos) = state.alpha.sin_cos();
         let swing = cos * state.alpha_dot;
-        one_sided(state.theta, sin, state.theta_dot, swing)
-            & one_sided(-state.theta, -sin, -state.theta_dot, -swing)
+        one_sided(state.theta + room_rad, sin, state.theta_dot, swing)
+            & one_sided(room_rad - state.theta, -sin, -state.theta_dot, -swing)
     }
 }
 
@@ -152,6 +160,12 @@ mod tests {
             let inside = SpeedEnvelope::contains(&state);
             prop_assert_eq!(SpeedEnvelope::contains(&mirrored(&state)), inside);
             prop_assert_eq!(inside, positive_side(&state) && positive_side(&mirrored(&state)));
+            let shifted = |by: f64| State { theta: state.theta + by, ..state };
+            let with_room = SpeedEnvelope::contains_with_room(&state, 0.2);
+            prop_assert_eq!(
+                with_room,
+                positive_side(&shifted(0.2)) && positive_side(&mirrored(&shifted(-0.2)))
+            );
             let single: State<f32> = State {
                 theta: state.theta as f32,
                 alpha: state.alpha as f32,

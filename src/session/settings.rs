@@ -134,10 +134,7 @@ impl SessionSettings {
             emulated: EmulatedQubeSettings::default(),
             strategy: StrategyKind::BayRn,
             bayrn: BayRnSettings::default(),
-            training: TrainSettings {
-                simulation: SimulationSettings::machine_with_history(),
-                ..TrainSettings::machine()
-            },
+            training: TrainSettings::robust(),
         }
     }
 
@@ -210,7 +207,9 @@ impl SessionSettings {
             let simulation = self.training.simulation;
             self.training == TrainSettings { simulation, ..preset }
         };
-        let preset = if same_budget(TrainSettings::machine()) {
+        let preset = if same_budget(TrainSettings::robust()) {
+            "robust"
+        } else if same_budget(TrainSettings::machine()) {
             "machine"
         } else if same_budget(TrainSettings::quick()) {
             "quick"

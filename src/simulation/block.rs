@@ -94,6 +94,7 @@ pub(super) struct Surroundings {
     pub(super) history: usize,
     pub(super) reward: RewardWeights<f32>,
     pub(super) safety_box: SafetyBox<f32>,
+    pub(super) envelope_room_rad: f32,
 }
 
 /// One control period of all blocks.
@@ -143,7 +144,7 @@ impl Kernel for Step<'_> {
             let Block { state, sight, .. } = block;
             let observers = observers.get_mut(index);
             surroundings.sensors.look(state, sight, observers, &voltages_v[index]);
-            judge(block, &surroundings.safety_box, progress);
+            judge(block, surroundings, progress);
             if surroundings.history > 0 || block.ideal != [true; BLOCK] {
                 block.commands.end_period(&voltages_v[index]);
             }
@@ -202,11 +203,12 @@ fn advance(block: &mut Block, piece: usize) {
 }
 
 #[inline(always)]
-fn judge(block: &mut Block, safety_box: &SafetyBox<f32>, progress: &mut [Progress; BLOCK]) {
+fn judge(block: &mut Block, surroundings: &Surroundings, progress: &mut [Progress; BLOCK]) {
+    let Surroundings { safety_box, envelope_room_rad, .. } = surroundings;
     for lane in 0..BLOCK {
         block.steps[lane] += 1;
         let time_is_up = block.steps[lane] >= MAX_STEPS as u32;
-        let inside = safety_box.contains(&block.sight.guarded.lane(lane));
+        let inside = safety_box.contains(&block.sight.guarded.lane(lane), *envelope_room_rad);
         let in_the_box = if time_is_up { Progress::TimeUp } else { Progress::Running };
         progress[lane] = if inside { in_the_box } else { Progress::LeftBox };
     }
