@@ -93,11 +93,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         if soaked.rollouts.is_multiple_of(200) {
             eprintln!("{:.1} h of {} h", soaked.hours(), arguments.hours);
         }
-        if soaked.last_was_void && !stop.requested() {
-            if let Err(error) = rig.start_again() {
-                ended_early = Some(failures::rig(error, &stop));
-                break;
-            }
+        if soaked.last_was_void
+            && !stop.requested()
+            && let Err(error) = rig.start_again()
+        {
+            ended_early = Some(failures::rig(error, &stop));
+            break;
         }
     }
 
