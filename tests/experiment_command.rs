@@ -56,8 +56,8 @@ fn succeeds(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-fn begin(directory: &Path, threads: &str) -> Child {
-    experiment(directory, &[&BEGIN[..], &["--threads", threads]].concat())
+fn begin(directory: &Path, arguments: &[&str], threads: &str) -> Child {
+    experiment(directory, &[arguments, &["--threads", threads]].concat())
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
@@ -115,7 +115,14 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
 
     let torn = tempfile::tempdir().unwrap();
     prepare(torn.path());
-    let mut child = begin(torn.path(), "1");
+    run_with_interruptions(torn.path(), &BEGIN);
+    assert_eq!(table(torn.path()), expected);
+    same_files(torn.path(), &expected_files);
+}
+
+/// Runs an experiment that is killed and stopped by turns until it is through.
+fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
+    let mut child = begin(directory, arguments, "1");
     let mut interruptions = 0;
     loop {
         // Whatever it is doing by then: the times walk through all its phases.
@@ -131,23 +138,88 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
             interruptions += 1;
             let code = child.wait().unwrap().code();
             assert!(matches!(code, None | Some(0 | 130)), "{code:?}");
-            child = if torn.path().join("one/experiment.toml").exists() {
+            child = if directory.join("one/experiment.toml").exists() {
                 let arguments = ["--resume", "one", "--threads", "2"];
-                let mut command = experiment(torn.path(), &arguments);
+                let mut command = experiment(directory, &arguments);
                 command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
             } else {
-                let _ = std::fs::remove_dir_all(torn.path().join("one"));
-                begin(torn.path(), "1")
+                let _ = std::fs::remove_dir_all(directory.join("one"));
+                begin(directory, arguments, "1")
             };
         }
     }
     assert!(interruptions > 0, "it was over before it could be interrupted");
-    assert_eq!(table(torn.path()), expected);
-    let torn_files = files(&torn.path().join("one"));
-    assert_eq!(torn_files.keys().collect::<Vec<_>>(), expected_files.keys().collect::<Vec<_>>());
-    for (name, bytes) in &expected_files {
-        assert!(*bytes == torn_files[name], "{name} differs");
+}
+
+fn same_files(directory: &Path, expected: &BTreeMap<String, Vec<u8>>) {
+    let found = files(&directory.join("one"));
+    assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
+    for (name, bytes) in expected {
+        assert!(*bytes == found[name], "{name} differs");
     }
+}
+
+/// In a box that the excitation leaves at once.
+const NARROW: &str = "[settings.safety_box]\nalpha_dot = 0.5\n";
+
+#[test]
+fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
+    let arguments = [
+        "--strategies",
+        "bayrn,random,identify",
+        "--recipe",
+        "search.toml",
+        "--profile",
+        "lab",
+        "--repetitions",
+        "2",
+        "--recordings",
+        "2",
+        "--policies",
+        "3",
+        "--rollouts",
+        "2",
+        "--seed",
+        "4",
+        "--out",
+        "one",
+    ];
+    let prepare = |directory: &Path| {
+        let text = format!("name = \"tiny\"\nmodel = \"opt-nominal\"\n{TINY}{SEARCH}{NARROW}");
+        std::fs::write(directory.join("search.toml"), text).unwrap();
+    };
+    let whole = tempfile::tempdir().unwrap();
+    prepare(whole.path());
+    let output = experiment(whole.path(), &arguments).output().unwrap();
+    let text = succeeds(&output);
+    assert!(text.contains("tiny on lab"), "{text}");
+    // Policies that have seen nothing never stand, and a recording that is cut short shows no Qube.
+    for line in ["bayrn           0/2", "random          0/2", "identify        0/2", "identify: "]
+    {
+        assert!(text.lines().any(|it| it.starts_with(line)), "{line} in {text}");
+    }
+    assert!(text.contains("> 3") && text.contains("> 2"), "{text}");
+    let expected = table(whole.path());
+    assert!(expected.starts_with(&text), "resuming what is finished prints the same table");
+    assert!(expected.contains("bayrn,1,3,1,0,2,false,"), "{expected}");
+    let expected_files = files(&whole.path().join("one"));
+    let count = |end: &str| expected_files.keys().filter(|name| name.ends_with(end)).count();
+    assert_eq!(count("refused-2.txt"), 2);
+    // Of three policies with two rollouts each the first decides: an answer that is tried fails.
+    let judged = expected.lines().filter(|line| line.contains(",false,")).count() - 4;
+    let search_policies = 2 * 2 * 3;
+    assert_eq!(count("policy.safetensors"), search_policies + judged);
+
+    let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
+    succeeds(&{ drawn }.output().unwrap());
+    let svg = std::fs::read_to_string(whole.path().join("figures/strategies.svg")).unwrap();
+    assert!(svg.contains("bayrn") && svg.contains("identify"));
+
+    let torn = tempfile::tempdir().unwrap();
+    prepare(torn.path());
+    run_with_interruptions(torn.path(), &arguments);
+    assert_eq!(table(torn.path()), expected);
+    same_files(torn.path(), &expected_files);
 }
 
 #[test]
@@ -164,6 +236,14 @@ fn what_cannot_be_is_refused_before_anything_is_made() {
         (vec!["--recipe", "nominal.toml", "--policies", "0"], "policies"),
         (vec!["--recipe", "nominal.toml", "--plants", "far.toml"], "gap"),
         (vec!["--resume", "nowhere"], "no experiment"),
+        (vec!["--strategies", "baysian"], "bayrn, cem, cmaes, random, sobol, identify"),
+        (vec!["--strategies", "cem,cem"], "cem is there twice"),
+        (vec!["--strategies", "cem", "--models", "nominal"], "give one of opt-handcrafted"),
+        (vec!["--strategies", "cem", "--models", "opt-nominal,opt-robust"], "one model"),
+        (vec!["--strategies", "cem", "--plants", "plants.toml"], "one plant"),
+        (vec!["--strategies", "cem", "--device", "/dev/ttyACM0"], "emulated Qube only"),
+        (vec!["--repetitions", "3"], "--strategies"),
+        (vec!["--models", "nominl"], "nominal-handcrafted"),
     ] {
         let output = experiment(directory.path(), &arguments).args(["--json"]).output().unwrap();
         let message = String::from_utf8_lossy(&output.stderr).into_owned();

@@ -74,7 +74,7 @@ const ROOMS: &[Room] = &[
                       "control", "recording", "replay", "identification", "preflight",
                       "storage"]),
     room("experiment", &["qube", "estimation", "safety", "policy", "simulation", "learning", "search",
-                         "recording", "telemetry", "session", "storage"]),
+                         "recording", "telemetry", "session", "storage", "identification", "replay"]),
     room("commands", EVERY_ROOM),
 ];
 

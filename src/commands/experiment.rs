@@ -3,23 +3,24 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ValueEnum;
-use serde_json::json;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use serde_json::{Value, json};
 
-use super::dated_folder;
 use super::device_arguments::{CheckArguments, ChosenDevice, QubeArguments};
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::experiment_progress::ExperimentProgress;
-use super::experiment_table::{csv, table, value};
 use super::failures;
 use super::guard_argument::GuardArgument;
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
 use super::stop::Stop;
+use super::strategy_arguments::{StrategyArguments, check_device};
+use super::{dated_folder, experiment_table, strategy_table};
 use crate::estimation::EstimatorSettings;
 use crate::experiment::{
     Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe, RecipeModel,
-    Results, densities_svg, searches_svg,
+    Results, StrategyResults, densities_svg, searches_svg, strategies_svg,
 };
 use crate::learning::TrainSettings;
 use crate::safety::Guard;
@@ -35,7 +36,8 @@ use crate::storage::{Disk, MachineDisk};
 /// A recipe is a model of the thesis (its table 5.3) or a file of your own. For the optimised
 /// models a session looks for psi first. On the emulated Qube everything is in virtual time and on
 /// all processors. Whatever ends it, --resume goes on without losing or repeating what is finished;
-/// of an experiment that is finished it prints the table again. A policy succeeds when its mean
+/// of an experiment that is finished it prints the table again. With --strategies it is searches that
+/// are compared, by the real rollouts they need. A policy succeeds when its mean
 /// return is at least 400 and at least 4 of 5 of its rollouts stand to the end.
 ///
 /// Without other flags everything is as published: true states in training, the plain box, a
@@ -47,22 +49,23 @@ use crate::storage::{Disk, MachineDisk};
     qube-hil experiment --profile lab --models nominal,handcrafted --preset thesis --out logs/t53\n  \
     qube-hil experiment --resume logs/t53\n  \
     qube-hil experiment --resume logs/t53 --table       # what is finished so far\n  \
-    qube-hil experiment --recipe mine.toml --plants plants.toml --policies 5\n\n\
+    qube-hil experiment --recipe mine.toml --plants plants.toml --policies 5\n  \
+    qube-hil experiment --profile lab --strategies bayrn,cem,random,identify --filter 200\n\n\
     A recipe file:\n  \
     name = \"slow-filter\"\n  \
     model = \"nominal\"          # or any of --models\n  \
     [settings.estimator]       # whatever differs from the flags, as in a session.toml\n  \
     corner_rad_s = 20.0")]
 pub struct Arguments {
-    /// Models of the thesis, with commas between [default: all five, or none beside --recipe]
+    /// Models, with commas between [default: the thesis's five, or none beside --recipe]
     #[arg(
         long,
         value_name = "NAMES",
-        value_enum,
+        value_parser = model_parser(),
         value_delimiter = ',',
         conflicts_with = "resume"
     )]
-    models: Vec<ModelArgument>,
+    models: Vec<RecipeModel>,
 
     /// A recipe of your own; may be given several times
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
@@ -72,13 +75,13 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = FamilyArgument::Normal, conflicts_with = "resume")]
     family: FamilyArgument,
 
-    /// Policies of each recipe
-    #[arg(long, default_value_t = 20, conflicts_with = "resume")]
-    policies: u32,
+    /// Policies of each recipe, or that judge each answer [default: 20, with --strategies 10]
+    #[arg(long, conflicts_with = "resume")]
+    policies: Option<u32>,
 
-    /// Rollouts of each policy
-    #[arg(long, default_value_t = 5, conflicts_with = "resume")]
-    rollouts: u32,
+    /// Rollouts of each policy [default: 5, with --strategies 2]
+    #[arg(long, conflicts_with = "resume")]
+    rollouts: Option<u32>,
 
     /// Training budget, and what of the machine training knows: `quick` and `thesis` nothing, as
     /// published
@@ -86,12 +89,12 @@ pub struct Arguments {
     preset: Preset,
 
     /// Guard of rollouts and simulations [default: the box, as published; on a port and with
-    /// --preset machine the envelope]
+    /// --preset machine or robust the envelope]
     #[arg(long, value_enum, conflicts_with = "resume")]
     guard: Option<GuardArgument>,
 
     /// What simulations show of the state: as it is, or through encoders and the machine's filter
-    /// [default: as it is; with --preset machine encoders]
+    /// [default: as it is; with --preset machine or robust encoders]
     #[arg(long, value_enum, conflicts_with = "resume")]
     sensors: Option<Sensors>,
 
@@ -115,13 +118,16 @@ pub struct Arguments {
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 
-    /// Also write a line for each policy to this file
+    /// Also write a line for each policy, or answer, to this file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 
-    /// Also draw the thesis's figures 5.2 and 5.3 into this folder
+    /// Also draw the thesis's figures 5.2 and 5.3, or the strategies' lines, into this folder
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
+
+    #[command(flatten)]
+    strategies: StrategyArguments,
 
     #[command(flatten)]
     estimator: EstimatorArguments,
@@ -134,29 +140,6 @@ pub struct Arguments {
 
     #[command(flatten)]
     check: CheckArguments,
-}
-
-/// The models by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum ModelArgument {
-    /// The name plate's values, always the same
-    Nominal,
-    /// All nine parameters vary by a fifth
-    Handcrafted,
-    /// Masses and lengths vary by a fifth
-    NominalHandcrafted,
-    /// Masses and lengths by a psi that is searched, the others vary by a fifth
-    OptHandcrafted,
-    /// Masses and lengths by a psi that is searched
-    OptNominal,
-    /// Parameters and gap as for a Qube that nobody has identified
-    Robust,
-}
-
-impl From<ModelArgument> for RecipeModel {
-    fn from(argument: ModelArgument) -> Self {
-        Self::ALL[argument as usize]
-    }
 }
 
 /// The two shapes by name.
@@ -173,6 +156,8 @@ enum Preset {
     Quick,
     /// Seconds a policy, with the machine's encoders, velocity filter and speed envelope
     Machine,
+    /// Half a minute a policy, as `machine` and with more to learn: for the models with a gap
+    Robust,
     /// The published budget, on true states in the thesis's box
     Thesis,
 }
@@ -186,6 +171,15 @@ enum Sensors {
     Encoders,
 }
 
+/// The models by name; those around an identified Qube need a recipe that says which.
+fn model_parser() -> impl TypedValueParser<Value = RecipeModel> {
+    let offered = || RecipeModel::ALL.into_iter().filter(|model| !model.needs_profile());
+    let values = offered().map(|model| PossibleValue::new(model.name()).help(model.description()));
+    PossibleValuesParser::new(values).try_map(move |name| {
+        offered().find(|model| model.name() == name).ok_or("there is no such model")
+    })
+}
+
 /// Corner of the thesis's velocity filter, rad/s.
 const PUBLISHED_CORNER_RAD_S: f64 = 50.0;
 
@@ -197,7 +191,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let device = arguments.qube.choose()?;
     let opened = match &arguments.resume {
-        Some(directory) => resumed(directory),
+        Some(directory) => resumed(directory, &device),
         None => begun(&arguments, &device),
     };
     let (folder, settings) = opened?;
@@ -225,28 +219,54 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ended.map_err(failed)?;
     }
 
-    let results = Results::read(&experiment).map_err(failed)?;
+    let summary = match StrategyResults::read(&experiment).map_err(failed)? {
+        Some(results) => Summary::of_strategies(&results),
+        None => Summary::of_recipes(&Results::read(&experiment).map_err(failed)?),
+    };
     if let Some(path) = &arguments.csv {
-        write_whole(&MachineDisk, path, csv(&results).as_bytes())
+        write_whole(&MachineDisk, path, summary.csv.as_bytes())
             .map_err(|error| failures::folder(&error))?;
     }
     if let Some(folder) = &arguments.figures {
         draw(&experiment, folder).map_err(failed)?;
     }
     let directory = experiment.folder().root().display().to_string();
-    let mut result = value(&results);
+    let mut result = summary.value;
     result["directory"] = json!(directory);
     result["wall_s"] = json!(started.elapsed().as_secs_f64());
-    let text = format!("{}\neverything is in {directory}", table(&results));
-    output.print(&text, &result);
+    output.print(&format!("{}\neverything is in {directory}", summary.table), &result);
     Ok(())
+}
+
+/// What an experiment has come to: for people, for scripts, and line by line.
+struct Summary {
+    table: String,
+    value: Value,
+    csv: String,
+}
+
+impl Summary {
+    fn of_recipes(results: &Results) -> Self {
+        let table = experiment_table::table(results);
+        Self { table, value: experiment_table::value(results), csv: experiment_table::csv(results) }
+    }
+
+    fn of_strategies(results: &StrategyResults) -> Self {
+        let table = strategy_table::table(results);
+        Self { table, value: strategy_table::value(results), csv: strategy_table::csv(results) }
+    }
 }
 
 fn draw(experiment: &Experiment, folder: &Path) -> Result<(), ExperimentError> {
     let is_optimised = |recipe: &Recipe| recipe.model.is_optimised();
-    let mut figures = vec![("figure-5.2.svg", densities_svg(experiment)?)];
-    if experiment.settings().recipes.iter().any(is_optimised) {
-        figures.push(("figure-5.3.svg", searches_svg(experiment)?));
+    let mut figures = Vec::new();
+    if let Some(results) = StrategyResults::read(experiment)? {
+        figures.push(("strategies.svg", strategies_svg(&results)?));
+    } else {
+        figures.push(("figure-5.2.svg", densities_svg(experiment)?));
+        if experiment.settings().recipes.iter().any(is_optimised) {
+            figures.push(("figure-5.3.svg", searches_svg(experiment)?));
+        }
     }
     MachineDisk
         .create_folder(folder)
@@ -264,9 +284,12 @@ fn begun(
     let is_emulated = matches!(device.choice, DeviceChoice::Emulated);
     let base = base(arguments, device)?;
     let mut recipes = Vec::new();
-    let models: Vec<RecipeModel> = match arguments.models.as_slice() {
-        [] if arguments.recipe.is_empty() => RecipeModel::THESIS.into(),
-        named => named.iter().map(|&model| model.into()).collect(),
+    let strategies = arguments.strategies.settings();
+    check_device(strategies.as_ref(), device)?;
+    let models: Vec<RecipeModel> = match (arguments.models.as_slice(), &strategies) {
+        ([], None) if arguments.recipe.is_empty() => RecipeModel::THESIS.into(),
+        ([], Some(_)) if arguments.recipe.is_empty() => vec![RecipeModel::OptNominal],
+        (named, _) => named.into(),
     };
     recipes.extend(models.into_iter().map(|model| Recipe::of(model, &base)));
     for path in &arguments.recipe {
@@ -276,17 +299,21 @@ fn begun(
         true => arguments.plants.plants()?,
         false => vec![Plant { name: "device".into(), emulated: Default::default(), vary: 0.0 }],
     };
+    // What one policy does says more of its training than of what it was trained by: an answer is
+    // judged by more policies rather than by more rollouts.
+    let (policies, rollouts) = if strategies.is_some() { (10, 2) } else { (20, 5) };
     let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("experiment"));
     let settings = ExperimentSettings {
         name: directory
             .file_name()
             .map_or_else(|| "experiment".into(), |name| name.to_string_lossy().into_owned()),
         seed: arguments.seed,
-        policies: arguments.policies,
-        rollouts: arguments.rollouts,
+        policies: arguments.policies.unwrap_or(policies),
+        rollouts: arguments.rollouts.unwrap_or(rollouts),
         simulated_starts: SIMULATED_STARTS,
         plants,
         recipes,
+        strategies,
     };
     settings.check().map_err(Failure::usage)?;
     let toml = settings.to_toml().map_err(Failure::failed)?;
@@ -297,10 +324,11 @@ fn begun(
 /// What the flags ask for, to which each recipe adds its model.
 fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let is_emulated = matches!(device.choice, DeviceChoice::Emulated);
-    let knows_the_machine = arguments.preset == Preset::Machine;
+    let knows_the_machine = matches!(arguments.preset, Preset::Machine | Preset::Robust);
     let mut training = match arguments.preset {
         Preset::Quick => TrainSettings::quick(),
         Preset::Machine => TrainSettings::machine(),
+        Preset::Robust => TrainSettings::robust(),
         Preset::Thesis => TrainSettings::thesis(),
     };
     let estimator = match arguments.estimator.settings()? {
@@ -338,8 +366,12 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
     })
 }
 
-fn resumed(directory: &Path) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
+fn resumed(
+    directory: &Path,
+    device: &ChosenDevice,
+) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
     let folder = ExperimentFolder::open(directory).map_err(Failure::usage)?;
     let settings = ExperimentSettings::load(&folder.settings()).map_err(Failure::usage)?;
+    check_device(settings.strategies.as_ref(), device)?;
     Ok((folder, settings))
 }

@@ -2,11 +2,11 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::experiment::{Behaviour, ExperimentSettings, News};
+use crate::experiment::{AnswerResult, Behaviour, ExperimentSettings, Judgement, News, Repetition};
 use crate::session::Progress;
 
 /// What the operator sees on stderr while an experiment runs: a line for each thing that is
-/// finished, and a bar over policies.
+/// finished, and a bar over policies or searches.
 pub struct ExperimentProgress {
     bar: ProgressBar,
 }
@@ -14,9 +14,16 @@ pub struct ExperimentProgress {
 impl ExperimentProgress {
     /// For an experiment of this extent.
     pub fn new(settings: &ExperimentSettings) -> Self {
-        let count = settings.recipes.len() * settings.plants.len();
-        let bar = ProgressBar::new(count as u64 * u64::from(settings.policies));
-        if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos} of {len} policies {msg}") {
+        let (count, what) = match &settings.strategies {
+            Some(it) => (it.contenders.len() as u64 * u64::from(it.repetitions), "searches"),
+            None => {
+                let series = settings.recipes.len() * settings.plants.len();
+                (series as u64 * u64::from(settings.policies), "policies")
+            }
+        };
+        let bar = ProgressBar::new(count);
+        let template = format!("{{bar:30}} {{pos}} of {{len}} {what} {{msg}}");
+        if let Ok(style) = ProgressStyle::with_template(&template) {
             bar.set_style(style);
         }
         bar.enable_steady_tick(Duration::from_millis(200));
@@ -26,7 +33,7 @@ impl ExperimentProgress {
     /// Shows one piece of news.
     pub fn tell(&self, news: &News) {
         match news {
-            News::Search { recipe, progress } => self.searching(recipe, progress),
+            News::Search { name, progress } => self.searching(name, progress),
             News::Trained { recipe, policy, best_return: Some(best_return) } => {
                 self.line(format!("{recipe} {policy}: trained, {best_return:.0} in simulation"));
             }
@@ -44,21 +51,36 @@ impl ExperimentProgress {
                 self.line(format!("{recipe} {policy} on {plant}: mean return {mean:.0}; {kinds}"));
                 self.bar.inc(1);
             }
+            News::Judged { repetition, answer } => self.judged(repetition, answer),
+            News::Over { .. } => self.bar.inc(1),
         }
     }
 
-    fn searching(&self, recipe: &str, progress: &Progress) {
+    fn judged(&self, repetition: &Repetition, answer: &AnswerResult) {
+        let what = match &answer.judgement {
+            Ok(judgement) => {
+                let Judgement { stood, ran } = judgement;
+                let word = if answer.succeeds { "succeeds" } else { "does not succeed" };
+                format!("the answer {word}, {stood} of {ran} judges' rollouts stood")
+            }
+            Err(reason) => format!("no answer: {reason}"),
+        };
+        let rollouts = answer.real_rollouts;
+        self.line(format!("{}, {rollouts} real rollouts: {what}", repetition.name()));
+    }
+
+    fn searching(&self, name: &str, progress: &Progress) {
         match progress {
             Progress::Proposed { candidate, .. } => {
-                self.line(format!("{recipe}: the search proposes candidate {candidate}"));
+                self.line(format!("{name}: the search proposes candidate {candidate}"));
             }
             Progress::Training { candidate, update } => {
                 let done = update.update + 1;
-                self.bar.set_message(format!("{recipe}: candidate {candidate}, update {done}"));
+                self.bar.set_message(format!("{name}: candidate {candidate}, update {done}"));
             }
             Progress::Rollout { candidate, rollout, verdict, .. } => {
                 let return_ = verdict.return_().map_or("void".into(), |it| format!("{it:.0}"));
-                self.line(format!("{recipe}: candidate {candidate}, rollout {rollout}: {return_}"));
+                self.line(format!("{name}: candidate {candidate}, rollout {rollout}: {return_}"));
             }
             Progress::Trained { .. } | Progress::Connected(_) | Progress::Drift(_) => {}
         }

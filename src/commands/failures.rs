@@ -82,22 +82,16 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
 /// Of an experiment.
 pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure {
     match error {
-        ExperimentError::Stopped => stop.failure(format!("stopped; go on with {resume}")),
+        _ if error.is_stop() => stop.failure(format!("stopped; go on with {resume}")),
         _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
         ExperimentError::Search { source, .. } => session(*source, stop, resume),
-        ExperimentError::Rig(error) => rig(error, stop),
-        ExperimentError::Recording(error) => recording(&error),
-        ExperimentError::Folder(error) => folder(&error),
-        ExperimentError::Training(_)
-        | ExperimentError::Ledger(_)
-        | ExperimentError::Unwritable(_)
+        ExperimentError::Session(error) => session(error, stop, resume),
+        ExperimentError::Unwritable(_)
         | ExperimentError::Drawing { .. }
         | ExperimentError::WorkerGone => Failure::failed(error),
         ExperimentError::NotAnExperiment { .. }
         | ExperimentError::Settings { .. }
         | ExperimentError::Recipe { .. }
-        | ExperimentError::Configuration(_)
-        | ExperimentError::Policy(_)
-        | ExperimentError::Psi(_) => Failure::usage(error),
+        | ExperimentError::Configuration(_) => Failure::usage(error),
     }
 }

@@ -30,6 +30,8 @@ mod session_progress;
 mod session_table;
 mod soak;
 mod stop;
+mod strategy_arguments;
+mod strategy_table;
 mod toy;
 mod train;
 

@@ -113,10 +113,11 @@ impl Driver {
     fn chosen(arguments: &Arguments) -> Result<Self, Failure> {
         if let Some(argument) = arguments.excite {
             let shape = ExcitationShape::from(argument);
-            let file = |volts| Policy::Excitation(Excitation::new(shape, volts)).to_bytes();
+            let excitation = |rollout| Excitation::of_rollout(shape, arguments.volts, rollout);
+            let file = |rollout| Policy::Excitation(excitation(rollout)).to_bytes();
             return Ok(Self {
                 name: format!("excitation by {}", format!("{shape:?}").to_lowercase()),
-                files: [arguments.volts, -arguments.volts].map(file).into(),
+                files: [0, 1].map(file).into(),
                 steps: EXCITATION_STEPS,
             });
         }

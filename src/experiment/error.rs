@@ -3,17 +3,11 @@ use std::path::PathBuf;
 use thiserror::Error;
 
 use crate::learning::TrainError;
-use crate::policy::PolicyError;
-use crate::recording::RecordingError;
-use crate::session::{ConfigurationError, FolderError, LedgerError, RigError, SessionError};
-use crate::simulation::PsiError;
+use crate::session::{ConfigurationError, RigError, SessionError};
 
 /// Why an experiment ended early. What was finished until then is on disk.
 #[derive(Debug, Error)]
 pub enum ExperimentError {
-    /// Somebody asked to stop.
-    #[error("stopped")]
-    Stopped,
     /// Nothing to resume.
     #[error(
         "{path} is no experiment: it has no experiment.toml. Give the folder of one to --resume"
@@ -38,7 +32,10 @@ pub enum ExperimentError {
         /// What is wrong with it.
         reason: String,
     },
-    /// Settings that cannot be written.
+    /// Settings of a session within a recipe.
+    #[error(transparent)]
+    Configuration(#[from] ConfigurationError),
+    /// Something that cannot be written as TOML.
     #[error("the experiment's settings cannot be written: {0}")]
     Unwritable(#[from] toml::ser::Error),
     /// The drawing library failed.
@@ -50,36 +47,43 @@ pub enum ExperimentError {
     /// A worker thread panicked.
     #[error("a worker of the experiment has ended unexpectedly; --resume goes on")]
     WorkerGone,
-    /// Settings of a recipe.
-    #[error(transparent)]
-    Configuration(#[from] ConfigurationError),
-    /// The search of a recipe's psi.
-    #[error("the search of {recipe}: {source}")]
+    /// The search of a psi.
+    #[error("the search of {name}: {source}")]
     Search {
-        /// The recipe.
-        recipe: String,
+        /// Whose psi.
+        name: String,
         /// Why it ended.
         source: Box<SessionError>,
     },
-    /// The ledger of a search.
+    /// Whatever can end a session too: a stop, training, the Qube, a file.
     #[error(transparent)]
-    Ledger(#[from] LedgerError),
-    /// The folder.
-    #[error(transparent)]
-    Folder(#[from] FolderError),
-    /// The Qube.
-    #[error(transparent)]
-    Rig(#[from] RigError),
-    /// A recording.
-    #[error(transparent)]
-    Recording(#[from] RecordingError),
-    /// A policy.
-    #[error(transparent)]
-    Policy(#[from] PolicyError),
-    /// A psi.
-    #[error(transparent)]
-    Psi(#[from] PsiError),
-    /// Training.
-    #[error(transparent)]
-    Training(#[from] TrainError),
+    Session(SessionError),
+}
+
+impl ExperimentError {
+    /// Whether nothing went wrong but that somebody asked to stop.
+    #[must_use]
+    pub fn is_stop(&self) -> bool {
+        let error = match self {
+            Self::Search { source, .. } => source,
+            Self::Session(error) => error,
+            _ => return false,
+        };
+        matches!(
+            error,
+            SessionError::Stopped
+                | SessionError::Training(TrainError::Stopped)
+                | SessionError::Rig(RigError::Stopped)
+        )
+    }
+}
+
+/// All that a session can meet.
+impl<E> From<E> for ExperimentError
+where
+    SessionError: From<E>,
+{
+    fn from(error: E) -> Self {
+        Self::Session(error.into())
+    }
 }

@@ -9,7 +9,7 @@ use crate::qube::{DomainParameter, DomainParameters};
 use crate::simulation::{Distribution, DomainDistribution};
 
 type Panel<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type PlotError = DrawingAreaErrorKind<std::io::Error>;
+pub(super) type PlotError = DrawingAreaErrorKind<std::io::Error>;
 
 /// Masses and lengths, as figure 5.2 has them.
 const SHOWN: [DomainParameter; 4] = [
@@ -23,7 +23,7 @@ const SHOWN: [DomainParameter; 4] = [
 const POINTS: usize = 300;
 
 /// What a search has tried: the returns of each candidate's rollouts, in the order of candidates.
-pub(super) type Searched = Vec<Vec<f64>>;
+type Searched = Vec<Vec<f64>>;
 
 /// Figure 5.2: the densities of masses and lengths of every recipe whose psi is known; a dashed line
 /// marks the nominal value.
@@ -52,14 +52,15 @@ pub fn searches_svg(experiment: &Experiment) -> Result<String, ExperimentError> 
     let mut drawn = Vec::new();
     for recipe in experiment.settings().recipes.iter().filter(is_optimised) {
         let folder = experiment.folder().search(&recipe.name);
-        drawn.push((recipe.name.clone(), searched(&folder)?));
+        let returns = searched(&folder, 0)?.into_iter().map(|candidate| candidate.returns);
+        drawn.push((recipe.name.clone(), returns.collect()));
     }
     let mut svg = String::new();
     searches(&mut svg, &drawn).map_err(drawing_failed)?;
     Ok(svg)
 }
 
-fn drawing_failed(error: PlotError) -> ExperimentError {
+pub(super) fn drawing_failed(error: PlotError) -> ExperimentError {
     ExperimentError::Drawing { reason: error.to_string() }
 }
 

@@ -14,6 +14,10 @@ use crate::storage::{Disk, Hold, MachineDisk};
 /// policies/RECIPE/000/policy.safetensors          a trained policy
 /// policies/RECIPE/000/curve.csv                   its training
 /// policies/RECIPE/000/PLANT/rollout-0-attempt-0.mcap   its rollouts
+/// strategies/STRATEGY/000/search/                 the session of one repetition
+/// strategies/identify/000/recordings/             or the recordings of a repetition without one,
+/// strategies/identify/000/identified-1.toml       and the Qube that was found in the first of them
+/// strategies/STRATEGY/000/judged/003/000/         policies as above, made by the answer so far
 /// ```
 #[derive(Debug)]
 pub struct ExperimentFolder {
@@ -74,28 +78,52 @@ impl ExperimentFolder {
         self.root.join("searches").join(recipe)
     }
 
+    /// The policies of a recipe.
+    #[must_use]
+    pub fn policies(&self, recipe: &str) -> PolicyFolders {
+        PolicyFolders(self.root.join("policies").join(recipe))
+    }
+
+    /// One repetition of a search that is compared with others.
+    #[must_use]
+    pub fn repetition(&self, strategy: &str, repetition: u32) -> PathBuf {
+        self.root.join("strategies").join(strategy).join(format!("{repetition:03}"))
+    }
+}
+
+/// The folders of policies that were made alike, by their numbers.
+#[derive(Clone, Debug)]
+pub struct PolicyFolders(PathBuf);
+
+impl PolicyFolders {
+    /// Within this folder.
+    #[must_use]
+    pub fn within(folder: PathBuf) -> Self {
+        Self(folder)
+    }
+
     /// A policy's folder.
     #[must_use]
-    pub fn policy_folder(&self, recipe: &str, policy: u32) -> PathBuf {
-        self.root.join("policies").join(recipe).join(format!("{policy:03}"))
+    pub fn folder(&self, policy: u32) -> PathBuf {
+        self.0.join(format!("{policy:03}"))
     }
 
     /// A policy.
     #[must_use]
-    pub fn policy(&self, recipe: &str, policy: u32) -> PathBuf {
-        self.policy_folder(recipe, policy).join("policy.safetensors")
+    pub fn policy(&self, policy: u32) -> PathBuf {
+        self.folder(policy).join("policy.safetensors")
     }
 
     /// A policy's training curve.
     #[must_use]
-    pub fn curve(&self, recipe: &str, policy: u32) -> PathBuf {
-        self.policy_folder(recipe, policy).join("curve.csv")
+    pub fn curve(&self, policy: u32) -> PathBuf {
+        self.folder(policy).join("curve.csv")
     }
 
     /// Where a policy's recordings on a plant are.
     #[must_use]
-    pub fn rollouts(&self, recipe: &str, policy: u32, plant: &str) -> PathBuf {
-        self.policy_folder(recipe, policy).join(plant)
+    pub fn rollouts(&self, policy: u32, plant: &str) -> PathBuf {
+        self.folder(policy).join(plant)
     }
 }
 

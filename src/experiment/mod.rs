@@ -5,6 +5,9 @@
 //! times on one or more plants (emulated, in virtual time, on all cores) or on a device. For the
 //! optimised recipes a session looks for psi first.
 //!
+//! [`StrategySettings`] ask something else of one of them: how many real rollouts it takes until the answer
+//! of a search succeeds.
+//!
 //! May import `session` and what that assembles. Reading order: [`ExperimentSettings`],
 //! [`Experiment`] does the work and can be stopped and gone on with, [`Results`] reads what it came
 //! to from policies and recordings, which are all that is stored.
@@ -19,17 +22,23 @@ mod recipe;
 mod results;
 mod rollouts;
 mod search;
+mod series;
 mod settings;
 pub mod statistics;
+mod strategies;
 mod work;
 
 pub use behaviour::Behaviour;
 pub use error::ExperimentError;
 pub use figures::{densities_svg, searches_svg};
-pub use folder::ExperimentFolder;
+pub use folder::{ExperimentFolder, PolicyFolders};
 pub use plant::Plant;
 pub use recipe::{Recipe, RecipeModel};
 pub use results::{PolicyResult, RecipeResult, Results};
 pub use rollouts::RolloutResult;
 pub use settings::ExperimentSettings;
+pub use strategies::{
+    AnswerResult, Contender, Judgement, Repetition, StrategyResult, StrategyResults,
+    StrategySettings, strategies_svg,
+};
 pub use work::{Experiment, News};

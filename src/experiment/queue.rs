@@ -3,6 +3,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::ExperimentError;
+use crate::session::SessionError;
 
 /// Work for some threads, some of which makes more work when it is done.
 pub(super) struct Queue<'a, Job> {
@@ -44,7 +45,7 @@ impl<'a, Job: Send> Queue<'a, Job> {
             Some(failure) => Err(failure),
             None if gone => Err(ExperimentError::WorkerGone),
             None if self.stop.load(Ordering::Relaxed) && !state.waiting.is_empty() => {
-                Err(ExperimentError::Stopped)
+                Err(SessionError::Stopped.into())
             }
             None => Ok(()),
         }
@@ -133,6 +134,6 @@ mod tests {
             stop.store(true, Ordering::Relaxed);
             Ok(Vec::new())
         });
-        assert!(matches!(outcome, Err(ExperimentError::Stopped)));
+        assert!(matches!(outcome, Err(ExperimentError::Session(SessionError::Stopped))));
     }
 }

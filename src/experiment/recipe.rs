@@ -70,6 +70,30 @@ impl RecipeModel {
         }
     }
 
+    /// What it is, for people.
+    #[must_use]
+    pub fn description(self) -> &'static str {
+        match self {
+            Self::Nominal => "The name plate's values, always the same",
+            Self::Handcrafted => "All nine parameters vary by a fifth",
+            Self::NominalHandcrafted => "Masses and lengths vary by a fifth",
+            Self::OptHandcrafted => {
+                "Masses and lengths by a psi that is searched, the others vary by a fifth"
+            }
+            Self::OptNominal => "Masses and lengths by a psi that is searched",
+            Self::Robust => "Parameters and gap as for a Qube that nobody has identified",
+            Self::Profile => "Parameters and gap around an identified Qube",
+            Self::OptRobust => "Masses and lengths by a psi that is searched, the rest as robust",
+            Self::OptProfile => "Masses and lengths by a psi that is searched, the rest as profile",
+        }
+    }
+
+    /// Whether it is nothing without the Qube of `settings.profile`.
+    #[must_use]
+    pub fn needs_profile(self) -> bool {
+        self.base() == Model::OptProfile
+    }
+
     /// Whether a session looks for its psi first.
     #[must_use]
     pub fn is_optimised(self) -> bool {

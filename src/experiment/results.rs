@@ -4,9 +4,9 @@ use std::sync::PoisonError;
 use std::sync::atomic::AtomicBool;
 
 use super::queue::Queue;
-use super::rollouts::{Standing, standing};
+use super::rollouts::all_of;
 use super::statistics::{Interval, bootstrap_interval, mean, standard_deviation, wilson_interval};
-use super::{Behaviour, Experiment, ExperimentError, Recipe, RolloutResult};
+use super::{Behaviour, Experiment, ExperimentError, Plant, Recipe, RolloutResult};
 use crate::learning::evaluate_afresh;
 use crate::policy::Policy;
 use crate::simulation::{DomainDistribution, SimulationSettings};
@@ -152,7 +152,7 @@ impl Results {
                 None => None,
             };
             let is_trained = |policy: &u32| {
-                MachineDisk.exists(&experiment.folder().policy(&recipe.name, *policy))
+                MachineDisk.exists(&experiment.folder().policies(&recipe.name).policy(*policy))
             };
             if simulations.is_some() {
                 jobs.extend((0..settings.policies).filter(is_trained).map(|it| (index, it)));
@@ -203,18 +203,11 @@ impl Experiment {
         policy: u32,
     ) -> Result<Vec<Option<Vec<RolloutResult>>>, ExperimentError> {
         let repetitions = recipe.settings.extent.repetitions;
-        let on = |plant: &str| {
-            let folder = self.folder().rollouts(&recipe.name, policy, plant);
-            (0..self.settings().rollouts)
-                .map(|rollout| {
-                    Ok(match standing(&folder, rollout, repetitions)? {
-                        Standing::Finished(result) => Some(result),
-                        Standing::Due { .. } => None,
-                    })
-                })
-                .collect::<Result<Option<Vec<_>>, _>>()
+        let folders = self.folder().policies(&recipe.name);
+        let on = |plant: &Plant| {
+            all_of(&folders.rollouts(policy, &plant.name), self.settings().rollouts, repetitions)
         };
-        self.settings().plants.iter().map(|plant| on(&plant.name)).collect()
+        self.settings().plants.iter().map(on).collect()
     }
 
     fn simulated_return(
@@ -224,7 +217,7 @@ impl Experiment {
         distribution: &DomainDistribution,
         simulation: &SimulationSettings,
     ) -> Result<f64, ExperimentError> {
-        let path = self.folder().policy(&recipe.name, policy);
+        let path = self.folder().policies(&recipe.name).policy(policy);
         let Policy::Network(policy) = Policy::load(&path)? else {
             return Ok(f64::NAN);
         };

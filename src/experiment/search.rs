@@ -3,8 +3,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use super::ExperimentError;
+use crate::search::Observation;
 use crate::session::{
-    Entry, Extent, LedgerError, Progress, Purpose, RigSettings, Session, SessionFolder,
+    Entry, Extent, FolderError, LedgerError, Purpose, RigSettings, Session, SessionFolder,
     SessionSettings, Step, Verdict, candidates, judge, next_step, parse_ledger,
 };
 use crate::storage::{Disk, MachineDisk};
@@ -12,38 +13,29 @@ use crate::storage::{Disk, MachineDisk};
 /// The largest ledger that is read.
 const MAX_LEDGER_BYTES: u64 = 64 << 20;
 
-/// Looks for a recipe's psi by a session in its own folder, or goes on with it.
+/// A session in its own folder that looks for a psi, or goes on with it.
 ///
 /// # Errors
-/// Whatever ends a session early; it can be gone on with.
-pub(super) fn search(
+/// The folder or what is in it cannot be used.
+pub(super) fn open_search(
     folder: &Path,
-    settings: &SessionSettings,
+    settings: SessionSettings,
     rig: &RigSettings,
     stop: &Arc<AtomicBool>,
-    workers: usize,
-    tell: &mut dyn FnMut(Progress),
-) -> Result<(), ExperimentError> {
-    let failed = |source| ExperimentError::Search {
-        recipe: folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-        source: Box::new(source),
-    };
+) -> Result<Session, ExperimentError> {
     let session_folder = if MachineDisk.exists(&folder.join("session.toml")) {
         SessionFolder::open(folder)?
     } else {
         // What a kill left between making the folder and writing its settings is empty.
         if MachineDisk.exists(folder) {
-            std::fs::remove_dir_all(folder).map_err(|source| crate::session::FolderError::Io {
-                path: folder.to_owned(),
-                source,
-            })?;
+            std::fs::remove_dir_all(folder)
+                .map_err(|source| FolderError::Io { path: folder.to_owned(), source })?;
         }
         SessionFolder::create(folder, &settings.to_toml()?)?
     };
-    let rig = RigSettings { homing: settings.homing, ..rig.clone() };
-    Session::open(session_folder, settings.clone(), rig, Arc::clone(stop))
-        .and_then(|session| session.on_cores(workers).run(tell))
-        .map_err(failed)
+    let emulator = settings.emulated.emulator(settings.seed);
+    let rig = RigSettings { emulator, homing: settings.homing, ..rig.clone() };
+    Ok(Session::open(session_folder, settings, rig, Arc::clone(stop))?)
 }
 
 /// The psi that a search has come to; none while it has not.
@@ -62,10 +54,15 @@ pub(super) fn found_psi(
     Ok(answer.map(|candidate| candidate.psi))
 }
 
-/// The returns of each candidate's rollouts, without the answer's, which verify it.
-pub(super) fn searched(folder: &Path) -> Result<Vec<Vec<f64>>, ExperimentError> {
+/// What a search has tried, in the order of candidates: each with the returns of its rollouts so far,
+/// which are none for the last ones. Without the answer, whose rollouts verify it. The first `skip`
+/// are left out.
+///
+/// # Errors
+/// The ledger or a recording cannot be read.
+pub(super) fn searched(folder: &Path, skip: usize) -> Result<Vec<Observation>, ExperimentError> {
     let all = candidates(&ledger(folder)?);
-    let searched = all.iter().filter(|it| it.purpose.is_searched());
+    let searched = all.into_iter().filter(|it| it.purpose.is_searched()).skip(skip);
     searched
         .map(|candidate| {
             let rollouts = candidate.finished.iter().map(|&(rollout, attempt)| {
@@ -74,7 +71,8 @@ pub(super) fn searched(folder: &Path) -> Result<Vec<Vec<f64>>, ExperimentError> 
                 judge(&MachineDisk, &folder.join("candidates").join(number).join(name))
             });
             let verdicts = rollouts.collect::<Result<Vec<_>, _>>()?;
-            Ok(verdicts.iter().filter_map(Verdict::return_).collect())
+            let returns = verdicts.iter().filter_map(Verdict::return_).collect();
+            Ok(Observation { point: candidate.psi, returns })
         })
         .collect()
 }

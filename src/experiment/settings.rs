@@ -2,7 +2,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{ExperimentError, Plant, Recipe};
+use super::{ExperimentError, Plant, Recipe, RecipeModel, StrategySettings};
 
 /// Everything that decides an experiment, as `experiment.toml` holds it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -23,6 +23,10 @@ pub struct ExperimentSettings {
     pub plants: Vec<Plant>,
     /// What is compared.
     pub recipes: Vec<Recipe>,
+    /// Instead of recipes, ways to search the psi of one recipe are compared: on one plant, which is
+    /// emulated, `policies` and `rollouts` are those that judge an answer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub strategies: Option<StrategySettings>,
 }
 
 impl ExperimentSettings {
@@ -74,6 +78,28 @@ impl ExperimentSettings {
                 return Err(format!("vary = {}: give a number from 0 to 0.5", plant.vary));
             }
         }
+        match &self.strategies {
+            Some(strategies) => self.check_strategies(strategies),
+            None => Ok(()),
+        }
+    }
+
+    fn check_strategies(&self, strategies: &StrategySettings) -> Result<(), String> {
+        strategies.check()?;
+        let [recipe] = self.recipes.as_slice() else {
+            return Err("strategies are compared by the psi of one model: give one".into());
+        };
+        if !recipe.model.is_optimised() {
+            let optimised = RecipeModel::ALL.into_iter().filter(|model| model.is_optimised());
+            return Err(format!(
+                "strategies search psi, and the model {} has none: give one of {}",
+                recipe.model.name(),
+                optimised.map(RecipeModel::name).collect::<Vec<_>>().join(", ")
+            ));
+        }
+        if self.plants.len() > 1 {
+            return Err("strategies are compared on one plant: give one".into());
+        }
         Ok(())
     }
 }
@@ -102,7 +128,7 @@ pub(super) fn check_name(what: &str, name: &str) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::RecipeModel;
+    use crate::experiment::Contender;
     use crate::session::{EmulatedQubeSettings, SessionSettings};
 
     fn settings() -> ExperimentSettings {
@@ -119,15 +145,29 @@ mod tests {
                 vary: 0.1,
             }],
             recipes: RecipeModel::THESIS.map(|model| Recipe::of(model, &base)).into(),
+            strategies: None,
         }
+    }
+
+    fn of_strategies() -> ExperimentSettings {
+        let recipe = Recipe::of(RecipeModel::OptNominal, &SessionSettings::thesis());
+        let strategies = StrategySettings {
+            contenders: Contender::all().collect(),
+            repetitions: 10,
+            recordings: 6,
+            spread: 0.1,
+        };
+        ExperimentSettings { recipes: vec![recipe], strategies: Some(strategies), ..settings() }
     }
 
     #[test]
     fn what_is_written_reads_back_the_same() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("experiment.toml");
-        std::fs::write(&path, settings().to_toml().unwrap()).unwrap();
-        assert_eq!(ExperimentSettings::load(&path).unwrap(), settings());
+        for settings in [settings(), of_strategies()] {
+            std::fs::write(&path, settings.to_toml().unwrap()).unwrap();
+            assert_eq!(ExperimentSettings::load(&path).unwrap(), settings);
+        }
     }
 
     #[test]
@@ -142,5 +182,31 @@ mod tests {
         assert!(wrong(|it| it.plants[0].vary = 0.9).contains("vary"));
         assert!(wrong(|it| it.recipes[1].name = "nominal".into()).contains("nominal"));
         assert!(wrong(|it| it.recipes[1].name = "../up".into()).contains("../up"));
+    }
+
+    #[test]
+    fn strategies_that_cannot_be_compared_are_named() {
+        let wrong = |change: fn(&mut ExperimentSettings)| {
+            let mut settings = of_strategies();
+            change(&mut settings);
+            settings.check().unwrap_err()
+        };
+        assert_eq!(of_strategies().check(), Ok(()));
+        assert!(wrong(|it| it.recipes = settings().recipes).contains("one model"));
+        let nominal = wrong(|it| it.recipes[0].model = RecipeModel::Nominal);
+        assert!(
+            nominal.contains("nominal has none") && nominal.contains("opt-robust"),
+            "{nominal}"
+        );
+        assert!(
+            wrong(|it| it.strategies.as_mut().unwrap().repetitions = 0).contains("repetitions")
+        );
+        let twice =
+            wrong(|it| it.strategies.as_mut().unwrap().contenders.push(Contender::Identify));
+        assert!(twice.contains("identify is there twice"), "{twice}");
+        let more = Plant { name: "more".into(), ..settings().plants[0].clone() };
+        let mut two = of_strategies();
+        two.plants.push(more);
+        assert!(two.check().unwrap_err().contains("one plant"));
     }
 }

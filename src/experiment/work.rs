@@ -1,26 +1,24 @@
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
-use super::folder::{make, recording};
+use super::folder::make;
 use super::queue::Queue;
-use super::rollouts::{Standing, make_room, standing};
-use super::search::{found_psi, search};
-use super::{ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe, RolloutResult};
-use crate::learning::{TrainError, TrainSettings, curve_csv, train};
-use crate::policy::Policy;
-use crate::session::{
-    ClockChoice, Progress, Rig, RigError, RigSettings, RolloutPlan, SeedFor, SessionError,
-    SessionSettings, derived_seed, write_whole,
+use super::search::{found_psi, open_search};
+use super::series::Series;
+use super::{
+    AnswerResult, Contender, ExperimentError, ExperimentFolder, ExperimentSettings, Recipe,
+    Repetition, RolloutResult,
 };
-use crate::storage::{Disk, MachineDisk};
-use crate::telemetry::Ending;
+use crate::session::{
+    ClockChoice, Progress, Rig, RigSettings, SeedFor, SessionSettings, derived_seed,
+};
 
 /// What an experiment tells while it runs, from whichever thread.
 pub enum News<'a> {
-    /// From the search of a recipe's psi.
+    /// From a search of psi.
     Search {
-        /// The recipe.
-        recipe: &'a str,
+        /// Whose: a recipe's, or a strategy's and repetition's.
+        name: &'a str,
         /// What the session tells.
         progress: &'a Progress<'a>,
     },
@@ -43,6 +41,18 @@ pub enum News<'a> {
         plant: &'a str,
         /// What came of them.
         results: &'a [RolloutResult],
+    },
+    /// The answer that a search would give so far is judged, or a recording cannot be used.
+    Judged {
+        /// Whose answer.
+        repetition: &'a Repetition,
+        /// What came of it.
+        answer: &'a AnswerResult,
+    },
+    /// One repetition of a search has come to its end.
+    Over {
+        /// With all its answers.
+        repetition: &'a Repetition,
     },
 }
 
@@ -70,10 +80,17 @@ enum Job {
         /// The policy's number.
         policy: u32,
     },
+    /// Follow one repetition of a strategy.
+    Repetition {
+        /// The strategy.
+        contender: Contender,
+        /// Which repetition.
+        repetition: u32,
+    },
 }
 
 /// Who hears the news.
-type Tell<'a> = dyn Fn(News) + Sync + 'a;
+pub(super) type Tell<'a> = dyn Fn(News) + Sync + 'a;
 
 impl Experiment {
     /// Takes up an experiment where its folder ends. `rig` says where the Qube is; an emulated one
@@ -106,6 +123,16 @@ impl Experiment {
         self.threads
     }
 
+    /// Where the Qube is.
+    pub(super) fn rig(&self) -> &RigSettings {
+        &self.rig
+    }
+
+    /// What somebody sets who asks to stop.
+    pub(super) fn stop(&self) -> &Arc<AtomicBool> {
+        &self.stop
+    }
+
     /// Whether many Qubes can be had at once.
     fn is_virtual(&self) -> bool {
         self.rig.clock == ClockChoice::Virtual
@@ -117,15 +144,7 @@ impl Experiment {
     /// # Errors
     /// Whatever ends it early. What was finished until then is on disk.
     pub fn run(&self, tell: &Tell) -> Result<(), ExperimentError> {
-        let mut jobs = Vec::new();
-        for (recipe, it) in self.settings.recipes.iter().enumerate() {
-            if it.model.is_optimised() {
-                // First: everything of such a recipe waits for it.
-                jobs.insert(0, Job::Search { recipe });
-            } else {
-                jobs.extend(self.policies(recipe));
-            }
-        }
+        let mut jobs = self.jobs();
         let searches = jobs.iter().filter(|job| matches!(job, Job::Search { .. })).count();
         if !self.is_virtual() {
             for job in jobs.extract_if(..searches, |_| true).collect::<Vec<_>>() {
@@ -140,43 +159,48 @@ impl Experiment {
         Ok(())
     }
 
+    fn jobs(&self) -> Vec<Job> {
+        if let Some(strategies) = &self.settings.strategies {
+            let of = |(contender, repetition)| Job::Repetition { contender, repetition };
+            return strategies.repetitions().map(of).collect();
+        }
+        let mut jobs = Vec::new();
+        for (recipe, it) in self.settings.recipes.iter().enumerate() {
+            if it.model.is_optimised() {
+                // First: everything of such a recipe waits for it.
+                jobs.insert(0, Job::Search { recipe });
+            } else {
+                jobs.extend(self.policies(recipe));
+            }
+        }
+        jobs
+    }
+
     fn policies(&self, recipe: usize) -> impl Iterator<Item = Job> + use<> {
         (0..self.settings.policies).map(move |policy| Job::Policy { recipe, policy })
     }
 
     /// Does one job; what is to be done after it.
     fn work(&self, job: Job, cores: usize, tell: &Tell) -> Result<Vec<Job>, ExperimentError> {
-        let stopped = |error| match error {
-            // A worker that is interrupted in the middle is no failure of its own.
-            ExperimentError::Training(TrainError::Stopped)
-            | ExperimentError::Rig(RigError::Stopped) => ExperimentError::Stopped,
-            ExperimentError::Search { source, .. }
-                if matches!(*source, SessionError::Stopped) || self.is_stopped() =>
-            {
-                ExperimentError::Stopped
-            }
-            other => other,
-        };
         match job {
             Job::Search { recipe } => {
-                self.search(&self.settings.recipes[recipe], cores, tell).map_err(stopped)?;
+                self.search(&self.settings.recipes[recipe], cores, tell)?;
                 Ok(self.policies(recipe).collect())
             }
             Job::Policy { recipe, policy } => {
                 let recipe = &self.settings.recipes[recipe];
-                self.train(recipe, policy, tell).map_err(stopped)?;
-                if self.is_virtual() {
-                    for plant in &self.settings.plants {
-                        self.run_in_virtual_time(recipe, policy, plant, tell).map_err(stopped)?;
-                    }
+                self.make_policy(recipe, policy, tell)?;
+                Ok(Vec::new())
+            }
+            Job::Repetition { contender, repetition } => {
+                if let Some(strategies) = &self.settings.strategies {
+                    let repetition =
+                        self.follow(strategies, (contender, repetition), Some(tell))?;
+                    tell(News::Over { repetition: &repetition });
                 }
                 Ok(Vec::new())
             }
         }
-    }
-
-    fn is_stopped(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
     }
 
     fn search(&self, recipe: &Recipe, cores: usize, tell: &Tell) -> Result<(), ExperimentError> {
@@ -188,11 +212,16 @@ impl Experiment {
             emulated,
             ..recipe.settings.clone()
         };
-        let rig = RigSettings { emulator: emulated.emulator(settings.seed), ..self.rig.clone() };
+        let failed = |source| ExperimentError::Search {
+            name: recipe.name.clone(),
+            source: Box::new(source),
+        };
         let folder = self.folder.search(&recipe.name);
-        search(&folder, &settings, &rig, &self.stop, cores, &mut |progress| {
-            tell(News::Search { recipe: &recipe.name, progress: &progress });
-        })
+        let session = open_search(&folder, settings, &self.rig, &self.stop)?;
+        let tell = &mut |progress: Progress| {
+            tell(News::Search { name: &recipe.name, progress: &progress });
+        };
+        session.on_cores(cores).run(tell).map_err(failed)
     }
 
     /// The psi of an optimised recipe, empty for the others; none while it is not found.
@@ -204,56 +233,35 @@ impl Experiment {
         }
     }
 
-    fn train(&self, recipe: &Recipe, policy: u32, tell: &Tell) -> Result<(), ExperimentError> {
-        let path = self.folder.policy(&recipe.name, policy);
-        let mut best_return = None;
-        // Policy files appear whole or not at all.
-        if !MachineDisk.exists(&path) {
-            make(&self.folder.policy_folder(&recipe.name, policy))?;
-            let psi = self.psi(recipe)?.unwrap_or_default();
-            let simulation = recipe.simulation(&psi)?;
-            let training = recipe.settings.training.clone();
-            let settings = TrainSettings { threads: 1, simulation, ..training };
-            let seed = derived_seed(self.settings.seed, SeedFor::Training { candidate: policy });
-            let distribution = recipe.distribution(&psi)?;
-            let trained = train(&distribution, &settings, seed, None, &self.stop, |_| {})?;
-            best_return = Some(trained.best_return);
-            let curve = curve_csv(&trained.curve);
-            write_whole(&MachineDisk, &self.folder.curve(&recipe.name, policy), curve.as_bytes())?;
-            let file = trained.into_policy(recipe.origin(&psi)).to_bytes();
-            write_whole(&MachineDisk, &path, &file)?;
+    fn series<'a>(&'a self, recipe: &'a Recipe, psi: &'a [f64]) -> Series<'a> {
+        Series {
+            experiment: &self.settings.name,
+            recipe,
+            psi,
+            seed: self.settings.seed,
+            folders: self.folder.policies(&recipe.name),
+            rig: &self.rig,
+            stop: &self.stop,
         }
-        tell(News::Trained { recipe: &recipe.name, policy, best_return });
-        Ok(())
     }
 
-    /// Each rollout on a Qube of its own that follows from the seed alone, so that an experiment
-    /// that was stopped repeats byte for byte, whatever thread goes on with it.
-    fn run_in_virtual_time(
+    /// Trains a policy and, where the Qube is emulated, runs it on every plant.
+    fn make_policy(
         &self,
         recipe: &Recipe,
         policy: u32,
-        plant: &Plant,
         tell: &Tell,
     ) -> Result<(), ExperimentError> {
-        let emulated = plant.for_policy(self.settings.seed, policy);
-        let opened = |rollout, attempt| -> Result<Rig, ExperimentError> {
-            let purpose = SeedFor::Emulator { candidate: policy, rollout, attempt };
-            let seed = derived_seed(self.settings.seed, purpose);
-            let rig = RigSettings { emulator: emulated.emulator(seed), ..self.rig.clone() };
-            let rig = RigSettings { homing: recipe.settings.homing, ..rig };
-            Ok(Rig::open(&rig, &self.stop)?)
-        };
-        let file = Policy::load(&self.folder.policy(&recipe.name, policy))?.to_bytes();
-        let mut results = Vec::new();
-        for rollout in 0..self.settings.rollouts {
-            let place = Place { recipe, policy, plant: &plant.name, rollout };
-            results.push(self.rollout(&place, &file, |attempt, record| {
-                record(&opened(rollout, attempt)?).map(drop)
-            })?);
+        let psi = self.psi(recipe)?.unwrap_or_default();
+        let series = self.series(recipe, &psi);
+        let best_return = series.train(policy)?;
+        tell(News::Trained { recipe: &recipe.name, policy, best_return });
+        let plants = if self.is_virtual() { &self.settings.plants[..] } else { &[] };
+        for plant in plants {
+            let results = series.run_in_virtual_time(policy, plant, self.settings.rollouts)?;
+            let (recipe, plant, results) = (&recipe.name, &plant.name, &results);
+            tell(News::Ran { recipe, policy, plant, results });
         }
-        let (recipe, plant, results) = (&recipe.name, &plant.name, &results);
-        tell(News::Ran { recipe, policy, plant, results });
         Ok(())
     }
 
@@ -262,86 +270,15 @@ impl Experiment {
         let mut rig: Option<Rig> = None;
         let plant = &self.settings.plants[0];
         for recipe in &self.settings.recipes {
-            let settings = RigSettings { homing: recipe.settings.homing, ..self.rig.clone() };
+            let psi = self.psi(recipe)?.unwrap_or_default();
+            let series = self.series(recipe, &psi);
             for policy in 0..self.settings.policies {
-                let file = Policy::load(&self.folder.policy(&recipe.name, policy))?.to_bytes();
-                let mut results = Vec::new();
-                for rollout in 0..self.settings.rollouts {
-                    let place = Place { recipe, policy, plant: &plant.name, rollout };
-                    results.push(self.rollout(&place, &file, |_, record| {
-                        let opened = match rig.take() {
-                            Some(opened) => opened,
-                            None => Rig::open(&settings, &self.stop)?,
-                        };
-                        let opened = rig.insert(opened);
-                        if matches!(record(opened)?, Ending::Fault(_)) {
-                            opened.start_again()?;
-                        }
-                        Ok(())
-                    })?);
-                }
+                let rollouts = self.settings.rollouts;
+                let results = series.run_on_device(&mut rig, policy, plant, rollouts)?;
                 let (recipe, plant, results) = (&recipe.name, &plant.name, &results);
                 tell(News::Ran { recipe, policy, plant, results });
             }
         }
         Ok(())
     }
-
-    /// Does a rollout until it has a result, or a fault has ended it as often as it may. `with_rig`
-    /// gives the rig for a try.
-    fn rollout(
-        &self,
-        place: &Place,
-        file: &[u8],
-        mut with_rig: impl FnMut(u32, &mut Record<'_>) -> Result<(), ExperimentError>,
-    ) -> Result<RolloutResult, ExperimentError> {
-        let Place { recipe, policy, plant, rollout } = *place;
-        let rollouts = self.folder.rollouts(&recipe.name, policy, plant);
-        make(&rollouts)?;
-        loop {
-            let repetitions = recipe.settings.extent.repetitions;
-            let attempt = match standing(&rollouts, rollout, repetitions)? {
-                Standing::Finished(result) => return Ok(result),
-                Standing::Due { attempt } => attempt,
-            };
-            if self.is_stopped() {
-                return Err(ExperimentError::Stopped);
-            }
-            let path = recording(&rollouts, rollout, attempt);
-            make_room(&path)?;
-            let plan = self.plan(place, attempt)?;
-            with_rig(attempt, &mut |rig| {
-                let recorded = rig.rollout(&MachineDisk, &path, plan.header(), file)?;
-                Ok(recorded.outcome.ending)
-            })?;
-        }
-    }
-
-    fn plan(&self, place: &Place, attempt: u32) -> Result<RolloutPlan, ExperimentError> {
-        let Place { recipe, policy, rollout, .. } = *place;
-        let psi = self.psi(recipe)?.unwrap_or_default();
-        Ok(RolloutPlan {
-            session: self.settings.name.clone(),
-            candidate: Some(policy),
-            rollout,
-            attempt,
-            psi: recipe.settings.psi.with_names(&psi),
-            seed: self.settings.seed,
-            policy: format!("{} {policy}", recipe.name),
-            estimator: recipe.settings.estimator,
-            safety_box: recipe.settings.safety_box,
-            steps: recipe.settings.extent.steps,
-        })
-    }
 }
-
-/// Which rollout.
-struct Place<'a> {
-    recipe: &'a Recipe,
-    policy: u32,
-    plant: &'a str,
-    rollout: u32,
-}
-
-/// Records a rollout on a rig.
-type Record<'a> = dyn FnMut(&Rig) -> Result<Ending, ExperimentError> + 'a;

@@ -48,6 +48,12 @@ impl Excitation {
         Self { shape, voltage_v, tick: 0, step: StepSequence::START }
     }
 
+    /// That of one of several rollouts, from 0: each begins the other way than the one before.
+    #[must_use]
+    pub fn of_rollout(shape: ExcitationShape, voltage_v: f64, rollout: u32) -> Self {
+        Self::new(shape, if rollout.is_multiple_of(2) { voltage_v } else { -voltage_v })
+    }
+
     /// Its shape.
     #[must_use]
     pub fn shape(&self) -> ExcitationShape {

@@ -124,8 +124,34 @@ impl Session {
     /// # Errors
     /// Whatever ends a session early. What was finished until then is on disk.
     pub fn run(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), SessionError> {
+        self.run_while(|_| true, tell)
+    }
+
+    /// Goes on until so many candidates of the search have all their rollouts; what comes after them
+    /// is left to be gone on with.
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub fn run_to(
+        &mut self,
+        evaluated: u32,
+        tell: &mut dyn FnMut(Progress),
+    ) -> Result<(), SessionError> {
+        let rollouts = self.settings.extent.rollouts as usize;
+        let is_evaluated =
+            |it: &Candidate| it.purpose.is_searched() && it.finished.len() == rollouts;
+        let count =
+            |entries: &[Entry]| candidates(entries).iter().filter(|it| is_evaluated(it)).count();
+        self.run_while(|entries| count(entries) < evaluated as usize, tell)
+    }
+
+    fn run_while(
+        &mut self,
+        goes_on: impl Fn(&[Entry]) -> bool,
+        tell: &mut dyn FnMut(Progress),
+    ) -> Result<(), SessionError> {
         self.connect_early(tell)?;
-        loop {
+        while goes_on(self.ledger.entries()) {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped);
             }
@@ -138,9 +164,10 @@ impl Session {
                 Step::GiveUp { candidate, rollout } => {
                     return Err(self.given_up(candidate, rollout));
                 }
-                Step::Done => return Ok(()),
+                Step::Done => break,
             }
         }
+        Ok(())
     }
 
     /// A real Qube is checked and homed before anything is trained for it: what is wrong with it

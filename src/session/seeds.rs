@@ -38,6 +38,11 @@ pub enum Purpose {
         /// The policy.
         policy: u32,
     },
+    /// One of several repetitions of the same.
+    Repetition {
+        /// Which.
+        repetition: u32,
+    },
 }
 
 /// The stream's number: the kind in the highest byte, then candidate, rollout and try.
@@ -54,6 +59,7 @@ fn stream(purpose: Purpose) -> u64 {
         Purpose::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
         Purpose::Search => number(4, 0, 0, 0),
         Purpose::Qube { policy } => number(5, policy, 0, 0),
+        Purpose::Repetition { repetition } => number(6, repetition, 0, 0),
     }
 }
 
@@ -86,6 +92,7 @@ mod tests {
         for candidate in 0..4 {
             purposes.push(Purpose::Training { candidate });
             purposes.push(Purpose::Qube { policy: candidate });
+            purposes.push(Purpose::Repetition { repetition: candidate });
             for rollout in 0..4 {
                 purposes.push(Purpose::Start { candidate, rollout });
                 for attempt in 0..4 {

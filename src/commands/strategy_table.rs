@@ -1,0 +1,166 @@
+use std::fmt::Write;
+
+use serde_json::{Value, json};
+
+use crate::experiment::{AnswerResult, Repetition, StrategyResult, StrategyResults};
+
+/// For people, 80 columns wide: a line for each strategy.
+pub fn table(results: &StrategyResults) -> String {
+    let mut text = format!(
+        "\nreal rollouts until the answer succeeds, {} on {}\n\n{:10} {:>8} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
+        results.recipe,
+        results.plant,
+        "strategy",
+        "reached",
+        "95 %",
+        "quarter",
+        "median",
+        "three q.",
+        "judged"
+    );
+    for strategy in &results.strategies {
+        let _ = writeln!(text, "{}", line(strategy));
+    }
+    for strategy in &results.strategies {
+        let refused = strategy.repetitions.iter().flat_map(|it| &it.answers);
+        let mut reasons: Vec<&String> =
+            refused.filter_map(|answer| answer.judgement.as_ref().err()).collect();
+        reasons.sort_unstable();
+        reasons.dedup();
+        for reason in reasons {
+            let _ = writeln!(text, "{}: {reason}", strategy.contender);
+        }
+    }
+    text
+}
+
+fn line(strategy: &StrategyResult) -> String {
+    let within = |share| match (strategy.budget(), strategy.rollouts_within_which(share)) {
+        (None, _) => "-".into(),
+        (_, Some(rollouts)) => rollouts.to_string(),
+        (Some(budget), None) => format!("> {budget}"),
+    };
+    let over = strategy.repetitions.len();
+    let interval = strategy.reached_interval();
+    let share = match over {
+        0 => "-".into(),
+        _ => format!("{:.0} to {:.0}", 100.0 * interval.lower, 100.0 * interval.upper),
+    };
+    let reached = format!("{}/{over}", strategy.reached());
+    format!(
+        "{:10} {reached:>8} {share:>11} {:>8} {:>8} {:>8} {:>8}",
+        strategy.contender.name(),
+        within(0.25),
+        within(0.5),
+        within(0.75),
+        strategy.judged()
+    )
+}
+
+/// For scripts.
+pub fn value(results: &StrategyResults) -> Value {
+    let strategy = |strategy: &StrategyResult| {
+        let needed = strategy.repetitions.iter().map(Repetition::succeeded_after);
+        json!({
+            "strategy": strategy.contender.name(),
+            "repetitions": strategy.repetitions.len(),
+            "reached": strategy.reached(),
+            "reached_interval": strategy.reached_interval(),
+            "real_rollouts": needed.collect::<Vec<_>>(),
+            "quarter": strategy.rollouts_within_which(0.25),
+            "median": strategy.rollouts_within_which(0.5),
+            "three_quarters": strategy.rollouts_within_which(0.75),
+            "budget": strategy.budget(),
+            "answers_judged": strategy.judged(),
+        })
+    };
+    json!({
+        "recipe": results.recipe,
+        "plant": results.plant,
+        "strategies": results.strategies.iter().map(strategy).collect::<Vec<_>>(),
+    })
+}
+
+/// A line for each answer.
+pub fn csv(results: &StrategyResults) -> String {
+    let mut text = String::from(
+        "strategy,repetition,budget,real_rollouts,judges_stood,judges_ran,succeeds,refused\n",
+    );
+    for strategy in &results.strategies {
+        for repetition in &strategy.repetitions {
+            for answer in &repetition.answers {
+                let AnswerResult { real_rollouts, judgement, succeeds } = answer;
+                let (stood, ran, refused) = match judgement {
+                    Ok(judgement) => (judgement.stood, judgement.ran, String::new()),
+                    Err(reason) => (0, 0, format!("\"{}\"", reason.replace('"', "'"))),
+                };
+                let _ = writeln!(
+                    text,
+                    "{},{},{},{real_rollouts},{stood},{ran},{succeeds},{refused}",
+                    strategy.contender, repetition.number, repetition.budget
+                );
+            }
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::{Contender, Judgement};
+
+    fn results(repetitions: u32) -> StrategyResults {
+        let repetition = |number| Repetition {
+            contender: Contender::Identify,
+            number,
+            answers: vec![
+                AnswerResult {
+                    real_rollouts: 1,
+                    judgement: Err("recording 0: it is \"short\"".into()),
+                    succeeds: false,
+                },
+                AnswerResult {
+                    real_rollouts: 2,
+                    judgement: Ok(Judgement { stood: 18, ran: 19 }),
+                    succeeds: number % 2 == 0,
+                },
+            ],
+            is_over: true,
+            budget: 125_000,
+        };
+        let strategy = StrategyResult {
+            contender: Contender::Identify,
+            repetitions: (0..repetitions).map(repetition).collect(),
+        };
+        StrategyResults {
+            recipe: "opt-nominal".into(),
+            plant: "lab".into(),
+            strategies: vec![strategy],
+        }
+    }
+
+    #[test]
+    fn the_table_fits_a_terminal_and_says_who_never_succeeded() {
+        for repetitions in [0, 1, 9, 1000] {
+            let table = table(&results(repetitions));
+            assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
+            assert!(!table.contains("NaN"), "{table}");
+        }
+        let table = table(&results(10));
+        assert!(table.contains("5/10") && table.contains("> 125000"), "{table}");
+        assert_eq!(table.matches("it is \"short\"").count(), 1, "{table}");
+        assert_eq!(value(&results(2))["strategies"][0]["real_rollouts"][1], Value::Null);
+    }
+
+    #[test]
+    fn the_csv_has_a_line_for_each_answer() {
+        let csv = csv(&results(2));
+        let lines: Vec<&str> = csv.lines().collect();
+        assert_eq!(lines.len(), 5);
+        assert_eq!(lines[2], "identify,0,125000,2,18,19,true,");
+        assert!(lines[1].ends_with(",0,0,false,\"recording 0: it is 'short'\""), "{}", lines[1]);
+        let fields = |line: &str| line.split(',').count();
+        assert!(lines.iter().all(|line| fields(line) == fields(lines[0])));
+    }
+}

@@ -1,0 +1,159 @@
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use super::folder::{PolicyFolders, make};
+use super::rollouts::Repeated;
+use super::{ExperimentError, Plant, Recipe, RolloutResult};
+use crate::learning::{TrainSettings, curve_csv, train};
+use crate::policy::Policy;
+use crate::session::{
+    EmulatedQubeSettings, Rig, RigError, RigSettings, RolloutPlan, SeedFor, derived_seed,
+    write_whole,
+};
+use crate::storage::{Disk, MachineDisk};
+use crate::telemetry::Ending;
+
+/// Policies by one recipe and one psi: each is trained with a seed of its own and run on plants.
+/// What is on disk and whole is not done again.
+pub(super) struct Series<'a> {
+    /// The experiment's name.
+    pub experiment: &'a str,
+    /// What makes the policies.
+    pub recipe: &'a Recipe,
+    /// The psi of an optimised recipe; empty for the others.
+    pub psi: &'a [f64],
+    /// Everything random follows from it and from a policy's number.
+    pub seed: u64,
+    /// Where the policies and their recordings are.
+    pub folders: PolicyFolders,
+    /// Where the Qube is.
+    pub rig: &'a RigSettings,
+    /// Somebody asks to stop.
+    pub stop: &'a Arc<AtomicBool>,
+}
+
+impl Series<'_> {
+    /// Trains a policy on one core; its best return in training, none where it was trained before.
+    ///
+    /// # Errors
+    /// It cannot be trained or stored.
+    pub fn train(&self, policy: u32) -> Result<Option<f64>, ExperimentError> {
+        let path = self.folders.policy(policy);
+        // Policy files appear whole or not at all.
+        if MachineDisk.exists(&path) {
+            return Ok(None);
+        }
+        make(&self.folders.folder(policy))?;
+        let simulation = self.recipe.simulation(self.psi)?;
+        let training = self.recipe.settings.training.clone();
+        let settings = TrainSettings { threads: 1, simulation, ..training };
+        let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy });
+        let distribution = self.recipe.distribution(self.psi)?;
+        let trained = train(&distribution, &settings, seed, None, self.stop, |_| {})?;
+        let best_return = trained.best_return;
+        let curve = curve_csv(&trained.curve);
+        write_whole(&MachineDisk, &self.folders.curve(policy), curve.as_bytes())?;
+        let file = trained.into_policy(self.recipe.origin(self.psi)).to_bytes();
+        write_whole(&MachineDisk, &path, &file)?;
+        Ok(Some(best_return))
+    }
+
+    /// Runs a policy on an emulated plant: each rollout on a Qube of its own that follows from the
+    /// seed alone, so that an experiment that was stopped repeats byte for byte, whatever thread
+    /// goes on with it.
+    ///
+    /// # Errors
+    /// Whatever ends it early.
+    pub fn run_in_virtual_time(
+        &self,
+        policy: u32,
+        plant: &Plant,
+        rollouts: u32,
+    ) -> Result<Vec<RolloutResult>, ExperimentError> {
+        let emulated = plant.for_policy(self.seed, policy);
+        let rig = RigSettings { homing: self.recipe.settings.homing, ..self.rig.clone() };
+        self.run(policy, plant, rollouts, |rollout, attempt, record| {
+            let purpose = SeedFor::Emulator { candidate: policy, rollout, attempt };
+            let seed = derived_seed(self.seed, purpose);
+            record(&virtual_rig(&rig, &emulated, seed, self.stop)?).map(drop)
+        })
+    }
+
+    /// Runs a policy on one Qube, rollout after rollout; the rig is opened on its first use.
+    ///
+    /// # Errors
+    /// Whatever ends it early.
+    pub fn run_on_device(
+        &self,
+        rig: &mut Option<Rig>,
+        policy: u32,
+        plant: &Plant,
+        rollouts: u32,
+    ) -> Result<Vec<RolloutResult>, ExperimentError> {
+        let settings = RigSettings { homing: self.recipe.settings.homing, ..self.rig.clone() };
+        self.run(policy, plant, rollouts, |_, _, record| {
+            let opened = match rig.take() {
+                Some(opened) => opened,
+                None => Rig::open(&settings, self.stop)?,
+            };
+            let opened = rig.insert(opened);
+            if matches!(record(opened)?, Ending::Fault(_)) {
+                opened.start_again()?;
+            }
+            Ok(())
+        })
+    }
+
+    fn run(
+        &self,
+        policy: u32,
+        plant: &Plant,
+        rollouts: u32,
+        mut with_rig: impl FnMut(
+            u32,
+            u32,
+            &mut super::rollouts::Record<'_>,
+        ) -> Result<(), ExperimentError>,
+    ) -> Result<Vec<RolloutResult>, ExperimentError> {
+        let file = Policy::load(&self.folders.policy(policy))?.to_bytes();
+        let folder = self.folders.rollouts(policy, &plant.name);
+        (0..rollouts)
+            .map(|rollout| {
+                let repeated = Repeated {
+                    folder: &folder,
+                    plan: self.plan(policy, rollout),
+                    policy: &file,
+                    repetitions: self.recipe.settings.extent.repetitions,
+                    stop: self.stop,
+                };
+                repeated.perform(|attempt, record| with_rig(rollout, attempt, record))
+            })
+            .collect()
+    }
+
+    fn plan(&self, policy: u32, rollout: u32) -> RolloutPlan {
+        let settings = &self.recipe.settings;
+        RolloutPlan {
+            session: self.experiment.to_owned(),
+            candidate: Some(policy),
+            rollout,
+            attempt: 0,
+            psi: settings.psi.with_names(self.psi),
+            seed: self.seed,
+            policy: format!("{} {policy}", self.recipe.name),
+            estimator: settings.estimator,
+            safety_box: settings.safety_box,
+            steps: settings.extent.steps,
+        }
+    }
+}
+
+/// An emulated Qube of this seed, homed.
+pub(super) fn virtual_rig(
+    rig: &RigSettings,
+    emulated: &EmulatedQubeSettings,
+    seed: u64,
+    stop: &Arc<AtomicBool>,
+) -> Result<Rig, RigError> {
+    Rig::open(&RigSettings { emulator: emulated.emulator(seed), ..rig.clone() }, stop)
+}

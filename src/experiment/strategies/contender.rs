@@ -1,0 +1,82 @@
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::search::StrategyKind;
+
+/// A way to come from real rollouts to policies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Contender {
+    /// Psi is searched.
+    Search(StrategyKind),
+    /// Nothing is searched: the Qube is identified from recordings under an excitation, and policies
+    /// are trained around what was found.
+    Identify,
+}
+
+impl Contender {
+    /// All of them.
+    pub fn all() -> impl Iterator<Item = Self> {
+        StrategyKind::ALL.into_iter().map(Self::Search).chain([Self::Identify])
+    }
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Search(kind) => kind.name(),
+            Self::Identify => "identify",
+        }
+    }
+}
+
+impl fmt::Display for Contender {
+    fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
+
+impl FromStr for Contender {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        Self::all().find(|it| it.name() == name).ok_or_else(|| {
+            let known: Vec<&str> = Self::all().map(Self::name).collect();
+            format!("there is no strategy {name:?}: choose from {}", known.join(", "))
+        })
+    }
+}
+
+impl TryFrom<String> for Contender {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        name.parse()
+    }
+}
+
+impl From<Contender> for String {
+    fn from(contender: Contender) -> Self {
+        contender.name().to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_lead_back_to_their_contenders() {
+        for contender in Contender::all() {
+            assert_eq!(contender.name().parse(), Ok(contender));
+            assert_eq!(serde_json::to_value(contender).unwrap(), contender.name());
+        }
+        let message = "baysian".parse::<Contender>().unwrap_err();
+        assert!(
+            message.contains("baysian")
+                && message.contains("bayrn, cem, cmaes, random, sobol, identify")
+        );
+    }
+}

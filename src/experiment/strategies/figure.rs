@@ -1,0 +1,91 @@
+use plotters::prelude::*;
+
+use super::{StrategyResult, StrategyResults};
+use crate::experiment::ExperimentError;
+use crate::experiment::figures::{PlotError, drawing_failed};
+
+/// The share of repetitions whose answer has succeeded, against real rollouts: a step line for each
+/// strategy. A line that does not come up to 1 has repetitions that never succeed.
+///
+/// # Errors
+/// The drawing library failed.
+pub fn strategies_svg(results: &StrategyResults) -> Result<String, ExperimentError> {
+    let mut svg = String::new();
+    draw(&mut svg, results).map_err(drawing_failed)?;
+    Ok(svg)
+}
+
+fn draw(svg: &mut String, results: &StrategyResults) -> Result<(), PlotError> {
+    let root = SVGBackend::with_string(svg, (1000, 500)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let budgets = results.strategies.iter().filter_map(StrategyResult::budget);
+    let last = f64::from(budgets.max().unwrap_or(1).max(2));
+    let title = format!("{} on {}: answers that succeed", results.recipe, results.plant);
+    let mut chart = ChartBuilder::on(&root)
+        .margin(10)
+        .caption(title, ("sans-serif", 18))
+        .x_label_area_size(35)
+        .y_label_area_size(45)
+        // A recording or two beside a hundred rollouts: only a logarithm shows both.
+        .build_cartesian_2d((1.0..last).log_scale(), 0.0..1.05)?;
+    chart
+        .configure_mesh()
+        .x_desc("real rollouts")
+        .y_desc("share of repetitions")
+        .x_label_formatter(&|rollouts| format!("{rollouts:.0}"))
+        .draw()?;
+    for (index, strategy) in results.strategies.iter().enumerate() {
+        let colour = Palette99::pick(index).to_rgba();
+        chart
+            .draw_series(LineSeries::new(steps(strategy), colour.stroke_width(2)))?
+            .label(strategy.contender.name())
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::LowerRight)
+        .background_style(WHITE.mix(0.8))
+        .draw()?;
+    root.present()
+}
+
+/// The corners of a strategy's line, from 1 rollout to the end of its budget.
+fn steps(strategy: &StrategyResult) -> Vec<(f64, f64)> {
+    let Some(budget) = strategy.budget() else { return Vec::new() };
+    let share = |count: usize| count as f64 / strategy.repetitions.len() as f64;
+    let mut corners = vec![(1.0, 0.0)];
+    for (index, rollouts) in strategy.rollouts_needed().into_iter().enumerate() {
+        corners.push((f64::from(rollouts), share(index)));
+        corners.push((f64::from(rollouts), share(index + 1)));
+    }
+    corners.push((f64::from(budget), share(strategy.reached())));
+    corners
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::results::tests::result;
+    use super::*;
+
+    #[test]
+    fn a_line_climbs_where_answers_succeed_and_ends_with_the_budget() {
+        let strategy = result(&[Some(40), None, Some(10), Some(20)]);
+        let corners = steps(&strategy);
+        assert_eq!(corners.first(), Some(&(1.0, 0.0)));
+        assert!(corners.contains(&(10.0, 0.25)) && corners.contains(&(20.0, 0.25)));
+        assert_eq!(corners.last(), Some(&(125.0, 0.75)));
+        assert!(corners.is_sorted_by(|a, b| a.0 <= b.0 && a.1 <= b.1));
+    }
+
+    #[test]
+    fn the_figure_names_every_strategy() {
+        let results = StrategyResults {
+            recipe: "opt-nominal".into(),
+            plant: "lab".into(),
+            strategies: vec![result(&[Some(5), None]), result(&[])],
+        };
+        let svg = strategies_svg(&results).unwrap();
+        assert!(svg.contains("cem") && svg.contains("opt-nominal on lab"), "{svg}");
+        assert!(svg.ends_with("</svg>\n"));
+    }
+}

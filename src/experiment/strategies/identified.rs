@@ -1,0 +1,167 @@
+use std::path::PathBuf;
+
+use super::StrategySettings;
+use super::follow::{Answer, Answers, Course};
+use crate::experiment::folder::{make, recording};
+use crate::experiment::rollouts::{Repeated, all_of};
+use crate::experiment::series::virtual_rig;
+use crate::experiment::{ExperimentError, Recipe, RecipeModel};
+use crate::identification::{Unknown, identify};
+use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
+use crate::qube::{Profile, QubeModel};
+use crate::replay::{MotionLog, MotionLogError};
+use crate::session::{
+    ProfileSettings, RigSettings, RolloutPlan, SeedFor, derived_seed, write_whole,
+};
+use crate::storage::{Disk, MachineDisk};
+
+/// Most volts of the excitation: what `run --excite` has by default.
+const EXCITATION_V: f64 = 1.5;
+
+/// The largest file about a fit that is read.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// The answers of who identifies: after each recording the distribution around the Qube that all so
+/// far show. Policies see their last commands, as that Qube has a delay.
+pub(super) struct FromRecordings<'a> {
+    course: &'a Course<'a>,
+    settings: &'a StrategySettings,
+}
+
+impl<'a> FromRecordings<'a> {
+    /// In a course's folder.
+    pub fn new(course: &'a Course<'a>, settings: &'a StrategySettings) -> Self {
+        Self { course, settings }
+    }
+
+    fn recordings(&self) -> PathBuf {
+        self.course.folder.join("recordings")
+    }
+
+    /// How often a fault may end a recording.
+    fn repetitions(&self) -> u32 {
+        self.course.recipe.settings.extent.repetitions
+    }
+
+    /// Makes the recording of this number where there is none.
+    fn record(&self, number: u32) -> Result<(), ExperimentError> {
+        let (course, experiment) = (self.course, self.course.experiment);
+        let settings = &course.recipe.settings;
+        let excitation = Excitation::of_rollout(ExcitationShape::Chirp, EXCITATION_V, number);
+        // Apart from the judges, who have the course's.
+        let seed = derived_seed(course.seed, SeedFor::Search);
+        let repeated = Repeated {
+            folder: &self.recordings(),
+            plan: RolloutPlan {
+                session: format!("{} of {}", course.name, experiment.settings().name),
+                candidate: None,
+                rollout: number,
+                attempt: 0,
+                psi: Default::default(),
+                seed,
+                policy: "excitation by chirp".into(),
+                estimator: settings.estimator,
+                safety_box: settings.safety_box,
+                steps: EXCITATION_STEPS,
+            },
+            policy: &Policy::Excitation(excitation).to_bytes(),
+            repetitions: self.repetitions(),
+            stop: experiment.stop(),
+        };
+        let rig = RigSettings { homing: settings.homing, ..experiment.rig().clone() };
+        repeated.perform(|attempt, record| {
+            let purpose = SeedFor::Emulator { candidate: 0, rollout: number, attempt };
+            let seed = derived_seed(seed, purpose);
+            record(&virtual_rig(&rig, &course.plant.emulated, seed, experiment.stop())?).map(drop)
+        })?;
+        Ok(())
+    }
+
+    /// What so many recordings show, as a profile's text, or why they show nothing.
+    fn fitted(&self, recordings: u32) -> Result<Result<String, String>, ExperimentError> {
+        let mut logs = Vec::new();
+        for number in 0..recordings {
+            // The last try is the one that counts.
+            let tries = (0..=self.repetitions()).rev();
+            let mut paths = tries.map(|attempt| recording(&self.recordings(), number, attempt));
+            let Some(path) = paths.find(|path| MachineDisk.exists(path)) else {
+                return Ok(Err(format!("recording {number} is missing")));
+            };
+            match MotionLog::read(&path) {
+                Ok(log) => logs.push(log),
+                Err(MotionLogError::Recording(error)) => return Err(error.into()),
+                Err(unfit) => return Ok(Err(unfit.to_string())),
+            }
+        }
+        let found = match identify(&logs, &Unknown::ALL, &QubeModel::NOMINAL) {
+            Ok(found) => found.model,
+            Err(why) => return Ok(Err(why.to_string())),
+        };
+        let profile = Profile {
+            name: format!("{} from {recordings} recordings", self.course.name),
+            parameters: found.parameters,
+            gap: found.gap,
+            standard_errors: Default::default(),
+            provenance: None,
+        };
+        Ok(Ok(toml::to_string_pretty(&profile)?))
+    }
+
+    /// What so many recordings show. It is kept on disk, as a fit takes longer than a training.
+    fn profile(&self, recordings: u32) -> Result<Option<Result<Profile, String>>, ExperimentError> {
+        let named = |what: &str| self.course.folder.join(format!("{what}-{recordings}"));
+        let (found, refused) =
+            (named("identified").with_extension("toml"), named("refused").with_extension("txt"));
+        if !MachineDisk.exists(&found) && !MachineDisk.exists(&refused) {
+            if self.course.work.is_none() {
+                return Ok(None);
+            }
+            match self.fitted(recordings)? {
+                Ok(profile) => write_whole(&MachineDisk, &found, profile.as_bytes())?,
+                Err(reason) => write_whole(&MachineDisk, &refused, reason.as_bytes())?,
+            }
+        }
+        if MachineDisk.exists(&refused) {
+            return Ok(Some(Err(read(refused)?)));
+        }
+        // A fit may find what no Qube has.
+        Ok(Some(Profile::parse(&read(found)?).map_err(|error| error.to_string())))
+    }
+}
+
+impl Answers for FromRecordings<'_> {
+    fn count(&self) -> u32 {
+        self.settings.recordings
+    }
+
+    fn rollouts_each(&self) -> u32 {
+        1
+    }
+
+    fn after(&mut self, steps: u32) -> Result<Option<Result<Answer, String>>, ExperimentError> {
+        if self.course.work.is_some() {
+            make(&self.course.folder)?;
+            self.record(steps - 1)?;
+        }
+        if all_of(&self.recordings(), steps, self.repetitions())?.is_none() {
+            return Ok(None);
+        }
+        let Some(profile) = self.profile(steps)? else { return Ok(None) };
+        Ok(Some(profile.and_then(|profile| {
+            let recipe = Recipe::of(RecipeModel::Profile, &self.course.recipe.settings);
+            let around = ProfileSettings { model: profile.model(), spread: self.settings.spread };
+            let settings =
+                crate::session::SessionSettings { profile: Some(around), ..recipe.settings };
+            // What cannot be simulated is no answer either.
+            settings.base_distribution().map_err(|error| error.to_string())?;
+            Ok(Answer { recipe: Recipe { settings, ..recipe }, psi: Vec::new() })
+        })))
+    }
+}
+
+fn read(path: PathBuf) -> Result<String, ExperimentError> {
+    let unreadable = |reason| ExperimentError::Settings { path: path.clone(), reason };
+    let bytes =
+        MachineDisk.read(&path, MAX_FILE_BYTES).map_err(|error| unreadable(error.to_string()))?;
+    String::from_utf8(bytes).map_err(|error| unreadable(error.to_string()))
+}

@@ -1,0 +1,154 @@
+use std::sync::atomic::AtomicBool;
+use std::sync::{Mutex, PoisonError};
+
+use super::{Contender, Repetition};
+use crate::experiment::queue::Queue;
+use crate::experiment::statistics::{Interval, wilson_interval};
+use crate::experiment::{Experiment, ExperimentError};
+
+/// What a comparison of strategies has come to so far, computed from sessions and recordings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StrategyResults {
+    /// The recipe whose psi is searched.
+    pub recipe: String,
+    /// The plant.
+    pub plant: String,
+    /// Each contender, in the order of the settings.
+    pub strategies: Vec<StrategyResult>,
+}
+
+/// What one contender has come to.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StrategyResult {
+    /// Who.
+    pub contender: Contender,
+    /// The repetitions that are over, in order.
+    pub repetitions: Vec<Repetition>,
+}
+
+impl StrategyResult {
+    /// The repetitions of which an answer succeeds.
+    #[must_use]
+    pub fn reached(&self) -> usize {
+        self.rollouts_needed().len()
+    }
+
+    /// The 95 % interval of their share, by Wilson.
+    #[must_use]
+    pub fn reached_interval(&self) -> Interval {
+        wilson_interval(self.reached(), self.repetitions.len())
+    }
+
+    /// The real rollouts of each repetition of which an answer succeeds, the fewest first.
+    #[must_use]
+    pub fn rollouts_needed(&self) -> Vec<u32> {
+        let needed = self.repetitions.iter().filter_map(Repetition::succeeded_after);
+        let mut needed: Vec<u32> = needed.collect();
+        needed.sort_unstable();
+        needed
+    }
+
+    /// The fewest real rollouts within which at least this share of the repetitions has come to an
+    /// answer that succeeds; none where not so many have. Of 1/2 this is the median, those that
+    /// never succeed counting as beyond any number.
+    #[must_use]
+    pub fn rollouts_within_which(&self, share: f64) -> Option<u32> {
+        let rank = (share * self.repetitions.len() as f64 - 1e-9).ceil().max(1.0) as usize;
+        self.rollouts_needed().get(rank - 1).copied()
+    }
+
+    /// Real rollouts that a repetition may use; none before one is over.
+    #[must_use]
+    pub fn budget(&self) -> Option<u32> {
+        self.repetitions.first().map(|it| it.budget)
+    }
+
+    /// Answers that were judged: each is one more chance to succeed by luck.
+    #[must_use]
+    pub fn judged(&self) -> usize {
+        let is_judged = |repetition: &Repetition| {
+            repetition.answers.iter().filter(|answer| answer.judgement.is_ok()).count()
+        };
+        self.repetitions.iter().map(is_judged).sum()
+    }
+}
+
+impl StrategyResults {
+    /// Reads what is finished, on as many threads as the experiment has; none where the experiment
+    /// compares no strategies.
+    ///
+    /// # Errors
+    /// A session or recording that is there and cannot be read.
+    pub fn read(experiment: &Experiment) -> Result<Option<Self>, ExperimentError> {
+        let settings = experiment.settings();
+        let Some(strategies) = &settings.strategies else { return Ok(None) };
+        let read = Mutex::new(Vec::new());
+        // Whoever asks for results wants them also after a stop.
+        let never = AtomicBool::new(false);
+        Queue::new(strategies.repetitions(), &never).run(experiment.threads(), |job| {
+            let repetition = experiment.follow(strategies, job, None)?;
+            if repetition.is_over {
+                read.lock().unwrap_or_else(PoisonError::into_inner).push(repetition);
+            }
+            Ok(Vec::new())
+        })?;
+        let mut read = read.into_inner().unwrap_or_else(PoisonError::into_inner);
+        read.sort_by_key(|repetition| repetition.number);
+        let of = |&contender: &Contender| StrategyResult {
+            contender,
+            repetitions: read.iter().filter(|it| it.contender == contender).cloned().collect(),
+        };
+        Ok(Some(Self {
+            recipe: settings.recipes[0].name.clone(),
+            plant: settings.plants[0].name.clone(),
+            strategies: strategies.contenders.iter().map(of).collect(),
+        }))
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::experiment::{AnswerResult, Judgement};
+    use crate::search::StrategyKind;
+
+    /// A strategy whose repetitions succeed after so many rollouts, or never.
+    pub fn result(needed: &[Option<u32>]) -> StrategyResult {
+        let contender = Contender::Search(StrategyKind::Cem);
+        let answer = |real_rollouts, succeeds| AnswerResult {
+            real_rollouts,
+            judgement: Ok(Judgement { stood: 0, ran: 2 }),
+            succeeds,
+        };
+        let repetition = |(number, needed): (usize, &Option<u32>)| Repetition {
+            contender,
+            number: number as u32,
+            answers: [Some(answer(5, false)), needed.map(|it| answer(it, true))]
+                .into_iter()
+                .flatten()
+                .collect(),
+            is_over: true,
+            budget: 125,
+        };
+        StrategyResult {
+            contender,
+            repetitions: needed.iter().enumerate().map(repetition).collect(),
+        }
+    }
+
+    #[test]
+    fn those_that_never_succeed_count_as_beyond_any_number() {
+        let found = result(&[Some(40), None, Some(10), Some(20)]);
+        assert_eq!(found.reached(), 3);
+        assert_eq!(found.rollouts_within_which(0.25), Some(10));
+        assert_eq!(found.rollouts_within_which(0.5), Some(20));
+        assert_eq!(found.rollouts_within_which(0.75), Some(40));
+        assert_eq!(found.rollouts_within_which(1.0), None);
+        assert_eq!(found.judged(), 7);
+        let none = result(&[None, None]);
+        assert_eq!((none.reached(), none.rollouts_within_which(0.25)), (0, None));
+        let empty = result(&[]);
+        assert_eq!((empty.rollouts_within_which(0.5), empty.budget()), (None, None));
+        assert_eq!(empty.reached_interval(), Interval { lower: 0.0, upper: 1.0 });
+    }
+}

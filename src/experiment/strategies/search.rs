@@ -1,0 +1,85 @@
+use super::follow::{Answer, Answers, Course};
+use crate::experiment::folder::make;
+use crate::experiment::search::{open_search, searched};
+use crate::experiment::{ExperimentError, News};
+use crate::search::{Observation, Strategy, StrategyKind};
+use crate::session::{Progress, SeedFor, Session, SessionSettings, derived_seed};
+
+/// The answers of a search: after each candidate what the strategy holds to be best. The session is
+/// asked for no more candidates than are needed, so that nothing is searched beyond a success.
+pub(super) struct FromSearch<'a> {
+    course: &'a Course<'a>,
+    settings: SessionSettings,
+    strategy: Box<dyn Strategy>,
+    session: Option<Session>,
+    /// The candidates that have all their rollouts.
+    evaluated: Vec<Observation>,
+}
+
+impl<'a> FromSearch<'a> {
+    /// In a course's folder.
+    ///
+    /// # Errors
+    /// The settings make no strategy.
+    pub fn new(course: &'a Course<'a>, kind: StrategyKind) -> Result<Self, ExperimentError> {
+        let settings = SessionSettings {
+            name: format!("{} of {}", course.name, course.experiment.settings().name),
+            // Apart from the judges, who have the course's.
+            seed: derived_seed(course.seed, SeedFor::Search),
+            emulated: course.plant.emulated,
+            strategy: kind,
+            ..course.recipe.settings.clone()
+        };
+        let strategy = settings.search()?;
+        Ok(Self { course, settings, strategy, session: None, evaluated: Vec::new() })
+    }
+
+    /// Goes on with the search until so many candidates are evaluated.
+    fn search_to(&mut self, candidates: u32) -> Result<(), ExperimentError> {
+        let Some(tell) = self.course.work else { return Ok(()) };
+        let folder = self.course.folder.join("search");
+        let session = match self.session.take() {
+            Some(session) => session,
+            None => {
+                make(&self.course.folder)?;
+                let experiment = self.course.experiment;
+                let settings = self.settings.clone();
+                open_search(&folder, settings, experiment.rig(), experiment.stop())?.on_cores(1)
+            }
+        };
+        let name = &self.course.name;
+        let mut tell = |progress: Progress| tell(News::Search { name, progress: &progress });
+        self.session.insert(session).run_to(candidates, &mut tell).map_err(|source| {
+            ExperimentError::Search { name: name.clone(), source: Box::new(source) }
+        })
+    }
+
+    fn read_evaluated(&mut self) -> Result<(), ExperimentError> {
+        let rollouts = self.settings.extent.rollouts as usize;
+        let folder = self.course.folder.join("search");
+        let more = searched(&folder, self.evaluated.len())?;
+        self.evaluated.extend(more.into_iter().take_while(|it| it.returns.len() == rollouts));
+        Ok(())
+    }
+}
+
+impl Answers for FromSearch<'_> {
+    fn count(&self) -> u32 {
+        self.settings.extent.initial_candidates + self.settings.extent.iterations
+    }
+
+    fn rollouts_each(&self) -> u32 {
+        self.settings.extent.rollouts
+    }
+
+    fn after(&mut self, steps: u32) -> Result<Option<Result<Answer, String>>, ExperimentError> {
+        let steps = steps as usize;
+        if self.evaluated.len() < steps {
+            self.search_to(steps as u32)?;
+            self.read_evaluated()?;
+        }
+        let Some(data) = self.evaluated.get(..steps) else { return Ok(None) };
+        let psi = self.strategy.best(data)?.point;
+        Ok(Some(Ok(Answer { recipe: self.course.recipe.clone(), psi })))
+    }
+}
