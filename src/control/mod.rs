@@ -38,3 +38,5 @@ pub const RING_CAPACITY: usize = 4096;
 
 #[cfg(test)]
 mod plant_device;
+#[cfg(test)]
+mod tick_tests;
