@@ -1,5 +1,6 @@
+use super::rest::{BackDetector, RestDetector};
 use super::sensor_watch::{Drive, SensorWatch};
-use super::settling::{BackDetector, RestDetector, Settler};
+use super::settling::Settler;
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::elementary::Scalar;
