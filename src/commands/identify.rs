@@ -115,7 +115,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 }
 
 fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
-    let names = Unknown::ALL.map(Unknown::name);
+    let names: Vec<&str> = Unknown::all().map(Unknown::name).collect();
     if let Some(name) = fixed.iter().find(|name| !names.contains(&name.as_str())) {
         let known = names.join(", ");
         return Err(Failure::usage(format!(
@@ -123,7 +123,7 @@ fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
         )));
     }
     let moves = |unknown: &Unknown| !fixed.iter().any(|name| name == unknown.name());
-    Ok(Unknown::ALL.into_iter().filter(moves).collect())
+    Ok(Unknown::all().filter(moves).collect())
 }
 
 /// Reads recordings and refuses those that say nothing or something wrong.
