@@ -103,14 +103,8 @@ impl Plant {
         self.arm_blocked || self.state.theta.abs() >= HARD_STOP_RAD
     }
 
-    /// An inelastic impact of the arm. The pendulum swings freely about its bearing, so its own
-    /// momentum m12 theta' + m22 alpha' is the same before and after.
     fn stop_arm_at(&mut self, theta: f64) {
-        let ideal = &self.dynamics.ideal;
-        let coupling = ideal.coupling * self.state.alpha.cos();
-        self.state.alpha_dot += coupling / ideal.pendulum_inertia * self.state.theta_dot;
-        self.state.theta = theta;
-        self.state.theta_dot = 0.0;
+        self.state = self.dynamics.ideal.with_arm_stopped(self.state, theta);
     }
 
     /// The motor's voltage from now on, V, or from when the gap's delay and jitter let it arrive.
