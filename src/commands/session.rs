@@ -43,7 +43,7 @@ pub struct Arguments {
     #[arg(long, conflicts_with = "resume")]
     seed: Option<u64>,
 
-    /// Folder for the session, which must not exist [default: logs/session-DATE-TIME]
+    /// Folder for the session: a new one or an empty one [default: logs/session-DATE-TIME]
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
 
