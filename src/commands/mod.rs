@@ -135,6 +135,16 @@ fn warn_without_realtime(realtime: &RealtimeReport) {
     }
 }
 
+/// How often the observer had lost the Qube, as a line for people; nothing where it never had.
+fn astray_line(times_astray: u64) -> String {
+    match times_astray {
+        0 => String::new(),
+        times => format!(
+            "the observer had lost the Qube {times} times: its model or its delay is of another\n"
+        ),
+    }
+}
+
 /// The timing of all ticks, as lines for people.
 fn timing_lines(latencies: &Latencies) -> String {
     let line = |name: &str, summary: LatencySummary| {

@@ -12,7 +12,7 @@ use super::guard_argument::GuardArgument;
 use super::number_arguments::between;
 use super::output::Output;
 use super::stop::Stop;
-use super::{dated_folder, failures, timing_lines, warn_without_realtime};
+use super::{astray_line, dated_folder, failures, timing_lines, warn_without_realtime};
 use crate::control::HomingMethod;
 use crate::identification::{Unfit, check_recording};
 use crate::policy::{
@@ -309,12 +309,7 @@ impl Results {
     fn text(&self) -> String {
         let directory = self.recordings.first().and_then(|path| path.parent());
         let directory = directory.unwrap_or(Path::new(".")).display();
-        let astray = match self.times_astray {
-            0 => String::new(),
-            times => format!(
-                "the observer had lost the Qube {times} times: its model or its delay is of another\n"
-            ),
-        };
+        let astray = astray_line(self.times_astray);
         let next = if self.excited {
             format!("\nqube-hil identify {directory}/*.mcap says which Qube this is")
         } else {
