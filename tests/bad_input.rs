@@ -138,6 +138,20 @@ fn simulations_that_cannot_be() {
 }
 
 #[test]
+fn emulated_qubes_that_cannot_be() {
+    let directory = tempfile::tempdir().unwrap();
+    let cases: [(&[&str], &[&str]); 3] = [
+        (&["--cable-drift", "0.02"], &["--cable-drift", "no cable", "lab"]),
+        (&["--profile", "lab", "--cable-drift", "-2"], &["--cable-drift", "from -1 to 1"]),
+        (&["--profile", "lab", "--gap", "0", "--cable-drift", "0.02"], &["no cable"]),
+    ];
+    for (arguments, words) in cases {
+        let run: &[&str] = &["run", "--policy", "classical", "--clock", "virtual"];
+        refused(directory.path(), &[run, arguments].concat(), 2, words);
+    }
+}
+
+#[test]
 fn recordings_that_are_torn_or_changed() {
     let directory = tempfile::tempdir().unwrap();
     let made = qube_hil(

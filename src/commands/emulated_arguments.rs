@@ -4,7 +4,7 @@ use std::path::Path;
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::profile;
-use crate::qube::DomainParameter;
+use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN};
 use crate::session::EmulatedQubeSettings;
 
 /// What the emulated Qube is like.
@@ -28,6 +28,11 @@ pub struct EmulatedArguments {
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     jitter_ms: Option<f64>,
 
+    /// Where the cable pulls the arm to wanders by this much a minute while the Qube is on, as a
+    /// profile's cable_drift_rad_per_min; needs a cable, as that of `lab`
+    #[arg(long, value_name = "RAD/MIN", value_parser = drift, allow_negative_numbers = true)]
+    cable_drift: Option<f64>,
+
     /// Multiply a parameter, as M_p=1.1; may be given several times
     #[arg(long, value_name = "NAME=FACTOR", value_parser = scaling)]
     scale: Vec<(DomainParameter, f64)>,
@@ -43,6 +48,7 @@ impl EmulatedArguments {
         gap: Option<f64>,
         delay_ms: Option<f64>,
         jitter_ms: Option<f64>,
+        cable_drift: Option<f64>,
         scale: &BTreeMap<String, f64>,
     ) -> Result<Self, String> {
         let number = |name: &str, value: Option<f64>, rule: fn(&str) -> Result<f64, String>| {
@@ -55,6 +61,7 @@ impl EmulatedArguments {
             gap: number("gap", gap, factor)?,
             delay_ms: number("delay_ms", delay_ms, milliseconds)?,
             jitter_ms: number("jitter_ms", jitter_ms, milliseconds)?,
+            cable_drift: number("cable_drift_rad_per_min", cable_drift, drift)?,
             scale: scale
                 .iter()
                 .map(|(symbol, factor)| scaling(&format!("{symbol}={factor}")))
@@ -78,6 +85,9 @@ impl EmulatedArguments {
         if let Some(milliseconds) = self.jitter_ms {
             name += &format!("+jitter{milliseconds}ms");
         }
+        if let Some(drift) = self.cable_drift {
+            name += &format!("+drift{drift}");
+        }
         for (parameter, factor) in &self.scale {
             name += &format!("+{}x{factor}", parameter.symbol());
         }
@@ -90,6 +100,7 @@ impl EmulatedArguments {
             || self.gap.is_some()
             || self.delay_ms.is_some()
             || self.jitter_ms.is_some()
+            || self.cable_drift.is_some()
             || !self.scale.is_empty();
         if !asked {
             return Ok(None);
@@ -100,6 +111,15 @@ impl EmulatedArguments {
         }
         if let Some(milliseconds) = self.delay_ms {
             model.gap.command_delay_s = 1e-3 * milliseconds;
+        }
+        if let Some(drift) = self.cable_drift {
+            model.gap.cable_drift_rad_per_min = drift;
+        }
+        if model.gap.cable_drift_rad_per_min != 0.0 && model.gap.cable_stiffness_n_m_rad == 0.0 {
+            return Err(Failure::usage(
+                "this Qube has no cable that could drift: give --cable-drift a --profile with a \
+                 cable_stiffness_n_m_rad above 0, as lab",
+            ));
         }
         for &(parameter, factor) in &self.scale {
             model.parameters.set(parameter, factor * model.parameters.get(parameter));
@@ -115,6 +135,10 @@ fn factor(text: &str) -> Result<f64, String> {
 
 fn milliseconds(text: &str) -> Result<f64, String> {
     between(text, 0.0, 100.0)
+}
+
+fn drift(text: &str) -> Result<f64, String> {
+    between(text, -MAX_CABLE_DRIFT_RAD_PER_MIN, MAX_CABLE_DRIFT_RAD_PER_MIN)
 }
 
 fn scaling(text: &str) -> Result<(DomainParameter, f64), String> {

@@ -37,6 +37,7 @@ fn truth() -> QubeModel {
             cable_stiffness_n_m_rad: 1e-3,
             cable_rest_rad: -0.6,
             command_delay_s: 0.0073,
+            ..Gap::default()
         },
         ..QubeModel::NOMINAL
     };
