@@ -16,7 +16,9 @@ use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
+use crate::estimation::EstimatorSettings;
 use crate::session::{Session, SessionFolder, SessionSettings};
+use crate::simulation::SensorModel;
 
 /// Do the whole method: search the distribution of simulations whose policies earn most on the Qube
 ///
@@ -86,7 +88,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Some(_) if arguments.emulated.settings()?.is_some() => {
             return Err(Failure::usage(
                 "a session goes on with the emulated Qube that it began with: leave --profile, \
-                 --gap, --delay-ms, --jitter-ms and --scale out",
+                 --gap, --delay-ms, --jitter-ms, --cable-drift and --scale out",
             ));
         }
         Some(_) if arguments.estimator.settings()?.is_some() => {
@@ -98,6 +100,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Some(directory) => resumed(directory, &device)?,
         None => begun(&arguments, &device)?,
     };
+    if let Some(difference) = estimators_differ(&settings) {
+        eprintln!("{difference}");
+    }
     let profile = device.profile()?;
     let stop = Stop::on_signals()?;
     let rig_settings = crate::session::RigSettings {
@@ -139,6 +144,30 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
+/// What policies are trained on beside what they will see, where that is not the same.
+fn estimators_differ(settings: &SessionSettings) -> Option<String> {
+    let trained_on = match settings.training.simulation.sensors {
+        SensorModel::Encoders { estimator } if estimator == settings.estimator => return None,
+        SensorModel::Encoders { estimator } => described(&estimator),
+        SensorModel::TrueState => "true states".into(),
+    };
+    Some(format!(
+        "note: policies are trained on {trained_on} ([training.simulation.sensors]) and will see {} \
+         ([estimator])",
+        described(&settings.estimator)
+    ))
+}
+
+fn described(estimator: &EstimatorSettings) -> String {
+    match &estimator.observer {
+        None => format!("a filter of {} rad/s", estimator.corner_rad_s),
+        Some(observer) => {
+            let delay_ms = 1e3 * observer.model.gap.command_delay_s;
+            format!("an observer with a delay of {delay_ms:.1} ms")
+        }
+    }
+}
+
 fn begun(
     arguments: &Arguments,
     device: &ChosenDevice,
@@ -148,7 +177,7 @@ fn begun(
         Preset::Thesis => SessionSettings::thesis(),
     };
     let mut settings = match &arguments.config {
-        Some(path) => preset.overridden_by(path).map_err(Failure::usage)?,
+        Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
         None => preset,
     };
     if let Some(guard) = arguments.guard {
@@ -159,7 +188,9 @@ fn begun(
     settings.name = directory
         .file_name()
         .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
-    settings.estimator = arguments.estimator.settings()?.unwrap_or(settings.estimator);
+    if let Some(estimator) = arguments.estimator.settings()? {
+        settings = settings.seen_through(estimator);
+    }
     settings.emulated = arguments.emulated.settings()?.unwrap_or(settings.emulated);
     let settings = on_this_qube(settings, device);
     let configuration = settings.to_toml().map_err(Failure::failed)?;
@@ -183,5 +214,27 @@ fn on_this_qube(settings: SessionSettings, device: &ChosenDevice) -> SessionSett
         homing: device.homing(settings.homing),
         safety_box: device.safety_box(settings.safety_box),
         ..settings
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::ObserverSettings;
+    use crate::qube::QubeModel;
+
+    #[test]
+    fn a_policy_that_will_see_something_else_than_in_training_is_told_of() {
+        let observer = EstimatorSettings::observer(ObserverSettings::of(QubeModel::NOMINAL));
+        let quick = SessionSettings::quick();
+        assert_eq!(estimators_differ(&quick), None);
+        assert_eq!(estimators_differ(&quick.clone().seen_through(observer)), None);
+        let apart = SessionSettings { estimator: observer, ..quick.clone() };
+        let told = estimators_differ(&apart).unwrap();
+        assert!(told.contains("filter of 200 rad/s") && told.contains("observer"), "{told}");
+        let mut blind = quick;
+        blind.training.simulation.sensors = SensorModel::TrueState;
+        let told = estimators_differ(&blind).unwrap();
+        assert!(told.contains("true states"), "{told}");
     }
 }
