@@ -12,28 +12,30 @@ use crate::session::EmulatedQubeSettings;
 #[command(next_help_heading = "The emulated Qube")]
 pub struct EmulatedArguments {
     /// `ideal` (the thesis's equations), `lab` (a real Qube, from published recordings), or a file
-    /// that `identify` wrote
+    /// that `identify` wrote [default: ideal]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<String>,
 
-    /// How far from the nominal Qube, as a multiple of the profile's own distance
+    /// How far from the nominal Qube, as a multiple of the profile's own distance: 0 is nominal, 2
+    /// twice as far as the profile [default: 1]
     #[arg(long, value_name = "FACTOR", value_parser = factor)]
     gap: Option<f64>,
 
-    /// Delay from command to motor, instead of the profile's
+    /// Delay from command to motor [default: the profile's]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     delay_ms: Option<f64>,
 
-    /// Every command's delay differs by up to this much
+    /// By how much the delay of single commands differs from that, at most [default: 0]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     jitter_ms: Option<f64>,
 
-    /// Where the cable pulls the arm to wanders by this much a minute while the Qube is on, as a
-    /// profile's cable_drift_rad_per_min; needs a cable, as that of `lab`
+    /// How fast the place to which the cable pulls the arm wanders while the Qube is on; needs a
+    /// profile with a cable, as `lab` [default: the profile's cable_drift_rad_per_min, mostly 0]
     #[arg(long, value_name = "RAD/MIN", value_parser = drift, allow_negative_numbers = true)]
     cable_drift: Option<f64>,
 
-    /// Multiply a parameter, as M_p=1.1; may be given several times
+    /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g), as M_p=1.1; may be given
+    /// several times
     #[arg(long, value_name = "NAME=FACTOR", value_parser = scaling)]
     scale: Vec<(DomainParameter, f64)>,
 }

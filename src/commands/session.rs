@@ -22,26 +22,29 @@ use crate::simulation::SensorModel;
 
 /// Do the whole method: search the distribution of simulations whose policies earn most on the Qube
 ///
-/// Policies are trained in randomised simulation, run on the Qube at 100 Hz, every rollout is
-/// logged, the surrogate is updated, and the answer's policy is verified on the Qube. Without
-/// arguments this happens on an emulated Qube and takes some minutes. Whatever ends it, --resume
-/// goes on without losing or repeating a finished rollout.
+/// A candidate is one psi: means and standard deviations from which the simulations' masses and
+/// lengths are drawn (--config can choose others). For each a policy is trained and run on the Qube at
+/// 100 Hz, every rollout is logged, and a surrogate of the return over psi proposes the next. Last, the
+/// psi that it believes best is trained and run, and the best candidate's policy is run again: the
+/// better of the two is handed on. Without arguments this happens on an emulated Qube and takes some
+/// minutes. Whatever ends it, --resume goes on without losing or repeating a finished rollout.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    qube-hil session                                  # on the emulated Qube\n  \
+    qube-hil session                               # on the emulated Qube\n  \
     qube-hil session --device /dev/ttyACM0 --preset thesis --out logs/monday\n  \
-    qube-hil session --resume logs/monday             # after Ctrl-C, a crash, or a fault\n  \
-    qube-hil session --clock virtual --seed 3 --json  # as fast as the processor can")]
+    qube-hil session --resume logs/monday          # after Ctrl-C, crash or fault\n  \
+    qube-hil session --clock virtual --seed 3      # as fast as the processor can")]
 pub struct Arguments {
     /// How much is done: `quick` takes minutes, `thesis` is the published extent and budget
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
     preset: Preset,
 
-    /// A TOML file whose entries replace the preset's (as a session's own session.toml)
+    /// A TOML file whose entries replace the preset's; the session.toml in a session's folder shows all
+    /// there are
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     config: Option<PathBuf>,
 
-    /// Everything random follows from it
+    /// Everything random follows from it [default: 0, or what --config says]
     #[arg(long, conflicts_with = "resume")]
     seed: Option<u64>,
 
@@ -49,12 +52,12 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
 
-    /// Go on with a session from its folder
+    /// Go on with the session in this folder, with its settings
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
-    /// Guard of rollouts and training: the speed envelope, or the thesis's box alone [default: the
-    /// envelope, with --config as configured]
+    /// What ends a rollout, simulated or not: the speed envelope too, or the box alone [default:
+    /// envelope, or what --config says]
     #[arg(long, value_enum, conflicts_with = "resume")]
     guard: Option<GuardArgument>,
 
@@ -74,9 +77,9 @@ pub struct Arguments {
 /// How much a session does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Preset {
-    /// 6 points, 4 iterations, 2 rollouts each, quick training
+    /// 6 initial candidates, 4 by the search, 2 rollouts each, trainings of half a minute
     Quick,
-    /// 15 points, 10 iterations, 5 rollouts each, the thesis's training budget
+    /// 15 initial candidates, 10 by the search, 5 rollouts each, the published training budget
     Thesis,
 }
 
