@@ -138,6 +138,20 @@ fn simulations_that_cannot_be() {
 }
 
 #[test]
+fn emulated_qubes_that_cannot_be() {
+    let directory = tempfile::tempdir().unwrap();
+    let cases: [(&[&str], &[&str]); 3] = [
+        (&["--cable-drift", "0.02"], &["--cable-drift", "no cable", "lab"]),
+        (&["--profile", "lab", "--cable-drift", "-2"], &["--cable-drift", "from -1 to 1"]),
+        (&["--profile", "lab", "--gap", "0", "--cable-drift", "0.02"], &["no cable"]),
+    ];
+    for (arguments, words) in cases {
+        let run: &[&str] = &["run", "--policy", "classical", "--clock", "virtual"];
+        refused(directory.path(), &[run, arguments].concat(), 2, words);
+    }
+}
+
+#[test]
 fn recordings_that_are_torn_or_changed() {
     let directory = tempfile::tempdir().unwrap();
     let made = qube_hil(
@@ -165,10 +179,15 @@ fn recordings_that_are_torn_or_changed() {
 fn folders_that_cannot_be() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::create_dir(directory.path().join("taken")).unwrap();
+    std::fs::write(directory.path().join("taken/notes.txt"), "").unwrap();
     let out = ["session", "--clock", "virtual", "--out", "taken"];
     refused(directory.path(), &out, 2, &["taken", "exists", "--resume"]);
     let resume = ["session", "--clock", "virtual", "--resume", "taken"];
     refused(directory.path(), &resume, 2, &["taken", "no session"]);
+    // What a kill leaves of a session that had not begun yet.
+    std::fs::create_dir_all(directory.path().join("left/candidates")).unwrap();
+    let resume = ["session", "--clock", "virtual", "--resume", "left"];
+    refused(directory.path(), &resume, 2, &["nothing to go on with", "--out left"]);
     let port = ["session", "--clock", "virtual", "--device", "/dev/ttyUSB0", "--out", "new"];
     refused(directory.path(), &port, 2, &["--clock virtual", "/dev/ttyUSB0"]);
 }

@@ -71,7 +71,8 @@ fn a_model_with_friction_cable_and_delay_predicts_chirps_that_it_was_not_fitted_
     };
     let fitted = [chirp("plus", 1), chirp("minus", 1)];
     let held_out = [chirp("plus", 2), chirp("plus", 3), chirp("minus", 2), chirp("minus", 3)];
-    let found = identify(&fitted, &Unknown::ALL, &QubeModel::NOMINAL).unwrap();
+    let all: Vec<Unknown> = Unknown::all().collect();
+    let found = identify(&fitted, &all, &QubeModel::NOMINAL).unwrap();
     let error = horizon_error(&held_out, &found.model, 9.8);
     eprintln!("held out, 9.8 s: {:?}", error.rms);
     assert_eq!(error.predictions, 4);

@@ -46,6 +46,9 @@ fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
     let whole = ledger(directory.path(), "whole");
     assert!(whole.iter().filter(|&&byte| byte == b'\n').count() >= 6 * 2 + 12);
 
+    // As a first kill leaves it that comes before the session has its session.toml.
+    std::fs::create_dir_all(directory.path().join("killed/candidates")).unwrap();
+    std::fs::write(directory.path().join("killed/session.unfinished"), "seed").unwrap();
     let mut child = begin(directory.path(), "killed");
     let mut kills = 0;
     loop {
@@ -64,7 +67,6 @@ fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
             child = if begun {
                 session(directory.path(), &["--resume", "killed"])
             } else {
-                let _ = std::fs::remove_dir_all(directory.path().join("killed"));
                 begin(directory.path(), "killed")
             };
         }

@@ -16,17 +16,19 @@ const EMULATED: &str = "emulated";
 
 /// Which Qube, and which time.
 #[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Which Qube")]
 pub struct DeviceArguments {
     #[command(flatten)]
     qube: QubeArguments,
 
-    /// Which time passes; `virtual` runs the emulated Qube as fast as the processor can
+    /// By which clock: `virtual` runs the emulated Qube as fast as the processor can
     #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
     clock: ClockArgument,
 }
 
 /// Which Qube.
 #[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Which Qube")]
 pub struct QubeArguments {
     /// `emulated`, or the serial port of a Qube [default: the port in --qube, else emulated]
     #[arg(long, value_name = "emulated|PORT")]
@@ -37,7 +39,8 @@ pub struct QubeArguments {
     #[arg(long, value_name = "FILE")]
     qube: Option<PathBuf>,
 
-    /// How the arm's middle is found: between its stops, or where it was put by hand
+    /// How the arm's middle is found: between its stops, or where it was put by hand [default: as the
+    /// --qube file says, else stops]
     #[arg(long, value_enum)]
     home: Option<HomeArgument>,
 }
@@ -47,7 +50,7 @@ pub struct QubeArguments {
 enum ClockArgument {
     /// Real time
     Wall,
-    /// Virtual time
+    /// Computed time, for the emulated Qube alone; the same seed gives the same bytes
     Virtual,
 }
 
@@ -166,6 +169,7 @@ impl ChosenDevice {
 
 /// The check that precedes the first motion of a real Qube.
 #[derive(Clone, Copy, Debug, clap::Args)]
+#[command(next_help_heading = "Which Qube")]
 pub struct CheckArguments {
     /// Leave out the check of a real Qube before its first motion; the recordings say so
     #[arg(long)]

@@ -4,7 +4,7 @@ use std::path::Path;
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::profile;
-use crate::qube::DomainParameter;
+use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN};
 use crate::session::EmulatedQubeSettings;
 
 /// What the emulated Qube is like.
@@ -12,23 +12,30 @@ use crate::session::EmulatedQubeSettings;
 #[command(next_help_heading = "The emulated Qube")]
 pub struct EmulatedArguments {
     /// `ideal` (the thesis's equations), `lab` (a real Qube, from published recordings), or a file
-    /// that `identify` wrote
+    /// that `identify` wrote [default: ideal]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<String>,
 
-    /// How far from the nominal Qube, as a multiple of the profile's own distance
+    /// How far from the nominal Qube, as a multiple of the profile's own distance: 0 is nominal, 2
+    /// twice as far as the profile [default: 1]
     #[arg(long, value_name = "FACTOR", value_parser = factor)]
     gap: Option<f64>,
 
-    /// Delay from command to motor, instead of the profile's
+    /// Delay from command to motor [default: the profile's]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     delay_ms: Option<f64>,
 
-    /// Every command's delay differs by up to this much
+    /// By how much the delay of single commands differs from that, at most [default: 0]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     jitter_ms: Option<f64>,
 
-    /// Multiply a parameter, as M_p=1.1; may be given several times
+    /// How fast the place to which the cable pulls the arm wanders while the Qube is on; needs a
+    /// profile with a cable, as `lab` [default: the profile's cable_drift_rad_per_min, mostly 0]
+    #[arg(long, value_name = "RAD/MIN", value_parser = drift, allow_negative_numbers = true)]
+    cable_drift: Option<f64>,
+
+    /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g), as M_p=1.1; may be given
+    /// several times
     #[arg(long, value_name = "NAME=FACTOR", value_parser = scaling)]
     scale: Vec<(DomainParameter, f64)>,
 }
@@ -43,6 +50,7 @@ impl EmulatedArguments {
         gap: Option<f64>,
         delay_ms: Option<f64>,
         jitter_ms: Option<f64>,
+        cable_drift: Option<f64>,
         scale: &BTreeMap<String, f64>,
     ) -> Result<Self, String> {
         let number = |name: &str, value: Option<f64>, rule: fn(&str) -> Result<f64, String>| {
@@ -55,6 +63,7 @@ impl EmulatedArguments {
             gap: number("gap", gap, factor)?,
             delay_ms: number("delay_ms", delay_ms, milliseconds)?,
             jitter_ms: number("jitter_ms", jitter_ms, milliseconds)?,
+            cable_drift: number("cable_drift_rad_per_min", cable_drift, drift)?,
             scale: scale
                 .iter()
                 .map(|(symbol, factor)| scaling(&format!("{symbol}={factor}")))
@@ -78,6 +87,9 @@ impl EmulatedArguments {
         if let Some(milliseconds) = self.jitter_ms {
             name += &format!("+jitter{milliseconds}ms");
         }
+        if let Some(drift) = self.cable_drift {
+            name += &format!("+drift{drift}");
+        }
         for (parameter, factor) in &self.scale {
             name += &format!("+{}x{factor}", parameter.symbol());
         }
@@ -90,6 +102,7 @@ impl EmulatedArguments {
             || self.gap.is_some()
             || self.delay_ms.is_some()
             || self.jitter_ms.is_some()
+            || self.cable_drift.is_some()
             || !self.scale.is_empty();
         if !asked {
             return Ok(None);
@@ -100,6 +113,15 @@ impl EmulatedArguments {
         }
         if let Some(milliseconds) = self.delay_ms {
             model.gap.command_delay_s = 1e-3 * milliseconds;
+        }
+        if let Some(drift) = self.cable_drift {
+            model.gap.cable_drift_rad_per_min = drift;
+        }
+        if model.gap.cable_drift_rad_per_min != 0.0 && model.gap.cable_stiffness_n_m_rad == 0.0 {
+            return Err(Failure::usage(
+                "this Qube has no cable that could drift: give --cable-drift a --profile with a \
+                 cable_stiffness_n_m_rad above 0, as lab",
+            ));
         }
         for &(parameter, factor) in &self.scale {
             model.parameters.set(parameter, factor * model.parameters.get(parameter));
@@ -115,6 +137,10 @@ fn factor(text: &str) -> Result<f64, String> {
 
 fn milliseconds(text: &str) -> Result<f64, String> {
     between(text, 0.0, 100.0)
+}
+
+fn drift(text: &str) -> Result<f64, String> {
+    between(text, -MAX_CABLE_DRIFT_RAD_PER_MIN, MAX_CABLE_DRIFT_RAD_PER_MIN)
 }
 
 fn scaling(text: &str) -> Result<(DomainParameter, f64), String> {

@@ -9,8 +9,8 @@ use crate::estimation::{EstimatorSettings, ObserverSettings};
 #[derive(Clone, Debug, Default, clap::Args)]
 #[command(next_help_heading = "What the policy sees")]
 pub struct EstimatorArguments {
-    /// Velocities by a filter, or the state by an observer that knows a model, what was sent and the
-    /// delay [default: filter; with --config as configured]
+    /// Velocities by a filter, or the whole state by an observer that knows a model, what was sent and
+    /// the delay [default: filter, or what a --config says]
     #[arg(long, value_enum)]
     estimator: Option<EstimatorArgument>,
 
@@ -24,8 +24,8 @@ pub struct EstimatorArguments {
     #[arg(long, value_name = "ideal|lab|FILE")]
     estimator_profile: Option<String>,
 
-    /// From a sample to the motor's having the voltage that answers it, as the observer takes it,
-    /// instead of the profile's
+    /// The delay that the observer predicts over: from a sample until the motor has the voltage that
+    /// answers it [default: that of --estimator-profile]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     estimator_delay_ms: Option<f64>,
 }

@@ -23,12 +23,13 @@ const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 
 /// Find out which Qube made recordings: its parameters, friction, dead zone, cable and delay
 ///
-/// The result is a profile: `replay --profile`, `emulate --profile` and others read it. Judge it by
-/// recordings that it was not fitted to (--holdout): for each, the start state is estimated from
-/// 0.2 s, and from there on the model gets the voltages and nothing else.
+/// `run --excite chirp` makes such recordings. The result is a profile: `train`, `run`, `session`,
+/// `emulate` and `replay` read it as --profile. Judge it by recordings that it was not fitted to
+/// (--holdout): for each, the start state is estimated from 0.2 s, and from there on the model gets
+/// the voltages and nothing else.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    qube-hil identify chirp-1.mcap chirp-2.mcap --holdout chirp-3.mcap --out lab.toml\n  \
+    qube-hil identify chirp-[12].mcap --holdout chirp-3.mcap --out mine.toml\n  \
     qube-hil identify *.csv --plot plots --fix L_p --fix L_r")]
 pub struct Arguments {
     /// Recordings to fit: .mcap of this program, or .csv with the columns time_s, theta_rad,
@@ -36,7 +37,7 @@ pub struct Arguments {
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
 
-    /// Recordings to judge the fit by
+    /// Recordings to judge the fit by; they are not fitted to
     #[arg(long, value_name = "FILE", num_args = 1..)]
     holdout: Vec<PathBuf>,
 
@@ -44,19 +45,19 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", default_value = "profile.toml")]
     out: PathBuf,
 
-    /// Its name
+    /// What the profile calls the Qube
     #[arg(long, default_value = "identified")]
     name: String,
 
-    /// Where to begin, and what --fix keeps; without it the nominal Qube
-    #[arg(long, value_name = "PROFILE")]
+    /// A profile whose values the fit begins at, and which --fix keeps [default: the nominal Qube]
+    #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
 
     /// Do not move this quantity (R_m, L_p, cable_rest_rad ...); may be given several times
     #[arg(long, value_name = "NAME")]
     fix: Vec<String>,
 
-    /// A folder for a picture of each recording with the model beside it
+    /// Also draw each recording with the model beside it, as SVG, into this folder
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
 }
@@ -115,7 +116,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 }
 
 fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
-    let names = Unknown::ALL.map(Unknown::name);
+    let names: Vec<&str> = Unknown::all().map(Unknown::name).collect();
     if let Some(name) = fixed.iter().find(|name| !names.contains(&name.as_str())) {
         let known = names.join(", ");
         return Err(Failure::usage(format!(
@@ -123,7 +124,7 @@ fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
         )));
     }
     let moves = |unknown: &Unknown| !fixed.iter().any(|name| name == unknown.name());
-    Ok(Unknown::ALL.into_iter().filter(moves).collect())
+    Ok(Unknown::all().filter(moves).collect())
 }
 
 /// Reads recordings and refuses those that say nothing or something wrong.

@@ -49,12 +49,18 @@ use crate::session::Latencies;
 use crate::telemetry::LatencySummary;
 
 /// Hardware-in-the-loop for the Quanser Qube: policies are trained over a distribution of
-/// simulations, run on the pendulum, and Bayesian optimisation adapts the distribution to what the
-/// machine paid back.
+/// simulations, run on the pendulum, and Bayesian optimisation adapts the distribution to the returns
+/// that the machine measured.
 ///
 /// Without a command nothing moves. `qube-hil session` does the whole method on an emulated Qube.
 #[derive(Debug, Parser)]
-#[command(name = "qube-hil", version, max_term_width = 100)]
+#[command(
+    name = "qube-hil",
+    version,
+    max_term_width = 100,
+    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or input, 3 finished but data lost or a\n\
+                  replay differs, 4 stopped by a safety fault, 130 stopped by Ctrl-C, 143 by SIGTERM"
+)]
 struct CommandLine {
     #[command(subcommand)]
     command: Command,
@@ -134,6 +140,16 @@ fn dated_folder(command: &str) -> PathBuf {
 fn warn_without_realtime(realtime: &RealtimeReport) {
     for refusal in [&realtime.scheduling, &realtime.memory].into_iter().flatten() {
         eprintln!("warning: {refusal}");
+    }
+}
+
+/// How often the observer had lost the Qube, as a line for people; nothing where it never had.
+fn astray_line(times_astray: u64) -> String {
+    match times_astray {
+        0 => String::new(),
+        times => format!(
+            "the observer had lost the Qube {times} times: its model or its delay is of another\n"
+        ),
     }
 }
 

@@ -19,9 +19,10 @@ pub struct PlantArguments {
     vary: f64,
 
     /// Several Qubes: a TOML file with one [[plants]] for each: name, profile, gap, delay_ms,
-    /// jitter_ms, scale = { M_p = 1.1 }, vary; psi is searched on the first
+    /// jitter_ms, cable_drift_rad_per_min, scale = { M_p = 1.1 }, vary; psi is searched on the first
     #[arg(long, value_name = "FILE",
-          conflicts_with_all = ["profile", "gap", "delay_ms", "jitter_ms", "scale", "vary"])]
+          conflicts_with_all = ["profile", "gap", "delay_ms", "jitter_ms", "cable_drift", "scale",
+                              "vary"])]
     plants: Option<PathBuf>,
 }
 
@@ -39,6 +40,7 @@ struct PlantEntry {
     gap: Option<f64>,
     delay_ms: Option<f64>,
     jitter_ms: Option<f64>,
+    cable_drift_rad_per_min: Option<f64>,
     #[serde(default)]
     scale: BTreeMap<String, f64>,
     #[serde(default)]
@@ -66,12 +68,18 @@ impl PlantArguments {
 
 impl PlantEntry {
     fn plant(self, path: &Path) -> Result<Plant, Failure> {
-        let Self { name, profile, gap, delay_ms, jitter_ms, scale, vary } = self;
+        let Self { name, profile, gap, delay_ms, jitter_ms, cable_drift_rad_per_min, scale, vary } =
+            self;
         // By the rules of the command line, which are written once.
-        let emulated = EmulatedArguments::checked(profile, gap, delay_ms, jitter_ms, &scale)
-            .map_err(|reason| {
-                Failure::usage(format!("{}: plant {name}: {reason}", path.display()))
-            })?;
+        let emulated = EmulatedArguments::checked(
+            profile,
+            gap,
+            delay_ms,
+            jitter_ms,
+            cable_drift_rad_per_min,
+            &scale,
+        )
+        .map_err(|reason| Failure::usage(format!("{}: plant {name}: {reason}", path.display())))?;
         Ok(Plant { name, emulated: emulated.settings()?.unwrap_or_default(), vary })
     }
 }

@@ -12,7 +12,7 @@ use super::guard_argument::GuardArgument;
 use super::number_arguments::between;
 use super::output::Output;
 use super::stop::Stop;
-use super::{dated_folder, failures, timing_lines, warn_without_realtime};
+use super::{astray_line, dated_folder, failures, timing_lines, warn_without_realtime};
 use crate::control::HomingMethod;
 use crate::identification::{Unfit, check_recording};
 use crate::policy::{
@@ -35,14 +35,15 @@ use crate::telemetry::Ending;
 /// last one.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    qube-hil run --policy classical                       # a swing-up at once, nothing trained\n  \
+    qube-hil run --policy classical              # a swing-up without any training\n  \
     qube-hil run --policy policies/nominal.safetensors --rollouts 5\n  \
     qube-hil run --policy best.safetensors --device /dev/ttyACM0 --out logs/monday\n  \
-    qube-hil run --policy best.safetensors --profile lab --estimator observer --estimator-profile lab\n  \
-    qube-hil run --excite chirp --rollouts 4 --out logs/chirps   # for qube-hil identify\n  \
-    qube-hil run --policy classical --qube qube.toml      # port and signs from check --write")]
+    qube-hil run --policy best.safetensors --profile lab --clock virtual\n  \
+    qube-hil run --excite chirp --rollouts 4 --out logs/chirps      # for identify\n  \
+    qube-hil run --policy classical --qube qube.toml     # written by check --write")]
 pub struct Arguments {
-    /// A policy file, or `classical` for the built-in energy swing-up with balance
+    /// What drives the Qube: a policy file, or `classical` for the built-in energy swing-up with
+    /// balance; this or --excite is needed
     #[arg(long, value_name = "FILE|classical", required_unless_present = "excite")]
     policy: Option<String>,
 
@@ -51,11 +52,11 @@ pub struct Arguments {
     #[arg(long, value_enum, conflicts_with = "policy")]
     excite: Option<ExciteArgument>,
 
-    /// Most volts of the excitation
+    /// The largest voltage of the excitation, 0.1 to 3
     #[arg(long, value_name = "V", default_value_t = 1.5, value_parser = volts, requires = "excite")]
     volts: f64,
 
-    /// How many rollouts
+    /// How many rollouts, one after the other
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
 
@@ -310,12 +311,7 @@ impl Results {
     fn text(&self) -> String {
         let directory = self.recordings.first().and_then(|path| path.parent());
         let directory = directory.unwrap_or(Path::new(".")).display();
-        let astray = match self.times_astray {
-            0 => String::new(),
-            times => format!(
-                "the observer had lost the Qube {times} times: its model or its delay is of another\n"
-            ),
-        };
+        let astray = astray_line(self.times_astray);
         let next = if self.excited {
             format!("\nqube-hil identify {directory}/*.mcap says which Qube this is")
         } else {

@@ -16,43 +16,48 @@ use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
+use crate::estimation::EstimatorSettings;
 use crate::session::{Session, SessionFolder, SessionSettings};
+use crate::simulation::SensorModel;
 
 /// Do the whole method: search the distribution of simulations whose policies earn most on the Qube
 ///
-/// Policies are trained in randomised simulation, run on the Qube at 100 Hz, every rollout is
-/// logged, the surrogate is updated, and the answer's policy is verified on the Qube. Without
-/// arguments this happens on an emulated Qube and takes some minutes. Whatever ends it, --resume
-/// goes on without losing or repeating a finished rollout.
+/// A candidate is one psi: means and standard deviations from which the simulations' masses and
+/// lengths are drawn (--config can choose others). For each a policy is trained and run on the Qube at
+/// 100 Hz, every rollout is logged, and a surrogate of the return over psi proposes the next. Last, the
+/// psi that it believes best is trained and run, and the best candidate's policy is run again: the
+/// better of the two is handed on. Without arguments this happens on an emulated Qube and takes some
+/// minutes. Whatever ends it, --resume goes on without losing or repeating a finished rollout.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    qube-hil session                                  # on the emulated Qube\n  \
+    qube-hil session                               # on the emulated Qube\n  \
     qube-hil session --device /dev/ttyACM0 --preset thesis --out logs/monday\n  \
-    qube-hil session --resume logs/monday             # after Ctrl-C, a crash, or a fault\n  \
-    qube-hil session --clock virtual --seed 3 --json  # as fast as the processor can")]
+    qube-hil session --resume logs/monday          # after Ctrl-C, crash or fault\n  \
+    qube-hil session --clock virtual --seed 3      # as fast as the processor can")]
 pub struct Arguments {
     /// How much is done: `quick` takes minutes, `thesis` is the published extent and budget
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
     preset: Preset,
 
-    /// A TOML file whose entries replace the preset's (as a session's own session.toml)
+    /// A TOML file whose entries replace the preset's; the session.toml in a session's folder shows all
+    /// there are
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     config: Option<PathBuf>,
 
-    /// Everything random follows from it
+    /// Everything random follows from it [default: 0, or what --config says]
     #[arg(long, conflicts_with = "resume")]
     seed: Option<u64>,
 
-    /// Folder for the session, which must not exist [default: logs/session-DATE-TIME]
+    /// Folder for the session: a new one or an empty one [default: logs/session-DATE-TIME]
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
 
-    /// Go on with a session from its folder
+    /// Go on with the session in this folder, with its settings
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
-    /// Guard of rollouts and training: the speed envelope, or the thesis's box alone [default: the
-    /// envelope, with --config as configured]
+    /// What ends a rollout, simulated or not: the speed envelope too, or the box alone [default:
+    /// envelope, or what --config says]
     #[arg(long, value_enum, conflicts_with = "resume")]
     guard: Option<GuardArgument>,
 
@@ -72,9 +77,9 @@ pub struct Arguments {
 /// How much a session does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Preset {
-    /// 6 points, 4 iterations, 2 rollouts each, quick training
+    /// 6 initial candidates, 4 by the search, 2 rollouts each, trainings of half a minute
     Quick,
-    /// 15 points, 10 iterations, 5 rollouts each, the thesis's training budget
+    /// 15 initial candidates, 10 by the search, 5 rollouts each, the published training budget
     Thesis,
 }
 
@@ -86,7 +91,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Some(_) if arguments.emulated.settings()?.is_some() => {
             return Err(Failure::usage(
                 "a session goes on with the emulated Qube that it began with: leave --profile, \
-                 --gap, --delay-ms, --jitter-ms and --scale out",
+                 --gap, --delay-ms, --jitter-ms, --cable-drift and --scale out",
             ));
         }
         Some(_) if arguments.estimator.settings()?.is_some() => {
@@ -98,6 +103,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Some(directory) => resumed(directory, &device)?,
         None => begun(&arguments, &device)?,
     };
+    if let Some(difference) = estimators_differ(&settings) {
+        eprintln!("{difference}");
+    }
     let profile = device.profile()?;
     let stop = Stop::on_signals()?;
     let rig_settings = crate::session::RigSettings {
@@ -139,6 +147,30 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
+/// What policies are trained on beside what they will see, where that is not the same.
+fn estimators_differ(settings: &SessionSettings) -> Option<String> {
+    let trained_on = match settings.training.simulation.sensors {
+        SensorModel::Encoders { estimator } if estimator == settings.estimator => return None,
+        SensorModel::Encoders { estimator } => described(&estimator),
+        SensorModel::TrueState => "true states".into(),
+    };
+    Some(format!(
+        "note: policies are trained on {trained_on} ([training.simulation.sensors]) and will see {} \
+         ([estimator])",
+        described(&settings.estimator)
+    ))
+}
+
+fn described(estimator: &EstimatorSettings) -> String {
+    match &estimator.observer {
+        None => format!("a filter of {} rad/s", estimator.corner_rad_s),
+        Some(observer) => {
+            let delay_ms = 1e3 * observer.model.gap.command_delay_s;
+            format!("an observer with a delay of {delay_ms:.1} ms")
+        }
+    }
+}
+
 fn begun(
     arguments: &Arguments,
     device: &ChosenDevice,
@@ -148,7 +180,7 @@ fn begun(
         Preset::Thesis => SessionSettings::thesis(),
     };
     let mut settings = match &arguments.config {
-        Some(path) => preset.overridden_by(path).map_err(Failure::usage)?,
+        Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
         None => preset,
     };
     if let Some(guard) = arguments.guard {
@@ -159,7 +191,9 @@ fn begun(
     settings.name = directory
         .file_name()
         .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
-    settings.estimator = arguments.estimator.settings()?.unwrap_or(settings.estimator);
+    if let Some(estimator) = arguments.estimator.settings()? {
+        settings = settings.seen_through(estimator);
+    }
     settings.emulated = arguments.emulated.settings()?.unwrap_or(settings.emulated);
     let settings = on_this_qube(settings, device);
     let configuration = settings.to_toml().map_err(Failure::failed)?;
@@ -183,5 +217,27 @@ fn on_this_qube(settings: SessionSettings, device: &ChosenDevice) -> SessionSett
         homing: device.homing(settings.homing),
         safety_box: device.safety_box(settings.safety_box),
         ..settings
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::ObserverSettings;
+    use crate::qube::QubeModel;
+
+    #[test]
+    fn a_policy_that_will_see_something_else_than_in_training_is_told_of() {
+        let observer = EstimatorSettings::observer(ObserverSettings::of(QubeModel::NOMINAL));
+        let quick = SessionSettings::quick();
+        assert_eq!(estimators_differ(&quick), None);
+        assert_eq!(estimators_differ(&quick.clone().seen_through(observer)), None);
+        let apart = SessionSettings { estimator: observer, ..quick.clone() };
+        let told = estimators_differ(&apart).unwrap();
+        assert!(told.contains("filter of 200 rad/s") && told.contains("observer"), "{told}");
+        let mut blind = quick;
+        blind.training.simulation.sensors = SensorModel::TrueState;
+        let told = estimators_differ(&blind).unwrap();
+        assert!(told.contains("true states"), "{told}");
     }
 }

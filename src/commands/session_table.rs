@@ -2,7 +2,7 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
-use super::timing_lines;
+use super::{astray_line, timing_lines};
 use crate::recording::read;
 use crate::session::{Candidate, Latencies, Purpose, Session, SessionError, Verdict, mean_return};
 use crate::simulation::PsiSpace;
@@ -12,6 +12,10 @@ pub struct SessionTable {
     psi: PsiSpace,
     candidates: Vec<(Candidate, Vec<Verdict>)>,
     latencies: Latencies,
+    /// Rollouts that a fault ended and that were done again.
+    void_rollouts: u64,
+    /// How often the observer had lost the Qube.
+    times_astray: u64,
     directory: String,
     /// The policy to use: of what was verified, the one that earned the most.
     best: Option<Best>,
@@ -28,10 +32,14 @@ impl SessionTable {
         let candidates = session.valued_candidates()?;
         let folder = session.folder();
         let mut latencies = Latencies::default();
+        let (mut void_rollouts, mut times_astray) = (0, 0);
         for (candidate, _) in &candidates {
             for &(rollout, attempt) in &candidate.finished {
-                let path = folder.rollout(candidate.number, rollout, attempt);
-                latencies.add(&read(&path)?.ticks);
+                let recording = read(&folder.rollout(candidate.number, rollout, attempt))?;
+                latencies.add(&recording.ticks);
+                void_rollouts += u64::from(attempt);
+                times_astray +=
+                    recording.outcome.map_or(0, |outcome| u64::from(outcome.times_astray));
             }
         }
         let best = best(&candidates).map(|candidate| Best {
@@ -40,7 +48,7 @@ impl SessionTable {
         });
         let directory = folder.root().display().to_string();
         let psi = session.settings().psi.clone();
-        Ok(Self { psi, candidates, latencies, directory, best })
+        Ok(Self { psi, candidates, latencies, void_rollouts, times_astray, directory, best })
     }
 
     /// For people, 80 columns wide.
@@ -86,6 +94,12 @@ impl SessionTable {
                 let _ = writeln!(text, "  {name:longest$}  {value:.5}");
             }
         }
+        if self.void_rollouts > 0 {
+            let void = self.void_rollouts;
+            let _ =
+                writeln!(text, "rollouts that a fault made void and that were repeated: {void}");
+        }
+        text.push_str(&astray_line(self.times_astray));
         text.push_str(&timing_lines(&self.latencies));
         let _ = writeln!(text, "everything is in {}", self.directory);
         text
@@ -111,6 +125,8 @@ impl SessionTable {
             "verified": all(&|purpose| !purpose.is_searched()),
             "best": best,
             "rollouts": rollouts,
+            "void_rollouts": self.void_rollouts,
+            "times_astray": self.times_astray,
             "missed_deadlines": self.latencies.missed_deadlines(),
             "lateness_us": self.latencies.lateness_us(),
             "sample_to_act_us": self.latencies.sample_to_act_us(),
@@ -160,4 +176,27 @@ fn digits(space: &PsiSpace, psi: &[f64]) -> String {
         })
         .collect::<Vec<_>>()
         .join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_went_astray_is_told_where_anything_has() {
+        let quiet = SessionTable {
+            psi: PsiSpace::default(),
+            candidates: Vec::new(),
+            latencies: Latencies::default(),
+            void_rollouts: 0,
+            times_astray: 0,
+            directory: "logs/one".into(),
+            best: None,
+        };
+        let text = quiet.text();
+        assert!(!text.contains("void") && !text.contains("observer"), "{text}");
+        let text = SessionTable { void_rollouts: 3, times_astray: 7, ..quiet }.text();
+        assert!(text.contains("were repeated: 3\n"), "{text}");
+        assert!(text.contains("lost the Qube 7 times"), "{text}");
+    }
 }

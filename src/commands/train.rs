@@ -31,10 +31,10 @@ use crate::storage::MachineDisk;
 #[command(after_help = "Examples:\n  \
     qube-hil train --model nominal --out policies/mine.safetensors\n  \
     qube-hil train --model handcrafted --preset thesis --seed 4\n  \
-    qube-hil train --model robust                  # for a Qube that nobody has identified\n  \
-    qube-hil train --profile lab --spread 0.1      # around an identified one\n  \
-    qube-hil train --model psi --psi psi.toml      # a distribution of your own\n  \
-    qube-hil train --preset thesis --checkpoint half-done.safetensors  # goes on where it stopped")]
+    qube-hil train --model robust               # for a Qube that nobody identified\n  \
+    qube-hil train --profile lab --spread 0.1   # around an identified one\n  \
+    qube-hil train --model psi --psi psi.toml   # a distribution of your own\n  \
+    qube-hil train --preset thesis --checkpoint half.safetensors    # can go on")]
 pub struct Arguments {
     /// What the simulations' parameters are drawn from
     #[arg(long, value_enum, default_value_t = Model::Nominal)]
@@ -44,25 +44,26 @@ pub struct Arguments {
     #[arg(long, value_name = "lab|FILE", conflicts_with_all = ["model", "psi"])]
     profile: Option<String>,
 
-    /// Standard deviations around the profile, as a part of each of its values
+    /// Standard deviations around the profile, as a part of each of its values (0.1 is 10 %)
     #[arg(long, value_name = "PART", default_value_t = 0.1, requires = "profile", value_parser = spread)]
     spread: f64,
 
-    /// Delay of the simulated commands, or its range, instead of the model's or profile's
+    /// Delay of the simulated commands, or the range from which each trajectory draws its own [default:
+    /// the model's or profile's]
     #[arg(long, value_name = "MS|FROM..TO", value_parser = delays_s)]
     delay_ms: Option<(f64, f64)>,
 
-    /// Means and standard deviations of any quantities, for --model psi
+    /// For --model psi: a TOML file of means and standard deviations, as mean_M_p = 0.024
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
     psi: Option<PathBuf>,
 
-    /// Budget and simulation: `machine` and `robust` for a policy to run, `quick` and `thesis` as
-    /// published [default: robust with --model robust, --profile or --delay-ms, else machine]
+    /// How long to train, on what simulation: `machine` and `robust` for a policy that is to run on a
+    /// Qube, `quick` and `thesis` as published [default: robust with --model robust, --profile or
+    /// --delay-ms, else machine]
     #[arg(long, value_enum)]
     preset: Option<Preset>,
 
-    /// What ends a simulated rollout: the speed envelope too, or the box alone [default: as the
-    /// preset]
+    /// What ends a simulated rollout: the speed envelope too, or the box alone [default: the preset's]
     #[arg(long, value_enum)]
     guard: Option<GuardArgument>,
 
@@ -75,7 +76,7 @@ pub struct Arguments {
     out: PathBuf,
 
     /// What the simulation shows of the state: as it is, or through encoders and estimator, as on the
-    /// machine [default: as the preset]
+    /// machine [default: the preset's]
     #[arg(long, value_enum)]
     sensors: Option<Sensors>,
 
@@ -84,16 +85,17 @@ pub struct Arguments {
     #[arg(long, value_name = "COMMANDS", value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64))]
     history: Option<u8>,
 
-    /// Keep the training in this file every ten updates, and go on from it when it exists; the
-    /// policy is the same as without an interruption
+    /// Save the unfinished training to this file every ten updates, and go on from it when it exists;
+    /// the policy is the same as without an interruption
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
 
-    /// Processors to use; the policy is the same
+    /// Processors to use, 1 or 2; the policy is the same
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
     threads: u8,
 
-    /// Use nothing better than this; the policy is the same on the first two
+    /// The best instructions to use of those that the processor has; avx512 and avx2 give the same
+    /// policy
     #[arg(long, value_enum, default_value_t = InstructionSet::Avx512)]
     instruction_set: InstructionSet,
 

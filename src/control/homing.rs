@@ -1,42 +1,18 @@
 use serde::{Deserialize, Serialize};
 
+use super::rest::{StillnessDetector, Swing};
 use super::sensor_watch::SensorWatch;
 use super::settling::{Settler, settling_voltage};
+use super::stop_seek::StopSeek;
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
-use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, Measurement, RAD_PER_COUNT, State};
+use crate::qube::{Measurement, RAD_PER_COUNT, State};
 use crate::safety::gate;
 use crate::telemetry::{Ending, Fault};
 
 /// Most ticks for the whole of homing: 60 s.
 const MAX_TICKS: u32 = 6000;
-
-/// An arm that moves less than this, rad ...
-const REST_RANGE_RAD: f64 = 0.1;
-
-/// ... for so many ticks, which is 1 s, is at rest.
-const REST_TICKS: u32 = 100;
-
-/// How fast the arm looks for its stops, rad/s: slow enough to touch them without a hit.
-const SEEK_RAD_S: f64 = 1.5;
-
-/// How far ahead of the arm its moving target may run, rad: against a stop that pushes with 1.6 V. A
-/// real Qube's cable, friction and dead zone together take 1.2 V; 2 V are taken for a stalled motor.
-const SEEK_LEAD_RAD: f64 = 0.95;
-
-/// An arm that gains no more than this against its drive stands at a stop, rad ...
-const PROGRESS_RAD: f64 = 0.01;
-
-/// ... when it has not for this many ticks: longer than two swings of the pendulum, whose pull may
-/// lift the arm off the stop for a while.
-const BLOCKED_TICKS: u32 = 120;
-
-/// How far the travel between the stops may differ from the nominal one, as a fraction.
-const TRAVEL_TOLERANCE: f64 = 0.1;
-
-/// Ticks over which the pendulum's swing is judged: more than one period of it (0.53 s).
-const SWING_TICKS: u32 = 80;
 
 /// A swing wider than this is waited for: while it decays fast, its extremes have no middle, rad.
 const LARGEST_SWING_RAD: f64 = 1.5;
@@ -103,14 +79,13 @@ pub struct Homing {
     watch: Watch,
     sensors: SensorWatch,
     control: ControlState,
-    stillness: Stillness,
+    stillness: StillnessDetector,
     stage: Stage,
     /// The middle between the stops, once it is known.
     middle_rad: Option<f64>,
     /// Where the pendulum hangs, as far as it is known.
     hanging_rad: f64,
     ticks: u32,
-    seek: Option<Seek>,
     swing: Swing,
     settler: Settler,
     state: State,
@@ -119,94 +94,13 @@ pub struct Homing {
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Stop {
-    Negative,
-    Positive { negative_rad: f64 },
-}
-
-impl Stop {
-    fn direction(self) -> f64 {
-        match self {
-            Self::Negative => -1.0,
-            Self::Positive { .. } => 1.0,
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug)]
 enum Stage {
     /// Wait, the arm loosely held, until the pendulum swings about one point: there it hangs.
     Observe,
     /// Calm the pendulum about that point, with the arm in the middle as far as it is known.
     Calm,
-    /// Towards the stop at negative theta, then towards the other.
-    Seek { stop: Stop },
-}
-
-/// A stop that is being looked for.
-#[derive(Clone, Copy, Debug)]
-struct Seek {
-    /// Where the arm is drawn to; it moves ahead of the arm.
-    target_rad: f64,
-    furthest_rad: f64,
-    /// Ticks since the arm last gained ground.
-    blocked_ticks: u32,
-}
-
-/// How long the arm has stayed where it is.
-#[derive(Clone, Copy, Debug, Default)]
-struct Stillness {
-    ticks: u32,
-    lowest_rad: f64,
-    highest_rad: f64,
-}
-
-impl Stillness {
-    /// Takes the arm's next angle; true once it has been at rest for 1 s.
-    fn is_still(&mut self, theta: f64) -> bool {
-        let (lowest_rad, highest_rad) = (self.lowest_rad.min(theta), self.highest_rad.max(theta));
-        *self = if self.ticks > 0 && highest_rad - lowest_rad < REST_RANGE_RAD {
-            Self { ticks: self.ticks + 1, lowest_rad, highest_rad }
-        } else {
-            Self { ticks: 1, lowest_rad: theta, highest_rad: theta }
-        };
-        self.ticks > REST_TICKS
-    }
-}
-
-/// Extremes of the pendulum's angle over windows of more than one of its periods.
-#[derive(Clone, Copy, Debug, Default)]
-struct Swing {
-    ticks: u32,
-    lowest_rad: f64,
-    highest_rad: f64,
-}
-
-/// The pendulum's swing over one whole window.
-#[derive(Clone, Copy, Debug)]
-struct Window {
-    middle_rad: f64,
-    width_rad: f64,
-}
-
-impl Swing {
-    /// Takes one more angle; gives the window that it completes.
-    fn update(&mut self, alpha_rad: f64) -> Option<Window> {
-        if self.ticks == 0 {
-            (self.lowest_rad, self.highest_rad) = (alpha_rad, alpha_rad);
-        }
-        self.lowest_rad = self.lowest_rad.min(alpha_rad);
-        self.highest_rad = self.highest_rad.max(alpha_rad);
-        self.ticks += 1;
-        if self.ticks < SWING_TICKS {
-            return None;
-        }
-        self.ticks = 0;
-        Some(Window {
-            middle_rad: 0.5 * (self.lowest_rad + self.highest_rad),
-            width_rad: self.highest_rad - self.lowest_rad,
-        })
-    }
+    /// Look for the stops, which tell the middle.
+    Seek(StopSeek),
 }
 
 impl Homing {
@@ -224,12 +118,11 @@ impl Homing {
             watch: Watch::default(),
             sensors: SensorWatch::default(),
             control: ControlState::Identified.on(ControlEvent::Home).0,
-            stillness: Stillness::default(),
+            stillness: StillnessDetector::default(),
             stage: Stage::Observe,
             middle_rad,
             hanging_rad: 0.0,
             ticks: 0,
-            seek: None,
             swing: Swing::default(),
             settler: Settler::default(),
             state: State::default(),
@@ -293,49 +186,21 @@ impl Homing {
                         self.found = Some(self.zeros(measurement, off_middle_rad));
                         return Some(Ending::Completed);
                     }
-                    self.stage = Stage::Seek { stop: Stop::Negative };
+                    self.stage = Stage::Seek(StopSeek::default());
                 }
             }
-            Stage::Seek { stop } => {
-                let at_stop_rad = self.seek(stop)?;
-                self.seek = None;
-                match stop {
-                    Stop::Negative => {
-                        let stop = Stop::Positive { negative_rad: at_stop_rad };
-                        self.stage = Stage::Seek { stop };
-                    }
-                    Stop::Positive { negative_rad } => {
-                        let travel_rad = at_stop_rad - negative_rad;
-                        if (travel_rad / (2.0 * HARD_STOP_RAD) - 1.0).abs() > TRAVEL_TOLERANCE {
-                            return Some(Ending::Fault(Fault::TravelBlocked));
-                        }
-                        self.middle_rad = Some(0.5 * (at_stop_rad + negative_rad));
-                        self.swing = Swing::default();
-                        self.settler = Settler::default();
-                        self.stage = Stage::Calm;
-                    }
+            Stage::Seek(ref mut seek) => match seek.update(self.state.theta) {
+                Ok(None) => {}
+                Ok(middle_rad) => {
+                    self.middle_rad = middle_rad;
+                    self.swing = Swing::default();
+                    self.settler = Settler::default();
+                    self.stage = Stage::Calm;
                 }
-            }
+                Err(fault) => return Some(Ending::Fault(fault)),
+            },
         }
         None
-    }
-
-    /// Moves the target on towards a stop; gives where the stop is once the arm stands at it.
-    fn seek(&mut self, stop: Stop) -> Option<f64> {
-        let theta = self.state.theta;
-        let seek = self.seek.get_or_insert(Seek {
-            target_rad: theta,
-            furthest_rad: theta,
-            blocked_ticks: 0,
-        });
-        let direction = stop.direction();
-        let ahead_rad = direction * (seek.target_rad - theta) + SEEK_RAD_S * CONTROL_PERIOD_S;
-        seek.target_rad = theta + direction * ahead_rad.min(SEEK_LEAD_RAD);
-        seek.blocked_ticks += 1;
-        if direction * (theta - seek.furthest_rad) > PROGRESS_RAD {
-            (seek.furthest_rad, seek.blocked_ticks) = (theta, 0);
-        }
-        (seek.blocked_ticks >= BLOCKED_TICKS).then_some(seek.furthest_rad)
     }
 
     /// The counts at the arm's zero and at the hanging pendulum.
@@ -368,9 +233,7 @@ impl Homing {
         match self.stage {
             Stage::Observe => -LOOSE_HOLD_V_PER_RAD * (seen.theta - self.calm_rad()),
             Stage::Calm => self.settler.voltage(&seen, self.calm_rad()),
-            Stage::Seek { .. } => {
-                settling_voltage(&seen, self.seek.map_or(seen.theta, |seek| seek.target_rad))
-            }
+            Stage::Seek(seek) => settling_voltage(&seen, seek.target_rad().unwrap_or(seen.theta)),
         }
     }
 

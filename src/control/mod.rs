@@ -13,8 +13,10 @@ mod latency;
 mod machine;
 mod motion;
 mod nudge;
+mod rest;
 mod sensor_watch;
 mod settling;
+mod stop_seek;
 mod thread;
 mod tick;
 mod watch;
@@ -38,3 +40,5 @@ pub const RING_CAPACITY: usize = 4096;
 
 #[cfg(test)]
 mod plant_device;
+#[cfg(test)]
+mod tick_tests;

@@ -61,12 +61,8 @@ impl PlantDevice {
             let step_s = step_ns as f64 * 1e-9;
             self.state = runge_kutta_4(&self.dynamics, self.state, voltage_v, step_s);
             if self.state.theta.abs() > HARD_STOP_RAD {
-                // Inelastic for the arm; the pendulum's own momentum stays.
-                let coupling = self.dynamics.coupling * self.state.alpha.cos();
-                self.state.alpha_dot +=
-                    coupling / self.dynamics.pendulum_inertia * self.state.theta_dot;
-                self.state.theta = self.state.theta.clamp(-HARD_STOP_RAD, HARD_STOP_RAD);
-                self.state.theta_dot = 0.0;
+                let stop_rad = HARD_STOP_RAD.copysign(self.state.theta);
+                self.state = self.dynamics.with_arm_stopped(self.state, stop_rad);
             }
             self.furthest_rad = self.furthest_rad.max(self.state.theta.abs());
             self.simulated_ns += step_ns;

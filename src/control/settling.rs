@@ -2,7 +2,7 @@
 //! drift; actively it takes less than two.
 
 use crate::elementary::Scalar;
-use crate::qube::{CONTROL_PERIOD_S, State, wrap_angle};
+use crate::qube::{CONTROL_PERIOD_S, State};
 
 /// State feedback around hanging, V = -k (s - [start_theta, 0, 0, 0]): discrete LQR at 100 Hz on
 /// the nominal parameters, Q = diag(4, 2, 0.05, 0.2), R = 1. The pendulum's entries act on sin(alpha)
@@ -11,9 +11,6 @@ const GAINS: [f64; 4] = [1.716, -1.869, 0.46, -0.085];
 
 /// Most volts for settling: nothing is in a hurry here.
 const LIMIT_V: f64 = 4.0;
-
-/// Ticks that everything must stay at rest: 0.3 s.
-const REST_TICKS: u32 = 30;
 
 /// The voltage that brings a state to rest at `target_theta_rad`, V.
 pub fn settling_voltage(state: &State, target_theta_rad: f64) -> f64 {
@@ -56,64 +53,11 @@ impl Settler {
     }
 }
 
-/// Whether arm and pendulum have been at rest for long enough.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct RestDetector {
-    quiet_ticks: u32,
-}
-
-impl RestDetector {
-    /// Takes one more state; true once the last 0.3 s were quiet.
-    ///
-    /// The tolerances leave room for one encoder count (0.003 rad, and 0.3 rad/s as a difference)
-    /// and for friction that holds the arm a little off its target.
-    pub fn at_rest(&mut self, state: &State, target_theta_rad: f64) -> bool {
-        let quiet = (state.theta - target_theta_rad).abs() < 0.1
-            && wrap_angle(state.alpha).abs() < 0.03
-            && state.theta_dot.abs() < 0.4
-            && state.alpha_dot.abs() < 0.4;
-        self.quiet_ticks = if quiet { self.quiet_ticks + 1 } else { 0 };
-        self.quiet_ticks >= REST_TICKS
-    }
-}
-
-/// An arm that moved over no more than this, rad ...
-const BACK_RANGE_RAD: f64 = 0.05;
-
-/// ... within this of the middle, rad ...
-const BACK_REACH_RAD: f64 = 0.5;
-
-/// ... for this many ticks, which is longer than a swing of the pendulum, is back: what the pendulum
-/// still holds cannot throw it far once the amplifier is off.
-const BACK_TICKS: u32 = 60;
-
-/// Whether the arm has been brought back to the middle and the pendulum no longer moves it.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct BackDetector {
-    ticks: u32,
-    lowest_rad: f64,
-    highest_rad: f64,
-}
-
-impl BackDetector {
-    /// Takes the arm's next angle; true once the last 0.6 s stayed within the range.
-    pub fn is_back(&mut self, theta: f64) -> bool {
-        let lowest_rad = self.lowest_rad.min(theta);
-        let highest_rad = self.highest_rad.max(theta);
-        let quiet = highest_rad - lowest_rad <= BACK_RANGE_RAD && theta.abs() < BACK_REACH_RAD;
-        *self = if self.ticks > 0 && quiet {
-            Self { ticks: self.ticks + 1, lowest_rad, highest_rad }
-        } else {
-            Self { ticks: 1, lowest_rad: theta, highest_rad: theta }
-        };
-        self.ticks > BACK_TICKS
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::f64::consts::PI;
 
+    use super::super::rest::RestDetector;
     use super::*;
     use crate::qube::{Gap, GapDynamics, HARD_STOP_RAD, QubeModel, control_step};
 

@@ -3,12 +3,13 @@ use super::fitness::check_motion;
 use super::stretch::Stretch;
 use super::uncertainty::{Estimate, estimates};
 use super::{Unfit, Unknown};
-use crate::qube::QubeModel;
+use crate::qube::{GapTerm, Quantity, QubeModel};
 use crate::replay::MotionLog;
 
 /// What changes from day to day while the machine stays the same: how long a command takes, and
 /// where the cable pulls the arm to, seen from the zero that homing has found.
-const CHANGING: [Unknown; 2] = [Unknown::CommandDelay, Unknown::CableRest];
+const CHANGING: [Unknown; 2] =
+    [Unknown(Quantity::Gap(GapTerm::CommandDelay)), Unknown(Quantity::Gap(GapTerm::CableRest))];
 
 /// Length of the stretches that are fitted, s: short enough for a pendulum that stands, whose motion
 /// no model predicts for long.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::qube::{DomainParameter, Gap, QubeModel, State, quantised};
+use crate::qube::{DomainParameter, Gap, GapTerm, QubeModel, State, quantised};
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
 /// A chirp from 5 Hz down, recorded from `truth` at 250 Hz through encoders.
@@ -37,6 +37,7 @@ fn truth() -> QubeModel {
             cable_stiffness_n_m_rad: 1e-3,
             cable_rest_rad: -0.6,
             command_delay_s: 0.0073,
+            ..Gap::default()
         },
         ..QubeModel::NOMINAL
     };
@@ -52,23 +53,28 @@ fn truth() -> QubeModel {
     truth
 }
 
+fn all() -> Vec<Unknown> {
+    Unknown::all().collect()
+}
+
 #[test]
 fn a_qube_that_is_known_is_found_within_its_standard_errors() {
     let logs = [chirp(&truth(), 1.0, 5.0), chirp(&truth(), -1.0, 5.0)];
-    let found = identify(&logs, &Unknown::ALL, &QubeModel::NOMINAL).unwrap();
+    let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
     for estimate in &found.estimates {
         let expected = estimate.unknown.quantity(estimate.unknown.of(&truth()));
         let off = (estimate.value - expected).abs() / estimate.standard_error;
         assert!(off < 4.0, "{} should be {expected}: {estimate:?}", estimate.unknown.name());
     }
-    let told = |unknown| {
+    let told = |term: GapTerm| {
+        let unknown = Unknown::from(term);
         let estimate = found.estimates.iter().find(|estimate| estimate.unknown == unknown);
         estimate.is_some_and(Estimate::is_told)
     };
-    assert!(told(Unknown::CommandDelay) && told(Unknown::CableStiffness));
+    assert!(told(GapTerm::CommandDelay) && told(GapTerm::CableStiffness));
     // All forces and all inertias larger by the same factor make the same motion.
     let blind: Vec<Unknown> = found.blind.iter().flatten().map(|(unknown, _)| *unknown).collect();
-    assert!(blind.contains(&Unknown::Parameter(DomainParameter::PendulumMass)), "{blind:?}");
+    assert!(blind.contains(&DomainParameter::PendulumMass.into()), "{blind:?}");
 
     let held_out = [chirp(&truth(), -1.0, 6.0)];
     let error = horizon_error(&held_out, &found.model, 5.8).rms;
@@ -79,7 +85,7 @@ fn a_qube_that_is_known_is_found_within_its_standard_errors() {
 
 #[test]
 fn what_is_fixed_stays() {
-    let moves = [Unknown::CommandDelay, Unknown::CoulombTorque];
+    let moves = [GapTerm::CommandDelay.into(), GapTerm::CoulombTorque.into()];
     let found = identify(&[chirp(&truth(), 1.0, 2.0)], &moves, &QubeModel::NOMINAL).unwrap();
     assert_eq!(found.model.parameters, QubeModel::NOMINAL.parameters);
     assert!(found.model.gap.command_delay_s > 0.0);
@@ -182,7 +188,7 @@ fn a_recording_that_no_qube_makes_is_no_silent_fit() {
         sample.voltage_v = -sample.voltage_v;
     }
     assert_eq!(check_recording(&log), Ok(()));
-    let refused = identify(&[log], &Unknown::ALL, &QubeModel::NOMINAL);
+    let refused = identify(&[log], &all(), &QubeModel::NOMINAL);
     assert!(matches!(refused, Err(IdentifyError::Implausible { .. })), "{refused:?}");
     // The angles have nothing to do with each other.
     let mut log = chirp(&truth(), 1.0, 4.0);
@@ -191,6 +197,6 @@ fn a_recording_that_no_qube_makes_is_no_silent_fit() {
         (sample.state.alpha, sample.state.alpha_dot) = (alpha, 0.0);
     }
     assert_eq!(check_recording(&log), Ok(()));
-    let refused = identify(&[log], &Unknown::ALL, &QubeModel::NOMINAL);
+    let refused = identify(&[log], &all(), &QubeModel::NOMINAL);
     assert!(matches!(refused, Err(IdentifyError::Unexplained { .. })), "{refused:?}");
 }

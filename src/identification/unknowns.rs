@@ -1,23 +1,9 @@
-use crate::qube::{DomainParameter, DomainParameters, Gap, QubeModel};
+use crate::qube::{DomainParameter, DomainParameters, GapTerm, Quantity, QubeModel};
 
-/// One quantity that a fit may move. Gravity is known, and is none.
+/// One quantity that a fit may move: a parameter by its logarithm, a term of the gap as it is. Gravity
+/// is known, and is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unknown {
-    /// One of the thesis's parameters: moved by its logarithm.
-    Parameter(DomainParameter),
-    /// Coulomb friction of the arm.
-    CoulombTorque,
-    /// Dead zone for positive voltages.
-    PositiveDeadZone,
-    /// Dead zone for negative voltages.
-    NegativeDeadZone,
-    /// Stiffness of the cable.
-    CableStiffness,
-    /// Where the cable does not pull.
-    CableRest,
-    /// From command to motor.
-    CommandDelay,
-}
+pub struct Unknown(pub Quantity);
 
 /// What is known of an unknown before there is data, in its own unit of movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,34 +16,17 @@ pub struct Prior {
 
 impl Unknown {
     /// All of them, in the order of tables and files.
-    pub const ALL: [Self; 14] = [
-        Self::Parameter(DomainParameter::MotorResistance),
-        Self::Parameter(DomainParameter::MotorBackEmf),
-        Self::Parameter(DomainParameter::RotaryDamping),
-        Self::Parameter(DomainParameter::PendulumDamping),
-        Self::Parameter(DomainParameter::RotaryMass),
-        Self::Parameter(DomainParameter::PendulumMass),
-        Self::Parameter(DomainParameter::RotaryLength),
-        Self::Parameter(DomainParameter::PendulumLength),
-        Self::CoulombTorque,
-        Self::PositiveDeadZone,
-        Self::NegativeDeadZone,
-        Self::CableStiffness,
-        Self::CableRest,
-        Self::CommandDelay,
-    ];
+    pub fn all() -> impl Iterator<Item = Self> {
+        let gravity = Quantity::Parameter(DomainParameter::Gravity);
+        Quantity::all().filter(move |quantity| *quantity != gravity).map(Self)
+    }
 
     /// Its name in tables and files.
     #[must_use]
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Parameter(parameter) => parameter.symbol(),
-            Self::CoulombTorque => "coulomb_torque_n_m",
-            Self::PositiveDeadZone => "positive_dead_zone_v",
-            Self::NegativeDeadZone => "negative_dead_zone_v",
-            Self::CableStiffness => "cable_stiffness_n_m_rad",
-            Self::CableRest => "cable_rest_rad",
-            Self::CommandDelay => "command_delay_s",
+        match self.0 {
+            Quantity::Parameter(parameter) => parameter.symbol(),
+            Quantity::Gap(term) => term.name(),
         }
     }
 
@@ -67,8 +36,9 @@ impl Unknown {
     #[must_use]
     pub fn prior(self) -> Prior {
         use DomainParameter as P;
-        let (mean, std) = match self {
-            Self::Parameter(parameter) => (
+        use GapTerm as G;
+        let (mean, std) = match self.0 {
+            Quantity::Parameter(parameter) => (
                 DomainParameters::NOMINAL.get(parameter).ln(),
                 match parameter {
                     P::Gravity => 0.0,
@@ -78,59 +48,54 @@ impl Unknown {
                     P::RotaryDamping | P::PendulumDamping => 2.0,
                 },
             ),
-            Self::CoulombTorque => (0.0, 1.5e-3),
-            Self::PositiveDeadZone | Self::NegativeDeadZone => (0.0, 0.3),
-            Self::CableStiffness => (0.0, 5e-3),
-            Self::CableRest => (0.0, 0.5),
-            Self::CommandDelay => (0.0, 0.02),
+            Quantity::Gap(term) => (
+                0.0,
+                match term {
+                    G::CoulombTorque => 1.5e-3,
+                    G::PositiveDeadZone | G::NegativeDeadZone => 0.3,
+                    G::CableStiffness => 5e-3,
+                    G::CableRest => 0.5,
+                    G::CommandDelay => 0.02,
+                },
+            ),
         };
         Prior { mean, std }
-    }
-
-    /// Whether a value below zero means nothing.
-    fn is_positive(self) -> bool {
-        !matches!(self, Self::Parameter(_) | Self::CableRest)
     }
 
     /// Where a model stands in this unknown, in the unit of movement.
     #[must_use]
     pub fn of(self, model: &QubeModel) -> f64 {
-        let gap = &model.gap;
-        match self {
-            Self::Parameter(parameter) => model.parameters.get(parameter).ln(),
-            Self::CoulombTorque => gap.coulomb_torque_n_m,
-            Self::PositiveDeadZone => gap.positive_dead_zone_v,
-            Self::NegativeDeadZone => gap.negative_dead_zone_v,
-            Self::CableStiffness => gap.cable_stiffness_n_m_rad,
-            Self::CableRest => gap.cable_rest_rad,
-            Self::CommandDelay => gap.command_delay_s,
-        }
+        let value = model.get(self.0);
+        if self.moves_by_logarithm() { value.ln() } else { value }
     }
 
     /// Moves a model to this value, or as near as has a meaning.
     pub fn set(self, model: &mut QubeModel, moved: f64) {
-        let moved = if self.is_positive() { moved.max(0.0) } else { moved };
-        let gap: &mut Gap = &mut model.gap;
-        match self {
-            Self::Parameter(parameter) => model.parameters.set(parameter, moved.exp()),
-            Self::CoulombTorque => gap.coulomb_torque_n_m = moved,
-            Self::PositiveDeadZone => gap.positive_dead_zone_v = moved,
-            Self::NegativeDeadZone => gap.negative_dead_zone_v = moved,
-            Self::CableStiffness => gap.cable_stiffness_n_m_rad = moved,
-            Self::CableRest => gap.cable_rest_rad = moved,
-            Self::CommandDelay => gap.command_delay_s = moved,
-        }
+        // Of the gap's terms only a place may lie below zero.
+        let is_strength = matches!(self.0, Quantity::Gap(term) if term != GapTerm::CableRest);
+        let moved = if is_strength { moved.max(0.0) } else { moved };
+        model.set(self.0, self.quantity(moved));
     }
 
     /// A value in the unit of movement as the quantity itself, in its SI unit.
     #[must_use]
     pub fn quantity(self, moved: f64) -> f64 {
-        if matches!(self, Self::Parameter(_)) { moved.exp() } else { moved }
+        if self.moves_by_logarithm() { moved.exp() } else { moved }
     }
 
     /// A small deviation in the unit of movement as one of the quantity.
     #[must_use]
     pub fn deviation(self, moved: f64, deviation: f64) -> f64 {
-        if matches!(self, Self::Parameter(_)) { moved.exp() * deviation } else { deviation }
+        if self.moves_by_logarithm() { moved.exp() * deviation } else { deviation }
+    }
+
+    fn moves_by_logarithm(self) -> bool {
+        matches!(self.0, Quantity::Parameter(_))
+    }
+}
+
+impl<Q: Into<Quantity>> From<Q> for Unknown {
+    fn from(quantity: Q) -> Self {
+        Self(quantity.into())
     }
 }

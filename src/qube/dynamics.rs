@@ -112,6 +112,17 @@ impl<T: Scalar> Dynamics<T> {
     }
 }
 
+impl Dynamics {
+    /// The state after an inelastic impact of the arm at `theta`. The pendulum swings freely about its
+    /// bearing, so its own momentum m12 theta' + m22 alpha' is the same before and after.
+    #[must_use]
+    pub fn with_arm_stopped(&self, state: State, theta: f64) -> State {
+        let coupling = self.coupling * state.alpha.cos();
+        let alpha_dot = state.alpha_dot + coupling / self.pendulum_inertia * state.theta_dot;
+        State { theta, theta_dot: 0.0, alpha_dot, ..state }
+    }
+}
+
 impl<T: Scalar> EquationsOfMotion<T> for Dynamics<T> {
     #[inline(always)]
     fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T> {

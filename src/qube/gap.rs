@@ -24,6 +24,25 @@ pub struct Gap {
     pub cable_rest_rad: f64,
     /// From a command until the motor has it, s.
     pub command_delay_s: f64,
+    /// How fast the place where the cable does not pull wanders, rad/min. The emulated Qube's does; the
+    /// equations know only where it is, and training draws that anew for each trajectory.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub cable_drift_rad_per_min: f64,
+}
+
+/// The fastest drift of the cable that makes sense, rad/min: across the arm's travel in four minutes.
+pub const MAX_CABLE_DRIFT_RAD_PER_MIN: f64 = 1.0;
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+impl Gap {
+    /// Where the cable does not pull, rad, this long after the Qube was switched on.
+    #[must_use]
+    pub fn cable_rest_after(&self, seconds: f64) -> f64 {
+        self.cable_rest_rad + self.cable_drift_rad_per_min * (seconds / 60.0)
+    }
 }
 
 /// A Qube: the thesis's parameters, and the gap between those equations and the machine.
@@ -47,6 +66,7 @@ impl QubeModel {
             cable_stiffness_n_m_rad: 0.0,
             cable_rest_rad: 0.0,
             command_delay_s: 0.0,
+            cable_drift_rad_per_min: 0.0,
         },
     };
 
@@ -74,6 +94,7 @@ impl QubeModel {
                 // A place, not a strength: the cable's rest stays where it is.
                 cable_rest_rad: gap.cable_rest_rad,
                 command_delay_s: factor * gap.command_delay_s,
+                cable_drift_rad_per_min: factor * gap.cable_drift_rad_per_min,
             },
         }
     }

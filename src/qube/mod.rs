@@ -21,7 +21,7 @@ mod state;
 
 pub use dynamics::{Acceleration, Dynamics, EquationsOfMotion};
 pub use encoder::{COUNTS_PER_REVOLUTION, RAD_PER_COUNT, angle_rad, counts, quantised};
-pub use gap::{Gap, GapDynamics, QubeModel};
+pub use gap::{Gap, GapDynamics, MAX_CABLE_DRIFT_RAD_PER_MIN, QubeModel};
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
 pub use measurement::{Measurement, Status};

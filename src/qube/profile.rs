@@ -3,7 +3,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{DomainParameter, DomainParameters, Gap, GapTerm, ParameterError, QubeModel};
+use super::{
+    DomainParameter, DomainParameters, Gap, GapTerm, MAX_CABLE_DRIFT_RAD_PER_MIN, ParameterError,
+    QubeModel,
+};
 
 /// One Qube in a file: what it is, how sure that is, and where it comes from. `identify` writes it;
 /// whoever simulates or emulates reads it.
@@ -74,11 +77,15 @@ impl Profile {
     pub fn parse(text: &str) -> Result<Self, ProfileError> {
         let profile: Self = toml::from_str(text).map_err(Box::new)?;
         profile.parameters.check()?;
-        for term in GapTerm::ALL {
-            let (value, range) = (profile.gap.get(term), term.range());
+        let drift = profile.gap.cable_drift_rad_per_min;
+        let drifts = -MAX_CABLE_DRIFT_RAD_PER_MIN..=MAX_CABLE_DRIFT_RAD_PER_MIN;
+        let terms = GapTerm::ALL.map(|term| (term.name(), profile.gap.get(term), term.range()));
+        for (name, value, range) in
+            terms.into_iter().chain([("cable_drift_rad_per_min", drift, drifts)])
+        {
             if !range.contains(&value) {
                 let (smallest, largest) = range.into_inner();
-                return Err(ProfileError::Gap { name: term.name(), value, smallest, largest });
+                return Err(ProfileError::Gap { name, value, smallest, largest });
             }
         }
         Ok(profile)
@@ -148,12 +155,17 @@ mod tests {
         let short = Profile::parse("name = \"x\"\n[parameters]\nR_m = 9.1\n").unwrap();
         assert_eq!(short.parameters, profile.parameters);
         assert_eq!(short.gap, Gap::default());
+        // A Qube whose cable stays is written as it was before there was a drift.
+        assert!(!text.contains("drift"), "{text}");
+        let drifting = Profile::parse("name = \"x\"\n[gap]\ncable_drift_rad_per_min = 0.02\n");
+        assert_eq!(drifting.unwrap().gap.cable_drift_rad_per_min, 0.02);
     }
 
     #[test]
     fn what_no_qube_has_is_named() {
         for (text, words) in [
             ("name = \"x\"\n[gap]\ncommand_delay_s = 6.0\n", "command_delay_s = 6"),
+            ("name = \"x\"\n[gap]\ncable_drift_rad_per_min = -2.0\n", "from -1 to 1"),
             ("name = \"x\"\n[gap]\ncomand_delay_s = 0.0\n", "comand_delay_s"),
             ("name = \"x\"\n[parameters]\nR_x = 1.0\n", "R_x"),
             ("name = \"x\"\n[parameters]\nL_p = -1.0\n", "L_p"),

@@ -62,15 +62,31 @@ impl SessionSettings {
     /// # Errors
     /// The file cannot be read, or holds something that is no setting.
     pub fn overridden_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
-        let unreadable = |source| ConfigurationError::Unreadable { path: path.to_owned(), source };
-        let bytes = MachineDisk.read(path, MAX_FILE_BYTES).map_err(unreadable)?;
-        if bytes.len() as u64 > MAX_FILE_BYTES {
-            let reason = format!("more than {MAX_FILE_BYTES} bytes are no configuration");
-            return Err(ConfigurationError::OutOfRange { path: path.to_owned(), reason });
-        }
-        let text = String::from_utf8(bytes)
-            .map_err(|error| unreadable(std::io::Error::other(error.utf8_error())))?;
-        self.overridden_by_text(&text, path)
+        self.overridden_by_text(&read(path)?, path)
+    }
+
+    /// As [`overridden_by`](Self::overridden_by), for a new session: where the file names an estimator
+    /// for the machine alone or for simulations alone, it is that of both, because a policy should be
+    /// trained on what it will see.
+    ///
+    /// # Errors
+    /// The file cannot be read, or holds something that is no setting.
+    pub fn configured_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
+        let text = read(path)?;
+        let settings = self.overridden_by_text(&text, path)?;
+        let file: Table = toml::from_str(&text).map_err(|source| ConfigurationError::Invalid {
+            path: path.to_owned(),
+            source: Box::new(source),
+        })?;
+        let simulation = file.get("training").and_then(|training| training.get("simulation"));
+        let simulated = simulation.and_then(|simulation| simulation.get("sensors"));
+        let estimator = match (file.get("estimator"), settings.training.simulation.sensors) {
+            (Some(_), _) if simulated.is_none() => settings.estimator,
+            (None, SensorModel::Encoders { estimator }) if simulated.is_some() => estimator,
+            _ => return Ok(settings),
+        };
+        let settings = settings.seen_through(estimator);
+        settings.checked(path)
     }
 
     /// As [`overridden_by`](Self::overridden_by), with the text of the file at hand; `path` is only
@@ -88,10 +104,14 @@ impl SessionSettings {
         let mut table: Table = Table::try_from(self)?;
         lay_over(&mut table, toml::from_str(text).map_err(invalid)?);
         let settings: Self = table.try_into().map_err(invalid)?;
-        settings
-            .check()
-            .map_err(|reason| ConfigurationError::OutOfRange { path: path.to_owned(), reason })?;
-        Ok(settings)
+        settings.checked(path)
+    }
+
+    fn checked(self, path: &Path) -> Result<Self, ConfigurationError> {
+        match self.check() {
+            Ok(()) => Ok(self),
+            Err(reason) => Err(ConfigurationError::OutOfRange { path: path.to_owned(), reason }),
+        }
     }
 
     /// The whole configuration as TOML.
@@ -143,6 +163,17 @@ impl SessionSettings {
     }
 }
 
+/// The text of a configuration.
+fn read(path: &Path) -> Result<String, ConfigurationError> {
+    let unreadable = |source| ConfigurationError::Unreadable { path: path.to_owned(), source };
+    let bytes = MachineDisk.read(path, MAX_FILE_BYTES).map_err(unreadable)?;
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        let reason = format!("more than {MAX_FILE_BYTES} bytes are no configuration");
+        return Err(ConfigurationError::OutOfRange { path: path.to_owned(), reason });
+    }
+    String::from_utf8(bytes).map_err(|error| unreadable(std::io::Error::other(error.utf8_error())))
+}
+
 fn lay_over(below: &mut Table, above: Table) {
     for (key, value) in above {
         match (below.get_mut(&key), value) {
@@ -157,7 +188,8 @@ fn lay_over(below: &mut Table, above: Table) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::GapTerm;
+    use crate::estimation::{EstimatorSettings, ObserverSettings};
+    use crate::qube::{GapTerm, QubeModel};
     use crate::simulation::PsiSpace;
 
     fn overridden(text: &str) -> Result<SessionSettings, ConfigurationError> {
@@ -202,6 +234,45 @@ mod tests {
         let SensorModel::Encoders { estimator } = sensors else { panic!("{sensors:?}") };
         assert_eq!(estimator.corner_rad_s, 50.0);
         assert!(settings.search().is_ok());
+    }
+
+    #[test]
+    fn an_estimator_that_a_file_names_for_one_is_that_of_machine_and_simulation() {
+        let configured = |text: &str| {
+            let directory = tempfile::tempdir().unwrap();
+            let path = directory.path().join("my.toml");
+            std::fs::write(&path, text).unwrap();
+            SessionSettings::quick().configured_by(&path).unwrap()
+        };
+        let corners = |settings: &SessionSettings| match settings.training.simulation.sensors {
+            SensorModel::Encoders { estimator } => {
+                (settings.estimator.corner_rad_s, Some(estimator.corner_rad_s))
+            }
+            SensorModel::TrueState => (settings.estimator.corner_rad_s, None),
+        };
+        let machine = "[estimator]\ncorner_rad_s = 50.0\n";
+        let simulated = "[training.simulation.sensors]\ntype = \"encoders\"\n\
+                         [training.simulation.sensors.estimator]\ncorner_rad_s = 70.0\n";
+        let truth = "[training.simulation.sensors]\ntype = \"true_state\"\n";
+        for (text, expected) in [
+            ("seed = 1\n".to_owned(), (200.0, Some(200.0))),
+            (machine.to_owned(), (50.0, Some(50.0))),
+            (simulated.to_owned(), (70.0, Some(70.0))),
+            (format!("{machine}{simulated}"), (50.0, Some(70.0))),
+            (truth.to_owned(), (200.0, None)),
+            (format!("{machine}{truth}"), (50.0, None)),
+        ] {
+            assert_eq!(corners(&configured(&text)), expected, "{text}");
+        }
+        let observer = EstimatorSettings::observer(ObserverSettings::of(QubeModel::NOMINAL));
+        let observed = configured(machine).seen_through(observer);
+        let simulated = SensorModel::Encoders { estimator: observer };
+        assert_eq!(
+            (observed.estimator, observed.training.simulation.sensors),
+            (observer, simulated)
+        );
+        // What a session has written is gone on with as it is.
+        assert_eq!(configured(&observed.to_toml().unwrap()), observed);
     }
 
     #[test]

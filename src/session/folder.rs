@@ -1,4 +1,5 @@
 use std::fs::TryLockError;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -10,7 +11,10 @@ use crate::storage::{Disk, Hold, MachineDisk, sync_name};
 #[derive(Debug, Error)]
 pub enum FolderError {
     /// A new session was to be put where something is.
-    #[error("{path} exists already. Choose another --out, or go on with it by --resume {path}")]
+    #[error(
+        "{path} exists already and is not empty. Choose another --out, or, if it is a session, go \
+         on with it by --resume {path}"
+    )]
     Exists {
         /// The folder.
         path: PathBuf,
@@ -20,6 +24,15 @@ pub enum FolderError {
         "{path} is no session: it has no session.toml. Give the folder of a session to --resume"
     )]
     NotASession {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// What was to be resumed ended before it had its session.toml.
+    #[error(
+        "{path} has nothing to go on with: it is empty, or its session was ended before it began. \
+         Begin it with --out {path}"
+    )]
+    NotBegun {
         /// The folder.
         path: PathBuf,
     },
@@ -56,10 +69,11 @@ pub struct SessionFolder {
 }
 
 impl SessionFolder {
-    /// Makes a new folder on this machine's disk with the session's configuration in it.
+    /// Makes a new folder on this machine's disk with the session's configuration in it. One that is
+    /// there will do, if it is empty or holds no more than a kill leaves of a session's first moment.
     ///
     /// # Errors
-    /// It exists, or cannot be made.
+    /// Something is in it, or it cannot be made.
     pub fn create(root: &Path, configuration: &str) -> Result<Self, FolderError> {
         Self::create_on(Arc::new(MachineDisk), root, configuration)
     }
@@ -67,17 +81,21 @@ impl SessionFolder {
     /// As [`create`](Self::create), on any disk.
     ///
     /// # Errors
-    /// It exists, or cannot be made.
+    /// Something is in it, or it cannot be made.
     pub fn create_on(
         disk: Arc<dyn Disk>,
         root: &Path,
         configuration: &str,
     ) -> Result<Self, FolderError> {
-        if disk.exists(root) {
+        if disk.exists(root) && !has_not_begun(disk.as_ref(), root)? {
             return Err(FolderError::Exists { path: root.to_owned() });
         }
         disk.create_folder(&root.join("candidates")).map_err(io(root))?;
         let folder = Self::hold(disk, root)?;
+        // Another process may have begun there before this one held it.
+        if folder.disk().exists(&folder.configuration()) {
+            return Err(FolderError::Exists { path: root.to_owned() });
+        }
         write_whole(folder.disk(), &folder.configuration(), configuration.as_bytes())?;
         Ok(folder)
     }
@@ -96,7 +114,12 @@ impl SessionFolder {
     /// It is no session, or another process has it.
     pub fn open_on(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, FolderError> {
         if !disk.exists(&root.join("session.toml")) {
-            return Err(FolderError::NotASession { path: root.to_owned() });
+            let path = root.to_owned();
+            return Err(if disk.exists(root) && has_not_begun(disk.as_ref(), root)? {
+                FolderError::NotBegun { path }
+            } else {
+                FolderError::NotASession { path }
+            });
         }
         Self::hold(disk, root)
     }
@@ -172,6 +195,27 @@ impl SessionFolder {
     }
 }
 
+/// Whether a folder holds nothing but what is left of a session that was killed before it had its
+/// configuration: a folder for candidates with none in it, and the configuration half written.
+fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
+    let names = match disk.names(root) {
+        Err(error) if error.kind() == ErrorKind::NotADirectory => return Ok(false),
+        names => names.map_err(io(root))?,
+    };
+    for name in names {
+        let path = root.join(&name);
+        let is_left_over = match name.to_str() {
+            Some("candidates") => disk.names(&path).is_ok_and(|candidates| candidates.is_empty()),
+            Some("session.unfinished") => true,
+            _ => false,
+        };
+        if !is_left_over {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
 /// Gives a recording that never came to an end another name, so that the rollout can be done again
 /// under its own. It is kept: what a crash leaves may say why.
 ///
@@ -215,5 +259,45 @@ mod tests {
         drop(folder);
         let folder = SessionFolder::open(&root).unwrap();
         assert_eq!(std::fs::read_to_string(folder.configuration()).unwrap(), "seed = 1\n");
+    }
+
+    #[test]
+    fn a_session_begins_where_an_earlier_one_was_killed_before_it_had() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("killed");
+        // Each moment of such a kill, in order, and the session that then begins there.
+        let leave: [fn(&Path); 3] = [
+            |_| (),
+            |root| std::fs::create_dir(root.join("candidates")).unwrap(),
+            |root| std::fs::write(root.join("session.unfinished"), "se").unwrap(),
+        ];
+        for moments in 1..=leave.len() {
+            std::fs::create_dir(&root).unwrap();
+            leave[..moments].iter().for_each(|leave| leave(&root));
+            let refused = SessionFolder::open(&root).unwrap_err();
+            assert!(matches!(refused, FolderError::NotBegun { .. }), "{refused}");
+            assert!(refused.to_string().contains("--out"), "{refused}");
+            let folder = SessionFolder::create(&root, "seed = 1\n").unwrap();
+            assert_eq!(std::fs::read_to_string(folder.configuration()).unwrap(), "seed = 1\n");
+            assert!(!root.join("session.unfinished").exists());
+            std::fs::remove_dir_all(&root).unwrap();
+        }
+    }
+
+    #[test]
+    fn nothing_that_is_anything_else_is_begun_in() {
+        let directory = tempfile::tempdir().unwrap();
+        for what in ["candidates/000", "notes", "ledger.jsonl"] {
+            let root = directory.path().join(what.replace('/', "-"));
+            std::fs::create_dir_all(root.join(what)).unwrap();
+            let refused = SessionFolder::create(&root, "").unwrap_err();
+            assert!(matches!(refused, FolderError::Exists { .. }), "{what}: {refused}");
+            let refused = SessionFolder::open(&root).unwrap_err();
+            assert!(matches!(refused, FolderError::NotASession { .. }), "{what}: {refused}");
+        }
+        let file = directory.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        let refused = SessionFolder::create(&file, "").unwrap_err();
+        assert!(matches!(refused, FolderError::Exists { .. }), "{refused}");
     }
 }

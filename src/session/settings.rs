@@ -8,7 +8,9 @@ use crate::learning::{Origin, TrainSettings};
 use crate::qube::QubeModel;
 use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
-use crate::simulation::{DomainDistribution, Family, PsiError, PsiSpace, SimulationSettings};
+use crate::simulation::{
+    DomainDistribution, Family, PsiError, PsiSpace, SensorModel, SimulationSettings,
+};
 use crate::surrogate::SearchBox;
 
 /// What the quantities are drawn from that psi does not shape; in the thesis's sessions these are g,
@@ -152,6 +154,19 @@ impl SessionSettings {
     pub fn under(mut self, guard: Guard) -> Self {
         self.safety_box.guard = guard;
         self.training.simulation.safety_box.guard = guard;
+        self
+    }
+
+    /// Lets machine and simulations alike be seen through this estimator; simulations that show true
+    /// states go on to.
+    #[must_use]
+    pub fn seen_through(mut self, estimator: EstimatorSettings) -> Self {
+        self.estimator = estimator;
+        if let SensorModel::Encoders { estimator: simulated } =
+            &mut self.training.simulation.sensors
+        {
+            *simulated = estimator;
+        }
         self
     }
 

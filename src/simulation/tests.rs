@@ -17,6 +17,7 @@ fn gapped(lane: usize) -> QubeModel {
         cable_stiffness_n_m_rad: 1.2e-3 * part,
         cable_rest_rad: 2.0 * part - 1.0,
         command_delay_s: 0.04 * part,
+        ..Gap::default()
     };
     QubeModel { gap, ..QubeModel::NOMINAL }
 }

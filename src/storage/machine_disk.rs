@@ -1,3 +1,4 @@
+use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -42,6 +43,10 @@ impl Disk for MachineDisk {
 
     fn exists(&self, path: &Path) -> bool {
         path.exists()
+    }
+
+    fn names(&self, folder: &Path) -> io::Result<Vec<OsString>> {
+        fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name())).collect()
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
@@ -93,5 +98,8 @@ mod tests {
         assert_eq!(MachineDisk.read(&path, 2).unwrap(), b"one");
         MachineDisk.create(&path, true).unwrap();
         assert_eq!(MachineDisk.read(&path, 100).unwrap(), b"");
+        assert_eq!(MachineDisk.names(&folder).unwrap(), ["file"]);
+        let no_folder = MachineDisk.names(&path).unwrap_err();
+        assert_eq!(no_folder.kind(), io::ErrorKind::NotADirectory);
     }
 }

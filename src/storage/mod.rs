@@ -7,6 +7,7 @@ mod machine_disk;
 
 pub use machine_disk::MachineDisk;
 
+use std::ffi::OsString;
 use std::fmt;
 use std::fs::{File, TryLockError};
 use std::io::{self, Write};
@@ -45,6 +46,12 @@ pub trait Disk: Send + Sync + fmt::Debug {
 
     /// Whether there is a file or folder of this name.
     fn exists(&self, path: &Path) -> bool;
+
+    /// The names in a folder, in no order.
+    ///
+    /// # Errors
+    /// There is no such folder, or the operating system refused.
+    fn names(&self, folder: &Path) -> io::Result<Vec<OsString>>;
 
     /// Gives a file another name; one that has that name already is replaced.
     ///

@@ -1,6 +1,7 @@
 //! What happens beside the tick does not reach it: a disk that stalls, a recorder that dies, an
 //! orchestrator that hangs, and the control thread's own death.
 
+use std::ffi::OsString;
 use std::fmt;
 use std::fs::TryLockError;
 use std::io::{self, Write};
@@ -69,6 +70,10 @@ impl Disk for TrickyDisk {
 
     fn exists(&self, path: &Path) -> bool {
         self.disk.exists(path)
+    }
+
+    fn names(&self, folder: &Path) -> io::Result<Vec<OsString>> {
+        self.disk.names(folder)
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {

@@ -4,6 +4,7 @@
 //! zeros; until a folder is synced the names in it are the old ones or the new ones.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fmt;
 use std::fs::TryLockError;
 use std::io::{self, ErrorKind, Write};
@@ -294,6 +295,17 @@ impl Disk for SimulatedDisk {
 
     fn exists(&self, path: &Path) -> bool {
         self.content().names.contains_key(path)
+    }
+
+    fn names(&self, folder: &Path) -> io::Result<Vec<OsString>> {
+        let content = self.content();
+        match content.names.get(folder) {
+            Some(Name::Folder) => {}
+            Some(Name::File(_)) => return Err(ErrorKind::NotADirectory.into()),
+            None => return Err(ErrorKind::NotFound.into()),
+        }
+        let inside = content.names.keys().filter(|path| path.parent() == Some(folder));
+        Ok(inside.filter_map(|path| path.file_name().map(OsString::from)).collect())
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {

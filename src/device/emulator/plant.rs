@@ -87,6 +87,7 @@ impl Plant {
             let until_us = self.under_way.front().map_or(time_us, |next| next.0.min(time_us));
             let longest_us = if self.touches() { CONTACT_STEP_US } else { MAX_STEP_US };
             let step_us = longest_us.min(until_us - self.time_us);
+            self.dynamics.cable_rest = self.model.gap.cable_rest_after(self.time_us as f64 * 1e-6);
             let before = self.state;
             let step_s = step_us as f64 * 1e-6;
             self.state = runge_kutta_4(&self.dynamics, before, self.voltage_v, step_s);
@@ -103,14 +104,8 @@ impl Plant {
         self.arm_blocked || self.state.theta.abs() >= HARD_STOP_RAD
     }
 
-    /// An inelastic impact of the arm. The pendulum swings freely about its bearing, so its own
-    /// momentum m12 theta' + m22 alpha' is the same before and after.
     fn stop_arm_at(&mut self, theta: f64) {
-        let ideal = &self.dynamics.ideal;
-        let coupling = ideal.coupling * self.state.alpha.cos();
-        self.state.alpha_dot += coupling / ideal.pendulum_inertia * self.state.theta_dot;
-        self.state.theta = theta;
-        self.state.theta_dot = 0.0;
+        self.state = self.dynamics.ideal.with_arm_stopped(self.state, theta);
     }
 
     /// The motor's voltage from now on, V, or from when the gap's delay and jitter let it arrive.
@@ -268,6 +263,35 @@ mod tests {
             let exact = plant.state().theta_dot / RAD_PER_COUNT;
             assert!(exact.abs() > 100.0);
             assert!((tachometer - exact).abs() <= 1.0 + 1e-3 * exact.abs());
+        }
+    }
+
+    #[test]
+    fn a_drifting_cable_takes_the_arm_along_as_fast_as_it_says() {
+        let rests_after = |seed: u64, cable_drift_rad_per_min: f64| {
+            let gap = Gap {
+                cable_stiffness_n_m_rad: 1e-3,
+                cable_rest_rad: -0.4,
+                cable_drift_rad_per_min,
+                ..Gap::default()
+            };
+            let model = QubeModel { gap, ..QubeModel::NOMINAL };
+            let mut plant = Plant::new(&EmulatorSettings { model, seed, ..Default::default() });
+            [2, 7].map(|minutes| {
+                plant.advance_to(minutes * 60_000_000);
+                plant.state().theta
+            })
+        };
+        for seed in 0..3 {
+            for (drift, expected) in
+                [(0.0, [-0.4, -0.4]), (0.03, [-0.34, -0.19]), (-0.1, [-0.6, -1.1])]
+            {
+                let rests = rests_after(seed, drift);
+                assert_eq!(rests, rests_after(seed, drift));
+                for (rest, expected) in rests.iter().zip(expected) {
+                    assert!((rest - expected).abs() < 2e-3, "{drift} rad/min: {rests:?}");
+                }
+            }
         }
     }
 

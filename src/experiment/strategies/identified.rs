@@ -93,7 +93,8 @@ impl<'a> FromRecordings<'a> {
                 Err(unfit) => return Ok(Err(unfit.to_string())),
             }
         }
-        let found = match identify(&logs, &Unknown::ALL, &QubeModel::NOMINAL) {
+        let unknowns: Vec<Unknown> = Unknown::all().collect();
+        let found = match identify(&logs, &unknowns, &QubeModel::NOMINAL) {
             Ok(found) => found.model,
             Err(why) => return Ok(Err(why.to_string())),
         };

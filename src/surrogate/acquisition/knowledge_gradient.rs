@@ -181,25 +181,14 @@ fn upper_envelope(mut lines: Vec<Line>) -> Vec<Line> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::gradient_check::{check_gradient, nine_points};
     use super::*;
-    use crate::surrogate::{
-        Criterion, Dataset, Hyperparameters, Kernel, LogExpectedImprovement, SearchBox,
-    };
+    use crate::surrogate::{Criterion, Kernel, LogExpectedImprovement};
 
+    /// Each point with a noise of its own.
     fn process(noise_variance: f64) -> GaussianProcess {
-        let search_box = SearchBox::new(vec![-1.0, 10.0], vec![1.0, 30.0]).unwrap();
-        let points: Vec<Vec<f64>> =
-            (0..9).map(|i| vec![(i as f64).sin(), 20.0 + 10.0 * (i as f64 * 1.7).cos()]).collect();
-        let values: Vec<f64> = points.iter().map(|p| 30.0 * (3.0 * p[0]).sin() + p[1]).collect();
         let own: Vec<f64> = (0..9).map(|i| 20.0 * f64::from(i % 3) * noise_variance).collect();
-        let data = Dataset::new(&search_box, &points, &values, Some(&own)).unwrap();
-        let hyperparameters = Hyperparameters {
-            mean: 0.1,
-            lengthscales: vec![0.3, 0.5],
-            signal_variance: 1.2,
-            noise_variance,
-        };
-        GaussianProcess::new(data, Kernel::Matern52, hyperparameters).unwrap()
+        nine_points(noise_variance, Some(&own))
     }
 
     #[test]
@@ -243,21 +232,7 @@ mod tests {
         for noise_variance in [1e-4, 0.05, 0.8] {
             let process = process(noise_variance);
             let acquisition = LogKnowledgeGradient::new(&process, &[vec![0.5, 25.0]]);
-            for point in [[0.7, 26.0], [0.1, 12.0], [-0.4, 19.0]] {
-                let (value, gradient) = acquisition.value_and_gradient(&point);
-                assert_eq!(value, acquisition.value(&point));
-                for d in 0..2 {
-                    let h = 1e-6 * process.data().search_box().width(d);
-                    let shifted = |t: f64| {
-                        let mut shifted = point;
-                        shifted[d] += t;
-                        acquisition.value(&shifted)
-                    };
-                    let numeric = (shifted(h) - shifted(-h)) / (2.0 * h);
-                    let close = (gradient[d] - numeric).abs() < 1e-5 * (1.0 + numeric.abs());
-                    assert!(close, "{noise_variance} {point:?} {d}: {} {numeric}", gradient[d]);
-                }
-            }
+            check_gradient(&acquisition, process.data().search_box());
         }
     }
 

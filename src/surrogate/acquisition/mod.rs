@@ -1,6 +1,8 @@
 //! How promising a point is, given what the surrogate believes. All are to be maximised.
 
 mod expected_improvement;
+#[cfg(test)]
+mod gradient_check;
 mod knowledge_gradient;
 mod log_expected_improvement;
 mod log_sum_exp;

@@ -1,0 +1,270 @@
+//! A rollout against a simulated Qube: its phases, and what each mishap makes of it.
+
+use std::f64::consts::PI;
+use std::sync::atomic::AtomicBool;
+
+use super::plant_device::{Mishap, PlantDevice};
+use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, drive};
+use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
+use crate::policy::{ClassicalController, ClassicalGains, Controller, Policy};
+use crate::qube::{DomainParameters, QubeModel, State, Status, wrap_angle};
+use crate::safety::{Limit, SafetyBox};
+use crate::telemetry::{Ending, Fault, Phase, TickRecord, TickSettings};
+
+fn settings() -> TickSettings {
+    TickSettings {
+        calibration: Calibration::IDENTITY,
+        estimator: EstimatorSettings::default(),
+        safety_box: SafetyBox::THESIS,
+        max_steps: 600,
+        start_theta_rad: 0.05,
+    }
+}
+
+fn classical() -> Policy {
+    Policy::Classical(ClassicalController::new(ClassicalGains::default()))
+}
+
+fn rollout(device: &mut PlantDevice, policy: Policy, stop: bool) -> (DriveReport, Vec<TickRecord>) {
+    let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
+    let mut tick = Tick::new(&settings(), policy);
+    let clock = device.clock.clone();
+    let stop = AtomicBool::new(stop);
+    let report = drive(device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
+    assert!(!device.armed, "the amplifier stays on");
+    (report, std::iter::from_fn(|| consumer.pop().ok()).collect())
+}
+
+#[test]
+fn a_rollout_settles_swings_up_and_stops() {
+    let mut device = PlantDevice::new(State { theta: -1.0, alpha: 0.4, ..State::default() });
+    let (report, records) = rollout(&mut device, classical(), false);
+    assert_eq!(report.outcome.ending, Ending::Completed);
+    assert_eq!(report.outcome.steps, 600);
+    assert_eq!(report.outcome.missed_deadlines, 0);
+    let running: Vec<_> = records.iter().filter(|r| r.phase == Phase::Running).collect();
+    assert_eq!(running.len(), 600);
+    assert!((running[0].state.theta - 0.05).abs() < 0.1);
+    assert!(wrap_angle(running[599].state.alpha - PI).abs() < 0.2);
+    assert_eq!(records.last().map(|r| r.phase), Some(Phase::Braking));
+}
+
+#[test]
+fn a_pendulum_that_was_left_turned_round_starts_at_alpha_near_zero() {
+    let mut device = PlantDevice::new(State { alpha: 6.0 * PI, ..State::default() });
+    let (report, records) = rollout(&mut device, classical(), false);
+    assert_eq!(report.outcome.ending, Ending::Completed);
+    let first = records.iter().find(|r| r.phase == Phase::Running).unwrap();
+    assert!(first.state.alpha.abs() < 0.05, "{:?}", first.state);
+    assert!(first.state.alpha_dot.abs() < 0.5, "{:?}", first.state);
+}
+
+#[test]
+fn a_policy_that_pushes_outward_leaves_the_box_and_is_braked() {
+    let outward = ClassicalGains {
+        pump_v_per_j: 0.0,
+        centring_v_per_rad: -100.0,
+        damping_v_s_per_rad: 0.0,
+        ..ClassicalGains::default()
+    };
+    let mut device = PlantDevice::new(State::default());
+    let policy = Policy::Classical(ClassicalController::new(outward));
+    let (report, records) = rollout(&mut device, policy, false);
+    assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Theta));
+    let braking = records.iter().find(|r| r.phase == Phase::Braking).unwrap();
+    assert!(f64::from(braking.voltage_mv) * braking.state.theta_dot < 0.0);
+    assert!(device.voltages_mv.iter().all(|voltage_mv| voltage_mv.abs() <= 5000));
+}
+
+#[test]
+fn no_observer_however_wrong_moves_the_limits_of_the_box() {
+    let outward = ClassicalGains {
+        pump_v_per_j: 0.0,
+        centring_v_per_rad: -100.0,
+        damping_v_s_per_rad: 0.0,
+        ..ClassicalGains::default()
+    };
+    // A Qube whose arm is a hundred times as heavy and whose voltages act a tenth of a second
+    // late: what this observer shows is far from where the arm is.
+    let parameters = DomainParameters { rotary_mass_kg: 9.5, ..DomainParameters::NOMINAL };
+    let model = QubeModel { parameters, ..QubeModel::NOMINAL };
+    let astray = ObserverSettings {
+        theta_noise_rad_s2: 0.1,
+        astray_rad: 10.0,
+        ..ObserverSettings::of(model)
+    };
+    let estimator = EstimatorSettings::observer(astray.with_delay(0.1));
+    let settings = TickSettings { estimator, ..settings() };
+    let mut device = PlantDevice::new(State::default());
+    let clock = device.clock.clone();
+    let mut tick = Tick::new(&settings, ClassicalController::new(outward));
+    let stop = AtomicBool::new(false);
+    let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
+    let report = drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
+    assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Theta));
+    let records: Vec<TickRecord> = std::iter::from_fn(|| consumer.pop().ok()).collect();
+    let first = records.iter().position(|record| record.phase == Phase::Braking).unwrap();
+    let angle = |record: &TickRecord| {
+        Calibration::IDENTITY.angles_rad(&record.measurement.unwrap()).0.abs()
+    };
+    assert!(angle(&records[first]) >= 2.3 && angle(&records[first - 1]) < 2.3);
+    assert!((records[first].state.theta.abs() - angle(&records[first])).abs() > 0.1);
+}
+
+#[test]
+fn under_the_envelope_the_arm_comes_back_and_never_touches_its_stop() {
+    let outward = ClassicalGains {
+        pump_v_per_j: 0.0,
+        centring_v_per_rad: -100.0,
+        damping_v_s_per_rad: 0.0,
+        ..ClassicalGains::default()
+    };
+    let settings = TickSettings { safety_box: SafetyBox::GUARDED, ..settings() };
+    let mut device = PlantDevice::new(State::default());
+    let clock = device.clock.clone();
+    let mut tick = Tick::new(&settings, ClassicalController::new(outward));
+    let stop = AtomicBool::new(false);
+    let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Envelope));
+    assert_eq!(tick.control_state(), ControlState::Ready);
+    assert!(report.last_ticks.is_empty());
+    assert!(device.furthest_rad < 2.0, "{} rad", device.furthest_rad);
+    assert!(device.state.theta.abs() < 0.6, "{:?}", device.state);
+}
+
+/// Asks for another voltage each time and notes what it is told.
+#[derive(Default)]
+struct Listener {
+    starts: u32,
+    told_v: Vec<f64>,
+    asked: u32,
+}
+
+impl Controller for &mut Listener {
+    fn start(&mut self) {
+        self.starts += 1;
+        self.told_v.clear();
+    }
+
+    fn applied(&mut self, voltage_v: f64) {
+        self.told_v.push(voltage_v);
+    }
+
+    fn voltage_v(&mut self, _: &State) -> f64 {
+        self.asked += 1;
+        if self.asked == 3 { -7.0 } else { 0.2 * f64::from(self.asked % 5) - 0.4 }
+    }
+}
+
+#[test]
+fn a_policy_is_told_what_the_motor_had_in_each_period_of_its_rollout() {
+    let mut device = PlantDevice::new(State::default());
+    device.mishap = Box::new(|tick| match tick {
+        80 => Some(Mishap::Slow(34_000_000)),
+        tick => (tick % 17 == 3).then_some(Mishap::Lost),
+    });
+    let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
+    let mut listener = Listener::default();
+    let mut tick = Tick::new(&settings(), &mut listener);
+    let clock = device.clock.clone();
+    let stop = AtomicBool::new(false);
+    drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
+    let records: Vec<TickRecord> = std::iter::from_fn(|| consumer.pop().ok()).collect();
+    let mut expected_v = Vec::new();
+    for pair in records.windows(2) {
+        if pair[0].phase == Phase::Running {
+            let periods = 1 + pair[1].skipped_periods as usize;
+            let voltage_v = f64::from(pair[0].voltage_mv) * 1e-3;
+            expected_v.extend(std::iter::repeat_n(voltage_v, periods));
+        }
+    }
+    assert_eq!(listener.told_v, expected_v);
+    assert_eq!(listener.starts, 1);
+    assert!(expected_v.contains(&-5.0), "what is told is limited");
+    assert!(expected_v.len() > listener.asked as usize, "nothing was held over");
+}
+
+#[test]
+fn the_last_hundred_ticks_travel_with_a_fault() {
+    let mut device = PlantDevice::new(State::default());
+    device.mishap = Box::new(|tick| (tick == 170).then_some(Mishap::Gone));
+    let (report, records) = rollout(&mut device, classical(), false);
+    assert_eq!(report.outcome.ending, Ending::Fault(Fault::LinkGone));
+    assert_eq!(report.last_ticks, records[records.len() - 100..]);
+}
+
+#[test]
+fn a_policy_that_asks_for_no_number_is_braked_and_named() {
+    let broken =
+        ClassicalGains { pump_limit_v: 0.0, pump_v_per_j: f64::NAN, ..ClassicalGains::default() };
+    let mut device = PlantDevice::new(State::default());
+    let policy = Policy::Classical(ClassicalController::new(broken));
+    let (report, _) = rollout(&mut device, policy, false);
+    assert_eq!(report.outcome.ending, Ending::Fault(Fault::NotANumber));
+}
+
+#[test]
+fn a_stop_brakes_at_once() {
+    let mut device = PlantDevice::new(State { theta: 1.0, ..State::default() });
+    let (report, records) = rollout(&mut device, classical(), true);
+    assert_eq!(report.outcome.ending, Ending::Stopped);
+    assert!(records.len() <= 4, "{} ticks after the stop", records.len());
+}
+
+#[test]
+fn lost_samples_are_held_over_and_a_silent_link_ends_the_rollout() {
+    let mut device = PlantDevice::new(State::default());
+    device.mishap = Box::new(|tick| (tick % 20 < 2).then_some(Mishap::Lost));
+    let (report, records) = rollout(&mut device, classical(), false);
+    assert_eq!(report.outcome.ending, Ending::Completed);
+    let held = records.iter().filter(|record| record.measurement.is_none()).count();
+    assert!(held > 60);
+    assert_eq!(report.outcome.missed_deadlines as usize, held);
+
+    let mut device = PlantDevice::new(State::default());
+    device.mishap = Box::new(|tick| (tick >= 100).then_some(Mishap::Lost));
+    let (report, records) = rollout(&mut device, classical(), false);
+    assert_eq!(report.outcome.ending, Ending::Fault(Fault::NoSample));
+    assert_eq!(records.len(), 104);
+}
+
+#[test]
+fn a_stalled_answer_skips_whole_periods_and_never_bursts() {
+    let mut device = PlantDevice::new(State::default());
+    device.mishap = Box::new(|tick| (tick == 150).then_some(Mishap::Slow(34_000_000)));
+    let (report, records) = rollout(&mut device, classical(), false);
+    assert_eq!(report.outcome.ending, Ending::Completed);
+    assert_eq!(records[151].skipped_periods, 2);
+    assert_eq!(records[151].deadline_ns - records[150].deadline_ns, 30_000_000);
+    assert_eq!(records[151].lateness_ns, 4_000_000);
+    assert_eq!(records[152].deadline_ns - records[151].deadline_ns, 10_000_000);
+    assert_eq!(report.outcome.missed_deadlines, 2);
+    assert_eq!(report.outcome.steps, 598);
+}
+
+#[test]
+fn faults_of_link_and_machine_switch_off_without_another_act() {
+    let armed = Status { armed: true, ..Status::default() };
+    for (mishap, fault) in [
+        (Mishap::Gone, Fault::LinkGone),
+        (Mishap::Reports(Status::default()), Fault::NotArmed),
+        (Mishap::Reports(Status { watchdog_tripped: true, ..armed }), Fault::WatchdogTripped),
+        (Mishap::Reports(Status { amplifier_fault: true, ..armed }), Fault::Amplifier),
+    ] {
+        let mut device = PlantDevice::new(State::default());
+        device.mishap = Box::new(move |tick| (tick == 70).then_some(mishap));
+        let (report, records) = rollout(&mut device, classical(), false);
+        assert_eq!(report.outcome.ending, Ending::Fault(fault));
+        assert_eq!(records.len(), 71);
+        assert_eq!(device.voltages_mv.len(), 70);
+    }
+}
+
+#[test]
+fn the_same_rollout_gives_the_same_records() {
+    let run = || {
+        let mut device = PlantDevice::new(State { theta: 0.7, ..State::default() });
+        rollout(&mut device, classical(), false).1
+    };
+    assert_eq!(run(), run());
+}
