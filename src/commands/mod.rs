@@ -58,8 +58,9 @@ use crate::telemetry::LatencySummary;
     name = "qube-hil",
     version,
     max_term_width = 100,
-    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or input, 3 finished but data lost or a\n\
-                  replay differs, 4 stopped by a safety fault, 130 stopped by Ctrl-C, 143 by SIGTERM"
+    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or input, 3 finished but data lost \
+                  or a replay differs, 4 stopped by a safety fault, 130 and 143 stopped by Ctrl-C \
+                  and SIGTERM"
 )]
 struct CommandLine {
     #[command(subcommand)]

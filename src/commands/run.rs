@@ -40,7 +40,7 @@ use crate::telemetry::Ending;
     qube-hil run --policy best.safetensors --device /dev/ttyACM0 --out logs/monday\n  \
     qube-hil run --policy best.safetensors --profile lab --clock virtual\n  \
     qube-hil run --excite chirp --rollouts 4 --out logs/chirps      # for identify\n  \
-    qube-hil run --policy classical --qube qube.toml     # written by check --write")]
+    qube-hil run --policy classical --qube qube.toml     # from check --write")]
 pub struct Arguments {
     /// What drives the Qube: a policy file, or `classical` for the built-in energy swing-up with
     /// balance; this or --excite is needed

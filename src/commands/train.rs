@@ -31,7 +31,7 @@ use crate::storage::MachineDisk;
 #[command(after_help = "Examples:\n  \
     qube-hil train --model nominal --out policies/mine.safetensors\n  \
     qube-hil train --model handcrafted --preset thesis --seed 4\n  \
-    qube-hil train --model robust               # for a Qube that nobody identified\n  \
+    qube-hil train --model robust               # for a Qube not identified yet\n  \
     qube-hil train --profile lab --spread 0.1   # around an identified one\n  \
     qube-hil train --model psi --psi psi.toml   # a distribution of your own\n  \
     qube-hil train --preset thesis --checkpoint half.safetensors    # can go on")]
