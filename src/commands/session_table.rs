@@ -57,10 +57,10 @@ impl SessionTable {
             String::from("\n   #  purpose   mean return  rollouts  psi in its box, 0 to 9\n");
         for (candidate, verdicts) in &self.candidates {
             let purpose = match candidate.purpose {
-                Purpose::Initial => "initial",
-                Purpose::Search => "search",
-                Purpose::Verification => "answer",
-                Purpose::Incumbent => "best",
+                Purpose::Initial => "initial".into(),
+                Purpose::Search => "search".into(),
+                Purpose::Verification => "answer".into(),
+                Purpose::Incumbent => format!("{} again", self.incumbent(candidate)),
             };
             let mean = match mean_return(verdicts) {
                 Some(mean) => format!("{mean:11.1}"),
@@ -79,13 +79,14 @@ impl SessionTable {
         if let Some(Best { candidate, policy }) = &self.best {
             let (candidate, verdicts) = &self.candidates[*candidate];
             let whose = match candidate.purpose {
-                Purpose::Incumbent => "the best candidate, trained before,",
-                _ => "the search's answer",
+                Purpose::Incumbent => format!("that of candidate {}", self.incumbent(candidate)),
+                _ => "that of the search's answer".into(),
             };
             let stood = verdicts.iter().filter(|verdict| succeeded(verdict)).count();
             let _ = writeln!(
                 text,
-                "\nbest policy: {policy}\n{whose} earns {:.1} in {} rollouts, {stood} of them stand",
+                "\nbest policy: {policy}\n{whose}: mean return {:.1} over {} rollouts, {stood} of \
+                 them stand",
                 mean_return(verdicts).unwrap_or(0.0),
                 verdicts.len(),
             );
@@ -103,6 +104,13 @@ impl SessionTable {
         text.push_str(&timing_lines(&self.latencies));
         let _ = writeln!(text, "everything is in {}", self.directory);
         text
+    }
+
+    /// The searched candidate whose policy this one runs again: they share their psi.
+    fn incumbent(&self, again: &Candidate) -> u32 {
+        let is_same = |it: &&Candidate| it.purpose.is_searched() && it.psi == again.psi;
+        let mut candidates = self.candidates.iter().map(|(candidate, _)| candidate);
+        candidates.find(is_same).unwrap_or(again).number
     }
 
     /// For scripts; the caller adds how long it took.
