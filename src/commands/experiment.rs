@@ -45,16 +45,16 @@ use crate::storage::{Disk, MachineDisk};
 /// too, and the filter of 200 rad/s.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    qube-hil experiment --profile lab                   # the thesis's table on an identified Qube\n  \
-    qube-hil experiment --profile lab --models nominal,handcrafted --preset thesis --out logs/t53\n  \
-    qube-hil experiment --resume logs/t53\n  \
-    qube-hil experiment --resume logs/t53 --table       # what is finished so far\n  \
+    qube-hil experiment --profile lab              # the thesis's table, on a real gap\n  \
+    qube-hil experiment --profile lab --models nominal --preset thesis --out logs/t\n  \
+    qube-hil experiment --resume logs/t\n  \
+    qube-hil experiment --resume logs/t --table    # what is finished so far\n  \
     qube-hil experiment --recipe mine.toml --plants plants.toml --policies 5\n  \
-    qube-hil experiment --profile lab --strategies bayrn,cem,random,identify --filter 200\n\n\
+    qube-hil experiment --profile lab --strategies bayrn,identify --filter 200\n\n\
     A recipe file:\n  \
     name = \"slow-filter\"\n  \
     model = \"nominal\"          # or any of --models\n  \
-    [settings.estimator]       # whatever differs from the flags, as in a session.toml\n  \
+    [settings.estimator]       # what differs from the flags, as in session.toml\n  \
     corner_rad_s = 20.0")]
 pub struct Arguments {
     /// Models, with commas between [default: the thesis's five, or none beside --recipe]

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use super::ExperimentError;
 use crate::search::Observation;
 use crate::session::{
-    Entry, Extent, FolderError, LedgerError, Purpose, RigSettings, Session, SessionFolder,
+    Entry, Extent, LedgerError, Purpose, RigSettings, Session, SessionFolder,
     SessionSettings, Step, Verdict, candidates, judge, next_step, parse_ledger,
 };
 use crate::storage::{Disk, MachineDisk};
@@ -26,11 +26,6 @@ pub(super) fn open_search(
     let session_folder = if MachineDisk.exists(&folder.join("session.toml")) {
         SessionFolder::open(folder)?
     } else {
-        // What a kill left between making the folder and writing its settings is empty.
-        if MachineDisk.exists(folder) {
-            std::fs::remove_dir_all(folder)
-                .map_err(|source| FolderError::Io { path: folder.to_owned(), source })?;
-        }
         SessionFolder::create(folder, &settings.to_toml()?)?
     };
     let emulator = settings.emulated.emulator(settings.seed);
