@@ -219,8 +219,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ended.map_err(failed)?;
     }
 
-    let summary = match StrategyResults::read(&experiment).map_err(failed)? {
-        Some(results) => Summary::of_strategies(&results),
+    let strategies = StrategyResults::read(&experiment).map_err(failed)?;
+    let summary = match &strategies {
+        Some(results) => Summary::of_strategies(results),
         None => Summary::of_recipes(&Results::read(&experiment).map_err(failed)?),
     };
     if let Some(path) = &arguments.csv {
@@ -228,7 +229,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             .map_err(|error| failures::folder(&error))?;
     }
     if let Some(folder) = &arguments.figures {
-        draw(&experiment, folder).map_err(failed)?;
+        draw(&experiment, strategies.as_ref(), folder).map_err(failed)?;
     }
     let directory = experiment.folder().root().display().to_string();
     let mut result = summary.value;
@@ -257,11 +258,15 @@ impl Summary {
     }
 }
 
-fn draw(experiment: &Experiment, folder: &Path) -> Result<(), ExperimentError> {
+fn draw(
+    experiment: &Experiment,
+    strategies: Option<&StrategyResults>,
+    folder: &Path,
+) -> Result<(), ExperimentError> {
     let is_optimised = |recipe: &Recipe| recipe.model.is_optimised();
     let mut figures = Vec::new();
-    if let Some(results) = StrategyResults::read(experiment)? {
-        figures.push(("strategies.svg", strategies_svg(&results)?));
+    if let Some(results) = strategies {
+        figures.push(("strategies.svg", strategies_svg(results)?));
     } else {
         figures.push(("figure-5.2.svg", densities_svg(experiment)?));
         if experiment.settings().recipes.iter().any(is_optimised) {

@@ -16,12 +16,14 @@ pub fn strategies_svg(results: &StrategyResults) -> Result<String, ExperimentErr
 }
 
 fn draw(svg: &mut String, results: &StrategyResults) -> Result<(), PlotError> {
-    let root = SVGBackend::with_string(svg, (1000, 500)).into_drawing_area();
+    let root = SVGBackend::with_string(svg, (1000, 450)).into_drawing_area();
     root.fill(&WHITE)?;
+    // Lines end anywhere at the right; names stand beside them.
+    let (lines, names) = root.split_horizontally(880);
     let budgets = results.strategies.iter().filter_map(StrategyResult::budget);
     let last = f64::from(budgets.max().unwrap_or(1).max(2));
     let title = format!("{} on {}: answers that succeed", results.recipe, results.plant);
-    let mut chart = ChartBuilder::on(&root)
+    let mut chart = ChartBuilder::on(&lines)
         .margin(10)
         .caption(title, ("sans-serif", 18))
         .x_label_area_size(35)
@@ -30,22 +32,19 @@ fn draw(svg: &mut String, results: &StrategyResults) -> Result<(), PlotError> {
         .build_cartesian_2d((1.0..last).log_scale(), 0.0..1.05)?;
     chart
         .configure_mesh()
+        .light_line_style(TRANSPARENT)
         .x_desc("real rollouts")
         .y_desc("share of repetitions")
         .x_label_formatter(&|rollouts| format!("{rollouts:.0}"))
         .draw()?;
     for (index, strategy) in results.strategies.iter().enumerate() {
-        let colour = Palette99::pick(index).to_rgba();
-        chart
-            .draw_series(LineSeries::new(steps(strategy), colour.stroke_width(2)))?
-            .label(strategy.contender.name())
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
+        let style = Palette99::pick(index).to_rgba().stroke_width(2);
+        chart.draw_series(LineSeries::new(steps(strategy), style))?;
+        let below = 60 + 24 * index as i32;
+        names.draw(&PathElement::new([(8, below), (28, below)], style))?;
+        let name = strategy.contender.name();
+        names.draw(&Text::new(name, (34, below - 7), ("sans-serif", 14)))?;
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.8))
-        .draw()?;
     root.present()
 }
 

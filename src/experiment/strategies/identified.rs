@@ -11,7 +11,7 @@ use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
 use crate::qube::{Profile, QubeModel};
 use crate::replay::{MotionLog, MotionLogError};
 use crate::session::{
-    ProfileSettings, RigSettings, RolloutPlan, SeedFor, derived_seed, write_whole,
+    ProfileSettings, RigSettings, RolloutPlan, SeedFor, SessionSettings, derived_seed, write_whole,
 };
 use crate::storage::{Disk, MachineDisk};
 
@@ -151,8 +151,7 @@ impl Answers for FromRecordings<'_> {
         Ok(Some(profile.and_then(|profile| {
             let recipe = Recipe::of(RecipeModel::Profile, &self.course.recipe.settings);
             let around = ProfileSettings { model: profile.model(), spread: self.settings.spread };
-            let settings =
-                crate::session::SessionSettings { profile: Some(around), ..recipe.settings };
+            let settings = SessionSettings { profile: Some(around), ..recipe.settings };
             // What cannot be simulated is no answer either.
             settings.base_distribution().map_err(|error| error.to_string())?;
             Ok(Answer { recipe: Recipe { settings, ..recipe }, psi: Vec::new() })

@@ -22,7 +22,8 @@ pub struct StrategyResults {
 pub struct StrategyResult {
     /// Who.
     pub contender: Contender,
-    /// The repetitions that are over, in order.
+    /// The first repetitions, up to one that is not over: of all that are over those that succeed
+    /// early would be too many.
     pub repetitions: Vec<Repetition>,
 }
 
@@ -87,16 +88,15 @@ impl StrategyResults {
         let never = AtomicBool::new(false);
         Queue::new(strategies.repetitions(), &never).run(experiment.threads(), |job| {
             let repetition = experiment.follow(strategies, job, None)?;
-            if repetition.is_over {
-                read.lock().unwrap_or_else(PoisonError::into_inner).push(repetition);
-            }
+            read.lock().unwrap_or_else(PoisonError::into_inner).push(repetition);
             Ok(Vec::new())
         })?;
         let mut read = read.into_inner().unwrap_or_else(PoisonError::into_inner);
         read.sort_by_key(|repetition| repetition.number);
-        let of = |&contender: &Contender| StrategyResult {
-            contender,
-            repetitions: read.iter().filter(|it| it.contender == contender).cloned().collect(),
+        let of = |&contender: &Contender| {
+            let own = read.iter().filter(|it| it.contender == contender);
+            let repetitions = own.take_while(|it| it.is_over).cloned().collect();
+            StrategyResult { contender, repetitions }
         };
         Ok(Some(Self {
             recipe: settings.recipes[0].name.clone(),
