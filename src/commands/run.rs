@@ -36,7 +36,7 @@ use crate::telemetry::Ending;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil run --policy classical              # a swing-up without any training\n  \
-    qube-hil run --policy policies/nominal.safetensors --rollouts 5\n  \
+    qube-hil run --policy policies/robust.safetensors --rollouts 5\n  \
     qube-hil run --policy best.safetensors --device /dev/ttyACM0 --out logs/monday\n  \
     qube-hil run --policy best.safetensors --profile lab --clock virtual\n  \
     qube-hil run --excite chirp --rollouts 4 --out logs/chirps      # for identify\n  \

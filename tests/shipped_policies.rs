@@ -1,0 +1,31 @@
+//! The policies in `policies/` do what their page says: in virtual time, under the envelope.
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+fn returns(policy: &str, qube: &[&str]) -> Vec<f64> {
+    let directory = tempfile::tempdir().unwrap();
+    let policy = format!("{}/policies/{policy}", env!("CARGO_MANIFEST_DIR"));
+    let mut command = Command::cargo_bin("qube-hil").unwrap();
+    command.current_dir(directory.path()).args(["run", "--policy", &policy, "--rollouts", "3"]);
+    let output = command.args(["--clock", "virtual", "--json"]).args(qube).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let stands = |rollout: &Value| rollout.as_bool().unwrap();
+    assert!(told["success"].as_array().unwrap().iter().all(stands), "{told}");
+    told["returns"].as_array().unwrap().iter().map(|it| it.as_f64().unwrap()).collect()
+}
+
+#[test]
+fn each_stands_on_the_qubes_that_it_is_for() {
+    for (policy, qube, at_least) in [
+        ("nominal.safetensors", &[][..], 535.0),
+        ("robust.safetensors", &[][..], 505.0),
+        ("robust.safetensors", &["--profile", "lab"][..], 515.0),
+        ("robust.safetensors", &["--profile", "lab", "--delay-ms", "16"][..], 500.0),
+        ("robust.safetensors", &["--profile", "lab", "--gap", "1.5"][..], 495.0),
+    ] {
+        let returns = returns(policy, qube);
+        assert!(returns.iter().all(|&it| it >= at_least), "{policy} on {qube:?}: {returns:?}");
+    }
+}
