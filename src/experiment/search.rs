@@ -5,8 +5,8 @@ use std::sync::atomic::AtomicBool;
 use super::ExperimentError;
 use crate::search::Observation;
 use crate::session::{
-    Entry, Extent, LedgerError, Purpose, RigSettings, Session, SessionFolder,
-    SessionSettings, Step, Verdict, candidates, judge, next_step, parse_ledger,
+    Entry, Extent, LedgerError, Purpose, RigSettings, Session, SessionFolder, SessionSettings,
+    Step, Verdict, candidates, judge, next_step, parse_ledger,
 };
 use crate::storage::{Disk, MachineDisk};
 
