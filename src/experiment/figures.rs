@@ -95,9 +95,14 @@ fn density_panel(
         .margin(10)
         .caption(parameter.symbol(), ("sans-serif", 18))
         .x_label_area_size(35)
-        .y_label_area_size(45)
+        .y_label_area_size(55)
         .build_cartesian_2d(low..high, 0.0..top)?;
-    chart.configure_mesh().x_labels(6).y_desc("density x nominal value").draw()?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .x_labels(6)
+        .y_desc("density x nominal value")
+        .draw()?;
     for (index, ((name, _), curve)) in recipes.iter().zip(curves).enumerate() {
         if highest(&curve) == 0.0 {
             continue;
@@ -114,7 +119,11 @@ fn density_panel(
         4,
         BLACK.stroke_width(1),
     ))?;
-    chart.configure_series_labels().background_style(WHITE.mix(0.8)).draw()
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .background_style(WHITE.mix(0.8))
+        .draw()
 }
 
 /// Zero for a value that is always the same: it has no density.
@@ -167,9 +176,16 @@ fn search_panel(
         .margin(10)
         .caption(title, ("sans-serif", 16))
         .x_label_area_size(35)
-        .y_label_area_size(45)
+        .y_label_area_size(55)
         .build_cartesian_2d(-0.5..last, 0.0..600.0)?;
-    chart.configure_mesh().x_desc("candidate").y_desc("return on the Qube").draw()?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .x_desc("candidate")
+        .x_label_formatter(&|candidate| format!("{candidate:.0}"))
+        .y_desc("return on the Qube")
+        .y_label_formatter(&|return_| format!("{return_:.0}"))
+        .draw()?;
     let dots = dots.iter().enumerate().flat_map(|(candidate, returns)| {
         returns.iter().map(move |return_| (candidate as f64, *return_))
     });
