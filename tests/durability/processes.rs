@@ -51,16 +51,28 @@ fn emulate(directory: &Path) -> (Running, String) {
     (Running(child), port.trim().to_owned())
 }
 
-/// Starts `run` on a port and waits until ticks of its first rollout are on disk.
+/// Starts `run` on a port and waits until ticks of its first rollout are on disk. A computer that is
+/// too busy for one homing may not be for the next.
 fn run_until_a_rollout_is_under_way(directory: &Path, port: &str) -> Running {
-    let arguments =
-        ["run", "--policy", "classical", "--device", port, "--skip-check", "--out", "out"];
-    let child = program(directory, &arguments).stdout(Stdio::null()).spawn().expect("it starts");
-    let running = Running(child);
     let recording = directory.join("out/rollout-0.mcap");
+    let start = || {
+        let _ = std::fs::remove_dir_all(directory.join("out"));
+        let arguments =
+            ["run", "--policy", "classical", "--device", port, "--skip-check", "--out", "out"];
+        let child = program(directory, &arguments).stdout(Stdio::null()).spawn();
+        Running(child.expect("it starts"))
+    };
+    let mut running = start();
     let begun = Instant::now();
     while !read(&recording).is_ok_and(|recording| recording.ticks.len() > 5) {
-        assert!(begun.elapsed() < PATIENCE, "no rollout begins");
+        let ended = running.0.try_wait().unwrap().is_some();
+        if ended || begun.elapsed() > PATIENCE {
+            let _ = running.0.kill();
+            let told = std::io::read_to_string(running.0.stderr.take().unwrap()).unwrap();
+            assert!(begun.elapsed() < PATIENCE, "no rollout begins: {told}");
+            println!("{told}");
+            running = start();
+        }
         std::thread::sleep(Duration::from_millis(20));
     }
     running
