@@ -119,7 +119,7 @@ impl Session {
         self
     }
 
-    /// Goes on until the answer is verified, a fault stops it, or somebody does.
+    /// Goes on until what came of the search is verified, a fault stops it, or somebody does.
     ///
     /// # Errors
     /// Whatever ends a session early. What was finished until then is on disk.
