@@ -2,7 +2,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use super::folder::{PolicyFolders, make};
-use super::rollouts::Repeated;
+use super::rollouts::{Record, Repeated};
 use super::{ExperimentError, Plant, Recipe, RolloutResult};
 use crate::learning::{TrainSettings, curve_csv, train};
 use crate::policy::Policy;
@@ -109,11 +109,7 @@ impl Series<'_> {
         policy: u32,
         plant: &Plant,
         rollouts: u32,
-        mut with_rig: impl FnMut(
-            u32,
-            u32,
-            &mut super::rollouts::Record<'_>,
-        ) -> Result<(), ExperimentError>,
+        mut with_rig: impl FnMut(u32, u32, &mut Record<'_>) -> Result<(), ExperimentError>,
     ) -> Result<Vec<RolloutResult>, ExperimentError> {
         let file = Policy::load(&self.folders.policy(policy))?.to_bytes();
         let folder = self.folders.rollouts(policy, &plant.name);
