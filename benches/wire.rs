@@ -30,7 +30,7 @@ fn wire(criterion: &mut Criterion) {
             let start_ns = clock.now_ns();
             let measurement = link.sample(start_ns + TICK_NS).unwrap();
             let voltage_mv = if measurement.theta_counts % 64 < 32 { 1000 } else { -1000 };
-            link.act(voltage_mv).unwrap();
+            link.act(voltage_mv, measurement.device_time_us).unwrap();
             clock.sleep_until(start_ns + TICK_NS);
         });
     });

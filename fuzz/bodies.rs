@@ -121,9 +121,9 @@ fn to_host(bytes: &[u8]) {
     let _ = link.hello();
     let _ = link.arm();
     let deadline_ns = clock.now_ns() + 6_000_000;
-    let _ = link.sample(deadline_ns);
+    let sample = link.sample(deadline_ns);
     assert!(clock.now_ns() <= deadline_ns + 1_000_000);
-    let _ = link.act(1000);
+    let _ = link.act(1000, sample.map_or(0, |sample| sample.device_time_us));
     let _ = link.disarm();
 }
 

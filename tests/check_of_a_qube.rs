@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use qube_hil::clock::VirtualClock;
+use qube_hil::clock::{Clock, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, SerialLink};
@@ -87,7 +87,8 @@ fn an_arm_that_lies_at_a_stop_is_judged_right() {
         let identity = link.hello().unwrap();
         link.arm().unwrap();
         for _ in 0..300 {
-            link.act(direction * 1500).unwrap();
+            let sample = link.sample(clock.now_ns() + 6_000_000).unwrap();
+            link.act(direction * 1500, sample.device_time_us).unwrap();
             clock.advance(10_000_000);
         }
         link.disarm().unwrap();

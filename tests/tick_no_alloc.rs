@@ -73,8 +73,8 @@ impl<D: Device> Device for Watched<D> {
         self.0.sample(deadline_ns)
     }
 
-    fn act(&mut self, voltage_mv: i16) -> Result<(), LinkFault> {
-        self.0.act(voltage_mv)
+    fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+        self.0.act(voltage_mv, sampled_at_us)
     }
 
     fn disarm(&mut self) -> Result<(), DeviceError> {

@@ -14,8 +14,8 @@ static ALLOCATOR: AllocDisabler = AllocDisabler;
 fn tick_often(device: &mut dyn Device, clock: &dyn Clock) {
     for patience_ns in [2_000_000_000, 0, 100_000, 2_000_000_000] {
         for voltage_mv in [100, -100, 6000] {
-            let _ = device.sample(clock.now_ns() + patience_ns);
-            let _ = device.act(voltage_mv);
+            let sample = device.sample(clock.now_ns() + patience_ns);
+            let _ = device.act(voltage_mv, sample.map_or(0, |sample| sample.device_time_us));
         }
     }
 }

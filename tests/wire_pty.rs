@@ -33,7 +33,8 @@ fn arm(link: &mut SerialLink<Tty>) {
     loop {
         link.hello().unwrap();
         link.arm().unwrap();
-        if sample(link).status.armed && link.act(0).is_ok() {
+        let sample = sample(link);
+        if sample.status.armed && link.act(0, sample.device_time_us).is_ok() {
             return;
         }
     }
@@ -51,7 +52,7 @@ fn an_emulated_qube_is_reached_like_a_real_one() {
     let start = sample(&mut link);
     let mut moved = start;
     while (moved.theta_counts - start.theta_counts).abs() < 20 {
-        if link.act(3000).is_err() {
+        if link.act(3000, moved.device_time_us).is_err() {
             arm(&mut link);
         }
         moved = sample(&mut link);
@@ -76,7 +77,7 @@ fn the_watchdog_switches_the_motor_off_and_stays_off() {
     }
     assert_eq!(tripped.applied_mv, 0);
     assert!(!tripped.status.armed);
-    assert_eq!(link.act(1000), Err(LinkFault::WatchdogTripped));
+    assert_eq!(link.act(1000, tripped.device_time_us), Err(LinkFault::WatchdogTripped));
     assert!(matches!(link.arm(), Err(DeviceError::Refused { .. })));
     assert!(sample(&mut link).status.watchdog_tripped);
     arm(&mut link);

@@ -71,10 +71,13 @@ pub fn drive(
         // Decide: estimate, guard, policy, limit.
         let output = motion.decide(&input);
 
-        // Write. An act that does not get through leaves the last voltage until the watchdog acts;
-        // the next sample says so.
-        if output.ending.is_none() {
-            let _ = device.act(motion.device_mv(output.voltage_mv));
+        // Write. An act answers the sample of its own tick: without one nothing is sent, and the
+        // device keeps its last voltage until the next act or its watchdog. An act that does not
+        // get through leaves the last voltage likewise; the next sample says so.
+        if output.ending.is_none()
+            && let Some(sample) = &input.measurement
+        {
+            let _ = device.act(motion.device_mv(output.voltage_mv), sample.device_time_us);
         }
         let turnaround_ns = clock.now_ns() - woke_ns;
 

@@ -77,6 +77,7 @@ impl Device for PlantDevice {
             serial: String::new(),
             firmware_version: String::new(),
             protocol_version: 0,
+            boot_id: 0,
             port: "none".into(),
         })
     }
@@ -112,7 +113,7 @@ impl Device for PlantDevice {
         })
     }
 
-    fn act(&mut self, voltage_mv: i16) -> Result<(), LinkFault> {
+    fn act(&mut self, voltage_mv: i16, _sampled_at_us: u64) -> Result<(), LinkFault> {
         self.catch_up();
         self.voltage_mv = voltage_mv;
         self.voltages_mv.push(voltage_mv);

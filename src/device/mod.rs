@@ -48,11 +48,12 @@ pub trait Device: Send {
     /// No whole, valid answer to this very request by then.
     fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault>;
 
-    /// Sends a voltage in mV. It reaches the motor at once on receipt and feeds the watchdog.
+    /// Sends a voltage in mV that was decided from the sample of this [`Measurement::device_time_us`].
+    /// It reaches the motor at once on receipt and feeds the watchdog.
     ///
     /// # Errors
     /// The bytes could not be handed over without waiting.
-    fn act(&mut self, voltage_mv: i16) -> Result<(), LinkFault>;
+    fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault>;
 
     /// Switches the amplifier off.
     ///
@@ -72,6 +73,10 @@ pub struct Identity {
     pub firmware_version: String,
     /// Version of the protocol that both speak.
     pub protocol_version: u16,
+    /// A number that differs after each start of the device, so that a restart is noticed at the
+    /// next hello.
+    #[serde(default)]
+    pub boot_id: u16,
     /// The port as it was opened.
     pub port: String,
 }

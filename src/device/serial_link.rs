@@ -245,6 +245,7 @@ impl<T: Transport> SerialLink<T> {
             serial: format!("{:016x}", u64::from_be_bytes(reply.serial)),
             firmware_version: format!("{major}.{minor}.{patch}"),
             protocol_version: reply.protocol_version,
+            boot_id: 0,
             port: self.name(),
         })
     }
@@ -323,7 +324,7 @@ impl<T: Transport> Device for SerialLink<T> {
         }
     }
 
-    fn act(&mut self, voltage_mv: i16) -> Result<(), LinkFault> {
+    fn act(&mut self, voltage_mv: i16, _sampled_at_us: u64) -> Result<(), LinkFault> {
         match self.motor {
             Motor::Armed => self.send(Request::Act { voltage_mv }).map(|_| ()),
             Motor::Tripped => Err(LinkFault::WatchdogTripped),

@@ -238,8 +238,8 @@ impl Device for Panicking {
         self.link.sample(deadline_ns)
     }
 
-    fn act(&mut self, voltage_mv: i16) -> Result<(), LinkFault> {
-        self.link.act(voltage_mv)
+    fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+        self.link.act(voltage_mv, sampled_at_us)
     }
 
     fn disarm(&mut self) -> Result<(), DeviceError> {

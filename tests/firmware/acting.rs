@@ -27,7 +27,7 @@ fn the_firmware_passes_an_act_on_at_once() {
         for act in 0..ACTS {
             // Each another motor word; no voltage for long enough to matter.
             let voltage_mv = 50 * (act - ACTS / 2);
-            let _ = driver.link.act(voltage_mv);
+            let _ = driver.link.act(voltage_mv, before.device_time_us);
             std::thread::sleep(Duration::from_micros(7_000 + 137 * act as u64));
             let after = driver.sample().map_err(|_| Disturbed)?;
             if !after.status.armed {

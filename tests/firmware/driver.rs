@@ -54,7 +54,7 @@ impl Driver {
                 return Ok(sample);
             }
             // What this act meets is the device's business.
-            let _ = self.link.act(Self::VOLTAGE_MV);
+            let _ = self.link.act(Self::VOLTAGE_MV, sample.device_time_us);
             if last_act.elapsed() > TOO_SLOW {
                 return Err(Disturbed);
             }
@@ -68,11 +68,11 @@ impl Driver {
     pub fn arm_and_drive(&mut self) -> Result<(), Disturbed> {
         self.link.arm().unwrap();
         let mut ticks = 0;
-        self.drive_until(|sample| {
+        let last = self.drive_until(|sample| {
             ticks += 1;
             ticks > 10 && sample.status.armed && sample.applied_mv > 0
         })?;
-        let _ = self.link.act(Self::VOLTAGE_MV);
+        let _ = self.link.act(Self::VOLTAGE_MV, last.device_time_us);
         Ok(())
     }
 

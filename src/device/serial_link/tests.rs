@@ -39,7 +39,7 @@ fn acts_turn_the_arm_and_show_in_the_next_sample() {
     let start_ns = clock.now_ns();
     let mut last = start;
     for tick in 1..=20 {
-        link.act(2000).unwrap();
+        link.act(2000, last.device_time_us).unwrap();
         clock.sleep_until(start_ns + tick * 10 * MS);
         last = sample(&mut link, &clock);
         assert!(last.status.armed);
@@ -55,12 +55,13 @@ fn acts_turn_the_arm_and_show_in_the_next_sample() {
 #[test]
 fn the_watchdog_trips_and_only_hello_and_arm_leave_that() {
     let (mut link, clock) = armed(None);
-    link.act(1000).unwrap();
+    let start = sample(&mut link, &clock);
+    link.act(1000, start.device_time_us).unwrap();
     clock.advance(60 * MS);
     let tripped = sample(&mut link, &clock);
     assert!(tripped.status.watchdog_tripped && !tripped.status.armed);
     assert_eq!(tripped.applied_mv, 0);
-    assert_eq!(link.act(1000), Err(LinkFault::WatchdogTripped));
+    assert_eq!(link.act(1000, tripped.device_time_us), Err(LinkFault::WatchdogTripped));
     link.disarm().unwrap();
     assert!(matches!(link.arm(), Err(DeviceError::Refused { action: "arm", .. })));
     link.hello().unwrap();
@@ -73,8 +74,9 @@ fn the_watchdog_trips_and_only_hello_and_arm_leave_that() {
 fn a_disarmed_device_arms_again_without_a_hello() {
     let (mut link, clock) = armed(None);
     link.disarm().unwrap();
-    assert!(!sample(&mut link, &clock).status.armed);
-    assert_eq!(link.act(1000), Err(LinkFault::NotArmed));
+    let disarmed = sample(&mut link, &clock);
+    assert!(!disarmed.status.armed);
+    assert_eq!(link.act(1000, disarmed.device_time_us), Err(LinkFault::NotArmed));
     link.arm().unwrap();
     assert!(sample(&mut link, &clock).status.armed);
 }
@@ -100,10 +102,12 @@ fn a_sample_waits_no_longer_than_its_deadline_and_a_late_reply_is_dropped() {
 #[test]
 fn a_garbled_reply_is_a_timeout_and_the_next_one_is_read() {
     let (mut link, clock) = armed(Some(EmulatorFault::Garble { every: 5 }));
-    let mut outcomes = Vec::new();
+    let (mut outcomes, mut last_us) = (Vec::new(), 0);
     for _ in 0..20 {
-        outcomes.push(link.sample(clock.now_ns() + 2 * MS).is_ok());
-        link.act(0).unwrap();
+        let sample = link.sample(clock.now_ns() + 2 * MS);
+        outcomes.push(sample.is_ok());
+        last_us = sample.map_or(last_us, |sample| sample.device_time_us);
+        link.act(0, last_us).unwrap();
     }
     assert_eq!(outcomes.iter().filter(|is_ok| !**is_ok).count(), 4, "{outcomes:?}");
 }
@@ -130,14 +134,15 @@ fn faults_of_the_qube_switch_the_motor_off_and_are_told() {
         (EmulatorFault::StallError { after_s: 0.02 }, true),
     ] {
         let (mut link, clock) = armed(Some(fault));
-        link.act(3000).unwrap();
+        let start = sample(&mut link, &clock);
+        link.act(3000, start.device_time_us).unwrap();
         clock.advance(20 * MS);
         let measurement = sample(&mut link, &clock);
         assert!(!measurement.status.armed && !measurement.status.watchdog_tripped);
         assert_eq!(measurement.applied_mv, 0);
         assert_eq!(measurement.status.amplifier_fault, !clears);
         assert_eq!(measurement.status.stall_error, clears);
-        assert_eq!(link.act(3000), Err(LinkFault::NotArmed));
+        assert_eq!(link.act(3000, measurement.device_time_us), Err(LinkFault::NotArmed));
         link.hello().unwrap();
         assert_eq!(link.arm().is_ok(), clears);
     }
@@ -147,10 +152,11 @@ fn faults_of_the_qube_switch_the_motor_off_and_are_told() {
 fn a_frozen_encoder_stays_while_the_arm_moves() {
     let (mut link, clock) = armed(Some(EmulatorFault::FrozenAlpha { after_s: 0.0 }));
     let start = sample(&mut link, &clock);
+    let mut moved = start;
     for _ in 0..20 {
-        link.act(5000).unwrap();
+        link.act(5000, moved.device_time_us).unwrap();
         clock.advance(10 * MS);
-        let moved = sample(&mut link, &clock);
+        moved = sample(&mut link, &clock);
         assert_eq!(moved.alpha_counts, start.alpha_counts);
     }
     assert_ne!(sample(&mut link, &clock).theta_counts, start.theta_counts);
@@ -161,7 +167,7 @@ fn an_unplugged_port_is_gone() {
     let (mut link, clock) = armed(Some(EmulatorFault::Unplugged { after_s: 0.05 }));
     clock.advance(60 * MS);
     assert_eq!(link.sample(clock.now_ns() + MS), Err(LinkFault::Gone));
-    assert_eq!(link.act(0), Err(LinkFault::Gone));
+    assert_eq!(link.act(0, 0), Err(LinkFault::Gone));
 }
 
 /// A wire that outlives its link.
@@ -192,7 +198,8 @@ fn a_dropped_link_leaves_the_motor_off() {
     let mut link = SerialLink::new(Lent(&mut wire), Arc::new(clock.clone()));
     link.hello().unwrap();
     link.arm().unwrap();
-    link.act(3000).unwrap();
+    let start = link.sample(clock.now_ns() + 10 * MS).unwrap();
+    link.act(3000, start.device_time_us).unwrap();
     drop(link);
     clock.advance(MS);
     assert_eq!(wire.board().state(), DeviceState::Greeted);

@@ -72,7 +72,7 @@ pub(super) fn check(
 fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckResult>, LinkFault> {
     let Some(before) = sampled(device, clock)? else { return Ok(None) };
     let voltage_mv = gate(VOLTAGE_V).unwrap_or(0);
-    match device.act(voltage_mv) {
+    match device.act(voltage_mv, before.device_time_us) {
         Ok(()) => {}
         Err(LinkFault::Gone) => return Err(LinkFault::Gone),
         Err(_) => return Ok(None),
