@@ -81,6 +81,10 @@ impl<D: Device> Device for Watched<D> {
         IN_THE_LOOP.set(false);
         self.0.disarm()
     }
+
+    fn is_hardware(&self) -> bool {
+        self.0.is_hardware()
+    }
 }
 
 /// Drives a motion to its end and returns how it ended and what the loop allocated.

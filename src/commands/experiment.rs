@@ -25,9 +25,7 @@ use crate::experiment::{
 use crate::learning::TrainSettings;
 use crate::safety::Guard;
 use crate::search::BayRnSettings;
-use crate::session::{
-    DeviceChoice, Extent, FolderError, RigSettings, SessionSettings, write_whole,
-};
+use crate::session::{Extent, FolderError, RigSettings, SessionSettings, write_whole};
 use crate::simulation::{Family, SensorModel};
 use crate::storage::{Disk, MachineDisk};
 
@@ -286,7 +284,7 @@ fn begun(
     arguments: &Arguments,
     device: &ChosenDevice,
 ) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
-    let is_emulated = matches!(device.choice, DeviceChoice::Emulated);
+    let is_emulated = !device.choice.is_hardware();
     let base = base(arguments, device)?;
     let mut recipes = Vec::new();
     let strategies = arguments.strategies.settings();
@@ -328,7 +326,7 @@ fn begun(
 
 /// What the flags ask for, to which each recipe adds its model.
 fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
-    let is_emulated = matches!(device.choice, DeviceChoice::Emulated);
+    let is_emulated = !device.choice.is_hardware();
     let knows_the_machine = matches!(arguments.preset, Preset::Machine | Preset::Robust);
     let mut training = match arguments.preset {
         Preset::Quick => TrainSettings::quick(),

@@ -126,4 +126,8 @@ impl Device for PlantDevice {
         self.voltage_mv = 0;
         Ok(())
     }
+
+    fn is_hardware(&self) -> bool {
+        false
+    }
 }

@@ -1,5 +1,5 @@
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -53,7 +53,8 @@ enum Command {
 type Borrower = Box<dyn FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) + Send>;
 
 enum Event {
-    Identified(Result<Identity, DeviceError>),
+    /// Who it is, and whether it is hardware.
+    Identified(Result<Identity, DeviceError>, bool),
     Homed(Result<(DriveReport, Option<Calibration>), ControlError>),
     Finished(Result<DriveReport, ControlError>),
     Returned(Result<(), ControlError>),
@@ -65,6 +66,7 @@ pub struct ControlThread {
     events: Receiver<Event>,
     handle: Option<JoinHandle<()>>,
     realtime: RealtimeReport,
+    is_hardware: AtomicBool,
 }
 
 impl ControlThread {
@@ -94,7 +96,13 @@ impl ControlThread {
             }
         })?;
         let realtime = readiness.recv().unwrap_or_default();
-        Ok(Self { commands: Some(commands), events, handle: Some(handle), realtime })
+        Ok(Self {
+            commands: Some(commands),
+            events,
+            handle: Some(handle),
+            realtime,
+            is_hardware: AtomicBool::new(true),
+        })
     }
 
     /// What the operating system granted.
@@ -109,9 +117,19 @@ impl ControlThread {
     /// The outer one when the thread is gone, the inner one as [`Device::hello`] says.
     pub fn hello(&self) -> Result<Result<Identity, DeviceError>, ThreadGone> {
         match self.ask(Command::Hello)? {
-            Event::Identified(result) => Ok(result),
+            Event::Identified(result, is_hardware) => {
+                self.is_hardware.store(is_hardware, Ordering::Relaxed);
+                Ok(result)
+            }
             _ => Err(ThreadGone),
         }
+    }
+
+    /// Whether what answered the last hello is hardware, as [`Device::is_hardware`] says; true before
+    /// the first.
+    #[must_use]
+    pub fn is_hardware(&self) -> bool {
+        self.is_hardware.load(Ordering::Relaxed)
     }
 
     /// Finds the zeros of the encoders; none where homing did not complete.
@@ -196,7 +214,7 @@ fn obey(
             let identified = device.hello();
             let answered = identified.is_ok();
             state.take(if answered { ControlEvent::Hello } else { ControlEvent::NoAnswer });
-            Event::Identified(identified)
+            Event::Identified(identified, device.is_hardware())
         }
         Command::Home(settings) => {
             let mut homing = match state {

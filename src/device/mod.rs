@@ -60,6 +60,12 @@ pub trait Device: Send {
     /// # Errors
     /// The device did not confirm. Its watchdog then does the same within 50 ms.
     fn disarm(&mut self) -> Result<(), DeviceError>;
+
+    /// Whether there may be a motor behind it that hurts somebody. A backend that cannot tell, or has
+    /// not been told yet, is hardware.
+    fn is_hardware(&self) -> bool {
+        true
+    }
 }
 
 /// Who answered the hello.

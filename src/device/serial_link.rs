@@ -38,6 +38,8 @@ pub struct SerialLink<T: Transport> {
     /// For the next arm, while one is valid.
     nonce: Option<u32>,
     has_answered: bool,
+    /// The last device that answered called itself an emulator.
+    is_emulator: bool,
     motor: Motor,
     device_time: DeviceTime,
     /// The last write was cut short: a delimiter must close the broken frame before the next.
@@ -89,6 +91,7 @@ impl<T: Transport> SerialLink<T> {
             sequence: 0,
             nonce: None,
             has_answered: false,
+            is_emulator: false,
             motor: Motor::Off,
             device_time: DeviceTime::default(),
             broken_frame: false,
@@ -171,6 +174,7 @@ impl<T: Transport> SerialLink<T> {
     /// Repeats hellos until one is answered or the time is over.
     fn greet(&mut self, wait_ns: Nanoseconds) -> Result<HelloReply, DeviceError> {
         self.nonce = None;
+        self.is_emulator = false;
         self.motor = Motor::Off;
         self.device_time = DeviceTime::default();
         let end_ns = self.clock.now_ns() + wait_ns;
@@ -239,6 +243,7 @@ impl<T: Transport> SerialLink<T> {
             )));
         }
         self.nonce = Some(reply.nonce);
+        self.is_emulator = DeviceKind::from_wire(reply.kind) == Some(DeviceKind::Emulator);
         let [major, minor, patch] = reply.firmware_version;
         Ok(Identity {
             kind: kind_name(reply.kind),
@@ -354,6 +359,10 @@ impl<T: Transport> Device for SerialLink<T> {
             }
         }
         Ok(())
+    }
+
+    fn is_hardware(&self) -> bool {
+        !self.is_emulator
     }
 }
 

@@ -7,9 +7,9 @@ use super::folder::{put_aside, write_whole};
 use super::seeds::{Purpose as SeedFor, derived_seed};
 use super::training::{Job, News, train_all};
 use super::{
-    Candidate, ClockChoice, DRIFT_ROLLOUTS, DeviceChoice, Drift, Entry, Ledger, Purpose, Rig,
-    RigSettings, RolloutPlan, SessionError, SessionFolder, SessionSettings, Step, Verdict,
-    candidates, judge, judge_recording, mean_return, next_step,
+    Candidate, ClockChoice, DRIFT_ROLLOUTS, Drift, Entry, Ledger, Purpose, Rig, RigSettings,
+    RolloutPlan, SessionError, SessionFolder, SessionSettings, Step, Verdict, candidates, judge,
+    judge_recording, mean_return, next_step,
 };
 use crate::identification::Unfit;
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
@@ -174,7 +174,7 @@ impl Session {
     /// should not show after hours.
     fn connect_early(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), SessionError> {
         let is_over = next_step(self.ledger.entries(), &self.settings.extent) == Step::Done;
-        if !is_over && matches!(self.rig_settings.device, DeviceChoice::Port(_)) {
+        if !is_over && self.rig_settings.is_hardware() {
             let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
             self.ready_rig(first, tell)?;
         }

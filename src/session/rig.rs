@@ -34,6 +34,19 @@ pub enum DeviceChoice {
     Other(Arc<dyn Connect>),
 }
 
+impl DeviceChoice {
+    /// Whether it counts as hardware before anybody has answered there. A port does, whatever may
+    /// answer.
+    #[must_use]
+    pub fn is_hardware(&self) -> bool {
+        match self {
+            Self::Emulated => false,
+            Self::Port(_) => true,
+            Self::Other(other) => other.is_hardware(),
+        }
+    }
+}
+
 /// A way to a Qube that this program does not know: an emulator with a wire that fails, for one.
 pub trait Connect: Send + Sync + std::fmt::Debug {
     /// A device, and the clock that its deadlines mean. Called each time a rig is opened.
@@ -41,6 +54,11 @@ pub trait Connect: Send + Sync + std::fmt::Debug {
     /// # Errors
     /// There is none.
     fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError>;
+
+    /// Whether there may be a real motor at its end, which nobody may take back by saying nothing.
+    fn is_hardware(&self) -> bool {
+        true
+    }
 }
 
 /// A device, and the clock that its deadlines mean.
@@ -151,10 +169,16 @@ pub struct RigSettings {
 }
 
 impl RigSettings {
+    /// Whether it counts as hardware before anybody has answered there.
+    #[must_use]
+    pub fn is_hardware(&self) -> bool {
+        self.device.is_hardware()
+    }
+
     /// Whether opening such a rig begins with a check.
     #[must_use]
     pub fn checks(&self) -> bool {
-        !self.skip_check && matches!(self.device, DeviceChoice::Port(_))
+        !self.skip_check && self.is_hardware()
     }
 }
 
@@ -195,16 +219,16 @@ impl Rig {
     /// Each step has its own; the motor is off after any of them.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let mut rig = Self::connect(settings, stop)?;
-        match (&settings.device, settings.skip_check) {
-            (DeviceChoice::Emulated | DeviceChoice::Other(_), _) => {
+        match (settings.is_hardware() || rig.is_hardware(), settings.skip_check) {
+            (false, _) => {
                 rig.preflight = Preflight::NotNeeded;
                 rig.home()?;
             }
-            (DeviceChoice::Port(_), true) => {
+            (true, true) => {
                 rig.preflight = Preflight::SkippedByFlag;
                 rig.home()?;
             }
-            (DeviceChoice::Port(_), false) => {
+            (true, false) => {
                 let mut results = rig.examine(false)?.results;
                 if results.iter().any(CheckResult::failed) {
                     return Err(RigError::Unfit { results });
@@ -326,6 +350,18 @@ impl Rig {
     #[must_use]
     pub fn identity(&self) -> &Identity {
         &self.identity
+    }
+
+    /// What the check before its first motion said.
+    #[must_use]
+    pub fn preflight(&self) -> &Preflight {
+        &self.preflight
+    }
+
+    /// Whether what answered may have a real motor: known from its hello on, and not by the port alone.
+    #[must_use]
+    pub fn is_hardware(&self) -> bool {
+        self.control.is_hardware()
     }
 
     /// What the operating system granted the control thread.

@@ -245,6 +245,10 @@ impl Device for Panicking {
     fn disarm(&mut self) -> Result<(), DeviceError> {
         self.link.disarm()
     }
+
+    fn is_hardware(&self) -> bool {
+        self.link.is_hardware()
+    }
 }
 
 #[derive(Debug)]
@@ -258,6 +262,10 @@ impl Connect for PanickingWiring {
         let clock = self.wire.clock();
         let link = SerialLink::new(self.wire.clone(), Arc::new(clock.clone()));
         Ok((Box::new(Panicking { link, samples_left: self.samples }), Arc::new(clock)))
+    }
+
+    fn is_hardware(&self) -> bool {
+        false
     }
 }
 

@@ -112,6 +112,10 @@ impl Connect for Wiring {
         };
         Ok((Box::new(SerialLink::new(port, Arc::new(clock.clone()))), Arc::new(clock)))
     }
+
+    fn is_hardware(&self) -> bool {
+        false
+    }
 }
 
 /// The process's end of a wire: it goes silent with the process, and somebody may ask to stop while

@@ -16,7 +16,7 @@ use super::warn_without_realtime;
 use crate::device::emulator::EmulatorSettings;
 use crate::device::stable_port_name;
 use crate::estimation::EstimatorSettings;
-use crate::session::{DeviceChoice, QUBE_FILE, QubeFile, Rig, RigSettings};
+use crate::session::{QUBE_FILE, QubeFile, Rig, RigSettings};
 use crate::telemetry::CheckVerdict;
 
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
@@ -111,7 +111,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 /// What the written file begins from: what it says already.
 fn base_file(path: &Path, device: &ChosenDevice) -> Result<QubeFile, Failure> {
-    if matches!(device.choice, DeviceChoice::Emulated) {
+    if !device.choice.is_hardware() {
         return Err(Failure::usage(
             "--write is for a Qube at a port: the embedded emulator needs no file. Give --device",
         ));
