@@ -66,6 +66,7 @@ pub fn drive(
             stop_requested: stop.load(Ordering::Relaxed),
             measurement: sample.ok(),
             link_gone: sample == Err(LinkFault::Gone),
+            board_restarted: sample == Err(LinkFault::NotArmed),
         };
 
         // Decide: estimate, guard, policy, limit.

@@ -17,6 +17,8 @@ pub struct TickInput {
     pub measurement: Option<Measurement>,
     /// The port itself is gone; no later sample will come.
     pub link_gone: bool,
+    /// The device knows of no hello any more: it has restarted.
+    pub board_restarted: bool,
 }
 
 /// What one tick decides.

@@ -33,6 +33,9 @@ impl Watch {
         if input.link_gone {
             return Some(Alarm::Zero(Fault::LinkGone));
         }
+        if input.board_restarted {
+            return Some(Alarm::Zero(Fault::BoardRestarted));
+        }
         let last_valid_ns = *self.last_valid_ns.get_or_insert(input.deadline_ns);
         let Some(measurement) = &input.measurement else {
             let blind_ns = input.deadline_ns.saturating_sub(last_valid_ns);
@@ -42,8 +45,11 @@ impl Watch {
         if measurement.status.watchdog_tripped {
             return Some(Alarm::Zero(Fault::WatchdogTripped));
         }
-        if measurement.status.amplifier_fault || measurement.status.stall_error {
+        if measurement.status.amplifier_fault {
             return Some(Alarm::Zero(Fault::Amplifier));
+        }
+        if measurement.status.stall_error {
+            return Some(Alarm::Zero(Fault::StallError));
         }
         if !measurement.status.armed {
             return Some(Alarm::Zero(Fault::NotArmed));
@@ -116,7 +122,7 @@ mod tests {
                 Fault::WatchdogTripped,
             ),
             (Status { armed: true, amplifier_fault: true, ..Status::default() }, Fault::Amplifier),
-            (Status { armed: true, stall_error: true, ..Status::default() }, Fault::Amplifier),
+            (Status { armed: true, stall_error: true, ..Status::default() }, Fault::StallError),
             (Status::default(), Fault::NotArmed),
         ] {
             let measurement = Some(Measurement { status, ..Measurement::default() });

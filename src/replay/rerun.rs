@@ -50,7 +50,7 @@ impl Rerun {
 pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
     let mut tick = Tick::new(&recording.header.settings, policy);
     let outcome_ending = recording.outcome.as_ref().map(|outcome| outcome.ending);
-    let ended_by_link = outcome_ending == Some(Ending::Fault(Fault::LinkGone));
+    let ended_by = |fault| outcome_ending == Some(Ending::Fault(fault));
     let whole = recording.ticks.iter().zip(0..).take_while(|(tick, number)| tick.tick == *number);
     let compared: Vec<&TickRecord> = whole.map(|(tick, _)| tick).collect();
 
@@ -64,8 +64,10 @@ pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
             skipped_periods: recorded.skipped_periods,
             stop_requested: recorded.stop_requested,
             measurement: recorded.measurement,
-            // Not a field of its own: the port is gone only in the tick that ends for it.
-            link_gone: is_last && ended_by_link,
+            // No fields of their own: the port is gone, or the board has restarted, only in the tick
+            // that ends for it.
+            link_gone: is_last && ended_by(Fault::LinkGone),
+            board_restarted: is_last && ended_by(Fault::BoardRestarted),
         });
         recomputed.push(TickRecord {
             phase: output.phase,

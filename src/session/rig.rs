@@ -319,7 +319,7 @@ impl Rig {
     fn home(&mut self) -> Result<(), RigError> {
         for _ in 1..HOMING_TRIES {
             match self.home_once() {
-                Err(RigError::Homing { fault, .. }) if fault.is_of_time() => {
+                Err(RigError::Homing { fault, .. }) if fault.is_timing_fault() => {
                     tracing::warn!("homing was ended ({fault}) and begins again");
                     self.identity = self.control.hello()??;
                 }

@@ -1,9 +1,8 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
-use super::{Phase, Preflight};
+use super::{Fault, Phase, Preflight};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::RewardWeights;
 use crate::safety::{Limit, SafetyBox};
@@ -73,74 +72,6 @@ pub enum Ending {
     Stopped,
     /// A fault of timing, link or machine.
     Fault(Fault),
-}
-
-/// The named faults. Each is latched: the motor is off and stays off.
-#[derive(Clone, Copy, Debug, Error, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Fault {
-    /// No valid sample for longer than may be held over.
-    #[error("no valid sample for more than 35 ms")]
-    NoSample,
-    /// The port is gone.
-    #[error("the port is gone (unplugged?)")]
-    LinkGone,
-    /// The device's watchdog switched the motor off.
-    #[error("the device's watchdog switched the motor off")]
-    WatchdogTripped,
-    /// The device said it is not armed in the middle of a rollout.
-    #[error("the device was disarmed in the middle of a motion")]
-    NotArmed,
-    /// The amplifier reports a fault.
-    #[error("the amplifier reports a fault")]
-    Amplifier,
-    /// Too many ticks in a row were late.
-    #[error("five ticks in a row were more than 10 ms late")]
-    TooLate,
-    /// The controller asked for a voltage that is not a number.
-    #[error("the policy asked for a voltage that is not a number")]
-    NotANumber,
-    /// The arm's encoder moved farther than an arm can between two samples.
-    #[error("the arm's encoder jumped by more than 200 counts in 10 ms (a hard hit?)")]
-    EncoderJump,
-    /// The pendulum's encoder moved farther than a pendulum should between two samples.
-    #[error("the pendulum's encoder jumped by more than 200 counts in 10 ms (a loose cable?)")]
-    PendulumJump,
-    /// The motor drove and the arm's count stayed.
-    #[error(
-        "the arm's encoder stayed for 300 ms against 1 V or more (loose cable, or a held arm?)"
-    )]
-    EncoderFrozen,
-    /// The arm jerked and the pendulum's count stayed.
-    #[error("the pendulum's encoder stayed while the arm jerked (loose cable?)")]
-    PendulumFrozen,
-    /// The motor drove and the arm hardly turned.
-    #[error("the arm hardly turned for 500 ms against 2 V or more (is something in its way?)")]
-    Stall,
-    /// Counter and tachometer show different velocities.
-    #[error("the arm's counter and its tachometer disagreed for 300 ms")]
-    TachometerDisagrees,
-    /// Arm and pendulum did not come to rest in time.
-    #[error("arm and pendulum did not come to rest within 15 s")]
-    SettlingTimedOut,
-    /// The arm did not stop in time.
-    #[error("the arm did not stop within 1 s of braking")]
-    BrakingTimedOut,
-    /// The arm's stops were not found in time.
-    #[error("the arm's stops were not found within 60 s")]
-    HomingTimedOut,
-    /// The arm's stops are not as far apart as a Qube's: something is in its way.
-    #[error("the arm's stops are not as far apart as a Qube's (is something in its way?)")]
-    TravelBlocked,
-}
-
-impl Fault {
-    /// Whether samples or commands came too late and nothing is known against the Qube itself: a
-    /// computer or a link that was busy for a moment.
-    #[must_use]
-    pub fn is_of_time(self) -> bool {
-        matches!(self, Self::NoSample | Self::WatchdogTripped | Self::NotArmed | Self::TooLate)
-    }
 }
 
 /// What is known of a rollout when it is over; the return is not here, it is computed from the ticks.

@@ -2,10 +2,12 @@
 //!
 //! May import `qube`, `safety`, `estimation`.
 
+mod fault;
 mod header;
 mod preflight;
 mod record;
 
-pub use header::{Ending, Fault, LatencySummary, RolloutHeader, RolloutOutcome, TickSettings};
+pub use fault::{Consequence, Fault, fault_table};
+pub use header::{Ending, LatencySummary, RolloutHeader, RolloutOutcome, TickSettings};
 pub use preflight::{CheckResult, CheckVerdict, Preflight};
 pub use record::{Phase, TickRecord};

@@ -35,7 +35,7 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
 /// A fault that ended a push: nothing else can be judged then.
 fn give_up(found: &mut Examination, fault: Fault) {
     let cure = match fault {
-        Fault::Amplifier => {
+        Fault::Amplifier | Fault::StallError => {
             "switch the Qube's power off and on, clear the way of the arm, then check again"
         }
         _ => "check the cable and close what else keeps this computer busy, then check again",

@@ -1,0 +1,210 @@
+//! The one table of faults: for each its cause, what the operator does, and what the program does
+//! by itself. `docs/faults.md` shows it, and a test compares.
+
+use serde::{Deserialize, Serialize};
+
+/// What the program does by itself after a fault. The motor is off in each case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Consequence {
+    /// Nothing is known against the Qube: a new hello, 1 s at rest, homing, and the next try, a
+    /// limited number of times.
+    TryAgain,
+    /// The link is lost: the same port is opened again under the same identity for a limited time;
+    /// then as [`TryAgain`](Self::TryAgain), with a new zero.
+    Reconnect,
+    /// A sensor or the motor is in doubt: the run or session ends. Nothing moves before an operator
+    /// has acknowledged the fault and an examination has found nothing.
+    Examine,
+    /// The run or session ends: the same rollout would end the same way.
+    End,
+}
+
+impl Consequence {
+    /// One sentence for the operator.
+    #[must_use]
+    pub fn sentence(self) -> &'static str {
+        match self {
+            Self::TryAgain => "says hello, waits for rest, homes and tries again, at most 3 times",
+            Self::Reconnect => {
+                "opens the same port again for 30 s; the same board is then homed and the rollout \
+                 repeated"
+            }
+            Self::Examine => {
+                "ends, and moves nothing before the operator's `--acknowledge` (or key) and an \
+                 examination"
+            }
+            Self::End => "ends",
+        }
+    }
+}
+
+/// Makes the enum, its causes and the table of rows that look as the table reads.
+macro_rules! faults {
+    ($($(#[$attribute:meta])* $fault:ident: $consequence:ident, $cause:literal, $operator:literal;)+) => {
+        /// The named faults. Each is latched: the motor is off and stays off.
+        #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Fault {
+            $(
+                #[doc = $cause]
+                $(#[$attribute])*
+                #[error($cause)]
+                $fault,
+            )+
+        }
+
+        impl Fault {
+            /// All of them, in the order of the table.
+            pub const ALL: &[Self] = &[$(Self::$fault),+];
+
+            /// What the program does by itself.
+            #[must_use]
+            pub fn consequence(self) -> Consequence {
+                match self {
+                    $(Self::$fault => Consequence::$consequence,)+
+                }
+            }
+
+            /// What the operator does, as a sentence.
+            #[must_use]
+            pub fn operator_step(self) -> &'static str {
+                match self {
+                    $(Self::$fault => $operator,)+
+                }
+            }
+        }
+    };
+}
+
+// Fault: consequence, cause, operator's step. The names are in recordings: they never change.
+faults! {
+    NoSample: TryAgain,
+        "no valid sample for more than 35 ms",
+        "Close what keeps this computer busy (qube-hil doctor); try another cable or USB port.";
+    LinkGone: Reconnect,
+        "the port is gone (unplugged?)",
+        "Switch the Qube off: its motor may still have its last voltage. Plug the cable in, then switch the Qube on.";
+    BoardRestarted: Reconnect,
+        "the board has restarted (a loss of power?)",
+        "Switch the Qube off: its motor may still have had its last voltage. Look at the board's supply and its USB cable.";
+    WatchdogTripped: TryAgain,
+        "the device's watchdog switched the motor off",
+        "Close what keeps this computer busy (qube-hil doctor).";
+    NotArmed: TryAgain,
+        "the device was disarmed in the middle of a motion",
+        "Look whether another program talks to the board.";
+    TooLate: TryAgain,
+        "five ticks in a row were more than 10 ms late",
+        "Close what keeps this computer busy (qube-hil doctor).";
+    Amplifier: Examine,
+        "the amplifier reports a fault",
+        "Switch the Qube off, let it cool down, look at its supply and at the motor.";
+    StallError: Examine,
+        "the Qube reports a stall and has switched its motor off",
+        "Free the arm; look whether cables have wound around it.";
+    NotANumber: End,
+        "the policy asked for a voltage that is not a number",
+        "Use another policy: this one is broken.";
+    EncoderJump: Examine,
+        "the arm's encoder jumped by more than 200 counts in 10 ms (a hard hit?)",
+        "Look at the arm's encoder, its cable and the stops.";
+    PendulumJump: Examine,
+        "the pendulum's encoder jumped by more than 200 counts in 10 ms (a loose cable?)",
+        "Look at the pendulum's encoder cable and its plug.";
+    EncoderFrozen: Examine,
+        "the arm's encoder stayed for 300 ms against 1 V or more (loose cable, or a held arm?)",
+        "Free the arm; look at the arm's encoder and the motor's wires.";
+    PendulumFrozen: Examine,
+        "the pendulum's encoder stayed while the arm jerked (loose cable?)",
+        "Look at the pendulum's encoder cable and its plug.";
+    Stall: Examine,
+        "the arm hardly turned for 500 ms against 2 V or more (is something in its way?)",
+        "Free the arm; look whether cables have wound around it.";
+    TachometerDisagrees: Examine,
+        "the arm's counter and its tachometer disagreed for 300 ms",
+        "Look at the arm's encoder and its cable.";
+    SettlingTimedOut: Examine,
+        "arm and pendulum did not come to rest within 15 s",
+        "Look whether something moves or holds arm or pendulum.";
+    BrakingTimedOut: Examine,
+        "the arm did not stop within 1 s of braking",
+        "Switch the Qube off; look at the motor and at the arm's encoder.";
+    HomingTimedOut: Examine,
+        "the arm's stops were not found within 60 s",
+        "Clear the arm's way from stop to stop; look at the motor and at the arm's encoder.";
+    TravelBlocked: Examine,
+        "the arm's stops are not as far apart as a Qube's (is something in its way?)",
+        "Clear the arm's way from stop to stop; look at the arm's encoder.";
+}
+
+impl Fault {
+    /// Its name in recordings and JSON.
+    #[must_use]
+    pub fn name(self) -> String {
+        let mut name = String::new();
+        for letter in format!("{self:?}").chars() {
+            if letter.is_uppercase() && !name.is_empty() {
+                name.push('_');
+            }
+            name.extend(letter.to_lowercase());
+        }
+        name
+    }
+
+    /// Whether samples or commands came too late and nothing is known against the Qube itself: a
+    /// computer or a link that was busy for a moment.
+    #[must_use]
+    pub fn is_timing_fault(self) -> bool {
+        self.consequence() == Consequence::TryAgain
+    }
+
+    /// Whether it leaves a doubt about a sensor or the motor.
+    #[must_use]
+    pub fn leaves_doubt(self) -> bool {
+        self.consequence() == Consequence::Examine
+    }
+}
+
+/// The table as Markdown: `docs/faults.md` shows it, and a test compares.
+#[must_use]
+pub fn fault_table() -> String {
+    let mut text = String::from(
+        "| fault | cause | what the operator does | what the program does by itself |\n\
+         | --- | --- | --- | --- |\n",
+    );
+    for fault in Fault::ALL {
+        let (name, step) = (fault.name(), fault.operator_step());
+        let by_itself = fault.consequence().sentence();
+        text.push_str(&format!("| `{name}` | {fault} | {step} | {by_itself} |\n"));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_of_faults_in_the_docs_is_that_of_the_code() {
+        let page = include_str!("../../docs/faults.md");
+        let table = fault_table();
+        assert!(page.contains(&table), "docs/faults.md needs this table:\n\n{table}");
+    }
+
+    #[test]
+    fn a_fault_is_named_as_recordings_name_it() {
+        for fault in Fault::ALL {
+            assert_eq!(serde_json::to_value(fault).unwrap(), fault.name().as_str());
+        }
+    }
+
+    #[test]
+    fn faults_of_the_link_say_that_the_qube_is_switched_off() {
+        let lost = |fault: &&Fault| fault.consequence() == Consequence::Reconnect;
+        assert!(Fault::ALL.iter().filter(lost).count() > 0);
+        for fault in Fault::ALL.iter().filter(lost) {
+            assert!(fault.operator_step().starts_with("Switch the Qube off"), "{fault}");
+        }
+    }
+}
