@@ -7,7 +7,7 @@ use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::output::Output;
 use super::stop::Stop;
-use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings};
+use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Wiring};
 
 /// Be a Qube: serve an emulated one on a pty that any program can open as a serial port
 ///
@@ -31,16 +31,38 @@ pub struct Arguments {
     #[command(flatten)]
     emulated: EmulatedArguments,
 
+    /// What is wired the other way round: theta, alpha, motor, or several with commas between
+    #[arg(long, value_name = "theta,alpha,motor", value_delimiter = ',')]
+    inverted: Vec<Wire>,
+
     /// Something to go wrong
     #[arg(long, value_name = "FAULT")]
     fault: Option<EmulatorFault>,
+}
+
+/// What of an emulated Qube can be wired either way round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Wire {
+    /// The arm's encoder
+    Theta,
+    /// The pendulum's encoder
+    Alpha,
+    /// The motor
+    Motor,
 }
 
 /// Serves until a signal comes or the pty is gone.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let emulated = arguments.emulated.settings()?.unwrap_or_default();
-    let settings = EmulatorSettings { fault: arguments.fault, ..emulated.emulator(arguments.seed) };
+    let is_inverted = |wire| arguments.inverted.contains(&wire);
+    let wiring = Wiring {
+        theta_inverted: is_inverted(Wire::Theta),
+        alpha_inverted: is_inverted(Wire::Alpha),
+        motor_inverted: is_inverted(Wire::Motor),
+    };
+    let fault = arguments.fault;
+    let settings = EmulatorSettings { fault, wiring, ..emulated.emulator(arguments.seed) };
     let mut qube = EmulatedQube::spawn(settings)
         .map_err(|error| Failure::failed(format!("no emulated Qube can be served: {error}")))?;
     if let Some(link) = &arguments.link {

@@ -34,6 +34,11 @@ pub struct EmulatedArguments {
     #[arg(long, value_name = "RAD/MIN", value_parser = drift, allow_negative_numbers = true)]
     cable_drift: Option<f64>,
 
+    /// Play between motor and arm: the gap in which one turns without the other; the encoder is at the
+    /// arm [default: 0]
+    #[arg(long, value_name = "DEGREES", value_parser = play)]
+    play_deg: Option<f64>,
+
     /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g), as M_p=1.1; may be given
     /// several times
     #[arg(long, value_name = "NAME=FACTOR", value_parser = scaling)]
@@ -64,6 +69,7 @@ impl EmulatedArguments {
             delay_ms: number("delay_ms", delay_ms, milliseconds)?,
             jitter_ms: number("jitter_ms", jitter_ms, milliseconds)?,
             cable_drift: number("cable_drift_rad_per_min", cable_drift, drift)?,
+            play_deg: None,
             scale: scale
                 .iter()
                 .map(|(symbol, factor)| scaling(&format!("{symbol}={factor}")))
@@ -90,6 +96,9 @@ impl EmulatedArguments {
         if let Some(drift) = self.cable_drift {
             name += &format!("+drift{drift}");
         }
+        if let Some(degrees) = self.play_deg {
+            name += &format!("+play{degrees}");
+        }
         for (parameter, factor) in &self.scale {
             name += &format!("+{}x{factor}", parameter.symbol());
         }
@@ -103,6 +112,7 @@ impl EmulatedArguments {
             || self.delay_ms.is_some()
             || self.jitter_ms.is_some()
             || self.cable_drift.is_some()
+            || self.play_deg.is_some()
             || !self.scale.is_empty();
         if !asked {
             return Ok(None);
@@ -127,7 +137,8 @@ impl EmulatedArguments {
             model.parameters.set(parameter, factor * model.parameters.get(parameter));
         }
         let command_jitter_s = 1e-3 * self.jitter_ms.unwrap_or_default();
-        Ok(Some(EmulatedQubeSettings { model, command_jitter_s }))
+        let play_rad = self.play_deg.unwrap_or_default().to_radians();
+        Ok(Some(EmulatedQubeSettings { model, command_jitter_s, play_rad }))
     }
 }
 
@@ -137,6 +148,10 @@ fn factor(text: &str) -> Result<f64, String> {
 
 fn milliseconds(text: &str) -> Result<f64, String> {
     between(text, 0.0, 100.0)
+}
+
+fn play(text: &str) -> Result<f64, String> {
+    between(text, 0.0, 5.0)
 }
 
 fn drift(text: &str) -> Result<f64, String> {

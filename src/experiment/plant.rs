@@ -55,7 +55,8 @@ mod tests {
     fn each_policy_has_its_own_qube_within_the_range_and_always_the_same() {
         let gap = Gap { command_delay_s: 0.01, cable_rest_rad: -1.0, ..Gap::default() };
         let model = QubeModel { gap, ..QubeModel::NOMINAL };
-        let emulated = EmulatedQubeSettings { model, command_jitter_s: 0.001 };
+        let emulated =
+            EmulatedQubeSettings { model, command_jitter_s: 0.001, ..Default::default() };
         let same = Plant { name: "lab".into(), emulated, vary: 0.0 };
         assert_eq!(same.for_policy(1, 7), emulated);
         let plant = Plant { vary: 0.1, ..same };

@@ -152,6 +152,14 @@ impl<T: Scalar> GapDynamics<T> {
     }
 }
 
+impl GapDynamics {
+    /// How steeply friction grows about rest, N m s: the stiffest term of the equations.
+    #[must_use]
+    pub fn friction_slope(&self) -> f64 {
+        3.0 * self.coulomb_torque / FRICTION_VELOCITY_RAD_S
+    }
+}
+
 impl<T: Scalar> EquationsOfMotion<T> for GapDynamics<T> {
     #[inline(always)]
     fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T> {

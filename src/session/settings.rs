@@ -60,6 +60,13 @@ pub struct EmulatedQubeSettings {
     pub model: QubeModel,
     /// By how much the delay of a command differs from the model's at most, s.
     pub command_jitter_s: f64,
+    /// Play between motor and arm, rad.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub play_rad: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl EmulatedQubeSettings {
@@ -69,15 +76,16 @@ impl EmulatedQubeSettings {
         EmulatorSettings {
             model: self.model,
             command_jitter_s: self.command_jitter_s,
+            play_rad: self.play_rad,
             seed,
-            fault: None,
+            ..EmulatorSettings::default()
         }
     }
 }
 
 impl Default for EmulatedQubeSettings {
     fn default() -> Self {
-        Self { model: QubeModel::NOMINAL, command_jitter_s: 0.0 }
+        Self { model: QubeModel::NOMINAL, command_jitter_s: 0.0, play_rad: 0.0 }
     }
 }
 

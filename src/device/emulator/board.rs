@@ -35,6 +35,7 @@ pub struct Board {
     watchdog_tripped: bool,
     fault_began: bool,
     stall_error: bool,
+    frozen_theta_counts: Option<i32>,
     frozen_alpha_counts: Option<i32>,
     watchdog_fed_us: u64,
     /// When it last left the armed state.
@@ -64,6 +65,7 @@ impl Board {
             watchdog_tripped: false,
             fault_began: false,
             stall_error: false,
+            frozen_theta_counts: None,
             frozen_alpha_counts: None,
             watchdog_fed_us: 0,
             switched_off_us: None,
@@ -251,11 +253,14 @@ impl Board {
         let alpha_sense = self.sense(EmulatorFault::FlippedAlpha);
         let sample = SampleReply {
             device_time_us: self.now_us as u32,
-            theta_counts: theta_sense * self.plant.theta_counts(),
-            alpha_counts: self
-                .frozen_alpha_counts
-                .unwrap_or_else(|| alpha_sense * self.plant.alpha_counts()),
-            tachometer_counts_s: theta_sense * tachometer_counts_s(self.plant.tachometer_raw()),
+            theta_counts: theta_sense
+                * self.frozen_theta_counts.unwrap_or_else(|| self.plant.theta_counts()),
+            alpha_counts: alpha_sense
+                * self.frozen_alpha_counts.unwrap_or_else(|| self.plant.alpha_counts()),
+            tachometer_counts_s: match self.frozen_theta_counts {
+                None => theta_sense * tachometer_counts_s(self.plant.tachometer_raw()),
+                Some(_) => 0,
+            },
             current_ma: self.sense(EmulatorFault::FlippedMotor) as i16
                 * current_ma(self.plant.current_raw()),
             status: self.status(),
@@ -322,7 +327,14 @@ impl Board {
 
     /// 1, or -1 for what is wired the other way round.
     fn sense(&self, flipped: EmulatorFault) -> i32 {
-        if self.settings.fault == Some(flipped) { -1 } else { 1 }
+        let wiring = self.settings.wiring;
+        let is_wired_so = match flipped {
+            EmulatorFault::FlippedTheta => wiring.theta_inverted,
+            EmulatorFault::FlippedAlpha => wiring.alpha_inverted,
+            EmulatorFault::FlippedMotor => wiring.motor_inverted,
+            _ => false,
+        };
+        if (self.settings.fault == Some(flipped)) != is_wired_so { -1 } else { 1 }
     }
 
     fn new_nonce(&mut self) -> u32 {
@@ -340,6 +352,14 @@ impl Board {
         let fails_the_qube = match self.settings.fault {
             Some(EmulatorFault::FrozenAlpha { .. }) => {
                 self.frozen_alpha_counts = Some(self.plant.alpha_counts());
+                false
+            }
+            Some(EmulatorFault::FrozenTheta { .. }) => {
+                self.frozen_theta_counts = Some(self.plant.theta_counts());
+                false
+            }
+            Some(EmulatorFault::DeadMotor { .. }) => {
+                self.plant.disconnect_motor();
                 false
             }
             Some(EmulatorFault::BlockedArm { .. }) => {

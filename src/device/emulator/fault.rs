@@ -25,6 +25,16 @@ pub enum EmulatorFault {
         /// From when on, s.
         after_s: f64,
     },
+    /// The arm's encoder cable is loose: its count stays, and its tachometer shows an arm at rest.
+    FrozenTheta {
+        /// From when on, s.
+        after_s: f64,
+    },
+    /// The motor's circuit is open: no current flows, and nothing brakes the arm but friction.
+    DeadMotor {
+        /// From when on, s.
+        after_s: f64,
+    },
     /// Something holds the arm. At up to 5 V the Qube's own stall detection says nothing.
     BlockedArm {
         /// From when on, s.
@@ -61,8 +71,8 @@ pub enum EmulatorFault {
 /// A text that names no fault.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
-    "{text} is no fault. There are: silent@S, garble@N, wrong-version, frozen-alpha@S, blocked-arm@S, \
-     amplifier@S, stall@S, qube-absent@S, unplug@S, flipped-theta, flipped-alpha, flipped-motor (S seconds after the start, N each n-th reply)"
+    "{text} is no fault. There are: silent@S, garble@N, wrong-version, frozen-theta@S, frozen-alpha@S, \
+     dead-motor@S, blocked-arm@S,      amplifier@S, stall@S, qube-absent@S, unplug@S, flipped-theta, flipped-alpha, flipped-motor (S seconds after the start, N each n-th reply)"
 )]
 pub struct UnknownFault {
     /// The text.
@@ -81,6 +91,8 @@ impl EmulatorFault {
             | Self::FlippedMotor => 0,
             Self::Silent { after_s }
             | Self::FrozenAlpha { after_s }
+            | Self::FrozenTheta { after_s }
+            | Self::DeadMotor { after_s }
             | Self::BlockedArm { after_s }
             | Self::AmplifierFault { after_s }
             | Self::StallError { after_s }
@@ -97,6 +109,8 @@ impl fmt::Display for EmulatorFault {
             Self::Garble { every } => write!(formatter, "garble@{every}"),
             Self::WrongVersion => write!(formatter, "wrong-version"),
             Self::FrozenAlpha { after_s } => write!(formatter, "frozen-alpha@{after_s}"),
+            Self::FrozenTheta { after_s } => write!(formatter, "frozen-theta@{after_s}"),
+            Self::DeadMotor { after_s } => write!(formatter, "dead-motor@{after_s}"),
             Self::BlockedArm { after_s } => write!(formatter, "blocked-arm@{after_s}"),
             Self::AmplifierFault { after_s } => write!(formatter, "amplifier@{after_s}"),
             Self::StallError { after_s } => write!(formatter, "stall@{after_s}"),
@@ -137,6 +151,8 @@ impl FromStr for EmulatorFault {
             "flipped-alpha" if value.is_none() => Self::FlippedAlpha,
             "flipped-motor" if value.is_none() => Self::FlippedMotor,
             "frozen-alpha" => Self::FrozenAlpha { after_s: seconds()? },
+            "frozen-theta" => Self::FrozenTheta { after_s: seconds()? },
+            "dead-motor" => Self::DeadMotor { after_s: seconds()? },
             "blocked-arm" => Self::BlockedArm { after_s: seconds()? },
             "amplifier" => Self::AmplifierFault { after_s: seconds()? },
             "stall" => Self::StallError { after_s: seconds()? },
@@ -158,6 +174,8 @@ mod tests {
             "garble@10",
             "wrong-version",
             "frozen-alpha@0.5",
+            "frozen-theta@0",
+            "dead-motor@2",
             "blocked-arm@1",
             "amplifier@3",
             "stall@3",

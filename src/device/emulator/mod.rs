@@ -6,6 +6,7 @@
 mod board;
 mod fault;
 mod plant;
+mod play;
 mod pty;
 
 pub use board::Board;
@@ -13,7 +14,7 @@ pub use fault::{EmulatorFault, UnknownFault};
 pub use plant::Plant;
 pub use pty::EmulatedQube;
 
-use crate::qube::QubeModel;
+use crate::qube::{QubeModel, State};
 
 /// What an emulated Qube is made of. The same settings give the same Qube.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,6 +23,12 @@ pub struct EmulatorSettings {
     pub model: QubeModel,
     /// By how much the delay of a command differs from the model's at most, s.
     pub command_jitter_s: f64,
+    /// Play between motor and arm, rad: the width of the gap in which one turns without the other.
+    pub play_rad: f64,
+    /// Which way round it is wired.
+    pub wiring: Wiring,
+    /// Where arm and pendulum are at the start, and how fast; None where the seed decides, at rest.
+    pub start: Option<State>,
     /// Decides where it stands at the start, where its counters begin, and its nonces.
     pub seed: u64,
     /// What is wrong with it, if anything.
@@ -30,6 +37,26 @@ pub struct EmulatorSettings {
 
 impl Default for EmulatorSettings {
     fn default() -> Self {
-        Self { model: QubeModel::NOMINAL, command_jitter_s: 0.0, seed: 0, fault: None }
+        Self {
+            model: QubeModel::NOMINAL,
+            command_jitter_s: 0.0,
+            play_rad: 0.0,
+            wiring: Wiring::default(),
+            start: None,
+            seed: 0,
+            fault: None,
+        }
     }
+}
+
+/// Which way round the encoders and the motor of an emulated Qube are wired: a real one may have any
+/// of the eight combinations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Wiring {
+    /// The arm's encoder counts down where theta grows.
+    pub theta_inverted: bool,
+    /// The pendulum's encoder counts down where alpha grows.
+    pub alpha_inverted: bool,
+    /// A positive voltage turns the arm towards negative theta.
+    pub motor_inverted: bool,
 }

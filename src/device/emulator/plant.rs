@@ -8,6 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::EmulatorSettings;
+use super::play::Play;
 use crate::qube::{
     GapDynamics, HARD_STOP_RAD, QubeModel, RAD_PER_COUNT, State, counts, runge_kutta_4,
 };
@@ -18,6 +19,13 @@ const MAX_STEP_US: u64 = 5_000;
 
 /// While the arm touches something each step ends in an impact: finer, so that it stays put.
 const CONTACT_STEP_US: u64 = 500;
+
+/// Where the arm has play, motor and arm meet and part at instants that a step must not miss by much.
+const PLAY_STEP_US: u64 = 250;
+
+/// Steps of Runge-Kutta are stable up to 2.78 time constants of what they damp; friction near rest is
+/// the stiffest here.
+const LONGEST_STEP_IN_TIME_CONSTANTS: f64 = 2.5;
 
 /// How far from the middle the arm may stand at the start, rad.
 const START_RANGE_RAD: f64 = 1.0;
@@ -42,6 +50,11 @@ pub struct Plant {
     jitter: ChaCha8Rng,
     dynamics: GapDynamics,
     state: State,
+    /// The largest speed at which the arm has touched a stop.
+    hardest_touch_rad_s: f64,
+    play: Option<Play>,
+    /// Longest step where the arm touches nothing, us.
+    longest_step_us: u64,
     voltage_v: f64,
     /// When each voltage reaches the motor, in order.
     under_way: VecDeque<(u64, f64)>,
@@ -49,29 +62,37 @@ pub struct Plant {
     theta_offset_counts: i32,
     alpha_offset_counts: i32,
     arm_blocked: bool,
+    motor_is_open: bool,
 }
 
 impl Plant {
     /// A Qube at rest: pendulum hanging, arm and counters somewhere that the seed decides.
     #[must_use]
     pub fn new(settings: &EmulatorSettings) -> Self {
-        let EmulatorSettings { model, command_jitter_s, seed, .. } = *settings;
+        let EmulatorSettings { model, command_jitter_s, seed, play_rad, start, .. } = *settings;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut jitter = random.clone();
         jitter.set_stream(JITTER_STREAM);
         let theta = random.random_range(-START_RANGE_RAD..=START_RANGE_RAD);
+        let dynamics = GapDynamics::new(&model);
+        let state = start.unwrap_or(State { theta, ..State::default() });
+        let play = (play_rad > 0.0).then(|| Play::new(play_rad, &state));
         Self {
             model,
             command_jitter_s,
             jitter,
-            dynamics: GapDynamics::new(&model),
-            state: State { theta, ..State::default() },
+            longest_step_us: if play.is_some() { PLAY_STEP_US } else { stable_step_us(&dynamics) },
+            dynamics,
+            play,
+            state,
+            hardest_touch_rad_s: 0.0,
             voltage_v: 0.0,
             under_way: VecDeque::with_capacity(COMMANDS_UNDER_WAY),
             time_us: 0,
             theta_offset_counts: random.random_range(-START_COUNTS..=START_COUNTS),
             alpha_offset_counts: random.random_range(-START_COUNTS..=START_COUNTS),
             arm_blocked: false,
+            motor_is_open: false,
         }
     }
 
@@ -85,16 +106,24 @@ impl Plant {
                 self.under_way.pop_front();
             }
             let until_us = self.under_way.front().map_or(time_us, |next| next.0.min(time_us));
-            let longest_us = if self.touches() { CONTACT_STEP_US } else { MAX_STEP_US };
+            let longest_us = if self.touches() {
+                CONTACT_STEP_US.min(self.longest_step_us)
+            } else {
+                self.longest_step_us
+            };
             let step_us = longest_us.min(until_us - self.time_us);
             self.dynamics.cable_rest = self.model.gap.cable_rest_after(self.time_us as f64 * 1e-6);
             let before = self.state;
             let step_s = step_us as f64 * 1e-6;
-            self.state = runge_kutta_4(&self.dynamics, before, self.voltage_v, step_s);
+            self.state = match &mut self.play {
+                None => runge_kutta_4(&self.dynamics, before, self.voltage_v, step_s),
+                Some(play) => play.step(&self.dynamics, before, self.voltage_v, step_s),
+            };
             self.time_us += step_us;
             if self.arm_blocked {
                 self.stop_arm_at(before.theta);
             } else if self.state.theta.abs() > HARD_STOP_RAD {
+                self.hardest_touch_rad_s = self.hardest_touch_rad_s.max(self.state.theta_dot.abs());
                 self.stop_arm_at(HARD_STOP_RAD.copysign(self.state.theta));
             }
         }
@@ -106,6 +135,9 @@ impl Plant {
 
     fn stop_arm_at(&mut self, theta: f64) {
         self.state = self.dynamics.ideal.with_arm_stopped(self.state, theta);
+        if let Some(play) = &mut self.play {
+            play.follow(&self.state);
+        }
     }
 
     /// The motor's voltage from now on, V, or from when the gap's delay and jitter let it arrive.
@@ -132,10 +164,23 @@ impl Plant {
         self.stop_arm_at(self.state.theta);
     }
 
+    /// Opens the motor's circuit from now on: no current, and so neither torque nor back-EMF's brake.
+    pub fn disconnect_motor(&mut self) {
+        self.motor_is_open = true;
+        self.dynamics.ideal.torque_per_volt = 0.0;
+        self.dynamics.ideal.arm_damping = self.model.parameters.rotary_damping_n_m_s;
+    }
+
     /// Where it really is; nobody on the other side of the wire can know.
     #[must_use]
     pub fn state(&self) -> State {
         self.state
+    }
+
+    /// The largest speed at which the arm has touched one of its stops so far, rad/s.
+    #[must_use]
+    pub fn hardest_touch_rad_s(&self) -> f64 {
+        self.hardest_touch_rad_s
     }
 
     /// Encoder of the arm.
@@ -165,11 +210,24 @@ impl Plant {
     /// The motor current (V - k_m theta') / R_m as the Qube's converter reads it.
     #[must_use]
     pub fn current_raw(&self) -> u16 {
-        let back_emf_v = self.model.parameters.motor_back_emf_v_s * self.state.theta_dot;
+        if self.motor_is_open {
+            return CURRENT_ZERO as u16;
+        }
+        let motor_rad_s = self.play.map_or(self.state.theta_dot, |play| play.motor_rad_s());
+        let back_emf_v = self.model.parameters.motor_back_emf_v_s * motor_rad_s;
         let current_a = (self.voltage_v - back_emf_v) / self.model.parameters.motor_resistance_ohm;
         let raw = f64::from(CURRENT_ZERO) + current_a * f64::from(CURRENT_COUNTS_PER_A);
         raw.round().clamp(0.0, f64::from(u16::MAX)) as u16
     }
+}
+
+/// The longest step with which friction at rest does not make an arm tremble that stands still.
+fn stable_step_us(dynamics: &GapDynamics) -> u64 {
+    let ideal = &dynamics.ideal;
+    let arm_inertia = ideal.arm_inertia - ideal.coupling * ideal.coupling / ideal.pendulum_inertia;
+    let friction_n_m_s = dynamics.friction_slope() + ideal.arm_damping;
+    let longest_s = LONGEST_STEP_IN_TIME_CONSTANTS * arm_inertia / friction_n_m_s;
+    MAX_STEP_US.min((longest_s * 1e6) as u64).max(1)
 }
 
 #[cfg(test)]
@@ -251,6 +309,16 @@ mod tests {
         assert_eq!(plant.state().theta, theta);
         assert_eq!(current_ma(plant.current_raw()), 500);
         assert_eq!(tachometer_counts_s(plant.tachometer_raw()), 0);
+    }
+
+    #[test]
+    fn a_motor_without_a_circuit_draws_nothing_and_moves_nothing() {
+        let mut plant = nominal(1);
+        plant.disconnect_motor();
+        plant.set_voltage(5.0);
+        let start = plant.state();
+        plant.advance_to(500_000);
+        assert_eq!((plant.state(), current_ma(plant.current_raw())), (start, 0));
     }
 
     #[test]

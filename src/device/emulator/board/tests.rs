@@ -1,4 +1,5 @@
 use super::*;
+use crate::qube::State;
 
 fn send(board: &mut Board, request: Request, sequence: u16) -> Option<Reply> {
     let encoded = request.encode(sequence);
@@ -65,4 +66,26 @@ fn a_silent_board_still_has_its_watchdog() {
     assert_eq!(send(&mut board, Request::Act { voltage_mv: 3000 }, 5), None);
     board.advance_to(50_000);
     assert_eq!(board.state(), DeviceState::Tripped);
+}
+
+#[test]
+fn a_frozen_arm_encoder_shows_neither_count_nor_speed() {
+    let mut board = Board::new(EmulatorSettings {
+        fault: Some(EmulatorFault::FrozenTheta { after_s: 0.1 }),
+        start: Some(State { theta_dot: 3.0, ..State::default() }),
+        ..EmulatorSettings::default()
+    });
+    let hello = Request::Hello { protocol_version: PROTOCOL_VERSION };
+    send(&mut board, hello, 1);
+    let mut seen = |time_us, sequence| {
+        board.advance_to(time_us);
+        let Some(Reply::Sample(sample)) = send(&mut board, Request::Sample, sequence) else {
+            panic!("no sample")
+        };
+        (sample.theta_counts, sample.tachometer_counts_s)
+    };
+    let (first, before, frozen, later) =
+        (seen(0, 2), seen(99_000, 3), seen(100_000, 4), seen(900_000, 5));
+    assert!(before.0 > first.0 && before.1 > 0, "{first:?} {before:?}");
+    assert_eq!((frozen.1, later), (0, frozen));
 }
