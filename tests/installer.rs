@@ -18,9 +18,10 @@ fn stdout(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-const FILES: [&str; 4] = [
+const FILES: [&str; 5] = [
     "usr/local/bin/qube-hil",
     "etc/udev/rules.d/60-qube-hil.rules",
+    "etc/udev/rules.d/61-qube-hil-realtime.rules",
     "etc/security/limits.d/qube-hil.conf",
     "etc/systemd/system/qube-hil@.service",
 ];
@@ -35,7 +36,7 @@ fn a_second_installation_changes_nothing() {
     assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 0, "a dry run installed something");
 
     let first = stdout(&install(&["--prefix", prefix]));
-    assert!(first.contains(": 4 (groups"), "{first}");
+    assert!(first.contains(": 5 (groups"), "{first}");
     let modified =
         || FILES.map(|file| fs::metadata(directory.path().join(file)).unwrap().modified().unwrap());
     let before = modified();
@@ -49,10 +50,13 @@ fn a_second_installation_changes_nothing() {
     let third = stdout(&install(&["--prefix", prefix]));
     assert!(third.contains(": 1 (groups"), "{third}");
 
-    let unit = fs::read_to_string(directory.path().join(FILES[3])).unwrap();
+    let unit = fs::read_to_string(directory.path().join(FILES[4])).unwrap();
     for word in ["LimitRTPRIO=50", "LimitMEMLOCK=infinity", "WatchdogSec=", "Type=notify"] {
         assert!(unit.contains(word), "{word} is missing in the unit");
     }
+    let rules = fs::read_to_string(directory.path().join(FILES[2])).unwrap();
+    let rule = rules.lines().find(|line| line.starts_with("KERNEL==\"cpu_dma_latency\"")).unwrap();
+    assert!(rule.contains("GROUP=\"realtime\"") && rule.contains("MODE=\"0660\""), "{rule}");
     assert!(unit.contains("ExecStart=/usr/local/bin/qube-hil session --resume"), "{unit}");
 }
 

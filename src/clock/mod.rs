@@ -3,11 +3,17 @@
 //!
 //! Imports nothing.
 
+mod awake;
 mod monotonic;
+mod punctual;
 mod realtime;
 mod virtual_clock;
 
+#[cfg(test)]
+pub(crate) use awake::tests::openings_of;
+pub use awake::{AwakeProcessor, CPU_DMA_LATENCY};
 pub use monotonic::MonotonicClock;
+pub use punctual::PunctualClock;
 pub use realtime::{RealtimeReport, enter_realtime};
 pub use virtual_clock::VirtualClock;
 
@@ -21,4 +27,10 @@ pub trait Clock: Send + Sync {
 
     /// Returns at `deadline_ns` or as soon after it as the scheduler allows; at once if it passed.
     fn sleep_until(&self, deadline_ns: Nanoseconds);
+
+    /// Keeps the processors from sleeping until the value is dropped; none where that is not
+    /// allowed, or time does not depend on it.
+    fn stay_awake(&self) -> Option<AwakeProcessor> {
+        None
+    }
 }

@@ -1,21 +1,46 @@
 //! Asking the operating system for real time. The one file of this room with `unsafe`.
 
+use std::num::NonZeroU64;
+use std::path::Path;
+
 use rustix::mm::{MlockAllFlags, mlockall};
+use rustix::thread::set_current_timer_slack;
+
+use super::{AwakeProcessor, CPU_DMA_LATENCY};
 
 /// Priority under SCHED_FIFO: above ordinary threads and below the kernel's own (which sit at 50
 /// by default on PREEMPT_RT only for interrupts; 40 leaves those alone).
 const FIFO_PRIORITY: i32 = 40;
 
-/// What was granted. Each refusal is a sentence with its cure; none stops the program.
+/// How much later than asked the kernel may wake a thread of ordinary priority, to wake several at
+/// once, ns; by default 50 us. Under SCHED_FIFO it is none.
+const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
+
+/// Rights that the thread was refused, each as a sentence with its cure. None stops the program.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RealtimeReport {
     /// Why SCHED_FIFO was refused, if it was.
     pub scheduling: Option<String>,
     /// Why memory could not be locked, if it could not.
     pub memory: Option<String>,
+    /// Why the processors cannot be kept awake, if they cannot.
+    pub awake: Option<String>,
+    /// Why timers cannot be exact at ordinary priority, if they cannot.
+    pub timer_slack: Option<String>,
 }
 
-/// Puts the calling thread under SCHED_FIFO and locks the process's memory, where that is allowed.
+impl RealtimeReport {
+    /// The refusals, the gravest first.
+    pub fn refusals(&self) -> impl Iterator<Item = &str> {
+        [&self.scheduling, &self.memory, &self.awake, &self.timer_slack]
+            .into_iter()
+            .filter_map(|refusal| refusal.as_deref())
+    }
+}
+
+/// Puts the calling thread under SCHED_FIFO, locks the process's memory and asks for exact timers,
+/// where that is allowed. Whether the processors can be kept awake is tried and reported; whoever
+/// drives keeps them awake by [`Clock::stay_awake`](super::Clock::stay_awake).
 #[must_use]
 pub fn enter_realtime() -> RealtimeReport {
     let scheduling = schedule_fifo().err().map(|error| {
@@ -31,7 +56,24 @@ pub fn enter_realtime() -> RealtimeReport {
              line `@realtime - memlock unlimited` in /etc/security/limits.conf"
         )
     });
-    RealtimeReport { scheduling, memory }
+    let timer_slack = set_current_timer_slack(Some(TIMER_SLACK_NS)).err().map(|error| {
+        format!(
+            "the kernel may wake the control thread 0.05 ms late ({error}). With real-time \
+             priority it does not"
+        )
+    });
+    RealtimeReport { scheduling, memory, awake: sleepy(Path::new(CPU_DMA_LATENCY)), timer_slack }
+}
+
+/// Why the processors cannot be kept awake through this file, if they cannot.
+fn sleepy(file: &Path) -> Option<String> {
+    let error = AwakeProcessor::hold(file).err()?;
+    Some(format!(
+        "the processors may sleep between two ticks ({}: {error}): ticks may be 0.1 ms late. Allow \
+         the group realtime to write that file with `sudo scripts/install` and membership in that \
+         group",
+        file.display()
+    ))
 }
 
 fn schedule_fifo() -> Result<(), std::io::Error> {
@@ -41,4 +83,35 @@ fn schedule_fifo() -> Result<(), std::io::Error> {
         libc::pthread_setschedparam(libc::pthread_self(), libc::SCHED_FIFO, &raw const parameters)
     };
     if status == 0 { Ok(()) } else { Err(std::io::Error::from_raw_os_error(status)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use rustix::thread::current_timer_slack;
+
+    use super::*;
+
+    #[test]
+    fn a_processor_that_may_sleep_is_told_with_its_cure() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("cpu_dma_latency");
+        let told = sleepy(&file).unwrap();
+        assert!(
+            told.contains("cpu_dma_latency") && told.contains("sudo scripts/install"),
+            "{told}"
+        );
+        std::fs::write(&file, "").unwrap();
+        assert_eq!(sleepy(&file), None);
+    }
+
+    #[test]
+    fn the_thread_gets_exact_timers() {
+        let slack_ns = std::thread::spawn(|| {
+            let report = enter_realtime();
+            // Under SCHED_FIFO the kernel reports no slack at all.
+            (report.timer_slack, current_timer_slack().unwrap())
+        });
+        let (refusal, slack_ns) = slack_ns.join().unwrap();
+        assert!(refusal.is_none() && slack_ns <= 1, "{refusal:?}, {slack_ns} ns");
+    }
 }

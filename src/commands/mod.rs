@@ -139,7 +139,7 @@ fn dated_folder(command: &str) -> PathBuf {
 
 /// Says what the control thread was refused, each with its cure.
 fn warn_without_realtime(realtime: &RealtimeReport) {
-    for refusal in [&realtime.scheduling, &realtime.memory].into_iter().flatten() {
+    for refusal in realtime.refusals() {
         eprintln!("warning: {refusal}");
     }
 }

@@ -47,6 +47,8 @@ pub fn drive(
     let mut turns = Turns::default();
     let mut last_ticks = LastTicks::new();
 
+    // Until the end of this function, on every way out of it.
+    let _awake = clock.stay_awake();
     device.arm()?;
     let mut deadline_ns = clock.now_ns() + CONTROL_PERIOD_NS;
     let mut skipped_periods = 0;
@@ -154,5 +156,117 @@ impl Turns {
             u32::from(record.measurement.is_none() || record.lateness_ns > CONTROL_PERIOD_NS);
         self.records_lost += u64::from(!pushed);
         self.last_measurement = record.measurement.or(self.last_measurement);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+    use std::path::{Path, PathBuf};
+    use std::sync::Arc;
+    use std::sync::atomic::AtomicUsize;
+
+    use super::super::plant_device::{Mishap, PlantDevice};
+    use super::super::{Homing, HomingMethod, HomingSettings};
+    use super::*;
+    use crate::clock::{AwakeProcessor, Nanoseconds, VirtualClock, openings_of};
+    use crate::device::Identity;
+    use crate::qube::State;
+
+    /// Virtual time, and a file that stands for `/dev/cpu_dma_latency`.
+    struct SleepyClock {
+        time: VirtualClock,
+        file: PathBuf,
+    }
+
+    impl Clock for SleepyClock {
+        fn now_ns(&self) -> Nanoseconds {
+            self.time.now_ns()
+        }
+
+        fn sleep_until(&self, deadline_ns: Nanoseconds) {
+            self.time.sleep_until(deadline_ns);
+        }
+
+        fn stay_awake(&self) -> Option<AwakeProcessor> {
+            AwakeProcessor::hold(&self.file).ok()
+        }
+    }
+
+    /// A Qube that does not arm.
+    struct Unarmed(PlantDevice);
+
+    impl Device for Unarmed {
+        fn hello(&mut self) -> Result<Identity, DeviceError> {
+            self.0.hello()
+        }
+
+        fn arm(&mut self) -> Result<(), DeviceError> {
+            Err(DeviceError::Link { port: "none".into(), fault: LinkFault::Timeout })
+        }
+
+        fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+            self.0.sample(deadline_ns)
+        }
+
+        fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+            self.0.act(voltage_mv, sampled_at_us)
+        }
+
+        fn disarm(&mut self) -> Result<(), DeviceError> {
+            self.0.disarm()
+        }
+    }
+
+    fn homing() -> Homing {
+        Homing::new(&HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() })
+    }
+
+    /// Homes on a device that looks in each tick whether the file is held, and meets `mishap`.
+    fn homed_while_watched(
+        file: &Path,
+        mishap: impl Fn(u32) -> Option<Mishap> + Send + 'static,
+    ) -> (Option<Ending>, usize) {
+        let most_openings = Arc::new(AtomicUsize::new(0));
+        let (seen, watched) = (Arc::clone(&most_openings), file.to_owned());
+        let mut device = PlantDevice::new(State::default());
+        device.mishap = Box::new(move |sample| {
+            seen.fetch_max(openings_of(&watched), Ordering::Relaxed);
+            mishap(sample)
+        });
+        let clock = SleepyClock { time: device.clock.clone(), file: file.to_owned() };
+        let stop = AtomicBool::new(false);
+        let driven = catch_unwind(AssertUnwindSafe(|| {
+            drive(&mut device, &clock, &mut homing(), None, &stop).unwrap().outcome.ending
+        }));
+        (driven.ok(), most_openings.load(Ordering::Relaxed))
+    }
+
+    #[test]
+    fn the_processor_is_kept_awake_while_driving_and_on_no_way_out_longer() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().canonicalize().unwrap().join("cpu_dma_latency");
+
+        // Where it is not allowed, driving goes on without.
+        assert_eq!(homed_while_watched(&file, |_| None), (Some(Ending::Completed), 0));
+
+        std::fs::write(&file, "").unwrap();
+        assert_eq!(homed_while_watched(&file, |_| None), (Some(Ending::Completed), 1));
+        assert_eq!(openings_of(&file), 0, "after a motion");
+
+        let gone = |sample| (sample == 20).then_some(Mishap::Gone);
+        let by_fault = Some(Ending::Fault(crate::telemetry::Fault::LinkGone));
+        assert_eq!(homed_while_watched(&file, gone), (by_fault, 1));
+        assert_eq!(openings_of(&file), 0, "after a fault");
+
+        let panics = |sample| if sample == 20 { panic!("a fault of the program") } else { None };
+        assert_eq!(homed_while_watched(&file, panics), (None, 1));
+        assert_eq!(openings_of(&file), 0, "after a panic");
+
+        let device = PlantDevice::new(State::default());
+        let clock = SleepyClock { time: device.clock.clone(), file: file.clone() };
+        let stop = AtomicBool::new(false);
+        assert!(drive(&mut Unarmed(device), &clock, &mut homing(), None, &stop).is_err());
+        assert_eq!(openings_of(&file), 0, "after a device that does not arm");
     }
 }

@@ -5,7 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use thiserror::Error;
 
-use crate::clock::{Clock, MonotonicClock, RealtimeReport, VirtualClock};
+use crate::clock::{Clock, PunctualClock, RealtimeReport, VirtualClock};
 use crate::control::{ControlError, ControlThread, HomingSettings, RING_CAPACITY, ThreadGone};
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{Device, DeviceError, Identity, SerialLink};
@@ -434,13 +434,13 @@ fn connect(settings: &RigSettings) -> Result<Connection, RigError> {
         }
         (DeviceChoice::Emulated, ClockChoice::Wall) => {
             let emulator = EmulatedQube::spawn(settings.emulator).map_err(RigError::Emulator)?;
-            let clock: Arc<dyn Clock> = Arc::new(MonotonicClock);
+            let clock: Arc<dyn Clock> = Arc::new(PunctualClock::new());
             let port = emulator.port().to_string_lossy().into_owned();
             let link = SerialLink::open(&port, Arc::clone(&clock))?;
             Ok((Box::new(link), clock, Some(emulator)))
         }
         (DeviceChoice::Port(port), ClockChoice::Wall) => {
-            let clock: Arc<dyn Clock> = Arc::new(MonotonicClock);
+            let clock: Arc<dyn Clock> = Arc::new(PunctualClock::new());
             Ok((Box::new(SerialLink::open(port, Arc::clone(&clock))?), clock, None))
         }
         (DeviceChoice::Port(port), ClockChoice::Virtual) => {

@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 
 use serde::Serialize;
 
-use crate::clock::RealtimeReport;
+use crate::clock::{CPU_DMA_LATENCY, RealtimeReport};
 
 /// One thing that was looked at.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -88,7 +88,22 @@ fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {
             RIGHTS_CURE,
         ),
     };
-    vec![scheduling, memory]
+    let awake = match &realtime.awake {
+        None => Diagnosis::well("sleep", "processors can be kept awake between ticks"),
+        Some(_) => Diagnosis::advice(
+            "sleep",
+            format!("{CPU_DMA_LATENCY} may not be written: processors may sleep between ticks"),
+            RIGHTS_CURE,
+        ),
+    };
+    let timer_slack = realtime.timer_slack.as_ref().map(|_| {
+        Diagnosis::advice(
+            "timer slack",
+            "cannot be set: without real-time priority ticks are 0.05 ms late",
+            RIGHTS_CURE,
+        )
+    });
+    [scheduling, memory, awake].into_iter().chain(timer_slack).collect()
 }
 
 #[cfg(test)]
@@ -97,7 +112,14 @@ mod tests {
 
     #[test]
     fn missing_rights_are_advice_with_something_to_type() {
-        let refused = RealtimeReport { scheduling: Some("no".into()), memory: Some("no".into()) };
+        let no = Some("no".to_owned());
+        let refused = RealtimeReport {
+            scheduling: no.clone(),
+            memory: no.clone(),
+            awake: no.clone(),
+            timer_slack: no,
+        };
+        assert_eq!(rights(&refused).len(), refused.refusals().count());
         for diagnosis in rights(&refused) {
             assert_eq!(diagnosis.verdict, Fitness::Advice);
             assert!(diagnosis.cure.unwrap().contains("sudo"));

@@ -1,7 +1,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::Diagnosis;
-use crate::clock::{Clock, MonotonicClock, RealtimeReport, enter_realtime};
+use crate::clock::{Clock, PunctualClock, RealtimeReport, enter_realtime};
 use crate::control::LatencyHistogram;
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::telemetry::LatencySummary;
@@ -29,7 +29,8 @@ pub(super) fn watch(
 }
 
 fn lateness(seconds: u32, stop: &AtomicBool) -> (u64, LatencySummary) {
-    let clock = MonotonicClock;
+    let clock = PunctualClock::new();
+    let _awake = clock.stay_awake();
     let mut lateness = LatencyHistogram::new();
     let ticks = u64::from(seconds) * 1_000_000_000 / CONTROL_PERIOD_NS;
     let mut deadline_ns = clock.now_ns();

@@ -1,0 +1,93 @@
+use std::path::{Path, PathBuf};
+
+use super::{AwakeProcessor, CPU_DMA_LATENCY, Clock, MonotonicClock, Nanoseconds};
+
+/// Longest spin before a deadline, ns: 1 % of a control period. It covers what a woken thread waits
+/// for the processor in 99 of 100 ticks of a quiet computer (`scripts/on-time`).
+const SPIN_NS: Nanoseconds = 100_000;
+
+/// `CLOCK_MONOTONIC` for a thread that must not be late: it sleeps until shortly before the deadline
+/// and spins for the rest, and it can keep the processor awake.
+///
+/// With a single processor it does not spin: the spin would take the time of the thread that the
+/// tick waits for.
+#[derive(Clone, Debug)]
+pub struct PunctualClock {
+    sleeper: MonotonicClock,
+    spin_ns: Nanoseconds,
+    latency_file: PathBuf,
+}
+
+impl PunctualClock {
+    /// A clock for this computer.
+    #[must_use]
+    pub fn new() -> Self {
+        let processors = std::thread::available_parallelism().map_or(1, usize::from);
+        Self {
+            sleeper: MonotonicClock,
+            spin_ns: if processors > 1 { SPIN_NS } else { 0 },
+            latency_file: CPU_DMA_LATENCY.into(),
+        }
+    }
+
+    /// The same clock with another spin, at most 100 us; 0 is none.
+    #[must_use]
+    pub fn with_spin_ns(self, spin_ns: Nanoseconds) -> Self {
+        Self { spin_ns: spin_ns.min(SPIN_NS), ..self }
+    }
+
+    /// The same clock with another file in place of `/dev/cpu_dma_latency`.
+    #[must_use]
+    pub fn with_latency_file(self, file: &Path) -> Self {
+        Self { latency_file: file.to_owned(), ..self }
+    }
+}
+
+impl Default for PunctualClock {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Clock for PunctualClock {
+    fn now_ns(&self) -> Nanoseconds {
+        self.sleeper.now_ns()
+    }
+
+    fn sleep_until(&self, deadline_ns: Nanoseconds) {
+        self.sleeper.sleep_until(deadline_ns.saturating_sub(self.spin_ns));
+        // At most `spin_ns` are left, so this ends.
+        while self.sleeper.now_ns() < deadline_ns {
+            std::hint::spin_loop();
+        }
+    }
+
+    fn stay_awake(&self) -> Option<AwakeProcessor> {
+        // A refusal is told once, by the report of `enter_realtime`.
+        AwakeProcessor::hold(&self.latency_file).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_never_returns_before_the_deadline_with_or_without_a_spin() {
+        for spin_ns in [0, SPIN_NS] {
+            let clock = PunctualClock::new().with_spin_ns(spin_ns);
+            for wait_ns in [0, 1_000, 50_000, 150_000, 2_000_000] {
+                let deadline_ns = clock.now_ns() + wait_ns;
+                clock.sleep_until(deadline_ns);
+                assert!(clock.now_ns() >= deadline_ns);
+            }
+            // A deadline that has passed, however long ago.
+            clock.sleep_until(0);
+        }
+    }
+
+    #[test]
+    fn a_spin_is_bounded() {
+        assert_eq!(PunctualClock::new().with_spin_ns(10_000_000).spin_ns, SPIN_NS);
+    }
+}
