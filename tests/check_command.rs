@@ -41,12 +41,12 @@ fn the_table_fits_a_terminal_and_its_json_names_each_check() {
     let text = stdout(&output);
     assert!(text.lines().count() <= 22, "{text}");
     assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
-    assert!(text.contains("10 passed, 0 failed"), "{text}");
+    assert!(text.contains("12 passed, 0 failed"), "{text}");
 
     let output = qube_hil(directory.path(), &["check", "--clock", "virtual", "--json"]);
     let result: Value = serde_json::from_slice(&output.stdout).unwrap();
     let checks = result["checks"].as_array().unwrap();
-    assert_eq!(checks.len(), 11);
+    assert_eq!(checks.len(), 13);
     for check in checks {
         assert!(check["name"].is_string() && check["value"].is_string(), "{check}");
         assert!(check["pass"] != Value::Bool(false) && check["cure"].is_null(), "{check}");

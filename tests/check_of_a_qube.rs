@@ -75,7 +75,7 @@ fn a_healthy_qube_passes_whatever_its_counters_begin_with() {
         let found = Rig::connect(&settings, &stop()).unwrap().check(false).unwrap();
         assert!(found.passed(), "seed {seed}: {:#?}", found.results);
         assert_eq!(names(&found, CheckVerdict::Skipped), ["latency-timer"]);
-        assert_eq!(found.results.len(), 11);
+        assert_eq!(found.results.len(), 13);
     }
 }
 
@@ -104,10 +104,12 @@ fn an_arm_that_lies_at_a_stop_is_judged_right() {
 #[test]
 fn what_is_wrong_is_named_with_a_cure_and_the_arm_is_not_homed() {
     for (fault, failed) in [
-        ("flipped-theta", &["motor-sign", "pendulum-sign"][..]),
+        ("flipped-theta", &["arm-sign"][..]),
         ("flipped-alpha", &["pendulum-sign"]),
         ("flipped-motor", &["motor-sign"]),
+        ("frozen-theta@0", &["arm"]),
         ("frozen-alpha@0", &["pendulum"]),
+        ("dead-motor@0", &["motor"]),
         ("blocked-arm@0", &["stall"]),
         ("amplifier@0", &["watchdog"]),
         // While the arm is pushed: after a second of samples and 0.6 s of rest.

@@ -21,7 +21,7 @@ use crate::telemetry::CheckVerdict;
 
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
 ///
-/// The arm is pushed a little (at most 1.5 V for 0.3 s) and then homed. `session` and `run` do the
+/// The arm is pushed a little (0.1 s, with 0.25 V, and more only while nothing moves) and then homed. `session` and `run` do the
 /// same before the first motion of a real Qube. Exit code 0 when every check passed, 1 when one did
 /// not, 2 when there is no Qube at that port.
 #[derive(Debug, clap::Args)]

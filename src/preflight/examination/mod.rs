@@ -1,12 +1,14 @@
 //! The check before a session: what can be found out about a Qube without driving it far.
 //!
 //! Everything here happens on the control thread, between motions. The motor gets 48 mV for 50 ms to
-//! see the watchdog at work, and three pushes of at most 1.5 V and 0.3 s; it is off whenever a step
-//! is over, however it ended.
+//! see the watchdog at work, and pushes of 0.1 s that begin with 0.25 V and grow, up to 2.75 V, while
+//! they move nothing; it is off whenever a step is over, however it ended.
 
+mod evidence;
 mod link;
 mod motion;
 mod rest;
+mod swing_fit;
 mod watchdog;
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -135,14 +137,8 @@ pub fn homed(zeros: &Calibration) -> CheckResult {
 /// Homing as one more check: a fault has ended it.
 #[must_use]
 pub fn not_homed(fault: Fault) -> CheckResult {
-    let cure = match fault {
-        Fault::TravelBlocked | Fault::HomingTimedOut => {
-            "clear the way of the arm from stop to stop; or put it into the middle by hand and use \
-             --home hand"
-        }
-        Fault::LinkGone => "plug the cable in",
-        _ => "check cable and power, close what else keeps this computer busy, then check again",
-    };
+    // Never homing by hand: it drives by the very encoder or motor that this leaves in doubt.
+    let cure = format!("{} Then check again", fault.operator_step());
     CheckResult::fail(HOMING, fault.to_string(), cure)
 }
 

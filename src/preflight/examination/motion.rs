@@ -1,31 +1,35 @@
 use std::sync::atomic::AtomicBool;
 
+use super::evidence::{Evidence, Pendulum, Progress};
 use super::{Examination, ExaminationSettings, Interruption, ensure_going, rest};
 use crate::clock::Clock;
-use crate::control::{Nudge, NudgeResponse, drive};
+use crate::control::{SignProbe, drive};
 use crate::device::Device;
 use crate::estimation::Calibration;
 use crate::telemetry::{CheckResult, Ending, Fault};
 
-/// Voltages that are tried until the arm moves: 0.11 V is what a good one needs, and 0.65 V is
-/// reported of a stiff one.
-const PUSHES_V: [f64; 3] = [0.5, 1.0, 1.5];
+/// Each push has this much more than the last, V, in either direction: an arm that the last did not
+/// move gets no more than this beyond its friction.
+const STEP_V: f64 = 0.25;
 
-/// A pendulum that swung at least this far has answered, rad: twice what it may swing at rest.
-const ANSWERED_RAD: f64 = 0.04;
+/// The strongest push has so many steps: 2.75 V. 0.11 V move a good arm and 0.65 V are reported of a
+/// stiff one; friction, a one-sided dead zone and a cable together may need more than 2 V.
+const STEPS: u32 = 11;
 
-/// Below this no current flows through the motor, A. At 1.5 V an arm that is held draws 0.18 A.
-const NO_CURRENT_A: f64 = 0.02;
-
+const MOTOR: &str = "motor";
 const STALL: &str = "stall";
 const ARM: &str = "arm";
 const PENDULUM: &str = "pendulum";
-const MOTOR_SIGN: &str = "motor-sign";
+const ARM_SIGN: &str = "arm-sign";
 const PENDULUM_SIGN: &str = "pendulum-sign";
+const MOTOR_SIGN: &str = "motor-sign";
+
+/// All checks with a motion, in the order in which they are told.
+const ALL: [&str; 7] = [MOTOR, STALL, ARM, PENDULUM, ARM_SIGN, PENDULUM_SIGN, MOTOR_SIGN];
 
 /// Says of each check with a motion that it was not done.
 pub(super) fn skip(found: &mut Examination, why: &str) {
-    skip_these(found, &[STALL, ARM, PENDULUM, MOTOR_SIGN, PENDULUM_SIGN], why);
+    skip_these(found, &ALL, why);
 }
 
 fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
@@ -34,15 +38,16 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
 
 /// A fault that ended a push: nothing else can be judged then.
 fn give_up(found: &mut Examination, fault: Fault) {
-    let cure = match fault {
-        Fault::Amplifier | Fault::StallError => {
-            "switch the Qube's power off and on, clear the way of the arm, then check again"
-        }
-        _ => "check the cable and close what else keeps this computer busy, then check again",
-    };
     let value = format!("a fault ended the push: {fault}");
-    found.results.push(CheckResult::fail(STALL, value, cure));
-    skip_these(found, &[ARM, PENDULUM, MOTOR_SIGN, PENDULUM_SIGN], "not after a fault");
+    let cure = format!("{} Then check again", fault.operator_step());
+    let name = if fault.is_timing_fault() { MOTOR } else { STALL };
+    for each in ALL {
+        found.results.push(if each == name {
+            CheckResult::fail(name, value.clone(), cure.clone())
+        } else {
+            CheckResult::skipped(each, "not after a fault")
+        });
+    }
 }
 
 /// Pushes the arm a little and judges what arm and pendulum did.
@@ -55,7 +60,7 @@ pub(super) fn check(
 ) -> Result<(), Interruption> {
     let mut signs = settings.signs;
     let port = &settings.identity.port;
-    let mut seen = match push(device, clock, stop, signs, port)? {
+    let mut seen = match probe(device, clock, stop, signs, port)? {
         Ok(seen) => seen,
         Err(fault) => {
             give_up(found, fault);
@@ -67,8 +72,7 @@ pub(super) fn check(
     {
         // What was concluded is put to the test before it counts.
         signs = right;
-        rest::wait(device, clock, stop, port)?;
-        match push(device, clock, stop, signs, port)? {
+        match probe(device, clock, stop, signs, port)? {
             Ok(again) => seen = again,
             Err(fault) => {
                 give_up(found, fault);
@@ -76,49 +80,57 @@ pub(super) fn check(
             }
         }
     }
-    found.results.extend(judge(&seen, signs, signs != settings.signs));
+    found.results.extend(verdicts(&seen, signs, signs != settings.signs));
     found.signs = signs;
     Ok(())
 }
 
-/// Pushes harder and harder until something moves. The inner error is a fault that ended it.
-fn push(
+/// Pushes to and fro, harder and harder, until the evidence is enough. The inner error is a fault that
+/// ended it.
+fn probe(
     device: &mut dyn Device,
     clock: &dyn Clock,
     stop: &AtomicBool,
     signs: Calibration,
     port: &str,
-) -> Result<Result<NudgeResponse, Fault>, Interruption> {
-    let mut seen = NudgeResponse::default();
-    for push_v in PUSHES_V {
-        ensure_going(stop)?;
-        device.hello()?;
-        let mut nudge = Nudge::new(signs, push_v);
-        let report = drive(device, clock, &mut nudge, None, stop)?;
-        match report.outcome.ending {
-            Ending::Fault(Fault::LinkGone) => return Err(super::link::gone(port)),
-            Ending::Fault(fault) => return Ok(Err(fault)),
-            Ending::Stopped => return Err(Interruption::Stopped),
-            Ending::Completed | Ending::LeftBox(_) => {}
-        }
-        seen = nudge.response();
-        if seen.arm_moved() || seen.alpha_rad.abs() >= ANSWERED_RAD {
-            break;
+) -> Result<Result<Evidence, Fault>, Interruption> {
+    let mut evidence = Evidence::default();
+    for step in 1..=STEPS {
+        for direction in [1.0, -1.0] {
+            let push_v = direction * STEP_V * f64::from(step);
+            loop {
+                ensure_going(stop)?;
+                device.hello()?;
+                let mut probe = SignProbe::new(signs, push_v);
+                let report = drive(device, clock, &mut probe, None, stop)?;
+                match report.outcome.ending {
+                    Ending::Fault(Fault::LinkGone) => return Err(super::link::gone(port)),
+                    Ending::Fault(fault) => return Ok(Err(fault)),
+                    Ending::Stopped => return Err(Interruption::Stopped),
+                    Ending::Completed | Ending::LeftBox(_) => {}
+                }
+                let progress = evidence.add(probe.trace());
+                if progress == Progress::Enough {
+                    return Ok(Ok(evidence));
+                }
+                if progress != Progress::NothingMoved {
+                    rest::wait_for_the_arm(device, clock, stop, port)?;
+                }
+                // What a defect shows is seen twice before it counts, and never by a stronger push.
+                if progress != Progress::SeeAgain {
+                    break;
+                }
+            }
         }
     }
-    Ok(Ok(seen))
+    Ok(Ok(evidence))
 }
 
 /// The signs under which the arm follows the voltage and the pendulum lags behind the arm, from what
 /// was seen under others. Turning all three round describes the same machine in a mirror; of the two
 /// answers this is the one that changes less. None where something did not move.
-fn right_signs(signs: Calibration, seen: &NudgeResponse) -> Option<Calibration> {
-    if !seen.arm_moved() || seen.alpha_rad.abs() < ANSWERED_RAD {
-        return None;
-    }
-    let follows = seen.theta_rad * seen.voltage_v > 0.0;
-    let lags = seen.alpha_rad * seen.theta_rad < 0.0;
-    let (theta, alpha, voltage) = match (follows, lags) {
+fn right_signs(signs: Calibration, seen: &Evidence) -> Option<Calibration> {
+    let (theta, alpha, voltage) = match (seen.arm_follows()?, seen.pendulum_lags()?) {
         (true, true) => (false, false, false),
         (true, false) => (false, true, false),
         (false, true) => (false, false, true),
@@ -132,90 +144,130 @@ fn right_signs(signs: Calibration, seen: &NudgeResponse) -> Option<Calibration> 
     })
 }
 
-fn judge(seen: &NudgeResponse, signs: Calibration, are_new: bool) -> Vec<CheckResult> {
-    let NudgeResponse { voltage_v, theta_rad, alpha_rad, current_a } = *seen;
-    let current_ma = current_a * 1e3;
-    let arm_moved = seen.arm_moved();
-    let pendulum_moved = alpha_rad.abs() >= ANSWERED_RAD;
-    let mut results = Vec::new();
-
-    results.push(if arm_moved || pendulum_moved {
-        let value = format!("no stall reported; {current_ma:.0} mA moved the arm");
-        CheckResult::pass(STALL, value)
-    } else if current_a < NO_CURRENT_A {
-        CheckResult::fail(
-            STALL,
-            format!("no motion, and only {current_ma:.0} mA flow at {:.1} V", voltage_v.abs()),
-            "switch the Qube's power on; then look at the motor's cable",
-        )
-    } else {
-        CheckResult::fail(
-            STALL,
-            format!("{current_ma:.0} mA flow at {:.1} V and nothing moves", voltage_v.abs()),
-            "something holds the arm: clear its way. If it moves freely by hand, the arm encoder's \
-             cable is loose",
-        )
-    });
-
-    results.push(if arm_moved {
-        CheckResult::pass(ARM, format!("its encoder lives: {:+.3} rad", theta_rad))
-    } else if pendulum_moved {
-        CheckResult::fail(
-            ARM,
-            "the pendulum swung, but the arm's count stayed where it was",
-            "plug in the arm encoder's cable (encoder 0)",
-        )
-    } else {
-        CheckResult::skipped(ARM, "nothing moved")
-    });
-
-    results.push(if pendulum_moved {
-        CheckResult::pass(PENDULUM, format!("its encoder lives: {:+.3} rad", alpha_rad))
-    } else if arm_moved {
-        CheckResult::fail(
-            PENDULUM,
-            format!("the arm went {theta_rad:+.3} rad, the pendulum's count {alpha_rad:+.3} rad"),
-            "plug in the pendulum encoder's cable (encoder 1), and see that the pendulum swings \
-             freely",
-        )
-    } else {
-        CheckResult::skipped(PENDULUM, "nothing moved")
-    });
-
-    let Some(right) = right_signs(signs, seen) else {
-        for name in [MOTOR_SIGN, PENDULUM_SIGN] {
-            results.push(CheckResult::skipped(name, "needs both encoders"));
-        }
+/// The seven results.
+fn verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<CheckResult> {
+    let mut results = vec![motor(seen)];
+    if results[0].failed() {
+        let why = "not before the motor has current";
+        results.extend(ALL[1..].iter().map(|name| CheckResult::skipped(name, why)));
         return results;
-    };
-    let note = if are_new { " (with the signs that were found)" } else { "" };
-    let cure =
-        || format!("qube-hil check --write, or by hand in qube.toml: {}", changed(signs, right));
-    let motor = format!("{voltage_v:+.1} V turns the arm by {theta_rad:+.3} rad{note}");
-    results.push(if theta_rad * voltage_v > 0.0 {
-        CheckResult::pass(MOTOR_SIGN, motor)
-    } else {
-        CheckResult::fail(MOTOR_SIGN, motor, cure())
-    });
-    let pendulum = format!("arm {theta_rad:+.3} rad, pendulum {alpha_rad:+.3} rad{note}");
-    results.push(if alpha_rad * theta_rad < 0.0 {
-        CheckResult::pass(PENDULUM_SIGN, pendulum + ": it lags")
-    } else {
-        CheckResult::fail(PENDULUM_SIGN, pendulum + ": it should lag", cure())
-    });
+    }
+    results.extend([stall(seen), arm(seen), pendulum(seen)]);
+    results.extend(sign_verdicts(seen, signs, are_new));
     results
 }
 
-/// The entries of `[signs]` that differ.
-fn changed(signs: Calibration, right: Calibration) -> String {
-    [
-        ("theta_inverted", signs.theta_inverted, right.theta_inverted),
-        ("alpha_inverted", signs.alpha_inverted, right.alpha_inverted),
-        ("voltage_inverted", signs.voltage_inverted, right.voltage_inverted),
+fn motor(seen: &Evidence) -> CheckResult {
+    let value = format!("{:.0} mA at {:.2} V", seen.current_a * 1e3, seen.strongest_v);
+    if seen.has_current() {
+        CheckResult::pass(MOTOR, value)
+    } else {
+        CheckResult::fail(
+            MOTOR,
+            format!("only {value}, and nothing moves"),
+            "switch the Qube's power on and look at its light; if it is on, the motor's wires are \
+             loose",
+        )
+    }
+}
+
+fn stall(seen: &Evidence) -> CheckResult {
+    if seen.something_moved() {
+        let value = format!("{:.2} V move the arm", seen.strongest_v);
+        return CheckResult::pass(STALL, value);
+    }
+    CheckResult::fail(
+        STALL,
+        format!(
+            "{:.0} mA flow at {:.2} V, in both directions, and nothing moves",
+            seen.current_a * 1e3,
+            seen.strongest_v
+        ),
+        "switch the Qube off and turn the arm by hand: something holds it, clear its way",
+    )
+}
+
+fn arm(seen: &Evidence) -> CheckResult {
+    if seen.turns_unseen() {
+        let value = format!(
+            "the motor turns (its current falls by {:.0} % as it speeds up) and no count changes",
+            seen.current_drop * 1e2
+        );
+        return CheckResult::fail(ARM, value, "plug in both encoders' cables");
+    }
+    if seen.arm_is_dead() {
+        return CheckResult::fail(
+            ARM,
+            "the pendulum was swung by the arm, and the arm's count stayed where it was",
+            "plug in the arm encoder's cable (encoder 0)",
+        );
+    }
+    match seen.arm {
+        Some(response) => {
+            CheckResult::pass(ARM, format!("its encoder lives: {:+.3} rad", response.theta_rad))
+        }
+        None => CheckResult::skipped(ARM, "nothing moved far enough"),
+    }
+}
+
+fn pendulum(seen: &Evidence) -> CheckResult {
+    match seen.pendulum {
+        Pendulum::Alive(lag) => CheckResult::pass(
+            PENDULUM,
+            format!("its encoder lives: it swings by {:.2} of the arm's motion", lag.value.abs()),
+        ),
+        Pendulum::Dead => {
+            let theta_rad = seen.arm.map_or(0.0, |response| response.theta_rad);
+            CheckResult::fail(
+                PENDULUM,
+                format!("the arm went {theta_rad:+.3} rad and its count did not follow"),
+                "see that the pendulum is on its shaft and swings freely; then plug in its \
+                 encoder's cable (encoder 1)",
+            )
+        }
+        Pendulum::Unknown if seen.arm_is_dead() => {
+            CheckResult::pass(PENDULUM, "its encoder lives: the push swung it")
+        }
+        Pendulum::Unknown if seen.turns_unseen() => CheckResult::fail(
+            PENDULUM,
+            "its count stays too",
+            "plug in its encoder's cable (encoder 1)",
+        ),
+        Pendulum::Unknown if seen.arm.is_some() => CheckResult::fail(
+            PENDULUM,
+            "its count moves, but not as a pendulum on this arm",
+            "see that the pendulum swings freely and nobody touches the Qube, then check again",
+        ),
+        Pendulum::Unknown => CheckResult::skipped(PENDULUM, "nothing moved far enough"),
+    }
+}
+
+fn sign_verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<CheckResult> {
+    let (Some(right), Some(response), Pendulum::Alive(lag)) =
+        (right_signs(signs, seen), seen.arm, seen.pendulum)
+    else {
+        let why = "needs both encoders";
+        return ALL[4..].iter().map(|name| CheckResult::skipped(name, why)).collect();
+    };
+    let note = if are_new { ", as found" } else { "" };
+    let (voltage_v, theta_rad) = (response.voltage_v, response.theta_rad);
+    let follows = format!(
+        "{voltage_v:+.2} V turn the arm by {theta_rad:+.3} rad, pendulum {:+.2}",
+        -lag.value
+    );
+    let verdict = |name: &str, of: &str, is: bool, should: bool| {
+        if is == should {
+            return CheckResult::pass(name, format!("{of} = {is}{note}"));
+        }
+        CheckResult::fail(
+            name,
+            format!("{of} = {is} is wrong: {follows} of it"),
+            format!("qube-hil check --write, or by hand in qube.toml: {of} = {should}"),
+        )
+    };
+    vec![
+        verdict(ARM_SIGN, "theta_inverted", signs.theta_inverted, right.theta_inverted),
+        verdict(PENDULUM_SIGN, "alpha_inverted", signs.alpha_inverted, right.alpha_inverted),
+        verdict(MOTOR_SIGN, "voltage_inverted", signs.voltage_inverted, right.voltage_inverted),
     ]
-    .iter()
-    .filter(|(_, is, should)| is != should)
-    .map(|(name, _, should)| format!("{name} = {should}"))
-    .collect::<Vec<_>>()
-    .join(", ")
 }

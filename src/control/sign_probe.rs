@@ -1,0 +1,387 @@
+use super::watch::{Alarm, Watch};
+use super::{ControlState, Motion, TickInput, TickOutput};
+use crate::estimation::{Calibration, Estimator, EstimatorSettings};
+use crate::qube::{RAD_PER_COUNT, State};
+use crate::safety::{brake_voltage, gate};
+use crate::telemetry::Ending;
+
+/// Ticks without a voltage before the push: what pendulum and arm do by themselves.
+const LISTEN_TICKS: u32 = 20;
+
+/// Most ticks of the push, and of the same the other way.
+const PUSH_TICKS: u32 = 10;
+
+/// Most ticks of the brake.
+const BRAKE_TICKS: u32 = 15;
+
+/// Ticks of the whole, so that half a swing of the pendulum is seen after the push.
+const PROBE_TICKS: u32 = 75;
+
+/// Ticks after the end of a voltage in which the arm may still follow it: a round trip, and a motor
+/// that gets its command 15 ms late.
+const LAG_TICKS: usize = 3;
+
+/// A push ends when the arm or the pendulum has gone this far, rad.
+const REACH_RAD: f64 = 0.05;
+
+/// An arm that went at least this far was driven, rad: ten counts.
+const MOVED_RAD: f64 = 10.0 * RAD_PER_COUNT;
+
+/// An arm that went no farther than this stood still, rad: play, and the pendulum's pull, move it so far.
+const STOOD_RAD: f64 = 4.0 * RAD_PER_COUNT;
+
+/// Below this the arm counts as stopped, rad/s.
+const STOPPED_RAD_S: f64 = 0.5;
+
+/// The brake gets at least this much, V: what the push had may be within a motor's dead zone.
+const BRAKE_V: f64 = 1.0;
+
+/// A short push of the arm that shows how encoders and motor are wired: open loop, because feedback
+/// needs the very signs that are looked for.
+///
+/// It listens, pushes until something has moved a little, pushes as long the other way, brakes an arm
+/// whose motion it has seen, and listens again. It records what it sees and judges nothing.
+#[derive(Debug)]
+pub struct SignProbe {
+    signs: Calibration,
+    push_v: f64,
+    estimator: Estimator,
+    watch: Watch,
+    stage: ProbeStage,
+    /// Ticks of this stage, and of the whole.
+    ticks: u32,
+    all_ticks: u32,
+    pushed_ticks: u32,
+    /// Where the push began, and how far the arm had gone when it ended.
+    push_start: State,
+    pushed_rad: f64,
+    state: State,
+    voltage_mv: i16,
+    trace: ProbeTrace,
+}
+
+/// What a probe does in a tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ProbeStage {
+    /// No voltage.
+    #[default]
+    Listen,
+    /// The push.
+    Push,
+    /// As long the other way, which leaves a free arm about at rest.
+    Counter,
+    /// Feedback by the sign that was seen.
+    Brake,
+    /// No voltage.
+    Coast,
+}
+
+/// One sample of a probe, in the signs that were assumed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ProbeSample {
+    /// By the device's clock, s.
+    pub time_s: f64,
+    /// Angle of the arm from where its encoder counts, rad.
+    pub theta_rad: f64,
+    /// Angle of the pendulum likewise, rad.
+    pub alpha_rad: f64,
+    /// Motor current, A, without its sign.
+    pub current_a: f64,
+    /// The voltage that the device reported with it, V, without its sign.
+    pub applied_v: f64,
+    /// What was done when it came.
+    pub stage: ProbeStage,
+}
+
+/// The samples of one probe.
+#[derive(Clone, Debug)]
+pub struct ProbeTrace {
+    samples: [ProbeSample; PROBE_TICKS as usize],
+    length: usize,
+    push_v: f64,
+}
+
+/// How the arm answered a voltage.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmResponse {
+    /// The voltage, V.
+    pub voltage_v: f64,
+    /// How far it turned the arm, rad.
+    pub theta_rad: f64,
+}
+
+impl ProbeTrace {
+    fn new(push_v: f64) -> Self {
+        Self { samples: [ProbeSample::default(); PROBE_TICKS as usize], length: 0, push_v }
+    }
+
+    /// All samples in order.
+    #[must_use]
+    pub fn samples(&self) -> &[ProbeSample] {
+        &self.samples[..self.length]
+    }
+
+    /// The voltage of the push, V.
+    #[must_use]
+    pub fn push_v(&self) -> f64 {
+        self.push_v
+    }
+
+    /// What moved the arm: the push, or where that did not the voltage the other way. None where the
+    /// arm went too little for either, or so that it may have been both.
+    #[must_use]
+    pub fn arm_response(&self) -> Option<ArmResponse> {
+        let pushed = self.travel(ProbeStage::Push)?;
+        if pushed.abs() >= MOVED_RAD {
+            return Some(ArmResponse { voltage_v: self.push_v, theta_rad: pushed });
+        }
+        let countered = self.travel(ProbeStage::Counter)?;
+        (pushed.abs() <= STOOD_RAD && countered.abs() >= MOVED_RAD)
+            .then_some(ArmResponse { voltage_v: -self.push_v, theta_rad: countered })
+    }
+
+    /// How far the arm went by a stage's voltage, rad: each counts from and to a little later.
+    fn travel(&self, stage: ProbeStage) -> Option<f64> {
+        let samples = self.samples();
+        let first = samples.iter().position(|sample| sample.stage == stage)?;
+        let last = samples.iter().rposition(|sample| sample.stage == stage)?;
+        let first = if stage == ProbeStage::Push { first } else { first + LAG_TICKS };
+        let from_rad = samples.get(first)?.theta_rad;
+        let until = (last + LAG_TICKS).min(samples.len() - 1);
+        let ways = samples[first.min(until)..=until].iter().map(|s| s.theta_rad - from_rad);
+        ways.max_by(|a, b| a.abs().total_cmp(&b.abs()))
+    }
+
+    /// Largest current during the push, A.
+    #[must_use]
+    pub fn current_a(&self) -> f64 {
+        self.samples().iter().map(|sample| sample.current_a).fold(0.0, f64::max)
+    }
+
+    /// By which part the motor's current had fallen at the end of the push, from its largest value
+    /// for that voltage: a motor that turns draws less. 0 where no current flowed.
+    #[must_use]
+    pub fn current_drop(&self) -> f64 {
+        let pushed = self.samples().iter().filter(|sample| {
+            sample.stage == ProbeStage::Push && sample.applied_v > 0.5 * self.push_v.abs()
+        });
+        let (largest_a, last_a) = pushed.fold((0.0_f64, 0.0), |(largest_a, _), sample| {
+            (largest_a.max(sample.current_a), sample.current_a)
+        });
+        if largest_a > 0.0 { 1.0 - last_a / largest_a } else { 0.0 }
+    }
+
+    fn push(&mut self, sample: ProbeSample) {
+        if let Some(place) = self.samples.get_mut(self.length) {
+            *place = sample;
+            self.length += 1;
+        }
+    }
+}
+
+impl SignProbe {
+    /// A push by `push_v`, with these signs taken as right.
+    #[must_use]
+    pub fn new(signs: Calibration, push_v: f64) -> Self {
+        Self {
+            signs,
+            push_v,
+            estimator: Estimator::new(EstimatorSettings::default(), signs),
+            watch: Watch::default(),
+            stage: ProbeStage::Listen,
+            ticks: 0,
+            all_ticks: 0,
+            pushed_ticks: 0,
+            push_start: State::default(),
+            pushed_rad: 0.0,
+            state: State::default(),
+            voltage_mv: 0,
+            trace: ProbeTrace::new(push_v),
+        }
+    }
+
+    /// What was seen so far.
+    #[must_use]
+    pub fn trace(&self) -> &ProbeTrace {
+        &self.trace
+    }
+
+    fn stage_v(&self) -> f64 {
+        match self.stage {
+            ProbeStage::Listen | ProbeStage::Coast => 0.0,
+            ProbeStage::Push => self.push_v,
+            ProbeStage::Counter => -self.push_v,
+            ProbeStage::Brake => {
+                let most_v = self.push_v.abs().max(BRAKE_V);
+                let sense = (self.pushed_rad * self.push_v).signum();
+                (sense * brake_voltage(self.state.theta_dot)).clamp(-most_v, most_v)
+            }
+        }
+    }
+
+    /// Moves on to the next stage at the end of one.
+    fn advance(&mut self) {
+        let theta_rad = self.state.theta - self.push_start.theta;
+        let alpha_rad = self.state.alpha - self.push_start.alpha;
+        let next = match self.stage {
+            ProbeStage::Listen if self.ticks >= LISTEN_TICKS => {
+                self.push_start = self.state;
+                ProbeStage::Push
+            }
+            ProbeStage::Push
+                if self.ticks >= PUSH_TICKS
+                    || theta_rad.abs().max(alpha_rad.abs()) >= REACH_RAD =>
+            {
+                (self.pushed_ticks, self.pushed_rad) = (self.ticks, theta_rad);
+                ProbeStage::Counter
+            }
+            ProbeStage::Counter if self.ticks >= self.pushed_ticks => {
+                if self.pushed_rad.abs() >= MOVED_RAD {
+                    ProbeStage::Brake
+                } else {
+                    ProbeStage::Coast
+                }
+            }
+            ProbeStage::Brake
+                if self.ticks >= BRAKE_TICKS || self.state.theta_dot.abs() < STOPPED_RAD_S =>
+            {
+                ProbeStage::Coast
+            }
+            _ => return,
+        };
+        (self.stage, self.ticks) = (next, 0);
+    }
+
+    fn output(&self, wanted_v: Option<f64>, ending: Option<Ending>) -> TickOutput {
+        TickOutput { wanted_v, ending, ..TickOutput::settling(self.state, self.voltage_mv) }
+    }
+
+    fn off(&mut self, ending: Ending) -> TickOutput {
+        self.voltage_mv = 0;
+        self.output(None, Some(ending))
+    }
+}
+
+impl Motion for SignProbe {
+    fn decide(&mut self, input: &TickInput) -> TickOutput {
+        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
+            return self.off(Ending::Fault(fault));
+        }
+        self.ticks += input.skipped_periods;
+        self.all_ticks += input.skipped_periods;
+        let Some(measurement) = &input.measurement else {
+            self.ticks += 1;
+            self.all_ticks += 1;
+            return self.output(None, None);
+        };
+        self.state = self.estimator.update(measurement).guarded;
+        self.trace.push(ProbeSample {
+            time_s: measurement.device_time_us as f64 * 1e-6,
+            theta_rad: self.state.theta,
+            alpha_rad: self.state.alpha,
+            current_a: f64::from(measurement.current_a).abs(),
+            applied_v: f64::from(measurement.applied_mv).abs() * 1e-3,
+            stage: self.stage,
+        });
+        self.advance();
+        let is_quiet = matches!(self.stage, ProbeStage::Listen | ProbeStage::Coast);
+        if input.stop_requested && is_quiet {
+            return self.off(Ending::Stopped);
+        }
+        if self.all_ticks + 1 >= PROBE_TICKS {
+            return self.off(Ending::Completed);
+        }
+        let wanted_v = self.stage_v();
+        self.voltage_mv = gate(wanted_v).unwrap_or(0);
+        self.ticks += 1;
+        self.all_ticks += 1;
+        self.output(Some(wanted_v), None)
+    }
+
+    /// A part of an examination, which judges what came of it.
+    fn control_state(&self) -> ControlState {
+        ControlState::Checking
+    }
+
+    fn device_mv(&self, voltage_mv: i16) -> i16 {
+        self.signs.device_mv(voltage_mv)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use super::super::drive;
+    use super::super::plant_device::PlantDevice;
+    use super::*;
+    use crate::qube::HARD_STOP_RAD;
+
+    fn probed(device: &mut PlantDevice, signs: Calibration) -> ProbeTrace {
+        let clock = device.clock.clone();
+        let mut probe = SignProbe::new(signs, 0.25);
+        let report = drive(device, &clock, &mut probe, None, &AtomicBool::new(false)).unwrap();
+        assert_eq!(report.outcome.ending, Ending::Completed);
+        assert!(!device.armed);
+        assert!(device.voltages_mv.iter().all(|voltage_mv| voltage_mv.abs() <= 1000));
+        let driven = device.voltages_mv.iter().filter(|voltage_mv| **voltage_mv != 0).count();
+        assert!((5..=35).contains(&driven), "{driven} ticks with a voltage");
+        probe.trace().clone()
+    }
+
+    #[test]
+    fn the_arm_follows_the_voltage_and_is_stopped() {
+        let mut device = PlantDevice::new(State::default());
+        let trace = probed(&mut device, Calibration::IDENTITY);
+        let seen = trace.arm_response().unwrap();
+        assert!(seen.voltage_v > 0.0 && seen.theta_rad > 0.05, "{seen:?}");
+        assert!(device.state.theta.abs() < 0.4 && device.furthest_rad < 0.4, "{:?}", device.state);
+        assert_eq!(trace.samples().len(), PROBE_TICKS as usize);
+    }
+
+    #[test]
+    fn beside_a_stop_it_moves_on_the_way_back() {
+        for theta in [HARD_STOP_RAD, -HARD_STOP_RAD] {
+            for push_signs in [false, true] {
+                let mut device = PlantDevice::new(State { theta, ..State::default() });
+                let signs = Calibration { voltage_inverted: push_signs, ..Calibration::IDENTITY };
+                let seen = probed(&mut device, signs).arm_response().unwrap();
+                assert_eq!(seen.theta_rad * seen.voltage_v > 0.0, !push_signs, "{seen:?}");
+                assert!((device.state.theta - theta).abs() < 0.6, "{:?}", device.state);
+            }
+        }
+    }
+
+    #[test]
+    fn an_arm_that_still_runs_when_the_voltage_turns_is_not_taken_for_the_second_push() {
+        let mut trace = ProbeTrace::new(0.5);
+        // Six counts in the push, and on by its momentum in the voltage the other way.
+        for tick in 0..60_i32 {
+            let stage = match tick {
+                0..20 => ProbeStage::Listen,
+                20..30 => ProbeStage::Push,
+                30..40 => ProbeStage::Counter,
+                _ => ProbeStage::Coast,
+            };
+            let theta_rad = f64::from((tick - 27).clamp(0, 16) * 2) * RAD_PER_COUNT;
+            trace.push(ProbeSample { theta_rad, stage, ..ProbeSample::default() });
+        }
+        if let Some(seen) = trace.arm_response() {
+            assert!(seen.voltage_v * seen.theta_rad > 0.0, "{seen:?}");
+        }
+    }
+
+    #[test]
+    fn a_motor_that_turns_draws_less_and_one_that_is_held_does_not() {
+        let drop = |last_a: f64| {
+            let mut trace = ProbeTrace::new(0.5);
+            for current_a in [0.0, 0.06, 0.05, last_a] {
+                let (applied_v, stage) = (0.5, ProbeStage::Push);
+                trace.push(ProbeSample { current_a, applied_v, stage, ..ProbeSample::default() });
+            }
+            trace.current_drop()
+        };
+        assert!((drop(0.03) - 0.5).abs() < 1e-12);
+        assert_eq!(drop(0.06), 0.0);
+    }
+}

@@ -1,0 +1,227 @@
+//! How much of the arm's motion the pendulum shows: the sign of its encoder, and whether it lives.
+//!
+//! About the bottom the pendulum follows alpha'' = -k theta'' - w^2 (alpha - c), whatever drives the
+//! arm, friction, cable and play included; k = 3 L_r / (2 L_p), 0.99 on a nominal Qube. Integrated
+//! twice, that needs no derivative of counts:
+//!
+//! ```text
+//! alpha(t) = -k theta(t) - w^2 S(t) + a + b t + d t^2,    S = the double integral of alpha
+//! ```
+//!
+//! which is linear in k, w^2, a, b and d. A pendulum that swings already, and a place where it hangs
+//! that is not known, are in a, b and d.
+
+use crate::control::ProbeSample;
+use crate::qube::RAD_PER_COUNT;
+
+/// Standard deviation of a count's rounding.
+const QUANTISATION_COUNTS: f64 = 0.3;
+
+/// Terms of the fit: theta, S, 1, t, t^2.
+const TERMS: usize = 5;
+
+/// What a probe says of the pendulum.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SwingFit {
+    /// k, by the signs that were assumed; positive where they are right. None where the arm stood.
+    pub(super) lag: Option<Lag>,
+    /// What a pendulum on an arm that stands does not explain of alpha, counts (root mean square).
+    pub(super) driven_counts: f64,
+}
+
+/// An estimate of k.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Lag {
+    pub(super) value: f64,
+    pub(super) standard_error: f64,
+}
+
+/// Fits the pendulum's equation to a probe. An arm that moved over no more than `stood_counts` counts
+/// as one that stood.
+pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64) -> SwingFit {
+    let Some(first) = samples.first() else {
+        return SwingFit { lag: None, driven_counts: 0.0 };
+    };
+    let mut rows = Vec::with_capacity(samples.len());
+    let (mut velocity, mut doubled) = (0.0, 0.0);
+    let mut previous = (0.0, 0.0);
+    let duration_s = samples.last().map_or(1.0, |last| last.time_s - first.time_s).max(1e-3);
+    for sample in samples {
+        let (time_s, alpha) = (sample.time_s - first.time_s, sample.alpha_rad - first.alpha_rad);
+        let step_s = time_s - previous.0;
+        let before = velocity;
+        velocity += 0.5 * step_s * (alpha + previous.1);
+        doubled += 0.5 * step_s * (velocity + before);
+        previous = (time_s, alpha);
+        let share = time_s / duration_s;
+        let theta = sample.theta_rad - first.theta_rad;
+        rows.push(([theta, doubled, 1.0, share, share * share], alpha));
+    }
+    let thetas = rows.iter().map(|(row, _)| row[0]);
+    let (lowest, highest) =
+        thetas.fold((0.0_f64, 0.0_f64), |(low, high), theta| (low.min(theta), high.max(theta)));
+    let stood = highest - lowest <= (stood_counts + 0.5) * RAD_PER_COUNT;
+
+    let free = least_squares(&rows, [false, true, true, true, true]);
+    let driven_counts = free.map_or(0.0, |free| free.residual_rad / RAD_PER_COUNT);
+    let lag = if stood { None } else { least_squares(&rows, [true; TERMS]) };
+    let lag = lag.map(|all| Lag {
+        value: -all.coefficients[0],
+        standard_error: all.first_variance.sqrt()
+            * all.residual_rad.max(QUANTISATION_COUNTS * RAD_PER_COUNT),
+    });
+    SwingFit { lag, driven_counts }
+}
+
+struct Solution {
+    coefficients: [f64; TERMS],
+    /// Of the first coefficient, in units of the residuals' variance.
+    first_variance: f64,
+    /// Root mean square.
+    residual_rad: f64,
+}
+
+/// Least squares over the terms that are used; None where they do not differ enough.
+fn least_squares(rows: &[([f64; TERMS], f64)], used: [bool; TERMS]) -> Option<Solution> {
+    // Each column in units of its own size, so that one threshold tells a singular matrix.
+    let mut size = [0.0_f64; TERMS];
+    for (row, _) in rows {
+        for term in 0..TERMS {
+            size[term] = size[term].max(row[term].abs());
+        }
+    }
+    let active: Vec<usize> = (0..TERMS).filter(|term| used[*term] && size[*term] > 0.0).collect();
+    let count = active.len();
+    if rows.len() <= count {
+        return None;
+    }
+    // Normal matrix, beside it the right-hand side and the first unit vector.
+    let mut matrix = vec![vec![0.0; count + 2]; count];
+    for (row, value) in rows {
+        for (i, &term) in active.iter().enumerate() {
+            let scaled = row[term] / size[term];
+            for (j, &other) in active.iter().enumerate() {
+                matrix[i][j] += scaled * row[other] / size[other];
+            }
+            matrix[i][count] += scaled * value;
+        }
+    }
+    if let Some(first) = matrix.first_mut() {
+        first[count + 1] = 1.0;
+    }
+    for pivot in 0..count {
+        let best = (pivot..count)
+            .max_by(|a, b| matrix[*a][pivot].abs().total_cmp(&matrix[*b][pivot].abs()))?;
+        matrix.swap(pivot, best);
+        if matrix[pivot][pivot].abs() < 1e-9 * rows.len() as f64 {
+            return None;
+        }
+        for row in 0..count {
+            if row != pivot {
+                let factor = matrix[row][pivot] / matrix[pivot][pivot];
+                for column in pivot..count + 2 {
+                    matrix[row][column] -= factor * matrix[pivot][column];
+                }
+            }
+        }
+    }
+    let mut coefficients = [0.0; TERMS];
+    for (i, &term) in active.iter().enumerate() {
+        coefficients[term] = matrix[i][count] / matrix[i][i] / size[term];
+    }
+    let squares: f64 = rows
+        .iter()
+        .map(|(row, value)| {
+            let explained: f64 = active.iter().map(|&term| coefficients[term] * row[term]).sum();
+            (value - explained) * (value - explained)
+        })
+        .sum();
+    let first_variance = matrix.first().map_or(0.0, |first| first[count + 1] / first[0])
+        / active.first().map_or(1.0, |&term| size[term] * size[term]);
+    let residual_rad = (squares / (rows.len() - count) as f64).sqrt();
+    Some(Solution { coefficients, first_variance, residual_rad })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::counts;
+
+    const STOOD_COUNTS: f64 = 4.0;
+
+    /// A pendulum on an arm that is moved by `theta(t)`, from a swing of `alpha_dot`, through encoders.
+    fn samples(
+        theta: impl Fn(f64) -> f64,
+        alpha_dot: f64,
+        (lag, square_rad_s2): (f64, f64),
+    ) -> Vec<ProbeSample> {
+        let (mut alpha, mut velocity) = (0.02, alpha_dot);
+        let step_s = 1e-4;
+        let mut samples = Vec::new();
+        for step in 0..7500 {
+            let time_s = f64::from(step) * step_s;
+            if step % 100 == 0 {
+                samples.push(ProbeSample {
+                    time_s,
+                    theta_rad: f64::from(counts(theta(time_s))) * RAD_PER_COUNT,
+                    alpha_rad: f64::from(counts(alpha)) * RAD_PER_COUNT,
+                    ..ProbeSample::default()
+                });
+            }
+            let bend = (theta(time_s + step_s) - 2.0 * theta(time_s) + theta(time_s - step_s))
+                / (step_s * step_s);
+            velocity += step_s * (-lag * bend - square_rad_s2 * (alpha - 0.01));
+            alpha += step_s * velocity;
+        }
+        samples
+    }
+
+    /// A smooth push from 0 to `reach` between 0.2 s and 0.3 s.
+    fn pushed(reach: f64) -> impl Fn(f64) -> f64 {
+        move |time_s: f64| {
+            let x = ((time_s - 0.2) / 0.1).clamp(0.0, 1.0);
+            reach * x * x * (3.0 - 2.0 * x)
+        }
+    }
+
+    #[test]
+    fn the_lag_is_found_of_any_pendulum_swinging_or_not() {
+        for lag in [0.9, 1.0, 1.1, -1.0] {
+            for square_rad_s2 in [100.0, 117.0, 135.0] {
+                for alpha_dot in [0.0, 0.5, -1.0] {
+                    let seen = samples(pushed(0.05), alpha_dot, (lag, square_rad_s2));
+                    let found = fit(&seen, STOOD_COUNTS).lag.unwrap();
+                    assert!((found.value - lag).abs() < 0.15, "{found:?} of {lag}");
+                    assert!(found.standard_error < 0.1, "{found:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_count_that_stays_has_no_lag() {
+        let mut seen = samples(pushed(0.05), 0.0, (1.0, 117.0));
+        seen.iter_mut().for_each(|sample| sample.alpha_rad = 0.3);
+        let found = fit(&seen, STOOD_COUNTS).lag.unwrap();
+        assert!(found.value.abs() < 1e-9 && found.standard_error < 0.1, "{found:?}");
+    }
+
+    #[test]
+    fn a_swing_on_an_arm_that_stands_is_not_driven_and_behind_a_dead_encoder_it_is() {
+        for alpha_dot in [0.0, 0.3, 1.0] {
+            let still = fit(&samples(|_| 0.0, alpha_dot, (1.0, 117.0)), STOOD_COUNTS);
+            assert!(still.lag.is_none() && still.driven_counts < 0.7, "{still:?}");
+            let mut seen = samples(pushed(0.05), alpha_dot, (1.0, 117.0));
+            seen.iter_mut().for_each(|sample| sample.theta_rad = 1.0);
+            let driven = fit(&seen, STOOD_COUNTS);
+            assert!(driven.lag.is_none() && driven.driven_counts > 1.5, "{driven:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_to_fit_is_no_lag() {
+        assert_eq!(fit(&[], STOOD_COUNTS), SwingFit { lag: None, driven_counts: 0.0 });
+        let one = [ProbeSample::default()];
+        assert_eq!(fit(&one, STOOD_COUNTS).lag, None);
+    }
+}
