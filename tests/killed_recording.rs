@@ -37,6 +37,7 @@ fn header() -> RolloutHeader {
         git_revision: "unknown".to_owned(),
         device: BTreeMap::new(),
         preflight: Default::default(),
+        motor_heat: None,
         policy: "none".to_owned(),
         settings: TickSettings {
             calibration: Calibration::IDENTITY,

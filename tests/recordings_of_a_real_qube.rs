@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 
 use qube_hil::control::{Drive, SensorWatch};
 use qube_hil::identification::{Unknown, horizon_error, identify};
-use qube_hil::qube::{Measurement, QubeModel, RAD_PER_COUNT};
+use qube_hil::qube::{CONTROL_PERIOD_S, Measurement, QubeModel, RAD_PER_COUNT};
 use qube_hil::replay::{AngleError, MotionLog, simulate_beside};
+use qube_hil::safety::MotorHeat;
 
 fn recordings() -> Option<PathBuf> {
     let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/qube-recordings");
@@ -43,6 +44,30 @@ fn nominal_physics_is_half_a_radian_off_on_real_chirps() {
         eprintln!("{name}: theta {:.3} rad, alpha {:.3} rad", rmse.theta_rad, rmse.alpha_rad);
         assert!((0.44..0.60).contains(&rmse.theta_rad), "{name}: {rmse:?}");
         assert!((0.44..0.53).contains(&rmse.alpha_rad), "{name}: {rmse:?}");
+    }
+}
+
+/// The recordings have no current: it is computed from voltage and speed.
+#[test]
+fn the_motor_of_a_real_qube_stays_cool() {
+    let Some(folder) = recordings() else { return };
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_none_or(|extension| extension != "csv") {
+            continue;
+        }
+        let log = MotionLog::read(&path).unwrap();
+        let (mut heat, mut largest, mut next_s) = (MotorHeat::default(), 0.0_f64, 0.0);
+        for sample in &log.samples {
+            if sample.time_s + 1e-9 >= next_s {
+                next_s += CONTROL_PERIOD_S;
+                let voltage_mv = (1000.0 * sample.voltage_v).round() as i16;
+                heat.pass(0, None, voltage_mv, sample.state.theta_dot);
+                largest = largest.max(heat.load);
+            }
+        }
+        eprintln!("{}: load at most {:.3}", path.display(), largest);
+        assert!((0.005..0.5).contains(&largest), "{}: {largest}", path.display());
     }
 }
 

@@ -45,6 +45,7 @@ use tracing_subscriber::EnvFilter;
 use output::Output;
 
 use crate::clock::RealtimeReport;
+use crate::safety::{LARGEST_LOAD, WARNING_LOAD};
 use crate::session::Latencies;
 use crate::telemetry::LatencySummary;
 
@@ -154,6 +155,18 @@ fn astray_line(times_astray: u64) -> String {
     }
 }
 
+/// The motor's largest load as a line for people, with a warning where it was large; nothing where it
+/// is not known.
+fn heat_line(largest_motor_load: Option<f64>) -> String {
+    let Some(load) = largest_motor_load else { return String::new() };
+    let percent = |load: f64| 100.0 * load;
+    let line = format!("motor load at most {:.0} % of its continuous rating", percent(load));
+    if load < WARNING_LOAD {
+        return line + "\n";
+    }
+    format!("{line}: it is getting hot, and at {:.0} % the arm is braked\n", percent(LARGEST_LOAD))
+}
+
 /// The timing of all ticks, as lines for people.
 fn timing_lines(latencies: &Latencies) -> String {
     let line = |name: &str, summary: LatencySummary| {
@@ -166,4 +179,20 @@ fn timing_lines(latencies: &Latencies) -> String {
     line("wake-up lateness", latencies.lateness_us())
         + &line("sample to act", latencies.sample_to_act_us())
         + &format!("missed deadlines: {missed} of {ticks} ticks\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heat_is_told_in_words_and_warned_of_when_it_is_large() {
+        assert_eq!(heat_line(None), "");
+        assert_eq!(heat_line(Some(0.376)), "motor load at most 38 % of its continuous rating\n");
+        let warning = heat_line(Some(0.75));
+        assert!(
+            warning.contains("75 %") && warning.contains("at 90 % the arm is braked"),
+            "{warning}"
+        );
+    }
 }

@@ -12,7 +12,7 @@ use super::guard_argument::GuardArgument;
 use super::number_arguments::between;
 use super::output::Output;
 use super::stop::Stop;
-use super::{astray_line, dated_folder, failures, timing_lines, warn_without_realtime};
+use super::{astray_line, dated_folder, failures, heat_line, timing_lines, warn_without_realtime};
 use crate::control::HomingMethod;
 use crate::identification::{Unfit, check_recording};
 use crate::policy::{
@@ -245,6 +245,8 @@ struct Results {
     latencies: Latencies,
     /// How often the observer had lost the Qube.
     times_astray: u64,
+    /// The motor's largest load; none where no recording tells it.
+    largest_motor_load: Option<f64>,
     /// Why the last rollout is void, if a fault made it so.
     fault: Option<String>,
     /// The first rollouts that came to a result.
@@ -259,6 +261,11 @@ impl Results {
         self.latencies.add(&recording.ticks);
         let outcome = recording.outcome.as_ref();
         self.times_astray += outcome.map_or(0, |outcome| u64::from(outcome.times_astray));
+        // None is less than any number.
+        let load = outcome.and_then(|outcome| outcome.largest_motor_load);
+        if self.largest_motor_load < load {
+            self.largest_motor_load = load;
+        }
         let rollout = self.returns.len();
         let _ = match judge_recording(&recording) {
             Verdict::Result { return_, success, outcome } => {
@@ -317,6 +324,7 @@ impl Results {
         } else {
             String::new()
         };
+        let heat = heat_line(self.largest_motor_load);
         let timing = timing_lines(&self.latencies);
         let drift = match &self.drift {
             Some(Ok(drift)) => format!("{drift}\n"),
@@ -325,7 +333,7 @@ impl Results {
             }
             None => String::new(),
         };
-        format!("{}{astray}{drift}{timing}recordings in {directory}{next}", self.lines)
+        format!("{}{astray}{heat}{drift}{timing}recordings in {directory}{next}", self.lines)
     }
 
     fn json(&self) -> Value {
@@ -334,6 +342,7 @@ impl Results {
             "ended_early": self.ended_early,
             "success": self.success,
             "times_astray": self.times_astray,
+            "largest_motor_load": self.largest_motor_load,
             "missed_deadlines": self.latencies.missed_deadlines(),
             "lateness_us": self.latencies.lateness_us(),
             "sample_to_act_us": self.latencies.sample_to_act_us(),

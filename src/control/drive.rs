@@ -6,6 +6,7 @@ use super::{Motion, TickInput};
 use crate::clock::Clock;
 use crate::device::{Device, DeviceError, LinkFault};
 use crate::qube::{CONTROL_PERIOD_NS, Measurement};
+use crate::safety::MotorHeat;
 use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
 
 /// How long a tick waits for its sample, ns. Past this the last voltage is held over, so that the
@@ -33,12 +34,29 @@ pub struct DriveReport {
 /// logs or waits for the recorder: `records` is a wait-free ring, and a full one is counted. A
 /// motion that nobody records has none.
 ///
+/// The motor is taken as cold, and what warms it is forgotten.
+///
 /// # Errors
 /// The device could not be armed; nothing has moved then.
 pub fn drive(
     device: &mut dyn Device,
     clock: &dyn Clock,
     motion: &mut dyn Motion,
+    records: Option<&mut rtrb::Producer<TickRecord>>,
+    stop: &AtomicBool,
+) -> Result<DriveReport, DeviceError> {
+    drive_warm(device, clock, motion, &mut MotorHeat::default(), records, stop)
+}
+
+/// The same with a motor that may be warm: `heat` is what it was before and becomes what it is after.
+///
+/// # Errors
+/// As [`drive`].
+pub fn drive_warm(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    motion: &mut dyn Motion,
+    heat: &mut MotorHeat,
     mut records: Option<&mut rtrb::Producer<TickRecord>>,
     stop: &AtomicBool,
 ) -> Result<DriveReport, DeviceError> {
@@ -46,6 +64,8 @@ pub fn drive(
     let mut sample_to_act = LatencyHistogram::new();
     let mut turns = Turns::default();
     let mut last_ticks = LastTicks::new();
+    let mut voltage_mv = 0;
+    let mut largest_motor_load = heat.load;
 
     // Until the end of this function, on every way out of it.
     let _awake = clock.stay_awake();
@@ -69,6 +89,7 @@ pub fn drive(
             measurement: sample.ok(),
             link_gone: sample == Err(LinkFault::Gone),
             board_restarted: sample == Err(LinkFault::NotArmed),
+            motor_overheated: heat.is_overheated(),
         };
 
         // Decide: estimate, guard, policy, limit.
@@ -83,6 +104,12 @@ pub fn drive(
             let _ = device.act(motion.device_mv(output.voltage_mv), sample.device_time_us);
         }
         let turnaround_ns = clock.now_ns() - woke_ns;
+
+        // What the voltage until now has warmed the motor by.
+        let measurement = input.measurement.as_ref();
+        heat.pass(skipped_periods, measurement, voltage_mv, output.state.theta_dot);
+        largest_motor_load = largest_motor_load.max(heat.load);
+        voltage_mv = output.voltage_mv;
 
         // Record.
         let record = TickRecord {
@@ -125,6 +152,7 @@ pub fn drive(
             missed_deadlines: turns.missed_deadlines,
             records_lost: turns.records_lost,
             times_astray: motion.times_astray(),
+            largest_motor_load: Some(largest_motor_load),
             lateness_us: lateness.summary(),
             sample_to_act_us: sample_to_act.summary(),
         },

@@ -21,7 +21,7 @@ mod thread;
 mod tick;
 mod watch;
 
-pub use drive::{DriveReport, SAMPLE_TIMEOUT_NS, drive};
+pub use drive::{DriveReport, SAMPLE_TIMEOUT_NS, drive, drive_warm};
 pub use homing::{Homing, HomingMethod, HomingSettings};
 pub use last_ticks::LAST_TICKS;
 pub use latency::LatencyHistogram;

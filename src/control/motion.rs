@@ -19,6 +19,8 @@ pub struct TickInput {
     pub link_gone: bool,
     /// The device knows of no hello any more: it has restarted.
     pub board_restarted: bool,
+    /// The motor has to cool down, by the samples and voltages before this tick.
+    pub motor_overheated: bool,
 }
 
 /// What one tick decides.

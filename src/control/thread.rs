@@ -7,12 +7,13 @@ use thiserror::Error;
 
 use super::{
     ControlAction, ControlEvent, ControlState, DriveReport, Homing, HomingSettings, Motion, Tick,
-    drive,
+    drive_warm,
 };
-use crate::clock::{Clock, RealtimeReport, enter_realtime};
+use crate::clock::{Clock, Nanoseconds, RealtimeReport, enter_realtime};
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::Calibration;
 use crate::policy::Policy;
+use crate::safety::MotorHeat;
 use crate::telemetry::{TickRecord, TickSettings};
 
 /// The control thread has ended before its time: it panicked.
@@ -21,6 +22,9 @@ use crate::telemetry::{TickRecord, TickSettings};
     "the control thread has ended unexpectedly; the device's watchdog has switched the motor off"
 )]
 pub struct ThreadGone;
+
+/// How soon a stop is heard while the motor cools down, ns.
+const COOLING_STEP_NS: Nanoseconds = 100_000_000;
 
 /// What can keep control from doing what it is asked for.
 #[derive(Debug, Error)]
@@ -44,6 +48,7 @@ pub enum ControlError {
 /// Prepared work: everything is loaded before the first tick.
 enum Command {
     Hello,
+    Cool,
     Home(HomingSettings),
     Rollout(TickSettings, Box<Policy>, rtrb::Producer<TickRecord>),
     Lend(Borrower),
@@ -58,6 +63,7 @@ enum Event {
     Homed(Result<(DriveReport, Option<Calibration>), ControlError>),
     Finished(Result<DriveReport, ControlError>),
     Returned(Result<(), ControlError>),
+    Cooled(MotorHeat),
 }
 
 /// The thread that owns the device. One command at a time; in between the amplifier is off.
@@ -88,8 +94,10 @@ impl ControlThread {
             let report = if realtime { enter_realtime() } else { RealtimeReport::default() };
             let _ = ready.send(report);
             let mut state = ControlState::default();
+            let mut motor = Motor::default();
             for command in inbox {
-                let event = obey(&mut state, command, device.as_mut(), clock.as_ref(), &stop);
+                let event =
+                    obey(&mut state, &mut motor, command, device.as_mut(), clock.as_ref(), &stop);
                 if outbox.send(event).is_err() {
                     return;
                 }
@@ -164,6 +172,18 @@ impl ControlThread {
         }
     }
 
+    /// Waits until the motor is cool enough for the next motion, and says how warm it is: that is
+    /// what the next motion begins with. A set stop ends the waiting.
+    ///
+    /// # Errors
+    /// The thread is gone.
+    pub fn cool_motor(&self) -> Result<MotorHeat, ThreadGone> {
+        match self.ask(Command::Cool)? {
+            Event::Cooled(heat) => Ok(heat),
+            _ => Err(ThreadGone),
+        }
+    }
+
     /// Lends the device to a task between motions, on this thread and with its priority: what a
     /// check measures is then what a tick will see.
     ///
@@ -202,8 +222,40 @@ impl Drop for ControlThread {
     }
 }
 
+/// The motor's heat from one motion to the next.
+#[derive(Debug, Default)]
+struct Motor {
+    heat: MotorHeat,
+    /// Since when it has been without current, as far as `heat` does not know of it; none before the
+    /// first motion.
+    off_since_ns: Option<Nanoseconds>,
+}
+
+impl Motor {
+    /// Takes in that the motor was without current since the last motion.
+    fn cool(&mut self, clock: &dyn Clock) {
+        if let Some(off_since_ns) = &mut self.off_since_ns {
+            let now_ns = clock.now_ns();
+            let off_ns = now_ns.saturating_sub(*off_since_ns);
+            self.heat = self.heat.cooled(off_ns as f64 * 1e-9);
+            *off_since_ns = now_ns;
+        }
+    }
+
+    /// Waits, amplifier off, while the motor is too hot for the next motion.
+    fn cool_down(&mut self, clock: &dyn Clock, stop: &AtomicBool) {
+        self.cool(clock);
+        let end_ns = clock.now_ns() + (self.heat.cooling_s() * 1e9) as Nanoseconds;
+        while clock.now_ns() < end_ns && !stop.load(Ordering::Relaxed) {
+            clock.sleep_until(end_ns.min(clock.now_ns() + COOLING_STEP_NS));
+            self.cool(clock);
+        }
+    }
+}
+
 fn obey(
     state: &mut ControlState,
+    motor: &mut Motor,
     command: Command,
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -216,19 +268,25 @@ fn obey(
             state.take(if answered { ControlEvent::Hello } else { ControlEvent::NoAnswer });
             Event::Identified(identified, device.is_hardware())
         }
+        Command::Cool => {
+            motor.cool_down(clock, stop);
+            Event::Cooled(motor.heat)
+        }
         Command::Home(settings) => {
+            motor.cool_down(clock, stop);
             let mut homing = match state {
                 ControlState::Cleared => Homing::after_fault(&settings),
                 _ => Homing::new(&settings),
             };
             let driven = allowed(state, ControlEvent::Home)
-                .and_then(|()| driven(state, device, clock, &mut homing, None, stop));
+                .and_then(|()| driven(state, motor, device, clock, &mut homing, None, stop));
             Event::Homed(driven.map(|report| (report, homing.calibration())))
         }
         Command::Rollout(settings, policy, mut records) => {
             let mut tick = Tick::new(&settings, *policy);
-            let driven = allowed(state, ControlEvent::Rollout)
-                .and_then(|()| driven(state, device, clock, &mut tick, Some(&mut records), stop));
+            let driven = allowed(state, ControlEvent::Rollout).and_then(|()| {
+                driven(state, motor, device, clock, &mut tick, Some(&mut records), stop)
+            });
             Event::Finished(driven)
         }
         Command::Lend(borrower) => {
@@ -252,13 +310,16 @@ fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), Control
 /// Drives a motion, and goes where it came to.
 fn driven(
     state: &mut ControlState,
+    motor: &mut Motor,
     device: &mut dyn Device,
     clock: &dyn Clock,
     motion: &mut dyn Motion,
     records: Option<&mut rtrb::Producer<TickRecord>>,
     stop: &AtomicBool,
 ) -> Result<DriveReport, ControlError> {
-    match drive(device, clock, motion, records, stop) {
+    let driven = drive_warm(device, clock, motion, &mut motor.heat, records, stop);
+    motor.off_since_ns = Some(clock.now_ns());
+    match driven {
         Ok(report) => {
             *state = motion.control_state();
             Ok(report)
@@ -274,11 +335,12 @@ fn driven(
 mod tests {
     use super::super::plant_device::{Mishap, PlantDevice};
     use super::*;
+    use crate::clock::VirtualClock;
     use crate::control::RING_CAPACITY;
     use crate::estimation::EstimatorSettings;
     use crate::policy::{ClassicalController, ClassicalGains};
     use crate::qube::State;
-    use crate::safety::SafetyBox;
+    use crate::safety::{COOLED_LOAD, SafetyBox};
     use crate::telemetry::{Ending, Fault};
 
     /// A thread whose device loses its port at this sample, and settings for a short rollout on it.
@@ -332,5 +394,43 @@ mod tests {
         let (_, found) = thread.home(HomingSettings::default()).unwrap().unwrap();
         assert!(found.is_some());
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
+    }
+
+    #[test]
+    fn homing_and_rollouts_warm_the_motor_and_time_cools_it() {
+        let device = PlantDevice::new(State::default());
+        let clock = device.clock.clone();
+        let stop = Arc::new(AtomicBool::new(false));
+        let thread =
+            ControlThread::spawn(Box::new(device), Arc::new(clock.clone()), false, stop).unwrap();
+        assert_eq!(thread.cool_motor().unwrap().load, 0.0);
+        thread.hello().unwrap().unwrap();
+        thread.home(HomingSettings::default()).unwrap().unwrap();
+        let homed = thread.cool_motor().unwrap();
+        assert!(homed.load > 1e-4, "{homed:?}");
+        clock.advance(20_000_000_000);
+        let cooled = thread.cool_motor().unwrap();
+        assert!((cooled.load - homed.cooled(20.0).load).abs() < 1e-12, "{cooled:?}");
+        // Asking does not cool.
+        assert_eq!(thread.cool_motor().unwrap(), cooled);
+        let (_, settings) = control(u32::MAX);
+        assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
+        assert!(thread.cool_motor().unwrap().load > cooled.load);
+    }
+
+    #[test]
+    fn a_hot_motor_cools_down_before_the_next_motion_unless_a_stop_is_asked_for() {
+        let clock = VirtualClock::default();
+        let heat = MotorHeat { load: 0.85, ..MotorHeat::default() };
+        let mut motor = Motor { heat, off_since_ns: Some(0) };
+        motor.cool_down(&clock, &AtomicBool::new(false));
+        assert!((motor.heat.load - COOLED_LOAD).abs() < 1e-3, "{motor:?}");
+        let waited_s = clock.now_ns() as f64 * 1e-9;
+        assert!((waited_s - heat.cooling_s()).abs() < 1e-3, "{waited_s} s");
+
+        let now_ns = clock.now_ns();
+        let mut motor = Motor { heat, off_since_ns: Some(now_ns) };
+        motor.cool_down(&clock, &AtomicBool::new(true));
+        assert_eq!((clock.now_ns(), motor.heat), (now_ns, heat));
     }
 }

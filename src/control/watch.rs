@@ -54,6 +54,9 @@ impl Watch {
         if !measurement.status.armed {
             return Some(Alarm::Zero(Fault::NotArmed));
         }
+        if input.motor_overheated {
+            return Some(Alarm::Brake(Fault::MotorOverheated));
+        }
         let late = input.lateness_ns > MAX_LATENESS_NS;
         self.late_in_a_row = if late { self.late_in_a_row + 1 } else { 0 };
         (self.late_in_a_row >= MAX_LATE_TICKS).then_some(Alarm::Brake(Fault::TooLate))
@@ -112,6 +115,15 @@ mod tests {
         let alarms = [(); 5].map(|()| watch.check(&late));
         assert_eq!(alarms[3], None);
         assert_eq!(alarms[4], Some(Alarm::Brake(Fault::TooLate)));
+    }
+
+    #[test]
+    fn an_overheated_motor_brakes_and_hides_no_fault_of_the_link() {
+        let hot = TickInput { motor_overheated: true, ..input(0) };
+        let alarm = Watch::default().check(&hot);
+        assert_eq!(alarm, Some(Alarm::Brake(Fault::MotorOverheated)));
+        let gone = TickInput { link_gone: true, ..hot };
+        assert_eq!(Watch::default().check(&gone), Some(Alarm::Zero(Fault::LinkGone)));
     }
 
     #[test]

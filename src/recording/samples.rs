@@ -6,7 +6,7 @@ use std::path::Path;
 use super::{FORMAT_VERSION, RolloutWriter};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{Measurement, RewardWeights, State, Status};
-use crate::safety::{Limit, SafetyBox};
+use crate::safety::{Limit, MotorHeat, SafetyBox};
 use crate::telemetry::{
     CheckResult, Ending, LatencySummary, Phase, Preflight, RolloutHeader, RolloutOutcome,
     TickRecord, TickSettings,
@@ -32,6 +32,7 @@ pub(crate) fn header() -> RolloutHeader {
             CheckResult::fail("motor-sign", "-0.1 rad", "turn it round"),
             CheckResult::skipped("homing", "not before all else passes"),
         ]),
+        motor_heat: Some(MotorHeat { load: 0.25, ..MotorHeat::default() }),
         policy: "nominal".to_owned(),
         settings: TickSettings {
             calibration: Calibration { theta_zero_counts: 12, ..Calibration::IDENTITY },
@@ -52,6 +53,7 @@ pub(crate) fn outcome() -> RolloutOutcome {
         missed_deadlines: 1,
         records_lost: 0,
         times_astray: 0,
+        largest_motor_load: Some(0.375),
         lateness_us: LatencySummary { p50: 1.0, p99: 2.0, p999: 3.0, max: 4.1 },
         sample_to_act_us: LatencySummary::default(),
     }

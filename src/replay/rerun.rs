@@ -54,6 +54,8 @@ pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
     let whole = recording.ticks.iter().zip(0..).take_while(|(tick, number)| tick.tick == *number);
     let compared: Vec<&TickRecord> = whole.map(|(tick, _)| tick).collect();
 
+    let mut heat = recording.header.motor_heat;
+    let mut voltage_mv = 0;
     let mut recomputed = Vec::with_capacity(compared.len());
     let mut ending = None;
     for (index, recorded) in compared.iter().enumerate() {
@@ -68,7 +70,13 @@ pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
             // that ends for it.
             link_gone: is_last && ended_by(Fault::LinkGone),
             board_restarted: is_last && ended_by(Fault::BoardRestarted),
+            motor_overheated: heat.is_some_and(|heat| heat.is_overheated()),
         });
+        if let Some(heat) = &mut heat {
+            let measurement = recorded.measurement.as_ref();
+            heat.pass(recorded.skipped_periods, measurement, voltage_mv, output.state.theta_dot);
+        }
+        voltage_mv = output.voltage_mv;
         recomputed.push(TickRecord {
             phase: output.phase,
             state: output.state,
@@ -127,6 +135,7 @@ mod tests {
     };
     use crate::recording::samples::{POLICY, header, outcome};
     use crate::recording::{RolloutWriter, parse};
+    use crate::safety::MotorHeat;
     use crate::telemetry::{Phase, RolloutHeader, RolloutOutcome};
 
     fn classical(gains: ClassicalGains) -> Policy {
@@ -158,7 +167,19 @@ mod tests {
         policy: Policy,
         link_breaks_at: Option<u32>,
     ) -> Recording {
+        recorded_warm(MotorHeat::default(), 0.0, estimator, policy, link_breaks_at)
+    }
+
+    /// The same on a warm motor that draws so many times the current of a nominal one.
+    fn recorded_warm(
+        mut heat: MotorHeat,
+        current_factor: f64,
+        estimator: EstimatorSettings,
+        policy: Policy,
+        link_breaks_at: Option<u32>,
+    ) -> Recording {
         let mut header: RolloutHeader = header();
+        header.motor_heat = Some(heat);
         header.settings.estimator = estimator;
         header.settings.max_steps = 300;
         header.settings.calibration.theta_zero_counts = 0;
@@ -167,6 +188,7 @@ mod tests {
         let dynamics = Dynamics::<f64>::new(&DomainParameters::NOMINAL);
         let mut plant = State { theta: 0.3, alpha: 0.1, ..State::default() };
         let mut tick = Tick::new(&header.settings, policy);
+        let mut voltage_mv = 0;
         for number in 0.. {
             let link_gone = link_breaks_at == Some(number);
             let status = Status { armed: true, ..Status::default() };
@@ -178,9 +200,23 @@ mod tests {
                 status,
                 ..Measurement::default()
             });
+            let measurement = measurement.map(|sample| {
+                let motor_v = f64::from(voltage_mv) * 1e-3 - 0.042 * plant.theta_dot;
+                let current_a = (current_factor * motor_v / 8.4) as f32;
+                Measurement { current_a, ..sample }
+            });
             let deadline_ns = u64::from(number) * CONTROL_PERIOD_NS;
-            let input = TickInput { deadline_ns, measurement, link_gone, ..TickInput::default() };
+            let motor_overheated = heat.is_overheated();
+            let input = TickInput {
+                deadline_ns,
+                measurement,
+                link_gone,
+                motor_overheated,
+                ..TickInput::default()
+            };
             let output = tick.decide(&input);
+            heat.pass(0, measurement.as_ref(), voltage_mv, output.state.theta_dot);
+            voltage_mv = output.voltage_mv;
             let record = TickRecord {
                 tick: number,
                 phase: output.phase,
@@ -263,6 +299,36 @@ mod tests {
         let rerun = rerun(&recording, classical(ClassicalGains::default()));
         assert!(rerun.agrees(), "{rerun:?}");
         assert_eq!(rerun.ending, Some(outcome.ending));
+    }
+
+    /// Full voltage, the other way in each tick: the first neuron sees the last command.
+    fn trembling() -> Policy {
+        let mut layers = [
+            LayerWeights { weight: vec![0.0; 45], bias: vec![0.0; 5] },
+            LayerWeights { weight: vec![0.0; 5], bias: vec![0.0] },
+        ];
+        layers[0].weight[6] = 20.0;
+        layers[0].bias[0] = 1.0;
+        layers[1].weight[0] = -20.0;
+        let network = Network::new(&[9, 5, 1], &layers, 5.0).unwrap();
+        Policy::Network(NetworkPolicy { network, training: training_record() })
+    }
+
+    #[test]
+    fn a_rollout_on_an_overheated_motor_comes_out_again_and_only_from_the_same_heat() {
+        let warm = MotorHeat { load: 0.85, ..MotorHeat::default() };
+        let recording = recorded_warm(warm, 2.2, EstimatorSettings::default(), trembling(), None);
+        let by_heat = Some(Ending::Fault(Fault::MotorOverheated));
+        assert_eq!(recording.outcome.as_ref().map(|outcome| outcome.ending), by_heat);
+        assert_eq!(recording.header.motor_heat, Some(warm));
+        let again = rerun(&recording, trembling());
+        assert!(again.agrees(), "{again:?}");
+        assert_eq!(again.ending, by_heat);
+        // A recording that is older than the estimate has no heat, and none plays a part.
+        let mut older = recording;
+        older.header.motor_heat = None;
+        let other = rerun(&older, trembling());
+        assert!(other.actions_different > 0, "{other:?}");
     }
 
     #[test]

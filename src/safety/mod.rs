@@ -1,16 +1,18 @@
 //! What ends a rollout and what the motor is told then: the safety box, the speed envelope, the
-//! braking rules, the last gate.
+//! motor's heat, the braking rules, the last gate.
 //!
 //! Pure state machine, readable alone. May import `qube` and `elementary`.
 
 mod braking;
 mod guard;
+mod motor_heat;
 mod safety_box;
 mod speed_envelope;
 mod voltage_gate;
 
 pub use braking::{Retreat, brake_voltage};
 pub use guard::Guard;
+pub use motor_heat::{COOLED_LOAD, LARGEST_LOAD, MotorHeat, WARNING_LOAD};
 pub use safety_box::{Limit, SafetyBox};
 pub use speed_envelope::SpeedEnvelope;
 pub use voltage_gate::{NotANumber, gate};

@@ -49,6 +49,7 @@ impl RolloutPlan {
             git_revision: env!("QUBE_HIL_GIT_REVISION").into(),
             device: BTreeMap::new(),
             preflight: Preflight::Unknown,
+            motor_heat: None,
             policy: self.policy.clone(),
             settings: TickSettings {
                 calibration: Calibration::IDENTITY,

@@ -389,6 +389,7 @@ impl Rig {
             started_unix_ns: self.wall_time_ns(),
             device: self.device_by_name(),
             preflight: self.preflight.clone(),
+            motor_heat: Some(self.control.cool_motor()?),
             settings,
             ..header
         };

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::{Fault, Phase, Preflight};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::RewardWeights;
-use crate::safety::{Limit, SafetyBox};
+use crate::safety::{Limit, MotorHeat, SafetyBox};
 
 /// Everything beside measurements and policy that decides what the tick does: with these three a
 /// recording can be run again.
@@ -52,6 +52,10 @@ pub struct RolloutHeader {
     /// The check of the device before it.
     #[serde(default)]
     pub preflight: Preflight,
+    /// How warm the motor was at the start; none in a recording that is older than the estimate of
+    /// it, which then plays no part.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motor_heat: Option<MotorHeat>,
     /// Name of the policy.
     pub policy: String,
     /// What decides the tick.
@@ -91,6 +95,9 @@ pub struct RolloutOutcome {
     /// is of another Qube, or something hit this one.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub times_astray: u32,
+    /// The motor's largest load, 1 being what it stands continuously; none in older recordings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub largest_motor_load: Option<f64>,
     /// Wake-up lateness, microseconds.
     pub lateness_us: LatencySummary,
     /// From sample to act by the device's clock, microseconds.

@@ -41,7 +41,8 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
     let outcome = match Rig::open(&wiring.clone().rig_settings(method), &stop) {
         Err(error) => {
             let passed = plan.is_some_and(|plan| !plan.lasting);
-            let of_time = matches!(error, RigError::Homing { fault, .. } if fault.is_timing_fault());
+            let of_time =
+                matches!(error, RigError::Homing { fault, .. } if fault.is_timing_fault());
             assert!(!(passed && of_time), "{plan:?}: homing was not tried again: {error}");
             Outcome::NotOpened(named(&error))
         }

@@ -1,0 +1,28 @@
+use serde::{Deserialize, Serialize};
+
+/// What a motor stands thermally.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotorRating {
+    /// Current that it stands for ever, A.
+    pub continuous_a: f64,
+    /// Time in which its winding takes on 63 % of its final temperature, s. One that is taken shorter
+    /// than it is trips sooner.
+    pub time_constant_s: f64,
+}
+
+impl MotorRating {
+    /// The QUBE-Servo 2's motor, an Allied Motion CL40: nominal 18 V, 0.54 A, 8.4 ohm (user manual).
+    ///
+    /// Its thermal time constant is published nowhere that we could check. Coreless motors of 40 mm
+    /// have 42 s for the winding and 1120 s for the housing, which makes 70 % of the temperature (maxon
+    /// RE 40, as in the motor model of `pr2_ethercat_drivers`); smaller ones have less copper. 30 s for
+    /// all of it is on the safe side.
+    pub const NOMINAL: Self = Self { continuous_a: 0.54, time_constant_s: 30.0 };
+}
+
+impl Default for MotorRating {
+    fn default() -> Self {
+        Self::NOMINAL
+    }
+}

@@ -1,0 +1,193 @@
+use serde::{Deserialize, Serialize};
+
+use crate::elementary::Scalar;
+use crate::qube::{CONTROL_PERIOD_S, DomainParameters, Measurement, MotorRating};
+
+/// Load at which the operator is warned.
+pub const WARNING_LOAD: f64 = 0.7;
+
+/// Load at which the arm is braked. Below 1, so that 0.54 A reach it after a set time and not never;
+/// above (0.5 / 0.54)^2 = 0.86, the 0.5 A that the Qube's amplifier may give continuously.
+pub const LARGEST_LOAD: f64 = 0.9;
+
+/// A motor above [`WARNING_LOAD`] cools down to this before the next motion begins.
+pub const COOLED_LOAD: f64 = 0.5;
+
+/// Smallest winding resistance that is believed, ohm: the smallest that was ever fitted to a Qube is
+/// 3.7. A larger current than it allows is a fault of the sensor.
+const LEAST_RESISTANCE_OHM: f64 = 3.5;
+
+/// Zero error of the current sensor that is allowed for, A.
+const CURRENT_OFFSET_A: f64 = 0.1;
+
+/// Estimate of how warm the motor's winding is, beside the temperature that it reaches at its rated
+/// continuous current: a first-order model of (current / rated current)^2, known as I^2 t.
+///
+/// The motor and its load are at rest in the long run for any current below the rating. Each thermal
+/// model that is a mixture of first-order parts, none of them faster than this one's, stays below 1 as
+/// long as this one does, because its output is an average over what this one has been.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotorHeat {
+    /// The motor.
+    pub rating: MotorRating,
+    /// 0 is as warm as its surroundings, 1 as warm as at the rated current for ever.
+    pub load: f64,
+}
+
+impl MotorHeat {
+    /// A motor that is as warm as its surroundings.
+    #[must_use]
+    pub fn cold(rating: MotorRating) -> Self {
+        Self { rating, load: 0.0 }
+    }
+
+    /// Whether the motor has to cool down now.
+    #[must_use]
+    pub fn is_overheated(&self) -> bool {
+        self.load >= LARGEST_LOAD
+    }
+
+    /// Time constant of the model, s: so short that the rated current reaches [`LARGEST_LOAD`] after
+    /// the motor's time constant, and each larger one sooner.
+    #[must_use]
+    pub fn time_constant_s(&self) -> f64 {
+        // ln(1 / (1 - 0.9)).
+        self.rating.time_constant_s / std::f64::consts::LN_10
+    }
+
+    /// Lets one control period pass, and those that were skipped before it. The voltage is the one
+    /// that the motor had meanwhile, the velocity the arm's, both by the convention's signs.
+    pub fn pass(
+        &mut self,
+        skipped_periods: u32,
+        measurement: Option<&Measurement>,
+        voltage_mv: i16,
+        theta_dot_rad_s: f64,
+    ) {
+        let current_a = current_a(measurement, f64::from(voltage_mv) * 1e-3, theta_dot_rad_s);
+        let heating = (current_a / self.rating.continuous_a).powi(2);
+        let elapsed_s = f64::from(1 + skipped_periods) * CONTROL_PERIOD_S;
+        let step = elapsed_s / self.time_constant_s();
+        // Implicit Euler: stable for any number of skipped periods.
+        self.load = (self.load + step * heating) / (1.0 + step);
+    }
+
+    /// The same motor after it was without current for so long.
+    #[must_use]
+    pub fn cooled(self, elapsed_s: f64) -> Self {
+        Self { load: self.load * Scalar::exp(-elapsed_s / self.time_constant_s()), ..self }
+    }
+
+    /// How long the motor must be without current before the next motion begins, s; 0 as long as it
+    /// is not above [`WARNING_LOAD`].
+    #[must_use]
+    pub fn cooling_s(&self) -> f64 {
+        if self.load <= WARNING_LOAD {
+            return 0.0;
+        }
+        self.time_constant_s() * (self.load / COOLED_LOAD).ln()
+    }
+}
+
+/// The motor's current without its sign, A: as measured, or from voltage and speed, whichever is
+/// larger. A reading that no motor could give is left out.
+fn current_a(measurement: Option<&Measurement>, voltage_v: f64, theta_dot_rad_s: f64) -> f64 {
+    let nominal = DomainParameters::NOMINAL;
+    let speed_rad_s = if theta_dot_rad_s.is_finite() { theta_dot_rad_s } else { 0.0 };
+    let back_emf_v = nominal.motor_back_emf_v_s * speed_rad_s;
+    let modelled_a = (voltage_v - back_emf_v).abs() / nominal.motor_resistance_ohm;
+    let largest_a = (voltage_v.abs() + back_emf_v.abs()) / LEAST_RESISTANCE_OHM + CURRENT_OFFSET_A;
+    let measured_a = measurement.map_or(0.0, |sample| f64::from(sample.current_a).abs());
+    // False for a NaN too.
+    if measured_a <= largest_a { measured_a.max(modelled_a) } else { modelled_a }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(current_a: f32) -> Measurement {
+        Measurement { current_a, ..Measurement::default() }
+    }
+
+    /// Seconds until a motor that starts cold must be braked; none within ten minutes.
+    fn trips_after_s(current_a: f32, voltage_mv: i16, theta_dot_rad_s: f64) -> Option<f64> {
+        let mut heat = MotorHeat::default();
+        (1..=60_000).find_map(|tick| {
+            heat.pass(0, Some(&sample(current_a)), voltage_mv, theta_dot_rad_s);
+            heat.is_overheated().then(|| f64::from(tick) * CONTROL_PERIOD_S)
+        })
+    }
+
+    /// The time by the closed formula for a constant current.
+    fn computed_s(current_a: f64) -> f64 {
+        let heat = MotorHeat::default();
+        let heating = (current_a / heat.rating.continuous_a).powi(2);
+        -heat.time_constant_s() * (1.0 - LARGEST_LOAD / heating).ln()
+    }
+
+    #[test]
+    fn a_stalled_motor_trips_in_the_computed_time_by_either_source_of_its_current() {
+        // 5 V across 8.4 ohm at rest: 0.595 A.
+        let computed = computed_s(5.0 / 8.4);
+        assert!((17.0..18.5).contains(&computed), "{computed} s");
+        for (measured_a, voltage_mv) in
+            [(0.0, 5000), (0.0, -5000), (0.595_238, 2500), (f32::NAN, 5000)]
+        {
+            let tripped = trips_after_s(measured_a, voltage_mv, 0.0).unwrap();
+            assert!((tripped - computed).abs() < 0.05, "{tripped} s, computed {computed} s");
+        }
+    }
+
+    #[test]
+    fn the_rated_current_trips_within_the_motors_time_constant_and_what_the_amplifier_gives_never()
+    {
+        let time_constant_s = MotorRating::NOMINAL.time_constant_s;
+        for current_a in [0.5401_f32, 0.6, 0.7, 1.0, 1.4] {
+            let tripped = trips_after_s(current_a, 5000, 0.0).unwrap();
+            assert!(tripped <= time_constant_s, "{current_a} A: {tripped} s");
+        }
+        assert_eq!(trips_after_s(0.5, 4200, 0.0), None);
+    }
+
+    #[test]
+    fn a_reading_that_no_motor_could_give_is_left_out() {
+        // The sensor sticks at 1 A while nothing drives the motor, or at the end of its range.
+        for stuck_a in [1.0, 5.8, f32::INFINITY, f32::NAN] {
+            assert_eq!(trips_after_s(stuck_a, 0, 0.0), None, "{stuck_a} A");
+        }
+        // A weak winding draws more than a nominal one: that is believed.
+        assert!(trips_after_s(1.2, 5000, 0.0).unwrap() < 5.0);
+    }
+
+    #[test]
+    fn a_motor_that_turns_with_its_voltage_draws_less_and_one_that_is_braked_more() {
+        let current_of = |theta_dot| current_a(None, 5.0, theta_dot);
+        assert!((current_of(20.0) - (5.0 - 0.84) / 8.4).abs() < 1e-12);
+        assert!((current_of(-20.0) - (5.0 + 0.84) / 8.4).abs() < 1e-12);
+        assert_eq!(current_of(f64::NAN), 5.0 / 8.4);
+    }
+
+    #[test]
+    fn skipped_periods_heat_as_much_as_those_that_were_not() {
+        let (mut whole, mut skipping) = (MotorHeat::default(), MotorHeat::default());
+        for tick in 0..1000 {
+            whole.pass(0, None, 5000, 0.0);
+            if tick % 10 == 9 {
+                skipping.pass(9, None, 5000, 0.0);
+            }
+        }
+        assert!((whole.load - skipping.load).abs() < 2e-3, "{whole:?}, {skipping:?}");
+    }
+
+    #[test]
+    fn a_hot_motor_rests_until_it_is_cool_and_a_warm_one_does_not() {
+        let hot = MotorHeat { load: 0.9, ..MotorHeat::default() };
+        let rest_s = hot.cooling_s();
+        assert!((7.0..8.5).contains(&rest_s), "{rest_s} s");
+        assert!((hot.cooled(rest_s).load - COOLED_LOAD).abs() < 1e-9);
+        assert_eq!(MotorHeat { load: 0.69, ..hot }.cooling_s(), 0.0);
+        assert_eq!(hot.cooled(0.0), hot);
+    }
+}

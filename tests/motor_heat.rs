@@ -1,0 +1,167 @@
+//! The motor's heat in virtual time: rollouts back to back as an operator would run them warm the
+//! motor and never warn; a policy that burns current is braked in the computed time.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::clock::VirtualClock;
+use qube_hil::control::{Homing, HomingSettings, Tick, drive_warm};
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::device::{Device, SerialLink};
+use qube_hil::estimation::EstimatorSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
+use qube_hil::qube::{Profile, QubeModel, State};
+use qube_hil::safety::{LARGEST_LOAD, MotorHeat, SafetyBox, WARNING_LOAD};
+use qube_hil::telemetry::{Ending, Fault, RolloutOutcome, TickSettings};
+
+/// An emulated Qube that is homed, its motor as warm as homing makes it.
+struct Rig {
+    device: SerialLink<qube_hil::device::InProcessWire>,
+    clock: VirtualClock,
+    homing: Homing,
+    heat: MotorHeat,
+}
+
+impl Rig {
+    fn homed(model: QubeModel, seed: u64) -> Self {
+        let clock = VirtualClock::default();
+        let emulator = EmulatorSettings { model, seed, ..EmulatorSettings::default() };
+        let mut device = SerialLink::in_process(emulator, clock.clone());
+        device.hello().expect("an emulated Qube answers");
+        let mut homing = Homing::new(&HomingSettings::default());
+        let mut heat = MotorHeat::default();
+        let stop = AtomicBool::new(false);
+        let report = drive_warm(&mut device, &clock, &mut homing, &mut heat, None, &stop).unwrap();
+        assert_eq!(report.outcome.ending, Ending::Completed, "homing");
+        Self { device, clock, homing, heat }
+    }
+
+    /// The next rollout, without a pause after the one before.
+    fn rollout(
+        &mut self,
+        controller: impl Controller,
+        seed: u64,
+        max_steps: u32,
+    ) -> RolloutOutcome {
+        let settings = TickSettings {
+            calibration: self.homing.calibration().expect("it is homed"),
+            estimator: EstimatorSettings::default(),
+            safety_box: SafetyBox::GUARDED,
+            max_steps,
+            start_theta_rad: 0.1 * (seed as f64).sin(),
+        };
+        let mut tick = Tick::new(&settings, controller);
+        let stop = AtomicBool::new(false);
+        drive_warm(&mut self.device, &self.clock, &mut tick, &mut self.heat, None, &stop)
+            .expect("it arms")
+            .outcome
+    }
+}
+
+/// Full voltage, the other way in each tick: the arm trembles, and the winding burns 5 V / 8.4 ohm.
+struct Trembling {
+    sign: f64,
+}
+
+impl Controller for Trembling {
+    fn voltage_v(&mut self, _: &State) -> f64 {
+        self.sign = -self.sign;
+        5.0 * self.sign
+    }
+}
+
+fn policy(file: &str) -> Policy {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies").join(file);
+    Policy::load(&path).expect("a shipped policy")
+}
+
+/// The profile of a real Qube, so many times as far from the nominal one.
+fn lab(gap: f64) -> QubeModel {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
+    Profile::parse(&std::fs::read_to_string(path).unwrap()).unwrap().model().scaled(gap)
+}
+
+/// Runs `rollouts` of the classical controller and of two trained policies on three Qubes, and says
+/// how warm the motors got.
+fn rollouts_back_to_back(rollouts: u64) {
+    let classical = || Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+    let mut warmest: f64 = 0.0;
+    for (plant, model) in
+        [("nominal", QubeModel::NOMINAL), ("lab", lab(1.0)), ("lab, gap 1.5", lab(1.5))]
+    {
+        for (name, policy) in [
+            ("classical", classical()),
+            ("nominal", policy("nominal.safetensors")),
+            ("robust", policy("robust.safetensors")),
+        ] {
+            let mut rig = Rig::homed(model, 0);
+            let (homed, mut largest, mut sum) = (rig.heat.load, 0.0_f64, 0.0);
+            for seed in 0..rollouts {
+                let outcome = rig.rollout(policy.clone(), seed, 600);
+                let overheated = outcome.ending == Ending::Fault(Fault::MotorOverheated);
+                assert!(!overheated, "{name} on {plant}, rollout {seed}");
+                let load = outcome.largest_motor_load.unwrap();
+                (largest, sum) = (largest.max(load), sum + load);
+                if matches!(outcome.ending, Ending::Fault(_)) {
+                    break;
+                }
+            }
+            let mean = sum / rollouts as f64;
+            println!(
+                "{name:9} on {plant:12}: after homing {homed:.3}; largest of a rollout {mean:.3} in \
+                 the mean, {largest:.3} of all {rollouts}"
+            );
+            warmest = warmest.max(largest);
+        }
+    }
+    assert!(warmest < WARNING_LOAD, "{warmest}");
+    assert!(warmest > 0.01, "nothing was measured");
+}
+
+#[test]
+fn ordinary_rollouts_back_to_back_never_warn() {
+    rollouts_back_to_back(12);
+}
+
+#[test]
+#[ignore = "two minutes"]
+fn nor_do_a_thousand_of_each() {
+    rollouts_back_to_back(1000);
+}
+
+#[test]
+fn a_policy_that_burns_current_is_braked_in_the_computed_time() {
+    let mut rig = Rig::homed(QubeModel::NOMINAL, 1);
+    rig.heat = MotorHeat::default();
+    let outcome = rig.rollout(Trembling { sign: 1.0 }, 0, 6000);
+    assert_eq!(outcome.ending, Ending::Fault(Fault::MotorOverheated));
+    // Settling takes less than 1 s; then 17.6 s at 0.595 A, by the closed formula.
+    let heating = (5.0_f64 / 8.4 / 0.54).powi(2);
+    let computed_s = -rig.heat.time_constant_s() * (1.0 - LARGEST_LOAD / heating).ln();
+    let burnt_s = f64::from(outcome.steps) * 0.01;
+    assert!((burnt_s - computed_s).abs() < 0.5, "{burnt_s} s, computed {computed_s} s");
+    let largest = outcome.largest_motor_load.unwrap();
+    assert!((LARGEST_LOAD..LARGEST_LOAD + 0.02).contains(&largest), "{largest}");
+}
+
+#[test]
+fn heat_carries_over_to_the_next_rollout_and_a_pause_takes_it_away() {
+    let mut rig = Rig::homed(QubeModel::NOMINAL, 2);
+    let tremble = |rig: &mut Rig| rig.rollout(Trembling { sign: 1.0 }, 0, 600);
+    let mut rollouts = 0;
+    let ending = loop {
+        let outcome = tremble(&mut rig);
+        rollouts += 1;
+        if outcome.ending != Ending::Completed || rollouts > 20 {
+            break outcome.ending;
+        }
+    };
+    assert_eq!(ending, Ending::Fault(Fault::MotorOverheated));
+    assert!(rollouts > 1, "6 s alone do not overheat a motor");
+
+    let mut rig = Rig::homed(QubeModel::NOMINAL, 2);
+    for _ in 0..20 {
+        assert_eq!(tremble(&mut rig).ending, Ending::Completed);
+        rig.heat = rig.heat.cooled(30.0);
+    }
+}
