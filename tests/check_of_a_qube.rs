@@ -32,6 +32,7 @@ fn settings(fault: Option<&str>) -> RigSettings {
         homing: HomingSettings::default(),
         skip_check: false,
         board: None,
+        limits: Default::default(),
     }
 }
 

@@ -38,6 +38,7 @@ fn header() -> RolloutHeader {
         device: BTreeMap::new(),
         preflight: Default::default(),
         motor_heat: None,
+        hard_stop_accepted: false,
         policy: "none".to_owned(),
         settings: TickSettings {
             calibration: Calibration::IDENTITY,

@@ -72,6 +72,7 @@ fn rig_settings(device: DeviceChoice) -> RigSettings {
         homing: Default::default(),
         skip_check: false,
         board: None,
+        limits: Default::default(),
     }
 }
 

@@ -36,6 +36,7 @@ fn run(folder: SessionFolder, fault: Option<EmulatorFault>) -> Result<(), Sessio
         homing: settings().homing,
         skip_check: false,
         board: None,
+        limits: Default::default(),
     };
     let stop = Arc::new(AtomicBool::new(false));
     Session::open(folder, settings(), rig, stop)?.run(&mut |_| ())

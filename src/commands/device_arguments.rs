@@ -8,7 +8,7 @@ use crate::control::{HomingMethod, HomingSettings};
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::qube::QubeModel;
-use crate::safety::SafetyBox;
+use crate::safety::{GuardConsent, HardwareLimits, SafetyBox};
 use crate::session::{ClockChoice, DeviceChoice, QUBE_FILE, QubeFile, RigSettings};
 
 /// The name by which the embedded emulator is asked for.
@@ -144,6 +144,21 @@ impl ChosenDevice {
         self.file.as_ref().map_or(of_the_task, |file| file.within_limits(&of_the_task))
     }
 
+    /// What a rig may do that is opened here, and of what `origin` asks for. Only hardware has limits: an
+    /// emulated Qube has no stop that could break.
+    pub fn limits(
+        &self,
+        origin: &str,
+        safety_box: &SafetyBox,
+        consent: Option<GuardConsent>,
+    ) -> Result<HardwareLimits, Failure> {
+        if !self.choice.is_hardware() {
+            return Ok(HardwareLimits::default());
+        }
+        HardwareLimits::of(*safety_box, consent)
+            .map_err(|error| Failure::usage(format!("{origin}: {error}")))
+    }
+
     /// What the Qube was when its profile was made, where its file names one.
     pub fn profile(&self) -> Result<Option<QubeModel>, Failure> {
         self.profile.as_deref().map(|path| Ok(profile::load(path)?.model())).transpose()
@@ -163,6 +178,7 @@ impl ChosenDevice {
             homing: self.homing(HomingSettings { estimator, ..HomingSettings::default() }),
             skip_check,
             board: self.file.as_ref().and_then(|file| file.board.clone()),
+            limits: HardwareLimits::default(),
         }
     }
 }

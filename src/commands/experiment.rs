@@ -11,7 +11,7 @@ use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::experiment_progress::ExperimentProgress;
 use super::failures;
-use super::guard_argument::GuardArgument;
+use super::guard_argument::{ConsentArgument, GuardArgument};
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
 use super::stop::Stop;
@@ -23,7 +23,7 @@ use crate::experiment::{
     Results, StrategyResults, densities_svg, searches_svg, strategies_svg,
 };
 use crate::learning::TrainSettings;
-use crate::safety::Guard;
+use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
 use crate::session::{Extent, FolderError, RigSettings, SessionSettings, write_whole};
 use crate::simulation::{Family, SensorModel};
@@ -87,9 +87,12 @@ pub struct Arguments {
     preset: Preset,
 
     /// Guard of rollouts and simulations [default: the box, as published; on a port and with
-    /// --preset machine or robust the envelope]
-    #[arg(long, value_enum, conflicts_with = "resume")]
+    /// --preset machine or robust the envelope]; with --resume that of the experiment
+    #[arg(long, value_enum)]
     guard: Option<GuardArgument>,
+
+    #[command(flatten)]
+    consent: ConsentArgument,
 
     /// What simulations show of the state: as it is, or through encoders and the machine's filter
     /// [default: as it is; with --preset machine or robust encoders]
@@ -188,11 +191,12 @@ const SIMULATED_STARTS: u32 = 1000;
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let device = arguments.qube.choose()?;
-    let opened = match &arguments.resume {
-        Some(directory) => resumed(directory, &device),
-        None => begun(&arguments, &device),
+    let consent = arguments.consent.beside(arguments.guard)?;
+    let (folder, mut settings) = match &arguments.resume {
+        Some(directory) => resumed(directory, arguments.guard, &device)?,
+        None => begun(&arguments, consent, &device)?,
     };
-    let (folder, settings) = opened?;
+    let limits = narrowed(&mut settings, consent, &device)?;
     let stop = Stop::on_signals()?;
     let resume = format!("qube-hil experiment --resume {}", folder.root().display());
     eprintln!("experiment in {}", folder.root().display());
@@ -200,6 +204,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let first = &settings.recipes[0].settings;
     let rig = RigSettings {
         homing: first.homing,
+        limits,
         ..device.rig_settings(
             settings.plants[0].emulated.emulator(settings.seed),
             first.estimator,
@@ -280,8 +285,24 @@ fn draw(
     Ok(())
 }
 
+/// Puts the recipes' boxes within the Qube's own limits, and says what a rig may do with all of them.
+fn narrowed(
+    settings: &mut ExperimentSettings,
+    consent: Option<GuardConsent>,
+    device: &ChosenDevice,
+) -> Result<HardwareLimits, Failure> {
+    for recipe in &mut settings.recipes {
+        recipe.settings.safety_box = device.safety_box(recipe.settings.safety_box);
+        device.limits(&format!("recipe {}", recipe.name), &recipe.settings.safety_box, consent)?;
+    }
+    let guard = consent.map_or(Guard::Envelope, |_| Guard::Box);
+    let widest = device.safety_box(SafetyBox { guard, ..SafetyBox::default() });
+    device.limits("the Qube's file", &widest, consent)
+}
+
 fn begun(
     arguments: &Arguments,
+    consent: Option<GuardConsent>,
     device: &ChosenDevice,
 ) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
     let is_emulated = !device.choice.is_hardware();
@@ -306,7 +327,7 @@ fn begun(
     // judged by more policies rather than by more rollouts.
     let (policies, rollouts) = if strategies.is_some() { (10, 2) } else { (20, 5) };
     let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("experiment"));
-    let settings = ExperimentSettings {
+    let mut settings = ExperimentSettings {
         name: directory
             .file_name()
             .map_or_else(|| "experiment".into(), |name| name.to_string_lossy().into_owned()),
@@ -319,6 +340,7 @@ fn begun(
         strategies,
     };
     settings.check().map_err(Failure::usage)?;
+    narrowed(&mut settings, consent, device)?;
     let toml = settings.to_toml().map_err(Failure::failed)?;
     let folder = ExperimentFolder::create(&directory, &toml).map_err(Failure::usage)?;
     Ok((folder, settings))
@@ -371,10 +393,18 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
 
 fn resumed(
     directory: &Path,
+    guard: Option<GuardArgument>,
     device: &ChosenDevice,
 ) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
     let folder = ExperimentFolder::open(directory).map_err(Failure::usage)?;
     let settings = ExperimentSettings::load(&folder.settings()).map_err(Failure::usage)?;
+    let of_another =
+        |guard| settings.recipes.iter().all(|it| it.settings.safety_box.guard != guard);
+    if guard.is_some_and(|guard| of_another(Guard::from(guard))) {
+        return Err(Failure::usage(
+            "an experiment goes on with the guards that it began with: leave --guard out",
+        ));
+    }
     check_device(settings.strategies.as_ref(), device)?;
     Ok((folder, settings))
 }

@@ -22,6 +22,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         }
         RigError::VirtualPort { .. }
         | RigError::OtherBoard { .. }
+        | RigError::TooWide(_)
         | RigError::Device(_)
         | RigError::Policy(_) => Failure::usage(error),
     }

@@ -1,6 +1,7 @@
 use clap::ValueEnum;
 
-use crate::safety::Guard;
+use super::exit::Failure;
+use crate::safety::{Guard, GuardConsent};
 
 /// `--guard`, as the command line spells it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -17,5 +18,27 @@ impl From<GuardArgument> for Guard {
             GuardArgument::Box => Self::Box,
             GuardArgument::Envelope => Self::Envelope,
         }
+    }
+}
+
+/// The second of the two words that switch the guard off on a real Qube.
+#[derive(Clone, Copy, Debug, clap::Args)]
+#[command(next_help_heading = "Which Qube")]
+pub struct ConsentArgument {
+    /// With --guard box on a real Qube: the arm may reach its hard stop; the recordings say so
+    #[arg(long)]
+    accept_hard_stop: bool,
+}
+
+impl ConsentArgument {
+    /// The operator's consent, where both words are on this command line.
+    pub fn beside(self, guard: Option<GuardArgument>) -> Result<Option<GuardConsent>, Failure> {
+        if self.accept_hard_stop && guard != Some(GuardArgument::Box) {
+            return Err(Failure::usage(
+                "--accept-hard-stop says that the arm may reach its hard stop, which only --guard box \
+                 lets it: give both or neither",
+            ));
+        }
+        Ok(GuardConsent::given(guard.map(Guard::from), self.accept_hard_stop))
     }
 }

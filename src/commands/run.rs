@@ -8,7 +8,7 @@ use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
-use super::guard_argument::GuardArgument;
+use super::guard_argument::{ConsentArgument, GuardArgument};
 use super::number_arguments::between;
 use super::output::Output;
 use super::stop::Stop;
@@ -23,7 +23,7 @@ use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
 use crate::safety::SafetyBox;
 use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Latencies, Rig, RolloutPlan, Verdict, judge_recording,
+    DRIFT_ROLLOUTS, Drift, Latencies, Rig, RigSettings, RolloutPlan, Verdict, judge_recording,
 };
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
@@ -71,6 +71,9 @@ pub struct Arguments {
     /// What ends a rollout: the speed envelope too, or the box alone
     #[arg(long, value_enum, default_value_t = GuardArgument::Envelope)]
     guard: GuardArgument,
+
+    #[command(flatten)]
+    consent: ConsentArgument,
 
     #[command(flatten)]
     estimator: EstimatorArguments,
@@ -143,7 +146,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let profile = device.profile()?;
     let emulated = arguments.emulated.settings()?.unwrap_or_default();
     let emulator = emulated.emulator(arguments.seed);
-    let settings = device.rig_settings(emulator, estimator, arguments.check.skip_check);
+    let guard = arguments.guard.into();
+    let safety_box = device.safety_box(SafetyBox { guard, ..SafetyBox::default() });
+    let consent = arguments.consent.beside(Some(arguments.guard))?;
+    let settings = RigSettings {
+        limits: device.limits("--guard", &safety_box, consent)?,
+        ..device.rig_settings(emulator, estimator, arguments.check.skip_check)
+    };
     if settings.checks() {
         eprintln!("checking the Qube: the arm is pushed a little (--skip-check leaves it out)");
     }
@@ -166,8 +175,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             seed: arguments.seed,
             policy: driver.name.clone(),
             estimator,
-            safety_box: device
-                .safety_box(SafetyBox { guard: arguments.guard.into(), ..SafetyBox::THESIS }),
+            safety_box,
             steps: driver.steps,
         };
         let path = directory.join(format!("rollout-{rollout}.mcap"));

@@ -10,13 +10,14 @@ use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
-use super::guard_argument::GuardArgument;
+use super::guard_argument::{ConsentArgument, GuardArgument};
 use super::output::Output;
 use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
+use crate::safety::{Guard, GuardConsent};
 use crate::session::{Session, SessionFolder, SessionSettings};
 use crate::simulation::SensorModel;
 
@@ -57,9 +58,12 @@ pub struct Arguments {
     resume: Option<PathBuf>,
 
     /// What ends a rollout, simulated or not: the speed envelope too, or the box alone [default:
-    /// envelope, or what --config says]
-    #[arg(long, value_enum, conflicts_with = "resume")]
+    /// envelope, or what --config says]; with --resume that of the session
+    #[arg(long, value_enum)]
     guard: Option<GuardArgument>,
+
+    #[command(flatten)]
+    consent: ConsentArgument,
 
     #[command(flatten)]
     estimator: EstimatorArguments,
@@ -87,6 +91,7 @@ enum Preset {
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let device = arguments.device.choose()?;
+    let consent = arguments.consent.beside(arguments.guard)?;
     let (folder, settings) = match &arguments.resume {
         Some(_) if arguments.emulated.settings()?.is_some() => {
             return Err(Failure::usage(
@@ -100,9 +105,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
                  --filter, --estimator-profile and --estimator-delay-ms out",
             ));
         }
-        Some(directory) => resumed(directory, &device)?,
-        None => begun(&arguments, &device)?,
+        Some(directory) => resumed(directory, arguments.guard, &device)?,
+        None => begun(&arguments, consent, &device)?,
     };
+    let configuration = folder.configuration().display().to_string();
+    let limits = device.limits(&configuration, &settings.safety_box, consent)?;
     if let Some(difference) = estimators_differ(&settings) {
         eprintln!("{difference}");
     }
@@ -110,6 +117,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let rig_settings = crate::session::RigSettings {
         homing: settings.homing,
+        limits,
         ..device.rig_settings(
             settings.emulated.emulator(settings.seed),
             settings.estimator,
@@ -173,6 +181,7 @@ fn described(estimator: &EstimatorSettings) -> String {
 
 fn begun(
     arguments: &Arguments,
+    consent: Option<GuardConsent>,
     device: &ChosenDevice,
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let preset = match arguments.preset {
@@ -196,6 +205,11 @@ fn begun(
     }
     settings.emulated = arguments.emulated.settings()?.unwrap_or(settings.emulated);
     let settings = on_this_qube(settings, device);
+    let origin = match (&arguments.guard, &arguments.config) {
+        (None, Some(path)) => path.display().to_string(),
+        _ => "--guard".into(),
+    };
+    device.limits(&origin, &settings.safety_box, consent)?;
     let configuration = settings.to_toml().map_err(Failure::failed)?;
     let folder = SessionFolder::create(&directory, &configuration)
         .map_err(|error| failures::folder(&error))?;
@@ -204,10 +218,16 @@ fn begun(
 
 fn resumed(
     directory: &Path,
+    guard: Option<GuardArgument>,
     device: &ChosenDevice,
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let folder = SessionFolder::open(directory).map_err(|error| failures::folder(&error))?;
     let settings = SessionSettings::load(&folder.configuration()).map_err(Failure::usage)?;
+    if guard.is_some_and(|guard| Guard::from(guard) != settings.safety_box.guard) {
+        return Err(Failure::usage(
+            "a session goes on with the guard that it began with: leave --guard out",
+        ));
+    }
     Ok((folder, on_this_qube(settings, device)))
 }
 

@@ -83,7 +83,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             seed: arguments.seed,
             policy: "classical".into(),
             estimator,
-            safety_box: device.safety_box(SafetyBox::THESIS),
+            safety_box: device.safety_box(SafetyBox::default()),
             steps: MAX_STEPS as u32,
         };
         rig.rollout(&MachineDisk, &path, plan.header(), &policy)

@@ -73,6 +73,10 @@ impl ExperimentSettings {
         distinct("recipes", &recipes.collect::<Vec<_>>())?;
         let plants = self.plants.iter().map(|plant| plant.name.as_str());
         distinct("plants", &plants.collect::<Vec<_>>())?;
+        for recipe in &self.recipes {
+            let limits = recipe.settings.check_limits();
+            limits.map_err(|reason| format!("recipe {}: {reason}", recipe.name))?;
+        }
         for plant in &self.plants {
             if !(0.0..=0.5).contains(&plant.vary) {
                 return Err(format!("vary = {}: give a number from 0 to 0.5", plant.vary));

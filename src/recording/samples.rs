@@ -33,6 +33,7 @@ pub(crate) fn header() -> RolloutHeader {
             CheckResult::skipped("homing", "not before all else passes"),
         ]),
         motor_heat: Some(MotorHeat { load: 0.25, ..MotorHeat::default() }),
+        hard_stop_accepted: false,
         policy: "nominal".to_owned(),
         settings: TickSettings {
             calibration: Calibration { theta_zero_counts: 12, ..Calibration::IDENTITY },

@@ -4,16 +4,17 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Guard {
-    /// Nothing beside the box, and a brake against the arm's velocity alone: the thesis's set-up,
-    /// and that of every file which does not name its guard.
-    #[default]
+    /// Nothing beside the box, and a brake against the arm's velocity alone: the thesis's set-up.
+    /// A file which does not name its guard is older than the envelope and means this one; its reader
+    /// says so, not [`Default`].
     Box,
     /// The [`super::SpeedEnvelope`], and [`super::Retreat`] back to the middle.
+    #[default]
     Envelope,
 }
 
 impl Guard {
-    /// Whether files need not name it.
+    /// Whether there is nothing beside the box.
     #[must_use]
     pub fn is_box(&self) -> bool {
         *self == Self::Box

@@ -10,7 +10,11 @@ use crate::qube::State;
 ///
 /// Only theta is close to a hardware stop; the other three keep behaviour safe.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[serde(
+    deny_unknown_fields,
+    default = "SafetyBox::of_silent_files",
+    bound(deserialize = "T: Scalar + Deserialize<'de>")
+)]
 pub struct SafetyBox<T = f64> {
     /// Largest |theta|, rad.
     pub theta: T,
@@ -106,9 +110,18 @@ impl<T: Scalar> SafetyBox<T> {
     }
 }
 
+impl<T: Scalar> SafetyBox<T> {
+    /// What a file means that says nothing of a limit or of the guard: it was written before there was
+    /// an envelope, and ran in the thesis's box.
+    fn of_silent_files() -> Self {
+        SafetyBox::THESIS.cast()
+    }
+}
+
 impl Default for SafetyBox {
+    /// The guarded one: who does not choose is safe.
     fn default() -> Self {
-        Self::THESIS
+        Self::GUARDED
     }
 }
 

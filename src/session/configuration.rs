@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 use toml::{Table, Value};
 
+use super::qube_file::LARGEST_OFFSET_RAD;
 use super::{FolderError, ProfileSettings, SessionSettings};
 use crate::qube::MAX_STEPS;
+use crate::safety::{Guard, SafetyBox};
 use crate::simulation::{PsiTarget, SensorModel};
 use crate::storage::{Disk, MachineDisk};
 
@@ -49,12 +51,13 @@ pub enum ConfigurationError {
 }
 
 impl SessionSettings {
-    /// Reads a whole configuration.
+    /// Reads a whole configuration. One that names no guard is older than the envelope and means the
+    /// box alone.
     ///
     /// # Errors
     /// It cannot be read or is no configuration.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
-        Self::default().overridden_by(path)
+        Self::default().under(Guard::Box).overridden_by(path)
     }
 
     /// These settings with the entries of a file instead of their own.
@@ -124,17 +127,7 @@ impl SessionSettings {
 
     /// Says in words what cannot be, if anything cannot.
     fn check(&self) -> Result<(), String> {
-        let positive = [
-            ("safety_box.theta", self.safety_box.theta),
-            ("safety_box.alpha", self.safety_box.alpha),
-            ("safety_box.theta_dot", self.safety_box.theta_dot),
-            ("safety_box.alpha_dot", self.safety_box.alpha_dot),
-        ];
-        for (name, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(format!("{name} = {value}: give a number above 0"));
-            }
-        }
+        self.check_limits()?;
         self.estimator.check().map_err(|error| format!("estimator.{error}"))?;
         if let Some(ProfileSettings { spread, .. }) = self.profile
             && !(0.0..=1.0).contains(&spread)
@@ -160,6 +153,30 @@ impl SessionSettings {
             }
         }
         Ok(())
+    }
+}
+
+impl SessionSettings {
+    /// Says in words which limit is none, or wider than the task's: no file may widen one, on whatever
+    /// Qube it is used.
+    ///
+    /// # Errors
+    /// The first that is not as it may be.
+    pub fn check_limits(&self) -> Result<(), String> {
+        let of_the_task = SafetyBox::GUARDED;
+        self.safety_box.check_within(&of_the_task).map_err(|error| error.to_string())?;
+        let simulated = &self.training.simulation.safety_box;
+        simulated
+            .check_within(&of_the_task)
+            .map_err(|error| format!("training.simulation.{error}"))?;
+        let offset_rad = self.homing.theta_offset_rad;
+        if !(offset_rad.abs() <= LARGEST_OFFSET_RAD) {
+            return Err(format!(
+                "homing.theta_offset_rad = {offset_rad}: give -{LARGEST_OFFSET_RAD} to \
+                 {LARGEST_OFFSET_RAD}, or the box would reach beyond a stop"
+            ));
+        }
+        self.homing.estimator.check().map_err(|error| format!("homing.estimator.{error}"))
     }
 }
 

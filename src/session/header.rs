@@ -50,6 +50,7 @@ impl RolloutPlan {
             device: BTreeMap::new(),
             preflight: Preflight::Unknown,
             motor_heat: None,
+            hard_stop_accepted: false,
             policy: self.policy.clone(),
             settings: TickSettings {
                 calibration: Calibration::IDENTITY,

@@ -17,7 +17,7 @@ use crate::storage::MachineDisk;
 pub const QUBE_FILE: &str = "qube.toml";
 
 /// Zero further from the middle than this is a mistake: the box would reach beyond a stop.
-const LARGEST_OFFSET_RAD: f64 = 0.3;
+pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
 /// Everything that differs from rig to rig.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -15,6 +15,7 @@ use crate::preflight::{
     Examination, ExaminationSettings, examine, homed, homing_left_out, not_homed,
 };
 use crate::recording::{Recorder, RecordingError};
+use crate::safety::{HardwareLimits, TooWide};
 use crate::storage::Disk;
 use crate::telemetry::{
     CheckResult, Ending, Fault, Preflight, RolloutHeader, RolloutOutcome, TickRecord, TickSettings,
@@ -134,6 +135,9 @@ pub enum RigError {
         /// The one that answered.
         found: String,
     },
+    /// A rollout on hardware whose box is wider than it may be.
+    #[error("nothing was run: {0}")]
+    TooWide(#[from] TooWide),
     /// The recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
@@ -166,6 +170,8 @@ pub struct RigSettings {
     pub skip_check: bool,
     /// The serial number of the board that the signs belong to, where it is known.
     pub board: Option<String>,
+    /// The widest box of a rollout where the Qube is hardware; an emulated one has no such limits.
+    pub limits: HardwareLimits,
 }
 
 impl RigSettings {
@@ -199,6 +205,7 @@ pub struct Rig {
     homing: HomingSettings,
     preflight: Preflight,
     clock: ClockChoice,
+    limits: HardwareLimits,
     /// Served until the rig is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
 }
@@ -265,6 +272,7 @@ impl Rig {
             homing: settings.homing,
             preflight: Preflight::Unknown,
             clock: settings.clock,
+            limits: settings.limits,
             _emulator: emulator,
         })
     }
@@ -374,7 +382,8 @@ impl Rig {
     /// filled into the header.
     ///
     /// # Errors
-    /// The device could not be armed, the policy is none, the recording could not be written. A
+    /// The box is wider than a rig that is hardware may have, whoever asks for it; the device could not
+    /// be armed, the policy is none, the recording could not be written. A
     /// rollout that ended by a fault is no error here: its outcome says so.
     pub fn rollout(
         &self,
@@ -383,6 +392,9 @@ impl Rig {
         header: RolloutHeader,
         policy_file: &[u8],
     ) -> Result<Recorded, RigError> {
+        if self.is_hardware() {
+            self.limits.admit(&header.settings.safety_box)?;
+        }
         let policy = Policy::from_bytes(policy_file)?;
         let settings = TickSettings { calibration: self.calibration, ..header.settings };
         let header = RolloutHeader {
@@ -390,6 +402,7 @@ impl Rig {
             device: self.device_by_name(),
             preflight: self.preflight.clone(),
             motor_heat: Some(self.control.cool_motor()?),
+            hard_stop_accepted: self.is_hardware() && settings.safety_box.guard.is_box(),
             settings,
             ..header
         };

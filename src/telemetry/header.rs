@@ -56,6 +56,10 @@ pub struct RolloutHeader {
     /// it, which then plays no part.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motor_heat: Option<MotorHeat>,
+    /// The speed envelope was off on hardware, because the operator had accepted on the command line
+    /// that the arm may reach its hard stop.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub hard_stop_accepted: bool,
     /// Name of the policy.
     pub policy: String,
     /// What decides the tick.
@@ -102,6 +106,10 @@ pub struct RolloutOutcome {
     pub lateness_us: LatencySummary,
     /// From sample to act by the device's clock, microseconds.
     pub sample_to_act_us: LatencySummary,
+}
+
+fn is_false(flag: &bool) -> bool {
+    !flag
 }
 
 fn is_zero(count: &u32) -> bool {

@@ -280,6 +280,7 @@ fn a_control_thread_that_panics_switches_the_amplifier_off_and_is_named() {
             homing: HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() },
             skip_check: false,
             board: None,
+            limits: Default::default(),
         };
         let error = Rig::open(&settings, &Arc::default()).err().unwrap();
         assert!(matches!(error, RigError::ThreadGone(_)), "{error}");

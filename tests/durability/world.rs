@@ -86,6 +86,7 @@ impl Wiring {
             homing: HomingSettings { method, ..HomingSettings::default() },
             skip_check: false,
             board: None,
+            limits: Default::default(),
         }
     }
 }

@@ -1,0 +1,159 @@
+use thiserror::Error;
+
+use super::{Guard, SafetyBox};
+
+/// The operator's word that the arm may reach its hard stop, given on the command line of the very
+/// process that drives.
+///
+/// No file holds one: it can be neither read nor defaulted, and [`given`](Self::given) is the only way
+/// to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GuardConsent(());
+
+impl GuardConsent {
+    /// From the two flags of a command line; none unless both are there.
+    #[must_use]
+    pub fn given(guard: Option<Guard>, accepts_hard_stop: bool) -> Option<Self> {
+        (guard == Some(Guard::Box) && accepts_hard_stop).then_some(Self(()))
+    }
+}
+
+/// The widest box that a Qube which is hardware is driven in. Made of a box that is no wider than the
+/// task's, under the speed envelope unless there is a [`GuardConsent`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HardwareLimits {
+    widest: SafetyBox,
+}
+
+/// Why a box is none to drive a Qube in.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum TooWide {
+    /// No number, or more than may be.
+    #[error("safety_box.{name} = {value}: give a number above 0, at most {widest}")]
+    Limit {
+        /// Which.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// The largest that it may have.
+        widest: f64,
+    },
+    /// The box alone, and nobody has accepted what may come of it.
+    #[error(
+        "guard = \"box\" lets a policy drive the arm of a real Qube into its hard stop: leave the speed \
+         envelope on (guard = \"envelope\"), or give --guard box and --accept-hard-stop both on this \
+         command line"
+    )]
+    GuardOff,
+}
+
+impl HardwareLimits {
+    /// A box with the right to it.
+    ///
+    /// # Errors
+    /// The box is wider than the task's, or leaves the envelope out without consent.
+    pub fn of(safety_box: SafetyBox, consent: Option<GuardConsent>) -> Result<Self, TooWide> {
+        let guard = if consent.is_some() { Guard::Box } else { Guard::Envelope };
+        let of_the_task = Self { widest: SafetyBox { guard, ..SafetyBox::GUARDED } };
+        of_the_task.admit(&safety_box)?;
+        Ok(Self { widest: safety_box })
+    }
+
+    /// Says whether a rollout may have this box.
+    ///
+    /// # Errors
+    /// It is wider than these limits in something.
+    pub fn admit(&self, safety_box: &SafetyBox) -> Result<(), TooWide> {
+        safety_box.check_within(&self.widest)?;
+        if safety_box.guard.is_box() && !self.widest.guard.is_box() {
+            return Err(TooWide::GuardOff);
+        }
+        Ok(())
+    }
+}
+
+impl Default for HardwareLimits {
+    /// The task's box under the speed envelope.
+    fn default() -> Self {
+        Self { widest: SafetyBox::GUARDED }
+    }
+}
+
+impl SafetyBox {
+    /// Says whether each limit is a number above 0 and no wider than another box's, whatever their
+    /// guards.
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub fn check_within(&self, widest: &Self) -> Result<(), TooWide> {
+        for (name, value, widest) in [
+            ("theta", self.theta, widest.theta),
+            ("alpha", self.alpha, widest.alpha),
+            ("theta_dot", self.theta_dot, widest.theta_dot),
+            ("alpha_dot", self.alpha_dot, widest.alpha_dot),
+        ] {
+            // What is not a number fails both comparisons.
+            if !(value > 0.0 && value <= widest) {
+                return Err(TooWide::Limit { name, value, widest });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_nobody_chose_is_guarded() {
+        assert_eq!(Guard::default(), Guard::Envelope);
+        assert_eq!(SafetyBox::default(), SafetyBox::GUARDED);
+        assert_eq!(
+            HardwareLimits::default(),
+            HardwareLimits::of(SafetyBox::GUARDED, None).unwrap()
+        );
+    }
+
+    #[test]
+    fn a_limit_is_narrowed_and_never_widened() {
+        for value in [9.0, 50.0, 2.300001, 0.0, -1.0, f64::NAN, f64::INFINITY] {
+            for safety_box in [
+                SafetyBox { theta: value, ..SafetyBox::GUARDED },
+                SafetyBox { alpha: 10.0 * value, ..SafetyBox::GUARDED },
+                SafetyBox { theta_dot: 20.0 * value, ..SafetyBox::GUARDED },
+                SafetyBox { alpha_dot: 20.0 * value, ..SafetyBox::GUARDED },
+            ] {
+                let consent = GuardConsent::given(Some(Guard::Box), true);
+                for consent in [None, consent] {
+                    let refused = HardwareLimits::of(safety_box, consent).unwrap_err();
+                    let told = refused.to_string();
+                    assert!(told.contains("at most"), "{told}");
+                }
+            }
+        }
+        let narrow = SafetyBox { theta: 1.0, ..SafetyBox::GUARDED };
+        let limits = HardwareLimits::of(narrow, None).unwrap();
+        assert_eq!(limits.admit(&narrow), Ok(()));
+        assert!(limits.admit(&SafetyBox::GUARDED).is_err());
+    }
+
+    #[test]
+    fn the_guard_is_off_by_both_words_alone() {
+        for (guard, accepts) in [
+            (None, false),
+            (None, true),
+            (Some(Guard::Box), false),
+            (Some(Guard::Envelope), false),
+            (Some(Guard::Envelope), true),
+        ] {
+            let consent = GuardConsent::given(guard, accepts);
+            assert_eq!(consent, None);
+            assert_eq!(HardwareLimits::of(SafetyBox::THESIS, consent), Err(TooWide::GuardOff));
+        }
+        let consent = GuardConsent::given(Some(Guard::Box), true);
+        let limits = HardwareLimits::of(SafetyBox::THESIS, consent).unwrap();
+        assert_eq!(limits.admit(&SafetyBox::THESIS), Ok(()));
+        assert_eq!(limits.admit(&SafetyBox::GUARDED), Ok(()));
+    }
+}
