@@ -62,9 +62,122 @@ fn a_second_installation_changes_nothing() {
 
 #[test]
 fn what_cannot_be_is_refused() {
-    for arguments in [&["--prefix"][..], &["--nonsense"], &["--binary", "/no/such/file"]] {
+    for arguments in [
+        &["--prefix"][..],
+        &["--nonsense"],
+        &["--binary", "/no/such/file"],
+        &["--board"],
+        // Each would be more than one board's serial number in a rule.
+        &["--board", "*"],
+        &["--board", "A\", RUN+=\"/bin/sh"],
+        &["--board", "A|B"],
+        &["--board", ""],
+    ] {
         let output = install(arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
         assert!(!output.stderr.is_empty());
     }
+}
+
+/// One port with what udev sees of it and of the board above it.
+struct Port<'a> {
+    vendor: &'a str,
+    product: &'a str,
+    serial: Option<&'a str>,
+}
+
+/// The names that rules give a port: as much of udev's language as ours are written in. What they use
+/// beyond that fails.
+fn names(rules: &str, port: &Port) -> Vec<String> {
+    let mut names = Vec::new();
+    let mut wanted: Option<String> = None;
+    for line in rules.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
+        let terms: Vec<&str> = line.split(", ").collect();
+        let unquoted = |text: &str| text.trim_matches('"').to_owned();
+        if let Some(label) = terms[0].strip_prefix("LABEL=") {
+            wanted.take_if(|wanted| *wanted == unquoted(label));
+            continue;
+        }
+        if wanted.is_some() {
+            continue;
+        }
+        let mut holds = true;
+        for term in terms {
+            let (key, operator, value) = ["==", "!=", "+=", "="]
+                .into_iter()
+                .find_map(|operator| {
+                    let (key, value) = term.split_once(operator)?;
+                    Some((key, operator, unquoted(value)))
+                })
+                .unwrap_or_else(|| panic!("{term} is no term"));
+            let seen = match key {
+                "ACTION" => Some("add"),
+                "SUBSYSTEM" => Some("tty"),
+                "DRIVER" => Some("ftdi_sio"),
+                "ATTRS{idVendor}" => Some(port.vendor),
+                "ATTRS{idProduct}" => Some(port.product),
+                "ATTRS{serial}" => port.serial,
+                _ => None,
+            };
+            let matches = || seen.is_some_and(|seen| value.split('|').any(|one| one == seen));
+            match operator {
+                "==" => holds &= matches(),
+                "!=" => holds &= !matches(),
+                _ if !holds => break,
+                _ if key == "GOTO" => wanted = Some(value),
+                _ if key == "SYMLINK" => names.push(value),
+                _ => {
+                    let known = [
+                        "ATTR{latency_timer}",
+                        "GROUP",
+                        "MODE",
+                        "ENV{ID_MM_DEVICE_IGNORE}",
+                        "OPTIONS",
+                    ];
+                    assert!(known.contains(&key), "{key} is not known here");
+                }
+            }
+        }
+    }
+    assert_eq!(wanted, None, "a label is missing");
+    names
+}
+
+#[test]
+fn only_boards_that_are_known_or_were_told_are_the_qube() {
+    let directory = tempfile::tempdir().unwrap();
+    let prefix = directory.path().to_str().unwrap();
+    let installed = || {
+        let folder = directory.path().join("etc/udev/rules.d");
+        let mut files: Vec<_> =
+            fs::read_dir(folder).unwrap().map(|it| it.unwrap().path()).collect();
+        files.sort();
+        files.iter().map(|file| fs::read_to_string(file).unwrap()).collect::<String>()
+    };
+    let uno = Port { vendor: "2341", product: "0043", serial: Some("7583733") };
+    let ftdi = Port { vendor: "0403", product: "6001", serial: Some("A50285BI") };
+    let other_ftdi = Port { serial: Some("A50285BJ"), ..ftdi };
+    let ch340 = Port { vendor: "1a86", product: "7523", serial: None };
+
+    stdout(&install(&["--prefix", prefix]));
+    assert_eq!(names(&installed(), &uno), ["qube"]);
+    for port in [&ftdi, &other_ftdi, &ch340] {
+        assert!(names(&installed(), port).is_empty(), "{} is taken for a Qube", port.vendor);
+    }
+    assert!(
+        installed().contains("ATTR{latency_timer}=\"1\""),
+        "the latency timer is left at 16 ms"
+    );
+
+    let told = stdout(&install(&["--prefix", prefix, "--board", "A50285BI"]));
+    assert!(told.contains(": 1 (groups"), "{told}");
+    assert_eq!(names(&installed(), &ftdi), ["qube"]);
+    assert!(names(&installed(), &other_ftdi).is_empty());
+    let again = stdout(&install(&["--prefix", prefix, "--board", "A50285BI"]));
+    assert!(again.contains(": 0 (groups"), "{again}");
+    stdout(&install(&["--prefix", prefix, "--board", "A50285BJ"]));
+    stdout(&install(&["--prefix", prefix]));
+    assert_eq!(names(&installed(), &ftdi), ["qube"]);
+    assert_eq!(names(&installed(), &other_ftdi), ["qube"]);
+    assert!(names(&installed(), &ch340).is_empty());
 }

@@ -8,8 +8,14 @@ use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{
     Device, DeviceError, Identity, InProcessWire, LinkFault, SerialLink, Transport,
 };
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::Measurement;
-use qube_hil::session::{ClockChoice, Connect, DeviceChoice, Rig, RigSettings, TimedDevice};
+use qube_hil::recording::{parse, read};
+use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
+use qube_hil::session::{
+    ClockChoice, Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice,
+};
+use qube_hil::storage::MachineDisk;
 
 /// A Qube of which nobody has said whether it is hardware.
 struct Undeclared(SerialLink<InProcessWire>);
@@ -138,4 +144,98 @@ fn what_is_hardware_is_examined_before_its_first_motion() {
         let preflight = rig.preflight();
         assert!(matches!(preflight, qube_hil::telemetry::Preflight::Done(_)), "{preflight:?}");
     }
+}
+
+/// A short rollout of the classical controller in this box; what its recording says of the consent.
+fn rollout(rig: &Rig, safety_box: SafetyBox) -> Result<bool, RigError> {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    let plan = RolloutPlan {
+        session: "test".into(),
+        candidate: None,
+        rollout: 0,
+        attempt: 0,
+        psi: Default::default(),
+        seed: 1,
+        policy: "classical".into(),
+        estimator: Default::default(),
+        safety_box,
+        steps: 10,
+    };
+    let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
+    let recorded = rig.rollout(&MachineDisk, &path, plan.header(), &policy);
+    assert_eq!(path.exists(), recorded.is_ok(), "a rollout that was refused left a file");
+    recorded.map(|recorded| read(&recorded.path).unwrap().header.hard_stop_accepted)
+}
+
+#[test]
+fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
+    let consent = GuardConsent::given(Some(Guard::Box), true);
+    let wide = SafetyBox { theta: 9.0, ..SafetyBox::GUARDED };
+    let open = |limits| {
+        let hardware = DeviceChoice::Other(Arc::new(SilentWay));
+        let settings = RigSettings { limits, skip_check: true, ..rig_settings(hardware) };
+        Rig::open(&settings, &Arc::default()).unwrap()
+    };
+    let rig = open(HardwareLimits::default());
+    for safety_box in [wide, SafetyBox::THESIS, SafetyBox { theta: f64::NAN, ..SafetyBox::GUARDED }]
+    {
+        let refused = rollout(&rig, safety_box).unwrap_err();
+        assert!(matches!(refused, RigError::TooWide(_)), "{refused}");
+    }
+    assert!(!rollout(&rig, SafetyBox::GUARDED).unwrap());
+
+    let rig = open(HardwareLimits::of(SafetyBox::THESIS, consent).unwrap());
+    assert!(rollout(&rig, wide).is_err());
+    assert!(rollout(&rig, SafetyBox::THESIS).unwrap(), "the recording does not say it");
+    assert!(!rollout(&rig, SafetyBox::GUARDED).unwrap());
+
+    // An experiment on an emulated Qube chooses its box.
+    let rig = Rig::open(&rig_settings(DeviceChoice::Emulated), &Arc::default()).unwrap();
+    assert!(!rollout(&rig, SafetyBox::THESIS).unwrap());
+}
+
+/// A file of the fuzzers' corpus, written before there was a guard.
+fn old(name: &str) -> Vec<u8> {
+    let corpus = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus");
+    std::fs::read(corpus.join(name)).unwrap()
+}
+
+#[test]
+fn files_that_name_no_guard_mean_the_box_as_they_ran() {
+    for name in ["recording/block", "recording/two-blocks"] {
+        let bytes = old(name);
+        assert!(!bytes.windows(7).any(|word| word == b"\"guard\""), "{name} names a guard");
+        // A file of the corpus may be torn; a header that reads says what it ran under.
+        let Ok(recording) = parse(&bytes) else { continue };
+        assert_eq!(recording.header.settings.safety_box, SafetyBox::THESIS, "{name}");
+        assert!(!recording.header.hard_stop_accepted);
+    }
+    assert!(parse(&old("recording/two-blocks")).is_ok());
+    let silent: SafetyBox = serde_json::from_str("{\"theta\":2.0}").unwrap();
+    assert_eq!(silent, SafetyBox { theta: 2.0, ..SafetyBox::THESIS });
+    let single: SafetyBox<f32> = serde_json::from_str("{}").unwrap();
+    assert_eq!(single, SafetyBox::THESIS.cast());
+
+    // The part of a session.toml from before there was a guard; the rest of that file is older yet.
+    let whole = String::from_utf8(old("configuration/resolved")).unwrap();
+    let after = whole.split("[safety_box]").nth(1).unwrap();
+    let part = format!("[safety_box]{}", after.split("\n[").next().unwrap());
+    assert!(part.contains("theta = 2.3") && !part.contains("guard"), "{part}");
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("session.toml");
+    std::fs::write(&path, part).unwrap();
+    let settings = qube_hil::session::SessionSettings::load(&path).unwrap();
+    assert_eq!(settings.safety_box, SafetyBox::THESIS);
+}
+
+#[test]
+fn what_is_written_names_its_guard_byte_for_byte_as_before() {
+    let json = serde_json::to_string(&SafetyBox::GUARDED).unwrap();
+    let expected = "{\"theta\":2.3,\"alpha\":12.566370614359172,\"theta_dot\":30.0,\
+                    \"alpha_dot\":40.0,\"guard\":\"envelope\"}";
+    assert_eq!(json, expected);
+    let header = parse(&old("recording/two-blocks")).unwrap().header;
+    let json = serde_json::to_string(&header).unwrap();
+    assert!(!json.contains("hard_stop_accepted"), "{json}");
 }

@@ -1,4 +1,5 @@
-//! Under systemd a session says when it begins, that it goes on, and when it ends.
+//! Under systemd a session says when it begins, that it goes on, and when it ends; and one that
+//! crashes again and again is not started for ever.
 
 use std::os::unix::net::UnixDatagram;
 use std::process::{Command, Stdio};
@@ -40,4 +41,61 @@ fn the_service_manager_is_told() {
     assert_eq!(told.last().map(String::as_str), Some("STOPPING=1"), "{told:?}");
     // At least: two candidates proposed and trained, two rollouts.
     assert!(told.iter().filter(|word| *word == "WATCHDOG=1").count() >= 6, "{told:?}");
+}
+
+/// The value of a setting in its section of the unit; the last one counts, as in systemd.
+fn of_unit(section: &str, name: &str) -> Option<String> {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scripts/qube-hil@.service");
+    let unit = std::fs::read_to_string(path).unwrap();
+    let mut inside = false;
+    let mut value = None;
+    for line in unit.lines().map(str::trim) {
+        if line.starts_with('[') {
+            inside = line == format!("[{section}]");
+        } else if let Some((key, set)) = line.split_once('=')
+            && inside
+            && key == name
+        {
+            value = Some(set.to_owned());
+        }
+    }
+    value
+}
+
+fn seconds(section: &str, name: &str) -> u64 {
+    let value =
+        of_unit(section, name).unwrap_or_else(|| panic!("{name} is missing in [{section}]"));
+    value.parse().unwrap_or_else(|_| panic!("{name}={value} is no number of seconds"))
+}
+
+#[test]
+fn a_loop_of_crashes_ends() {
+    let (interval, burst) =
+        (seconds("Unit", "StartLimitIntervalSec"), seconds("Unit", "StartLimitBurst"));
+    // The longest life of a session that does nothing but check, home and hang: what the manager waits
+    // for it to begin (90 s unless the unit says more), its watchdog, its time to stop.
+    let start = 90;
+    let hangs = start + seconds("Service", "WatchdogSec") + seconds("Service", "TimeoutStopSec");
+    let between_starts = hangs + seconds("Service", "RestartSec");
+    assert!(
+        burst * between_starts < interval,
+        "{burst} x {between_starts} s do not fit {interval} s"
+    );
+    assert!((2..=5).contains(&burst), "{burst} times homed unattended");
+}
+
+#[test]
+fn what_somebody_must_look_at_is_not_started_again() {
+    let prevented = of_unit("Service", "RestartPreventExitStatus").unwrap();
+    let prevented: Vec<&str> = prevented.split(' ').collect();
+    // The program's own exit codes; 4 is a fault.
+    for code in ["1", "2", "3", "4"] {
+        assert!(prevented.contains(&code), "{code} starts again");
+    }
+    // Whoever sends a signal has asked it to stop: 128 + SIGHUP, SIGINT, SIGTERM.
+    let stopped = of_unit("Service", "SuccessExitStatus").unwrap();
+    for code in ["129", "130", "143"] {
+        assert!(stopped.split(' ').any(|stopped| stopped == code), "{code} starts again");
+    }
+    assert_eq!(of_unit("Service", "Restart").as_deref(), Some("on-failure"));
 }

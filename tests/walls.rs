@@ -42,16 +42,17 @@ const ROOMS: &[Room] = &[
     room("safety", &["qube", "elementary"]),
     Room {
         name: "policy",
-        may_import: &["qube", "elementary"],
+        may_import: &["qube", "elementary", "storage"],
         tests_may_import: &["estimation", "safety"],
     },
     // Its lanes are tested against the emulator's plant.
     Room {
         name: "simulation",
-        may_import: &["qube", "elementary", "estimation", "safety"],
+        may_import: &["qube", "elementary", "estimation", "safety", "storage"],
         tests_may_import: &["device"],
     },
-    room("learning", &["simulation", "policy", "estimation", "safety", "qube", "elementary"]),
+    room("learning", &["simulation", "policy", "estimation", "safety", "qube", "elementary",
+                       "storage"]),
     room("surrogate", &[]),
     room("search", &["surrogate"]),
     room("device", &["clock", "qube", "firmware_protocol"]),
@@ -64,7 +65,7 @@ const ROOMS: &[Room] = &[
         tests_may_import: &["estimation", "safety"],
     },
     room("replay", &["recording", "control", "policy", "safety", "estimation", "simulation",
-                     "telemetry", "qube", "elementary"]),
+                     "telemetry", "qube", "elementary", "storage"]),
     room("identification", &["replay", "qube"]),
     // The check measures with the tick's own clock and drive, and speaks of signs and faults.
     room("preflight", &["clock", "device", "control", "estimation", "safety", "telemetry", "qube",

@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 
 use super::exit::Failure;
+use super::printable::tell;
 use super::profile;
 use crate::control::{HomingMethod, HomingSettings};
 use crate::device::emulator::EmulatorSettings;
@@ -102,7 +103,7 @@ impl QubeArguments {
         };
         let file = path.map(QubeFile::load).transpose().map_err(Failure::usage)?;
         if let Some(path) = path {
-            eprintln!("this Qube's settings are those in {}", path.display());
+            tell(&format!("this Qube's settings are those in {}", path.display()));
         }
         let port_of_file = file.as_ref().and_then(|file| file.port.clone());
         let choice = match (self.device.as_deref(), path) {

@@ -2,6 +2,8 @@
 
 use std::process::ExitCode;
 
+use super::printable::tell;
+
 /// Why a command did not end well: its exit code, and one sentence for the user.
 #[derive(Debug)]
 pub struct Failure {
@@ -37,7 +39,7 @@ impl Failure {
 
     /// Tells the user, and the exit code.
     pub fn report(&self) -> ExitCode {
-        eprintln!("qube-hil: {}", self.message);
+        tell(&format!("qube-hil: {}", self.message));
         ExitCode::from(self.code)
     }
 }

@@ -14,6 +14,7 @@ use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument};
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
+use super::printable::tell;
 use super::stop::Stop;
 use super::strategy_arguments::{StrategyArguments, check_device};
 use super::{dated_folder, experiment_table, strategy_table};
@@ -199,7 +200,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let limits = narrowed(&mut settings, consent, &device)?;
     let stop = Stop::on_signals()?;
     let resume = format!("qube-hil experiment --resume {}", folder.root().display());
-    eprintln!("experiment in {}", folder.root().display());
+    tell(&format!("experiment in {}", folder.root().display()));
 
     let first = &settings.recipes[0].settings;
     let rig = RigSettings {

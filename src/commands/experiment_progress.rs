@@ -2,6 +2,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::printable::printable;
 use crate::experiment::{AnswerResult, Behaviour, ExperimentSettings, Judgement, News, Repetition};
 use crate::session::Progress;
 
@@ -93,6 +94,7 @@ impl ExperimentProgress {
 
     fn line(&self, text: String) {
         // Without a terminal the bar is hidden and would swallow the line.
+        let text = printable(&text);
         if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
     }
 }

@@ -5,8 +5,10 @@ use std::io::Write;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::exit::Failure;
+use super::printable::one_line;
 use super::stop::Stop;
 use crate::experiment::ExperimentError;
+use crate::policy::PolicyError;
 use crate::recording::RecordingError;
 use crate::session::{FolderError, RigError, SessionError};
 
@@ -23,8 +25,8 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::VirtualPort { .. }
         | RigError::OtherBoard { .. }
         | RigError::TooWide(_)
-        | RigError::Device(_)
-        | RigError::Policy(_) => Failure::usage(error),
+        | RigError::Device(_) => Failure::usage(error),
+        RigError::Policy(_) => Failure::usage(one_line(&error.to_string())),
     }
 }
 
@@ -49,8 +51,13 @@ pub fn recording(error: &RecordingError) -> Failure {
     match error {
         RecordingError::DiskFull { .. } | RecordingError::Write { .. } => Failure::failed(error),
         RecordingError::Create { .. } => Failure::usage(error),
-        _ => Failure::data_lost(error),
+        _ => Failure::data_lost(one_line(&error.to_string())),
     }
+}
+
+/// Of a policy's file, which may be anybody's.
+pub fn policy(error: &PolicyError) -> Failure {
+    Failure::usage(one_line(&error.to_string()))
 }
 
 /// Of a session's folder.
@@ -76,7 +83,8 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::Ledger(_) | SessionError::Training(_) | SessionError::Search(_) => {
             Failure::failed(error)
         }
-        SessionError::Policy(_) | SessionError::Psi(_) => Failure::usage(error),
+        SessionError::Policy(error) => policy(&error),
+        SessionError::Psi(_) => Failure::usage(error),
     }
 }
 

@@ -153,8 +153,7 @@ fn plot(folder: &Path, path: &Path, log: &MotionLog, model: &QubeModel) -> Resul
     let name = file_name(path);
     let svg = plot_svg(&name, log, &open_loop).map_err(Failure::failed)?;
     let picture = folder.join(format!("{name}.svg"));
-    std::fs::write(&picture, svg)
-        .map_err(|error| Failure::failed(format!("{}: {error}", picture.display())))
+    write_whole(&MachineDisk, &picture, svg.as_bytes()).map_err(Failure::failed)
 }
 
 fn table(identified: &Identified) -> String {

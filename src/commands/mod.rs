@@ -20,6 +20,7 @@ mod identify;
 mod number_arguments;
 mod output;
 mod plant_arguments;
+mod printable;
 mod profile;
 mod recover;
 mod replay;
@@ -141,7 +142,7 @@ fn dated_folder(command: &str) -> PathBuf {
 /// Says what the control thread was refused, each with its cure.
 fn warn_without_realtime(realtime: &RealtimeReport) {
     for refusal in realtime.refusals() {
-        eprintln!("warning: {refusal}");
+        printable::tell(&format!("warning: {refusal}"));
     }
 }
 

@@ -2,6 +2,8 @@ use std::io::Write;
 
 use serde::Serialize;
 
+use super::printable::{printable, printable_json};
+
 /// Where results go: stdout, as text for people or as one JSON object for scripts.
 #[derive(Debug)]
 pub struct Output {
@@ -18,8 +20,8 @@ impl Output {
     pub fn print(&self, text: &str, value: &impl Serialize) {
         let mut stdout = std::io::stdout().lock();
         let _ = match (self.json, serde_json::to_string(value)) {
-            (true, Ok(line)) => writeln!(stdout, "{line}"),
-            (false, _) | (true, Err(_)) => writeln!(stdout, "{}", text.trim_end()),
+            (true, Ok(line)) => writeln!(stdout, "{}", printable_json(&line)),
+            (false, _) | (true, Err(_)) => writeln!(stdout, "{}", printable(text.trim_end())),
         };
         let _ = stdout.flush();
     }

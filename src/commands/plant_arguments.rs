@@ -59,7 +59,8 @@ impl PlantArguments {
             return Ok(vec![Plant { name, emulated, vary: self.vary }]);
         };
         let wrong = |reason: String| Failure::usage(format!("{}: {reason}", path.display()));
-        let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+        let text = crate::storage::read_text(path, crate::storage::SETTINGS_BYTES)
+            .map_err(|error| wrong(error.to_string()))?;
         let file: PlantsFile =
             toml::from_str(&text).map_err(|error| wrong(error.to_string().trim_end().into()))?;
         file.plants.into_iter().map(|entry| entry.plant(path)).collect()

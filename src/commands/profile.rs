@@ -2,6 +2,7 @@ use std::path::Path;
 
 use super::exit::Failure;
 use crate::qube::{Profile, QubeModel};
+use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// The name of the thesis's Qube.
 pub const IDEAL: &str = "ideal";
@@ -22,7 +23,7 @@ pub fn named(name: &str) -> Result<QubeModel, Failure> {
 
 /// Reads the file that describes a Qube.
 pub fn load(path: &Path) -> Result<Profile, Failure> {
-    let text = std::fs::read_to_string(path)
+    let text = read_text(path, SETTINGS_BYTES)
         .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
     Profile::parse(&text).map_err(|error| Failure::usage(format!("{}: {error}", path.display())))
 }

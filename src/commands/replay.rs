@@ -7,11 +7,14 @@ use serde_json::json;
 
 use super::exit::Failure;
 use super::output::Output;
+use super::printable::one_line;
 use super::profile;
 use crate::policy::Policy;
 use crate::qube::QubeModel;
 use crate::recording::{Completeness, Recording, RecordingError, read};
 use crate::replay::{AngleError, MotionLog, Rerun, plot_svg, rerun, simulate_beside};
+use crate::session::write_whole;
+use crate::storage::MachineDisk;
 
 /// Run recordings again: recompute the return, put the recorded measurements through the very tick
 /// that ran on the Qube, and compare every voltage bit for bit
@@ -167,8 +170,9 @@ fn rerun_recording(
     text: &mut String,
 ) -> Result<Result<(), Problem>, Problem> {
     let path = report.path.display().to_string();
-    let policy = Policy::from_bytes(&recording.policy)
-        .map_err(|error| Problem::usage(format!("{path}: its policy cannot be run: {error}")))?;
+    let policy = Policy::from_bytes(&recording.policy).map_err(|error| {
+        Problem::usage(one_line(&format!("{path}: its policy cannot be run: {error}")))
+    })?;
     let rerun = rerun(recording, policy);
     report.return_recorded = Some(rerun.return_recorded);
     report.return_recomputed = Some(rerun.return_recomputed);
@@ -183,7 +187,7 @@ fn rerun_recording(
         recording.ticks.len(),
     );
     Ok(findings(recording, &rerun)
-        .map_or(Ok(()), |what| Err(Problem::data_lost(format!("{path}: {what}")))))
+        .map_or(Ok(()), |what| Err(Problem::data_lost(one_line(&format!("{path}: {what}"))))))
 }
 
 /// What is wrong with a recording, if anything is.
@@ -238,8 +242,7 @@ fn simulate_file(
         let name = picture_name(&arguments.files, &report.path);
         let picture = folder.join(format!("{name}.svg"));
         let svg = plot_svg(&name, log, &open_loop).map_err(Problem::failed)?;
-        fs::write(&picture, svg)
-            .map_err(|error| Problem::failed(format!("{}: {error}", picture.display())))?;
+        write_whole(&MachineDisk, &picture, svg.as_bytes()).map_err(Problem::failed)?;
     }
     Ok(())
 }
@@ -274,12 +277,14 @@ fn overall(errors: &[Rmse]) -> Option<Rmse> {
 }
 
 fn recording_problem(error: &RecordingError) -> Problem {
-    if is_bad_input(error) { Problem::usage(error) } else { Problem::failed(error) }
+    let (bad_input, error) = (is_bad_input(error), error.to_string());
+    if bad_input { Problem::usage(one_line(&error)) } else { Problem::failed(one_line(&error)) }
 }
 
 /// The exit code of what went wrong with a recording.
 pub fn recording_failure(error: &RecordingError) -> Failure {
-    if is_bad_input(error) { Failure::usage(error) } else { Failure::failed(error) }
+    let (bad_input, error) = (is_bad_input(error), error.to_string());
+    if bad_input { Failure::usage(one_line(&error)) } else { Failure::failed(one_line(&error)) }
 }
 
 /// A bad file is bad input; a disk that fails is a failure.

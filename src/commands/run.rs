@@ -11,6 +11,7 @@ use super::exit::Failure;
 use super::guard_argument::{ConsentArgument, GuardArgument};
 use super::number_arguments::between;
 use super::output::Output;
+use super::printable::tell;
 use super::stop::Stop;
 use super::{astray_line, dated_folder, failures, heat_line, timing_lines, warn_without_realtime};
 use crate::control::HomingMethod;
@@ -183,7 +184,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             .rollout(&MachineDisk, &path, plan.header(), driver.file(rollout))
             .map_err(|error| {
                 // What was finished before it is on disk, and worth seeing.
-                eprint!("{}", results.lines);
+                tell(&results.lines);
                 failures::rig(error, &stop)
             })?;
         results.add(&recorded.path)?;
@@ -220,7 +221,9 @@ fn policy_file(name: &str) -> Result<Vec<u8>, Failure> {
         let controller = ClassicalController::new(ClassicalGains::default());
         return Ok(Policy::Classical(controller).to_bytes());
     }
-    Policy::load(Path::new(name)).map_err(Failure::usage).map(|policy| policy.to_bytes())
+    Policy::load(Path::new(name))
+        .map_err(|error| failures::policy(&error))
+        .map(|policy| policy.to_bytes())
 }
 
 /// What `identify` would make of the recording of an excitation.
@@ -265,7 +268,7 @@ struct Results {
 
 impl Results {
     fn add(&mut self, path: &Path) -> Result<(), Failure> {
-        let recording = read(path).map_err(Failure::data_lost)?;
+        let recording = read(path).map_err(|error| failures::recording(&error))?;
         self.latencies.add(&recording.ticks);
         let outcome = recording.outcome.as_ref();
         self.times_astray += outcome.map_or(0, |outcome| u64::from(outcome.times_astray));

@@ -12,6 +12,7 @@ use super::exit::Failure;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument};
 use super::output::Output;
+use super::printable::tell;
 use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
@@ -111,7 +112,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let configuration = folder.configuration().display().to_string();
     let limits = device.limits(&configuration, &settings.safety_box, consent)?;
     if let Some(difference) = estimators_differ(&settings) {
-        eprintln!("{difference}");
+        tell(&difference);
     }
     let profile = device.profile()?;
     let stop = Stop::on_signals()?;
@@ -125,7 +126,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         )
     };
     let resume = format!("qube-hil session --resume {}", folder.root().display());
-    eprintln!("session in {}", folder.root().display());
+    tell(&format!("session in {}", folder.root().display()));
     if rig_settings.checks() {
         eprintln!("first the Qube is checked and homed (--skip-check leaves the check out)");
     }
@@ -146,7 +147,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let table = SessionTable::read(&mut session).map_err(failed)?;
     if let Err(error) = ended {
         // What is finished can be seen, whatever ended the session.
-        eprintln!("{}", table.text());
+        tell(&table.text());
         return Err(failed(error));
     }
     let mut result: Value = table.json();

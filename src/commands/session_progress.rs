@@ -3,6 +3,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::printable::printable;
 use super::warn_without_realtime;
 use crate::session::{Progress, Purpose, SessionSettings, Verdict};
 use crate::telemetry::Ending;
@@ -94,6 +95,7 @@ impl SessionProgress {
 
     fn line(&self, text: String) {
         // Without a terminal the bar is hidden and would swallow the line.
+        let text = printable(&text);
         if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
     }
 }

@@ -88,7 +88,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         };
         rig.rollout(&MachineDisk, &path, plan.header(), &policy)
             .map_err(|error| failures::rig(error, &stop))?;
-        soaked.add(&read(&path).map_err(Failure::data_lost)?);
+        soaked.add(&read(&path).map_err(|error| failures::recording(&error))?);
         folder.is_done_with(&path)?;
         if soaked.rollouts.is_multiple_of(200) {
             eprintln!("{:.1} h of {} h", soaked.hours(), arguments.hours);
@@ -125,8 +125,9 @@ impl Folder {
         let keeps = keep.is_some();
         let name = format!("qube-hil-soak-{}", std::process::id());
         let path = keep.unwrap_or_else(|| std::env::temp_dir().join(name));
-        std::fs::create_dir_all(&path)
-            .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
+        // What it deletes in the end, it has made: others may put folders there too.
+        let made = if keeps { std::fs::create_dir_all(&path) } else { std::fs::create_dir(&path) };
+        made.map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
         Ok(Self { path, keeps })
     }
 

@@ -7,6 +7,7 @@ use super::settings::check_name;
 use crate::learning::Origin;
 use crate::session::{Model, SessionSettings};
 use crate::simulation::{DomainDistribution, PsiError, SimulationSettings};
+use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// What a recipe's simulations are drawn from (the thesis's section 5.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -156,7 +157,8 @@ impl Recipe {
     /// The file cannot be read or is no recipe.
     pub fn load(path: &Path, base: &SessionSettings) -> Result<Self, ExperimentError> {
         let unreadable = |reason: String| ExperimentError::Recipe { path: path.to_owned(), reason };
-        let text = std::fs::read_to_string(path).map_err(|error| unreadable(error.to_string()))?;
+        let text =
+            read_text(path, SETTINGS_BYTES).map_err(|error| unreadable(error.to_string()))?;
         let file: RecipeFile = toml::from_str(&text)
             .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
         check_name("name", &file.name).map_err(unreadable)?;

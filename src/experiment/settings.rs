@@ -3,6 +3,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{ExperimentError, Plant, Recipe, RecipeModel, StrategySettings};
+use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// Everything that decides an experiment, as `experiment.toml` holds it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -37,7 +38,8 @@ impl ExperimentSettings {
     pub fn load(path: &Path) -> Result<Self, ExperimentError> {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
-        let text = std::fs::read_to_string(path).map_err(|error| unreadable(error.to_string()))?;
+        let text =
+            read_text(path, SETTINGS_BYTES).map_err(|error| unreadable(error.to_string()))?;
         let settings: Self = toml::from_str(&text)
             .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
         settings.check().map_err(unreadable)?;

@@ -11,6 +11,10 @@ use super::learner::Learner;
 use super::network::Network;
 use super::trainer::Trainer;
 use super::{TrainError, TrainSettings};
+use crate::storage::{Disk, MachineDisk, read_bounded};
+
+/// The largest checkpoint that is read. Those of the thesis's training have some 400 kB.
+const MAX_FILE_BYTES: u64 = 64 << 20;
 
 /// Changes when the content of a checkpoint does.
 const VERSION: &str = "2";
@@ -47,7 +51,7 @@ impl Checkpointing {
 
     /// Puts a new trainer where the file left off; does nothing when there is no file.
     pub(super) fn resume(&self, trainer: &mut Trainer<'_>) -> Result<(), TrainError> {
-        let bytes = match fs::read(&self.path) {
+        let bytes = match read_bounded(&self.path, MAX_FILE_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
             Err(error) => return Err(self.file_error(error)),
@@ -183,8 +187,8 @@ fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(".new");
     let new = path.with_file_name(name);
-    let mut file = fs::File::create(&new)?;
+    let mut file = MachineDisk.create(&new, true)?;
     file.write_all(bytes)?;
-    file.sync_all()?;
-    fs::rename(&new, path)
+    file.sync()?;
+    MachineDisk.rename(&new, path)
 }

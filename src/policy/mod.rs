@@ -2,7 +2,7 @@
 //! classical controller (energy swing-up + balance), which needs no training; and excitations,
 //! whose recordings tell what a Qube is made of.
 //!
-//! May import `qube` and `elementary`; never `learning`: what is deployed runs without the trainer.
+//! May import `qube`, `elementary` and `storage` (to read a file); never `learning`: what is deployed runs without the trainer.
 
 mod classical;
 mod excitation;
@@ -12,8 +12,6 @@ mod file_tests;
 mod network;
 mod training_record;
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 pub use classical::{ClassicalController, ClassicalGains};
@@ -23,6 +21,7 @@ pub use network::{LayerWeights, MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkEr
 pub use training_record::{SimulatedGuard, SimulatedObserver, SimulatedSensors, TrainingRecord};
 
 use crate::qube::State;
+use crate::storage::read_bounded;
 
 /// What decides the voltage in a rollout. All kinds travel as the same sort of file, so that a
 /// rollout's recording holds whatever drove it.
@@ -104,10 +103,7 @@ impl Policy {
     /// The file cannot be read or is no policy; the message says why and what to do.
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
         let unreadable = |source| PolicyError::Unreadable { path: path.to_owned(), source };
-        let mut bytes = Vec::new();
-        let file = File::open(path).map_err(unreadable)?;
-        // One byte more than allowed is enough to see that there are more.
-        file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+        let bytes = read_bounded(path, MAX_FILE_BYTES).map_err(unreadable)?;
         Self::from_bytes(&bytes).map_err(|fault| PolicyError::Bad { path: path.to_owned(), fault })
     }
 

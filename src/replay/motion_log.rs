@@ -1,5 +1,4 @@
 use std::f64::consts::PI;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -8,6 +7,7 @@ use thiserror::Error;
 use super::csv::{CsvError, parse_csv};
 use crate::qube::State;
 use crate::recording::{self, Recording, RecordingError};
+use crate::storage::{open_regular, read_text};
 use crate::telemetry::Phase;
 
 /// The largest text file that is read.
@@ -75,10 +75,7 @@ impl MotionLog {
             return Self::of_recording(&recording)
                 .ok_or_else(|| MotionLogError::NeverRan { path: path.to_owned() });
         }
-        let mut text = String::new();
-        File::open(path)
-            .and_then(|file| file.take(MAX_FILE_BYTES).read_to_string(&mut text))
-            .map_err(|source| read_error(path, source))?;
+        let text = read_text(path, MAX_FILE_BYTES).map_err(|source| read_error(path, source))?;
         let samples =
             parse_csv(&text).map_err(|why| MotionLogError::Csv { path: path.to_owned(), why })?;
         Ok(Self { samples })
@@ -120,7 +117,7 @@ impl MotionLog {
 /// The file cannot be read.
 fn is_mcap(path: &Path) -> std::io::Result<bool> {
     let mut start = Vec::new();
-    File::open(path)?.take(mcap::MAGIC.len() as u64).read_to_end(&mut start)?;
+    open_regular(path)?.take(mcap::MAGIC.len() as u64).read_to_end(&mut start)?;
     Ok(start == mcap::MAGIC)
 }
 

@@ -5,16 +5,16 @@
 
 mod braking;
 mod guard;
-mod motor_heat;
 mod hardware_limits;
+mod motor_heat;
 mod safety_box;
 mod speed_envelope;
 mod voltage_gate;
 
 pub use braking::{Retreat, brake_voltage};
 pub use guard::Guard;
-pub use motor_heat::{COOLED_LOAD, LARGEST_LOAD, MotorHeat, WARNING_LOAD};
 pub use hardware_limits::{GuardConsent, HardwareLimits, TooWide};
+pub use motor_heat::{COOLED_LOAD, LARGEST_LOAD, MotorHeat, WARNING_LOAD};
 pub use safety_box::{Limit, SafetyBox};
 pub use speed_envelope::SpeedEnvelope;
 pub use voltage_gate::{NotANumber, gate};

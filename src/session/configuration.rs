@@ -10,10 +10,7 @@ use super::{FolderError, ProfileSettings, SessionSettings};
 use crate::qube::MAX_STEPS;
 use crate::safety::{Guard, SafetyBox};
 use crate::simulation::{PsiTarget, SensorModel};
-use crate::storage::{Disk, MachineDisk};
-
-/// The largest configuration that is read; ours have 2 kB.
-const MAX_FILE_BYTES: u64 = 1 << 20;
+use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// What is wrong with a configuration.
 #[derive(Debug, Error)]
@@ -181,14 +178,9 @@ impl SessionSettings {
 }
 
 /// The text of a configuration.
-fn read(path: &Path) -> Result<String, ConfigurationError> {
-    let unreadable = |source| ConfigurationError::Unreadable { path: path.to_owned(), source };
-    let bytes = MachineDisk.read(path, MAX_FILE_BYTES).map_err(unreadable)?;
-    if bytes.len() as u64 > MAX_FILE_BYTES {
-        let reason = format!("more than {MAX_FILE_BYTES} bytes are no configuration");
-        return Err(ConfigurationError::OutOfRange { path: path.to_owned(), reason });
-    }
-    String::from_utf8(bytes).map_err(|error| unreadable(std::io::Error::other(error.utf8_error())))
+pub(super) fn read(path: &Path) -> Result<String, ConfigurationError> {
+    read_text(path, SETTINGS_BYTES)
+        .map_err(|source| ConfigurationError::Unreadable { path: path.to_owned(), source })
 }
 
 fn lay_over(below: &mut Table, above: Table) {

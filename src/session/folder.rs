@@ -204,11 +204,14 @@ fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
     };
     for name in names {
         let path = root.join(&name);
-        let is_left_over = match name.to_str() {
-            Some("candidates") => disk.names(&path).is_ok_and(|candidates| candidates.is_empty()),
-            Some("session.unfinished") => true,
-            _ => false,
-        };
+        let is_left_over = !disk.is_link(&path)
+            && match name.to_str() {
+                Some("candidates") => {
+                    disk.names(&path).is_ok_and(|candidates| candidates.is_empty())
+                }
+                Some("session.unfinished") => true,
+                _ => false,
+            };
         if !is_left_over {
             return Ok(false);
         }

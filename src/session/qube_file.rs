@@ -7,6 +7,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::ConfigurationError;
+use super::configuration::read;
 use super::folder::write_whole;
 use crate::control::{HomingMethod, HomingSettings};
 use crate::estimation::{Calibration, EstimatorSettings};
@@ -122,8 +123,7 @@ impl QubeFile {
     /// # Errors
     /// It cannot be read; a key does not exist or a value cannot be, each named with its line.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigurationError::Unreadable { path: path.to_owned(), source })?;
+        let text = read(path)?;
         toml::from_str(&text).map_err(|source| ConfigurationError::Invalid {
             path: path.to_owned(),
             source: Box::new(source),
@@ -212,7 +212,7 @@ fn alpha_dot_limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D:
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<QubeFile, ConfigurationError> {
+    fn read_back(text: &str) -> Result<QubeFile, ConfigurationError> {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(QUBE_FILE);
         std::fs::write(&path, text).unwrap();
@@ -239,7 +239,7 @@ mod tests {
 
     #[test]
     fn an_empty_file_is_a_qube_without_peculiarities() {
-        let file = read("").unwrap();
+        let file = read_back("").unwrap();
         assert_eq!(file, QubeFile::default());
         assert_eq!(file.within_limits(&SafetyBox::THESIS), SafetyBox::THESIS);
         assert_eq!(Calibration::from(file.signs), Calibration::IDENTITY);
@@ -247,7 +247,7 @@ mod tests {
 
     #[test]
     fn limits_only_narrow_a_box() {
-        let file = read("[limits]\ntheta_rad = 1.5\n").unwrap();
+        let file = read_back("[limits]\ntheta_rad = 1.5\n").unwrap();
         let narrow = SafetyBox { theta: 1.0, ..SafetyBox::THESIS };
         assert_eq!(file.within_limits(&narrow), narrow);
         assert_eq!(file.within_limits(&SafetyBox::THESIS).theta, 1.5);
@@ -265,7 +265,7 @@ mod tests {
             ("[limits]\nalpha_dot_rad_s = -1.0\n", ["line 2", "above 0"]),
             ("[limits]\ntheta_dot_rad_s = nan\n", ["line 2", "above 0"]),
         ] {
-            let message = read(text).unwrap_err().to_string();
+            let message = read_back(text).unwrap_err().to_string();
             for word in words.iter().chain(&[QUBE_FILE]) {
                 assert!(message.contains(word), "{word:?} is missing in: {message}");
             }

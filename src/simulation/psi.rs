@@ -6,6 +6,7 @@ use thiserror::Error;
 
 use super::{DistributionError, PsiTarget};
 use crate::qube::Quantity;
+use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// The parameters of the distribution over simulations: what the search varies. A list of what is
 /// shaped and by which number, always physical; where it is searched is a [`super::PsiSpace`].
@@ -148,7 +149,7 @@ impl Psi {
     /// # Errors
     /// The file cannot be read, has a name that means nothing, or a value that is not physical.
     pub fn load(path: &Path) -> Result<Self, PsiError> {
-        let text = std::fs::read_to_string(path)
+        let text = read_text(path, SETTINGS_BYTES)
             .map_err(|source| PsiError::Unreadable { path: path.to_owned(), source })?;
         toml::from_str(&text)
             .map_err(|source| PsiError::NotPsi { path: path.to_owned(), source: Box::new(source) })

@@ -1,9 +1,10 @@
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, SeekFrom};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-use super::{Disk, DiskFile, Hold, sync_name};
+use super::{Disk, DiskFile, Hold, open_regular, sync_name};
 
 /// The disk of this machine.
 #[derive(Clone, Copy, Debug, Default)]
@@ -24,25 +25,35 @@ impl Disk for MachineDisk {
     }
 
     fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>> {
-        let mut options = OpenOptions::new();
-        options.write(true).create_new(!replace).create(replace).truncate(replace);
-        Ok(Box::new(options.open(path)?))
+        if replace {
+            match fs::remove_file(path) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                _ => {}
+            }
+        }
+        Ok(Box::new(OpenOptions::new().write(true).create_new(true).open(path)?))
     }
 
     fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>> {
-        let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
+        let mut options = OpenOptions::new();
+        options.write(true).create(true).truncate(false).custom_flags(libc::O_NOFOLLOW);
+        let mut file = options.open(path)?;
         file.seek(SeekFrom::End(0))?;
         Ok(Box::new(file))
     }
 
     fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        File::open(path)?.take(limit.saturating_add(1)).read_to_end(&mut bytes)?;
+        open_regular(path)?.take(limit.saturating_add(1)).read_to_end(&mut bytes)?;
         Ok(bytes)
     }
 
     fn exists(&self, path: &Path) -> bool {
         path.exists()
+    }
+
+    fn is_link(&self, path: &Path) -> bool {
+        path.is_symlink()
     }
 
     fn names(&self, folder: &Path) -> io::Result<Vec<OsString>> {
@@ -101,5 +112,29 @@ mod tests {
         assert_eq!(MachineDisk.names(&folder).unwrap(), ["file"]);
         let no_folder = MachineDisk.names(&path).unwrap_err();
         assert_eq!(no_folder.kind(), io::ErrorKind::NotADirectory);
+    }
+
+    #[test]
+    fn a_link_that_somebody_has_prepared_leads_nowhere() {
+        let directory = tempfile::tempdir().unwrap();
+        let (foreign, path) = (directory.path().join("foreign"), directory.path().join("mine"));
+        fs::write(&foreign, "precious").unwrap();
+        for dangling in [false, true] {
+            let target = if dangling { directory.path().join("nothing") } else { foreign.clone() };
+            let link = || std::os::unix::fs::symlink(&target, &path).unwrap();
+            link();
+            assert!(MachineDisk.is_link(&path));
+            assert!(MachineDisk.create(&path, false).is_err());
+            assert!(MachineDisk.append(&path).is_err());
+            MachineDisk.create(&path, true).unwrap().write_all(b"mine").unwrap();
+            assert!(!MachineDisk.is_link(&path));
+            fs::remove_file(&path).unwrap();
+            // Neither does another name of the same file.
+            fs::hard_link(&foreign, &path).unwrap();
+            MachineDisk.create(&path, true).unwrap().write_all(b"mine").unwrap();
+            fs::remove_file(&path).unwrap();
+            assert_eq!(fs::read(&foreign).unwrap(), b"precious");
+            assert!(!directory.path().join("nothing").exists());
+        }
     }
 }

@@ -3,8 +3,10 @@
 //!
 //! Imports nothing.
 
+mod bounded;
 mod machine_disk;
 
+pub use bounded::{SETTINGS_BYTES, open_regular, read_bounded, read_text};
 pub use machine_disk::MachineDisk;
 
 use std::ffi::OsString;
@@ -24,20 +26,21 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The operating system refused.
     fn create_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Makes a new file; with `replace` an old one of that name is emptied, without it that is an
-    /// error of the kind [`io::ErrorKind::AlreadyExists`].
+    /// Makes a new file; with `replace` an old one of that name goes first, without it that is an
+    /// error of the kind [`io::ErrorKind::AlreadyExists`]. A link of that name is never followed: what
+    /// it leads to is somebody else's.
     ///
     /// # Errors
     /// The operating system refused.
     fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>>;
 
-    /// Opens a file to write behind its end, and makes it where there is none.
+    /// Opens a file to write behind its end, and makes it where there is none. A link is not followed.
     ///
     /// # Errors
     /// The operating system refused.
     fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>>;
 
-    /// The bytes of a file. One that has more than `limit` gives `limit + 1` of them, which the
+    /// The bytes of a regular file. One that has more than `limit` gives `limit + 1` of them, which the
     /// caller then refuses.
     ///
     /// # Errors
@@ -46,6 +49,11 @@ pub trait Disk: Send + Sync + fmt::Debug {
 
     /// Whether there is a file or folder of this name.
     fn exists(&self, path: &Path) -> bool;
+
+    /// Whether this name is a symbolic link; a disk without such links has none.
+    fn is_link(&self, _path: &Path) -> bool {
+        false
+    }
 
     /// The names in a folder, in no order.
     ///

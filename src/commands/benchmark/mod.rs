@@ -11,10 +11,13 @@ use serde_json::json;
 
 use super::exit::Failure;
 use super::output::Output;
+use super::printable::tell;
 use crate::search::benchmark::{
     Comparison, Contender, Objective, RegretCurve, TwoHumped, simple_regret,
 };
 use crate::search::{BayRnSettings, StrategyKind};
+use crate::session::write_whole;
+use crate::storage::MachineDisk;
 
 /// Compare the search strategies on synthetic objectives
 ///
@@ -84,10 +87,8 @@ impl Arguments {
 
     fn write(&self, name: &str, contents: &str) -> Result<(), Failure> {
         let path = self.out.join(name);
-        std::fs::write(&path, contents).map_err(|error| {
-            Failure::failed(format!("cannot write {}: {error}", path.display()))
-        })?;
-        eprintln!("wrote {}", path.display());
+        write_whole(&MachineDisk, &path, contents.as_bytes()).map_err(Failure::failed)?;
+        tell(&format!("wrote {}", path.display()));
         Ok(())
     }
 }

@@ -7,6 +7,7 @@ use crate::commands::check_table::{Row, checks_json, failed_names, table};
 use crate::commands::device_arguments::ChosenDevice;
 use crate::commands::exit::Failure;
 use crate::commands::output::Output;
+use crate::commands::printable::tell;
 use crate::commands::stop::Stop;
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{DeviceError, InProcessWire, LinkFault, Transport, Tty};
@@ -29,7 +30,7 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     let port = wire.transport.name().to_owned();
     let clock = Arc::clone(&wire.clock);
     let mut speaker = Speaker::new(wire.transport.as_mut(), clock.as_ref());
-    eprintln!("{} checks of the device at {port}", CHECKS.len());
+    tell(&format!("{} checks of the device at {port}", CHECKS.len()));
 
     let mut results = Vec::new();
     for check in CHECKS {

@@ -11,6 +11,8 @@ use serde_json::json;
 
 use super::exit::Failure;
 use super::output::Output;
+use crate::session::write_whole;
+use crate::storage::MachineDisk;
 
 /// Draw the thesis's figures 3.1 and 3.2: how the surrogate and the acquisition functions work
 ///
@@ -40,9 +42,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         let path = arguments.out.join(name);
         let svg = drawn
             .map_err(|error| Failure::failed(format!("cannot draw {}: {error}", path.display())))?;
-        std::fs::write(&path, svg).map_err(|error| {
-            Failure::failed(format!("cannot write {}: {error}", path.display()))
-        })?;
+        write_whole(&MachineDisk, &path, svg.as_bytes()).map_err(Failure::failed)?;
         files.push(path.display().to_string());
         Ok(())
     };

@@ -1,0 +1,108 @@
+//! What a terminal is shown of text that others wrote: file names, names in policies and recordings,
+//! what a device says of itself.
+
+use std::borrow::Cow;
+
+/// The text with everything escaped that a terminal would obey instead of showing it: control
+/// characters (but line ends and tabs, which our own tables have), and those that turn the direction of
+/// writing or have no width.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    escaped(text, |letter| !matches!(letter, '\n' | '\t') && is_obeyed(letter))
+}
+
+/// The same as one line: what others wrote into a sentence of ours begins no line of its own.
+pub fn one_line(text: &str) -> Cow<'_, str> {
+    escaped(text, is_obeyed)
+}
+
+/// The same for JSON on one line, whose own escapes stand for the rest already.
+pub fn printable_json(line: &str) -> Cow<'_, str> {
+    if !line.contains(is_obeyed) {
+        return Cow::Borrowed(line);
+    }
+    let mut whole = String::with_capacity(line.len());
+    for letter in line.chars() {
+        if is_obeyed(letter) {
+            let mut units = [0; 2];
+            for unit in letter.encode_utf16(&mut units) {
+                whole.push_str(&format!("\\u{unit:04x}"));
+            }
+        } else {
+            whole.push(letter);
+        }
+    }
+    Cow::Owned(whole)
+}
+
+/// Says something to the user beside the result.
+pub fn tell(text: &str) {
+    eprintln!("{}", printable(text.trim_end()));
+}
+
+fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is_hidden) {
+        return Cow::Borrowed(text);
+    }
+    let mut whole = String::with_capacity(text.len() + 16);
+    for letter in text.chars() {
+        if is_hidden(letter) {
+            whole.extend(letter.escape_default());
+        } else {
+            whole.push(letter);
+        }
+    }
+    Cow::Owned(whole)
+}
+
+/// Unicode's control characters, C1 among them; its line and paragraph separators; all that changes
+/// the direction of writing (UAX 9); what has no width; tags.
+fn is_obeyed(letter: char) -> bool {
+    letter.is_control()
+        || matches!(
+            letter,
+            '\u{061c}'
+                | '\u{180e}'
+                | '\u{200b}'..='\u{200f}'
+                | '\u{2028}'..='\u{202e}'
+                | '\u{2060}'..='\u{206f}'
+                | '\u{feff}'
+                | '\u{fff9}'..='\u{fffb}'
+                | '\u{e0000}'..='\u{e007f}'
+        )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// ESC, CSI of one and of two characters, OSC, a bell, a backspace, DEL, bidi overrides and
+    /// isolates, a line separator, a tag.
+    const HOSTILE: &str = "a\u{1b}[2Jb\u{9b}31mc\u{1b}]0;title\u{7}d\u{8}e\u{7f}f\u{202e}g\u{2066}h\
+                           \u{2028}i\u{e0041}j\r";
+
+    #[test]
+    fn nothing_that_a_terminal_obeys_is_left() {
+        for text in [printable(HOSTILE), one_line(HOSTILE), printable_json(HOSTILE)] {
+            assert!(!text.contains(is_obeyed), "{text:?}");
+            for letter in 'a'..='j' {
+                assert!(text.contains(letter), "{letter} is missing in {text:?}");
+            }
+        }
+        assert!(printable(HOSTILE).contains("\\u{1b}[2J"));
+    }
+
+    #[test]
+    fn lines_are_ours_alone() {
+        assert_eq!(printable("one\n\ttwo"), "one\n\ttwo");
+        assert_eq!(one_line("name\nrollout 0: success"), "name\\nrollout 0: success");
+        assert_eq!(printable("θ̇ 20 °"), "θ̇ 20 °");
+    }
+
+    #[test]
+    fn json_means_the_same_afterwards() {
+        let line = serde_json::to_string(&HOSTILE).unwrap();
+        let shown = printable_json(&line);
+        assert!(!shown.contains(is_obeyed), "{shown:?}");
+        assert_eq!(serde_json::from_str::<String>(&shown).unwrap(), HOSTILE);
+    }
+}

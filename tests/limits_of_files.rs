@@ -1,0 +1,183 @@
+//! A file may narrow a limit and never widen one; on a real Qube it cannot switch the guard off
+//! either. Exit code 2, one sentence, and nothing has begun: no folder, no port was touched.
+
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+use qube_hil::recording::read;
+use qube_hil::safety::{Guard, SafetyBox};
+use qube_hil::session::{SessionFolder, SessionSettings};
+
+/// A port that does not exist: who comes as far as this has passed all limits.
+const PORT: [&str; 2] = ["--device", "/dev/ttyNOWHERE"];
+const EMULATED: [&str; 2] = ["--clock", "virtual"];
+
+fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
+    command.current_dir(directory).args(arguments).output().expect("it runs")
+}
+
+#[track_caller]
+fn refused(directory: &Path, arguments: &[&str], words: &[&str]) {
+    let output = qube_hil(directory, arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {stderr}");
+    assert!(output.stdout.is_empty(), "{arguments:?} printed a result");
+    for word in words {
+        assert!(stderr.contains(word), "{arguments:?}: {word:?} is missing in: {stderr}");
+    }
+    // A path between quotes may have spaces; a sentence has one line.
+    let sentences = stderr.lines().filter(|line| line.starts_with("qube-hil:")).count();
+    assert_eq!(sentences, 1, "{stderr}");
+}
+
+const NO_LIMITS: [&str; 6] = ["9", "50", "nan", "inf", "-1", "0"];
+
+#[test]
+fn a_configuration_widens_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("my.toml");
+    let session = |text: &str, device: [&str; 2], flags: &[&str], words: &[&str]| {
+        std::fs::write(&path, text).unwrap();
+        let begin = ["session", "--config", "my.toml", "--out", "session"];
+        refused(directory.path(), &[&begin, &device[..], flags].concat(), words);
+        assert!(!directory.path().join("session").exists(), "a session was begun");
+    };
+    for device in [EMULATED, PORT] {
+        for value in NO_LIMITS {
+            for (key, most) in [("theta", "at most 2.3"), ("alpha_dot", "at most 40")] {
+                let value = if value == "9" && key == "alpha_dot" { "90" } else { value };
+                let value = if value == "50" { "50.5" } else { value };
+                let text = format!("[safety_box]\n{key} = {value}\n");
+                session(&text, device, &[], &["my.toml", &format!("safety_box.{key}"), most]);
+            }
+        }
+        let text = "[training.simulation.safety_box]\ntheta = 9.0\n";
+        session(text, device, &[], &["my.toml", "training.simulation.safety_box.theta"]);
+        let text = "[homing]\ntheta_offset_rad = 1.0\n";
+        session(text, device, &[], &["my.toml", "homing.theta_offset_rad", "0.3"]);
+    }
+    let off = "[safety_box]\nguard = \"box\"\n";
+    session(off, PORT, &[], &["my.toml", "guard", "--accept-hard-stop"]);
+    for flags in [&["--guard", "box"][..], &["--accept-hard-stop"]] {
+        session(off, PORT, flags, &["--accept-hard-stop", "--guard box"]);
+    }
+    let contradiction = ["--guard", "envelope", "--accept-hard-stop"];
+    session("seed = 1\n", PORT, &contradiction, &["--accept-hard-stop"]);
+}
+
+#[test]
+fn both_words_on_one_command_line_lead_to_the_port() {
+    let directory = tempfile::tempdir().unwrap();
+    let both = ["--guard", "box", "--accept-hard-stop"];
+    let port = ["no such port", "/dev/ttyNOWHERE"];
+    let run = ["run", "--policy", "classical"];
+    refused(directory.path(), &[&run, &PORT[..], &both].concat(), &port);
+    refused(directory.path(), &[&run, &PORT[..], &both[..2]].concat(), &["--accept-hard-stop"]);
+    refused(directory.path(), &[&run, &PORT[..]].concat(), &port);
+
+    let begin = ["session", "--out", "session"];
+    refused(directory.path(), &[&begin, &PORT[..], &both].concat(), &port);
+    // It is the session's guard now, and consent is asked for again by each process that drives.
+    let resume = ["session", "--resume", "session"];
+    let named = ["session.toml", "guard", "--accept-hard-stop"];
+    refused(directory.path(), &[&resume, &PORT[..]].concat(), &named);
+    refused(directory.path(), &[&resume, &PORT[..], &both[..2]].concat(), &["--accept-hard-stop"]);
+    refused(directory.path(), &[&resume, &PORT[..], &both].concat(), &port);
+    let other = ["--guard", "envelope"];
+    refused(directory.path(), &[&resume, &PORT[..], &other].concat(), &["that it began with"]);
+}
+
+#[test]
+fn a_session_that_is_resumed_widens_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path().join("session");
+    let whole = SessionSettings::quick().to_toml().unwrap();
+    drop(SessionFolder::create(&root, &whole).unwrap());
+    let resume = |text: &str, words: &[&str]| {
+        std::fs::write(root.join("session.toml"), text).unwrap();
+        for device in [EMULATED, PORT] {
+            let arguments = [&["session", "--resume", "session"], &device[..]].concat();
+            refused(directory.path(), &arguments, words);
+        }
+    };
+    for value in ["9.0", "50.0", "nan", "-1.0", "0.0"] {
+        let wide = whole.replacen("theta = 2.3", &format!("theta = {value}"), 1);
+        assert_ne!(wide, whole);
+        resume(&wide, &["session.toml", "safety_box.theta", "at most 2.3"]);
+    }
+    let off = whole.replace("guard = \"envelope\"", "guard = \"box\"");
+    // Files from before there was a guard name none, and mean the box.
+    let silent = whole.replace("guard = \"envelope\"\n", "");
+    for text in [off, silent] {
+        assert_ne!(text, whole);
+        std::fs::write(root.join("session.toml"), text).unwrap();
+        let arguments = [&["session", "--resume", "session"], &PORT[..]].concat();
+        refused(directory.path(), &arguments, &["session.toml", "guard", "--accept-hard-stop"]);
+        let settings = SessionSettings::load(&root.join("session.toml")).unwrap();
+        assert_eq!(settings.safety_box, SafetyBox::THESIS);
+        assert_eq!(settings.training.simulation.safety_box.guard, Guard::Box);
+    }
+}
+
+#[test]
+fn an_experiment_widens_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("mine.toml");
+    let begin = ["experiment", "--recipe", "mine.toml", "--out", "experiment"];
+    let recipe = |text: &str, device: &[&str], words: &[&str]| {
+        let head = "name = \"mine\"\nmodel = \"nominal\"\n[settings.safety_box]\n";
+        std::fs::write(&path, format!("{head}{text}\n")).unwrap();
+        refused(directory.path(), &[&begin, device].concat(), words);
+        assert!(!directory.path().join("experiment").exists(), "an experiment was begun");
+    };
+    for device in [&[][..], &PORT] {
+        for value in ["9.0", "nan", "-1.0"] {
+            recipe(&format!("theta = {value}"), device, &["mine.toml", "safety_box.theta"]);
+        }
+    }
+    recipe("guard = \"box\"", &PORT, &["mine", "guard", "--accept-hard-stop"]);
+
+    // The same in the file that an experiment goes on with.
+    let small =
+        ["--models", "nominal", "--policies", "1", "--rollouts", "1", "--out", "experiment"];
+    let begun = qube_hil(directory.path(), &[&["experiment"], &PORT[..], &small].concat());
+    let toml = directory.path().join("experiment/experiment.toml");
+    assert!(toml.exists(), "{}", String::from_utf8_lossy(&begun.stderr));
+    let whole = std::fs::read_to_string(&toml).unwrap();
+    let resume = ["experiment", "--resume", "experiment"];
+    let wide = whole.replacen("theta = 2.3", "theta = 9.0", 1);
+    assert_ne!(wide, whole);
+    std::fs::write(&toml, wide).unwrap();
+    refused(directory.path(), &[&resume, &PORT[..]].concat(), &["nominal", "safety_box.theta"]);
+    std::fs::write(&toml, whole.replace("guard = \"envelope\"", "guard = \"box\"")).unwrap();
+    let named = ["nominal", "guard", "--accept-hard-stop"];
+    refused(directory.path(), &[&resume, &PORT[..]].concat(), &named);
+}
+
+#[test]
+fn a_rigs_own_file_widens_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    for value in NO_LIMITS {
+        let text = format!("port = \"/dev/ttyNOWHERE\"\n[limits]\ntheta_rad = {value}\n");
+        std::fs::write(directory.path().join("qube.toml"), text).unwrap();
+        let run = ["run", "--policy", "classical", "--qube", "qube.toml"];
+        refused(directory.path(), &run, &["qube.toml", "line 3", "at most 2.3"]);
+    }
+    // It knows no guard at all.
+    std::fs::write(directory.path().join("qube.toml"), "[limits]\nguard = \"box\"\n").unwrap();
+    let run = ["run", "--policy", "classical", "--qube", "qube.toml"];
+    refused(directory.path(), &run, &["qube.toml", "guard"]);
+}
+
+#[test]
+fn a_soak_runs_under_the_envelope() {
+    let directory = tempfile::tempdir().unwrap();
+    let soak = ["soak", "--clock", "virtual", "--hours", "0.001", "--keep", "kept"];
+    let output = qube_hil(directory.path(), &soak);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let recording = read(&directory.path().join("kept/rollout-0.mcap")).unwrap();
+    assert_eq!(recording.header.settings.safety_box, SafetyBox::GUARDED);
+    assert!(!recording.header.hard_stop_accepted);
+}
