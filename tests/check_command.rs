@@ -60,7 +60,7 @@ fn conformance_of_any_device_is_a_command() {
         let arguments = [&["check", "--conformance"][..], arguments].concat();
         let output = qube_hil(directory.path(), &arguments);
         assert_eq!(output.status.code(), Some(0), "{}{}", stdout(&output), stderr(&output));
-        assert!(stdout(&output).contains("26 of 26 checks passed"), "{}", stdout(&output));
+        assert!(stdout(&output).contains("33 of 33 checks passed"), "{}", stdout(&output));
     }
     let absent = with_fault("qube-absent@0");
     let output = qube_hil(
@@ -92,7 +92,7 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
             }
         }
     };
-    refused(port(&with_fault("wrong-version")), &["protocol version 2", "Flash"]);
+    refused(port(&with_fault("wrong-version")), &["protocol version 1", "Flash"]);
     refused(port(&with_fault("qube-absent@0")), &["module id 0x0000", "power"]);
     refused(port(&with_fault("silent@0")), &["no answer to"]);
 

@@ -16,10 +16,14 @@ mod driver;
 mod faults;
 #[path = "firmware/latency.rs"]
 mod latency;
+#[path = "firmware/power.rs"]
+mod power;
 #[path = "firmware/qube.rs"]
 mod qube;
 #[path = "firmware/simulated_board.rs"]
 mod simulated_board;
+#[path = "firmware/stop_switch.rs"]
+mod stop_switch;
 #[path = "firmware/swing_up.rs"]
 mod swing_up;
 #[path = "firmware/toolchain.rs"]

@@ -123,7 +123,7 @@ fn make_seeds() {
     content.truncate(2600);
     put("recording", "block", &[&[0], content.as_slice()].concat());
 
-    for (name, line) in [("hello", 0), ("arm", 2), ("act", 5)] {
+    for (name, line) in [("hello", 0), ("arm", 2), ("act", 6)] {
         let golden = include_str!("../firmware-protocol/golden.txt");
         let frames: Vec<Vec<u8>> = golden.lines().filter_map(hexadecimal).collect();
         for mode in 0..4 {
@@ -131,7 +131,8 @@ fn make_seeds() {
             put("wire", &format!("{name}-{mode}"), &bytes[..bytes.len().min(400)]);
         }
     }
-    let session = [0, 1, 1, 0, 1, 0, 0, 3, 2, 0, 2, 5, 3, 0, 0, 0, 0, 4, 4, 0, 232, 3];
+    // Hello, Sample, Act, Disarm.
+    let session = [2, 1, 1, 0, 2, 0, 0, 3, 2, 0, 6, 4, 3, 0, 232, 3, 78, 97, 188, 0, 0, 5, 4, 0];
     put("wire", "frames", &[&[2], session.as_slice()].concat());
 }
 

@@ -127,7 +127,7 @@ fn a_killed_host_does_not_lock_the_port() {
 fn another_version_is_named() {
     let qube = qube(Some(EmulatorFault::WrongVersion));
     match open(&qube).hello() {
-        Err(DeviceError::VersionMismatch { theirs: 2, ours: 1, .. }) => {}
+        Err(DeviceError::VersionMismatch { theirs: 1, ours: 2, .. }) => {}
         other => panic!("{other:?}"),
     }
 }

@@ -10,6 +10,14 @@
 /* One of `enum device_kind`. */
 extern const uint8_t BOARD_KIND;
 
+/* To be called before anything else: tells the Qube to switch its motor off. Whatever drove it before
+ * this start, a hung program or a board that lost its supply, may have left a voltage there. */
+void board_switch_qube_off(void);
+
+/* This board's own serial number, most significant byte first: random once, kept over power-off. May
+ * take 50 ms the first time; to be called before `board_start`. */
+void board_serial(uint8_t serial[8]);
+
 /* Serial port, SPI, clock and interrupts. The hardware watchdog runs from here on. */
 void board_start(void);
 
@@ -21,6 +29,12 @@ bool board_sampling_is_due(void);
 
 /* A number that no start of this board has had before; kept over power-off. */
 uint16_t board_next_boot_number(void);
+
+/* The emergency-stop switch: whether its contact is closed now, and whether this board has ever been
+ * found to have one. */
+bool board_stop_switch_is_closed(void);
+bool board_stop_switch_is_known(void);
+void board_remember_stop_switch(void);
 
 /* Takes a byte that has arrived. */
 bool board_receive(uint8_t *byte);

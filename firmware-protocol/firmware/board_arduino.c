@@ -1,9 +1,10 @@
 /* Arduino Uno and Nano (ATmega328P) and Mega (ATmega2560), both at 16 MHz.
  *
- * UART0 through the board's USB converter, SPI to the Qube, Timer 1 as clock and sampling timer,
- * the EEPROM's first two bytes as boot number. */
+ * UART0 through the board's USB converter, SPI to the Qube, Timer 1 as clock and sampling timer; in
+ * the EEPROM boot number, serial number, and whether there is an emergency-stop switch. */
 #include "board.h"
 
+#include <avr/boot.h>
 #include <avr/eeprom.h>
 #include <avr/interrupt.h>
 #include <avr/io.h>
@@ -12,6 +13,7 @@
 #include <stddef.h>
 #include <string.h>
 #include <util/atomic.h>
+#include <util/crc16.h>
 #include <util/delay.h>
 
 #include "wire.h"
@@ -25,6 +27,9 @@ const uint8_t BOARD_KIND = KIND_ATMEGA328P;
 #define PIN_CLOCK _BV(PB5)       /* D13 */
 #define USART_RECEIVED_vect USART_RX_vect
 #define USART_SEND_vect USART_UDRE_vect
+#define STOP_PORT PORTD
+#define STOP_PIN PIND
+#define STOP_BIT _BV(PD2) /* D2 */
 #elif defined(__AVR_ATmega2560__)
 const uint8_t BOARD_KIND = KIND_ATMEGA2560;
 #define PIN_CHIP_SELECT _BV(PB0) /* D53 */
@@ -33,6 +38,9 @@ const uint8_t BOARD_KIND = KIND_ATMEGA2560;
 #define PIN_MISO _BV(PB3)        /* D50 */
 #define USART_RECEIVED_vect USART0_RX_vect
 #define USART_SEND_vect USART0_UDRE_vect
+#define STOP_PORT PORTE
+#define STOP_PIN PINE
+#define STOP_BIT _BV(PE4) /* D2 */
 #else
 #error "this board has no pin table yet"
 #endif
@@ -80,7 +88,24 @@ static volatile uint8_t qube_index;
 static volatile bool qube_busy;
 static volatile bool qube_ended;
 
-static uint16_t stored_boot_number EEMEM;
+/* What is kept over power-off. An EEPROM that was never written is all ones. */
+static struct {
+    uint16_t boot_number;
+    uint8_t serial[8];
+    uint16_t serial_crc;
+    uint8_t stop_switch;
+} stored EEMEM;
+
+/* A board that knows of an emergency-stop switch has this in `stop_switch`. */
+#define STOP_SWITCH_KNOWN 0x53u
+
+/* `make STOP_SWITCH=never`: D2 is not looked at, and a switch that was known is forgotten. */
+#ifndef STOP_SWITCH_NEVER
+#define STOP_SWITCH_NEVER 0
+#endif
+
+/* The linker's: where memory begins that no variable lies in. */
+extern uint8_t __heap_start;
 
 /* After a restart by the watchdog it still runs, at its shortest time: off before anything else. */
 static void stop_watchdog_early(void) __attribute__((naked, used, section(".init3")));
@@ -253,18 +278,15 @@ bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES])
 
 /* --- the chip's own watchdog --- */
 
-/* The program hangs. The Qube would keep its last motor word, through the restart and for as long
- * as a boot loader pleases (some on the Mega never get past a watchdog's restart). So one frame
- * switches its motor off first; this is the one interrupt that waits, 0.2 ms, for nothing is left
- * to be kept waiting. At the watchdog's second time-out, 16 ms later, the chip restarts; with
- * interrupts disabled by the hang itself it restarts then without this frame, and the program's
- * first frame switches off. */
-ISR(WDT_vect)
+/* One frame with the motor word 0x0000, byte by byte without interrupts: the one that needs neither
+ * the main loop nor anything that the program has set up. */
+static void send_off_frame(void)
 {
     static const struct qube_command OFF = {
         .write_mask = QUBE_WRITE_ALL, .red = QUBE_LED_MAX, .motor_word = MOTOR_OFF};
     uint8_t bytes[QUBE_FRAME_BYTES];
     SPCR = SPI_SETTINGS;
+    SPSR = 0;
     PORTB |= PIN_CHIP_SELECT;
     _delay_us(10); /* a byte that was on its way has left the shift register */
     (void)SPSR;
@@ -277,6 +299,27 @@ ISR(WDT_vect)
         }
     }
     PORTB |= PIN_CHIP_SELECT;
+    (void)SPDR;
+}
+
+void board_switch_qube_off(void)
+{
+    /* High before it is an output: chip select must not fall for a moment. */
+    PORTB |= PIN_CHIP_SELECT | PIN_CLOCK;
+    DDRB |= PIN_CHIP_SELECT | PIN_CLOCK | PIN_MOSI;
+    DDRB &= ~PIN_MISO;
+    send_off_frame();
+}
+
+/* The program hangs. The Qube would keep its last motor word, through the restart and for as long
+ * as a boot loader pleases (some on the Mega never get past a watchdog's restart). So one frame
+ * switches its motor off first; this is the one interrupt that waits, 0.2 ms, for nothing is left
+ * to be kept waiting. At the watchdog's second time-out, 16 ms later, the chip restarts; with
+ * interrupts disabled by the hang itself it restarts then without this frame, and the program's
+ * first frame switches off. */
+ISR(WDT_vect)
+{
+    send_off_frame();
     for (;;) {
     }
 }
@@ -298,19 +341,74 @@ void board_feed_hardware_watchdog(void)
 
 uint16_t board_next_boot_number(void)
 {
-    uint16_t number = eeprom_read_word(&stored_boot_number) + 1u;
-    eeprom_update_word(&stored_boot_number, number);
+    uint16_t number = eeprom_read_word(&stored.boot_number) + 1u;
+    eeprom_update_word(&stored.boot_number, number);
     return number;
+}
+
+static uint16_t crc_of(const uint8_t serial[8])
+{
+    uint16_t crc = 0xFFFFu;
+    for (uint8_t i = 0; i < 8; i++) {
+        crc = _crc_ccitt_update(crc, serial[i]);
+    }
+    return crc;
+}
+
+/* Eight bytes that no other board has: what its memory came up with at power-on, where no variable
+ * and no stack lies, differs from chip to chip in a few of a hundred cells; the signature row names
+ * lot, wafer and place on it where the chip has that. Four checksums of it, side by side. */
+static void draw_serial(uint8_t serial[8])
+{
+    uint16_t lanes[4] = {0xFFFFu, 0xFFFFu, 0xFFFFu, 0xFFFFu};
+    uint8_t lane = 0;
+    for (const uint8_t *at = &__heap_start; at < (const uint8_t *)SP - 32; at++) {
+        lanes[lane] = _crc_ccitt_update(lanes[lane], *at);
+        lane = (lane + 1u) & 3u;
+    }
+    for (uint8_t at = 0x0E; at <= 0x17; at++) {
+        lanes[lane] = _crc_ccitt_update(lanes[lane], boot_signature_byte_get(at));
+        lane = (lane + 1u) & 3u;
+    }
+    memcpy(serial, lanes, 8);
+}
+
+void board_serial(uint8_t serial[8])
+{
+    eeprom_read_block(serial, stored.serial, 8);
+    if (crc_of(serial) == eeprom_read_word(&stored.serial_crc)) {
+        return;
+    }
+    draw_serial(serial);
+    eeprom_update_block(serial, stored.serial, 8);
+    eeprom_update_word(&stored.serial_crc, crc_of(serial));
+    eeprom_busy_wait();
+}
+
+bool board_stop_switch_is_closed(void)
+{
+    return !STOP_SWITCH_NEVER && !(STOP_PIN & STOP_BIT);
+}
+
+bool board_stop_switch_is_known(void)
+{
+    if (STOP_SWITCH_NEVER) {
+        eeprom_update_byte(&stored.stop_switch, 0xFFu);
+    }
+    return eeprom_read_byte(&stored.stop_switch) == STOP_SWITCH_KNOWN;
+}
+
+void board_remember_stop_switch(void)
+{
+    eeprom_update_byte(&stored.stop_switch, STOP_SWITCH_KNOWN);
 }
 
 void board_start(void)
 {
-    /* High before it is an output: chip select must not fall for a moment. */
-    PORTB |= PIN_CHIP_SELECT | PIN_CLOCK;
-    DDRB |= PIN_CHIP_SELECT | PIN_CLOCK | PIN_MOSI;
-    DDRB &= ~PIN_MISO;
     SPCR = SPI_SETTINGS | _BV(SPIE);
-    SPSR = 0;
+
+    /* An input with its pull-up: a broken wire reads as an open contact. */
+    STOP_PORT |= STOP_BIT;
 
     UCSR0A = _BV(U2X0);
     UBRR0 = UBRR_VALUE;

@@ -4,6 +4,11 @@
 
 #define WATCHDOG_US (WATCHDOG_MS * 1000ul)
 
+/* A contact that is open for this long is open: shorter is a spike on the wire. */
+#define STOP_OPEN_US 3000ul
+/* A contact that is closed for this long belongs to a switch. */
+#define STOP_FITTED_US 100000ul
+
 /* Red that blinks at 2 Hz: bit 18 of the clock changes every 262 ms. */
 #define BLINK_BIT_US (1ul << 18)
 
@@ -13,6 +18,13 @@
 static bool is_newer(uint16_t candidate, uint16_t last)
 {
     return (int16_t)(uint16_t)(candidate - last) > 0;
+}
+
+/* The last sample given, and no older than 20 ms: what an act may answer. */
+static bool answers_fresh_sample(const struct device *device, uint32_t sampled_at_us, uint32_t now_us)
+{
+    return device->sample_given && sampled_at_us == device->previous_sample_us &&
+           now_us - sampled_at_us <= MAX_SAMPLE_AGE_US;
 }
 
 static void give_nonce(struct device *device)
@@ -34,12 +46,14 @@ static void leave_armed(struct device *device, enum device_state next)
 }
 
 void device_start(struct device *device, const struct device_identity *identity,
-                  uint16_t (*next_boot_number)(void))
+                  uint16_t (*next_boot_number)(void), bool stop_switch_fitted)
 {
     memset(device, 0, sizeof *device);
     device->identity = *identity;
     device->next_boot_number = next_boot_number;
     device->boot_number = next_boot_number();
+    device->boot_id = device->boot_number;
+    device->stop_switch_fitted = stop_switch_fitted;
     device->state = STATE_IDLE;
     device->motor_word = MOTOR_OFF;
     /* What a Qube was told before this start is not known: anything but off. */
@@ -73,7 +87,12 @@ static bool hello(struct device *device, uint16_t host_version, struct link_fram
         give_nonce(device);
     }
     device->awaits_act = false;
+    device->sample_given = false;
     device->sample_to_act_us = NO_ACT_US;
+    device->last_act_sequence = 0;
+    if (understood && device->stop_is_closed) {
+        device->emergency_stop = false;
+    }
 
     begin_reply(reply, REPLY_HELLO, 24);
     uint8_t *payload = reply->payload;
@@ -85,7 +104,7 @@ static bool hello(struct device *device, uint16_t host_version, struct link_fram
     put_u16(payload + 6, device->module_id);
     memcpy(payload + 8, device->identity.serial, 8);
     put_u32(payload + 16, device->nonce);
-    put_u16(payload + 20, WATCHDOG_MS);
+    put_u16(payload + 20, device->boot_id);
     put_u16(payload + 22, device->dropped_frames);
     return true;
 }
@@ -120,6 +139,9 @@ static uint8_t arm_refused(const struct device *device, uint32_t nonce)
     if (!device->qube_present) {
         return REFUSAL_QUBE_ABSENT;
     }
+    if (device->emergency_stop) {
+        return REFUSAL_EMERGENCY_STOP;
+    }
     return device->qube_status & QUBE_AMPLIFIER_FAULT ? REFUSAL_FAULTED : 0;
 }
 
@@ -153,6 +175,9 @@ static bool act(struct device *device, const struct link_frame *request, uint32_
     }
     if (reason == 0 && (voltage_mv > MAX_VOLTAGE_MV || voltage_mv < -MAX_VOLTAGE_MV)) {
         reason = REFUSAL_VOLTAGE_OUT_OF_RANGE;
+    }
+    if (reason == 0 && !answers_fresh_sample(device, get_u32(request->payload + 2), now_us)) {
+        reason = REFUSAL_STALE_SAMPLE;
     }
     if (reason != 0) {
         return refuse(reply, REQUEST_ACT, reason);
@@ -201,6 +226,7 @@ static bool answer_sample(struct device *device, struct link_frame *reply)
     put_u16(payload + 21, device->last_act_sequence);
     put_u16(payload + 23, device->sample_to_act_us);
     device->previous_sample_us = sample->time_us;
+    device->sample_given = true;
     device->awaits_act = true;
     device->sample_to_act_us = NO_ACT_US;
     return true;
@@ -249,8 +275,9 @@ static int8_t payload_length_of(uint8_t type)
 {
     switch (type) {
     case REQUEST_HELLO:
-    case REQUEST_ACT:
         return 2;
+    case REQUEST_ACT:
+        return 6;
     case REQUEST_ARM:
         return 4;
     case REQUEST_SAMPLE:
@@ -306,6 +333,28 @@ void device_poll(struct device *device, uint32_t now_us)
     }
 }
 
+/* --- the emergency stop --- */
+
+bool device_stop_switch(struct device *device, bool is_closed, uint32_t now_us)
+{
+    if (is_closed != device->stop_is_closed) {
+        device->stop_is_closed = is_closed;
+        device->stop_changed_us = now_us;
+    }
+    uint32_t unchanged_us = now_us - device->stop_changed_us;
+    if (!device->stop_switch_fitted) {
+        device->stop_switch_fitted = is_closed && unchanged_us >= STOP_FITTED_US;
+        return device->stop_switch_fitted;
+    }
+    if (!is_closed && !device->emergency_stop && unchanged_us >= STOP_OPEN_US) {
+        device->emergency_stop = true;
+        if (device->state == STATE_ARMED) {
+            leave_armed(device, STATE_FAULTED);
+        }
+    }
+    return false;
+}
+
 /* --- the Qube --- */
 
 bool device_wants_frame(const struct device *device)
@@ -319,6 +368,11 @@ static void light(const struct device *device, uint32_t now_us, struct qube_comm
     command->red = 0;
     command->green = 0;
     command->blue = 0;
+    if (device->emergency_stop) {
+        command->red = LED_ON;
+        command->blue = LED_ON;
+        return;
+    }
     switch (device->state) {
     case STATE_IDLE:
         command->red = LED_ON / 4u;
@@ -359,6 +413,12 @@ void device_compose_frame(struct device *device, uint32_t now_us, struct qube_co
         begun->status |= STATUS_ARMED;
     } else if (device->watchdog_tripped) {
         begun->status |= STATUS_WATCHDOG_TRIPPED;
+    }
+    if (device->emergency_stop) {
+        begun->status |= STATUS_EMERGENCY_STOP;
+    }
+    if (device->stop_switch_fitted) {
+        begun->status |= STATUS_STOP_SWITCH_FITTED;
     }
     if (device->motor_word == device->motor_word_at_qube && !device->clearing_frame) {
         begun->change = device->change;

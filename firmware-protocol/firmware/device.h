@@ -32,6 +32,8 @@ struct device {
     struct device_identity identity;
     /* A number that no start of this board has had before. */
     uint16_t (*next_boot_number)(void);
+    /* Of this start, and of the nonces: another one when all under it are used up. */
+    uint16_t boot_id;
     uint16_t boot_number;
     uint16_t nonces_given;
 
@@ -42,9 +44,18 @@ struct device {
     uint32_t watchdog_fed_us;
     uint16_t last_act_sequence;
     bool awaits_act;
+    /* The last sample that was given since the last Hello, which acts must name. */
+    bool sample_given;
     uint32_t previous_sample_us;
     uint16_t sample_to_act_us;
     uint16_t dropped_frames;
+
+    /* The emergency-stop switch: whether this board has one, what its contact is and since when, and
+     * whether it opened since the last Hello that found it closed. */
+    bool stop_switch_fitted;
+    bool stop_is_closed;
+    uint32_t stop_changed_us;
+    bool emergency_stop;
 
     /* The motor word that should be in force, the one that the frame under way carries, and the one
      * that the Qube got last. */
@@ -72,7 +83,7 @@ struct device {
 };
 
 void device_start(struct device *device, const struct device_identity *identity,
-                  uint16_t (*next_boot_number)(void));
+                  uint16_t (*next_boot_number)(void), bool stop_switch_fitted);
 
 /* Carries a request out. Returns whether `reply` is to be sent now. None may be handed in while
  * `device_waits`: a sample waits for its frame and is answered by `device_answers_late`, or nothing
@@ -87,6 +98,12 @@ void device_dropped_frame(struct device *device);
 
 /* The watchdog. To be called at least every WATCHDOG_POLL_MS. */
 void device_poll(struct device *device, uint32_t now_us);
+
+/* What the contact of the emergency-stop switch is now: low is closed, and open is what a broken wire
+ * or a missing switch looks like too. To be called at least every WATCHDOG_POLL_MS. Returns true once:
+ * when the contact has been closed for so long that there must be a switch, which the board then
+ * remembers over power-off. */
+bool device_stop_switch(struct device *device, bool is_closed, uint32_t now_us);
 
 /* Whether a frame should begin now, without waiting for the sampling timer. */
 bool device_wants_frame(const struct device *device);

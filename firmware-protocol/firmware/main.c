@@ -8,7 +8,7 @@
 #include "qube_frame.h"
 #include "wire.h"
 
-/* Of the board, most significant byte first: `make SERIAL=0x...`. */
+/* Of the board, most significant byte first: `make SERIAL=0x...`; 0 is the board's own. */
 #ifndef BOARD_SERIAL
 #define BOARD_SERIAL 0
 #endif
@@ -20,6 +20,10 @@ static void identify(struct device_identity *identity)
 {
     uint64_t serial = BOARD_SERIAL;
     identity->kind = BOARD_KIND;
+    if (serial == 0) {
+        board_serial(identity->serial);
+        return;
+    }
     for (uint8_t i = 0; i < sizeof identity->serial; i++) {
         identity->serial[i] = (uint8_t)(serial >> (56 - 8 * i));
     }
@@ -88,9 +92,10 @@ static bool serve_request(void)
 int main(void)
 {
     struct device_identity identity;
+    board_switch_qube_off();
     identify(&identity);
     board_start();
-    device_start(&device, &identity, board_next_boot_number);
+    device_start(&device, &identity, board_next_boot_number, board_stop_switch_is_known());
     for (;;) {
         struct link_frame late_reply;
         do {
@@ -99,6 +104,9 @@ int main(void)
                 send(&late_reply);
             }
             device_poll(&device, board_time_us());
+            if (device_stop_switch(&device, board_stop_switch_is_closed(), board_time_us())) {
+                board_remember_stop_switch();
+            }
             begin_qube_frame();
         } while (serve_request());
         board_sleep();

@@ -8,11 +8,12 @@
 //! ```
 //! use firmware_protocol::{Decoder, Request};
 //!
-//! let encoded = Request::Act { voltage_mv: -1500 }.encode(7);
+//! let act = Request::Act { voltage_mv: -1500, sampled_at_us: 250_000 };
+//! let encoded = act.encode(7);
 //! let mut decoder = Decoder::new();
 //! let frame = encoded.as_bytes().iter().find_map(|&byte| decoder.push(byte)).unwrap().unwrap();
 //! assert_eq!(frame.sequence, 7);
-//! assert_eq!(Request::parse(&frame), Ok(Request::Act { voltage_mv: -1500 }));
+//! assert_eq!(Request::parse(&frame), Ok(act));
 //! ```
 #![no_std]
 
@@ -29,11 +30,13 @@ pub use reply::{
     DeviceKind, DeviceState, DisarmReply, HelloReply, RefusalReason, Reply, SampleReply, StatusBits,
 };
 pub use request::{ParseError, Request};
-pub use sequence::is_newer;
-pub use timing::{BAUD_RATE, BITS_PER_BYTE, NO_ACT_US, WATCHDOG_MS, WATCHDOG_POLL_MS};
+pub use sequence::{answers_fresh_sample, is_newer};
+pub use timing::{
+    BAUD_RATE, BITS_PER_BYTE, MAX_SAMPLE_AGE_US, NO_ACT_US, WATCHDOG_MS, WATCHDOG_POLL_MS,
+};
 
 /// The version of this protocol. Raised whenever anything in `PROTOCOL.md` changes meaning.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 
 /// What a Qube's first two SPI bytes say; anything else is no Qube.
 pub const QUBE_MODULE_ID: u16 = 0x0309;

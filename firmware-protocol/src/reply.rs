@@ -47,8 +47,8 @@ pub struct HelloReply {
     pub serial: [u8; 8],
     /// For the next arm; 0 when there is none.
     pub nonce: u32,
-    /// How long the watchdog waits, ms.
-    pub watchdog_ms: u16,
+    /// The same from one start of the device to the next, and another number after it.
+    pub boot_id: u16,
     /// Frames dropped since the device started, modulo 2^16.
     pub dropped_frames: u16,
 }
@@ -70,7 +70,8 @@ pub struct SampleReply {
     pub status: StatusBits,
     /// The voltage at the motor, mV, as the motor word has it; 0 while the amplifier is off.
     pub applied_mv: i16,
-    /// Sequence number of the last act that was accepted, or of the arm when none was since.
+    /// Sequence number of the last act that was accepted, or of the arm when none was since; 0 from
+    /// a hello to the next arm.
     pub last_act_sequence: u16,
     /// From the previous sample to the first act accepted after it, microseconds, at most 65 534;
     /// [`NO_ACT_US`](crate::NO_ACT_US) when there was none.
@@ -88,7 +89,7 @@ pub struct DisarmReply {
     pub dropped_frames: u16,
 }
 
-/// One bit each; bits 5 to 7 are 0.
+/// One bit each; bit 7 is 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StatusBits(pub u8);
 
@@ -103,6 +104,12 @@ impl StatusBits {
     pub const STALL_DETECTED: u8 = 1 << 3;
     /// Bit 4: the stall lasted and the Qube switched its motor off.
     pub const STALL_ERROR: u8 = 1 << 4;
+    /// Bit 5: the emergency-stop switch is open, or was since the last hello.
+    pub const EMERGENCY_STOP: u8 = 1 << 5;
+    /// Bit 6: the board knows of an emergency-stop switch.
+    pub const STOP_SWITCH_FITTED: u8 = 1 << 6;
+    /// Bits that are 0 in this version.
+    pub const RESERVED: u8 = 1 << 7;
 
     /// Whether a bit is set.
     #[must_use]
@@ -154,7 +161,7 @@ wire_enum! {
         Armed = 2,
         /// The watchdog switched the motor off. Latched.
         Tripped = 3,
-        /// The amplifier or the Qube failed; the motor is off. Latched.
+        /// Amplifier or Qube failed, or the emergency stop opened; the motor is off. Latched.
         Faulted = 4,
     }
 }
@@ -184,6 +191,10 @@ wire_enum! {
         WrongLength = 10,
         /// No request has this type.
         UnknownType = 11,
+        /// The act answers no sample that was given, or one that is too old.
+        StaleSample = 12,
+        /// The emergency-stop switch is open, or was since the last hello.
+        EmergencyStop = 13,
     }
 }
 
@@ -203,6 +214,10 @@ impl RefusalReason {
             Self::QubeAbsent => "its Qube does not answer; check power and the SPI wires",
             Self::WrongLength => "the message has another length there",
             Self::UnknownType => "it does not know this message",
+            Self::StaleSample => "the command answers no sample of the last 20 ms",
+            Self::EmergencyStop => {
+                "its emergency-stop switch is open; close it when nobody is near the arm"
+            }
         }
     }
 }
@@ -232,7 +247,7 @@ impl Reply {
                 payload.put(hello.module_id.to_le_bytes());
                 payload.put(hello.serial);
                 payload.put(hello.nonce.to_le_bytes());
-                payload.put(hello.watchdog_ms.to_le_bytes());
+                payload.put(hello.boot_id.to_le_bytes());
                 payload.put(hello.dropped_frames.to_le_bytes());
             }
             Self::Arm { device_time_us } => payload.put(device_time_us.to_le_bytes()),
@@ -284,7 +299,7 @@ impl Reply {
                 module_id: fields.u16(),
                 serial: fields.take(),
                 nonce: fields.u32(),
-                watchdog_ms: fields.u16(),
+                boot_id: fields.u16(),
                 dropped_frames: fields.u16(),
             }),
             ARM_REPLY => Self::Arm { device_time_us: fields.u32() },

@@ -29,6 +29,8 @@ pub enum Request {
     Act {
         /// In mV, -5000 to 5000.
         voltage_mv: i16,
+        /// `device_time_us` of the sample that it was decided from.
+        sampled_at_us: u32,
     },
     /// Switches the amplifier off.
     Disarm,
@@ -83,7 +85,10 @@ impl Request {
         match *self {
             Self::Hello { protocol_version } => payload.put(protocol_version.to_le_bytes()),
             Self::Arm { nonce } => payload.put(nonce.to_le_bytes()),
-            Self::Act { voltage_mv } => payload.put(voltage_mv.to_le_bytes()),
+            Self::Act { voltage_mv, sampled_at_us } => {
+                payload.put(voltage_mv.to_le_bytes());
+                payload.put(sampled_at_us.to_le_bytes());
+            }
             Self::Sample | Self::Disarm => {}
         }
         EncodedFrame::new(self.message_type(), sequence, payload.as_bytes())
@@ -99,7 +104,7 @@ impl Request {
             HELLO => (2, Self::Hello { protocol_version: fields.u16() }),
             ARM => (4, Self::Arm { nonce: fields.u32() }),
             SAMPLE => (0, Self::Sample),
-            ACT => (2, Self::Act { voltage_mv: fields.i16() }),
+            ACT => (6, Self::Act { voltage_mv: fields.i16(), sampled_at_us: fields.u32() }),
             DISARM => (0, Self::Disarm),
             other => return Err(ParseError::UnknownType(other)),
         };

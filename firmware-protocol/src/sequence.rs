@@ -1,9 +1,21 @@
+use crate::MAX_SAMPLE_AGE_US;
+
 /// Whether `candidate` comes after `last` on the circle of sequence numbers: 1 to 32 767 ahead.
 ///
 /// In C: `(int16_t)(uint16_t)(candidate - last) > 0`.
 #[must_use]
 pub fn is_newer(candidate: u16, last: u16) -> bool {
     candidate.wrapping_sub(last) as i16 > 0
+}
+
+/// Whether an act may be carried out at `now_us` that names the sample of `sampled_at_us`: it must be
+/// the last sample that the device gave, and no older than [`MAX_SAMPLE_AGE_US`]. All three by the
+/// device's clock, modulo 2^32.
+///
+/// In C: `given && sampled_at == given_at && (uint32_t)(now - sampled_at) <= MAX_SAMPLE_AGE_US`.
+#[must_use]
+pub fn answers_fresh_sample(sampled_at_us: u32, given_us: Option<u32>, now_us: u32) -> bool {
+    given_us == Some(sampled_at_us) && now_us.wrapping_sub(sampled_at_us) <= MAX_SAMPLE_AGE_US
 }
 
 #[cfg(test)]

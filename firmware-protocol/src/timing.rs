@@ -11,5 +11,10 @@ pub const WATCHDOG_MS: u16 = 50;
 /// much later than [`WATCHDOG_MS`].
 pub const WATCHDOG_POLL_MS: u16 = 5;
 
+/// An act whose sample is older than this by the device's clock is refused, in microseconds. Two
+/// control periods: a sample that the host asked for in one tick never answers for the tick after
+/// the next.
+pub const MAX_SAMPLE_AGE_US: u32 = 20_000;
+
 /// `sample_to_act_us` when no act followed the previous sample.
 pub const NO_ACT_US: u16 = 0xFFFF;

@@ -12,8 +12,8 @@ use firmware_protocol::scaling::{
 };
 use firmware_protocol::{
     BAUD_RATE, Decoder, DeviceKind, DeviceState, DisarmReply, HelloReply, MAX_FRAME_BYTES,
-    MAX_PAYLOAD_BYTES, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Reply, Request,
-    SampleReply, StatusBits, WATCHDOG_MS, WATCHDOG_POLL_MS,
+    MAX_PAYLOAD_BYTES, MAX_SAMPLE_AGE_US, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID,
+    RefusalReason, Reply, Request, SampleReply, StatusBits, WATCHDOG_MS, WATCHDOG_POLL_MS,
 };
 
 /// `WatchdogTripped` as C writes it: `WATCHDOG_TRIPPED`.
@@ -52,7 +52,7 @@ fn request_types() -> Vec<(String, u8)> {
         ("Hello", Request::Hello { protocol_version: 0 }),
         ("Arm", Request::Arm { nonce: 0 }),
         ("Sample", Request::Sample),
-        ("Act", Request::Act { voltage_mv: 0 }),
+        ("Act", Request::Act { voltage_mv: 0, sampled_at_us: 0 }),
         ("Disarm", Request::Disarm),
     ]
     .map(|(name, request)| (name.to_owned(), request.message_type()))
@@ -67,7 +67,7 @@ fn reply_types() -> Vec<(String, u8)> {
         module_id: 0,
         serial: [0; 8],
         nonce: 0,
-        watchdog_ms: 0,
+        boot_id: 0,
         dropped_frames: 0,
     };
     let disarm = DisarmReply { state: DeviceState::Idle, nonce: 0, dropped_frames: 0 };
@@ -99,6 +99,7 @@ fn header() -> String {
     define(h, "BAUD_RATE", format_args!("{BAUD_RATE}ul"));
     define(h, "WATCHDOG_MS", format_args!("{WATCHDOG_MS}u"));
     define(h, "WATCHDOG_POLL_MS", format_args!("{WATCHDOG_POLL_MS}u"));
+    define(h, "MAX_SAMPLE_AGE_US", format_args!("{MAX_SAMPLE_AGE_US}ul"));
     define(h, "NO_ACT_US", format_args!("0x{NO_ACT_US:04X}u"));
     define(h, "MAX_PAYLOAD_BYTES", format_args!("{MAX_PAYLOAD_BYTES}u"));
     define(h, "MAX_FRAME_BYTES", format_args!("{MAX_FRAME_BYTES}u"));
@@ -122,6 +123,8 @@ fn header() -> String {
         ("AmplifierFault", StatusBits::AMPLIFIER_FAULT),
         ("StallDetected", StatusBits::STALL_DETECTED),
         ("StallError", StatusBits::STALL_ERROR),
+        ("EmergencyStop", StatusBits::EMERGENCY_STOP),
+        ("StopSwitchFitted", StatusBits::STOP_SWITCH_FITTED),
     ]
     .map(|(name, bit)| (name.to_owned(), bit));
     c_enum(h, "status_bit", "STATUS", &status);

@@ -81,13 +81,40 @@ fn the_firmware_does_what_the_golden_file_says() {
         let (question, answer) = match words[0] {
             "request" | "reply" => (format!("again {}", words[2]), format!("again {}", words[2])),
             "dropped" => (format!("stream {}", words[2]), "stream dropped".to_owned()),
-            "newer" => (format!("newer {} {}", words[1], words[2]), format!("newer {}", words[3])),
+            "newer" | "fresh" => {
+                let (answer, question) = words.split_last().unwrap();
+                (question.join(" "), format!("{} {answer}", words[0]))
+            }
             kind => (format!("{kind} {}", words[1]), format!("{kind} {}", words[2..].join(" "))),
         };
         questions.push(question);
         expected.push(answer);
     }
     assert!(questions.len() > 40);
+    assert_eq!(ask(&questions), expected);
+}
+
+/// Numbers are states (1 Greeted, 2 Armed, 4 Faulted), `!` the latched emergency stop, `r` an Arm that
+/// it refused, `?` a board that knows of no switch.
+#[test]
+fn the_firmware_latches_the_emergency_stop_until_hello() {
+    let closed = "c".repeat(101);
+    let fitted_after = format!("{}{}", " 1?".repeat(100), " 1");
+    let (questions, expected): (Vec<String>, Vec<String>) = [
+        // Opened while armed: Faulted, and only a Hello that finds it closed lets it arm again.
+        ("1 cacoooocchah", " 1 2 2 2 2 2 4! 4! 4! 1 2 1"),
+        ("1 caooooahachcca", " 1 2 2 2 2 4! 4! 1! r 1! 1 1 1 2"),
+        // A spike of 2 ms is none.
+        ("1 caoocoocooc", " 1 2 2 2 2 2 2 2 2 2 2"),
+        // Opened and closed before the arm: still latched.
+        ("1 cooooccaha", " 1 1 1 1 1! 1! 1! r 1 2"),
+        // No switch was ever closed: nothing stops, nothing is latched.
+        ("0 ooooaoooo", " 1? 1? 1? 1? 2? 2? 2? 2? 2?"),
+    ]
+    .map(|(question, answer)| (format!("stop {question}"), format!("stop{answer}")))
+    .into_iter()
+    .chain([(format!("stop 0 {closed}"), format!("stop{fitted_after}"))])
+    .unzip();
     assert_eq!(ask(&questions), expected);
 }
 
@@ -106,10 +133,13 @@ fn the_firmware_cuts_any_bytes_into_the_same_frames() {
                     .encode(random.next() as u16)
                     .as_bytes()
                     .to_vec(),
-                _ => Request::Act { voltage_mv: random.next() as i16 }
-                    .encode(random.next() as u16)
-                    .as_bytes()
-                    .to_vec(),
+                _ => Request::Act {
+                    voltage_mv: random.next() as i16,
+                    sampled_at_us: random.next() as u32,
+                }
+                .encode(random.next() as u16)
+                .as_bytes()
+                .to_vec(),
             };
             if random.next().is_multiple_of(4) && !piece.is_empty() {
                 let at = random.next() as usize % piece.len();

@@ -7,7 +7,7 @@ use firmware_protocol::scaling::{
 use firmware_protocol::{
     Decoder, DeviceKind, DeviceState, DisarmReply, Frame, FrameError, HelloReply, NO_ACT_US,
     PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Reply, Request, SampleReply, StatusBits,
-    WATCHDOG_MS, is_newer,
+    answers_fresh_sample, is_newer,
 };
 
 const GOLDEN: &str = include_str!("../golden.txt");
@@ -15,18 +15,29 @@ const GOLDEN: &str = include_str!("../golden.txt");
 fn requests() -> Vec<(&'static str, u16, Request)> {
     vec![
         ("hello", 1, Request::Hello { protocol_version: PROTOCOL_VERSION }),
-        ("hello_of_version_2", 2, Request::Hello { protocol_version: 2 }),
+        ("hello_of_version_1", 2, Request::Hello { protocol_version: 1 }),
         ("arm", 3, Request::Arm { nonce: 0xDEAD_BEEF }),
         ("arm_nonce_with_zeros", 0x0400, Request::Arm { nonce: 0x0001_0000 }),
         ("sample", 4, Request::Sample),
         ("sample_sequence_0", 0, Request::Sample),
-        ("act_0_mv", 5, Request::Act { voltage_mv: 0 }),
-        ("act_plus_5000_mv", 0xFFFF, Request::Act { voltage_mv: 5000 }),
-        ("act_minus_5000_mv", 0x0100, Request::Act { voltage_mv: -5000 }),
-        ("act_out_of_range", 6, Request::Act { voltage_mv: 5001 }),
+        ("act_0_mv", 5, Request::Act { voltage_mv: 0, sampled_at_us: 12_345_678 }),
+        ("act_plus_5000_mv", 0xFFFF, Request::Act { voltage_mv: 5000, sampled_at_us: 1 }),
+        ("act_minus_5000_mv", 0x0100, Request::Act { voltage_mv: -5000, sampled_at_us: u32::MAX }),
+        ("act_out_of_range", 6, Request::Act { voltage_mv: 5001, sampled_at_us: 0x0100_0000 }),
         ("disarm", 7, Request::Disarm),
     ]
 }
+
+const HELLO_REPLY: HelloReply = HelloReply {
+    protocol_version: PROTOCOL_VERSION,
+    firmware_version: [0, 1, 0],
+    kind: DeviceKind::Atmega328p as u8,
+    module_id: QUBE_MODULE_ID,
+    serial: [0x01, 0x23, 0x45, 0x67, 0x89, 0xAB, 0xCD, 0xEF],
+    nonce: 0xDEAD_BEEF,
+    boot_id: 0x0107,
+    dropped_frames: 2,
+};
 
 fn replies() -> Vec<(&'static str, u16, Reply)> {
     let sample = SampleReply {
@@ -41,18 +52,26 @@ fn replies() -> Vec<(&'static str, u16, Reply)> {
         sample_to_act_us: 920,
     };
     vec![
+        ("hello_reply", 1, Reply::Hello(HELLO_REPLY)),
         (
-            "hello_reply",
+            "hello_reply_without_qube",
+            1,
+            Reply::Hello(HelloReply { module_id: 0xFFFF, ..HELLO_REPLY }),
+        ),
+        ("hello_reply_to_another_version", 2, Reply::Hello(HelloReply { nonce: 0, ..HELLO_REPLY })),
+        (
+            "hello_reply_of_version_1",
+            1,
+            Reply::Hello(HelloReply { protocol_version: 1, boot_id: 50, ..HELLO_REPLY }),
+        ),
+        (
+            "hello_reply_after_a_restart",
             1,
             Reply::Hello(HelloReply {
-                protocol_version: PROTOCOL_VERSION,
-                firmware_version: [0, 1, 0],
-                kind: DeviceKind::Atmega328p as u8,
-                module_id: QUBE_MODULE_ID,
-                serial: [0x01, 0x23, 0x45, 0x67, 0x89, 0xAB, 0xCD, 0xEF],
-                nonce: 0xDEAD_BEEF,
-                watchdog_ms: WATCHDOG_MS,
-                dropped_frames: 2,
+                boot_id: 0x0108,
+                nonce: 0x0108_0001,
+                dropped_frames: 0,
+                ..HELLO_REPLY
             }),
         ),
         ("arm_reply", 3, Reply::Arm { device_time_us: 12_000_000 }),
@@ -62,6 +81,47 @@ fn replies() -> Vec<(&'static str, u16, Reply)> {
             8,
             Reply::Sample(SampleReply {
                 status: StatusBits(StatusBits::WATCHDOG_TRIPPED),
+                applied_mv: 0,
+                sample_to_act_us: NO_ACT_US,
+                ..sample
+            }),
+        ),
+        (
+            "sample_reply_before_any_arm",
+            4,
+            Reply::Sample(SampleReply {
+                status: StatusBits(0),
+                applied_mv: 0,
+                last_act_sequence: 0,
+                sample_to_act_us: NO_ACT_US,
+                ..sample
+            }),
+        ),
+        (
+            "sample_reply_stalled",
+            8,
+            Reply::Sample(SampleReply {
+                status: StatusBits(StatusBits::STALL_DETECTED | StatusBits::STALL_ERROR),
+                applied_mv: 0,
+                sample_to_act_us: NO_ACT_US,
+                ..sample
+            }),
+        ),
+        (
+            "sample_reply_first_after_arm_cleared_the_stall",
+            9,
+            Reply::Sample(SampleReply {
+                applied_mv: 0,
+                last_act_sequence: 8,
+                sample_to_act_us: NO_ACT_US,
+                ..sample
+            }),
+        ),
+        (
+            "sample_reply_emergency_stop",
+            8,
+            Reply::Sample(SampleReply {
+                status: StatusBits(StatusBits::EMERGENCY_STOP | StatusBits::STOP_SWITCH_FITTED),
                 applied_mv: 0,
                 sample_to_act_us: NO_ACT_US,
                 ..sample
@@ -85,6 +145,16 @@ fn replies() -> Vec<(&'static str, u16, Reply)> {
             "refusal_stale_act",
             5,
             Reply::Refusal { refused_type: 0x04, reason: RefusalReason::StaleSequence },
+        ),
+        (
+            "refusal_stale_sample",
+            6,
+            Reply::Refusal { refused_type: 0x04, reason: RefusalReason::StaleSample },
+        ),
+        (
+            "refusal_emergency_stop",
+            3,
+            Reply::Refusal { refused_type: 0x02, reason: RefusalReason::EmergencyStop },
         ),
         (
             "refusal_unknown_type",
@@ -125,6 +195,37 @@ fn number<T: TryFrom<i64>>(word: &str) -> T {
         None => word.parse().unwrap(),
     };
     T::try_from(value).ok().unwrap_or_else(|| panic!("{word} is out of range"))
+}
+
+/// Writes the frames of requests and replies anew; the other lines are kept.
+#[test]
+#[ignore = "writes golden.txt; run it when the wire has changed"]
+fn write_the_frames_anew() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/golden.txt");
+    let frames = |kind: &str| -> Vec<String> {
+        if kind == "request" {
+            let line = |(name, sequence, request): (_, _, Request)| {
+                format!("request {name} {}", hex(request.encode(sequence).as_bytes()))
+            };
+            requests().into_iter().map(line).collect()
+        } else {
+            let line = |(name, sequence, reply): (_, _, Reply)| {
+                format!("reply {name} {}", hex(reply.encode(sequence).as_bytes()))
+            };
+            replies().into_iter().map(line).collect()
+        }
+    };
+    let (mut text, mut last) = (String::new(), "");
+    for line in GOLDEN.lines() {
+        let kind = line.split_whitespace().next().unwrap_or_default();
+        if !matches!(kind, "request" | "reply") {
+            text += &format!("{line}\n");
+        } else if kind != last {
+            text += &format!("{}\n", frames(kind).join("\n"));
+        }
+        last = kind;
+    }
+    std::fs::write(path, &text).unwrap();
 }
 
 #[test]
@@ -191,5 +292,10 @@ fn conversions_give_the_numbers_in_the_file() {
     for words in lines("newer") {
         let newer = is_newer(number(words[1]), number(words[2]));
         assert_eq!(u8::from(newer), number::<u8>(words[3]), "{words:?}");
+    }
+    for words in lines("fresh") {
+        let given_us = (words[2] != "none").then(|| number(words[2]));
+        let fresh = answers_fresh_sample(number(words[1]), given_us, number(words[3]));
+        assert_eq!(u8::from(fresh), number::<u8>(words[4]), "{words:?}");
     }
 }

@@ -12,7 +12,8 @@ fn request() -> impl Strategy<Value = Request> {
         any::<u16>().prop_map(|protocol_version| Request::Hello { protocol_version }),
         any::<u32>().prop_map(|nonce| Request::Arm { nonce }),
         Just(Request::Sample),
-        any::<i16>().prop_map(|voltage_mv| Request::Act { voltage_mv }),
+        any::<(i16, u32)>()
+            .prop_map(|(voltage_mv, sampled_at_us)| Request::Act { voltage_mv, sampled_at_us }),
         Just(Request::Disarm),
     ]
 }
@@ -21,7 +22,7 @@ fn reply() -> impl Strategy<Value = Reply> {
     let hello = (any::<(u16, [u8; 3], u8, u16)>(), any::<([u8; 8], u32, u16, u16)>()).prop_map(
         |(
             (protocol_version, firmware_version, kind, module_id),
-            (serial, nonce, watchdog_ms, dropped_frames),
+            (serial, nonce, boot_id, dropped_frames),
         )| {
             Reply::Hello(HelloReply {
                 protocol_version,
@@ -30,7 +31,7 @@ fn reply() -> impl Strategy<Value = Reply> {
                 module_id,
                 serial,
                 nonce,
-                watchdog_ms,
+                boot_id,
                 dropped_frames,
             })
         },

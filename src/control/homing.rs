@@ -403,15 +403,17 @@ mod tests {
 
     #[test]
     fn an_arm_that_does_not_move_has_no_travel() {
-        let frozen = TickInput {
+        let frozen = |tick: u64| TickInput {
+            deadline_ns: tick * 10_000_000,
             measurement: Some(Measurement {
+                device_time_us: tick * 10_000,
                 status: crate::qube::Status { armed: true, ..Default::default() },
                 ..Measurement::default()
             }),
             ..TickInput::default()
         };
         let mut homing = Homing::new(&HomingSettings::default());
-        let ending = (0..10_000).find_map(|_| homing.decide(&frozen).ending);
+        let ending = (0..10_000).find_map(|tick| homing.decide(&frozen(tick)).ending);
         assert_eq!(ending, Some(Ending::Fault(Fault::TravelBlocked)));
         assert_eq!(homing.calibration(), None);
     }

@@ -11,6 +11,14 @@ const MAX_LATENESS_NS: u64 = 10_000_000;
 /// ... and so many of them in a row are a fault.
 const MAX_LATE_TICKS: u32 = 5;
 
+/// A device's clock that leaps this far ahead of the computer's between two samples is wrong, us.
+const CLOCK_LEAP_US: u64 = 1_000_000;
+
+/// One sample may be late on its way and the next early; so many in a row whose times are less than
+/// half as far apart as the computer's, or more than twice, are a wrong clock. At 10 ms a tick that is
+/// less than 5 ms or more than 20 ms.
+const MAX_ODD_PACES: u32 = 3;
+
 /// What a fault leaves to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alarm {
@@ -25,6 +33,32 @@ pub enum Alarm {
 pub struct Watch {
     last_valid_ns: Option<u64>,
     late_in_a_row: u32,
+    clock: ClockWatch,
+}
+
+/// Compares the times of the samples with the computer's.
+#[derive(Clone, Copy, Debug, Default)]
+struct ClockWatch {
+    /// When the last sample was asked for, and its time by the device's clock.
+    last: Option<(u64, u64)>,
+    odd_in_a_row: u32,
+}
+
+impl ClockWatch {
+    /// Whether the device's clock is wrong: it stands still, as where one sample is repeated, goes
+    /// back, or goes at another pace.
+    fn is_wrong(&mut self, asked_ns: u64, device_us: u64) -> bool {
+        let Some((last_ns, last_us)) = self.last.replace((asked_ns, device_us)) else {
+            return false;
+        };
+        let host_us = asked_ns.saturating_sub(last_ns) / 1000;
+        let elapsed_us = device_us.saturating_sub(last_us);
+        let is_odd = elapsed_us * 2 < host_us || elapsed_us > host_us * 2;
+        self.odd_in_a_row = if is_odd { self.odd_in_a_row + 1 } else { 0 };
+        elapsed_us == 0
+            || elapsed_us > host_us + CLOCK_LEAP_US
+            || self.odd_in_a_row >= MAX_ODD_PACES
+    }
 }
 
 impl Watch {
@@ -42,6 +76,13 @@ impl Watch {
             return (blind_ns > MAX_BLIND_NS).then_some(Alarm::Zero(Fault::NoSample));
         };
         self.last_valid_ns = Some(input.deadline_ns);
+        let asked_ns = input.deadline_ns + input.lateness_ns;
+        if self.clock.is_wrong(asked_ns, measurement.device_time_us) {
+            return Some(Alarm::Zero(Fault::DeviceClock));
+        }
+        if measurement.status.emergency_stop {
+            return Some(Alarm::Zero(Fault::EmergencyStop));
+        }
         if measurement.status.watchdog_tripped {
             return Some(Alarm::Zero(Fault::WatchdogTripped));
         }
@@ -72,11 +113,58 @@ mod tests {
 
     fn input(tick: u64) -> TickInput {
         let status = Status { armed: true, ..Status::default() };
+        let device_time_us = 777 + tick * PERIOD_NS / 1000;
         TickInput {
             deadline_ns: tick * PERIOD_NS,
-            measurement: Some(Measurement { status, ..Measurement::default() }),
+            measurement: Some(Measurement { device_time_us, status, ..Measurement::default() }),
             ..TickInput::default()
         }
+    }
+
+    /// Ticks until the clock of a device is found wrong, whose samples bear these times.
+    fn ticks_until_wrong(device_time_us: impl Fn(u64) -> u64) -> Option<u64> {
+        let mut watch = Watch::default();
+        (0..200).find(|&tick| {
+            let mut input = input(tick);
+            let sample = input.measurement.as_mut().unwrap();
+            sample.device_time_us = device_time_us(tick);
+            let alarm = watch.check(&input);
+            assert!(alarm.is_none() || alarm == Some(Alarm::Zero(Fault::DeviceClock)));
+            alarm.is_some()
+        })
+    }
+
+    #[test]
+    fn a_sample_that_repeats_and_a_clock_that_goes_wrong_are_a_fault() {
+        assert_eq!(ticks_until_wrong(|tick| 10_000 * tick.min(50)), Some(51));
+        // Back to an older sample, as a 32-bit clock made 64 bits wide shows it.
+        let back =
+            |tick| if tick < 20 { 10_000 * tick } else { 10_000 * tick + (1 << 32) - 50_000 };
+        assert_eq!(ticks_until_wrong(back), Some(20));
+        assert_eq!(ticks_until_wrong(|tick| 4_900 * tick), Some(3));
+        assert_eq!(ticks_until_wrong(|tick| 20_100 * tick), Some(3));
+        // A crystal's error, answers that are late in turns, and a wrap of whatever width are none.
+        assert_eq!(ticks_until_wrong(|tick| 10_050 * tick), None);
+        assert_eq!(ticks_until_wrong(|tick| 10_000 * tick + 5_900 * (tick % 2)), None);
+        assert_eq!(ticks_until_wrong(|tick| 10_000 * tick + 9_900 * u64::from(tick > 70)), None);
+    }
+
+    #[test]
+    fn a_clock_is_compared_over_lost_samples_and_skipped_periods() {
+        let mut watch = Watch::default();
+        for tick in [0, 1, 4, 5, 8, 9, 12, 15, 16] {
+            assert_eq!(watch.check(&input(tick)), None);
+        }
+        let repeated = TickInput { deadline_ns: 18 * PERIOD_NS, ..input(16) };
+        assert_eq!(watch.check(&repeated), Some(Alarm::Zero(Fault::DeviceClock)));
+    }
+
+    #[test]
+    fn an_emergency_stop_is_named_before_what_it_leads_to() {
+        let status = Status { emergency_stop: true, ..Status::default() };
+        let measurement = Some(Measurement { status, ..Measurement::default() });
+        let alarm = Watch::default().check(&TickInput { measurement, ..input(0) });
+        assert_eq!(alarm, Some(Alarm::Zero(Fault::EmergencyStop)));
     }
 
     #[test]
@@ -111,8 +199,8 @@ mod tests {
             let input = TickInput { lateness_ns: if late { 11_000_000 } else { 0 }, ..input(tick) };
             assert_eq!(watch.check(&input), None);
         }
-        let late = TickInput { lateness_ns: 11_000_000, ..input(30) };
-        let alarms = [(); 5].map(|()| watch.check(&late));
+        let alarms = [30, 31, 32, 33, 34]
+            .map(|tick| watch.check(&TickInput { lateness_ns: 11_000_000, ..input(tick) }));
         assert_eq!(alarms[3], None);
         assert_eq!(alarms[4], Some(Alarm::Brake(Fault::TooLate)));
     }

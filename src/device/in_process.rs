@@ -14,8 +14,8 @@ const BYTE_NS: Nanoseconds = 1_000_000_000 * BITS_PER_BYTE as u64 / BAUD_RATE as
 /// 16 MHz needs to check one frame and build another.
 const TURNAROUND_NS: Nanoseconds = 100_000;
 
-/// How long a hello may stay without an answer. There is nothing that boots.
-const BOOT_TIME_NS: Nanoseconds = 1_000_000_000;
+/// How long a hello may stay without an answer: what PROTOCOL.md allows a board that restarts.
+const BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 
 /// An emulated board on a line of memory, in virtual time.
 ///

@@ -52,7 +52,9 @@ pub trait Device: Send {
     /// It reaches the motor at once on receipt and feeds the watchdog.
     ///
     /// # Errors
-    /// The bytes could not be handed over without waiting.
+    /// The bytes could not be handed over without waiting. Nothing is sent when that sample is not the
+    /// last one that [`sample`](Self::sample) has returned since the last hello, or when it was asked
+    /// for more than 20 ms ago.
     fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault>;
 
     /// Switches the amplifier off.
@@ -60,6 +62,23 @@ pub trait Device: Send {
     /// # Errors
     /// The device did not confirm. Its watchdog then does the same within 50 ms.
     fn disarm(&mut self) -> Result<(), DeviceError>;
+
+    /// Opens the way to the device anew after its port was gone, under the name that stays with the
+    /// device. The next call is [`hello`](Self::hello), whose identity shows whether it
+    /// [is the same board](Identity::is_same_board). A backend with nothing to open does nothing.
+    ///
+    /// # Errors
+    /// The port is not there again yet, or may not be opened.
+    fn reopen(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    /// Whether [`Measurement::device_time_us`] comes from a clock of the device. A backend without one
+    /// fills in the computer's time at which the sample was asked for, and says so here: nothing then
+    /// shows that a sample has been on its way for long.
+    fn has_device_clock(&self) -> bool {
+        true
+    }
 
     /// Whether there may be a motor behind it that hurts somebody. A backend that cannot tell, or has
     /// not been told yet, is hardware.
@@ -87,6 +106,20 @@ pub struct Identity {
     pub port: String,
 }
 
+impl Identity {
+    /// Whether it is the same board, perhaps after a restart, on whatever port.
+    #[must_use]
+    pub fn is_same_board(&self, other: &Self) -> bool {
+        self.kind == other.kind && self.serial == other.serial
+    }
+
+    /// Whether it is the same board and has not restarted: what was found out about its counts holds.
+    #[must_use]
+    pub fn is_same_start(&self, other: &Self) -> bool {
+        self.is_same_board(other) && self.boot_id == other.boot_id
+    }
+}
+
 /// What can go wrong with one exchange inside the tick. Small and `Copy`, so that it can be recorded.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -106,6 +139,9 @@ pub enum LinkFault {
     /// The device's watchdog has switched the amplifier off.
     #[error("the device's watchdog switched the motor off")]
     WatchdogTripped,
+    /// The act answers no sample of the last 20 ms.
+    #[error("the command answers no sample of the last 20 ms")]
+    StaleSample,
 }
 
 /// What can go wrong outside the tick. Each message says what, where and what to do.
@@ -140,6 +176,19 @@ pub enum DeviceError {
         port: String,
         /// What came instead.
         reason: String,
+    },
+    /// A device that has answered before does not answer any more.
+    #[error(
+        "{port} answered until {silent_s:.1} s ago, then {since}. Switch the Qube off, then look at \
+         the board's supply and its USB cable"
+    )]
+    FellSilent {
+        /// The port.
+        port: String,
+        /// How long ago its last valid answer came, s.
+        silent_s: f64,
+        /// What came since.
+        since: String,
     },
     /// A Qube that speaks another version.
     #[error(

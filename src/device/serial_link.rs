@@ -1,8 +1,8 @@
 use std::sync::Arc;
 
 use firmware_protocol::{
-    Decoder, DeviceKind, DeviceState, HelloReply, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID,
-    RefusalReason, Reply, Request, SampleReply, StatusBits,
+    Decoder, DeviceKind, DeviceState, HelloReply, MAX_SAMPLE_AGE_US, NO_ACT_US, PROTOCOL_VERSION,
+    QUBE_MODULE_ID, RefusalReason, Reply, Request, SampleReply, StatusBits,
 };
 
 use super::{Device, DeviceError, Identity, LinkFault, Transport};
@@ -14,14 +14,15 @@ const MS: Nanoseconds = 1_000_000;
 /// A booting device hears nothing, so hellos are repeated at this interval.
 const HELLO_INTERVAL_NS: Nanoseconds = 100 * MS;
 
-/// How long a device that has answered before may take to answer a hello.
-const HELLO_TIME_NS: Nanoseconds = 1000 * MS;
-
 /// How long an arm or a disarm may stay without an answer before it is sent again.
 const ANSWER_TIME_NS: Nanoseconds = 100 * MS;
 
 /// How often arm and disarm are tried: a frame may be lost on a healthy line.
 const ATTEMPTS: u32 = 3;
+
+/// An act whose sample was asked for longer ago than this is not sent: the device would refuse it,
+/// unless its clock is wrong.
+const MAX_SAMPLE_AGE_NS: Nanoseconds = MAX_SAMPLE_AGE_US as Nanoseconds * 1000;
 
 /// Several of the largest frame: what one read of the port may bring.
 const READ_BYTES: usize = 256;
@@ -37,11 +38,12 @@ pub struct SerialLink<T: Transport> {
     sequence: u16,
     /// For the next arm, while one is valid.
     nonce: Option<u32>,
-    has_answered: bool,
     /// The last device that answered called itself an emulator.
     is_emulator: bool,
     motor: Motor,
     device_time: DeviceTime,
+    /// The last sample since the last hello: the only one that an act may answer.
+    last_sample: Option<LastSample>,
     /// The last write was cut short: a delimiter must close the broken frame before the next.
     broken_frame: bool,
     heard: Heard,
@@ -55,11 +57,21 @@ enum Motor {
     Tripped,
 }
 
-/// What came in since the first hello, to say what is wrong with a port that is no Qube's.
+/// What came in, to say what is wrong with a port that is no Qube's, or is none any more.
 #[derive(Clone, Copy, Debug, Default)]
 struct Heard {
+    /// When the last valid answer came.
+    answered_ns: Option<Nanoseconds>,
+    /// What came since then, or since the first hello.
     bytes: u64,
     requests: u64,
+}
+
+/// A sample that was given to the host.
+#[derive(Clone, Copy, Debug)]
+struct LastSample {
+    device_time_us: u64,
+    asked_ns: Nanoseconds,
 }
 
 /// The device's 32-bit clock made 64 bits wide. Right as long as two samples are less than 71
@@ -90,10 +102,10 @@ impl<T: Transport> SerialLink<T> {
             decoder: Decoder::new(),
             sequence: 0,
             nonce: None,
-            has_answered: false,
             is_emulator: false,
             motor: Motor::Off,
             device_time: DeviceTime::default(),
+            last_sample: None,
             broken_frame: false,
             heard: Heard::default(),
         }
@@ -129,11 +141,16 @@ impl<T: Transport> SerialLink<T> {
             if length == 0 {
                 return Err(LinkFault::Timeout);
             }
-            self.heard.bytes += length as u64;
             let mut awaited = None;
             for &byte in &buffer[..length] {
+                self.heard.bytes += 1;
                 let Some(Ok(frame)) = self.decoder.push(byte) else { continue };
-                match Reply::parse(&frame) {
+                let reply = Reply::parse(&frame);
+                if reply.is_ok() {
+                    let answered_ns = Some(self.clock.now_ns());
+                    self.heard = Heard { answered_ns, ..Heard::default() };
+                }
+                match reply {
                     Ok(reply) if frame.sequence == sequence => awaited = Some(reply),
                     Ok(Reply::Refusal { refused_type, reason }) => {
                         self.note_refusal(refused_type, reason);
@@ -153,7 +170,7 @@ impl<T: Transport> SerialLink<T> {
     }
 
     fn note_refusal(&mut self, refused_type: u8, reason: RefusalReason) {
-        if refused_type != (Request::Act { voltage_mv: 0 }).message_type() {
+        if refused_type != (Request::Act { voltage_mv: 0, sampled_at_us: 0 }).message_type() {
             return;
         }
         match reason {
@@ -172,8 +189,11 @@ impl<T: Transport> SerialLink<T> {
     }
 
     /// Repeats hellos until one is answered or the time is over.
-    fn greet(&mut self, wait_ns: Nanoseconds) -> Result<HelloReply, DeviceError> {
+    fn greet(&mut self) -> Result<HelloReply, DeviceError> {
+        // Any device may have restarted a moment ago, also one that has answered before.
+        let wait_ns = self.transport.boot_time_ns();
         self.nonce = None;
+        self.last_sample = None;
         self.is_emulator = false;
         self.motor = Motor::Off;
         self.device_time = DeviceTime::default();
@@ -195,20 +215,28 @@ impl<T: Transport> SerialLink<T> {
                 Err(fault) => return Err(self.link_error(fault)),
             }
         }
-        Err(self.not_a_qube(self.silence(hellos, wait_ns)))
+        Err(self.silence(hellos, wait_ns))
     }
 
-    fn silence(&self, hellos: u32, wait_ns: Nanoseconds) -> String {
-        if self.heard.requests > 0 {
+    /// Why there is no answer to a hello.
+    fn silence(&self, hellos: u32, wait_ns: Nanoseconds) -> DeviceError {
+        let Heard { answered_ns, bytes, requests } = self.heard;
+        let nothing = format!("no answer to {hellos} hellos in {:.1} s", wait_ns as f64 * 1e-9);
+        if let Some(answered_ns) = answered_ns {
+            let silent_s = (self.clock.now_ns() - answered_ns) as f64 * 1e-9;
+            let since =
+                if bytes > 0 { format!("{bytes} bytes that are no answer") } else { nothing };
+            return DeviceError::FellSilent { port: self.name(), silent_s, since };
+        }
+        self.not_a_qube(if requests > 0 {
             "it echoes what it is sent".into()
-        } else if self.heard.bytes > 0 {
+        } else if bytes > 0 {
             format!(
-                "it sent {} bytes that are no answer (another device, or another baud rate)",
-                self.heard.bytes
+                "it sent {bytes} bytes that are no answer (another device, or another baud rate)"
             )
         } else {
-            format!("no answer to {hellos} hellos in {:.1} s", wait_ns as f64 * 1e-9)
-        }
+            nothing
+        })
     }
 
     fn name(&self) -> String {
@@ -250,24 +278,28 @@ impl<T: Transport> SerialLink<T> {
             serial: format!("{:016x}", u64::from_be_bytes(reply.serial)),
             firmware_version: format!("{major}.{minor}.{patch}"),
             protocol_version: reply.protocol_version,
-            boot_id: 0,
+            boot_id: reply.boot_id,
             port: self.name(),
         })
     }
 
-    fn measurement(&mut self, sample: &SampleReply) -> Measurement {
+    fn measurement(&mut self, sample: &SampleReply, asked_ns: Nanoseconds) -> Measurement {
         let status = Status {
             armed: sample.status.has(StatusBits::ARMED),
             watchdog_tripped: sample.status.has(StatusBits::WATCHDOG_TRIPPED),
             amplifier_fault: sample.status.has(StatusBits::AMPLIFIER_FAULT),
             stall_detected: sample.status.has(StatusBits::STALL_DETECTED),
             stall_error: sample.status.has(StatusBits::STALL_ERROR),
+            emergency_stop: sample.status.has(StatusBits::EMERGENCY_STOP),
+            stop_switch_fitted: sample.status.has(StatusBits::STOP_SWITCH_FITTED),
         };
         if self.motor == Motor::Armed && !status.armed {
             self.motor = if status.watchdog_tripped { Motor::Tripped } else { Motor::Off };
         }
+        let device_time_us = self.device_time.unwrap_us(sample.device_time_us);
+        self.last_sample = Some(LastSample { device_time_us, asked_ns });
         Measurement {
-            device_time_us: self.device_time.unwrap_us(sample.device_time_us),
+            device_time_us,
             theta_counts: sample.theta_counts,
             alpha_counts: sample.alpha_counts,
             tachometer_counts_s: sample.tachometer_counts_s,
@@ -282,9 +314,7 @@ impl<T: Transport> SerialLink<T> {
 
 impl<T: Transport> Device for SerialLink<T> {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
-        let wait_ns = if self.has_answered { HELLO_TIME_NS } else { self.transport.boot_time_ns() };
-        let reply = self.greet(wait_ns)?;
-        self.has_answered = true;
+        let reply = self.greet()?;
         self.accept(&reply)
     }
 
@@ -304,7 +334,7 @@ impl<T: Transport> Device for SerialLink<T> {
                     return Err(self.refused("arm", reason));
                 }
                 Ok(_) | Err(LinkFault::Timeout | LinkFault::Full) if attempt < ATTEMPTS => {
-                    let reply = self.greet(HELLO_TIME_NS)?;
+                    let reply = self.greet()?;
                     self.accept(&reply)?;
                     nonce = self.nonce.take().unwrap_or(0);
                 }
@@ -317,9 +347,10 @@ impl<T: Transport> Device for SerialLink<T> {
     }
 
     fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+        let asked_ns = self.clock.now_ns();
         let sequence = self.send(Request::Sample)?;
         match self.await_reply(sequence, deadline_ns)? {
-            Reply::Sample(sample) => Ok(self.measurement(&sample)),
+            Reply::Sample(sample) => Ok(self.measurement(&sample, asked_ns)),
             // It restarted, so it knows of no hello.
             Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => {
                 self.motor = Motor::Off;
@@ -329,12 +360,22 @@ impl<T: Transport> Device for SerialLink<T> {
         }
     }
 
-    fn act(&mut self, voltage_mv: i16, _sampled_at_us: u64) -> Result<(), LinkFault> {
+    fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
         match self.motor {
-            Motor::Armed => self.send(Request::Act { voltage_mv }).map(|_| ()),
-            Motor::Tripped => Err(LinkFault::WatchdogTripped),
-            Motor::Off => Err(LinkFault::NotArmed),
+            Motor::Armed => {}
+            Motor::Tripped => return Err(LinkFault::WatchdogTripped),
+            Motor::Off => return Err(LinkFault::NotArmed),
         }
+        let now_ns = self.clock.now_ns();
+        let is_fresh = self.last_sample.is_some_and(|last| {
+            last.device_time_us == sampled_at_us
+                && now_ns.saturating_sub(last.asked_ns) <= MAX_SAMPLE_AGE_NS
+        });
+        if !is_fresh {
+            return Err(LinkFault::StaleSample);
+        }
+        // The wire carries the lowest 32 bits, from which the 64 were made.
+        self.send(Request::Act { voltage_mv, sampled_at_us: sampled_at_us as u32 }).map(|_| ())
     }
 
     fn disarm(&mut self) -> Result<(), DeviceError> {
@@ -347,7 +388,7 @@ impl<T: Transport> Device for SerialLink<T> {
                     // While a lost disarm was waited for the watchdog did its work. That is no fault
                     // that anybody would have to look at; a trip before it is, and stays latched.
                     if was_armed && attempt > 1 && reply.state == DeviceState::Tripped {
-                        let reply = self.greet(HELLO_TIME_NS)?;
+                        let reply = self.greet()?;
                         self.accept(&reply)?;
                     }
                     break;
@@ -359,6 +400,14 @@ impl<T: Transport> Device for SerialLink<T> {
             }
         }
         Ok(())
+    }
+
+    fn reopen(&mut self) -> Result<(), DeviceError> {
+        self.motor = Motor::Off;
+        self.nonce = None;
+        self.last_sample = None;
+        self.decoder.reset();
+        self.transport.reopen()
     }
 
     fn is_hardware(&self) -> bool {

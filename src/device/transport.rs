@@ -1,4 +1,4 @@
-use super::LinkFault;
+use super::{DeviceError, LinkFault};
 use crate::clock::Nanoseconds;
 
 /// A wire that carries bytes: a serial port, or memory in its place.
@@ -16,6 +16,14 @@ pub trait Transport: Send {
     /// [`LinkFault::Full`] when not all were taken (some may have been), [`LinkFault::Gone`] when
     /// the wire is gone.
     fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault>;
+
+    /// Opens the wire anew after it was gone. A wire in memory has nothing to open.
+    ///
+    /// # Errors
+    /// It is not there again yet, or may not be opened.
+    fn reopen(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
 
     /// What users call this wire: the port's path.
     fn name(&self) -> &str;

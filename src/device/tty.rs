@@ -8,7 +8,7 @@ use serialport::{ErrorKind, TTYPort};
 
 use super::port_fd::PortFd;
 use super::port_holder::holder_of;
-use super::port_name::available_ports;
+use super::port_name::{available_ports, stable_port_name};
 use super::{DeviceError, LinkFault, SerialLink, Transport};
 use crate::clock::{Clock, Nanoseconds};
 
@@ -16,13 +16,17 @@ use crate::clock::{Clock, Nanoseconds};
 /// seconds before the program starts.
 const BOOT_TIME_NS: Nanoseconds = 3_000_000_000;
 
-/// A pty has no modem lines, so that nothing behind it restarts.
-const PTY_BOOT_TIME_NS: Nanoseconds = 1_000_000_000;
+/// A pty has no modem lines, so that opening it restarts nothing; but what is behind it may restart by
+/// itself, and PROTOCOL.md allows that this long.
+const PTY_BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 
 /// A serial port of the operating system, exclusively open.
 pub struct Tty {
-    fd: PortFd<TTYPort>,
+    /// None after the port was closed to be opened anew, and could not be.
+    fd: Option<PortFd<TTYPort>>,
     name: String,
+    /// The name under which the same device comes back when it is plugged in again.
+    stable_name: String,
     clock: Arc<dyn Clock>,
     has_modem_lines: bool,
 }
@@ -33,16 +37,9 @@ impl Tty {
     /// # Errors
     /// No such port, in use, not permitted, not a serial port.
     pub fn open(port: &str, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
-        let io_error = |source| DeviceError::Io { port: port.to_owned(), source };
-        let mut tty = serialport::new(port, firmware_protocol::BAUD_RATE)
-            .dtr_on_open(true)
-            .open_native()
-            .map_err(|error| open_error(port, error))?;
-        let has_modem_lines = serialport::SerialPort::read_carrier_detect(&mut tty).is_ok();
-        let fd = PortFd::new(tty);
-        rustix::io::ioctl_fionbio(&fd, true).map_err(|error| io_error(error.into()))?;
-        fd.ask_for_low_latency();
-        Ok(Self { fd, name: port.to_owned(), clock, has_modem_lines })
+        let (fd, has_modem_lines) = open_port(port)?;
+        let stable_name = stable_port_name(port);
+        Ok(Self { fd: Some(fd), name: port.to_owned(), stable_name, clock, has_modem_lines })
     }
 
     /// How long to wait, none when the deadline has passed.
@@ -59,7 +56,8 @@ impl Transport for Tty {
     fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
         loop {
             let timeout = self.timeout(deadline_ns);
-            let mut ready = [PollFd::new(&self.fd, PollFlags::IN)];
+            let Some(fd) = &self.fd else { return Err(LinkFault::Gone) };
+            let mut ready = [PollFd::new(fd, PollFlags::IN)];
             match poll(&mut ready, Some(&timeout)) {
                 Ok(0) => return Ok(0),
                 Ok(_) => {}
@@ -67,7 +65,7 @@ impl Transport for Tty {
                 Err(_) => return Err(LinkFault::Gone),
             }
             // An unplugged port is readable without end: as 0 bytes or as an error.
-            match rustix::io::read(&self.fd, &mut *buffer) {
+            match rustix::io::read(fd, &mut *buffer) {
                 Ok(0) => return Err(LinkFault::Gone),
                 Ok(length) => return Ok(length),
                 Err(Errno::INTR | Errno::AGAIN) if !ready[0].revents().contains(PollFlags::HUP) => {
@@ -78,14 +76,23 @@ impl Transport for Tty {
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        let Some(fd) = &self.fd else { return Err(LinkFault::Gone) };
         loop {
-            match rustix::io::write(self.fd.as_fd(), bytes) {
+            match rustix::io::write(fd.as_fd(), bytes) {
                 Ok(length) if length == bytes.len() => return Ok(()),
                 Ok(_) | Err(Errno::AGAIN) => return Err(LinkFault::Full),
                 Err(Errno::INTR) => {}
                 Err(_) => return Err(LinkFault::Gone),
             }
         }
+    }
+
+    /// The old port is closed first: it would keep the new one from being opened exclusively.
+    fn reopen(&mut self) -> Result<(), DeviceError> {
+        self.fd = None;
+        let (fd, has_modem_lines) = open_port(&self.stable_name)?;
+        (self.fd, self.has_modem_lines) = (Some(fd), has_modem_lines);
+        Ok(())
     }
 
     fn name(&self) -> &str {
@@ -105,6 +112,20 @@ impl SerialLink<Tty> {
     pub fn open(port: &str, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
         Ok(Self::new(Tty::open(port, Arc::clone(&clock))?, clock))
     }
+}
+
+/// The port, and whether it has modem lines.
+fn open_port(port: &str) -> Result<(PortFd<TTYPort>, bool), DeviceError> {
+    let mut tty = serialport::new(port, firmware_protocol::BAUD_RATE)
+        .dtr_on_open(true)
+        .open_native()
+        .map_err(|error| open_error(port, error))?;
+    let has_modem_lines = serialport::SerialPort::read_carrier_detect(&mut tty).is_ok();
+    let fd = PortFd::new(tty);
+    rustix::io::ioctl_fionbio(&fd, true)
+        .map_err(|error| DeviceError::Io { port: port.to_owned(), source: error.into() })?;
+    fd.ask_for_low_latency();
+    Ok((fd, has_modem_lines))
 }
 
 fn open_error(port: &str, error: serialport::Error) -> DeviceError {

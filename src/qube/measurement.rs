@@ -35,4 +35,10 @@ pub struct Status {
     pub stall_detected: bool,
     /// The stall lasted and the Qube switched its motor off.
     pub stall_error: bool,
+    /// The emergency-stop switch is open, or was since the last hello.
+    #[serde(default)]
+    pub emergency_stop: bool,
+    /// The board knows of an emergency-stop switch.
+    #[serde(default)]
+    pub stop_switch_fitted: bool,
 }

@@ -43,12 +43,14 @@ fn what_is_read_is_what_was_written() {
 
 fn any_tick() -> impl Strategy<Value = TickRecord> {
     let number = prop_oneof![any::<u64>().prop_map(f64::from_bits), -50.0..50.0];
-    let status = prop::array::uniform5(any::<bool>()).prop_map(|flags| Status {
+    let status = prop::array::uniform7(any::<bool>()).prop_map(|flags| Status {
         armed: flags[0],
         watchdog_tripped: flags[1],
         amplifier_fault: flags[2],
         stall_detected: flags[3],
         stall_error: flags[4],
+        emergency_stop: flags[5],
+        stop_switch_fitted: flags[6],
     });
     let measurement = (
         any::<(u64, i32, i32, i32, u32)>(),

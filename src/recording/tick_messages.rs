@@ -45,10 +45,21 @@ pub(super) struct MeasurementMessage {
     stall_detected: bool,
     /// The stall lasted and the Qube switched its motor off.
     stall_error: bool,
+    /// The emergency-stop switch is open, or was since the last hello.
+    #[serde(default, skip_serializing_if = "is_false")]
+    emergency_stop: bool,
+    /// The board knows of an emergency-stop switch.
+    #[serde(default, skip_serializing_if = "is_false")]
+    stop_switch_fitted: bool,
     /// Bits of the numbers that are not finite, by name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "String")]
     not_finite: Option<String>,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde hands a field over by reference")]
+fn is_false(flag: &bool) -> bool {
+    !flag
 }
 
 /// The estimated state that the controller saw.
@@ -152,6 +163,8 @@ impl MeasurementMessage {
             amplifier_fault: measurement.status.amplifier_fault,
             stall_detected: measurement.status.stall_detected,
             stall_error: measurement.status.stall_error,
+            emergency_stop: measurement.status.emergency_stop,
+            stop_switch_fitted: measurement.status.stop_switch_fitted,
             not_finite: not_finite.into_text(),
         }
     }
@@ -173,6 +186,8 @@ impl MeasurementMessage {
                 amplifier_fault: self.amplifier_fault,
                 stall_detected: self.stall_detected,
                 stall_error: self.stall_error,
+                emergency_stop: self.emergency_stop,
+                stop_switch_fitted: self.stop_switch_fitted,
             },
             applied_mv: self.applied_mv,
             sample_to_act_us: self.sample_to_act_us,

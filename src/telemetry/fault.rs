@@ -94,6 +94,12 @@ faults! {
     NotArmed: TryAgain,
         "the device was disarmed in the middle of a motion",
         "Look whether another program talks to the board.";
+    EmergencyStop: Examine,
+        "the emergency-stop switch was opened",
+        "See that nobody is near the arm, then close the switch. If nobody was at it, look at its wires.";
+    DeviceClock: Examine,
+        "the device's clock does not go with the computer's, or the same sample came twice",
+        "Flash the firmware of this release, then qube-hil check --conformance.";
     TooLate: TryAgain,
         "five ticks in a row were more than 10 ms late",
         "Close what keeps this computer busy (qube-hil doctor).";

@@ -13,8 +13,12 @@ const ACTS: i16 = 40;
 /// 17 bytes at 1 MHz, and an interrupt between two of them.
 const FRAME_US: u64 = 17 * 11;
 
-/// From the firmware's first instruction to the start of its clock.
-const BOOT_US: u64 = 1000;
+/// From the chip's start to the start of the firmware's clock: at the first start it writes its serial
+/// number into the EEPROM.
+const BOOT_US: u64 = 60_000;
+
+/// What may lie between the firmware's look at its clock and the fall of chip select.
+const CLOCK_US: u64 = 4;
 
 /// An act begins a frame in that moment, or directly after the one under way. To wait for the
 /// sampling timer would take 2 ms.
@@ -22,7 +26,7 @@ const BOOT_US: u64 = 1000;
 fn the_firmware_passes_an_act_on_at_once() {
     scenario(|driver| {
         driver.link.arm().unwrap();
-        let mut delays_us = Vec::new();
+        let (mut acts, mut samples_us) = (Vec::new(), Vec::new());
         let mut before = driver.sample().map_err(|_| Disturbed)?;
         for act in 0..ACTS {
             // Each another motor word; no voltage for long enough to matter.
@@ -35,19 +39,31 @@ fn the_firmware_passes_an_act_on_at_once() {
             }
             let accepted_us =
                 before.device_time_us + u64::from(after.sample_to_act_us.ok_or(Disturbed)?);
-            let qube = driver.board.qube();
-            let clock_begins_us = qube
-                .commands
-                .iter()
-                .map(|it| it.selected_us.wrapping_sub(after.device_time_us))
-                .find(|&offset_us| offset_us < BOOT_US)
-                .expect("the sample is of a frame that there was, timed when chip select fell");
-            let word = motor_word(motor_counts(voltage_mv));
-            let through = qube.commands.iter().rev().take_while(|it| it.motor_word == word).last();
-            delays_us.push(through.unwrap().time_us - clock_begins_us - accepted_us);
-            drop(qube);
+            acts.push((accepted_us, motor_word(motor_counts(voltage_mv))));
+            samples_us.push(after.device_time_us);
             before = after;
         }
+        let qube = driver.board.qube();
+        // Each sample is of a frame that there was, timed when chip select fell.
+        let is_of_a_frame = |time_us: u64| {
+            let next = qube.commands.partition_point(|it| it.selected_us < time_us);
+            qube.commands.get(next).is_some_and(|it| it.selected_us <= time_us + CLOCK_US)
+        };
+        let clock_begins_us = (0..BOOT_US)
+            .find(|begins_us| {
+                samples_us.iter().all(|sample_us| is_of_a_frame(begins_us + sample_us))
+            })
+            .expect("the device's clock begins somewhere");
+        let mut delays_us: Vec<u64> =
+            acts.iter()
+                .map(|&(accepted_us, word)| {
+                    let through = qube.commands.iter().find(|it| {
+                        it.time_us > clock_begins_us + accepted_us && it.motor_word == word
+                    });
+                    through.unwrap().time_us - clock_begins_us - accepted_us
+                })
+                .collect();
+        drop(qube);
         delays_us.sort_unstable();
         println!("act to Qube: {delays_us:?} us");
         assert!(delays_us[delays_us.len() / 2] < 2 * FRAME_US, "{delays_us:?}");

@@ -84,9 +84,14 @@ impl Driver {
 
 /// Runs a scenario on a fresh board, again and again while the computer is too slow for it.
 pub fn scenario(run: impl Fn(&mut Driver) -> Result<(), Disturbed>) {
+    scenario_on(Chip::Atmega328p, run);
+}
+
+/// The same, on this chip.
+pub fn scenario_on(chip: Chip, run: impl Fn(&mut Driver) -> Result<(), Disturbed>) {
     let Some(toolchain) = toolchain() else { return };
     for _ in 0..ATTEMPTS {
-        let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(1));
+        let board = SimulatedBoard::start(toolchain, chip, Qube::new(1));
         let mut driver = Driver::hello(board);
         if run(&mut driver).is_ok() {
             return;

@@ -6,7 +6,7 @@ use qube_hil::device::{Device, DeviceError, SerialLink};
 
 use crate::driver::{Disturbed, scenario};
 use crate::qube::{Command, Qube};
-use crate::simulated_board::SimulatedBoard;
+use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
 
 /// Two of the firmware's sampling periods: what it may be late to see, or to tell the Qube.
@@ -186,7 +186,7 @@ fn the_firmware_extends_24_bit_counters() {
 fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
     scenario(|driver| {
         driver.arm_and_drive()?;
-        driver.board.hang();
+        driver.board.order(Order::Hang);
         let hung_us = driver.board.time_us();
         // It restarts, so frames come again.
         driver.board.wait_us(100_000);

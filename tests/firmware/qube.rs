@@ -4,6 +4,7 @@
 use firmware_protocol::QUBE_MODULE_ID;
 use firmware_protocol::scaling::{MOTOR_ENABLE, motor_voltage_mv};
 use qube_hil::device::emulator::{EmulatorSettings, Plant};
+use qube_hil::qube::State;
 
 pub const FRAME_BYTES: usize = 17;
 
@@ -104,6 +105,12 @@ impl Qube {
     pub fn shift_counters(&mut self, counts: i32) {
         self.theta_preset += counts;
         self.alpha_preset += counts;
+    }
+
+    /// Lets time pass without a frame; where the plant is then.
+    pub fn state_at(&mut self, time_us: u64) -> State {
+        self.plant.advance_to(time_us);
+        self.plant.state()
     }
 
     /// Chip select falls: everything is latched.

@@ -1,6 +1,7 @@
 //! A board that runs the firmware: the simulator's process, the Qube on its SPI, its serial port.
 
 use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -19,7 +20,24 @@ static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 const EVENT_BYTES: usize = 48;
 const CHIP_SELECT_FALLS: u8 = b'L';
 const GO_ON: u8 = 0;
-const HANG: u8 = 1;
+
+/// What can be done to a board; numbered as in simulator.c.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Order {
+    /// The main loop hangs; interrupts go on.
+    Hang = 1,
+    /// The chip starts anew.
+    Restart = 2,
+    /// The chip starts anew after a dip of its supply, 65 ms later.
+    BrownOut = 3,
+    /// The board has no supply any more.
+    PowerLoss = 4,
+    /// The emergency-stop switch's contact closes.
+    CloseStop = 5,
+    /// And opens.
+    OpenStop = 6,
+}
 
 /// How long to wait for simulated time to pass, however busy the computer is.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -44,10 +62,32 @@ pub struct SimulatedBoard {
 impl SimulatedBoard {
     /// Switches a board on. It has a Qube on its SPI.
     pub fn start(toolchain: &Toolchain, chip: Chip, qube: Qube) -> Self {
+        Self::start_with_memory(toolchain, chip, qube, 0)
+    }
+
+    /// The same, with the memory's content at power-on chosen by a seed.
+    pub fn start_with_memory(
+        toolchain: &Toolchain,
+        chip: Chip,
+        qube: Qube,
+        memory_seed: u32,
+    ) -> Self {
+        Self::start_elf(toolchain, &toolchain.elf(chip), chip, qube, memory_seed)
+    }
+
+    /// The same, with another program than the one that is flashed as documented.
+    pub fn start_elf(
+        toolchain: &Toolchain,
+        elf: &Path,
+        chip: Chip,
+        qube: Qube,
+        memory_seed: u32,
+    ) -> Self {
         let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
         let mut simulator = Command::new(toolchain.simulator())
-            .arg(toolchain.elf(chip))
+            .arg(elf)
             .arg(chip.name())
+            .arg(memory_seed.to_string())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -93,9 +133,17 @@ impl SimulatedBoard {
         self.shared.lost_bytes.load(Ordering::Relaxed)
     }
 
-    /// Makes the program's main loop hang from the next frame on; its interrupts go on.
-    pub fn hang(&self) {
-        self.shared.order.store(HANG, Ordering::Relaxed);
+    /// Does something to the board at its next frame.
+    pub fn order(&self, order: Order) {
+        self.shared.order.store(order as u8, Ordering::Relaxed);
+    }
+
+    /// Waits until the simulator has ended, as it does when the board loses its supply.
+    pub fn wait_for_end(&mut self) {
+        self.simulator.wait().expect("it is this process's child");
+        if let Some(peer) = self.peer.take() {
+            peer.join().expect("the Qube's thread lives");
+        }
     }
 
     /// Lets simulated time pass.

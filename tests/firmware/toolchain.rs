@@ -34,6 +34,11 @@ impl Toolchain {
         self.directory.join(chip.name()).with_extension("elf")
     }
 
+    /// Builds the firmware into another folder; what `make` said.
+    pub fn make(&self, directory: &Path, variables: &[String]) -> Vec<u8> {
+        make(directory, variables)
+    }
+
     pub fn simulator(&self) -> PathBuf {
         self.directory.join("simulator")
     }
@@ -66,13 +71,19 @@ fn missing() -> Option<&'static str> {
 }
 
 fn build() -> Toolchain {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("firmware-protocol/firmware");
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("firmware");
+    make(&directory, &["simulator".to_owned()]);
+    Toolchain { directory }
+}
+
+fn make(directory: &Path, arguments: &[String]) -> Vec<u8> {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("firmware-protocol/firmware");
     let made = Command::new("make")
         .arg("-C")
         .arg(source)
         .arg(format!("BUILD={}", directory.display()))
-        .args(["all", "simulator"])
+        .arg("all")
+        .args(arguments)
         .output()
         .expect("make starts");
     assert!(
@@ -81,7 +92,7 @@ fn build() -> Toolchain {
         String::from_utf8_lossy(&made.stdout),
         String::from_utf8_lossy(&made.stderr)
     );
-    Toolchain { directory }
+    made.stdout
 }
 
 /// The built firmware; none where a test has to be skipped, which is said even when the test's

@@ -9,6 +9,9 @@
  *   extend LAST RAW         the counter in 32 bits
  *   newer CANDIDATE LAST    does an act of this sequence number count after that
  *   watchdog FED NOW        the state at NOW of a device armed at FED
+ *   fresh SAMPLED GIVEN NOW does an act at NOW of that sample count, when the last one given was that
+ *   stop FITTED EVENTS      the emergency stop: c, o a millisecond of closed or open contact, h a Hello,
+ *                           a an Arm; after each letter its state, r where an Arm is refused by it
  */
 #include <inttypes.h>
 #include <stdio.h>
@@ -55,6 +58,14 @@ static uint16_t first_boot(void)
     return 1;
 }
 
+static bool act(struct device *device, uint16_t sequence, uint32_t sampled_at_us, uint32_t now_us,
+                struct link_frame *reply)
+{
+    struct link_frame request = {.type = REQUEST_ACT, .sequence = sequence, .payload_length = 6};
+    put_u32(request.payload + 2, sampled_at_us);
+    return device_request(device, &request, now_us, reply);
+}
+
 static bool ask(struct device *device, uint8_t type, uint16_t sequence, uint32_t value,
                 uint8_t payload_length, uint32_t now_us, struct link_frame *reply)
 {
@@ -64,25 +75,62 @@ static bool ask(struct device *device, uint8_t type, uint16_t sequence, uint32_t
     return device_request(device, &request, now_us, reply);
 }
 
-/* A device that has a Qube, is greeted, and is armed by a request with this sequence number. */
-static void arm(struct device *device, uint16_t sequence, uint32_t now_us)
+/* A device that has a Qube and is greeted. */
+static void greet(struct device *device, uint16_t sequence, uint32_t now_us, bool stop_switch_fitted)
 {
     static const struct device_identity IDENTITY = {.kind = KIND_ATMEGA328P};
     static const uint8_t ANSWER[QUBE_FRAME_BYTES] = {QUBE_MODULE_ID >> 8, QUBE_MODULE_ID & 0xFF};
     struct qube_command command;
     struct link_frame reply;
-    device_start(device, &IDENTITY, first_boot);
+    device_start(device, &IDENTITY, first_boot, stop_switch_fitted);
     device_compose_frame(device, now_us, &command);
     device_frame_began(device, now_us);
     device_frame_ended(device, ANSWER);
     ask(device, REQUEST_HELLO, sequence - 1, PROTOCOL_VERSION, 2, now_us, &reply);
+}
+
+/* The same, armed by a request with this sequence number. */
+static void arm(struct device *device, uint16_t sequence, uint32_t now_us)
+{
+    struct link_frame reply;
+    greet(device, sequence, now_us, false);
     ask(device, REQUEST_ARM, sequence, device->nonce, 4, now_us, &reply);
     if (device->state != STATE_ARMED) {
         printf(" it does not arm");
     }
 }
 
-static void answer(const char *kind, const char *first, const char *second)
+static void stop_switch(bool fitted, const char *events)
+{
+    struct device device;
+    struct link_frame reply;
+    uint32_t now_us = 0;
+    greet(&device, 1, now_us, fitted);
+    for (; *events; events++) {
+        switch (*events) {
+        case 'c':
+        case 'o':
+            for (int i = 0; i < 4; i++) {
+                now_us += 250;
+                device_stop_switch(&device, *events == 'c', now_us);
+            }
+            break;
+        case 'h':
+            ask(&device, REQUEST_HELLO, 9, PROTOCOL_VERSION, 2, now_us, &reply);
+            break;
+        default:
+            ask(&device, REQUEST_ARM, 10, device.nonce, 4, now_us, &reply);
+            if (reply.type == REPLY_REFUSAL && reply.payload[1] == REFUSAL_EMERGENCY_STOP) {
+                printf(" r");
+                continue;
+            }
+        }
+        printf(" %d%s%s", device.state, device.emergency_stop ? "!" : "",
+               device.stop_switch_fitted ? "" : "?");
+    }
+}
+
+static void answer(const char *kind, const char *first, const char *second, const char *third)
 {
     struct device device;
     struct link_frame reply;
@@ -101,11 +149,21 @@ static void answer(const char *kind, const char *first, const char *second)
         printf(" %" PRId32, extend_counts((int32_t)a, (uint32_t)b));
     } else if (!strcmp(kind, "newer")) {
         arm(&device, (uint16_t)b, 0);
-        printf(" %d", !ask(&device, REQUEST_ACT, (uint16_t)a, 0, 2, 0, &reply));
+        device.sample_given = true;
+        device.previous_sample_us = 0;
+        printf(" %d", !act(&device, (uint16_t)a, 0, 0, &reply));
     } else if (!strcmp(kind, "watchdog")) {
         arm(&device, 1, (uint32_t)a);
         device_poll(&device, (uint32_t)b);
         printf(" %d 0x%04x", device.state, device.motor_word);
+    } else if (!strcmp(kind, "fresh")) {
+        uint32_t now_us = third ? (uint32_t)strtoll(third, NULL, 0) : 0;
+        arm(&device, 1, now_us);
+        device.sample_given = strcmp(second, "none") != 0;
+        device.previous_sample_us = (uint32_t)b;
+        printf(" %d", !act(&device, 2, (uint32_t)a, now_us, &reply));
+    } else if (!strcmp(kind, "stop")) {
+        stop_switch(a, second);
     } else {
         printf(" what?");
     }
@@ -118,9 +176,10 @@ int main(void)
         char *kind = strtok(line, " \n");
         char *first = strtok(NULL, " \n");
         char *second = strtok(NULL, " \n");
+        char *third = strtok(NULL, " \n");
         if (kind && first) {
             printf("%s", kind);
-            answer(kind, first, second);
+            answer(kind, first, second, third);
             printf("\n");
         }
     }

@@ -4,8 +4,9 @@
  * Copyright (C) the qube-hil authors. SPDX-License-Identifier: GPL-3.0-or-later
  * This file alone is under the GPL, because it is linked with libsimavr; see README.md beside it.
  *
- *   simulator ELF atmega328p|atmega2560
+ *   simulator ELF atmega328p|atmega2560 MEMORY_SEED
  *
+ * MEMORY_SEED decides what the memory comes up with at power-on.
  * Says the pty's path on its first line of output. Then, in binary, one `struct event` when chip
  * select falls, which must be answered on standard input by one `struct answer` before time goes
  * on, and one when it rises. Ends when standard input does. */
@@ -66,8 +67,22 @@ struct event {
     uint64_t lost_bytes;
 };
 
-/* HANG: the main loop is lost in an endless loop, while interrupts go on. */
-enum order { GO_ON = 0, HANG = 1 };
+/* HANG: the main loop is lost in an endless loop, while interrupts go on. RESTART: the chip starts anew.
+ * BROWN_OUT: it does so after a dip of its supply, during which it does nothing and its pins float: the
+ * pull-up at chip select keeps the Qube deselected. POWER_LOSS: the board has no supply any more, and the
+ * port is gone. CLOSE_STOP and OPEN_STOP: the contact of the emergency-stop switch. */
+enum order {
+    GO_ON = 0,
+    HANG = 1,
+    RESTART = 2,
+    BROWN_OUT = 3,
+    POWER_LOSS = 4,
+    CLOSE_STOP = 5,
+    OPEN_STOP = 6,
+};
+
+/* The chip's start-up time after a brown-out, as Arduino sets its fuses. */
+#define START_UP_US 65000u
 
 struct answer {
     uint8_t order;
@@ -85,6 +100,11 @@ static struct answer answer;
 static enum order pending_order;
 static uint64_t given_up_us;
 static uint64_t lost_bytes;
+
+/* The stop switch: its pin, and whether its contact is closed to ground. */
+static avr_io_addr_t stop_register;
+static uint8_t stop_mask;
+static bool stop_is_closed;
 
 /* From the host, not yet on the line. */
 static uint8_t incoming[256];
@@ -314,7 +334,7 @@ static int open_line(int *slave)
 
 /* --- the program --- */
 
-static void load(const char *elf, const char *mcu)
+static void load(const char *elf, const char *mcu, uint32_t memory_seed)
 {
     elf_firmware_t firmware;
     memset(&firmware, 0, sizeof firmware);
@@ -329,6 +349,10 @@ static void load(const char *elf, const char *mcu)
     }
     avr_init(avr);
     avr_load_firmware(avr, &firmware);
+    for (uint32_t at = avr->ioend + 1u; at <= avr->ramend; at++) {
+        memory_seed = memory_seed * 1664525u + 1013904223u;
+        avr->data[at] = (uint8_t)(memory_seed >> 24);
+    }
     uart = (avr_uart_t *)find_io("uart", '0');
 
     /* simavr sleeps while a program polls its UART, and prints what it sends. */
@@ -345,6 +369,9 @@ static void load(const char *elf, const char *mcu)
     int chip_select = strcmp(mcu, "atmega2560") ? 2 : 0;
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), chip_select),
                             on_chip_select, NULL);
+    /* D2 of either board: PIND bit 2, PINE bit 4. */
+    stop_register = strcmp(mcu, "atmega2560") ? 0x29 : 0x2C;
+    stop_mask = strcmp(mcu, "atmega2560") ? 1u << 2 : 1u << 4;
 }
 
 static void no_sleep(avr_t *unused_avr, avr_cycle_count_t unused)
@@ -363,18 +390,69 @@ static void hang(void)
     avr->state = cpu_Running;
 }
 
+/* The chip starts anew, `dark_us` from now. simavr counts its cycles from zero then, but time goes on. */
+static void restart(uint64_t dark_us)
+{
+    avr_cycle_count_t now = avr->cycle;
+    avr_reset(avr);
+    avr->cycle = now + dark_us * CYCLES_PER_US;
+    incoming_at = incoming_length;
+    outgoing_tail = outgoing_head;
+    line_free = 0;
+}
+
+/* An open contact leaves the pin to its pull-up. simavr would say so only once, when the program
+ * switches that on. */
+static void drive_stop_pin(void)
+{
+    if (stop_is_closed) {
+        avr->data[stop_register] &= (uint8_t)~stop_mask;
+    } else {
+        avr->data[stop_register] |= stop_mask;
+    }
+}
+
+static void obey(void)
+{
+    enum order order = pending_order;
+    if (order == GO_ON || (order == HANG && !avr->sreg[S_I])) {
+        /* The main loop is to be lost, not an interrupt's work. */
+        return;
+    }
+    if ((order == RESTART || order == BROWN_OUT) && selected) {
+        return; /* what a Qube makes of half a frame is not known */
+    }
+    pending_order = GO_ON;
+    switch (order) {
+    case HANG:
+        hang();
+        break;
+    case RESTART:
+        restart(0);
+        break;
+    case BROWN_OUT:
+        restart(START_UP_US);
+        break;
+    case POWER_LOSS:
+        exit(0);
+    case CLOSE_STOP:
+    case OPEN_STOP:
+        stop_is_closed = order == CLOSE_STOP;
+        break;
+    default:
+        break;
+    }
+}
+
 static void run_until(avr_cycle_count_t target)
 {
+    drive_stop_pin();
     if (!avr_cycle_timer_status(avr, on_line_clock, NULL)) {
         /* At the start, and after a restart of the chip, which forgets all of simavr's timers. */
         avr_cycle_timer_register(avr, CYCLES_PER_BYTE, on_line_clock, NULL);
     }
     while (avr->cycle < target) {
-        /* The main loop is to be lost, not an interrupt's work. */
-        if (pending_order == HANG && avr->sreg[S_I]) {
-            hang();
-            pending_order = GO_ON;
-        }
+        obey();
         int state = avr_run(avr);
         if (state == cpu_Done || state == cpu_Crashed) {
             fprintf(stderr, "simulator: the program has ended\n");
@@ -385,12 +463,12 @@ static void run_until(avr_cycle_count_t target)
 
 int main(int count, char **arguments)
 {
-    if (count != 3) {
-        fprintf(stderr, "usage: simulator ELF atmega328p|atmega2560\n");
+    if (count != 4) {
+        fprintf(stderr, "usage: simulator ELF atmega328p|atmega2560 MEMORY_SEED\n");
         return 2;
     }
     avr_global_logger_set(log_to_stderr);
-    load(arguments[1], arguments[2]);
+    load(arguments[1], arguments[2], (uint32_t)strtoul(arguments[3], NULL, 0));
     avr->log = LOG_ERROR;
     avr->sleep = no_sleep;
     int slave;

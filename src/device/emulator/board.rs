@@ -4,7 +4,7 @@ use firmware_protocol::scaling::{
 use firmware_protocol::{
     Decoder, DeviceKind, DeviceState, DisarmReply, EncodedFrame, Frame, HelloReply, NO_ACT_US,
     PROTOCOL_VERSION, ParseError, QUBE_MODULE_ID, RefusalReason, Reply, Request, SampleReply,
-    StatusBits, WATCHDOG_MS, is_newer,
+    StatusBits, WATCHDOG_MS, answers_fresh_sample, is_newer,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -19,6 +19,24 @@ const FIRST_REPLY_TYPE: u8 = 0x80;
 /// Keeps the nonces' random stream apart from the plant's.
 const NONCE_STREAM: u64 = 1;
 
+/// And that of the numbers which a start draws.
+const START_STREAM: u64 = 3;
+
+/// From a dip of the supply to the program's first frame: the chip's start-up time of 65 ms as Arduino
+/// sets its fuses, and what the program needs.
+const BROWN_OUT_DARK_US: u64 = 70_000;
+
+/// From a pulse at the reset pin to the program's first frame: the boot loader of the Uno listens for
+/// about a second.
+const RESTART_DARK_US: u64 = 1_000_000;
+
+/// How long the emergency stop is pressed.
+const STOP_PRESSED_US: u64 = 2_000_000;
+
+/// How far from the Qube's own counters a restarted board may begin to count: nothing in the protocol
+/// says that counts go on, and no host may rely on it.
+const RESTART_COUNTS: i32 = 400;
+
 /// The microcontroller's program over an emulated Qube: bytes in, bytes out, its own clock.
 ///
 /// Does no I/O: whoever owns it moves its clock and hands it bytes at the time they arrive.
@@ -28,7 +46,14 @@ pub struct Board {
     plant: Plant,
     decoder: Decoder,
     nonces: ChaCha8Rng,
+    starts: ChaCha8Rng,
+    boot_id: u16,
     now_us: u64,
+    /// When the program started: its clock's zero.
+    booted_us: u64,
+    /// While it has no program running: until when, `u64::MAX` for ever. The Qube keeps its last motor
+    /// word.
+    dark_until_us: Option<u64>,
     state: DeviceState,
     /// For the next arm; 0 is none.
     nonce: u32,
@@ -36,13 +61,21 @@ pub struct Board {
     fault_began: bool,
     stall_error: bool,
     frozen_theta_counts: Option<i32>,
+    /// The emergency stop, latched.
+    emergency_stop: bool,
     frozen_alpha_counts: Option<i32>,
+    /// What a restart has added to the counts.
+    theta_shift: i32,
+    alpha_shift: i32,
     watchdog_fed_us: u64,
     /// When it last left the armed state.
     switched_off_us: Option<u64>,
     motor_counts: i16,
     last_act_sequence: u16,
+    /// The last sample given, until an act answers it: for the time between the two.
     previous_sample_us: Option<u64>,
+    /// The last sample given since the last hello, by the device's clock: what an act must name.
+    given_us: Option<u32>,
     sample_to_act_us: u16,
     dropped_frames: u16,
     replies: u32,
@@ -54,24 +87,34 @@ impl Board {
     pub fn new(settings: EmulatorSettings) -> Self {
         let mut nonces = ChaCha8Rng::seed_from_u64(settings.seed);
         nonces.set_stream(NONCE_STREAM);
+        let mut starts = nonces.clone();
+        starts.set_stream(START_STREAM);
         let mut board = Self {
             plant: Plant::new(&settings),
             settings,
             decoder: Decoder::new(),
             nonces,
+            boot_id: starts.random(),
+            starts,
             now_us: 0,
+            booted_us: 0,
+            dark_until_us: None,
             state: DeviceState::Idle,
             nonce: 0,
             watchdog_tripped: false,
             fault_began: false,
             stall_error: false,
             frozen_theta_counts: None,
+            emergency_stop: false,
             frozen_alpha_counts: None,
+            theta_shift: 0,
+            alpha_shift: 0,
             watchdog_fed_us: 0,
             switched_off_us: None,
             motor_counts: 0,
             last_act_sequence: 0,
             previous_sample_us: None,
+            given_us: None,
             sample_to_act_us: NO_ACT_US,
             dropped_frames: 0,
             replies: 0,
@@ -87,6 +130,8 @@ impl Board {
             if self.watchdog_deadline_us() == Some(event_us) {
                 self.watchdog_tripped = true;
                 self.leave_armed(DeviceState::Tripped);
+            } else if self.dark_until_us == Some(event_us) {
+                self.boot();
             } else {
                 self.begin_fault();
             }
@@ -100,10 +145,8 @@ impl Board {
     pub fn next_event_us(&self) -> Option<u64> {
         let fault_us =
             self.settings.fault.filter(|_| !self.fault_began).map(|fault| fault.onset_us());
-        match (self.watchdog_deadline_us(), fault_us) {
-            (Some(watchdog_us), Some(fault_us)) => Some(watchdog_us.min(fault_us)),
-            (watchdog_us, fault_us) => watchdog_us.or(fault_us),
-        }
+        let boot_us = self.dark_until_us.filter(|until_us| *until_us < u64::MAX);
+        [self.watchdog_deadline_us(), fault_us, boot_us].into_iter().flatten().min()
     }
 
     fn watchdog_deadline_us(&self) -> Option<u64> {
@@ -112,6 +155,9 @@ impl Board {
 
     /// Takes a byte that has arrived by now; the reply, if it makes one, starts at once.
     pub fn receive(&mut self, byte: u8) -> Option<EncodedFrame> {
+        if self.dark_until_us.is_some() {
+            return None;
+        }
         let decoded = self.decoder.push(byte)?;
         if self.has_begun(|fault| matches!(fault, EmulatorFault::Silent { .. })) {
             return None;
@@ -128,10 +174,12 @@ impl Board {
         Some(reply)
     }
 
-    /// Whether the cable has been pulled.
+    /// Whether the port is gone: the cable has been pulled, or the board has no supply.
     #[must_use]
     pub fn is_unplugged(&self) -> bool {
-        self.has_begun(|fault| matches!(fault, EmulatorFault::Unplugged { .. }))
+        self.has_begun(|fault| {
+            matches!(fault, EmulatorFault::Unplugged { .. } | EmulatorFault::PowerLoss { .. })
+        })
     }
 
     /// Whether the wire flips a bit of the reply that was made last.
@@ -187,7 +235,9 @@ impl Board {
             Request::Hello { protocol_version } => Ok(Some(self.hello(protocol_version))),
             Request::Arm { nonce } => self.arm(nonce, frame.sequence).map(Some),
             Request::Sample => self.sample().map(Some),
-            Request::Act { voltage_mv } => self.act(voltage_mv, frame.sequence).map(|()| None),
+            Request::Act { voltage_mv, sampled_at_us } => {
+                self.act(voltage_mv, sampled_at_us, frame.sequence).map(|()| None)
+            }
             Request::Disarm => Ok(Some(self.disarm())),
         };
         answered.unwrap_or_else(|reason| Some(refusal(frame, reason)))
@@ -195,14 +245,19 @@ impl Board {
 
     fn hello(&mut self, host_version: u16) -> Reply {
         let version = match self.settings.fault {
-            Some(EmulatorFault::WrongVersion) => PROTOCOL_VERSION + 1,
+            Some(EmulatorFault::WrongVersion) => PROTOCOL_VERSION - 1,
             _ => PROTOCOL_VERSION,
         };
         let understood = host_version == version;
         self.leave_armed(if understood { DeviceState::Greeted } else { DeviceState::Idle });
         self.nonce = if understood { self.new_nonce() } else { 0 };
         self.previous_sample_us = None;
+        self.given_us = None;
         self.sample_to_act_us = NO_ACT_US;
+        self.last_act_sequence = 0;
+        if understood && self.stop_is_closed() {
+            self.emergency_stop = false;
+        }
         Reply::Hello(HelloReply {
             protocol_version: version,
             firmware_version: firmware_version(),
@@ -210,7 +265,7 @@ impl Board {
             module_id: if self.qube_absent() { 0 } else { QUBE_MODULE_ID },
             serial: self.settings.seed.to_be_bytes(),
             nonce: self.nonce,
-            watchdog_ms: WATCHDOG_MS,
+            boot_id: self.boot_id,
             dropped_frames: self.dropped_frames,
         })
     }
@@ -229,6 +284,9 @@ impl Board {
         if self.qube_absent() {
             return Err(RefusalReason::QubeAbsent);
         }
+        if self.emergency_stop {
+            return Err(RefusalReason::EmergencyStop);
+        }
         if self.amplifier_fault() {
             return Err(RefusalReason::Faulted);
         }
@@ -238,7 +296,7 @@ impl Board {
         self.state = DeviceState::Armed;
         self.watchdog_fed_us = self.now_us;
         self.last_act_sequence = sequence;
-        Ok(Reply::Arm { device_time_us: self.now_us as u32 })
+        Ok(Reply::Arm { device_time_us: self.device_time_us() })
     }
 
     fn sample(&mut self) -> Result<Reply, RefusalReason> {
@@ -252,11 +310,13 @@ impl Board {
         let theta_sense = self.sense(EmulatorFault::FlippedTheta);
         let alpha_sense = self.sense(EmulatorFault::FlippedAlpha);
         let sample = SampleReply {
-            device_time_us: self.now_us as u32,
+            device_time_us: self.device_time_us(),
             theta_counts: theta_sense
-                * self.frozen_theta_counts.unwrap_or_else(|| self.plant.theta_counts()),
+                * self.frozen_theta_counts.unwrap_or_else(|| self.plant.theta_counts())
+                + self.theta_shift,
             alpha_counts: alpha_sense
-                * self.frozen_alpha_counts.unwrap_or_else(|| self.plant.alpha_counts()),
+                * self.frozen_alpha_counts.unwrap_or_else(|| self.plant.alpha_counts())
+                + self.alpha_shift,
             tachometer_counts_s: match self.frozen_theta_counts {
                 None => theta_sense * tachometer_counts_s(self.plant.tachometer_raw()),
                 Some(_) => 0,
@@ -269,11 +329,17 @@ impl Board {
             sample_to_act_us: self.sample_to_act_us,
         };
         self.previous_sample_us = Some(self.now_us);
+        self.given_us = Some(sample.device_time_us);
         self.sample_to_act_us = NO_ACT_US;
         Ok(Reply::Sample(sample))
     }
 
-    fn act(&mut self, voltage_mv: i16, sequence: u16) -> Result<(), RefusalReason> {
+    fn act(
+        &mut self,
+        voltage_mv: i16,
+        sampled_at_us: u32,
+        sequence: u16,
+    ) -> Result<(), RefusalReason> {
         match self.state {
             DeviceState::Idle => return Err(RefusalReason::NotGreeted),
             DeviceState::Greeted => return Err(RefusalReason::NotArmed),
@@ -286,6 +352,9 @@ impl Board {
         }
         if !(-MAX_VOLTAGE_MV..=MAX_VOLTAGE_MV).contains(&voltage_mv) {
             return Err(RefusalReason::VoltageOutOfRange);
+        }
+        if !answers_fresh_sample(sampled_at_us, self.given_us, self.device_time_us()) {
+            return Err(RefusalReason::StaleSample);
         }
         self.last_act_sequence = sequence;
         self.watchdog_fed_us = self.now_us;
@@ -323,6 +392,50 @@ impl Board {
         self.motor_counts = motor_counts;
         let sense = f64::from(self.sense(EmulatorFault::FlippedMotor));
         self.plant.set_voltage(sense * f64::from(motor_voltage_mv(motor_counts)) * 1e-3);
+    }
+
+    /// The program's clock, as the wire carries it.
+    fn device_time_us(&self) -> u32 {
+        (self.now_us - self.booted_us) as u32
+    }
+
+    /// The program stops where it is; the Qube is told nothing.
+    fn go_dark(&mut self, until_us: u64) {
+        self.dark_until_us = Some(until_us);
+        self.state = DeviceState::Idle;
+        self.decoder.reset();
+    }
+
+    /// A start of the program: its first frame switches the motor off, and nothing is left of what it
+    /// knew but what the EEPROM keeps.
+    fn boot(&mut self) {
+        if self.motor_counts != 0 {
+            self.switched_off_us = Some(self.now_us);
+        }
+        self.drive(0);
+        self.dark_until_us = None;
+        self.booted_us = self.now_us;
+        self.boot_id = self.boot_id.wrapping_add(1);
+        self.theta_shift = self.starts.random_range(-RESTART_COUNTS..=RESTART_COUNTS);
+        self.alpha_shift = self.starts.random_range(-RESTART_COUNTS..=RESTART_COUNTS);
+        self.nonce = 0;
+        self.watchdog_tripped = false;
+        self.emergency_stop = false;
+        self.last_act_sequence = 0;
+        self.previous_sample_us = None;
+        self.given_us = None;
+        self.sample_to_act_us = NO_ACT_US;
+        self.dropped_frames = 0;
+    }
+
+    fn stop_is_closed(&self) -> bool {
+        match self.settings.fault {
+            Some(fault @ EmulatorFault::EmergencyStop { .. }) => {
+                let pressed_us = fault.onset_us();
+                !(pressed_us..pressed_us + STOP_PRESSED_US).contains(&self.now_us)
+            }
+            _ => true,
+        }
     }
 
     /// 1, or -1 for what is wired the other way round.
@@ -371,6 +484,22 @@ impl Board {
                 true
             }
             Some(EmulatorFault::AmplifierFault { .. } | EmulatorFault::QubeAbsent { .. }) => true,
+            Some(EmulatorFault::EmergencyStop { .. }) => {
+                self.emergency_stop = true;
+                true
+            }
+            Some(EmulatorFault::PowerLoss { .. }) => {
+                self.go_dark(u64::MAX);
+                false
+            }
+            Some(EmulatorFault::BrownOut { .. }) => {
+                self.go_dark(self.now_us + BROWN_OUT_DARK_US);
+                false
+            }
+            Some(EmulatorFault::BoardRestart { .. }) => {
+                self.go_dark(self.now_us + RESTART_DARK_US);
+                false
+            }
             _ => false,
         };
         if fails_the_qube && self.state == DeviceState::Armed {
@@ -397,7 +526,12 @@ impl Board {
                 | bit(StatusBits::WATCHDOG_TRIPPED, self.watchdog_tripped)
                 | bit(StatusBits::AMPLIFIER_FAULT, self.amplifier_fault())
                 | bit(StatusBits::STALL_DETECTED, self.stall_error)
-                | bit(StatusBits::STALL_ERROR, self.stall_error),
+                | bit(StatusBits::STALL_ERROR, self.stall_error)
+                | bit(StatusBits::EMERGENCY_STOP, self.emergency_stop)
+                | bit(
+                    StatusBits::STOP_SWITCH_FITTED,
+                    matches!(self.settings.fault, Some(EmulatorFault::EmergencyStop { .. })),
+                ),
         )
     }
 }

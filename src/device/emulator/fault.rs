@@ -18,7 +18,7 @@ pub enum EmulatorFault {
         /// The n.
         every: u32,
     },
-    /// Its firmware is of the next protocol version.
+    /// Its firmware is of the protocol version before this program's.
     WrongVersion,
     /// The pendulum's encoder cable is loose: its count stays.
     FrozenAlpha {
@@ -55,8 +55,34 @@ pub enum EmulatorFault {
         /// From when on, s.
         after_s: f64,
     },
-    /// The USB cable is pulled.
+    /// The USB cable is pulled from a board that has another supply: the port is gone, but the board
+    /// lives, and its watchdog switches the motor off. A board that lives from USB dies with it:
+    /// [`PowerLoss`](Self::PowerLoss).
     Unplugged {
+        /// When, s.
+        after_s: f64,
+    },
+    /// The board loses its supply, as with the USB cable that feeds it: the port is gone, and the Qube
+    /// keeps the last motor word, because nothing is left to tell it another.
+    PowerLoss {
+        /// When, s.
+        after_s: f64,
+    },
+    /// The board's supply dips and its brown-out detector restarts it. Its pins float meanwhile, and
+    /// the chip-select pull-up keeps the Qube from hearing noise, so that the last motor word stays
+    /// until the program's first frame, 70 ms later.
+    BrownOut {
+        /// When, s.
+        after_s: f64,
+    },
+    /// The board is restarted by its reset pin: its boot loader listens for 1 s, and the last motor
+    /// word stays until the program's first frame.
+    BoardRestart {
+        /// When, s.
+        after_s: f64,
+    },
+    /// The emergency-stop switch is pressed, and released after 2 s.
+    EmergencyStop {
         /// When, s.
         after_s: f64,
     },
@@ -72,7 +98,9 @@ pub enum EmulatorFault {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
     "{text} is no fault. There are: silent@S, garble@N, wrong-version, frozen-theta@S, frozen-alpha@S, \
-     dead-motor@S, blocked-arm@S,      amplifier@S, stall@S, qube-absent@S, unplug@S, flipped-theta, flipped-alpha, flipped-motor (S seconds after the start, N each n-th reply)"
+     dead-motor@S, blocked-arm@S, amplifier@S, stall@S, qube-absent@S, unplug@S, power-loss@S, \
+     brown-out@S, board-restart@S, emergency-stop@S, flipped-theta, flipped-alpha, flipped-motor \
+     (S seconds after the start, N each n-th reply)"
 )]
 pub struct UnknownFault {
     /// The text.
@@ -97,7 +125,11 @@ impl EmulatorFault {
             | Self::AmplifierFault { after_s }
             | Self::StallError { after_s }
             | Self::QubeAbsent { after_s }
-            | Self::Unplugged { after_s } => (after_s * 1e6) as u64,
+            | Self::Unplugged { after_s }
+            | Self::PowerLoss { after_s }
+            | Self::BrownOut { after_s }
+            | Self::BoardRestart { after_s }
+            | Self::EmergencyStop { after_s } => (after_s * 1e6) as u64,
         }
     }
 }
@@ -116,6 +148,10 @@ impl fmt::Display for EmulatorFault {
             Self::StallError { after_s } => write!(formatter, "stall@{after_s}"),
             Self::QubeAbsent { after_s } => write!(formatter, "qube-absent@{after_s}"),
             Self::Unplugged { after_s } => write!(formatter, "unplug@{after_s}"),
+            Self::PowerLoss { after_s } => write!(formatter, "power-loss@{after_s}"),
+            Self::BrownOut { after_s } => write!(formatter, "brown-out@{after_s}"),
+            Self::BoardRestart { after_s } => write!(formatter, "board-restart@{after_s}"),
+            Self::EmergencyStop { after_s } => write!(formatter, "emergency-stop@{after_s}"),
             Self::FlippedTheta => write!(formatter, "flipped-theta"),
             Self::FlippedAlpha => write!(formatter, "flipped-alpha"),
             Self::FlippedMotor => write!(formatter, "flipped-motor"),
@@ -158,6 +194,10 @@ impl FromStr for EmulatorFault {
             "stall" => Self::StallError { after_s: seconds()? },
             "qube-absent" => Self::QubeAbsent { after_s: seconds()? },
             "unplug" => Self::Unplugged { after_s: seconds()? },
+            "power-loss" => Self::PowerLoss { after_s: seconds()? },
+            "brown-out" => Self::BrownOut { after_s: seconds()? },
+            "board-restart" => Self::BoardRestart { after_s: seconds()? },
+            "emergency-stop" => Self::EmergencyStop { after_s: seconds()? },
             _ => return Err(unknown()),
         })
     }
@@ -181,6 +221,10 @@ mod tests {
             "stall@3",
             "qube-absent@0",
             "unplug@1.25",
+            "power-loss@2",
+            "brown-out@2.5",
+            "board-restart@3",
+            "emergency-stop@4",
             "flipped-theta",
             "flipped-alpha",
             "flipped-motor",

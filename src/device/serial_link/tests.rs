@@ -44,8 +44,8 @@ fn acts_turn_the_arm_and_show_in_the_next_sample() {
         last = sample(&mut link, &clock);
         assert!(last.status.armed);
         assert_eq!(last.applied_mv, 1994);
-        // Turnaround 100 us, reply 640 us, act 180 us: what the line costs.
-        assert_eq!(last.sample_to_act_us, Some(920));
+        // Turnaround 100 us, reply 640 us, act 260 us: what the line costs.
+        assert_eq!(last.sample_to_act_us, Some(1000));
     }
     assert_eq!(last.device_time_us - start.device_time_us, 200_000 + 740 + 140);
     assert!(last.theta_counts - start.theta_counts > 100);
@@ -102,12 +102,13 @@ fn a_sample_waits_no_longer_than_its_deadline_and_a_late_reply_is_dropped() {
 #[test]
 fn a_garbled_reply_is_a_timeout_and_the_next_one_is_read() {
     let (mut link, clock) = armed(Some(EmulatorFault::Garble { every: 5 }));
-    let (mut outcomes, mut last_us) = (Vec::new(), 0);
+    let mut outcomes = Vec::new();
     for _ in 0..20 {
         let sample = link.sample(clock.now_ns() + 2 * MS);
         outcomes.push(sample.is_ok());
-        last_us = sample.map_or(last_us, |sample| sample.device_time_us);
-        link.act(0, last_us).unwrap();
+        if let Ok(sample) = sample {
+            link.act(0, sample.device_time_us).unwrap();
+        }
     }
     assert_eq!(outcomes.iter().filter(|is_ok| !**is_ok).count(), 4, "{outcomes:?}");
 }
@@ -118,10 +119,10 @@ fn what_is_no_qube_is_named() {
         Err(error) => error.to_string(),
         Ok(identity) => panic!("{identity:?}"),
     };
-    assert!(reason(EmulatorFault::Silent { after_s: 0.0 }).contains("no answer to 10 hellos"));
+    assert!(reason(EmulatorFault::Silent { after_s: 0.0 }).contains("no answer to 25 hellos"));
     assert!(reason(EmulatorFault::QubeAbsent { after_s: 0.0 }).contains("module id 0x0000"));
     assert!(
-        reason(EmulatorFault::WrongVersion).contains("speaks protocol version 2, this program 1")
+        reason(EmulatorFault::WrongVersion).contains("speaks protocol version 1, this program 2")
     );
     assert!(reason(EmulatorFault::Garble { every: 1 }).contains("bytes that are no answer"));
     assert!(reason(EmulatorFault::Unplugged { after_s: 0.0 }).contains("the port is gone"));
@@ -165,9 +166,11 @@ fn a_frozen_encoder_stays_while_the_arm_moves() {
 #[test]
 fn an_unplugged_port_is_gone() {
     let (mut link, clock) = armed(Some(EmulatorFault::Unplugged { after_s: 0.05 }));
-    clock.advance(60 * MS);
+    clock.sleep_until(45 * MS);
+    let last = sample(&mut link, &clock);
+    clock.sleep_until(50 * MS);
+    assert_eq!(link.act(0, last.device_time_us), Err(LinkFault::Gone));
     assert_eq!(link.sample(clock.now_ns() + MS), Err(LinkFault::Gone));
-    assert_eq!(link.act(0, 0), Err(LinkFault::Gone));
 }
 
 /// A wire that outlives its link.
@@ -211,4 +214,80 @@ fn device_time_goes_on_beyond_32_bits() {
     assert_eq!(time.unwrap_us(u32::MAX - 9), u64::from(u32::MAX) - 9);
     assert_eq!(time.unwrap_us(90), u64::from(u32::MAX) + 91);
     assert_eq!(time.unwrap_us(89), 2 * (u64::from(u32::MAX) + 1) + 89);
+}
+
+#[test]
+fn an_act_on_a_sample_that_is_old_or_not_the_last_is_not_sent() {
+    let (mut link, clock) = armed(None);
+    let older = sample(&mut link, &clock);
+    assert_eq!(link.act(1000, 0), Err(LinkFault::StaleSample));
+    let last = sample(&mut link, &clock);
+    assert_eq!(link.act(1000, older.device_time_us), Err(LinkFault::StaleSample));
+    assert_eq!(link.act(1000, last.device_time_us + 1), Err(LinkFault::StaleSample));
+    assert_eq!(link.act(1000, last.device_time_us), Ok(()));
+    clock.advance(20 * MS);
+    assert_eq!(link.act(2000, last.device_time_us), Err(LinkFault::StaleSample));
+    assert_eq!(sample(&mut link, &clock).applied_mv, 1009);
+    link.hello().unwrap();
+    link.arm().unwrap();
+    assert_eq!(link.act(1000, last.device_time_us), Err(LinkFault::StaleSample));
+}
+
+#[test]
+fn a_restart_shows_in_the_next_hello() {
+    for (fault, dark_ms) in [
+        (EmulatorFault::BrownOut { after_s: 0.5 }, 70),
+        (EmulatorFault::BoardRestart { after_s: 0.5 }, 1000),
+    ] {
+        let (mut link, clock) = link(Some(fault));
+        let before = link.hello().unwrap();
+        assert!(before.is_same_start(&link.hello().unwrap()));
+        clock.sleep_until(500 * MS);
+        assert_eq!(link.sample(clock.now_ns() + 6 * MS), Err(LinkFault::Timeout));
+        // One hello call outwaits the boot.
+        let after = link.hello().unwrap();
+        assert!(clock.now_ns() >= (500 + dark_ms) * MS);
+        assert!(before.is_same_board(&after) && !before.is_same_start(&after));
+        link.arm().unwrap();
+        assert!(sample(&mut link, &clock).device_time_us < 1_000_000);
+    }
+}
+
+#[test]
+fn a_device_that_restarted_refuses_samples_until_it_is_greeted() {
+    let (mut link, clock) = armed(Some(EmulatorFault::BrownOut { after_s: 0.1 }));
+    clock.advance(300 * MS);
+    assert_eq!(link.sample(clock.now_ns() + 6 * MS), Err(LinkFault::NotArmed));
+}
+
+#[test]
+fn a_device_that_falls_silent_is_not_called_another_device() {
+    let (mut link, clock) = armed(Some(EmulatorFault::Silent { after_s: 3.0 }));
+    while clock.now_ns() < 4000 * MS {
+        let _ = link.sample(clock.now_ns() + 10 * MS);
+    }
+    let error = link.hello().unwrap_err();
+    let DeviceError::FellSilent { silent_s, .. } = error else { panic!("{error}") };
+    assert!((3.4..3.6).contains(&silent_s), "{error}");
+    assert!(error.to_string().contains("no answer to 25 hellos"), "{error}");
+}
+
+#[test]
+fn an_emergency_stop_is_told_and_latched_until_a_hello_finds_it_closed() {
+    let (mut link, clock) = armed(Some(EmulatorFault::EmergencyStop { after_s: 0.1 }));
+    let before = sample(&mut link, &clock);
+    assert!(before.status.stop_switch_fitted && !before.status.emergency_stop);
+    link.act(3000, before.device_time_us).unwrap();
+    clock.sleep_until(100 * MS);
+    let stopped = sample(&mut link, &clock);
+    assert!(stopped.status.emergency_stop && !stopped.status.armed);
+    assert_eq!(stopped.applied_mv, 0);
+    link.hello().unwrap();
+    let refused = link.arm().unwrap_err().to_string();
+    assert!(refused.contains("emergency-stop"), "{refused}");
+    clock.sleep_until(2200 * MS);
+    assert!(sample(&mut link, &clock).status.emergency_stop, "closing alone does not clear it");
+    link.hello().unwrap();
+    link.arm().unwrap();
+    assert!(!sample(&mut link, &clock).status.emergency_stop);
 }

@@ -1,5 +1,5 @@
 use firmware_protocol::scaling::{MAX_VOLTAGE_MV, motor_counts, motor_voltage_mv};
-use firmware_protocol::{NO_ACT_US, RefusalReason, Request};
+use firmware_protocol::{NO_ACT_US, RefusalReason};
 
 use super::{Deviation, Speaker, ensure};
 
@@ -8,7 +8,8 @@ const VOLTAGES_MV: [i16; 8] = [1000, -1000, 12, 13, -13, 500, -500, 0];
 
 pub(super) fn unarmed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     speaker.greet()?;
-    speaker.refused(Request::Act { voltage_mv: 500 }, RefusalReason::NotArmed)?;
+    speaker.sample()?;
+    speaker.refused(speaker.act_request(500), RefusalReason::NotArmed)?;
     let sample = speaker.sample()?;
     ensure!(sample.applied_mv == 0, "{} mV at a motor that is off", sample.applied_mv);
     ensure!(sample.sample_to_act_us == NO_ACT_US, "a refused act counts as one");
@@ -20,9 +21,9 @@ pub(super) fn act(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     let mut before = speaker.sample_armed()?;
     ensure!(before.sample_to_act_us == NO_ACT_US, "it tells of an act that never was");
     for voltage_mv in VOLTAGES_MV {
-        let sequence = speaker.send(Request::Act { voltage_mv })?;
+        let sequence = speaker.act(voltage_mv)?;
         // A second one does not change the time from the sample to the first.
-        let newer = speaker.send(Request::Act { voltage_mv })?;
+        let newer = speaker.act(voltage_mv)?;
         let after = speaker.sample_armed()?;
         let expected_mv = motor_voltage_mv(motor_counts(voltage_mv));
         ensure!(
@@ -50,9 +51,10 @@ pub(super) fn act(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
 
 pub(super) fn out_of_range(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     speaker.arm()?;
-    let valid = speaker.send(Request::Act { voltage_mv: 500 })?;
+    speaker.sample_armed()?;
+    let valid = speaker.act(500)?;
     for voltage_mv in [MAX_VOLTAGE_MV + 1, -MAX_VOLTAGE_MV - 1, i16::MAX, i16::MIN] {
-        speaker.refused(Request::Act { voltage_mv }, RefusalReason::VoltageOutOfRange)?;
+        speaker.refused(speaker.act_request(voltage_mv), RefusalReason::VoltageOutOfRange)?;
     }
     let sample = speaker.sample_armed()?;
     ensure!(
@@ -65,9 +67,10 @@ pub(super) fn out_of_range(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
 
 pub(super) fn replayed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     speaker.arm()?;
-    let old = speaker.send(Request::Act { voltage_mv: 500 })?;
-    let newest = speaker.send(Request::Act { voltage_mv: 250 })?;
-    let replay = Request::Act { voltage_mv: 500 };
+    speaker.sample_armed()?;
+    let old = speaker.act(500)?;
+    let newest = speaker.act(250)?;
+    let replay = speaker.act_request(500);
     for sequence in [old, newest, old.wrapping_sub(1), newest.wrapping_add(0x8000)] {
         speaker.send_bytes(replay.encode(sequence).as_bytes())?;
         speaker.refusal_of(
@@ -89,8 +92,9 @@ pub(super) fn replayed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
 pub(super) fn sequence_wrap(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     speaker.set_sequence(u16::MAX - 5);
     speaker.arm()?;
+    speaker.sample_armed()?;
     for _ in 0..4 {
-        let sequence = speaker.send(Request::Act { voltage_mv: 0 })?;
+        let sequence = speaker.act(0)?;
         let sample = speaker.sample_armed()?;
         ensure!(
             sample.last_act_sequence == sequence,

@@ -71,7 +71,8 @@ pub(super) fn arm_twice(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
 
 pub(super) fn hello_disarms(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     speaker.arm()?;
-    speaker.send(Request::Act { voltage_mv: 500 })?;
+    speaker.sample_armed()?;
+    speaker.act(500)?;
     speaker.sample_armed()?;
     speaker.greet()?;
     let off = speaker.sample()?;
@@ -79,5 +80,5 @@ pub(super) fn hello_disarms(speaker: &mut Speaker<'_>) -> Result<(), Deviation> 
         !off.status.has(StatusBits::ARMED) && off.applied_mv == 0,
         "after a hello it is still driving: {off:?}"
     );
-    speaker.refused(Request::Act { voltage_mv: 500 }, RefusalReason::NotArmed)
+    speaker.refused(speaker.act_request(500), RefusalReason::NotArmed)
 }

@@ -38,16 +38,14 @@ pub(super) fn garbage(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
 pub(super) fn flipped_bits(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     speaker.arm()?;
     let voltage_mv = 250;
-    speaker.send(Request::Act { voltage_mv })?;
     speaker.sample_armed()?;
-    let sequence = speaker.next_sequence();
-    let encoded = Request::Act { voltage_mv: 1000 }.encode(sequence);
-    let bytes = encoded.as_bytes();
-    for bit in 0..8 * (bytes.len() - 1) {
-        let mut broken = bytes.to_vec();
+    let bits = 8 * (speaker.act_request(1000).encode(0).as_bytes().len() - 1);
+    for bit in 0..bits {
+        let sequence = speaker.next_sequence();
+        let mut broken = speaker.act_request(1000).encode(sequence).as_bytes().to_vec();
         broken[bit / 8] ^= 1 << (bit % 8);
         speaker.send_bytes(&broken)?;
-        speaker.send(Request::Act { voltage_mv })?;
+        speaker.act(voltage_mv)?;
         let sample = speaker.sample_armed()?;
         ensure!(
             sample.applied_mv == motor_voltage_mv(motor_counts(voltage_mv)),
@@ -83,7 +81,7 @@ pub(super) fn unknown(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
         let reason = RefusalReason::UnknownType;
         speaker.refusal_of(sequence, message_type, "a request of unknown type", reason)?;
     }
-    for (message_type, length) in [(1, 0), (1, 3), (2, 3), (2, 5), (3, 1), (4, 1), (4, 25), (5, 1)]
+    for (message_type, length) in [(1, 0), (1, 3), (2, 3), (2, 5), (3, 1), (4, 2), (4, 25), (5, 1)]
     {
         let sequence = speaker.next_sequence();
         let frame = EncodedFrame::new(message_type, sequence, &[0; 25][..length]);

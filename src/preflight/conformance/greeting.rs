@@ -1,4 +1,4 @@
-use firmware_protocol::{PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Request, WATCHDOG_MS};
+use firmware_protocol::{PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Request, StatusBits};
 
 use super::{Deviation, Speaker, ensure};
 
@@ -8,7 +8,6 @@ const SLACK_US: u64 = 6_000;
 pub(super) fn hello(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     let reply = speaker.greet()?;
     ensure!(reply.protocol_version == PROTOCOL_VERSION, "it speaks {reply:?}");
-    ensure!(reply.watchdog_ms == WATCHDOG_MS, "its watchdog waits {} ms", reply.watchdog_ms);
     ensure!(
         reply.module_id == QUBE_MODULE_ID,
         "its Qube answers 0x{:04x} instead of 0x{QUBE_MODULE_ID:04x}",
@@ -30,13 +29,11 @@ pub(super) fn fresh_nonce(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
 
 pub(super) fn version_mismatch(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     let valid = speaker.greet()?.nonce;
-    for version in [0, PROTOCOL_VERSION + 1, u16::MAX] {
+    for version in [0, PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1, u16::MAX] {
         let reply = speaker.greet_as(version)?;
         ensure!(reply.protocol_version == PROTOCOL_VERSION, "it says it speaks {reply:?}");
         ensure!(reply.nonce == 0, "it gave a nonce to a host of version {version}");
-        for request in
-            [Request::Sample, Request::Arm { nonce: valid }, Request::Act { voltage_mv: 0 }]
-        {
+        for request in [Request::Sample, Request::Arm { nonce: valid }, speaker.act_request(0)] {
             speaker.refused(request, RefusalReason::NotGreeted)?;
         }
     }
@@ -46,13 +43,18 @@ pub(super) fn version_mismatch(speaker: &mut Speaker<'_>) -> Result<(), Deviatio
 pub(super) fn sample(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     speaker.greet()?;
     let mut last = speaker.sample()?;
-    ensure!(!last.status.has(firmware_protocol::StatusBits::ARMED), "it is armed by a hello");
+    ensure!(!last.status.has(StatusBits::ARMED), "it is armed by a hello");
     ensure!(last.applied_mv == 0, "{} mV at a motor that is off", last.applied_mv);
     for _ in 0..20 {
         let sample = speaker.sample()?;
         let elapsed_us = sample.device_time_us.wrapping_sub(last.device_time_us);
+        ensure!(elapsed_us != 0, "it gave the same sample twice, of {} us", last.device_time_us);
         ensure!(elapsed_us < 1 << 31, "its clock went back by {} us", elapsed_us.wrapping_neg());
-        ensure!(sample.status.0 >> 5 == 0, "reserved bits are set: {:08b}", sample.status.0);
+        ensure!(
+            !sample.status.has(StatusBits::RESERVED),
+            "reserved bits are set: {:08b}",
+            sample.status.0
+        );
         ensure!(sample.sample_to_act_us == 0xFFFF, "it tells of an act that never was");
         last = sample;
     }

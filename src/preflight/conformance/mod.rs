@@ -10,6 +10,8 @@ mod arming;
 mod framing;
 mod greeting;
 mod speaker;
+mod staleness;
+mod starts;
 mod watchdog;
 
 use thiserror::Error;
@@ -40,8 +42,12 @@ pub enum Deviation {
     /// The wire failed.
     #[error("the wire failed: {0}")]
     Link(#[from] LinkFault),
-    /// The computer was too slow, so the watchdog tripped in the middle: try again.
-    #[error("the watchdog tripped again and again before the check was through")]
+    /// The computer was too slow, so that the watchdog tripped in the middle, or an act came too late
+    /// after its sample: try again.
+    #[error(
+        "the watchdog tripped again and again before the check was through, or acts on fresh samples \
+         were refused as stale"
+    )]
     Disturbed,
 }
 
@@ -71,7 +77,7 @@ impl ConformanceCheck {
 pub const CHECKS: &[ConformanceCheck] = &[
     ConformanceCheck {
         name: "hello",
-        promise: "a hello is answered with version, identity, watchdog time and a nonce",
+        promise: "a hello is answered with version, identity, the Qube's module id and a nonce",
         run: greeting::hello,
     },
     ConformanceCheck {
@@ -86,13 +92,38 @@ pub const CHECKS: &[ConformanceCheck] = &[
     },
     ConformanceCheck {
         name: "sample",
-        promise: "a sample is answered while the motor is off, its clock runs and reserved bits are 0",
+        promise: "a sample is answered while the motor is off, each shows a later reading, and reserved bits are 0",
         run: greeting::sample,
     },
     ConformanceCheck {
         name: "device-clock",
         promise: "the device's clock runs as fast as the computer's, within 1 %",
         run: greeting::device_clock,
+    },
+    ConformanceCheck {
+        name: "module-id",
+        promise: "with any other module id than a Qube's, Sample and Arm are refused as QubeAbsent",
+        run: starts::module_id,
+    },
+    ConformanceCheck {
+        name: "boot-id",
+        promise: "the boot id stays the same from one start to the next",
+        run: starts::boot_id,
+    },
+    ConformanceCheck {
+        name: "counts-continue",
+        promise: "counts do not jump by a hello, an arm, a disarm or another version's hello",
+        run: starts::counts_continue,
+    },
+    ConformanceCheck {
+        name: "last-act-before-arm",
+        promise: "last_act_sequence is 0 from a hello to the next arm",
+        run: starts::last_act_before_arm,
+    },
+    ConformanceCheck {
+        name: "arm-clears-stall",
+        promise: "the first sample after an arm shows no stall error that was there before",
+        run: starts::arm_clears_stall,
     },
     ConformanceCheck {
         name: "arm",
@@ -143,6 +174,16 @@ pub const CHECKS: &[ConformanceCheck] = &[
         name: "sequence-wrap",
         promise: "sequence numbers go on from 65535 to 0",
         run: acting::sequence_wrap,
+    },
+    ConformanceCheck {
+        name: "stale-sample",
+        promise: "an act that names no sample, another than the last, or one of more than 20 ms ago is refused",
+        run: staleness::refused,
+    },
+    ConformanceCheck {
+        name: "watchdog-not-fed-by-stale",
+        promise: "acts that answer no fresh sample do not feed the watchdog",
+        run: staleness::does_not_feed,
     },
     ConformanceCheck {
         name: "watchdog",

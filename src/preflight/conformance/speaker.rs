@@ -19,13 +19,15 @@ pub struct Speaker<'a> {
     decoder: Decoder,
     received: VecDeque<Frame>,
     sequence: u16,
+    /// Time of the last sample, which acts answer.
+    sampled_at_us: u32,
 }
 
 impl<'a> Speaker<'a> {
     /// Speaks over this wire; the clock is the one that the transport's deadlines mean.
     pub fn new(transport: &'a mut dyn Transport, clock: &'a dyn Clock) -> Self {
         let received = VecDeque::new();
-        Self { transport, clock, decoder: Decoder::new(), received, sequence: 0 }
+        Self { transport, clock, decoder: Decoder::new(), received, sequence: 0, sampled_at_us: 0 }
     }
 
     /// The computer's time, for comparing clocks.
@@ -74,6 +76,16 @@ impl<'a> Speaker<'a> {
         self.sequence = sequence;
     }
 
+    /// An act that answers the last sample.
+    pub(super) fn act_request(&self, voltage_mv: i16) -> Request {
+        Request::Act { voltage_mv, sampled_at_us: self.sampled_at_us }
+    }
+
+    /// Sends an act that answers the last sample, which must be fresh to be accepted.
+    pub(super) fn act(&mut self, voltage_mv: i16) -> Result<u16, Deviation> {
+        self.send(self.act_request(voltage_mv))
+    }
+
     /// Sends a request without waiting for an answer.
     pub(super) fn send(&mut self, request: Request) -> Result<u16, Deviation> {
         let sequence = self.next_sequence();
@@ -109,6 +121,15 @@ impl<'a> Speaker<'a> {
         let reply = Reply::parse(&frame).map_err(|error| {
             Deviation::Wrong(format!("{request} was answered wrongly: {error}"))
         })?;
+        let refused_as_stale = matches!(
+            reply,
+            Reply::Refusal { refused_type, reason: RefusalReason::StaleSample }
+                if refused_type == self.act_request(0).message_type()
+        );
+        if frame.sequence != sequence && refused_as_stale {
+            // An act before this request came more than 20 ms after its sample.
+            return Err(Deviation::Disturbed);
+        }
         ensure!(
             frame.sequence == sequence,
             "the answer to {request} {sequence} should come next, but {reply:?} to {} came",
@@ -153,7 +174,10 @@ impl<'a> Speaker<'a> {
     /// A sample in any state but Idle.
     pub(super) fn sample(&mut self) -> Result<SampleReply, Deviation> {
         match self.ask(Request::Sample)? {
-            Reply::Sample(reply) => Ok(reply),
+            Reply::Sample(reply) => {
+                self.sampled_at_us = reply.device_time_us;
+                Ok(reply)
+            }
             other => Err(unexpected("Sample", &other)),
         }
     }

@@ -1,4 +1,4 @@
-use firmware_protocol::{Decoder, RefusalReason, Reply, SampleReply};
+use firmware_protocol::{Decoder, RefusalReason, Reply, SampleReply, StatusBits};
 
 use super::*;
 use crate::clock::{Nanoseconds, VirtualClock};
@@ -32,6 +32,11 @@ fn a_device_that_does_not_conform_is_found() {
     assert_eq!(failures(Some(EmulatorFault::Silent { after_s: 0.0 })).len(), CHECKS.len());
     let absent = failures(Some(EmulatorFault::QubeAbsent { after_s: 0.0 }));
     assert!(absent.contains(&"hello") && absent.contains(&"arm"), "{absent:?}");
+    // Without a Qube, refusing is what the protocol asks of it.
+    assert!(!absent.contains(&"module-id"), "{absent:?}");
+    assert!(
+        !failures(Some(EmulatorFault::StallError { after_s: 0.0 })).contains(&"arm-clears-stall")
+    );
     let version = failures(Some(EmulatorFault::WrongVersion));
     assert!(version.contains(&"hello") && version.contains(&"version-mismatch"), "{version:?}");
     assert!(!failures(Some(EmulatorFault::Garble { every: 7 })).is_empty());
@@ -90,10 +95,38 @@ type Distortion = fn(&mut u16, &mut Reply) -> bool;
 const DISTORTIONS: &[(&str, Distortion)] = &[
     ("hello", |_, reply| {
         if let Reply::Hello(hello) = reply {
-            hello.watchdog_ms = 100;
+            hello.module_id = 0xFFFF;
         }
         true
     }),
+    ("module-id", |_, reply| {
+        if let Reply::Hello(hello) = reply {
+            hello.module_id = 0xFFFF;
+        }
+        true
+    }),
+    ("boot-id", |_, reply| {
+        if let Reply::Hello(hello) = reply {
+            hello.boot_id = hello.nonce as u16;
+        }
+        true
+    }),
+    ("counts-continue", |_, reply| {
+        distort_sample(reply, |sample| {
+            if sample.status.has(StatusBits::ARMED) {
+                sample.theta_counts += 5000;
+            }
+        })
+    }),
+    ("last-act-before-arm", |_, reply| {
+        distort_sample(reply, |sample| sample.last_act_sequence |= 1)
+    }),
+    ("arm-clears-stall", |_, reply| {
+        distort_sample(reply, |sample| sample.status.0 |= StatusBits::STALL_ERROR)
+    }),
+    ("stale-sample", |_, reply| !refuses(reply, RefusalReason::StaleSample)),
+    ("watchdog-not-fed-by-stale", |_, reply| !refuses(reply, RefusalReason::StaleSample)),
+    ("sample", |_, reply| distort_sample(reply, |sample| sample.device_time_us &= !0xFFFF)),
     ("fresh-nonce", |_, reply| {
         if let Reply::Hello(hello) = reply {
             hello.nonce = 1;

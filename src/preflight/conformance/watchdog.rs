@@ -40,9 +40,9 @@ pub(super) fn trips_while(
 }
 
 /// Acts, and says when that was by the device's clock.
-fn act_timed(speaker: &mut Speaker<'_>, voltage_mv: i16) -> Result<u32, Deviation> {
+pub(super) fn act_timed(speaker: &mut Speaker<'_>, voltage_mv: i16) -> Result<u32, Deviation> {
     let before: SampleReply = speaker.sample_armed()?;
-    speaker.send(Request::Act { voltage_mv })?;
+    speaker.act(voltage_mv)?;
     let after = speaker.sample_armed()?;
     ensure!(after.sample_to_act_us != NO_ACT_US, "an act did not show in the next sample");
     Ok(before.device_time_us.wrapping_add(u32::from(after.sample_to_act_us)))
@@ -63,7 +63,7 @@ pub(super) fn not_fed_by_refused(speaker: &mut Speaker<'_>) -> Result<(), Deviat
     speaker.arm()?;
     let acted_us = act_timed(speaker, 500)?;
     trips_while(speaker, acted_us, |speaker| {
-        match speaker.ask(Request::Act { voltage_mv: 6000 })? {
+        match speaker.ask(speaker.act_request(6000))? {
             // From the moment it trips the reason is another; both are right here.
             Reply::Refusal {
                 reason: RefusalReason::VoltageOutOfRange | RefusalReason::WatchdogTripped,
@@ -78,8 +78,9 @@ pub(super) fn not_fed_by_refused(speaker: &mut Speaker<'_>) -> Result<(), Deviat
 
 pub(super) fn fed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     let (armed_us, _) = speaker.arm()?;
+    speaker.sample_armed()?;
     loop {
-        speaker.send(Request::Act { voltage_mv: 0 })?;
+        speaker.act(0)?;
         let sample = speaker.sample_armed()?;
         if sample.device_time_us.wrapping_sub(armed_us) > 4 * WATCHDOG_US
             && sample.device_time_us.wrapping_sub(armed_us) < u32::MAX / 2
@@ -94,7 +95,7 @@ pub(super) fn latch(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     let (armed_us, nonce) = speaker.arm()?;
     trips_while(speaker, armed_us, |_| Ok(()))?;
     let tripped = "after its watchdog";
-    for request in [Request::Act { voltage_mv: 500 }, Request::Arm { nonce }] {
+    for request in [speaker.act_request(500), Request::Arm { nonce }] {
         match speaker.ask(request)? {
             Reply::Refusal { reason: RefusalReason::WatchdogTripped, .. } => {}
             other => ensure!(false, "{request:?} {tripped} was answered with {other:?}"),

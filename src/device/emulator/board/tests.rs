@@ -1,5 +1,5 @@
 use super::*;
-use crate::qube::State;
+use crate::qube::{HARD_STOP_RAD, State};
 
 fn send(board: &mut Board, request: Request, sequence: u16) -> Option<Reply> {
     let encoded = request.encode(sequence);
@@ -19,12 +19,124 @@ fn armed() -> Board {
     board
 }
 
+/// Samples, and acts on that sample.
+fn act(board: &mut Board, voltage_mv: i16, sequence: u16) {
+    let Some(Reply::Sample(sample)) = send(board, Request::Sample, 1) else { panic!("no sample") };
+    let sampled_at_us = sample.device_time_us;
+    assert_eq!(send(board, Request::Act { voltage_mv, sampled_at_us }, sequence), None);
+}
+
+/// A board that drives its arm with 5 V when something happens to it after 0.1 s.
+fn driving(fault: EmulatorFault) -> Board {
+    let mut board = armed();
+    board.settings.fault = Some(fault);
+    for (at_us, sequence) in [(10_000, 3), (40_000, 4), (80_000, 5)] {
+        board.advance_to(at_us);
+        act(&mut board, 5000, sequence);
+    }
+    board.advance_to(100_000);
+    board
+}
+
+/// When the arm touches a stop, and the fastest that it was before, rad/s.
+fn slam(board: &mut Board, until_us: u64) -> Option<(u64, f64)> {
+    let mut fastest_rad_s = 0.0_f64;
+    for now_us in (100_000..until_us).step_by(500) {
+        board.advance_to(now_us);
+        let state = board.plant().state();
+        if state.theta.abs() >= HARD_STOP_RAD {
+            return Some((now_us, fastest_rad_s));
+        }
+        fastest_rad_s = fastest_rad_s.max(state.theta_dot.abs());
+    }
+    None
+}
+
+#[test]
+fn a_board_that_loses_its_power_leaves_the_last_voltage_at_the_motor() {
+    let mut board = driving(EmulatorFault::PowerLoss { after_s: 0.1 });
+    assert!(board.is_unplugged());
+    assert_eq!(send(&mut board, Request::Sample, 6), None);
+    let (slammed_us, rad_s) = slam(&mut board, 2_000_000).expect("nothing is left to stop it");
+    println!("power-loss: stop at {rad_s:.1} rad/s, {} us after it", slammed_us - 100_000);
+    assert!(rad_s > 10.0, "{rad_s}");
+    board.advance_to(60_000_000);
+    assert_eq!(board.applied_mv(), 4997, "for as long as the Qube has power");
+    assert_eq!(board.switched_off_us(), None);
+}
+
+#[test]
+fn a_cable_that_is_pulled_from_a_board_with_power_leaves_its_watchdog() {
+    let mut board = driving(EmulatorFault::Unplugged { after_s: 0.1 });
+    assert!(board.is_unplugged());
+    board.advance_to(140_000);
+    assert_eq!((board.applied_mv(), board.switched_off_us()), (0, Some(130_000)));
+}
+
+#[test]
+fn a_restart_leaves_the_voltage_until_the_first_frame_and_begins_anew() {
+    for (fault, dark_us) in [
+        (EmulatorFault::BrownOut { after_s: 0.1 }, BROWN_OUT_DARK_US),
+        (EmulatorFault::BoardRestart { after_s: 0.1 }, RESTART_DARK_US),
+    ] {
+        let mut board = driving(fault);
+        let boot_id = board.boot_id;
+        let counts = (board.plant().theta_counts(), board.plant().alpha_counts());
+        board.advance_to(100_000 + dark_us - 1);
+        assert_eq!(board.applied_mv(), 4997, "its watchdog is as dead as the board");
+        assert_eq!(
+            send(&mut board, Request::Hello { protocol_version: PROTOCOL_VERSION }, 6),
+            None
+        );
+        let slammed = slam(&mut driving(fault), 100_000 + dark_us);
+        println!("{fault}: {slammed:?}");
+        board.advance_to(100_000 + dark_us);
+        assert_eq!((board.applied_mv(), board.state()), (0, DeviceState::Idle));
+        assert!(!board.is_unplugged());
+
+        let refusal = Reply::Refusal { refused_type: 3, reason: RefusalReason::NotGreeted };
+        assert_eq!(send(&mut board, Request::Sample, 7), Some(refusal));
+        let hello = Request::Hello { protocol_version: PROTOCOL_VERSION };
+        let Some(Reply::Hello(reply)) = send(&mut board, hello, 8) else { panic!("no reply") };
+        assert_eq!((reply.boot_id, reply.dropped_frames), (boot_id.wrapping_add(1), 0));
+        let Some(Reply::Sample(sample)) = send(&mut board, Request::Sample, 9) else {
+            panic!("no sample")
+        };
+        assert!(sample.device_time_us < 1000 && sample.last_act_sequence == 0);
+        let plant = board.plant();
+        let shift = (
+            sample.theta_counts - plant.theta_counts(),
+            sample.alpha_counts - plant.alpha_counts(),
+        );
+        assert_ne!(shift, (0, 0), "counts begin anew ({counts:?})");
+    }
+}
+
+#[test]
+fn an_act_must_name_the_last_sample_and_soon() {
+    let mut board = armed();
+    let stale = Reply::Refusal { refused_type: 4, reason: RefusalReason::StaleSample };
+    let acts = |board: &mut Board, sampled_at_us| {
+        send(board, Request::Act { voltage_mv: 1000, sampled_at_us }, 10)
+    };
+    assert_eq!(acts(&mut board, 0), Some(stale));
+    board.advance_to(1_000);
+    send(&mut board, Request::Sample, 3);
+    board.advance_to(21_001);
+    assert_eq!(acts(&mut board, 1_000), Some(stale));
+    assert_eq!((board.applied_mv(), board.last_command_us()), (0, 0), "it fed the watchdog");
+    send(&mut board, Request::Sample, 4);
+    board.advance_to(41_001);
+    assert_eq!(acts(&mut board, 21_001), None);
+    assert_eq!((board.applied_mv(), board.last_command_us()), (1009, 41_001));
+}
+
 #[test]
 fn the_watchdog_trips_at_its_instant_however_time_is_cut() {
     for step_us in [1, 7, 1000, 49_999, 1_000_000] {
         let mut board = armed();
         board.advance_to(10_000);
-        assert_eq!(send(&mut board, Request::Act { voltage_mv: 3000 }, 3), None);
+        act(&mut board, 3000, 3);
         assert_eq!(board.next_event_us(), Some(60_000));
         board.advance_to(59_999);
         assert_eq!(board.state(), DeviceState::Armed);
@@ -60,10 +172,10 @@ fn the_same_seed_gives_the_same_bytes() {
 fn a_silent_board_still_has_its_watchdog() {
     let mut board = armed();
     board.settings.fault = Some(EmulatorFault::Silent { after_s: 0.02 });
-    send(&mut board, Request::Act { voltage_mv: 3000 }, 3);
+    act(&mut board, 3000, 3);
     board.advance_to(30_000);
     assert_eq!(send(&mut board, Request::Sample, 4), None);
-    assert_eq!(send(&mut board, Request::Act { voltage_mv: 3000 }, 5), None);
+    assert_eq!(send(&mut board, Request::Act { voltage_mv: 3000, sampled_at_us: 0 }, 5), None);
     board.advance_to(50_000);
     assert_eq!(board.state(), DeviceState::Tripped);
 }

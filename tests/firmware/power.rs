@@ -1,0 +1,139 @@
+//! What the Qube does when the board loses its supply, browns out or restarts, and what is kept.
+
+use std::sync::Arc;
+
+use qube_hil::clock::MonotonicClock;
+use qube_hil::device::{Device, Identity, LinkFault, SerialLink};
+use qube_hil::qube::HARD_STOP_RAD;
+
+use crate::driver::{Disturbed, Driver, scenario};
+use crate::qube::Qube;
+use crate::simulated_board::{Order, SimulatedBoard};
+use crate::toolchain::{Chip, toolchain};
+
+/// The chip's start-up time after a brown-out.
+const START_UP_US: u64 = 65_000;
+
+/// From the chip's start to the end of the program's first frame.
+const FIRST_FRAME_US: u64 = 1_000;
+
+/// When the order was carried out is known to within a frame, and some of the simulator's slices.
+const ORDER_US: u64 = 3_000;
+
+/// Drives, restarts the board in the middle of it, and returns for how long the motor stayed on, and
+/// who answered before and after.
+fn restart(driver: &mut Driver, order: Order) -> Result<(u64, Identity, Identity), Disturbed> {
+    let before = driver.link.hello().unwrap();
+    driver.arm_and_drive()?;
+    driver.board.order(order);
+    let ordered_us = driver.board.time_us();
+    driver.board.wait_us(150_000);
+    let commands = driver.commands_since(ordered_us - 10_000);
+    let last_on = commands.iter().rposition(|it| it.motor_is_on()).expect("it was driving");
+    let off = &commands[last_on + 1..];
+    assert!(off.len() > 10 && off.iter().all(|it| it.motor_word == 0), "{off:?}");
+    // Not the firmware's watchdog, which would have needed 50 ms and makes red light.
+    assert!(off[0].is_red() && !off[5].is_red(), "the first frame of a start is red, then white");
+    let refused = driver.sample();
+    assert_eq!(refused, Err(LinkFault::NotArmed), "a restarted board knows of no hello");
+    let after = driver.link.hello().unwrap();
+    driver.arm_and_drive()?;
+    Ok((off[0].time_us - ordered_us, before, after))
+}
+
+#[test]
+fn the_first_thing_a_restarted_board_does_is_to_switch_the_motor_off() {
+    scenario(|driver| {
+        let (on_us, before, after) = restart(driver, Order::Restart)?;
+        println!("restart: the motor kept its voltage for {on_us} us");
+        assert!(on_us <= FIRST_FRAME_US + ORDER_US, "{on_us} us");
+        assert!(before.is_same_board(&after) && !before.is_same_start(&after));
+        assert_eq!(after.boot_id, before.boot_id.wrapping_add(1));
+        Ok(())
+    });
+}
+
+#[test]
+fn a_brown_out_leaves_the_voltage_for_the_chips_start_up_time() {
+    scenario(|driver| {
+        let (on_us, before, after) = restart(driver, Order::BrownOut)?;
+        println!("brown-out: the motor kept its voltage for {on_us} us");
+        let expected_us = START_UP_US..=START_UP_US + FIRST_FRAME_US + ORDER_US;
+        assert!(expected_us.contains(&on_us), "{on_us} us");
+        assert!(before.is_same_board(&after) && !before.is_same_start(&after));
+        Ok(())
+    });
+}
+
+/// Nothing in a board without supply can switch anything off: the Qube drives the arm into its stop.
+#[test]
+fn a_board_without_supply_leaves_the_motor_on() {
+    scenario(|driver| {
+        driver.arm_and_drive()?;
+        driver.board.order(Order::PowerLoss);
+        driver.board.wait_for_end();
+        let mut qube = driver.board.qube();
+        let last = *qube.commands.last().unwrap();
+        assert!(last.motor_is_on(), "{last:?}");
+        let mut fastest_rad_s = 0.0_f64;
+        let slam_us = (0..5_000_000).step_by(500).find(|elapsed_us| {
+            let state = qube.state_at(last.time_us + elapsed_us);
+            if state.theta.abs() < HARD_STOP_RAD {
+                fastest_rad_s = fastest_rad_s.max(state.theta_dot.abs());
+            }
+            state.theta.abs() >= HARD_STOP_RAD
+        });
+        println!("1 V, power lost: stop after {slam_us:?} us, up to {fastest_rad_s:.1} rad/s");
+        assert!(slam_us.is_some() && fastest_rad_s > 2.0);
+        drop(qube);
+        assert_eq!(driver.sample(), Err(LinkFault::Gone));
+        Ok(())
+    });
+}
+
+#[test]
+fn each_board_draws_a_serial_number_of_its_own_and_keeps_it() {
+    let Some(toolchain) = toolchain() else { return };
+    let mut serials = Vec::new();
+    for (chip, seed) in
+        [(Chip::Atmega328p, 1), (Chip::Atmega328p, 2), (Chip::Atmega328p, 3), (Chip::Atmega2560, 1)]
+    {
+        let board = SimulatedBoard::start_with_memory(toolchain, chip, Qube::new(0), seed);
+        let mut link = SerialLink::open(board.port(), Arc::new(MonotonicClock)).unwrap();
+        let first = link.hello().unwrap();
+        board.order(Order::Restart);
+        board.wait_us(50_000);
+        let again = link.hello().unwrap();
+        assert_ne!(first.boot_id, again.boot_id, "it has restarted");
+        assert_eq!(first.serial, again.serial, "kept over a start");
+        serials.push(first.serial);
+    }
+    println!("{serials:?}");
+    serials.sort();
+    serials.dedup();
+    assert_eq!(serials.len(), 4, "{serials:?}");
+    assert!(!serials.contains(&"0000000000000000".to_owned()));
+}
+
+/// `make SERIAL=` builds anew when it changes, and only then.
+#[test]
+fn a_serial_number_that_is_given_is_built_in() {
+    let Some(toolchain) = toolchain() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let made = |serial: &str| {
+        let output = toolchain.make(folder.path(), &["SERIAL=".to_owned() + serial]);
+        String::from_utf8_lossy(&output).matches("avr-gcc").count()
+    };
+    assert_eq!(made("0x0123456789abcdef"), 2, "both chips");
+    assert_eq!(made("0x0123456789abcdef"), 0);
+    assert_eq!(made("0x1122334455667788"), 2, "another number");
+    let board = SimulatedBoard::start_elf(
+        toolchain,
+        &folder.path().join("atmega328p.elf"),
+        Chip::Atmega328p,
+        Qube::new(0),
+        0,
+    );
+    let mut link = SerialLink::open(board.port(), Arc::new(MonotonicClock)).unwrap();
+    assert_eq!(link.hello().unwrap().serial, "1122334455667788");
+}

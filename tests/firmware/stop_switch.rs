@@ -1,0 +1,92 @@
+//! The emergency-stop input: a normally closed contact between D2 and ground.
+
+use std::sync::Arc;
+
+use qube_hil::clock::MonotonicClock;
+use qube_hil::device::{Device, DeviceError, SerialLink};
+
+use crate::driver::{Disturbed, Driver, scenario_on};
+use crate::qube::{Command, Qube};
+use crate::simulated_board::{Order, SimulatedBoard};
+use crate::toolchain::{Chip, toolchain};
+
+/// The firmware wants to see a contact open for 3 ms, and may be one sampling period late to see it.
+const STOP_US: u64 = 3_000 + 2_000;
+
+/// When the order was carried out is known to within a frame, and some of the simulator's slices.
+const ORDER_US: u64 = 3_000;
+
+fn close(driver: &mut Driver) {
+    driver.board.order(Order::CloseStop);
+    driver.board.wait_us(150_000);
+    driver.link.hello().unwrap();
+}
+
+fn stops(chip: Chip) {
+    scenario_on(chip, |driver| {
+        // Without a switch the open pin means nothing.
+        driver.arm_and_drive()?;
+        let bare = driver.sample().map_err(|_| Disturbed)?.status;
+        assert!(!bare.stop_switch_fitted && !bare.emergency_stop, "{bare:?}");
+
+        close(driver);
+        driver.arm_and_drive()?;
+        let fitted = driver.sample().map_err(|_| Disturbed)?.status;
+        assert!(fitted.stop_switch_fitted && !fitted.emergency_stop, "{fitted:?}");
+        driver.link.hello().unwrap();
+        driver.arm_and_drive()?;
+
+        driver.board.order(Order::OpenStop);
+        let opened_us = driver.board.time_us();
+        let last = driver.drive_until(|sample| sample.status.emergency_stop)?;
+        assert!(!last.status.armed && !last.status.watchdog_tripped, "{:?}", last.status);
+        driver.board.wait_us(50_000);
+        let commands = driver.commands_since(opened_us - 10_000);
+        let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
+        let off = &commands[last_on + 1..];
+        let off_after_us = off[0].time_us - opened_us;
+        println!("{}: off {off_after_us} us after the switch opened", chip.name());
+        assert!(off_after_us <= STOP_US + ORDER_US, "off after {off_after_us} us");
+        let [red, green, blue] = off.last().unwrap().leds;
+        assert!(red > 0 && green == 0 && red == blue, "magenta: {:?}", off.last());
+
+        // Open: refused. Closed again: still latched until a hello.
+        driver.link.hello().unwrap();
+        let refused = driver.link.arm().unwrap_err();
+        assert!(matches!(refused, DeviceError::Refused { .. }), "{refused}");
+        assert!(refused.to_string().contains("emergency-stop"), "{refused}");
+        driver.board.order(Order::CloseStop);
+        driver.board.wait_us(20_000);
+        assert!(driver.sample().map_err(|_| Disturbed)?.status.emergency_stop);
+        driver.link.hello().unwrap();
+        driver.arm_and_drive()
+    });
+}
+
+#[test]
+fn an_open_stop_switch_switches_the_motor_off_on_the_uno() {
+    stops(Chip::Atmega328p);
+}
+
+#[test]
+fn an_open_stop_switch_switches_the_motor_off_on_the_mega() {
+    stops(Chip::Atmega2560);
+}
+
+/// A wire that breaks while the board is off must stop it too.
+#[test]
+fn a_board_remembers_its_stop_switch_over_a_restart() {
+    let Some(toolchain) = toolchain() else { return };
+    let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(0));
+    let mut link = SerialLink::open(board.port(), Arc::new(MonotonicClock)).unwrap();
+    link.hello().unwrap();
+    board.order(Order::CloseStop);
+    board.wait_us(150_000);
+    board.order(Order::OpenStop);
+    board.wait_us(20_000);
+    board.order(Order::Restart);
+    board.wait_us(50_000);
+    link.hello().unwrap();
+    let refused = link.arm().unwrap_err().to_string();
+    assert!(refused.contains("emergency-stop"), "{refused}");
+}
