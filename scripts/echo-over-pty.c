@@ -18,7 +18,7 @@
 enum { PERIOD_NS = 10000000, LONGEST = 64 };
 
 static int host_end, board_end, turns, priority;
-static int request_bytes = 7, reply_bytes = 32, act_bytes = 9;
+static int request_bytes = 7, reply_bytes = 32, act_bytes = 13;
 static int64_t *sample_to_act_ns;
 
 static int64_t now_ns(void) {

@@ -47,6 +47,8 @@ pub(super) fn measure(
     stop: &AtomicBool,
     port: &str,
 ) -> Result<RoundTrips, Interruption> {
+    // What a tick will see, which is on an awake processor.
+    let _awake = clock.stay_awake();
     let mut round_trips = LatencyHistogram::new();
     let (mut asked, mut lost, mut theta_counts) = (0, 0, None);
     let end_ns = clock.now_ns() + LONGEST_NS;
