@@ -113,8 +113,8 @@ fn what_is_wrong_is_named_with_a_cure_and_the_arm_is_not_homed() {
         ("dead-motor@0", &["motor"]),
         ("blocked-arm@0", &["stall"]),
         ("amplifier@0", &["watchdog"]),
-        // While the arm is pushed: after a second of samples and 0.6 s of rest.
-        ("stall@1.65", &["stall"]),
+        // While the arm is pushed: after 2 s of samples and 0.6 s of rest.
+        ("stall@3", &["stall"]),
         ("garble@7", &["latency"]),
     ] {
         let found = checked(Some(fault), false);

@@ -5,14 +5,18 @@
 //! `lab`, parameters within 10 %, 1 to 4 times the friction, up to 1 degree of play. Half of the rigs
 //! lie in the corners of that domain. Figures are told of seeds from 1000 on; nothing was tuned on them.
 
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use qube_hil::clock::VirtualClock;
+use qube_hil::control::HomingSettings;
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings, Wiring};
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::estimation::Calibration;
 use qube_hil::preflight::{Examination, ExaminationSettings, examine};
 use qube_hil::qube::{DomainParameter, HARD_STOP_RAD, Profile, QubeModel, State};
+use qube_hil::safety::HardwareLimits;
+use qube_hil::session::{ClockChoice, DeviceChoice, Rig, RigSettings};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -269,4 +273,38 @@ fn the_probe_touches_no_stop_hard() {
             );
         }
     }
+}
+
+/// The whole check of healthy rigs, homing included: `RIGS` from `SEED` on.
+#[test]
+#[ignore = "minutes"]
+fn healthy_rigs_pass_the_whole_check() {
+    let number = |name: &str, default: u64| {
+        std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
+    };
+    let first = number("SEED", FIRST_SEED);
+    let rigs = number("RIGS", 50);
+    let mut refused = Vec::new();
+    for seed in first..first + rigs {
+        let emulator = rig(seed);
+        let settings = RigSettings {
+            device: DeviceChoice::Emulated,
+            clock: ClockChoice::Virtual,
+            emulator,
+            homing: HomingSettings {
+                signs: signs_of(emulator.wiring),
+                ..HomingSettings::default()
+            },
+            skip_check: false,
+            board: None,
+            limits: HardwareLimits::default(),
+        };
+        let stop = Arc::new(AtomicBool::new(false));
+        let found = Rig::connect(&settings, &stop).unwrap().check(false).unwrap();
+        for result in found.results.iter().filter(|result| result.failed()) {
+            refused.push(format!("{seed} {}: {}", result.name, result.value));
+        }
+    }
+    println!("{rigs} healthy rigs, {} did not pass", refused.len());
+    assert!(refused.is_empty(), "{}", refused.join("\n"));
 }

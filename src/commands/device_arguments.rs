@@ -10,7 +10,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::qube::QubeModel;
 use crate::safety::{GuardConsent, HardwareLimits, SafetyBox};
-use crate::session::{ClockChoice, DeviceChoice, QUBE_FILE, QubeFile, RigSettings};
+use crate::session::{ClockChoice, DeviceChoice, QUBE_FILE, QubeFile, RigSettings, power_warning};
 
 /// The name by which the embedded emulator is asked for.
 const EMULATED: &str = "emulated";
@@ -73,6 +73,8 @@ pub struct ChosenDevice {
     pub clock: ClockChoice,
     /// What is particular about it, where a file says so.
     pub file: Option<QubeFile>,
+    /// That file.
+    pub path: Option<PathBuf>,
     home: Option<HomingMethod>,
     /// Where the profile is that the file names.
     profile: Option<PathBuf>,
@@ -124,6 +126,7 @@ impl QubeArguments {
             choice,
             clock,
             profile,
+            path: path.map(Path::to_owned),
             file,
             home: self.home.map(|home| match home {
                 HomeArgument::Stops => HomingMethod::Stops,
@@ -158,6 +161,13 @@ impl ChosenDevice {
         }
         HardwareLimits::of(*safety_box, consent)
             .map_err(|error| Failure::usage(format!("{origin}: {error}")))
+    }
+
+    /// What is to be said before a real Qube is driven of which it is not known that its motor goes off
+    /// without its board.
+    pub fn power_warning(&self) -> Option<&'static str> {
+        let power = self.file.as_ref().and_then(|file| file.power.as_ref());
+        power_warning(power).filter(|_| self.choice.is_hardware())
     }
 
     /// What the Qube was when its profile was made, where its file names one.

@@ -7,7 +7,7 @@ use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::output::Output;
 use super::stop::Stop;
-use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Wiring};
+use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, UsbBridge, Wiring};
 
 /// Be a Qube: serve an emulated one on a pty that any program can open as a serial port
 ///
@@ -34,6 +34,11 @@ pub struct Arguments {
     /// What is wired the other way round: theta, alpha, motor, or several with commas between
     #[arg(long, value_name = "theta,alpha,motor", value_delimiter = ',')]
     inverted: Vec<Wire>,
+
+    /// What sits between the board and the computer: `16u2`, the second microcontroller of a genuine
+    /// Uno or Mega, or `slow`, one through which nothing can be controlled
+    #[arg(long, value_name = "16u2|slow")]
+    bridge: Option<UsbBridge>,
 
     /// Something to go wrong
     #[arg(long, value_name = "FAULT")]
@@ -62,7 +67,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         motor_inverted: is_inverted(Wire::Motor),
     };
     let fault = arguments.fault;
-    let settings = EmulatorSettings { fault, wiring, ..emulated.emulator(arguments.seed) };
+    let bridge = arguments.bridge;
+    let settings = EmulatorSettings { fault, wiring, bridge, ..emulated.emulator(arguments.seed) };
     let mut qube = EmulatedQube::spawn(settings)
         .map_err(|error| Failure::failed(format!("no emulated Qube can be served: {error}")))?;
     if let Some(link) = &arguments.link {

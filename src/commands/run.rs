@@ -154,6 +154,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         limits: device.limits("--guard", &safety_box, consent)?,
         ..device.rig_settings(emulator, estimator, arguments.check.skip_check)
     };
+    if let Some(warning) = device.power_warning() {
+        eprintln!("warning: {warning}");
+    }
     if settings.checks() {
         eprintln!("checking the Qube: the arm is pushed a little (--skip-check leaves it out)");
     }

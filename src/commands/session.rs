@@ -127,6 +127,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     };
     let resume = format!("qube-hil session --resume {}", folder.root().display());
     tell(&format!("session in {}", folder.root().display()));
+    if let Some(warning) = device.power_warning() {
+        eprintln!("warning: {warning}");
+    }
     if rig_settings.checks() {
         eprintln!("first the Qube is checked and homed (--skip-check leaves the check out)");
     }

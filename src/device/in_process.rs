@@ -3,7 +3,7 @@ use std::sync::Arc;
 
 use firmware_protocol::{BAUD_RATE, BITS_PER_BYTE};
 
-use super::emulator::{Board, EmulatorSettings};
+use super::emulator::{Board, EmulatorSettings, UsbBridge};
 use super::{LinkFault, SerialLink, Transport};
 use crate::clock::{Clock, Nanoseconds, VirtualClock};
 
@@ -25,6 +25,7 @@ const BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 #[derive(Debug)]
 pub struct InProcessWire {
     board: Board,
+    bridge: Option<UsbBridge>,
     clock: VirtualClock,
     to_board: Line,
     to_host: Line,
@@ -64,7 +65,13 @@ impl InProcessWire {
     /// A board that starts now.
     #[must_use]
     pub fn new(settings: EmulatorSettings, clock: VirtualClock) -> Self {
-        Self { board: Board::new(settings), clock, to_board: Line::new(), to_host: Line::new() }
+        Self {
+            bridge: settings.bridge,
+            board: Board::new(settings),
+            clock,
+            to_board: Line::new(),
+            to_host: Line::new(),
+        }
     }
 
     /// The board as it is now, for tests that need to see what no host can.
@@ -78,7 +85,13 @@ impl InProcessWire {
         while let Some((arrival_ns, byte)) = self.to_board.receive_by(time_ns) {
             self.board.advance_to(arrival_ns / 1000);
             let Some(reply) = self.board.receive(byte) else { continue };
+            let earlier = self.to_host.under_way.len();
             self.to_host.send(reply.as_bytes(), arrival_ns + TURNAROUND_NS);
+            if let Some(bridge) = self.bridge {
+                for (arrival_ns, _) in self.to_host.under_way.iter_mut().skip(earlier) {
+                    *arrival_ns = bridge.reaches_host_ns(*arrival_ns);
+                }
+            }
             if self.board.garbles_reply()
                 && let Some((_, last)) = self.to_host.under_way.iter_mut().nth_back(1)
             {
@@ -126,7 +139,8 @@ impl Transport for InProcessWire {
         if self.board.is_unplugged() {
             return Err(LinkFault::Gone);
         }
-        self.to_board.send(bytes, now_ns);
+        let from_ns = self.bridge.map_or(now_ns, |bridge| bridge.leaves_bridge_ns(now_ns));
+        self.to_board.send(bytes, from_ns);
         Ok(())
     }
 

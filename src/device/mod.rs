@@ -80,6 +80,15 @@ pub trait Device: Send {
         true
     }
 
+    /// How long a tick waits for its sample, ns, where the link has been measured; None is as long as
+    /// any link is given.
+    fn sample_time_ns(&self) -> Option<Nanoseconds> {
+        None
+    }
+
+    /// Takes what the measured link needs. A backend that has no link to wait for ignores it.
+    fn set_sample_time_ns(&mut self, _sample_time_ns: Nanoseconds) {}
+
     /// Whether there may be a motor behind it that hurts somebody. A backend that cannot tell, or has
     /// not been told yet, is hardware.
     fn is_hardware(&self) -> bool {

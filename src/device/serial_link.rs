@@ -47,6 +47,7 @@ pub struct SerialLink<T: Transport> {
     /// The last write was cut short: a delimiter must close the broken frame before the next.
     broken_frame: bool,
     heard: Heard,
+    sample_time_ns: Option<Nanoseconds>,
 }
 
 /// What the device last said of its amplifier.
@@ -108,6 +109,7 @@ impl<T: Transport> SerialLink<T> {
             last_sample: None,
             broken_frame: false,
             heard: Heard::default(),
+            sample_time_ns: None,
         }
     }
 
@@ -376,6 +378,14 @@ impl<T: Transport> Device for SerialLink<T> {
         }
         // The wire carries the lowest 32 bits, from which the 64 were made.
         self.send(Request::Act { voltage_mv, sampled_at_us: sampled_at_us as u32 }).map(|_| ())
+    }
+
+    fn sample_time_ns(&self) -> Option<Nanoseconds> {
+        self.sample_time_ns
+    }
+
+    fn set_sample_time_ns(&mut self, sample_time_ns: Nanoseconds) {
+        self.sample_time_ns = Some(sample_time_ns);
     }
 
     fn disarm(&mut self) -> Result<(), DeviceError> {

@@ -13,5 +13,5 @@ mod examination;
 mod latency_timer;
 
 pub use examination::{
-    Examination, ExaminationSettings, examine, homed, homing_left_out, not_homed,
+    Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
 };

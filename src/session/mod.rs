@@ -12,6 +12,7 @@ mod latencies;
 mod ledger;
 mod orchestrator;
 mod plan;
+mod power_test;
 mod qube_file;
 mod rig;
 mod seeds;
@@ -28,9 +29,10 @@ pub use latencies::Latencies;
 pub use ledger::{DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger};
 pub use orchestrator::{Progress, Session};
 pub use plan::{Candidate, Extent, Step, candidates, next_step};
+pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use rig::{
-    ClockChoice, Connect, DeviceChoice, Recorded, Rig, RigError, RigSettings, TimedDevice,
+    ClockChoice, Connect, DeviceChoice, Pressed, Recorded, Rig, RigError, RigSettings, TimedDevice,
 };
 pub use seeds::{Purpose as SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, Model, ProfileSettings, SessionSettings};

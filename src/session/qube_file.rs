@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::ConfigurationError;
 use super::configuration::read;
 use super::folder::write_whole;
+use super::{ConfigurationError, PowerTest};
 use crate::control::{HomingMethod, HomingSettings};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::safety::SafetyBox;
@@ -40,6 +40,9 @@ pub struct QubeFile {
     pub homing: RigHoming,
     /// Where a rollout ends.
     pub limits: RigLimits,
+    /// What its motor does without its board, where `check --power-test` found that out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub power: Option<PowerTest>,
 }
 
 /// Which way round things are wired. One of the three may be chosen freely: turning all of them
@@ -230,6 +233,11 @@ mod tests {
             signs: Signs { alpha_inverted: true, ..Signs::default() },
             homing: RigHoming { method: HomingMethod::Hand, theta_offset_rad: -0.05 },
             limits: RigLimits { theta_rad: 2.0, ..RigLimits::default() },
+            power: Some(PowerTest {
+                usb_lost: crate::session::UsbLost::KeepsItsWord,
+                date: "2026-01-31".into(),
+                board: "0123456789abcdef".into(),
+            }),
         };
         for file in [file, QubeFile::default()] {
             file.save(&path).unwrap();
@@ -264,6 +272,7 @@ mod tests {
             ("[limits]\n\ntheta_rad = 2.39\n", ["line 3", "at most 2.3"]),
             ("[limits]\nalpha_dot_rad_s = -1.0\n", ["line 2", "above 0"]),
             ("[limits]\ntheta_dot_rad_s = nan\n", ["line 2", "above 0"]),
+            ("[power]\nusb_lost = \"off\"\n", ["line 2", "motor off"]),
         ] {
             let message = read_back(text).unwrap_err().to_string();
             for word in words.iter().chain(&[QUBE_FILE]) {

@@ -6,19 +6,23 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use thiserror::Error;
 
 use crate::clock::{Clock, PunctualClock, RealtimeReport, VirtualClock};
-use crate::control::{ControlError, ControlThread, HomingSettings, RING_CAPACITY, ThreadGone};
+use crate::control::{
+    ControlError, ControlThread, HomingSettings, PressOutcome, RING_CAPACITY, StopPress,
+    ThreadGone, drive,
+};
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{Device, DeviceError, Identity, SerialLink};
 use crate::estimation::Calibration;
 use crate::policy::{Policy, PolicyFault};
 use crate::preflight::{
-    Examination, ExaminationSettings, examine, homed, homing_left_out, not_homed,
+    Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
 };
 use crate::recording::{Recorder, RecordingError};
 use crate::safety::{HardwareLimits, TooWide};
 use crate::storage::Disk;
 use crate::telemetry::{
-    CheckResult, Ending, Fault, Preflight, RolloutHeader, RolloutOutcome, TickRecord, TickSettings,
+    CheckResult, Ending, Fault, MeasuredLink, Preflight, RolloutHeader, RolloutOutcome, TickRecord,
+    TickSettings,
 };
 
 /// How often homing is tried while faults of time end it.
@@ -204,10 +208,21 @@ pub struct Rig {
     calibration: Calibration,
     homing: HomingSettings,
     preflight: Preflight,
+    /// The link, where it was measured: any but the embedded emulator's plain line.
+    link: Option<MeasuredLink>,
     clock: ClockChoice,
     limits: HardwareLimits,
     /// Served until the rig is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
+}
+
+/// What came of pressing the arm against its stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pressed {
+    /// How it ended.
+    pub ending: Ending,
+    /// What the arm did.
+    pub outcome: PressOutcome,
 }
 
 /// What came of one rollout: its recording is whole and on disk.
@@ -229,10 +244,14 @@ impl Rig {
         match (settings.is_hardware() || rig.is_hardware(), settings.skip_check) {
             (false, _) => {
                 rig.preflight = Preflight::NotNeeded;
+                if settings.emulator.bridge.is_some() {
+                    rig.measure_link()?;
+                }
                 rig.home()?;
             }
             (true, true) => {
                 rig.preflight = Preflight::SkippedByFlag;
+                rig.measure_link()?;
                 rig.home()?;
             }
             (true, false) => {
@@ -271,6 +290,7 @@ impl Rig {
             calibration: settings.homing.signs,
             homing: settings.homing,
             preflight: Preflight::Unknown,
+            link: None,
             clock: settings.clock,
             limits: settings.limits,
             _emulator: emulator,
@@ -297,6 +317,40 @@ impl Rig {
         Ok(examination)
     }
 
+    /// Measures the link where no check does: ticks wait for their samples as long as it needs.
+    fn measure_link(&mut self) -> Result<(), RigError> {
+        let port = self.identity.port.clone();
+        let link = self
+            .control
+            .lend(move |device, clock, stop| measure_link(device, clock, stop, &port))???;
+        self.link = Some(link.ok_or(RigError::Stopped)?);
+        Ok(())
+    }
+
+    /// The link as it was measured; None for the embedded emulator's plain line.
+    #[must_use]
+    pub fn link(&self) -> Option<&MeasuredLink> {
+        self.link.as_ref()
+    }
+
+    /// Presses the arm outward against the stop at which it stands, for at most so many ticks.
+    ///
+    /// # Errors
+    /// The device could not be armed, or the Qube is not homed.
+    pub fn press(&mut self, push_v: f64, ticks: u32, rehearsal: bool) -> Result<Pressed, RigError> {
+        let calibration = self.calibration;
+        let pressed = self.control.lend(move |device, clock, stop| {
+            device.hello()?;
+            let mut press = StopPress::new(calibration, push_v, ticks, rehearsal);
+            let report = drive(device, clock, &mut press, None, stop)?;
+            Ok::<_, DeviceError>(Pressed {
+                ending: report.outcome.ending,
+                outcome: press.outcome(),
+            })
+        })???;
+        Ok(pressed)
+    }
+
     /// All checks but homing.
     fn examine(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
         let settings = ExaminationSettings {
@@ -310,6 +364,7 @@ impl Rig {
             .ok_or(RigError::Stopped)?;
         self.homing.signs = examination.signs;
         self.homing.hand_counts = examination.start_theta_counts;
+        self.link = examination.link;
         Ok(examination)
     }
 
@@ -420,16 +475,25 @@ impl Rig {
 
     fn device_by_name(&self) -> std::collections::BTreeMap<String, String> {
         let identity = &self.identity;
-        [
+        let link = self.link.as_ref();
+        // What a tick waits decides which samples it sees, and these are recorded: a replay needs
+        // neither figure, a reader may.
+        let link = link.into_iter().flat_map(|link| {
+            [
+                ("link_p50_us", format!("{:.0}", link.round_trip_us.p50)),
+                ("link_p99_us", format!("{:.0}", link.round_trip_us.p99)),
+                ("sample_time_us", link.sample_time_us.to_string()),
+            ]
+        });
+        let itself = [
             ("kind", identity.kind.clone()),
             ("serial", identity.serial.clone()),
             ("firmware_version", identity.firmware_version.clone()),
             ("protocol_version", identity.protocol_version.to_string()),
             // A pty has another name each time; under virtual time nothing may differ.
             ("port", identity.port.clone()),
-        ]
-        .map(|(name, value)| (name.to_owned(), value))
-        .into()
+        ];
+        itself.into_iter().chain(link).map(|(name, value)| (name.to_owned(), value)).collect()
     }
 }
 

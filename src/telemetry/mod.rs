@@ -9,5 +9,5 @@ mod record;
 
 pub use fault::{Consequence, Fault, fault_table};
 pub use header::{Ending, LatencySummary, RolloutHeader, RolloutOutcome, TickSettings};
-pub use preflight::{CheckResult, CheckVerdict, Preflight};
+pub use preflight::{CheckResult, CheckVerdict, MeasuredLink, Preflight};
 pub use record::{Phase, TickRecord};

@@ -1,5 +1,7 @@
 use serde::{Deserialize, Serialize};
 
+use super::LatencySummary;
+
 /// What one check of a device came to.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CheckResult {
@@ -24,6 +26,17 @@ pub enum CheckVerdict {
     Fail,
     /// Not done, because one before it failed or there is nothing to check.
     Skipped,
+}
+
+/// What was measured of a link, and what the control loop makes of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredLink {
+    /// From the request of a sample to its whole answer, microseconds.
+    pub round_trip_us: LatencySummary,
+    /// Samples without an answer.
+    pub lost: u32,
+    /// How long a tick waits for its sample, microseconds.
+    pub sample_time_us: u32,
 }
 
 /// What is known about the check of the device before a rollout.

@@ -1,7 +1,9 @@
 //! `check`: is the Qube at the other end fit to be driven?
 
 mod conformance;
+mod power_test;
 
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
@@ -29,6 +31,7 @@ use crate::telemetry::CheckVerdict;
     qube-hil check --device /dev/ttyACM0\n  \
     qube-hil check --device /dev/ttyACM0 --write      # find out the signs, write qube.toml\n  \
     qube-hil check --qube qube.toml --home hand       # the arm was put into the middle\n  \
+    qube-hil check --device /dev/ttyACM0 --power-test    # once a rig: the motor without its board\n  \
     qube-hil check --device /dev/ttyACM0 --conformance   # does the firmware keep the protocol?")]
 pub struct Arguments {
     /// Put the device's firmware to the test against PROTOCOL.md instead. The motor gets at most
@@ -41,6 +44,11 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = QUBE_FILE)]
     write: Option<PathBuf>,
 
+    /// Then find out, with you at the Qube, what its motor does when the board loses power, and write
+    /// that to the file of --write or --qube [else: qube.toml]. Once a rig
+    #[arg(long, conflicts_with = "conformance")]
+    power_test: bool,
+
     #[command(flatten)]
     device: DeviceArguments,
 }
@@ -50,6 +58,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let device = arguments.device.choose()?;
     if arguments.conformance {
         return conformance::run(&device, output);
+    }
+    if arguments.power_test && !device.choice.is_hardware() {
+        return Err(Failure::usage(
+            "--power-test is for a Qube at a port: the embedded emulator has no plug. Give --device",
+        ));
     }
     let file = match &arguments.write {
         Some(path) => Some((path.as_path(), base_file(path, &device)?)),
@@ -103,10 +116,34 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         return Err(Failure::failed(error));
     }
     if passed {
-        return Ok(());
+        let path = written.map(Path::to_owned).or(device.path.clone());
+        let path = path.unwrap_or_else(|| QUBE_FILE.into());
+        if !arguments.power_test && !(written.is_some() && wants_power_test(&path)) {
+            return Ok(());
+        }
+        let file = QubeFile {
+            port: Some(stable_port_name(&rig.identity().port)),
+            board: Some(rig.identity().serial.clone()),
+            signs: examination.signs.into(),
+            ..base_file(&path, &device)?
+        };
+        return power_test::run(rig, &settings, &path, file, &stop, output);
     }
     let note = if arguments.write.is_some() { ", so nothing was written" } else { "" };
     Err(Failure::failed(format!("failed: {}{note}", failed_names(results))))
+}
+
+/// Whether an operator at a terminal wants the test of the motor without its board, where the file has
+/// no result of it.
+fn wants_power_test(path: &Path) -> bool {
+    let is_known = QubeFile::load(path).is_ok_and(|file| file.power.is_some());
+    if is_known || !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
+        return false;
+    }
+    eprint!("Find out now what the motor does when its board loses power (3 minutes)? [y/N] ");
+    let mut line = String::new();
+    let read = std::io::stdin().read_line(&mut line);
+    read.is_ok() && matches!(line.trim(), "y" | "Y" | "yes")
 }
 
 /// What the written file begins from: what it says already.

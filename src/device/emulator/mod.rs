@@ -4,12 +4,14 @@
 //! `control`, because shared code would hide faults of the protocol.
 
 mod board;
+mod bridge;
 mod fault;
 mod plant;
 mod play;
 mod pty;
 
 pub use board::Board;
+pub use bridge::UsbBridge;
 pub use fault::{EmulatorFault, UnknownFault};
 pub use plant::Plant;
 pub use pty::EmulatedQube;
@@ -27,8 +29,12 @@ pub struct EmulatorSettings {
     pub play_rad: f64,
     /// Which way round it is wired.
     pub wiring: Wiring,
+    /// What sits between its board and the computer; None is a plain line.
+    pub bridge: Option<UsbBridge>,
     /// Where arm and pendulum are at the start, and how fast; None where the seed decides, at rest.
     pub start: Option<State>,
+    /// Somebody's finger at the arm.
+    pub finger: Option<Finger>,
     /// Decides where it stands at the start, where its counters begin, and its nonces.
     pub seed: u64,
     /// What is wrong with it, if anything.
@@ -42,11 +48,25 @@ impl Default for EmulatorSettings {
             command_jitter_s: 0.0,
             play_rad: 0.0,
             wiring: Wiring::default(),
+            bridge: None,
             start: None,
+            finger: None,
             seed: 0,
             fault: None,
         }
     }
+}
+
+/// A hand that carries the arm to its positive stop, and then a finger that pushes it off there again
+/// and again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Finger {
+    /// When the arm is carried to its stop, microseconds.
+    pub from_us: u64,
+    /// How often it is pushed off from then on, microseconds.
+    pub every_us: u64,
+    /// How far, counts of the encoder.
+    pub counts: i32,
 }
 
 /// Which way round the encoders and the motor of an emulated Qube are wired: a real one may have any

@@ -7,8 +7,8 @@ use firmware_protocol::scaling::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::EmulatorSettings;
 use super::play::Play;
+use super::{EmulatorSettings, Finger};
 use crate::qube::{
     GapDynamics, HARD_STOP_RAD, QubeModel, RAD_PER_COUNT, State, counts, runge_kutta_4,
 };
@@ -61,6 +61,8 @@ pub struct Plant {
     time_us: u64,
     theta_offset_counts: i32,
     alpha_offset_counts: i32,
+    finger: Option<Finger>,
+    next_finger_us: u64,
     arm_blocked: bool,
     motor_is_open: bool,
 }
@@ -69,7 +71,8 @@ impl Plant {
     /// A Qube at rest: pendulum hanging, arm and counters somewhere that the seed decides.
     #[must_use]
     pub fn new(settings: &EmulatorSettings) -> Self {
-        let EmulatorSettings { model, command_jitter_s, seed, play_rad, start, .. } = *settings;
+        let EmulatorSettings { model, command_jitter_s, seed, play_rad, start, finger, .. } =
+            *settings;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut jitter = random.clone();
         jitter.set_stream(JITTER_STREAM);
@@ -91,6 +94,8 @@ impl Plant {
             time_us: 0,
             theta_offset_counts: random.random_range(-START_COUNTS..=START_COUNTS),
             alpha_offset_counts: random.random_range(-START_COUNTS..=START_COUNTS),
+            finger,
+            next_finger_us: finger.map_or(u64::MAX, |finger| finger.from_us.max(1)),
             arm_blocked: false,
             motor_is_open: false,
         }
@@ -105,7 +110,9 @@ impl Plant {
                 self.voltage_v = voltage_v;
                 self.under_way.pop_front();
             }
+            self.push_by_finger();
             let until_us = self.under_way.front().map_or(time_us, |next| next.0.min(time_us));
+            let until_us = until_us.min(self.next_finger_us);
             let longest_us = if self.touches() {
                 CONTACT_STEP_US.min(self.longest_step_us)
             } else {
@@ -126,6 +133,23 @@ impl Plant {
                 self.hardest_touch_rad_s = self.hardest_touch_rad_s.max(self.state.theta_dot.abs());
                 self.stop_arm_at(HARD_STOP_RAD.copysign(self.state.theta));
             }
+        }
+    }
+
+    /// Moves an arm that stands at a stop when the finger's time has come.
+    fn push_by_finger(&mut self) {
+        let Some(finger) = self.finger.filter(|_| self.time_us >= self.next_finger_us) else {
+            return;
+        };
+        let is_carried = self.next_finger_us == finger.from_us.max(1);
+        self.next_finger_us += finger.every_us.max(1);
+        let state = self.state;
+        if is_carried {
+            self.state = State { theta: HARD_STOP_RAD, theta_dot: 0.0, ..state };
+        } else if state.theta.abs() >= HARD_STOP_RAD - 10.0 * RAD_PER_COUNT {
+            let off_rad = f64::from(finger.counts) * RAD_PER_COUNT;
+            self.state.theta = state.theta - off_rad.copysign(state.theta);
+            self.state.theta_dot = 0.0;
         }
     }
 

@@ -1,3 +1,4 @@
+use std::collections::VecDeque;
 use std::ffi::OsStr;
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
@@ -11,7 +12,7 @@ use rustix::io::Errno;
 use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 
-use super::{Board, EmulatorSettings};
+use super::{Board, EmulatorSettings, UsbBridge};
 use crate::clock::{Clock, MonotonicClock, enter_realtime};
 
 /// How often an idle server looks after its port.
@@ -53,7 +54,7 @@ impl EmulatedQube {
             // It stands for a microcontroller, which nothing keeps from its work. Where this is
             // refused it serves at ordinary priority, and late ticks show it.
             let _ = enter_realtime();
-            serve(&master, &port_side, &stopped, Board::new(settings))
+            serve(&master, &port_side, &stopped, settings)
         })?;
         Ok(Self { port, link: None, stop, server: Some(server) })
     }
@@ -108,6 +109,42 @@ impl Drop for EmulatedQube {
     }
 }
 
+/// A request and its reply on the board's serial line, us: what a pty leaves out and a bridge waits for.
+const ON_THE_LINE_US: u64 = 1_000;
+
+/// Replies that a bridge holds back, each with the time at which the host gets it.
+#[derive(Debug, Default)]
+struct UnderWay {
+    bridge: Option<UsbBridge>,
+    replies: VecDeque<(u64, Vec<u8>)>,
+}
+
+impl UnderWay {
+    fn take(&mut self, bridge: UsbBridge, now_us: u64, bytes: &[u8]) {
+        let arrival_ns = bridge.leaves_bridge_ns(now_us * 1000) + ON_THE_LINE_US * 1000;
+        self.replies.push_back((bridge.reaches_host_ns(arrival_ns) / 1000, bytes.to_vec()));
+    }
+
+    fn next_us(&self) -> Option<u64> {
+        self.replies.front().map(|reply| reply.0)
+    }
+
+    fn hand_over(&mut self, master: &impl AsFd, now_us: u64) -> io::Result<()> {
+        while let Some((_, bytes)) = self.replies.pop_front_if(|reply| reply.0 <= now_us) {
+            write(master, &bytes)?;
+        }
+        Ok(())
+    }
+}
+
+/// Hands bytes to the host; one that does not read loses them, as on a real line.
+fn write(master: &impl AsFd, bytes: &[u8]) -> io::Result<()> {
+    match rustix::io::write(master, bytes) {
+        Ok(_) | Err(Errno::AGAIN | Errno::INTR) => Ok(()),
+        Err(error) => Err(error.into()),
+    }
+}
+
 /// `port_side` is the server's own opening of the port. It keeps the pty from hanging up while no
 /// host has it open, and it can take back the exclusive mode that a killed host leaves behind:
 /// while the pty lives the kernel does not, and nobody but root could open the port again. (Hosts
@@ -116,15 +153,18 @@ fn serve(
     master: &OwnedFd,
     port_side: &OwnedFd,
     stop: &OwnedFd,
-    mut board: Board,
+    settings: EmulatorSettings,
 ) -> io::Result<()> {
     let clock = MonotonicClock;
     let start_ns = clock.now_ns();
+    let mut board = Board::new(settings);
+    let mut under_way = UnderWay { bridge: settings.bridge, ..UnderWay::default() };
     let mut housekeeping_us = 0;
     loop {
         let now_us = (clock.now_ns() - start_ns) / 1000;
         board.advance_to(now_us);
-        exchange(master, &mut board)?;
+        exchange(master, &mut board, &mut under_way, now_us)?;
+        under_way.hand_over(master, now_us)?;
         if board.is_unplugged() {
             return Ok(());
         }
@@ -132,7 +172,10 @@ fn serve(
             ioctl_tiocnxcl(port_side)?;
             housekeeping_us = now_us + HOUSEKEEPING_US;
         }
-        let wake_us = board.next_event_us().unwrap_or(u64::MAX).min(housekeeping_us);
+        let wake_us = [board.next_event_us(), under_way.next_us()]
+            .into_iter()
+            .flatten()
+            .fold(housekeeping_us, u64::min);
         let wait_ns = (start_ns + wake_us * 1000).saturating_sub(clock.now_ns());
         let timeout = Timespec {
             tv_sec: (wait_ns / 1_000_000_000) as i64,
@@ -150,7 +193,12 @@ fn serve(
 }
 
 /// Reads until nothing is left and answers.
-fn exchange(master: &impl AsFd, board: &mut Board) -> io::Result<()> {
+fn exchange(
+    master: &impl AsFd,
+    board: &mut Board,
+    under_way: &mut UnderWay,
+    now_us: u64,
+) -> io::Result<()> {
     let mut buffer = [0; 256];
     loop {
         let received = match rustix::io::read(master, &mut buffer) {
@@ -167,10 +215,9 @@ fn exchange(master: &impl AsFd, board: &mut Board) -> io::Result<()> {
             if board.garbles_reply() {
                 bytes[1] ^= 0x10;
             }
-            match rustix::io::write(master, bytes) {
-                // A host that does not read loses bytes, as on a real line.
-                Ok(_) | Err(Errno::AGAIN | Errno::INTR) => {}
-                Err(error) => return Err(error.into()),
+            match under_way.bridge {
+                None => write(master, bytes)?,
+                Some(bridge) => under_way.take(bridge, now_us, bytes),
             }
         }
     }

@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::clock::Clock;
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::Calibration;
-use crate::telemetry::{CheckResult, Fault};
+use crate::telemetry::{CheckResult, Fault, MeasuredLink};
 
 const HOMING: &str = "homing";
 
@@ -40,6 +40,8 @@ pub struct Examination {
     pub signs: Calibration,
     /// The arm's count before anything moved it: its middle, where somebody had put it there.
     pub start_theta_counts: Option<i32>,
+    /// The link as it was measured.
+    pub link: Option<MeasuredLink>,
 }
 
 impl Examination {
@@ -76,8 +78,12 @@ pub fn examine(
     stop: &AtomicBool,
     settings: &ExaminationSettings,
 ) -> Result<Option<Examination>, DeviceError> {
-    let mut found =
-        Examination { results: Vec::new(), signs: settings.signs, start_theta_counts: None };
+    let mut found = Examination {
+        results: Vec::new(),
+        signs: settings.signs,
+        start_theta_counts: None,
+        link: None,
+    };
     let outcome = look_at_everything(device, clock, stop, settings, &mut found);
     // Whatever happened: a device that still answers is left off and greeted.
     let left_off = device.hello();
@@ -97,7 +103,8 @@ fn look_at_everything(
 ) -> Result<(), Interruption> {
     let identity = &settings.identity;
     found.results.push(link::identity(identity));
-    let round_trips = link::measure(device, clock, stop, &identity.port)?;
+    let round_trips = link::measure(device, clock, stop, &identity.port, link::SAMPLES)?;
+    found.link = Some(taken_on(device, &round_trips));
     found.start_theta_counts = round_trips.theta_counts;
     found.results.push(link::latency_timer(&identity.port, &round_trips));
     found.results.push(link::latency(&identity.port, &round_trips));
@@ -116,6 +123,30 @@ fn look_at_everything(
         return Ok(());
     }
     motion::check(device, clock, stop, settings, found)
+}
+
+/// Measures a link without an examination, and lets ticks wait for their samples as long as it needs.
+/// None when somebody asked to stop.
+///
+/// # Errors
+/// The device does not answer any more.
+pub fn measure_link(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+    port: &str,
+) -> Result<Option<MeasuredLink>, DeviceError> {
+    match link::measure(device, clock, stop, port, link::FEW_SAMPLES) {
+        Ok(round_trips) => Ok(Some(taken_on(device, &round_trips))),
+        Err(Interruption::Stopped) => Ok(None),
+        Err(Interruption::Device(error)) => Err(error),
+    }
+}
+
+fn taken_on(device: &mut dyn Device, round_trips: &link::RoundTrips) -> MeasuredLink {
+    let link = round_trips.link();
+    device.set_sample_time_ns(u64::from(link.sample_time_us) * 1000);
+    link
 }
 
 fn ensure_going(stop: &AtomicBool) -> Result<(), Interruption> {
@@ -146,4 +177,19 @@ pub fn not_homed(fault: Fault) -> CheckResult {
 #[must_use]
 pub fn homing_left_out() -> CheckResult {
     CheckResult::skipped(HOMING, "not before all else passes")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_fault_of_homing_is_answered_with_homing_by_hand() {
+        for fault in Fault::ALL {
+            let result = not_homed(*fault);
+            let cure = result.cure.unwrap();
+            assert!(!cure.contains("hand and") && !cure.contains("--home"), "{fault}: {cure}");
+            assert!(cure.ends_with("check again") && cure.len() > 30, "{fault}: {cure}");
+        }
+    }
 }

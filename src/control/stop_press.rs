@@ -1,0 +1,230 @@
+use super::watch::{Alarm, Watch};
+use super::{ControlState, Motion, TickInput, TickOutput};
+use crate::estimation::{Calibration, Estimator, EstimatorSettings};
+use crate::qube::{HARD_STOP_RAD, State};
+use crate::safety::gate;
+use crate::telemetry::Ending;
+
+/// An arm within this of where a nominal stop is stands at it, rad.
+const NEAR_STOP_RAD: f64 = 0.3;
+
+/// Ticks until the arm has come to rest against its stop and that place is remembered.
+const REST_TICKS: u32 = 50;
+
+/// An arm that somebody pushed this far off its stop was pushed, rad: 4 mm at its end.
+const PUSHED_RAD: f64 = 0.05;
+
+/// One that is so near again has come back, rad.
+const BACK_RAD: f64 = 0.025;
+
+/// An arm that is this far off is not held by this voltage, rad.
+const AWAY_RAD: f64 = 0.5;
+
+/// Ticks in which a pushed arm must come back: 3 s.
+const RETURN_TICKS: u32 = 300;
+
+/// Presses the arm outward against the stop at which it stands.
+///
+/// Nothing moves meanwhile, and nothing moves far when the voltage stays although nobody is left to
+/// take it back: the arm is at its stop already. It ends when somebody has pushed the arm off its stop
+/// and it came back (a rehearsal), when it does not hold, when its time is up, or with the link.
+#[derive(Debug)]
+pub struct StopPress {
+    calibration: Calibration,
+    push_v: f64,
+    most_ticks: u32,
+    is_rehearsal: bool,
+    estimator: Estimator,
+    watch: Watch,
+    ticks: u32,
+    /// The direction of the stop, and where the arm rests against it.
+    outward: f64,
+    rest_rad: Option<f64>,
+    pushed_ticks: u32,
+    state: State,
+    voltage_mv: i16,
+    seen: PressOutcome,
+}
+
+/// What became of pressing the arm against its stop.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PressOutcome {
+    /// It stayed there until the end.
+    #[default]
+    Stayed,
+    /// The arm does not stand at a stop.
+    NotAtStop,
+    /// Somebody pushed it off its stop, and the motor brought it back.
+    CameBack,
+    /// Somebody pushed it off its stop, and there it stayed: the voltage is too small.
+    StayedAway,
+}
+
+impl StopPress {
+    /// With `push_v` volts, above 0, for at most `most_ticks`. A rehearsal ends as soon as a pushed arm
+    /// came back or did not.
+    #[must_use]
+    pub fn new(calibration: Calibration, push_v: f64, most_ticks: u32, is_rehearsal: bool) -> Self {
+        Self {
+            calibration,
+            push_v,
+            most_ticks,
+            is_rehearsal,
+            estimator: Estimator::new(EstimatorSettings::default(), calibration),
+            watch: Watch::default(),
+            ticks: 0,
+            outward: 0.0,
+            rest_rad: None,
+            pushed_ticks: 0,
+            state: State::default(),
+            voltage_mv: 0,
+            seen: PressOutcome::default(),
+        }
+    }
+
+    /// What became of it.
+    #[must_use]
+    pub fn outcome(&self) -> PressOutcome {
+        self.seen
+    }
+
+    /// Looks where the arm is; true when that ends it.
+    fn judge(&mut self) -> bool {
+        let reach_rad = self.state.theta * self.outward;
+        if self.outward == 0.0 {
+            self.outward = self.state.theta.signum();
+            if self.state.theta.abs() < HARD_STOP_RAD - NEAR_STOP_RAD {
+                self.seen = PressOutcome::NotAtStop;
+                return true;
+            }
+            return false;
+        }
+        let Some(rest_rad) = self.rest_rad else {
+            if self.ticks >= REST_TICKS {
+                self.rest_rad = Some(reach_rad);
+            }
+            return false;
+        };
+        let off_rad = rest_rad - reach_rad;
+        if self.pushed_ticks > 0 {
+            self.pushed_ticks += 1;
+            if off_rad < BACK_RAD {
+                self.pushed_ticks = 0;
+                self.seen = PressOutcome::CameBack;
+                return self.is_rehearsal;
+            }
+        } else if off_rad > PUSHED_RAD {
+            self.pushed_ticks = 1;
+        }
+        if off_rad > AWAY_RAD || self.pushed_ticks > RETURN_TICKS {
+            self.seen = PressOutcome::StayedAway;
+            return true;
+        }
+        false
+    }
+
+    fn output(&self, wanted_v: Option<f64>, ending: Option<Ending>) -> TickOutput {
+        TickOutput { wanted_v, ending, ..TickOutput::settling(self.state, self.voltage_mv) }
+    }
+
+    fn off(&mut self, ending: Ending) -> TickOutput {
+        self.voltage_mv = 0;
+        self.output(None, Some(ending))
+    }
+}
+
+impl Motion for StopPress {
+    fn decide(&mut self, input: &TickInput) -> TickOutput {
+        self.ticks += 1 + input.skipped_periods;
+        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
+            return self.off(Ending::Fault(fault));
+        }
+        if input.stop_requested {
+            return self.off(Ending::Stopped);
+        }
+        let Some(measurement) = &input.measurement else {
+            return self.output(None, None);
+        };
+        self.state = self.estimator.update(measurement).guarded;
+        if self.judge() || self.ticks > self.most_ticks {
+            return self.off(Ending::Completed);
+        }
+        let wanted_v = self.outward * self.push_v;
+        self.voltage_mv = gate(wanted_v).unwrap_or(0);
+        self.output(Some(wanted_v), None)
+    }
+
+    /// A part of a check.
+    fn control_state(&self) -> ControlState {
+        ControlState::Checking
+    }
+
+    fn device_mv(&self, voltage_mv: i16) -> i16 {
+        self.calibration.device_mv(voltage_mv)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use super::super::drive;
+    use super::super::plant_device::PlantDevice;
+    use super::*;
+
+    fn pressed(theta: f64, push_v: f64) -> (PressOutcome, PlantDevice) {
+        let mut device = PlantDevice::new(State { theta, ..State::default() });
+        let clock = device.clock.clone();
+        let mut press = StopPress::new(Calibration::IDENTITY, push_v, 200, true);
+        let report = drive(&mut device, &clock, &mut press, None, &AtomicBool::new(false)).unwrap();
+        assert_eq!(report.outcome.ending, Ending::Completed);
+        assert!(!device.armed);
+        (press.outcome(), device)
+    }
+
+    #[test]
+    fn an_arm_at_either_stop_is_pressed_outward_and_stays() {
+        for side in [1.0, -1.0] {
+            let (outcome, device) = pressed(side * HARD_STOP_RAD, 0.5);
+            assert_eq!(outcome, PressOutcome::Stayed);
+            let pressing = side * f64::from(device.voltages_mv[100]);
+            assert!((pressing - 500.0).abs() < 1.0, "{pressing}");
+            assert!((device.state.theta - side * HARD_STOP_RAD).abs() < 0.01);
+        }
+    }
+
+    #[test]
+    fn an_arm_in_the_middle_is_left_alone() {
+        let (outcome, device) = pressed(0.4, 0.5);
+        assert_eq!(outcome, PressOutcome::NotAtStop);
+        assert!(device.voltages_mv.iter().all(|voltage_mv| *voltage_mv == 0));
+    }
+
+    /// What a finger does is written into the samples.
+    fn after_a_push(off_rad: impl Fn(u32) -> f64) -> Option<(u32, PressOutcome)> {
+        let mut press = StopPress::new(Calibration::IDENTITY, 0.5, 6000, true);
+        (0..6000).find_map(|tick| {
+            let theta = HARD_STOP_RAD - off_rad(tick);
+            let measurement = crate::qube::Measurement {
+                device_time_us: u64::from(tick) * 10_000,
+                theta_counts: crate::qube::counts(theta),
+                status: crate::qube::Status { armed: true, ..Default::default() },
+                ..Default::default()
+            };
+            let deadline_ns = u64::from(tick) * 10_000_000;
+            let input =
+                TickInput { deadline_ns, measurement: Some(measurement), ..TickInput::default() };
+            press.decide(&input).ending.map(|_| (tick, press.outcome()))
+        })
+    }
+
+    #[test]
+    fn a_pushed_arm_that_comes_back_and_one_that_does_not() {
+        let back = after_a_push(|tick| if (200..300).contains(&tick) { 0.12 } else { 0.0 });
+        assert_eq!(back, Some((300, PressOutcome::CameBack)));
+        let away = after_a_push(|tick| if tick >= 200 { 0.12 } else { 0.0 });
+        assert!(matches!(away, Some((tick, PressOutcome::StayedAway)) if tick < 520), "{away:?}");
+        let running = after_a_push(|tick| f64::from(tick.saturating_sub(200)) * 0.02);
+        assert!(matches!(running, Some((_, PressOutcome::StayedAway))), "{running:?}");
+    }
+}

@@ -1,0 +1,109 @@
+use std::fmt;
+use std::str::FromStr;
+
+use crate::clock::Nanoseconds;
+
+/// Interval of the timer by which the 16U2 of a genuine Uno or Mega hands received bytes to USB:
+/// timer 0 overflows after 256 x 256 clocks of 16 MHz (public source of its firmware).
+const FLUSH_NS: Nanoseconds = 4_096_000;
+
+/// A frame of full-speed USB: in either direction bytes wait for the next one at the most.
+const FRAME_NS: Nanoseconds = 1_000_000;
+
+/// From the end of a frame until the computer's driver has handed its bytes over.
+const HAND_OVER_NS: Nanoseconds = 300_000;
+
+/// Where the two begin, as seen from the host's clock: nobody knows, so somewhere.
+const FLUSH_PHASE_NS: Nanoseconds = 1_234_000;
+const FRAME_PHASE_NS: Nanoseconds = 567_000;
+
+/// What sits between the board's serial line and the computer, where that is no plain line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UsbBridge {
+    /// The second microcontroller of a genuine Uno or Mega.
+    Atmega16u2,
+    /// One that flushes by a timer of 20 ms: too slow to control anything through.
+    Slow,
+}
+
+impl UsbBridge {
+    fn flush_ns(self) -> Nanoseconds {
+        match self {
+            Self::Atmega16u2 => FLUSH_NS,
+            Self::Slow => 20_000_000,
+        }
+    }
+
+    /// When the computer has a byte that the bridge got from the board at this time.
+    #[must_use]
+    pub fn reaches_host_ns(self, arrival_ns: Nanoseconds) -> Nanoseconds {
+        let flushed_ns = next(arrival_ns, self.flush_ns(), FLUSH_PHASE_NS);
+        next(flushed_ns, FRAME_NS, FRAME_PHASE_NS) + HAND_OVER_NS
+    }
+
+    /// When the bridge begins to pass on what the computer wrote at this time.
+    #[must_use]
+    pub fn leaves_bridge_ns(self, written_ns: Nanoseconds) -> Nanoseconds {
+        next(written_ns, FRAME_NS, FRAME_PHASE_NS)
+    }
+}
+
+/// The first instant of a clockwork from a time on.
+fn next(time_ns: Nanoseconds, interval_ns: Nanoseconds, phase_ns: Nanoseconds) -> Nanoseconds {
+    let offset_ns = phase_ns % interval_ns;
+    (time_ns + interval_ns - offset_ns).div_ceil(interval_ns) * interval_ns + offset_ns
+        - interval_ns
+}
+
+impl fmt::Display for UsbBridge {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Atmega16u2 => "16u2",
+            Self::Slow => "slow",
+        })
+    }
+}
+
+impl FromStr for UsbBridge {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        [Self::Atmega16u2, Self::Slow]
+            .into_iter()
+            .find(|bridge| bridge.to_string() == text)
+            .ok_or_else(|| format!("there is no bridge {text}; there are 16u2 and slow"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_wait_for_the_timer_and_the_frame_and_never_go_back() {
+        let bridge = UsbBridge::Atmega16u2;
+        let mut last_ns = 0;
+        let (mut longest_ns, mut shortest_ns) = (0, Nanoseconds::MAX);
+        for step in 0..100_000_u64 {
+            let arrival_ns = step * 7_919;
+            let at_host_ns = bridge.reaches_host_ns(arrival_ns);
+            assert!(at_host_ns >= arrival_ns && at_host_ns >= last_ns);
+            last_ns = at_host_ns;
+            longest_ns = longest_ns.max(at_host_ns - arrival_ns);
+            shortest_ns = shortest_ns.min(at_host_ns - arrival_ns);
+            let left_ns = bridge.leaves_bridge_ns(arrival_ns) - arrival_ns;
+            assert!(left_ns < FRAME_NS);
+        }
+        let waited_ns = longest_ns - HAND_OVER_NS;
+        assert!(waited_ns > FLUSH_NS && waited_ns < FLUSH_NS + FRAME_NS, "{longest_ns}");
+        assert!(shortest_ns < FRAME_NS, "{shortest_ns}");
+    }
+
+    #[test]
+    fn a_bridge_is_read_as_it_is_written() {
+        for bridge in [UsbBridge::Atmega16u2, UsbBridge::Slow] {
+            assert_eq!(bridge.to_string().parse(), Ok(bridge));
+        }
+        assert!("ftdi".parse::<UsbBridge>().is_err());
+    }
+}

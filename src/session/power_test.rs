@@ -1,0 +1,79 @@
+use serde::{Deserialize, Serialize};
+
+/// What a rig's owner has found out about the motor when its board loses power; `[power]` in
+/// `qube.toml`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PowerTest {
+    /// What the motor did.
+    pub usb_lost: UsbLost,
+    /// When that was found out, as year-month-day.
+    pub date: String,
+    /// The serial number of the board with which it was.
+    pub board: String,
+}
+
+/// What the motor does when the board loses the USB power that it lives from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum UsbLost {
+    /// The Qube switches it off.
+    #[serde(rename = "motor off")]
+    MotorOff,
+    /// It goes on with its last voltage.
+    #[serde(rename = "motor keeps its word")]
+    KeepsItsWord,
+    /// The operator could not tell.
+    #[serde(rename = "unknown")]
+    Unknown,
+}
+
+impl PowerTest {
+    /// The finding, for people.
+    #[must_use]
+    pub fn sentence(&self) -> &'static str {
+        match self.usb_lost {
+            UsbLost::MotorOff => "Without its board the motor of this Qube goes off.",
+            UsbLost::KeepsItsWord => {
+                "Without its board the motor of this Qube keeps its last voltage: only the Qube's own \
+                 switch stops it."
+            }
+            UsbLost::Unknown => {
+                "What the motor of this Qube does without its board is still not known."
+            }
+        }
+    }
+}
+
+/// What is to be said before a real Qube is driven, by what is known of it; nothing where its motor
+/// goes off by itself.
+#[must_use]
+pub fn power_warning(power: Option<&PowerTest>) -> Option<&'static str> {
+    match power.map(|power| power.usb_lost) {
+        Some(UsbLost::MotorOff) => None,
+        Some(UsbLost::KeepsItsWord) => Some(
+            "this Qube's motor keeps its last voltage when the board loses power: keep a hand at the \
+             Qube's own switch",
+        ),
+        Some(UsbLost::Unknown) | None => Some(
+            "nobody knows what this Qube's motor does when the board loses power: keep a hand at the \
+             Qube's own switch, and find out once with qube-hil check --power-test",
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_motor_that_is_known_to_go_off_needs_no_warning() {
+        let known = |usb_lost| {
+            let (date, board) = ("2026-01-31".to_owned(), "0123456789abcdef".to_owned());
+            power_warning(Some(&PowerTest { usb_lost, date, board }))
+        };
+        assert_eq!(known(UsbLost::MotorOff), None);
+        assert!(known(UsbLost::KeepsItsWord).unwrap().contains("keeps its last voltage"));
+        assert_eq!(known(UsbLost::Unknown), power_warning(None));
+        assert!(power_warning(None).unwrap().contains("--power-test"));
+    }
+}
