@@ -37,6 +37,7 @@ fn the_firmware_passes_the_check_of_a_qube() {
             println!("{stdout}");
             let identity = result.as_ref().unwrap()["checks"][0]["value"].as_str().unwrap();
             assert!(identity.contains("atmega328p"), "{identity}");
+            assert!(identity.contains("no emergency-stop switch"), "{identity}");
             return;
         }
         // How long an answer takes is the computer's affair, and the simulator's where it fell behind.

@@ -35,20 +35,23 @@ pub(super) struct RoundTrips {
     summary_us: LatencySummary,
     /// Where the arm was before anything moved it.
     pub(super) theta_counts: Option<i32>,
+    /// Whether the board knows of an emergency-stop switch.
+    has_stop_switch: bool,
 }
 
-pub(super) fn identity(identity: &Identity) -> CheckResult {
+pub(super) fn identity(identity: &Identity, round_trips: &RoundTrips) -> CheckResult {
     // A Qube that does not answer with its module id, or speaks another protocol, got no further
     // than the hello.
     CheckResult::pass(
         "identity",
         format!(
-            "{} {}, firmware {}, protocol {}, at {}",
+            "{} {}, firmware {}, protocol {}, at {}, {} emergency-stop switch",
             identity.kind,
             identity.serial,
             identity.firmware_version,
             identity.protocol_version,
-            identity.port
+            identity.port,
+            if round_trips.has_stop_switch { "with an" } else { "no" }
         ),
     )
 }
@@ -64,6 +67,7 @@ pub(super) fn measure(
     let _awake = clock.stay_awake();
     let mut round_trips = LatencyHistogram::new();
     let (mut asked, mut lost, mut theta_counts) = (0, 0, None);
+    let mut has_stop_switch = false;
     let end_ns = clock.now_ns() + LONGEST_NS;
     while asked < samples && clock.now_ns() < end_ns {
         ensure_going(stop)?;
@@ -72,13 +76,17 @@ pub(super) fn measure(
         clock.sleep_until(clock.now_ns() + (share * LONGEST_PAUSE_NS) as Nanoseconds);
         let asked_ns = clock.now_ns();
         match device.sample(asked_ns + PATIENCE_NS) {
-            Ok(sample) => theta_counts = theta_counts.or(Some(sample.theta_counts)),
+            Ok(sample) => {
+                theta_counts = theta_counts.or(Some(sample.theta_counts));
+                has_stop_switch = sample.status.stop_switch_fitted;
+            }
             Err(LinkFault::Gone) => return Err(gone(port)),
             Err(_) => lost += 1,
         }
         round_trips.record(clock.now_ns() - asked_ns);
     }
-    Ok(RoundTrips { asked, lost, summary_us: round_trips.summary(), theta_counts })
+    let summary_us = round_trips.summary();
+    Ok(RoundTrips { asked, lost, summary_us, theta_counts, has_stop_switch })
 }
 
 impl RoundTrips {

@@ -102,8 +102,8 @@ fn look_at_everything(
     found: &mut Examination,
 ) -> Result<(), Interruption> {
     let identity = &settings.identity;
-    found.results.push(link::identity(identity));
     let round_trips = link::measure(device, clock, stop, &identity.port, link::SAMPLES)?;
+    found.results.push(link::identity(identity, &round_trips));
     found.link = Some(taken_on(device, &round_trips));
     found.start_theta_counts = round_trips.theta_counts;
     found.results.push(link::latency_timer(&identity.port, &round_trips));

@@ -1,4 +1,4 @@
-use firmware_protocol::{WATCHDOG_MS, WATCHDOG_POLL_MS};
+use firmware_protocol::{RefusalReason, WATCHDOG_MS, WATCHDOG_POLL_MS};
 
 use super::Interruption;
 use crate::clock::{Clock, Nanoseconds};
@@ -44,11 +44,13 @@ pub(super) fn check(
         match device.arm() {
             Ok(()) => {}
             Err(DeviceError::Refused { reason, .. }) => {
-                return Ok(CheckResult::fail(
-                    NAME,
-                    format!("the device refuses to be armed: {reason}"),
-                    "switch the Qube's power off and on, then check again",
-                ));
+                let cure = if reason == RefusalReason::EmergencyStop.describe() {
+                    "see that nobody is near the arm and close the switch, then check again"
+                } else {
+                    "switch the Qube's power off and on, then check again"
+                };
+                let value = format!("the device refuses to be armed: {reason}");
+                return Ok(CheckResult::fail(NAME, value, cure));
             }
             Err(error) => return Err(error.into()),
         }
