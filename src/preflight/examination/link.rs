@@ -177,7 +177,7 @@ mod tests {
     fn measured(p99_ms: f64, lost: u32) -> RoundTrips {
         let summary_us =
             LatencySummary { p99: p99_ms * 1e3, max: 9e3, ..LatencySummary::default() };
-        RoundTrips { asked: 600, lost, summary_us, theta_counts: None }
+        RoundTrips { asked: 600, lost, summary_us, theta_counts: None, has_stop_switch: false }
     }
 
     #[test]
