@@ -15,7 +15,8 @@ use qube_hil::preflight::{Examination, ExaminationSettings, examine};
 use qube_hil::recording::read;
 use qube_hil::safety::SafetyBox;
 use qube_hil::session::{
-    ClockChoice, DeviceChoice, QubeFile, Rig, RigError, RigSettings, RolloutPlan, Verdict, judge,
+    ClockChoice, DeviceChoice, QubeFile, Recovery, Rig, RigError, RigSettings, RolloutPlan,
+    Verdict, judge,
 };
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{CheckVerdict, Ending, Fault, Phase, Preflight};
@@ -33,6 +34,7 @@ fn settings(fault: Option<&str>) -> RigSettings {
         skip_check: false,
         board: None,
         limits: Default::default(),
+        recovery: Recovery::default(),
     }
 }
 
@@ -176,7 +178,8 @@ fn homing_by_hand_passes_too_and_a_stop_ends_a_check() {
     assert!(found.results.last().unwrap().value.contains(&middle), "{:#?}", found.results);
     let stopped = Arc::new(AtomicBool::new(true));
     let error = Rig::connect(&settings, &stopped).unwrap().check(false).unwrap_err();
-    assert!(matches!(error, RigError::Stopped), "{error}");
+    assert!(matches!(error, RigError::Stopped { .. }), "{error}");
+    assert_eq!(error.to_string(), "the check was stopped");
 }
 
 /// The phases of an undisturbed rollout, each with a time at which it lasts, s since the start.
@@ -200,7 +203,8 @@ fn a_cable_that_is_pulled_is_named_in_each_phase() {
     let greeting = Rig::open(&settings(Some("unplug@0")), &stop()).err().unwrap();
     assert!(greeting.to_string().contains("unplugged"), "{greeting}");
     let homing = Rig::open(&settings(Some("unplug@2")), &stop()).err().unwrap();
-    assert!(matches!(homing, RigError::Homing { fault: Fault::LinkGone, .. }), "{homing}");
+    assert!(matches!(homing, RigError::LinkLost { .. }), "{homing}");
+    assert_eq!(homing.fault(), Some(Fault::LinkGone));
     let checking = Rig::connect(&settings(Some("unplug@0.5")), &stop()).unwrap().check(false);
     let checking = checking.unwrap_err().to_string();
     assert!(checking.contains("unplugged"), "{checking}");

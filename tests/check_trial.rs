@@ -297,6 +297,7 @@ fn healthy_rigs_pass_the_whole_check() {
             },
             skip_check: false,
             board: None,
+            recovery: Default::default(),
             limits: HardwareLimits::default(),
         };
         let stop = Arc::new(AtomicBool::new(false));

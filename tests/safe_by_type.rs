@@ -13,7 +13,8 @@ use qube_hil::qube::Measurement;
 use qube_hil::recording::{parse, read};
 use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use qube_hil::session::{
-    ClockChoice, Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice,
+    ClockChoice, Connect, DeviceChoice, Recovery, Rig, RigError, RigSettings, RolloutPlan,
+    TimedDevice,
 };
 use qube_hil::storage::MachineDisk;
 
@@ -79,6 +80,7 @@ fn rig_settings(device: DeviceChoice) -> RigSettings {
         skip_check: false,
         board: None,
         limits: Default::default(),
+        recovery: Recovery::default(),
     }
 }
 

@@ -6,11 +6,13 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::recording::read;
 use qube_hil::session::{
-    ClockChoice, DeviceChoice, Entry, Extent, Ledger, RigSettings, Session, SessionError,
+    ClockChoice, DeviceChoice, Entry, Extent, Ledger, Recovery, RigSettings, Session, SessionError,
     SessionFolder, SessionSettings, Verdict, judge,
 };
 use qube_hil::storage::MachineDisk;
+use qube_hil::telemetry::{Fault, Preflight};
 
 fn settings() -> SessionSettings {
     let mut settings = SessionSettings::quick();
@@ -29,6 +31,14 @@ fn settings() -> SessionSettings {
 }
 
 fn run(folder: SessionFolder, fault: Option<EmulatorFault>) -> Result<(), SessionError> {
+    run_with(folder, fault, Recovery::default())
+}
+
+fn run_with(
+    folder: SessionFolder,
+    fault: Option<EmulatorFault>,
+    recovery: Recovery,
+) -> Result<(), SessionError> {
     let rig = RigSettings {
         device: DeviceChoice::Emulated,
         clock: ClockChoice::Virtual,
@@ -37,6 +47,7 @@ fn run(folder: SessionFolder, fault: Option<EmulatorFault>) -> Result<(), Sessio
         skip_check: false,
         board: None,
         limits: Default::default(),
+        recovery,
     };
     let stop = Arc::new(AtomicBool::new(false));
     Session::open(folder, settings(), rig, stop)?.run(&mut |_| ())
@@ -50,7 +61,7 @@ fn begin(root: &Path) -> SessionFolder {
 fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
     // Each rollout has a new Qube, which is homed within 12.5 s; a policy that knows nothing leaves the
     // envelope soon after that, and braking takes some seconds.
-    for fault in ["silent@13.5", "amplifier@13.5", "unplug@13.5"] {
+    for fault in ["silent@13.5", "unplug@13.5"] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("session");
         let fault: EmulatorFault = fault.parse().unwrap();
@@ -75,6 +86,37 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
         let entries = Ledger::open(&MachineDisk, &folder.ledger()).unwrap().entries().to_vec();
         let again = Entry::RolloutFinished { candidate, rollout: 0, attempt: 1 };
         assert!(entries.contains(&again), "{fault}: {entries:?}");
+    }
+}
+
+#[test]
+fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
+    for (fault, name) in [("amplifier@13.5", Fault::Amplifier), ("stall@13.5", Fault::StallError)] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("session");
+        let error = run(begin(&root), Some(fault.parse().unwrap())).unwrap_err();
+        assert!(matches!(error, SessionError::InDoubt { .. }), "{fault}: {error}");
+        assert_eq!(error.fault(), Some(name));
+        let entries = || {
+            let folder = SessionFolder::open(&root).unwrap();
+            Ledger::open(&MachineDisk, &folder.ledger()).unwrap().entries().to_vec()
+        };
+        let before = entries();
+        assert!(matches!(before.last(), Some(Entry::RolloutVoid { attempt: 0, .. })), "{before:?}");
+
+        // Nothing is done again by itself, however often it is started.
+        for _ in 0..2 {
+            let error = run(SessionFolder::open(&root).unwrap(), None).unwrap_err();
+            assert!(matches!(error, SessionError::InDoubt { .. }), "{fault}: {error}");
+            assert_eq!(entries(), before);
+        }
+        let acknowledged = Recovery { acknowledged: true, ..Recovery::default() };
+        run_with(SessionFolder::open(&root).unwrap(), None, acknowledged).unwrap();
+        // The Qube was examined first, an emulated one too.
+        let Some(&Entry::RolloutVoid { candidate, rollout, .. }) = before.last() else { panic!() };
+        let path = SessionFolder::open(&root).unwrap().rollout(candidate, rollout, 1);
+        let preflight = read(&path).unwrap().header.preflight;
+        assert!(matches!(preflight, Preflight::Done(_)), "{preflight:?}");
     }
 }
 

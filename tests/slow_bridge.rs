@@ -28,6 +28,7 @@ fn settings(bridge: Option<UsbBridge>, seed: u64) -> RigSettings {
         homing: HomingSettings::default(),
         skip_check: false,
         board: None,
+        recovery: Default::default(),
         limits: HardwareLimits::default(),
     }
 }

@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 
 use super::exit::Failure;
+use super::number_arguments::between;
 use super::printable::tell;
 use super::profile;
 use crate::control::{HomingMethod, HomingSettings};
@@ -10,7 +11,10 @@ use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::qube::QubeModel;
 use crate::safety::{GuardConsent, HardwareLimits, SafetyBox};
-use crate::session::{ClockChoice, DeviceChoice, QUBE_FILE, QubeFile, RigSettings, power_warning};
+use crate::session::{
+    ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, QUBE_FILE, QubeFile, Recovery,
+    RigSettings, power_warning,
+};
 
 /// The name by which the embedded emulator is asked for.
 const EMULATED: &str = "emulated";
@@ -180,25 +184,70 @@ impl ChosenDevice {
         &self,
         emulator: EmulatorSettings,
         estimator: EstimatorSettings,
-        skip_check: bool,
+        check: CheckArguments,
     ) -> RigSettings {
         RigSettings {
             device: self.choice.clone(),
             clock: self.clock,
             emulator,
             homing: self.homing(HomingSettings { estimator, ..HomingSettings::default() }),
-            skip_check,
+            skip_check: check.skip_check,
             board: self.file.as_ref().and_then(|file| file.board.clone()),
+            recovery: check.recovery(&self.choice),
             limits: HardwareLimits::default(),
         }
     }
 }
 
-/// The check that precedes the first motion of a real Qube.
-#[derive(Clone, Copy, Debug, clap::Args)]
+/// What precedes the first motion of a Qube, and what follows a fault.
+#[derive(Clone, Copy, Debug, Default, clap::Args)]
 #[command(next_help_heading = "Which Qube")]
 pub struct CheckArguments {
     /// Leave out the check of a real Qube before its first motion; the recordings say so
     #[arg(long)]
     pub skip_check: bool,
+
+    /// You have looked at the Qube after a fault that left its sensors or motor in doubt: it is
+    /// examined and then driven again
+    #[arg(long)]
+    pub acknowledge: bool,
+
+    /// How long a lost link is tried again, s [default: 30]
+    #[arg(long, value_name = "S", value_parser = patience)]
+    pub link_patience: Option<f64>,
+}
+
+impl CheckArguments {
+    fn recovery(self, device: &DeviceChoice) -> Recovery {
+        // Only what is there after this program can still be in doubt then.
+        let outlives = matches!(device, DeviceChoice::Port(_));
+        let memory = doubts_folder().filter(|_| outlives).map(DoubtMemory::new);
+        if outlives && memory.is_none() {
+            eprintln!(
+                "warning: there is no folder for what must be remembered after a fault: set HOME or \
+                 XDG_STATE_HOME"
+            );
+        }
+        Recovery {
+            acknowledged: self.acknowledge,
+            link_patience_s: self.link_patience.unwrap_or(LINK_PATIENCE_S),
+            memory,
+            doubt: None,
+        }
+    }
+}
+
+fn patience(text: &str) -> Result<f64, String> {
+    between(text, 0.0, 3600.0)
+}
+
+/// Where doubts about boards are kept: of the service's state, else of the user's.
+fn doubts_folder() -> Option<PathBuf> {
+    let folder = |name: &str| {
+        let value = std::env::var_os(name).filter(|value| !value.is_empty())?;
+        Some(PathBuf::from(value)).filter(|path| path.is_absolute())
+    };
+    folder("STATE_DIRECTORY")
+        .or_else(|| Some(folder("XDG_STATE_HOME")?.join("qube-hil")))
+        .or_else(|| Some(folder("HOME")?.join(".local/state/qube-hil")))
 }

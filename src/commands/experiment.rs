@@ -209,7 +209,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ..device.rig_settings(
             settings.plants[0].emulated.emulator(settings.seed),
             first.estimator,
-            arguments.check.skip_check,
+            arguments.check,
         )
     };
     let all = std::thread::available_parallelism().map_or(1, usize::from);

@@ -14,10 +14,20 @@ use crate::session::{FolderError, RigError, SessionError};
 
 /// Of a rig.
 pub fn rig(error: RigError, stop: &Stop) -> Failure {
-    match error {
-        RigError::Stopped => stop.failure("stopped while homing"),
-        RigError::Homing { .. } => Failure::fault(format!("{error}{}", with_last_ticks(&error))),
-        RigError::ThreadGone(_) | RigError::Refused(_) => Failure::fault(error),
+    let fault = error.fault();
+    let failure = match error {
+        RigError::Stopped { .. } => stop.failure(error),
+        RigError::Homing { .. } | RigError::LinkLost { .. } => {
+            Failure::fault(format!("{error}{}", with_last_ticks(&error)))
+        }
+        RigError::ThreadGone(_)
+        | RigError::Refused(_)
+        | RigError::NotBegun { .. }
+        | RigError::InDoubt(_)
+        | RigError::AnotherBoard { .. }
+        | RigError::Ended { .. } => Failure::fault(error),
+        // A link that fails is a fault, and no bad usage.
+        RigError::Device(_) if fault.is_some() => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
         RigError::Emulator(_) | RigError::Thread(_) | RigError::Unfit { .. } => {
             Failure::failed(error)
@@ -27,13 +37,20 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         | RigError::TooWide(_)
         | RigError::Device(_) => Failure::usage(error),
         RigError::Policy(_) => Failure::usage(one_line(&error.to_string())),
-    }
+    };
+    failure.of(fault)
 }
 
 /// Homing has no recording, so the second before its fault gets a file of its own, one tick a line.
 /// Says where, to be put behind the error; nothing for other errors.
 pub fn with_last_ticks(error: &RigError) -> String {
-    let RigError::Homing { last_ticks, .. } = error else { return String::new() };
+    let last_ticks = match error {
+        RigError::Homing { last_ticks, .. } | RigError::LinkLost { last_ticks, .. } => last_ticks,
+        _ => return String::new(),
+    };
+    if last_ticks.is_empty() {
+        return String::new();
+    }
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let name = format!("qube-hil-homing-{}.jsonl", since_1970.as_millis());
     let path = std::env::temp_dir().join(name);
@@ -41,8 +58,8 @@ pub fn with_last_ticks(error: &RigError) -> String {
     let text: String = lines.collect();
     let written = File::create_new(&path).and_then(|mut file| file.write_all(text.as_bytes()));
     match written {
-        Ok(()) => format!(". The second before it is in {}", path.display()),
-        Err(reason) => format!(". The second before it could not be kept: {reason}"),
+        Ok(()) => format!(" The second before it is in {}", path.display()),
+        Err(reason) => format!(" The second before it could not be kept: {reason}"),
     }
 }
 
@@ -70,10 +87,12 @@ pub fn folder(error: &FolderError) -> Failure {
 
 /// Of a session.
 pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
-    match error {
+    let fault = error.fault();
+    let failure = match error {
         SessionError::Stopped => stop.failure(format!("stopped; go on with {resume}")),
         _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
         SessionError::GivenUp { .. } => Failure::fault(error),
+        SessionError::InDoubt { .. } => Failure::fault(format!("{error}: {resume} --acknowledge")),
         SessionError::NotStartedAgain { ref source, .. } => {
             Failure::fault(format!("{error}{}", with_last_ticks(source)))
         }
@@ -85,7 +104,8 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         }
         SessionError::Policy(error) => policy(&error),
         SessionError::Psi(_) => Failure::usage(error),
-    }
+    };
+    failure.of(fault)
 }
 
 /// Of an experiment.

@@ -17,6 +17,7 @@ mod experiment_table;
 mod failures;
 mod guard_argument;
 mod identify;
+mod keyboard;
 mod number_arguments;
 mod output;
 mod plant_arguments;

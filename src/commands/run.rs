@@ -9,6 +9,7 @@ use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::guard_argument::{ConsentArgument, GuardArgument};
+use super::keyboard::Keyboard;
 use super::number_arguments::between;
 use super::output::Output;
 use super::printable::tell;
@@ -24,10 +25,11 @@ use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
 use crate::safety::SafetyBox;
 use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Latencies, Rig, RigSettings, RolloutPlan, Verdict, judge_recording,
+    DRIFT_ROLLOUTS, Drift, Latencies, Recorded, Rig, RigError, RigSettings, RolloutPlan, Verdict,
+    judge_recording,
 };
 use crate::storage::MachineDisk;
-use crate::telemetry::Ending;
+use crate::telemetry::{Ending, Fault};
 
 /// Run a policy on the Qube and log it: homing, then for each rollout settling, six seconds of
 /// policy, braking; or excite it for `identify`
@@ -136,7 +138,7 @@ impl Driver {
     }
 }
 
-/// Runs the rollouts and prints what they earned.
+/// Runs the rollouts and prints what they earned, whatever ends them.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let driver = Driver::chosen(&arguments)?;
     let stop = Stop::on_signals()?;
@@ -152,8 +154,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let consent = arguments.consent.beside(Some(arguments.guard))?;
     let settings = RigSettings {
         limits: device.limits("--guard", &safety_box, consent)?,
-        ..device.rig_settings(emulator, estimator, arguments.check.skip_check)
+        ..device.rig_settings(emulator, estimator, arguments.check)
     };
+    let keyboard = Keyboard::watch(&stop);
+    eprintln!("{}", keyboard.hint());
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
     }
@@ -163,60 +167,141 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if settings.homing.method == HomingMethod::Stops {
         eprintln!("homing: the arm looks for its stops");
     }
-    let mut rig = Rig::open(&settings, &stop.flag).map_err(|error| failures::rig(error, &stop))?;
-    warn_without_realtime(rig.realtime());
-    std::fs::create_dir_all(&directory)
-        .map_err(|error| Failure::usage(format!("--out {}: {error}", directory.display())))?;
-
+    let plan = RolloutPlan {
+        session: "run".into(),
+        candidate: None,
+        rollout: 0,
+        attempt: 0,
+        psi: Default::default(),
+        seed: arguments.seed,
+        policy: driver.name.clone(),
+        estimator,
+        safety_box,
+        steps: driver.steps,
+    };
     let mut results = Results { excited: arguments.excite.is_some(), ..Results::default() };
-    for rollout in 0..arguments.rollouts {
-        let plan = RolloutPlan {
-            session: "run".into(),
-            candidate: None,
-            rollout,
-            attempt: 0,
-            psi: Default::default(),
-            seed: arguments.seed,
-            policy: driver.name.clone(),
-            estimator,
-            safety_box,
-            steps: driver.steps,
-        };
-        let path = directory.join(format!("rollout-{rollout}.mcap"));
-        let recorded = rig
-            .rollout(&MachineDisk, &path, plan.header(), driver.file(rollout))
-            .map_err(|error| {
-                // What was finished before it is on disk, and worth seeing.
-                tell(&results.lines);
-                failures::rig(error, &stop)
-            })?;
-        results.add(&recorded.path)?;
-        if stop.requested() {
-            break;
-        }
-        let last = rollout + 1 == arguments.rollouts;
-        if matches!(recorded.outcome.ending, Ending::Fault(_)) && !last {
-            rig.start_again().map_err(|error| {
-                Failure::fault(format!(
-                    "a fault ended rollout {rollout}, and the Qube cannot be started again: {error}{}",
-                    failures::with_last_ticks(&error)
-                ))
-            })?;
-        }
-    }
-    if let Some(profile) = profile {
+    let mut series = Series { settings, plan, driver, directory, stop: &stop, keyboard: &keyboard };
+    let ended = series.run(arguments.rollouts, &mut results);
+    drop(keyboard);
+
+    if let Some(profile) = profile.filter(|_| !results.first.is_empty()) {
         results.compare(&profile);
     }
-    output.print(&results.text(), &results.json());
-    if stop.requested() {
-        return Err(stop.failure("stopped; the recordings are whole up to here"));
-    }
-    match results.fault {
-        Some(fault) => {
-            Err(Failure::fault(format!("the last rollout was ended by a fault: {fault}")))
+    match &ended {
+        Err(failure) if failure.is_usage() && results.returns.is_empty() => {}
+        _ => {
+            let mut json = results.json();
+            json["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
+            output.print(&results.text(), &json);
         }
-        None => Ok(()),
     }
+    ended
+}
+
+/// How often in a row a rollout may fail to begin because of the link.
+const MAX_NOT_BEGUN: u32 = 3;
+
+/// Rollouts of one policy, one after the other.
+struct Series<'a> {
+    settings: RigSettings,
+    plan: RolloutPlan,
+    driver: Driver,
+    directory: PathBuf,
+    stop: &'a Stop,
+    keyboard: &'a Keyboard,
+}
+
+impl Series<'_> {
+    fn run(&mut self, rollouts: u32, results: &mut Results) -> Result<(), Failure> {
+        let mut rig = self.open()?;
+        warn_without_realtime(rig.realtime());
+        std::fs::create_dir_all(&self.directory).map_err(|error| {
+            Failure::usage(format!("--out {}: {error}", self.directory.display()))
+        })?;
+        for rollout in 0..rollouts {
+            let recorded = self.rollout(&mut rig, rollout)?;
+            results.add(&recorded.path)?;
+            if self.stop.requested() {
+                break;
+            }
+            let last = rollout + 1 == rollouts;
+            if let Ending::Fault(fault) = recorded.outcome.ending
+                && !last
+            {
+                rig = self.after_fault(rig, fault)?;
+            }
+        }
+        if self.stop.requested() {
+            return Err(self.stop.failure("stopped; the recordings are whole up to here"));
+        }
+        match results.fault {
+            Some(fault) => Err(Failure::fault(told(fault)).of(Some(fault))),
+            None => results.gaps(),
+        }
+    }
+
+    /// Opens the rig. A doubt that is remembered can be acknowledged at a terminal.
+    fn open(&mut self) -> Result<Rig, Failure> {
+        let opened = match Rig::open(&self.settings, &self.stop.flag) {
+            Err(RigError::InDoubt(doubt)) if self.keyboard.acknowledges(&doubt, self.stop) => {
+                self.settings.recovery.acknowledged = true;
+                Rig::open(&self.settings, &self.stop.flag)
+            }
+            opened => opened,
+        };
+        self.settings.recovery.acknowledged = false;
+        opened.map_err(|error| failures::rig(error, self.stop))
+    }
+
+    fn rollout(&self, rig: &mut Rig, rollout: u32) -> Result<Recorded, Failure> {
+        let plan = RolloutPlan { rollout, ..self.plan.clone() };
+        let path = self.directory.join(format!("rollout-{rollout}.mcap"));
+        let mut tries = 0;
+        loop {
+            match rig.rollout(&MachineDisk, &path, plan.header(), self.driver.file(rollout)) {
+                Ok(recorded) => return Ok(recorded),
+                Err(error @ RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
+                    tell(&format!("rollout {rollout} begins again: {error}"));
+                    rig.start_again().map_err(|error| failures::rig(error, self.stop))?;
+                    tries += 1;
+                }
+                Err(error) => return Err(failures::rig(error, self.stop)),
+            }
+        }
+    }
+
+    /// A rig that runs again after a fault, where the fault or the operator allows it.
+    fn after_fault(&mut self, mut rig: Rig, fault: Fault) -> Result<Rig, Failure> {
+        match rig.start_again() {
+            Ok(()) => Ok(rig),
+            Err(RigError::InDoubt(doubt)) if self.keyboard.acknowledges(&doubt, self.stop) => {
+                drop(rig);
+                self.settings.recovery.acknowledged = true;
+                self.settings.recovery.doubt = Some(*doubt);
+                let opened = self.open();
+                self.settings.recovery.doubt = None;
+                opened
+            }
+            Err(error @ (RigError::InDoubt(_) | RigError::Ended { .. })) => {
+                Err(failures::rig(error, self.stop))
+            }
+            Err(error) => {
+                let failure = failures::rig(error, self.stop);
+                Err(failure.after(&format!("a fault ended the last rollout ({fault}), and then")))
+            }
+        }
+    }
+}
+
+/// A fault that ended the last rollout, with what follows from it.
+fn told(fault: Fault) -> String {
+    let then = if fault.leaves_doubt() {
+        ". Then start again with --acknowledge: the Qube is examined first"
+    } else {
+        ""
+    };
+    let step = fault.operator_step().trim_end_matches('.');
+    format!("the last rollout was ended by a fault: {fault}. {step}{then}")
 }
 
 fn policy_file(name: &str) -> Result<Vec<u8>, Failure> {
@@ -261,8 +346,10 @@ struct Results {
     times_astray: u64,
     /// The motor's largest load; none where no recording tells it.
     largest_motor_load: Option<f64>,
-    /// Why the last rollout is void, if a fault made it so.
-    fault: Option<String>,
+    /// The fault that ended the last rollout, if one did.
+    fault: Option<Fault>,
+    /// Why the last rollout is void without one.
+    void: Option<String>,
     /// The first rollouts that came to a result.
     first: Vec<Recording>,
     /// The rig beside its profile, or why that cannot be said.
@@ -281,6 +368,7 @@ impl Results {
             self.largest_motor_load = load;
         }
         let rollout = self.returns.len();
+        (self.fault, self.void) = (None, None);
         let _ = match judge_recording(&recording) {
             Verdict::Result { return_, success, outcome } => {
                 let ended_early = match outcome.ending {
@@ -293,7 +381,6 @@ impl Results {
                     None if success => "success".into(),
                     None => "not standing at the end".into(),
                 };
-                self.fault = None;
                 self.returns.push(Some(return_));
                 self.ended_early.push(ended_early);
                 self.success.push(success);
@@ -304,16 +391,27 @@ impl Results {
                 }
             }
             Verdict::Void { reason } => {
-                self.fault = Some(reason.clone());
+                match outcome.map(|outcome| outcome.ending) {
+                    Some(Ending::Fault(fault)) => self.fault = Some(fault),
+                    _ => self.void = Some(reason.clone()),
+                }
                 self.no_result(format!("void: {reason}"))
             }
             Verdict::Unfinished => self.no_result("stopped".into()),
         };
         self.recordings.push(path.to_owned());
-        if self.fault.is_none() && self.first.len() < DRIFT_ROLLOUTS {
+        if self.fault.is_none() && self.void.is_none() && self.first.len() < DRIFT_ROLLOUTS {
             self.first.push(recording);
         }
         Ok(())
+    }
+
+    /// Whether the last rollout is void though no fault ended it.
+    fn gaps(&self) -> Result<(), Failure> {
+        match &self.void {
+            Some(reason) => Err(Failure::fault(format!("the last rollout is void: {reason}"))),
+            None => Ok(()),
+        }
     }
 
     /// Compares the first rollouts with what the Qube was when its profile was made.
@@ -338,6 +436,9 @@ impl Results {
         } else {
             String::new()
         };
+        if self.recordings.is_empty() {
+            return "no rollout was run".into();
+        }
         let heat = heat_line(self.largest_motor_load);
         let timing = timing_lines(&self.latencies);
         let drift = match &self.drift {

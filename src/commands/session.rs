@@ -11,6 +11,7 @@ use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument};
+use super::keyboard::Keyboard;
 use super::output::Output;
 use super::printable::tell;
 use super::service_manager;
@@ -19,7 +20,7 @@ use super::session_table::SessionTable;
 use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
 use crate::safety::{Guard, GuardConsent};
-use crate::session::{Session, SessionFolder, SessionSettings};
+use crate::session::{Session, SessionError, SessionFolder, SessionSettings};
 use crate::simulation::SensorModel;
 
 /// Do the whole method: search the distribution of simulations whose policies earn most on the Qube
@@ -122,10 +123,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ..device.rig_settings(
             settings.emulated.emulator(settings.seed),
             settings.estimator,
-            arguments.check.skip_check,
+            arguments.check,
         )
     };
     let resume = format!("qube-hil session --resume {}", folder.root().display());
+    let keyboard = Keyboard::watch(&stop);
+    eprintln!("{}", keyboard.hint());
     tell(&format!("session in {}", folder.root().display()));
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
@@ -141,22 +144,36 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             .map_err(failed)?
             .beside(profile);
     service_manager::ready();
-    let ended = session.run(&mut |news| {
-        service_manager::alive();
-        progress.tell(&news);
-    });
+    let ended = loop {
+        let ended = session.run(&mut |news| {
+            service_manager::alive();
+            progress.tell(&news);
+        });
+        match ended.as_ref().err().and_then(SessionError::doubt) {
+            Some(doubt) if keyboard.acknowledges(doubt, &stop) => session.acknowledge(),
+            _ => break ended.map_err(failed),
+        }
+    };
     service_manager::stopping();
     progress.finish();
-    let table = SessionTable::read(&mut session).map_err(failed)?;
-    if let Err(error) = ended {
-        // What is finished can be seen, whatever ended the session.
-        tell(&table.text());
-        return Err(failed(error));
+    drop(keyboard);
+    // What is finished can be seen, whatever ended the session.
+    if let Err(failure) = &ended
+        && failure.is_usage()
+        && session.entries().is_empty()
+    {
+        return ended;
     }
-    let mut result: Value = table.json();
-    result["wall_s"] = json!(started.elapsed().as_secs_f64());
-    output.print(&table.text(), &result);
-    Ok(())
+    match SessionTable::read(&mut session) {
+        Ok(table) => {
+            let mut result: Value = table.json();
+            result["wall_s"] = json!(started.elapsed().as_secs_f64());
+            result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
+            output.print(&table.text(), &result);
+            ended
+        }
+        Err(error) => ended.and(Err(failed(error))),
+    }
 }
 
 /// What policies are trained on beside what they will see, where that is not the same.

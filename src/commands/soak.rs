@@ -63,7 +63,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let estimator = EstimatorSettings::default();
     let device = arguments.device.choose()?;
     let emulator = EmulatorSettings { seed: arguments.seed, ..EmulatorSettings::default() };
-    let settings = device.rig_settings(emulator, estimator, arguments.check.skip_check);
+    let settings = device.rig_settings(emulator, estimator, arguments.check);
     let mut rig = Rig::open(&settings, &stop.flag).map_err(|error| failures::rig(error, &stop))?;
     warn_without_realtime(rig.realtime());
 

@@ -1,4 +1,4 @@
-//! Ctrl-C, SIGTERM and SIGHUP: the motor is braked, the state is kept, and the exit code says which.
+//! Ctrl-C, SIGTERM, SIGHUP and the space bar: the motor is braked, the state is kept, and the exit code says which.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -6,8 +6,9 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::exit::Failure;
+use super::keyboard;
 
-/// A request to stop, set by a signal.
+/// A request to stop, set by a signal or a key.
 #[derive(Clone, Debug)]
 pub struct Stop {
     /// Watched by the control thread and by training.
@@ -27,6 +28,7 @@ impl Stop {
         ctrlc::set_handler(move || {
             interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
             if interrupt.swap(true, Ordering::Relaxed) {
+                keyboard::give_back();
                 std::process::exit(128 + SIGINT);
             }
             eprintln!(

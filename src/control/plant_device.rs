@@ -30,6 +30,10 @@ pub struct PlantDevice {
     pub armed: bool,
     pub voltages_mv: Vec<i16>,
     pub furthest_rad: f64,
+    /// Until then no hello is answered.
+    pub deaf_until_ns: Nanoseconds,
+    /// When hellos came.
+    pub hellos_ns: Vec<Nanoseconds>,
     dynamics: Dynamics,
     simulated_ns: Nanoseconds,
     voltage_mv: i16,
@@ -46,6 +50,8 @@ impl PlantDevice {
             armed: false,
             voltages_mv: Vec::new(),
             furthest_rad: 0.0,
+            deaf_until_ns: 0,
+            hellos_ns: Vec::new(),
             dynamics: Dynamics::new(&DomainParameters::NOMINAL),
             simulated_ns: 0,
             voltage_mv: 0,
@@ -72,6 +78,10 @@ impl PlantDevice {
 
 impl Device for PlantDevice {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
+        self.hellos_ns.push(self.clock.now_ns());
+        if self.clock.now_ns() < self.deaf_until_ns {
+            return Err(DeviceError::Link { port: "none".into(), fault: LinkFault::Gone });
+        }
         Ok(Identity {
             kind: "plant".into(),
             serial: String::new(),

@@ -5,6 +5,7 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use thiserror::Error;
 
+use super::reconnect::{Patience, greet_patiently};
 use super::{
     ControlAction, ControlEvent, ControlState, DriveReport, Homing, HomingSettings, Motion, Tick,
     drive_warm,
@@ -47,7 +48,7 @@ pub enum ControlError {
 
 /// Prepared work: everything is loaded before the first tick.
 enum Command {
-    Hello,
+    Hello(Patience),
     Cool,
     Home(HomingSettings),
     Rollout(TickSettings, Box<Policy>, rtrb::Producer<TickRecord>),
@@ -124,7 +125,19 @@ impl ControlThread {
     /// # Errors
     /// The outer one when the thread is gone, the inner one as [`Device::hello`] says.
     pub fn hello(&self) -> Result<Result<Identity, DeviceError>, ThreadGone> {
-        match self.ask(Command::Hello)? {
+        self.hello_patiently(Patience::default())
+    }
+
+    /// Asks the device who it is, again and again while it does not answer, until the patience is
+    /// over or somebody asks to stop.
+    ///
+    /// # Errors
+    /// As [`hello`](Self::hello).
+    pub fn hello_patiently(
+        &self,
+        patience: Patience,
+    ) -> Result<Result<Identity, DeviceError>, ThreadGone> {
+        match self.ask(Command::Hello(patience))? {
             Event::Identified(result, is_hardware) => {
                 self.is_hardware.store(is_hardware, Ordering::Relaxed);
                 Ok(result)
@@ -262,8 +275,8 @@ fn obey(
     stop: &AtomicBool,
 ) -> Event {
     match command {
-        Command::Hello => {
-            let identified = device.hello();
+        Command::Hello(patience) => {
+            let identified = greet_patiently(device, clock, stop, patience);
             let answered = identified.is_ok();
             state.take(if answered { ControlEvent::Hello } else { ControlEvent::NoAnswer });
             Event::Identified(identified, device.is_hardware())

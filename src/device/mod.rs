@@ -199,6 +199,12 @@ pub enum DeviceError {
         /// What came since.
         since: String,
     },
+    /// It has started anew since its last hello.
+    #[error("the board at {port} has restarted (a loss of power?)")]
+    Restarted {
+        /// The port.
+        port: String,
+    },
     /// A Qube that speaks another version.
     #[error(
         "{port} speaks protocol version {theirs}, this program {ours}. Flash the firmware of this release"

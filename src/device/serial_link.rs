@@ -40,6 +40,10 @@ pub struct SerialLink<T: Transport> {
     nonce: Option<u32>,
     /// The last device that answered called itself an emulator.
     is_emulator: bool,
+    /// The start of the device that the last hello of a caller has told of.
+    boot_id: Option<u16>,
+    /// It has started anew since then.
+    has_restarted: bool,
     motor: Motor,
     device_time: DeviceTime,
     /// The last sample since the last hello: the only one that an act may answer.
@@ -104,6 +108,8 @@ impl<T: Transport> SerialLink<T> {
             sequence: 0,
             nonce: None,
             is_emulator: false,
+            boot_id: None,
+            has_restarted: false,
             motor: Motor::Off,
             device_time: DeviceTime::default(),
             last_sample: None,
@@ -257,6 +263,23 @@ impl<T: Transport> SerialLink<T> {
         DeviceError::Refused { port: self.name(), action, reason: reason.describe().into() }
     }
 
+    fn restarted(&self) -> DeviceError {
+        DeviceError::Restarted { port: self.name() }
+    }
+
+    /// Greets within an arm or a disarm. A device that has started anew meanwhile may count from
+    /// anywhere: only a caller's own hello leads on.
+    fn greet_same_start(&mut self) -> Result<(), DeviceError> {
+        let reply = self.greet()?;
+        let identity = self.accept(&reply)?;
+        if self.boot_id != Some(identity.boot_id) {
+            self.nonce = None;
+            self.has_restarted = true;
+            return Err(self.restarted());
+        }
+        Ok(())
+    }
+
     fn accept(&mut self, reply: &HelloReply) -> Result<Identity, DeviceError> {
         if reply.protocol_version != PROTOCOL_VERSION {
             return Err(DeviceError::VersionMismatch {
@@ -317,17 +340,27 @@ impl<T: Transport> SerialLink<T> {
 impl<T: Transport> Device for SerialLink<T> {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
         let reply = self.greet()?;
-        self.accept(&reply)
+        let identity = self.accept(&reply)?;
+        self.boot_id = Some(identity.boot_id);
+        self.has_restarted = false;
+        Ok(identity)
     }
 
     /// Arms; when the answer is lost or a frame came twice, greets and arms anew.
     fn arm(&mut self) -> Result<(), DeviceError> {
         let Some(mut nonce) = self.nonce.take() else {
+            if self.has_restarted {
+                return Err(self.restarted());
+            }
             return Err(self.refused("arm", RefusalReason::NotGreeted));
         };
         for attempt in 1.. {
             match self.exchange(Request::Arm { nonce }, ANSWER_TIME_NS) {
                 Ok(Reply::Arm { .. }) => break,
+                Ok(Reply::Refusal { reason: RefusalReason::NotGreeted, .. }) => {
+                    self.has_restarted = true;
+                    return Err(self.restarted());
+                }
                 // A hello that came twice has made its first nonce worthless; an arm that came
                 // twice is refused the second time.
                 Ok(Reply::Refusal { reason, .. })
@@ -336,8 +369,7 @@ impl<T: Transport> Device for SerialLink<T> {
                     return Err(self.refused("arm", reason));
                 }
                 Ok(_) | Err(LinkFault::Timeout | LinkFault::Full) if attempt < ATTEMPTS => {
-                    let reply = self.greet()?;
-                    self.accept(&reply)?;
+                    self.greet_same_start()?;
                     nonce = self.nonce.take().unwrap_or(0);
                 }
                 Ok(_) => return Err(self.not_a_qube("an arm got another answer".into())),
@@ -398,8 +430,7 @@ impl<T: Transport> Device for SerialLink<T> {
                     // While a lost disarm was waited for the watchdog did its work. That is no fault
                     // that anybody would have to look at; a trip before it is, and stays latched.
                     if was_armed && attempt > 1 && reply.state == DeviceState::Tripped {
-                        let reply = self.greet()?;
-                        self.accept(&reply)?;
+                        self.greet_same_start()?;
                     }
                     break;
                 }

@@ -73,7 +73,7 @@ impl ExperimentError {
             error,
             SessionError::Stopped
                 | SessionError::Training(TrainError::Stopped)
-                | SessionError::Rig(RigError::Stopped)
+                | SessionError::Rig(RigError::Stopped { .. })
         )
     }
 }

@@ -98,6 +98,16 @@ impl Recorder {
         Ok(self.path.clone())
     }
 
+    /// Closes the recording of a rollout that never began, and takes its file away.
+    pub fn discard(mut self, disk: &dyn Disk) {
+        self.outcome = None;
+        // Whatever it could not write is not wanted any more.
+        let _ = self.join();
+        if let Err(error) = disk.remove(&self.path) {
+            tracing::warn!("{} could not be removed: {error}", self.path.display());
+        }
+    }
+
     fn join(&mut self) -> Result<(), RecordingError> {
         match self.thread.take().map(JoinHandle::join) {
             Some(Ok(result)) => result,

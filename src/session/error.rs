@@ -1,11 +1,12 @@
 use thiserror::Error;
 
-use super::{FolderError, LedgerError, RigError};
+use super::{Doubt, FolderError, LedgerError, RigError};
 use crate::learning::TrainError;
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
 use crate::search::SearchError;
 use crate::simulation::PsiError;
+use crate::telemetry::Fault;
 
 /// Why a session ended early. What was finished until then is on disk.
 #[derive(Debug, Error)]
@@ -31,7 +32,7 @@ pub enum SessionError {
     /// A fault ended a rollout, and the Qube could not be started again after it.
     #[error(
         "a fault ended rollout {rollout} of candidate {candidate} ({fault}), and the Qube cannot be \
-         started again: {source}. The motor is off; mend that, then --resume"
+         started again: {source}. Then go on with --resume"
     )]
     NotStartedAgain {
         /// The candidate.
@@ -42,6 +43,16 @@ pub enum SessionError {
         fault: String,
         /// Why it cannot go on.
         source: Box<RigError>,
+    },
+    /// A fault ended a rollout and left a doubt about a sensor or the motor.
+    #[error("rollout {rollout} of candidate {candidate} is void: {doubt}")]
+    InDoubt {
+        /// The candidate.
+        candidate: u32,
+        /// Its rollout.
+        rollout: u32,
+        /// Which.
+        doubt: Box<Doubt>,
     },
     /// The ledger.
     #[error(transparent)]
@@ -67,4 +78,31 @@ pub enum SessionError {
     /// Training.
     #[error(transparent)]
     Training(#[from] TrainError),
+}
+
+impl SessionError {
+    /// The fault of the table that this error stands for, if any.
+    #[must_use]
+    pub fn fault(&self) -> Option<Fault> {
+        match self {
+            Self::InDoubt { doubt, .. } => doubt.fault,
+            Self::NotStartedAgain { source, .. } => source.fault(),
+            Self::Rig(error) => error.fault(),
+            _ => None,
+        }
+    }
+
+    /// Whether it waits for an operator's word.
+    #[must_use]
+    pub fn doubt(&self) -> Option<&Doubt> {
+        match self {
+            Self::InDoubt { doubt, .. } => Some(doubt),
+            Self::Rig(RigError::InDoubt(doubt)) => Some(doubt),
+            Self::NotStartedAgain { source, .. } => match source.as_ref() {
+                RigError::InDoubt(doubt) => Some(doubt),
+                _ => None,
+            },
+            _ => None,
+        }
+    }
 }

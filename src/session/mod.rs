@@ -4,6 +4,7 @@
 //! [`Session`] does it, [`Rig`] is the Qube it is done on, [`judge`] says what a recording is worth.
 
 mod configuration;
+mod doubt;
 mod drift;
 mod error;
 mod folder;
@@ -15,12 +16,14 @@ mod plan;
 mod power_test;
 mod qube_file;
 mod rig;
+mod rig_error;
 mod seeds;
 mod settings;
 mod training;
 mod verdict;
 
 pub use configuration::ConfigurationError;
+pub use doubt::{Doubt, DoubtMemory};
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use error::SessionError;
 pub use folder::{FolderError, SessionFolder, put_aside, write_whole};
@@ -32,8 +35,10 @@ pub use plan::{Candidate, Extent, Step, candidates, next_step};
 pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use rig::{
-    ClockChoice, Connect, DeviceChoice, Pressed, Recorded, Rig, RigError, RigSettings, TimedDevice,
+    ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, Pressed, Recorded, Recovery, Rig,
+    RigSettings, TimedDevice,
 };
+pub use rig_error::RigError;
 pub use seeds::{Purpose as SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, Model, ProfileSettings, SessionSettings};
 pub use verdict::{Verdict, judge, judge_recording, mean_return};

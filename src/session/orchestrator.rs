@@ -7,9 +7,9 @@ use super::folder::{put_aside, write_whole};
 use super::seeds::{Purpose as SeedFor, derived_seed};
 use super::training::{Job, News, train_all};
 use super::{
-    Candidate, ClockChoice, DRIFT_ROLLOUTS, Drift, Entry, Ledger, Purpose, Rig, RigSettings,
-    RolloutPlan, SessionError, SessionFolder, SessionSettings, Step, Verdict, candidates, judge,
-    judge_recording, mean_return, next_step,
+    Candidate, ClockChoice, DRIFT_ROLLOUTS, Doubt, Drift, Entry, Ledger, Purpose, Rig, RigError,
+    RigSettings, RolloutPlan, SessionError, SessionFolder, SessionSettings, Step, Verdict,
+    candidates, judge, judge_recording, mean_return, next_step,
 };
 use crate::identification::Unfit;
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
@@ -17,6 +17,7 @@ use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::search::{Observation, SearchError};
+use crate::telemetry::Ending;
 
 /// What a session tells while it runs.
 pub enum Progress<'a> {
@@ -72,7 +73,12 @@ pub struct Session {
     profile: Option<QubeModel>,
     /// Today's rollouts, until there are enough for that.
     today: Vec<Recording>,
+    /// How often in a row a rollout could not begin.
+    not_begun: u32,
 }
+
+/// How often in a row a rollout may fail to begin because of the link.
+const MAX_NOT_BEGUN: u32 = 3;
 
 impl Session {
     /// Takes up a session where its ledger ends; an empty ledger is a new one.
@@ -102,6 +108,7 @@ impl Session {
             cores: std::thread::available_parallelism().map_or(1, usize::from),
             profile: None,
             today: Vec::new(),
+            not_begun: 0,
         })
     }
 
@@ -150,6 +157,7 @@ impl Session {
         goes_on: impl Fn(&[Entry]) -> bool,
         tell: &mut dyn FnMut(Progress),
     ) -> Result<(), SessionError> {
+        self.heed_doubt()?;
         self.connect_early(tell)?;
         while goes_on(self.ledger.entries()) {
             if self.stop.load(Ordering::Relaxed) {
@@ -167,6 +175,31 @@ impl Session {
                 Step::Done => break,
             }
         }
+        Ok(())
+    }
+
+    /// Ends the session's doubt by the operator's word: the Qube is examined when it is next opened.
+    pub fn acknowledge(&mut self) {
+        self.rig = None;
+        self.rig_settings.recovery.acknowledged = true;
+    }
+
+    /// A ledger that ends with a doubt needs the operator's word before anything moves, also on another
+    /// computer than that of the doubt.
+    fn heed_doubt(&mut self) -> Result<(), SessionError> {
+        let Some(&Entry::RolloutVoid { candidate, rollout, attempt }) =
+            self.ledger.entries().last()
+        else {
+            return Ok(());
+        };
+        let path = self.folder.rollout(candidate, rollout, attempt);
+        // What is not there any more leaves no doubt that could be named; a port has its own memory.
+        let Some(recording) = read_on(self.folder.disk(), &path).ok() else { return Ok(()) };
+        let Some(doubt) = doubt_of(&recording) else { return Ok(()) };
+        if !self.rig_settings.recovery.acknowledged {
+            return Err(SessionError::InDoubt { candidate, rollout, doubt: Box::new(doubt) });
+        }
+        self.rig_settings.recovery.doubt = Some(doubt);
         Ok(())
     }
 
@@ -346,7 +379,13 @@ impl Session {
             }
         }
         if !self.folder.disk().exists(&path) {
-            self.perform(candidate, rollout, attempt, &path, tell)?;
+            match self.perform(candidate, rollout, attempt, &path, tell) {
+                Ok(()) => self.not_begun = 0,
+                Err(SessionError::Rig(error @ RigError::NotBegun { .. })) => {
+                    return self.try_again(candidate, rollout, error);
+                }
+                Err(error) => return Err(error),
+            }
         }
         let recording = read_on(self.folder.disk(), &path)?;
         let verdict = judge_recording(&recording);
@@ -357,14 +396,15 @@ impl Session {
             }
             Verdict::Void { reason } => {
                 self.ledger.append(Entry::RolloutVoid { candidate, rollout, attempt })?;
-                if let Some(rig) = &mut self.rig {
-                    rig.start_again().map_err(|source| SessionError::NotStartedAgain {
+                if let Some(doubt) = doubt_of(&recording) {
+                    self.rig = None;
+                    return Err(SessionError::InDoubt {
                         candidate,
                         rollout,
-                        fault: reason.clone(),
-                        source: Box::new(source),
-                    })?;
+                        doubt: Box::new(doubt),
+                    });
                 }
+                self.start_again(candidate, rollout, reason)?;
             }
             // The stop is still set and ends the session; --resume does the rollout again.
             Verdict::Unfinished => {}
@@ -374,6 +414,35 @@ impl Session {
         }
         self.verdicts.insert((candidate, rollout, attempt), verdict);
         Ok(())
+    }
+
+    /// A rollout that could not begin has left nothing behind, and is the next step again.
+    fn try_again(
+        &mut self,
+        candidate: u32,
+        rollout: u32,
+        error: RigError,
+    ) -> Result<(), SessionError> {
+        self.not_begun += 1;
+        if self.not_begun > MAX_NOT_BEGUN {
+            return Err(error.into());
+        }
+        self.start_again(candidate, rollout, &error.to_string())
+    }
+
+    fn start_again(
+        &mut self,
+        candidate: u32,
+        rollout: u32,
+        reason: &str,
+    ) -> Result<(), SessionError> {
+        let Some(rig) = &mut self.rig else { return Ok(()) };
+        rig.start_again().map_err(|source| SessionError::NotStartedAgain {
+            candidate,
+            rollout,
+            fault: reason.to_owned(),
+            source: Box::new(source),
+        })
     }
 
     /// Once there are enough of today's rollouts, says where the rig stands beside its profile.
@@ -443,6 +512,9 @@ impl Session {
             Some(rig) => rig,
             None => {
                 let rig = Rig::open(&self.rig_settings, &self.stop)?;
+                // An acknowledgement is for the doubt that it was given for.
+                self.rig_settings.recovery.acknowledged = false;
+                self.rig_settings.recovery.doubt = None;
                 tell(Progress::Connected(&rig));
                 rig
             }
@@ -474,6 +546,14 @@ impl Session {
         };
         SessionError::GivenUp { candidate, rollout, tries, reason }
     }
+}
+
+/// The doubt that the end of a recorded rollout leaves.
+fn doubt_of(recording: &Recording) -> Option<Doubt> {
+    let Ending::Fault(fault) = recording.outcome.as_ref()?.ending else { return None };
+    let board = recording.header.device.get("serial").cloned().unwrap_or_default();
+    let unix_s = recording.header.started_unix_ns.map(|time_ns| time_ns / 1_000_000_000);
+    fault.leaves_doubt().then_some(Doubt { fault: Some(fault), board, unix_s })
 }
 
 fn save(

@@ -1,32 +1,37 @@
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use thiserror::Error;
-
+use super::rig_error::link_fault;
+use super::{Doubt, DoubtMemory, RigError};
 use crate::clock::{Clock, PunctualClock, RealtimeReport, VirtualClock};
 use crate::control::{
-    ControlError, ControlThread, HomingSettings, PressOutcome, RING_CAPACITY, StopPress,
-    ThreadGone, drive,
+    ControlError, ControlThread, HomingSettings, Patience, PressOutcome, RING_CAPACITY, StopPress,
+    drive,
 };
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{Device, DeviceError, Identity, SerialLink};
 use crate::estimation::Calibration;
-use crate::policy::{Policy, PolicyFault};
+use crate::policy::Policy;
 use crate::preflight::{
     Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
 };
-use crate::recording::{Recorder, RecordingError};
-use crate::safety::{HardwareLimits, TooWide};
+use crate::recording::Recorder;
+use crate::safety::HardwareLimits;
 use crate::storage::Disk;
 use crate::telemetry::{
-    CheckResult, Ending, Fault, MeasuredLink, Preflight, RolloutHeader, RolloutOutcome, TickRecord,
-    TickSettings,
+    CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight, RolloutHeader,
+    RolloutOutcome, TickSettings,
 };
 
-/// How often homing is tried while faults of time end it.
-const HOMING_TRIES: u32 = 3;
+/// Pauses before the second and the third try of homing, ns: a link or a computer that is late for
+/// two seconds must not use them all up.
+const HOMING_PAUSES_NS: [u64; 2] = [1_000_000_000, 2_000_000_000];
+
+/// How long a lost link is tried again, s.
+pub const LINK_PATIENCE_S: f64 = 30.0;
 
 /// Where the Qube is.
 #[derive(Clone, Debug)]
@@ -78,87 +83,6 @@ pub enum ClockChoice {
     Virtual,
 }
 
-/// What can stop a rig from working.
-#[derive(Debug, Error)]
-pub enum RigError {
-    /// A real device cannot be hurried.
-    #[error(
-        "--clock virtual works with the emulated Qube only, not with {port}: leave one of the two out"
-    )]
-    VirtualPort {
-        /// The port asked for.
-        port: String,
-    },
-    /// The emulator could not be started.
-    #[error("the emulated Qube could not be started: {0}")]
-    Emulator(std::io::Error),
-    /// No thread could be started.
-    #[error("the control thread could not be started: {0}")]
-    Thread(std::io::Error),
-    /// The device.
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-    /// Control refused: no hello, or no homing.
-    #[error("{0}")]
-    Refused(ControlError),
-    /// The control thread has died.
-    #[error(transparent)]
-    ThreadGone(#[from] ThreadGone),
-    /// Homing ended by a fault.
-    #[error("homing failed: {fault}. The motor is off; look at the Qube, then start again")]
-    Homing {
-        /// Which.
-        fault: Fault,
-        /// The last second before it: homing has no recording.
-        last_ticks: Vec<TickRecord>,
-    },
-    /// Somebody asked to stop during the check or homing.
-    #[error("stopped while homing")]
-    Stopped,
-    /// The check found something.
-    #[error(
-        "the Qube did not pass its check, so nothing was run.{}\nSee the whole table with qube-hil \
-         check; --skip-check goes on all the same",
-        listed(results)
-    )]
-    Unfit {
-        /// All results; at least one failed.
-        results: Vec<CheckResult>,
-    },
-    /// The settings are those of another board.
-    #[error(
-        "{port} is board {found}, but the settings in qube.toml are for board {expected}: wrong signs \
-         would drive the arm into its stops. Use that board's port, or write a file for this one \
-         with qube-hil check --write"
-    )]
-    OtherBoard {
-        /// The port.
-        port: String,
-        /// The serial number in the file.
-        expected: String,
-        /// The one that answered.
-        found: String,
-    },
-    /// A rollout on hardware whose box is wider than it may be.
-    #[error("nothing was run: {0}")]
-    TooWide(#[from] TooWide),
-    /// The recording.
-    #[error(transparent)]
-    Recording(#[from] RecordingError),
-    /// The bytes are no policy.
-    #[error("the policy cannot be run: {0}")]
-    Policy(#[from] PolicyFault),
-}
-
-impl From<ControlError> for RigError {
-    fn from(error: ControlError) -> Self {
-        match error {
-            ControlError::Device(error) => Self::Device(error),
-            refused @ ControlError::Refused { .. } => Self::Refused(refused),
-        }
-    }
-}
-
 /// What a rig is opened with.
 #[derive(Clone, Debug)]
 pub struct RigSettings {
@@ -176,6 +100,27 @@ pub struct RigSettings {
     pub board: Option<String>,
     /// The widest box of a rollout where the Qube is hardware; an emulated one has no such limits.
     pub limits: HardwareLimits,
+    /// What is done after a fault.
+    pub recovery: Recovery,
+}
+
+/// What is done after a fault.
+#[derive(Clone, Debug)]
+pub struct Recovery {
+    /// The operator has acknowledged the last doubt: the Qube is examined and then driven again.
+    pub acknowledged: bool,
+    /// How long a lost link is tried again, s.
+    pub link_patience_s: f64,
+    /// Where doubts outlive the program; none where the device does not outlive it.
+    pub memory: Option<DoubtMemory>,
+    /// A doubt that is known before the device is opened: a session's ledger ends with it.
+    pub doubt: Option<Doubt>,
+}
+
+impl Default for Recovery {
+    fn default() -> Self {
+        Self { acknowledged: false, link_patience_s: LINK_PATIENCE_S, memory: None, doubt: None }
+    }
 }
 
 impl RigSettings {
@@ -192,15 +137,6 @@ impl RigSettings {
     }
 }
 
-/// The failed checks and their cures, a line each.
-fn listed(results: &[CheckResult]) -> String {
-    let line = |result: &CheckResult| {
-        let cure = result.cure.as_deref().unwrap_or_default();
-        format!("\n  {}: {}\n    cure: {cure}", result.name, result.value)
-    };
-    results.iter().filter(|result| result.failed()).map(line).collect()
-}
-
 /// A Qube that has said hello and is homed, with the thread that drives it.
 pub struct Rig {
     control: ControlThread,
@@ -212,6 +148,11 @@ pub struct Rig {
     link: Option<MeasuredLink>,
     clock: ClockChoice,
     limits: HardwareLimits,
+    stop: Arc<AtomicBool>,
+    link_patience_s: f64,
+    memory: Option<DoubtMemory>,
+    /// The fault that ended the last motion, until the Qube is homed again.
+    last_fault: Cell<Option<Fault>>,
     /// Served until the rig is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
 }
@@ -235,34 +176,38 @@ pub struct Recorded {
 }
 
 impl Rig {
-    /// Opens the device, asks who it is, checks it where it is a real one, and homes it.
+    /// Opens the device, asks who it is, checks it where it is a real one or in doubt, and homes it.
     ///
     /// # Errors
-    /// Each step has its own; the motor is off after any of them.
+    /// A doubt that nobody has acknowledged, and each step has its own; the motor is off after any of
+    /// them.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let mut rig = Self::connect(settings, stop)?;
-        match (settings.is_hardware() || rig.is_hardware(), settings.skip_check) {
-            (false, _) => {
-                rig.preflight = Preflight::NotNeeded;
-                if settings.emulator.bridge.is_some() {
-                    rig.measure_link()?;
-                }
-                rig.home()?;
+        let remembered = rig.memory.as_ref().and_then(|memory| memory.recall(&rig.identity.serial));
+        let doubt = remembered.or_else(|| settings.recovery.doubt.clone());
+        if let Some(doubt) = doubt.clone().filter(|_| !settings.recovery.acknowledged) {
+            return Err(RigError::InDoubt(Box::new(doubt)));
+        }
+        let is_hardware = settings.is_hardware() || rig.is_hardware();
+        // After a doubt no flag leaves the examination out.
+        if doubt.is_some() || (is_hardware && !settings.skip_check) {
+            let mut results = rig.examine(false)?.results;
+            if results.iter().any(CheckResult::failed) {
+                return Err(RigError::Unfit { results });
             }
-            (true, true) => {
-                rig.preflight = Preflight::SkippedByFlag;
+            rig.home()?;
+            results.push(homed(&rig.calibration));
+            rig.preflight = Preflight::Done(results);
+        } else {
+            let skipped = Preflight::SkippedByFlag;
+            rig.preflight = if is_hardware { skipped } else { Preflight::NotNeeded };
+            if is_hardware || settings.emulator.bridge.is_some() {
                 rig.measure_link()?;
-                rig.home()?;
             }
-            (true, false) => {
-                let mut results = rig.examine(false)?.results;
-                if results.iter().any(CheckResult::failed) {
-                    return Err(RigError::Unfit { results });
-                }
-                rig.home()?;
-                results.push(homed(&rig.calibration));
-                rig.preflight = Preflight::Done(results);
-            }
+            rig.home()?;
+        }
+        if let Some(memory) = rig.memory.as_ref().filter(|_| doubt.is_some()) {
+            memory.forget(&rig.identity.serial);
         }
         Ok(rig)
     }
@@ -293,6 +238,10 @@ impl Rig {
             link: None,
             clock: settings.clock,
             limits: settings.limits,
+            stop: Arc::clone(stop),
+            link_patience_s: settings.recovery.link_patience_s,
+            memory: settings.recovery.memory.clone(),
+            last_fault: Cell::new(None),
             _emulator: emulator,
         })
     }
@@ -323,7 +272,7 @@ impl Rig {
         let link = self
             .control
             .lend(move |device, clock, stop| measure_link(device, clock, stop, &port))???;
-        self.link = Some(link.ok_or(RigError::Stopped)?);
+        self.link = Some(link.ok_or(RigError::Stopped { during: "the measurement of the link" })?);
         Ok(())
     }
 
@@ -361,30 +310,88 @@ impl Rig {
         let examination = self
             .control
             .lend(move |device, clock, stop| examine(device, clock, stop, &settings))???
-            .ok_or(RigError::Stopped)?;
+            .ok_or(RigError::Stopped { during: "the check" })?;
         self.homing.signs = examination.signs;
         self.homing.hand_counts = examination.start_theta_counts;
         self.link = examination.link;
         Ok(examination)
     }
 
-    /// After a fault: a new hello, which clears the device's latch, and homing from the start.
+    /// Does after a fault what the table of faults says that the program does by itself: a new hello,
+    /// which opens a lost port again and clears the device's latch, and homing from the start.
     ///
     /// # Errors
-    /// The device does not answer, or homing fails.
+    /// The fault leaves a doubt, or another try would end the same way; the device does not answer;
+    /// another board does; homing fails.
     pub fn start_again(&mut self) -> Result<(), RigError> {
-        self.identity = self.control.hello()??;
+        if let Some(fault) = self.last_fault.get() {
+            match fault.consequence() {
+                Consequence::Examine => return Err(RigError::InDoubt(Box::new(self.doubt(fault)))),
+                Consequence::End => return Err(RigError::Ended { fault }),
+                Consequence::TryAgain | Consequence::Reconnect => {}
+            }
+        }
+        self.greet_again(0)?;
         self.home()
     }
 
-    /// Homes the arm; again when only the link or the computer was late meanwhile, which says nothing
+    fn greet_again(&mut self, pause_ns: u64) -> Result<(), RigError> {
+        let limit_ns = (self.link_patience_s * 1e9) as u64;
+        let identity = match self.control.hello_patiently(Patience { pause_ns, limit_ns })? {
+            Ok(identity) => identity,
+            Err(_) if self.stop.load(Ordering::Relaxed) => {
+                return Err(RigError::Stopped { during: "the wait for the link" });
+            }
+            Err(source) => {
+                return Err(RigError::LinkLost {
+                    patience_s: self.link_patience_s,
+                    source,
+                    last_ticks: Vec::new(),
+                });
+            }
+        };
+        if (&identity.serial, &identity.kind) != (&self.identity.serial, &self.identity.kind) {
+            return Err(RigError::AnotherBoard {
+                port: identity.port,
+                expected: self.identity.serial.clone(),
+                found: identity.serial,
+            });
+        }
+        if identity.boot_id != self.identity.boot_id {
+            tracing::warn!(
+                "the board has restarted: its counters begin anew, and the arm is homed"
+            );
+        }
+        self.identity = identity;
+        Ok(())
+    }
+
+    /// A doubt after this fault.
+    fn doubt(&self, fault: Fault) -> Doubt {
+        Doubt {
+            fault: Some(fault),
+            board: self.identity.serial.clone(),
+            unix_s: self.wall_time_ns().map(|time_ns| time_ns / 1_000_000_000),
+        }
+    }
+
+    /// Latches the fault that ended a motion; a doubt outlives the program where it can.
+    fn latch(&self, ending: Ending) {
+        let Ending::Fault(fault) = ending else { return };
+        self.last_fault.set(Some(fault));
+        if let Some(memory) = self.memory.as_ref().filter(|_| fault.leaves_doubt()) {
+            memory.keep(&self.doubt(fault));
+        }
+    }
+
+    /// Homes the arm; again when only the link or the computer failed meanwhile, which says nothing
     /// against the Qube.
     fn home(&mut self) -> Result<(), RigError> {
-        for _ in 1..HOMING_TRIES {
+        for pause_ns in HOMING_PAUSES_NS {
             match self.home_once() {
-                Err(RigError::Homing { fault, .. }) if fault.is_timing_fault() => {
-                    tracing::warn!("homing was ended ({fault}) and begins again");
-                    self.identity = self.control.hello()??;
+                Err(error) if error.passing_fault().is_some() => {
+                    tracing::warn!("homing begins again: {error}");
+                    self.greet_again(pause_ns).map_err(|lost| lost.with_ticks_of(error))?;
                 }
                 homed_or_not => return homed_or_not,
             }
@@ -394,18 +401,20 @@ impl Rig {
 
     fn home_once(&mut self) -> Result<(), RigError> {
         let (report, found) = self.control.home(self.homing)??;
+        self.latch(report.outcome.ending);
         match (report.outcome.ending, found) {
             (_, Some(calibration)) => {
                 self.calibration = calibration;
                 // From now on the middle is known, wherever a fault may leave the arm.
                 let middle_rad = -self.homing.theta_offset_rad;
                 self.homing.hand_counts = Some(calibration.theta_counts_at(middle_rad));
+                self.last_fault.set(None);
                 Ok(())
             }
             (Ending::Fault(fault), None) => {
                 Err(RigError::Homing { fault, last_ticks: report.last_ticks })
             }
-            (_, None) => Err(RigError::Stopped),
+            (_, None) => Err(RigError::Stopped { during: "homing" }),
         }
     }
 
@@ -463,9 +472,29 @@ impl Rig {
         };
         let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let recorder = Recorder::start(disk, path, header, policy_file, consumer)?;
-        let report = self.control.rollout(settings, policy, producer)??;
+        let report = match self.control.rollout(settings, policy, producer)? {
+            Ok(report) => report,
+            Err(error) => {
+                recorder.discard(disk);
+                return Err(self.not_begun(error));
+            }
+        };
+        self.latch(report.outcome.ending);
         let path = recorder.finish(report.outcome.clone(), report.last_ticks)?;
         Ok(Recorded { path, outcome: report.outcome })
+    }
+
+    fn not_begun(&self, error: ControlError) -> RigError {
+        match error {
+            ControlError::Device(source) => match link_fault(&source) {
+                Some(fault) => {
+                    self.last_fault.set(Some(fault));
+                    RigError::NotBegun { fault, source }
+                }
+                None => RigError::Device(source),
+            },
+            refused => refused.into(),
+        }
     }
 
     fn wall_time_ns(&self) -> Option<u64> {

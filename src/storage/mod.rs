@@ -67,6 +67,12 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The operating system refused.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
 
+    /// Takes a file away.
+    ///
+    /// # Errors
+    /// There is no such file, or the operating system refused.
+    fn remove(&self, path: &Path) -> io::Result<()>;
+
     /// Makes the names in a folder durable.
     ///
     /// # Errors

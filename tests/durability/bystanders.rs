@@ -18,7 +18,7 @@ use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::qube::Measurement;
 use qube_hil::recording::RecordingError;
 use qube_hil::session::{
-    ClockChoice, Connect, DeviceChoice, Progress, Rig, RigError, RigSettings, Session,
+    ClockChoice, Connect, DeviceChoice, Progress, Recovery, Rig, RigError, RigSettings, Session,
     SessionFolder, TimedDevice, Verdict, judge,
 };
 use qube_hil::storage::{Disk, DiskFile, Hold};
@@ -78,6 +78,10 @@ impl Disk for TrickyDisk {
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
         self.disk.rename(from, to)
+    }
+
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        self.disk.remove(path)
     }
 
     fn sync_folder(&self, path: &Path) -> io::Result<()> {
@@ -281,6 +285,7 @@ fn a_control_thread_that_panics_switches_the_amplifier_off_and_is_named() {
             skip_check: false,
             board: None,
             limits: Default::default(),
+            recovery: Recovery::default(),
         };
         let error = Rig::open(&settings, &Arc::default()).err().unwrap();
         assert!(matches!(error, RigError::ThreadGone(_)), "{error}");

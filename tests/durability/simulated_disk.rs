@@ -315,6 +315,10 @@ impl Disk for SimulatedDisk {
         Ok(())
     }
 
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        self.change()?.names.remove(path).map(drop).ok_or(ErrorKind::NotFound.into())
+    }
+
     fn sync_folder(&self, path: &Path) -> io::Result<()> {
         let mut content = self.begin(true).map_err(|(error, _)| error)?;
         content.synced_names.retain(|name, _| name.parent() != Some(path));

@@ -8,7 +8,7 @@ use qube_hil::clock::{Nanoseconds, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{DeviceError, LinkFault, SerialLink, Transport};
-use qube_hil::session::{ClockChoice, Connect, DeviceChoice, RigSettings, TimedDevice};
+use qube_hil::session::{ClockChoice, Connect, DeviceChoice, Recovery, RigSettings, TimedDevice};
 
 use crate::fault_port::{FaultPort, Plan};
 use crate::watched_wire::WatchedWire;
@@ -87,6 +87,7 @@ impl Wiring {
             skip_check: false,
             board: None,
             limits: Default::default(),
+            recovery: Recovery::default(),
         }
     }
 }

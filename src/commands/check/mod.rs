@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::check_table::{Row, checks_json, failed_names, table};
-use super::device_arguments::{ChosenDevice, DeviceArguments};
+use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
@@ -69,8 +69,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         None => None,
     };
     let stop = Stop::on_signals()?;
-    let settings =
-        device.rig_settings(EmulatorSettings::default(), EstimatorSettings::default(), false);
+    let settings = device.rig_settings(
+        EmulatorSettings::default(),
+        EstimatorSettings::default(),
+        CheckArguments::default(),
+    );
     // The file that is written anew may have been another board's.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };

@@ -58,7 +58,7 @@ pub fn run(
         Ending::Fault(Fault::LinkGone | Fault::NoSample | Fault::BoardRestarted)
     );
     if pressed.ending == Ending::Stopped {
-        return Err(failed(RigError::Stopped));
+        return Err(failed(RigError::Stopped { during: "the power test" }));
     }
     if !unplugged {
         return Err(Failure::failed(

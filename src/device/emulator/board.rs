@@ -177,9 +177,23 @@ impl Board {
     /// Whether the port is gone: the cable has been pulled, or the board has no supply.
     #[must_use]
     pub fn is_unplugged(&self) -> bool {
-        self.has_begun(|fault| {
-            matches!(fault, EmulatorFault::Unplugged { .. } | EmulatorFault::PowerLoss { .. })
+        let now_s = self.now_us as f64 * 1e-6;
+        self.has_begun(|fault| match fault {
+            EmulatorFault::Unplugged { .. } | EmulatorFault::PowerLoss { .. } => true,
+            EmulatorFault::Replugged { after_s, away_s } => now_s < after_s + away_s,
+            _ => false,
         })
+    }
+
+    /// When the cable is plugged in again, by its own clock; none where it is not pulled or stays out.
+    #[must_use]
+    pub fn plugged_in_us(&self) -> Option<u64> {
+        match self.settings.fault {
+            Some(EmulatorFault::Replugged { after_s, away_s }) if self.is_unplugged() => {
+                Some(((after_s + away_s) * 1e6).ceil() as u64)
+            }
+            _ => None,
+        }
     }
 
     /// Whether the wire flips a bit of the reply that was made last.

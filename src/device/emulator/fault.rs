@@ -86,6 +86,13 @@ pub enum EmulatorFault {
         /// When, s.
         after_s: f64,
     },
+    /// The USB cable is pulled and plugged in again; the board has a supply of its own meanwhile.
+    Replugged {
+        /// When it is pulled, s.
+        after_s: f64,
+        /// How long it is out, s.
+        away_s: f64,
+    },
     /// The arm's encoder is wired the other way round.
     FlippedTheta,
     /// The pendulum's encoder is wired the other way round.
@@ -98,7 +105,8 @@ pub enum EmulatorFault {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
     "{text} is no fault. There are: silent@S, garble@N, wrong-version, frozen-theta@S, frozen-alpha@S, \
-     dead-motor@S, blocked-arm@S, amplifier@S, stall@S, qube-absent@S, unplug@S, power-loss@S, \
+     dead-motor@S, blocked-arm@S, amplifier@S, stall@S, qube-absent@S, unplug@S, unplug@S+T (plugged in again \
+     after T seconds), power-loss@S, \
      brown-out@S, board-restart@S, emergency-stop@S, flipped-theta, flipped-alpha, flipped-motor \
      (S seconds after the start, N each n-th reply)"
 )]
@@ -125,6 +133,7 @@ impl EmulatorFault {
             | Self::AmplifierFault { after_s }
             | Self::StallError { after_s }
             | Self::QubeAbsent { after_s }
+            | Self::Replugged { after_s, .. }
             | Self::Unplugged { after_s }
             | Self::PowerLoss { after_s }
             | Self::BrownOut { after_s }
@@ -152,6 +161,7 @@ impl fmt::Display for EmulatorFault {
             Self::BrownOut { after_s } => write!(formatter, "brown-out@{after_s}"),
             Self::BoardRestart { after_s } => write!(formatter, "board-restart@{after_s}"),
             Self::EmergencyStop { after_s } => write!(formatter, "emergency-stop@{after_s}"),
+            Self::Replugged { after_s, away_s } => write!(formatter, "unplug@{after_s}+{away_s}"),
             Self::FlippedTheta => write!(formatter, "flipped-theta"),
             Self::FlippedAlpha => write!(formatter, "flipped-alpha"),
             Self::FlippedMotor => write!(formatter, "flipped-motor"),
@@ -168,12 +178,11 @@ impl FromStr for EmulatorFault {
             Some((name, value)) => (name, Some(value)),
             None => (text, None),
         };
-        let seconds = || {
-            value
-                .and_then(|value| value.parse::<f64>().ok())
-                .filter(|after_s| after_s.is_finite() && *after_s >= 0.0)
-                .ok_or_else(unknown)
+        let parsed = |text: &str| {
+            let seconds = text.parse::<f64>().ok();
+            seconds.filter(|after_s| after_s.is_finite() && *after_s >= 0.0).ok_or_else(unknown)
         };
+        let seconds = || value.ok_or_else(unknown).and_then(parsed);
         Ok(match name {
             "silent" => Self::Silent { after_s: seconds()? },
             "garble" => Self::Garble {
@@ -193,6 +202,11 @@ impl FromStr for EmulatorFault {
             "amplifier" => Self::AmplifierFault { after_s: seconds()? },
             "stall" => Self::StallError { after_s: seconds()? },
             "qube-absent" => Self::QubeAbsent { after_s: seconds()? },
+            "unplug" if value.is_some_and(|value| value.contains('+')) => {
+                let (after, away) =
+                    value.and_then(|value| value.split_once('+')).unwrap_or_default();
+                Self::Replugged { after_s: parsed(after)?, away_s: parsed(away)? }
+            }
             "unplug" => Self::Unplugged { after_s: seconds()? },
             "power-loss" => Self::PowerLoss { after_s: seconds()? },
             "brown-out" => Self::BrownOut { after_s: seconds()? },
@@ -225,14 +239,24 @@ mod tests {
             "brown-out@2.5",
             "board-restart@3",
             "emergency-stop@4",
+            "unplug@5+3",
             "flipped-theta",
             "flipped-alpha",
             "flipped-motor",
         ] {
             assert_eq!(text.parse::<EmulatorFault>().unwrap().to_string(), text);
         }
-        for text in ["", "silent", "silent@-1", "silent@nan", "garble@0", "wrong-version@1", "x@1"]
-        {
+        for text in [
+            "",
+            "unplug@5+",
+            "unplug@+3",
+            "silent",
+            "silent@-1",
+            "silent@nan",
+            "garble@0",
+            "wrong-version@1",
+            "x@1",
+        ] {
             assert_eq!(text.parse::<EmulatorFault>(), Err(UnknownFault { text: text.to_owned() }));
         }
     }

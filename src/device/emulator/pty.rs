@@ -4,7 +4,7 @@ use std::io;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
@@ -13,7 +13,7 @@ use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, ptsname, unlo
 use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 
 use super::{Board, EmulatorSettings, UsbBridge};
-use crate::clock::{Clock, MonotonicClock, enter_realtime};
+use crate::clock::{Clock, MonotonicClock, Nanoseconds, enter_realtime};
 
 /// How often an idle server looks after its port.
 const HOUSEKEEPING_US: u64 = 100_000;
@@ -23,17 +23,55 @@ const HOUSEKEEPING_US: u64 = 100_000;
 #[derive(Debug)]
 pub struct EmulatedQube {
     port: PathBuf,
-    link: Option<PathBuf>,
+    link: Arc<Mutex<Link>>,
     stop: Arc<OwnedFd>,
     server: Option<JoinHandle<io::Result<()>>>,
 }
 
-impl EmulatedQube {
-    /// Opens a pty and starts serving it.
-    ///
-    /// # Errors
-    /// The operating system has no more ptys or threads.
-    pub fn spawn(settings: EmulatorSettings) -> io::Result<Self> {
+/// The port's second name, and what it leads to.
+#[derive(Debug)]
+struct Link {
+    path: Option<PathBuf>,
+    port: PathBuf,
+}
+
+impl Link {
+    fn lock(link: &Mutex<Self>) -> MutexGuard<'_, Self> {
+        link.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The port is gone: its second name goes with it, unless somebody else has taken the name.
+    fn take_away(&self) {
+        if let Some(path) = &self.path
+            && std::fs::read_link(path).is_ok_and(|target| target == self.port)
+        {
+            let _ = std::fs::remove_file(path);
+        }
+    }
+
+    /// The port has come back, perhaps as another one.
+    fn lead_to(&mut self, port: PathBuf) -> io::Result<()> {
+        self.port = port;
+        match &self.path {
+            Some(path) => std::os::unix::fs::symlink(&self.port, path),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The two ends of a pty.
+struct Pty {
+    master: OwnedFd,
+    /// The server's own opening of the port. It keeps the pty from hanging up while no host has it
+    /// open, and it can take back the exclusive mode that a killed host leaves behind: while the pty
+    /// lives the kernel does not, and nobody but root could open the port again. (Hosts still exclude
+    /// each other by their file locks, which end with them.)
+    port_side: OwnedFd,
+    port: PathBuf,
+}
+
+impl Pty {
+    fn open() -> io::Result<Self> {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&master)?;
         unlockpt(&master)?;
@@ -47,19 +85,46 @@ impl EmulatedQube {
         rustix::io::ioctl_fionbio(&master, true)?;
         let name = ptsname(&master, Vec::new())?;
         let port = PathBuf::from(OsStr::from_bytes(name.as_bytes()));
+        Ok(Self { master, port_side, port })
+    }
+}
 
+impl EmulatedQube {
+    /// Opens a pty and starts serving it.
+    ///
+    /// # Errors
+    /// The operating system has no more ptys or threads.
+    pub fn spawn(settings: EmulatorSettings) -> io::Result<Self> {
+        let pty = Pty::open()?;
+        let port = pty.port.clone();
+        let link = Arc::new(Mutex::new(Link { path: None, port: port.clone() }));
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
-        let stopped = Arc::clone(&stop);
+        let (stopped, linked) = (Arc::clone(&stop), Arc::clone(&link));
         let server = std::thread::Builder::new().name("emulated-qube".into()).spawn(move || {
             // It stands for a microcontroller, which nothing keeps from its work. Where this is
             // refused it serves at ordinary priority, and late ticks show it.
             let _ = enter_realtime();
-            serve(&master, &port_side, &stopped, settings)
+            let mut server = Server::new(&stopped, settings);
+            let mut pty = pty;
+            loop {
+                if server.serve(&pty)? == Served::Stopped {
+                    return Ok(());
+                }
+                // Pulled: the kernel hangs the port up when its last server's end is closed.
+                drop(pty);
+                Link::lock(&linked).take_away();
+                if server.wait_for_plug()? == Served::Stopped {
+                    return Ok(());
+                }
+                pty = Pty::open()?;
+                Link::lock(&linked).lead_to(pty.port.clone())?;
+            }
         })?;
-        Ok(Self { port, link: None, stop, server: Some(server) })
+        Ok(Self { port, link, stop, server: Some(server) })
     }
 
-    /// The port's path.
+    /// The path of its first port. One that was pulled may come back under another; a
+    /// [second name](Self::link_as) leads there.
     #[must_use]
     pub fn port(&self) -> &Path {
         &self.port
@@ -70,20 +135,21 @@ impl EmulatedQube {
     ///
     /// # Errors
     /// There is a file of that name, or none may be made there.
-    pub fn link_as(&mut self, link: &Path) -> io::Result<()> {
-        match std::fs::symlink_metadata(link) {
-            Ok(metadata) if metadata.file_type().is_symlink() => std::fs::remove_file(link)?,
+    pub fn link_as(&mut self, path: &Path) -> io::Result<()> {
+        match std::fs::symlink_metadata(path) {
+            Ok(metadata) if metadata.file_type().is_symlink() => std::fs::remove_file(path)?,
             Ok(_) => {
                 return Err(io::Error::new(
                     io::ErrorKind::AlreadyExists,
-                    format!("{} exists and is no symbolic link; choose another", link.display()),
+                    format!("{} exists and is no symbolic link; choose another", path.display()),
                 ));
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(error) => return Err(error),
         }
-        std::os::unix::fs::symlink(&self.port, link)?;
-        self.link = Some(link.to_owned());
+        let mut link = Link::lock(&self.link);
+        std::os::unix::fs::symlink(&link.port, path)?;
+        link.path = Some(path.to_owned());
         Ok(())
     }
 
@@ -101,11 +167,7 @@ impl Drop for EmulatedQube {
         if let Some(server) = self.server.take() {
             let _ = server.join();
         }
-        if let Some(link) = &self.link
-            && std::fs::read_link(link).is_ok_and(|target| target == self.port)
-        {
-            let _ = std::fs::remove_file(link);
-        }
+        Link::lock(&self.link).take_away();
     }
 }
 
@@ -145,49 +207,94 @@ fn write(master: &impl AsFd, bytes: &[u8]) -> io::Result<()> {
     }
 }
 
-/// `port_side` is the server's own opening of the port. It keeps the pty from hanging up while no
-/// host has it open, and it can take back the exclusive mode that a killed host leaves behind:
-/// while the pty lives the kernel does not, and nobody but root could open the port again. (Hosts
-/// still exclude each other by their file locks, which end with them.)
-fn serve(
-    master: &OwnedFd,
-    port_side: &OwnedFd,
-    stop: &OwnedFd,
-    settings: EmulatorSettings,
-) -> io::Result<()> {
-    let clock = MonotonicClock;
-    let start_ns = clock.now_ns();
-    let mut board = Board::new(settings);
-    let mut under_way = UnderWay { bridge: settings.bridge, ..UnderWay::default() };
-    let mut housekeeping_us = 0;
-    loop {
-        let now_us = (clock.now_ns() - start_ns) / 1000;
-        board.advance_to(now_us);
-        exchange(master, &mut board, &mut under_way, now_us)?;
-        under_way.hand_over(master, now_us)?;
-        if board.is_unplugged() {
-            return Ok(());
+/// Why serving a pty ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Served {
+    /// The Qube is dropped, or its cable stays out.
+    Stopped,
+    /// The cable is pulled, or plugged in again.
+    Plug,
+}
+
+struct Server<'a> {
+    stop: &'a OwnedFd,
+    board: Board,
+    under_way: UnderWay,
+    start_ns: Nanoseconds,
+}
+
+impl<'a> Server<'a> {
+    fn new(stop: &'a OwnedFd, settings: EmulatorSettings) -> Self {
+        Self {
+            stop,
+            board: Board::new(settings),
+            under_way: UnderWay { bridge: settings.bridge, ..UnderWay::default() },
+            start_ns: MonotonicClock.now_ns(),
         }
-        if now_us >= housekeeping_us {
-            ioctl_tiocnxcl(port_side)?;
-            housekeeping_us = now_us + HOUSEKEEPING_US;
-        }
-        let wake_us = [board.next_event_us(), under_way.next_us()]
-            .into_iter()
-            .flatten()
-            .fold(housekeeping_us, u64::min);
-        let wait_ns = (start_ns + wake_us * 1000).saturating_sub(clock.now_ns());
-        let timeout = Timespec {
+    }
+
+    fn now_us(&self) -> u64 {
+        (MonotonicClock.now_ns() - self.start_ns) / 1000
+    }
+
+    /// Until a time of the board's clock.
+    fn timeout(&self, wake_us: u64) -> Timespec {
+        let wake_ns = self.start_ns.saturating_add(wake_us.saturating_mul(1000));
+        let wait_ns = wake_ns.saturating_sub(MonotonicClock.now_ns());
+        Timespec {
             tv_sec: (wait_ns / 1_000_000_000) as i64,
             tv_nsec: (wait_ns % 1_000_000_000) as _,
-        };
-        let mut ready = [PollFd::new(master, PollFlags::IN), PollFd::new(stop, PollFlags::IN)];
-        match poll(&mut ready, Some(&timeout)) {
-            Ok(_) | Err(Errno::INTR) => {}
-            Err(error) => return Err(error.into()),
         }
-        if !ready[1].revents().is_empty() {
-            return Ok(());
+    }
+
+    fn serve(&mut self, pty: &Pty) -> io::Result<Served> {
+        let mut housekeeping_us = 0;
+        loop {
+            let now_us = self.now_us();
+            self.board.advance_to(now_us);
+            exchange(&pty.master, &mut self.board, &mut self.under_way, now_us)?;
+            self.under_way.hand_over(&pty.master, now_us)?;
+            if self.board.is_unplugged() {
+                return Ok(Served::Plug);
+            }
+            if now_us >= housekeeping_us {
+                ioctl_tiocnxcl(&pty.port_side)?;
+                housekeeping_us = now_us + HOUSEKEEPING_US;
+            }
+            let wake_us = [self.board.next_event_us(), self.under_way.next_us()]
+                .into_iter()
+                .flatten()
+                .fold(housekeeping_us, u64::min);
+            let timeout = self.timeout(wake_us);
+            let mut ready =
+                [PollFd::new(&pty.master, PollFlags::IN), PollFd::new(self.stop, PollFlags::IN)];
+            match poll(&mut ready, Some(&timeout)) {
+                Ok(_) | Err(Errno::INTR) => {}
+                Err(error) => return Err(error.into()),
+            }
+            if !ready[1].revents().is_empty() {
+                return Ok(Served::Stopped);
+            }
+        }
+    }
+
+    /// Lets the board live on without a port until the cable is plugged in again.
+    fn wait_for_plug(&mut self) -> io::Result<Served> {
+        loop {
+            self.board.advance_to(self.now_us());
+            if !self.board.is_unplugged() {
+                return Ok(Served::Plug);
+            }
+            let Some(plugged_in_us) = self.board.plugged_in_us() else {
+                return Ok(Served::Stopped);
+            };
+            let wake_us = self.board.next_event_us().unwrap_or(u64::MAX).min(plugged_in_us);
+            let timeout = self.timeout(wake_us);
+            match poll(&mut [PollFd::new(self.stop, PollFlags::IN)], Some(&timeout)) {
+                Ok(0) | Err(Errno::INTR) => {}
+                Ok(_) => return Ok(Served::Stopped),
+                Err(error) => return Err(error.into()),
+            }
         }
     }
 }

@@ -1,0 +1,197 @@
+//! The keys of an operator at a terminal: the space bar stops softly, and a doubt is acknowledged.
+
+use std::os::fd::OwnedFd;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::stdio::stdin;
+use rustix::termios::{
+    LocalModes, OptionalActions, SpecialCodeIndex, Termios, isatty, tcgetattr, tcgetpgrp, tcsetattr,
+};
+use signal_hook::consts::SIGTSTP;
+
+use super::stop::Stop;
+use crate::session::Doubt;
+
+/// How the terminal was before keys were read one by one; none while it is so.
+static COOKED: Mutex<Option<Termios>> = Mutex::new(None);
+
+/// How long the terminal waits for a key before it looks after job control.
+const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
+
+/// Reads single keys from the terminal until it is dropped, which gives the terminal back.
+///
+/// Ctrl-C and Ctrl-Z stay signals. In the background, and where stdin is no terminal, nothing is read
+/// and nothing is set.
+#[derive(Debug)]
+pub struct Keyboard {
+    watched: Option<Watched>,
+}
+
+#[derive(Debug)]
+struct Watched {
+    shared: Arc<Shared>,
+    keys: Receiver<u8>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    stop: Arc<AtomicBool>,
+    /// Somebody waits for a key: it is an answer and no order to stop.
+    asking: AtomicBool,
+    suspended: Arc<AtomicBool>,
+    ended: AtomicBool,
+    wake: OwnedFd,
+}
+
+impl Keyboard {
+    /// Watches the terminal; the space bar sets the request to stop.
+    pub fn watch(stop: &Stop) -> Self {
+        let watched = if isatty(stdin()) { Watched::start(stop) } else { None };
+        Self { watched }
+    }
+
+    /// What the operator must know before anything moves.
+    pub fn hint(&self) -> &'static str {
+        match self.watched {
+            Some(_) => "space bar or Ctrl-C: the arm is braked and the state is kept",
+            None => "Ctrl-C: the arm is braked and the state is kept",
+        }
+    }
+
+    /// Asks at a terminal whether somebody has looked at the Qube. No without a terminal, and when
+    /// somebody asks to stop meanwhile.
+    pub fn acknowledges(&self, doubt: &Doubt, stop: &Stop) -> bool {
+        let Some(Watched { shared, keys, .. }) = &self.watched else { return false };
+        eprintln!(
+            "{doubt}\nThe motor is off. Look at the Qube; then press a: it is examined, and driven \
+             again. Any other key ends this."
+        );
+        while keys.try_recv().is_ok() {}
+        shared.asking.store(true, Ordering::Relaxed);
+        let key = loop {
+            match keys.recv_timeout(Duration::from_millis(100)) {
+                Ok(key) => break Some(key),
+                Err(RecvTimeoutError::Timeout) if !stop.requested() => {}
+                Err(_) => break None,
+            }
+        };
+        shared.asking.store(false, Ordering::Relaxed);
+        matches!(key, Some(b'a' | b'A'))
+    }
+}
+
+impl Watched {
+    fn start(stop: &Stop) -> Option<Self> {
+        let suspended = Arc::new(AtomicBool::new(false));
+        signal_hook::flag::register(SIGTSTP, Arc::clone(&suspended)).ok()?;
+        let wake = eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK).ok()?;
+        let shared = Arc::new(Shared {
+            stop: Arc::clone(&stop.flag),
+            asking: AtomicBool::new(false),
+            suspended,
+            ended: AtomicBool::new(false),
+            wake,
+        });
+        let (sender, keys) = bounded(16);
+        let watched = Arc::clone(&shared);
+        // Here and not in the thread, so that no key is lost or echoed from the first line on.
+        set_single_keys();
+        let spawned = std::thread::Builder::new()
+            .name("keyboard".into())
+            .spawn(move || read_keys(&watched, &sender));
+        match spawned {
+            Ok(thread) => Some(Self { shared, keys, thread: Some(thread) }),
+            Err(_) => {
+                give_back();
+                None
+            }
+        }
+    }
+}
+
+impl Drop for Watched {
+    fn drop(&mut self) {
+        self.shared.ended.store(true, Ordering::Relaxed);
+        // The counter cannot be full: this is its only write.
+        let _ = rustix::io::write(&self.shared.wake, &1_u64.to_ne_bytes());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        give_back();
+    }
+}
+
+/// Gives the terminal back as it was. For the ways out that drop nothing, too.
+pub fn give_back() {
+    let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(cooked) = cooked.take() {
+        let _ = tcsetattr(stdin(), OptionalActions::Now, &cooked);
+    }
+}
+
+/// Lets keys come one by one and without an echo. Ctrl-\\ would end the program with the terminal
+/// still so, and has no meaning meanwhile.
+fn set_single_keys() {
+    let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
+    if cooked.is_some() || !is_foreground() {
+        return;
+    }
+    let Ok(before) = tcgetattr(stdin()) else { return };
+    let mut single = before.clone();
+    single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+    single.special_codes[SpecialCodeIndex::VMIN] = 1;
+    single.special_codes[SpecialCodeIndex::VTIME] = 0;
+    single.special_codes[SpecialCodeIndex::VQUIT] = 0;
+    if tcsetattr(stdin(), OptionalActions::Now, &single).is_ok() {
+        *cooked = Some(before);
+    }
+}
+
+/// Whether the terminal is this program's to read: another's would stop it.
+fn is_foreground() -> bool {
+    tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
+}
+
+fn read_keys(shared: &Shared, keys: &Sender<u8>) {
+    loop {
+        if shared.ended.load(Ordering::Relaxed) {
+            return;
+        }
+        if shared.suspended.swap(false, Ordering::Relaxed) {
+            give_back();
+            // Stops here, and goes on when somebody wants it back.
+            let _ = signal_hook::low_level::emulate_default_handler(SIGTSTP);
+        }
+        set_single_keys();
+        let terminal = stdin();
+        let mut ready =
+            [PollFd::new(&terminal, PollFlags::IN), PollFd::new(&shared.wake, PollFlags::IN)];
+        let readable = match poll(&mut ready, Some(&LOOK)) {
+            Ok(_) => ready[0].revents(),
+            Err(_) => continue,
+        };
+        if readable.is_empty() {
+            continue;
+        }
+        if !is_foreground() {
+            std::thread::sleep(Duration::from_millis(100));
+            continue;
+        }
+        let mut buffer = [0; 16];
+        // A terminal that is gone is the end of its keys; SIGHUP says the rest.
+        let Ok(length @ 1..) = rustix::io::read(terminal, &mut buffer) else { return };
+        for &key in &buffer[..length] {
+            if shared.asking.load(Ordering::Relaxed) {
+                let _ = keys.try_send(key);
+            } else if key == b' ' && !shared.stop.swap(true, Ordering::Relaxed) {
+                eprintln!("stopping: the arm is braked and the state is kept");
+            }
+        }
+    }
+}

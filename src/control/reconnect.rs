@@ -1,0 +1,98 @@
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::clock::{Clock, Nanoseconds};
+use crate::device::{Device, DeviceError, Identity};
+
+const MS: Nanoseconds = 1_000_000;
+
+/// Pauses before the first tries of a lost link; each later try follows the last of them.
+const PAUSES_NS: [Nanoseconds; 5] = [100 * MS, 200 * MS, 500 * MS, 1000 * MS, 2000 * MS];
+
+/// How long a pause goes on without a look at the request to stop.
+const LOOK_NS: Nanoseconds = 50 * MS;
+
+/// When and how long a device is asked who it is after a fault.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Patience {
+    /// Before the first hello, ns: what was late may be late for some seconds.
+    pub pause_ns: Nanoseconds,
+    /// For how long a device that does not answer is asked again, ns.
+    pub limit_ns: Nanoseconds,
+}
+
+/// Says hello again and again until the device answers or the patience is over, and opens its port
+/// anew before each further try.
+///
+/// # Errors
+/// The last hello's, or that of a device that no waiting cures. A request to stop ends the tries.
+pub(super) fn greet_patiently(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+    patience: Patience,
+) -> Result<Identity, DeviceError> {
+    let end_ns = clock.now_ns() + patience.pause_ns + patience.limit_ns;
+    pause(clock, stop, patience.pause_ns);
+    let mut pauses = PAUSES_NS.into_iter().chain(std::iter::repeat(PAUSES_NS[4]));
+    loop {
+        match device.hello() {
+            Ok(identity) => return Ok(identity),
+            Err(error) => {
+                let is_over = clock.now_ns() >= end_ns || stop.load(Ordering::Relaxed);
+                if is_over || matches!(error, DeviceError::VersionMismatch { .. }) {
+                    return Err(error);
+                }
+            }
+        }
+        pause(clock, stop, pauses.next().unwrap_or(PAUSES_NS[4]));
+        // Where the port has not come back, the next hello says so.
+        let _ = device.reopen();
+    }
+}
+
+fn pause(clock: &dyn Clock, stop: &AtomicBool, pause_ns: Nanoseconds) {
+    let end_ns = clock.now_ns() + pause_ns;
+    while clock.now_ns() < end_ns && !stop.load(Ordering::Relaxed) {
+        clock.sleep_until(end_ns.min(clock.now_ns() + LOOK_NS));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::plant_device::PlantDevice;
+    use super::*;
+    use crate::qube::State;
+
+    /// The times at which hellos came to a device that never answers, s.
+    fn hellos(patience: Patience, stop: &AtomicBool) -> Vec<f64> {
+        let mut device = PlantDevice::new(State::default());
+        let clock = device.clock.clone();
+        device.deaf_until_ns = Nanoseconds::MAX;
+        greet_patiently(&mut device, &clock, stop, patience).unwrap_err();
+        device.hellos_ns.iter().map(|time_ns| *time_ns as f64 * 1e-9).collect()
+    }
+
+    #[test]
+    fn a_lost_link_is_tried_again_at_growing_intervals_for_a_set_time() {
+        let stop = AtomicBool::new(false);
+        let tries = hellos(Patience { pause_ns: 0, limit_ns: 30_000 * MS }, &stop);
+        let first: Vec<f64> =
+            tries[..7].iter().map(|time_s| (time_s * 10.0).round() / 10.0).collect();
+        assert_eq!(first, [0.0, 0.1, 0.3, 0.8, 1.8, 3.8, 5.8]);
+        assert!(tries.iter().all(|time_s| *time_s < 32.1), "{tries:?}");
+        assert!(tries.last() > Some(&28.0), "{tries:?}");
+        assert_eq!(hellos(Patience::default(), &stop).len(), 1);
+        stop.store(true, Ordering::Relaxed);
+        assert_eq!(hellos(Patience { pause_ns: 0, limit_ns: 30_000 * MS }, &stop).len(), 1);
+    }
+
+    #[test]
+    fn a_device_that_comes_back_is_found() {
+        let mut device = PlantDevice::new(State::default());
+        let clock = device.clock.clone();
+        device.deaf_until_ns = 5_000 * MS;
+        let patience = Patience { pause_ns: 0, limit_ns: 30_000 * MS };
+        greet_patiently(&mut device, &clock, &AtomicBool::new(false), patience).unwrap();
+        assert!(clock.now_ns() < 8_000 * MS);
+    }
+}

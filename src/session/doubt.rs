@@ -1,0 +1,127 @@
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use super::folder::write_whole;
+use crate::storage::{Disk, MachineDisk};
+use crate::telemetry::Fault;
+
+/// A doubt about a sensor or the motor of a Qube, which lasts until an operator has acknowledged it
+/// and an examination has found nothing.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Doubt {
+    /// The fault that left it; none where its record cannot be read.
+    pub fault: Option<Fault>,
+    /// The serial number of the board.
+    pub board: String,
+    /// When, seconds since 1970; none under a virtual clock.
+    pub unix_s: Option<u64>,
+}
+
+impl fmt::Display for Doubt {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { fault, board, .. } = self;
+        write!(
+            formatter,
+            "the last motion of board {board} left a doubt about a sensor or the motor"
+        )?;
+        match fault {
+            Some(fault) => write!(formatter, ": {fault}. {}", fault.operator_step())?,
+            None => write!(formatter, ", and its record cannot be read. Look at the Qube.")?,
+        }
+        write!(
+            formatter,
+            " Nothing moves before that: then start again with --acknowledge, and the Qube is examined \
+             first"
+        )
+    }
+}
+
+/// Doubts that outlive the program: a file for each board in one folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DoubtMemory {
+    folder: PathBuf,
+}
+
+/// The largest file that is read.
+const MAX_FILE_BYTES: u64 = 4096;
+
+impl DoubtMemory {
+    /// In this folder, which is made when there is a doubt to keep.
+    #[must_use]
+    pub fn new(folder: PathBuf) -> Self {
+        Self { folder }
+    }
+
+    /// The doubt about a board, if there is one. A file that cannot be read is a doubt too.
+    #[must_use]
+    pub fn recall(&self, board: &str) -> Option<Doubt> {
+        let path = self.path(board);
+        if !MachineDisk.exists(&path) {
+            return None;
+        }
+        let read = MachineDisk.read(&path, MAX_FILE_BYTES).ok();
+        let doubt = read.and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        Some(doubt.unwrap_or_else(|| Doubt { fault: None, board: board.into(), unix_s: None }))
+    }
+
+    /// Keeps a doubt. Where that fails, it lasts as long as the program.
+    pub fn keep(&self, doubt: &Doubt) {
+        let path = self.path(&doubt.board);
+        let bytes = serde_json::to_vec(doubt).unwrap_or_default();
+        let kept =
+            MachineDisk.create_folder(&self.folder).map_err(|error| error.to_string()).and_then(
+                |()| write_whole(&MachineDisk, &path, &bytes).map_err(|error| error.to_string()),
+            );
+        if let Err(error) = kept {
+            tracing::warn!("the doubt about this Qube ends with this program: {error}");
+        }
+    }
+
+    /// Ends the doubt about a board.
+    pub fn forget(&self, board: &str) {
+        let path = self.path(board);
+        if MachineDisk.exists(&path)
+            && let Err(error) = MachineDisk.remove(&path)
+        {
+            tracing::warn!("{} stays: {error}", path.display());
+        }
+    }
+
+    fn path(&self, board: &str) -> PathBuf {
+        // A serial number comes from the device: it must not name another folder.
+        let name: String = board.chars().filter(char::is_ascii_alphanumeric).collect();
+        self.folder.join(format!("doubt-{name}.json"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_doubt_is_kept_for_its_board_alone_until_it_is_forgotten() {
+        let directory = tempfile::tempdir().unwrap();
+        let memory = DoubtMemory::new(directory.path().join("state/doubts"));
+        assert_eq!(memory.recall("17"), None);
+        let doubt =
+            Doubt { fault: Some(Fault::Stall), board: "17".into(), unix_s: Some(1_700_000_000) };
+        memory.keep(&doubt);
+        assert_eq!(memory.recall("17"), Some(doubt));
+        assert_eq!(memory.recall("18"), None);
+        memory.forget("17");
+        assert_eq!(memory.recall("17"), None);
+    }
+
+    #[test]
+    fn a_record_that_cannot_be_read_is_a_doubt_and_no_board_names_another_folder() {
+        let directory = tempfile::tempdir().unwrap();
+        let memory = DoubtMemory::new(directory.path().to_owned());
+        for bytes in [&b"{"[..], b"{\"fault\":\"of another version\",\"board\":\"a\"}"] {
+            std::fs::write(memory.path("a"), bytes).unwrap();
+            assert_eq!(memory.recall("a").unwrap().fault, None);
+        }
+        assert_eq!(memory.path("../../a"), memory.path("a"));
+    }
+}
