@@ -9,7 +9,7 @@ use super::profile;
 use crate::control::{HomingMethod, HomingSettings};
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
-use crate::qube::QubeModel;
+use crate::qube::{MotorRating, QubeModel};
 use crate::safety::{GuardConsent, HardwareLimits, SafetyBox};
 use crate::session::{
     ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, QUBE_FILE, QubeFile, Recovery,
@@ -161,9 +161,10 @@ impl ChosenDevice {
         consent: Option<GuardConsent>,
     ) -> Result<HardwareLimits, Failure> {
         if !self.choice.is_hardware() {
-            return Ok(HardwareLimits::default());
+            return Ok(HardwareLimits::default().with_motor(self.motor()));
         }
         HardwareLimits::of(*safety_box, consent)
+            .map(|limits| limits.with_motor(self.motor()))
             .map_err(|error| Failure::usage(format!("{origin}: {error}")))
     }
 
@@ -172,6 +173,11 @@ impl ChosenDevice {
     pub fn power_warning(&self) -> Option<&'static str> {
         let power = self.file.as_ref().and_then(|file| file.power.as_ref());
         power_warning(power).filter(|_| self.choice.is_hardware())
+    }
+
+    /// What the motor stands: the nominal rating where no file says less.
+    fn motor(&self) -> MotorRating {
+        self.file.as_ref().map_or(MotorRating::NOMINAL, |file| file.motor)
     }
 
     /// What the Qube was when its profile was made, where its file names one.
@@ -194,7 +200,7 @@ impl ChosenDevice {
             skip_check: check.skip_check,
             board: self.file.as_ref().and_then(|file| file.board.clone()),
             recovery: check.recovery(&self.choice),
-            limits: HardwareLimits::default(),
+            limits: HardwareLimits::default().with_motor(self.motor()),
         }
     }
 }

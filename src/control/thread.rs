@@ -50,6 +50,7 @@ pub enum ControlError {
 enum Command {
     Hello(Patience),
     Cool,
+    Motor(MotorHeat),
     Home(HomingSettings),
     Rollout(TickSettings, Box<Policy>, rtrb::Producer<TickRecord>),
     Lend(Borrower),
@@ -185,6 +186,14 @@ impl ControlThread {
         }
     }
 
+    /// Says what the motor stands and how warm it is; before, it is a nominal one and cold.
+    ///
+    /// # Errors
+    /// The thread is gone.
+    pub fn set_motor(&self, heat: MotorHeat) -> Result<(), ThreadGone> {
+        self.ask(Command::Motor(heat)).map(|_| ())
+    }
+
     /// Waits until the motor is cool enough for the next motion, and says how warm it is: that is
     /// what the next motion begins with. A set stop ends the waiting.
     ///
@@ -283,6 +292,10 @@ fn obey(
         }
         Command::Cool => {
             motor.cool_down(clock, stop);
+            Event::Cooled(motor.heat)
+        }
+        Command::Motor(heat) => {
+            *motor = Motor { heat, off_since_ns: Some(clock.now_ns()) };
             Event::Cooled(motor.heat)
         }
         Command::Home(settings) => {
@@ -424,6 +437,11 @@ mod tests {
         clock.advance(20_000_000_000);
         let cooled = thread.cool_motor().unwrap();
         assert!((cooled.load - homed.cooled(20.0).load).abs() < 1e-12, "{cooled:?}");
+        // It can be told, as after the port was opened again.
+        let told = MotorHeat { load: 0.6, ..cooled };
+        thread.set_motor(told).unwrap();
+        assert_eq!(thread.cool_motor().unwrap(), told);
+        thread.set_motor(cooled).unwrap();
         // Asking does not cool.
         assert_eq!(thread.cool_motor().unwrap(), cooled);
         let (_, settings) = control(u32::MAX);

@@ -2,7 +2,7 @@ use serde::{Deserialize, Serialize};
 
 /// What a motor stands thermally.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct MotorRating {
     /// Current that it stands for ever, A.
     pub continuous_a: f64,
@@ -19,6 +19,14 @@ impl MotorRating {
     /// RE 40, as in the motor model of `pr2_ethercat_drivers`); smaller ones have less copper. 30 s for
     /// all of it is on the safe side.
     pub const NOMINAL: Self = Self { continuous_a: 0.54, time_constant_s: 30.0 };
+
+    /// Whether it is a motor, and one that stands no more than another.
+    #[must_use]
+    pub fn is_within(&self, other: &Self) -> bool {
+        let within = |value: f64, most: f64| value > 0.0 && value <= most;
+        within(self.continuous_a, other.continuous_a)
+            && within(self.time_constant_s, other.time_constant_s)
+    }
 }
 
 impl Default for MotorRating {

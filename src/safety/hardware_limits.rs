@@ -1,6 +1,7 @@
 use thiserror::Error;
 
 use super::{Guard, SafetyBox};
+use crate::qube::MotorRating;
 
 /// The operator's word that the arm may reach its hard stop, given on the command line of the very
 /// process that drives.
@@ -23,6 +24,7 @@ impl GuardConsent {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HardwareLimits {
     widest: SafetyBox,
+    motor: MotorRating,
 }
 
 /// Why a box is none to drive a Qube in.
@@ -54,9 +56,22 @@ impl HardwareLimits {
     /// The box is wider than the task's, or leaves the envelope out without consent.
     pub fn of(safety_box: SafetyBox, consent: Option<GuardConsent>) -> Result<Self, TooWide> {
         let guard = if consent.is_some() { Guard::Box } else { Guard::Envelope };
-        let of_the_task = Self { widest: SafetyBox { guard, ..SafetyBox::GUARDED } };
+        let of_the_task =
+            Self { widest: SafetyBox { guard, ..SafetyBox::GUARDED }, ..Self::default() };
         of_the_task.admit(&safety_box)?;
-        Ok(Self { widest: safety_box })
+        Ok(Self { widest: safety_box, ..Self::default() })
+    }
+
+    /// The same for a motor of another rating.
+    #[must_use]
+    pub fn with_motor(self, motor: MotorRating) -> Self {
+        Self { motor, ..self }
+    }
+
+    /// What the motor stands.
+    #[must_use]
+    pub fn motor(&self) -> MotorRating {
+        self.motor
     }
 
     /// Says whether a rollout may have this box.
@@ -73,9 +88,9 @@ impl HardwareLimits {
 }
 
 impl Default for HardwareLimits {
-    /// The task's box under the speed envelope.
+    /// The task's box under the speed envelope, the nominal motor.
     fn default() -> Self {
-        Self { widest: SafetyBox::GUARDED }
+        Self { widest: SafetyBox::GUARDED, motor: MotorRating::NOMINAL }
     }
 }
 

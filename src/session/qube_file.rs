@@ -11,6 +11,7 @@ use super::folder::write_whole;
 use super::{ConfigurationError, PowerTest};
 use crate::control::{HomingMethod, HomingSettings};
 use crate::estimation::{Calibration, EstimatorSettings};
+use crate::qube::MotorRating;
 use crate::safety::SafetyBox;
 use crate::storage::MachineDisk;
 
@@ -43,6 +44,9 @@ pub struct QubeFile {
     /// What its motor does without its board, where `check --power-test` found that out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<PowerTest>,
+    /// What its motor stands: no more than the nominal one.
+    #[serde(deserialize_with = "motor_rating", skip_serializing_if = "is_nominal")]
+    pub motor: MotorRating,
 }
 
 /// Which way round things are wired. One of the three may be chosen freely: turning all of them
@@ -184,6 +188,22 @@ fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     }
 }
 
+fn motor_rating<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MotorRating, D::Error> {
+    let rating = MotorRating::deserialize(deserializer)?;
+    let MotorRating { continuous_a, time_constant_s } = MotorRating::NOMINAL;
+    if rating.is_within(&MotorRating::NOMINAL) {
+        return Ok(rating);
+    }
+    Err(D::Error::custom(format!(
+        "no rating that a Qube's motor may have: give continuous_a above 0, at most {continuous_a}, and \
+         time_constant_s above 0, at most {time_constant_s}"
+    )))
+}
+
+fn is_nominal(rating: &MotorRating) -> bool {
+    *rating == MotorRating::NOMINAL
+}
+
 fn limit<'de, D: Deserializer<'de>>(deserializer: D, widest: f64) -> Result<f64, D::Error> {
     let value = f64::deserialize(deserializer)?;
     if value > 0.0 && value <= widest {
@@ -223,6 +243,24 @@ mod tests {
     }
 
     #[test]
+    fn a_motor_may_be_rated_lower_and_not_higher() {
+        let rated = read_back("[motor]\ntime_constant_s = 12.0\n").unwrap().motor;
+        assert_eq!(rated, MotorRating { time_constant_s: 12.0, ..MotorRating::NOMINAL });
+        assert_eq!(read_back("").unwrap().motor, MotorRating::NOMINAL);
+        for wrong in [
+            "continuous_a = 0.6",
+            "continuous_a = 0.0",
+            "continuous_a = nan",
+            "time_constant_s = 31.0",
+            "time_constant_s = -1.0",
+        ] {
+            let error = read_back(&format!("[motor]\n{wrong}\n")).unwrap_err().to_string();
+            assert!(error.contains("at most 0.54"), "{wrong}: {error}");
+        }
+        assert!(read_back("[motor]\nresistance = 8.4\n").is_err());
+    }
+
+    #[test]
     fn what_is_written_reads_back_the_same() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(QUBE_FILE);
@@ -238,6 +276,7 @@ mod tests {
                 date: "2026-01-31".into(),
                 board: "0123456789abcdef".into(),
             }),
+            motor: MotorRating { continuous_a: 0.5, ..MotorRating::NOMINAL },
         };
         for file in [file, QubeFile::default()] {
             file.save(&path).unwrap();

@@ -19,7 +19,7 @@ use crate::preflight::{
     Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
 };
 use crate::recording::Recorder;
-use crate::safety::HardwareLimits;
+use crate::safety::{HardwareLimits, MotorHeat};
 use crate::storage::Disk;
 use crate::telemetry::{
     CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight, RolloutHeader,
@@ -221,6 +221,7 @@ impl Rig {
         let realtime = settings.clock == ClockChoice::Wall;
         let control = ControlThread::spawn(device, clock, realtime, Arc::clone(stop))
             .map_err(RigError::Thread)?;
+        control.set_motor(MotorHeat::cold(settings.limits.motor()))?;
         let identity = control.hello()??;
         if let Some(expected) = settings.board.as_ref().filter(|board| **board != identity.serial) {
             return Err(RigError::OtherBoard {
