@@ -220,3 +220,28 @@ fn a_second_name_goes_with_the_qube() {
     assert!(!name.exists());
     assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
 }
+
+#[test]
+fn a_port_is_opened_again_and_shows_whether_the_board_has_restarted() {
+    let quiet = qube(None);
+    let mut link = open(&quiet);
+    let first = link.hello().unwrap();
+    arm(&mut link);
+    link.reopen().unwrap();
+    let same = link.hello().unwrap();
+    assert!(first.is_same_start(&same), "{first:?} {same:?}");
+    arm(&mut link);
+
+    // Gone: reopening says so, and nothing is called by another name meanwhile.
+    drop(quiet);
+    assert!(matches!(link.reopen(), Err(DeviceError::NoSuchPort { .. } | DeviceError::Io { .. })));
+    assert_eq!(link.sample(MonotonicClock.now_ns() + PATIENCE_NS), Err(LinkFault::Gone));
+
+    let restarting = qube(Some(EmulatorFault::BrownOut { after_s: 1.0 }));
+    let mut link = open(&restarting);
+    let before = link.hello().unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(1100));
+    link.reopen().unwrap();
+    let after = link.hello().unwrap();
+    assert!(before.is_same_board(&after) && !before.is_same_start(&after), "{before:?} {after:?}");
+}

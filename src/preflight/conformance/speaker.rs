@@ -21,13 +21,28 @@ pub struct Speaker<'a> {
     sequence: u16,
     /// Time of the last sample, which acts answer.
     sampled_at_us: u32,
+    /// When that sample was asked for and when an act answered it last, by the computer's clock.
+    sampled_ns: Nanoseconds,
+    acted_ns: Nanoseconds,
 }
+
+/// An act that is sent so soon after its sample was asked for is fresh, whatever the line.
+const SURELY_FRESH_NS: Nanoseconds = 8_000_000;
 
 impl<'a> Speaker<'a> {
     /// Speaks over this wire; the clock is the one that the transport's deadlines mean.
     pub fn new(transport: &'a mut dyn Transport, clock: &'a dyn Clock) -> Self {
         let received = VecDeque::new();
-        Self { transport, clock, decoder: Decoder::new(), received, sequence: 0, sampled_at_us: 0 }
+        Self {
+            transport,
+            clock,
+            decoder: Decoder::new(),
+            received,
+            sequence: 0,
+            sampled_at_us: 0,
+            sampled_ns: 0,
+            acted_ns: 0,
+        }
     }
 
     /// The computer's time, for comparing clocks.
@@ -83,6 +98,7 @@ impl<'a> Speaker<'a> {
 
     /// Sends an act that answers the last sample, which must be fresh to be accepted.
     pub(super) fn act(&mut self, voltage_mv: i16) -> Result<u16, Deviation> {
+        self.acted_ns = self.clock.now_ns();
         self.send(self.act_request(voltage_mv))
     }
 
@@ -127,7 +143,13 @@ impl<'a> Speaker<'a> {
                 if refused_type == self.act_request(0).message_type()
         );
         if frame.sequence != sequence && refused_as_stale {
-            // An act before this request came more than 20 ms after its sample.
+            // An act before this request came more than 20 ms after its sample, or so the device says.
+            let elapsed_ns = self.acted_ns.saturating_sub(self.sampled_ns);
+            ensure!(
+                elapsed_ns > SURELY_FRESH_NS,
+                "an act {} us after its sample was asked for was refused as stale",
+                elapsed_ns / 1000
+            );
             return Err(Deviation::Disturbed);
         }
         ensure!(
@@ -173,9 +195,10 @@ impl<'a> Speaker<'a> {
 
     /// A sample in any state but Idle.
     pub(super) fn sample(&mut self) -> Result<SampleReply, Deviation> {
+        let asked_ns = self.clock.now_ns();
         match self.ask(Request::Sample)? {
             Reply::Sample(reply) => {
-                self.sampled_at_us = reply.device_time_us;
+                (self.sampled_at_us, self.sampled_ns) = (reply.device_time_us, asked_ns);
                 Ok(reply)
             }
             other => Err(unexpected("Sample", &other)),
