@@ -167,7 +167,7 @@ impl SessionSettings {
             .check_within(&of_the_task)
             .map_err(|error| format!("training.simulation.{error}"))?;
         let offset_rad = self.homing.theta_offset_rad;
-        if !(offset_rad.abs() <= LARGEST_OFFSET_RAD) {
+        if !(-LARGEST_OFFSET_RAD..=LARGEST_OFFSET_RAD).contains(&offset_rad) {
             return Err(format!(
                 "homing.theta_offset_rad = {offset_rad}: give -{LARGEST_OFFSET_RAD} to \
                  {LARGEST_OFFSET_RAD}, or the box would reach beyond a stop"
