@@ -86,8 +86,8 @@ fn least_squares(rows: &[([f64; TERMS], f64)], used: [bool; TERMS]) -> Option<So
     // Each column in units of its own size, so that one threshold tells a singular matrix.
     let mut size = [0.0_f64; TERMS];
     for (row, _) in rows {
-        for term in 0..TERMS {
-            size[term] = size[term].max(row[term].abs());
+        for (size, value) in size.iter_mut().zip(row) {
+            *size = size.max(value.abs());
         }
     }
     let active: Vec<usize> = (0..TERMS).filter(|term| used[*term] && size[*term] > 0.0).collect();
