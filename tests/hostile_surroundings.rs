@@ -13,6 +13,10 @@ use qube_hil::session::SessionSettings;
 const HOSTILE_JSON: &str = "x\\u001b[2J\\u009b31m\\u001b]0;owned\\u0007\\u202egnp\\n\
                             rollout 0: return  600.0  success";
 
+/// Whoever takes longer waits for something that never comes; a short training on a busy computer may
+/// take a minute.
+const PATIENCE: Duration = Duration::from_secs(300);
+
 fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors")
 }
@@ -29,7 +33,7 @@ fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
         .unwrap();
     let started = Instant::now();
     while program.try_wait().unwrap().is_none() {
-        if started.elapsed() > Duration::from_secs(60) {
+        if started.elapsed() > PATIENCE {
             program.kill().unwrap();
             let output = program.wait_with_output().unwrap();
             panic!("{arguments:?} did not end: {output:?}");
