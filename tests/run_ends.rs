@@ -56,6 +56,19 @@ fn run(directory: &Path, out: &str, more: &[&str]) -> (Output, Value, String) {
     (output, result, told)
 }
 
+/// The same, again while a computer that is too busy for an emulated board's clock ends it.
+fn run_whole(directory: &Path, out: &str, more: &[&str]) -> (Output, Value, String) {
+    let mut last = run(directory, out, more);
+    for _ in 0..4 {
+        if last.1["ended_by"]["fault"] != "device_clock" {
+            break;
+        }
+        let _ = std::fs::remove_dir_all(directory.join(out));
+        last = run(directory, out, &["--skip-check", "--acknowledge"]);
+    }
+    last
+}
+
 fn code(output: &Output) -> Option<i32> {
     output.status.code()
 }
@@ -89,14 +102,14 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
         assert!(!directory.join("two").exists());
     }
     // With it the Qube is examined, whatever else is asked for, and runs.
-    let (output, result, told) = run(directory, "three", &["--skip-check", "--acknowledge"]);
+    let (output, result, told) = run_whole(directory, "three", &["--skip-check", "--acknowledge"]);
     assert_eq!(code(&output), Some(0), "{told}");
     assert_eq!(result["ended_by"], Value::Null, "{result}");
     let recording = qube_hil::recording::read(&directory.join("three/rollout-0.mcap")).unwrap();
     let examined = matches!(recording.header.preflight, qube_hil::telemetry::Preflight::Done(_));
     assert!(examined, "{:?}", recording.header.preflight);
     // And that was the end of the doubt.
-    let (output, _, told) = run(directory, "four", &["--skip-check"]);
+    let (output, _, told) = run_whole(directory, "four", &["--skip-check"]);
     assert_eq!(code(&output), Some(0), "{told}");
 }
 
