@@ -14,10 +14,11 @@ pub struct MotorRating {
 impl MotorRating {
     /// The QUBE-Servo 2's motor, an Allied Motion CL40: nominal 18 V, 0.54 A, 8.4 ohm (user manual).
     ///
-    /// Its thermal time constant is published nowhere that we could check. Coreless motors of 40 mm
-    /// have 42 s for the winding and 1120 s for the housing, which makes 70 % of the temperature (maxon
-    /// RE 40, as in the motor model of `pr2_ethercat_drivers`); smaller ones have less copper. 30 s for
-    /// all of it is on the safe side.
+    /// Its thermal time constant is published nowhere that we could check. As an example of the order
+    /// of magnitude: the motor of the PR2's casters has 41.6 s for the winding and 1120 s for the
+    /// housing, which makes 70 % of the temperature (`ethercat_hardware`, by maxon's data sheet). A
+    /// smaller winding is faster, and the housing is what counts. So 30 s for all of it is a
+    /// conservative assumption, no measurement.
     pub const NOMINAL: Self = Self { continuous_a: 0.54, time_constant_s: 30.0 };
 
     /// Whether it is a motor, and one that stands no more than another.
