@@ -27,6 +27,8 @@ fn virtual_rollout(criterion: &mut Criterion) {
         safety_box: SafetyBox::THESIS,
         max_steps: 600,
         start_theta_rad: 0.0,
+        stops: None,
+        rules: qube_hil::telemetry::TickRules::Witnessed,
     };
     let network = Policy::load(std::path::Path::new("policies/nominal.safetensors"));
     let classical = Policy::Classical(ClassicalController::new(ClassicalGains::default()));

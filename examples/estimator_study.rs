@@ -276,6 +276,8 @@ impl Tally {
             safety_box: SafetyBox { guard: Guard::Box, ..SafetyBox::THESIS },
             max_steps: 600,
             start_theta_rad: 0.1 * (seed as f64).sin(),
+            stops: None,
+            rules: qube_hil::telemetry::TickRules::Witnessed,
         };
         let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let mut tick = Tick::new(&settings, policy.clone());

@@ -46,6 +46,8 @@ fn rollout(seed: u64, controller: impl Controller) -> Ending {
         safety_box: SafetyBox::GUARDED,
         max_steps: 600,
         start_theta_rad: 0.1 * (seed as f64).sin(),
+        stops: None,
+        rules: qube_hil::telemetry::TickRules::Witnessed,
     };
     let mut tick = Tick::new(&settings, controller);
     drive(&mut device, &clock, &mut tick, None, &stop).expect("it arms").outcome.ending

@@ -46,6 +46,8 @@ fn header() -> RolloutHeader {
             safety_box: SafetyBox::THESIS,
             max_steps: 600,
             start_theta_rad: 0.0,
+            stops: None,
+            rules: qube_hil::telemetry::TickRules::Witnessed,
         },
         reward: RewardWeights::THESIS,
     }

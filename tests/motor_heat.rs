@@ -49,6 +49,8 @@ impl Rig {
             safety_box: SafetyBox::GUARDED,
             max_steps,
             start_theta_rad: 0.1 * (seed as f64).sin(),
+            stops: None,
+            rules: qube_hil::telemetry::TickRules::Witnessed,
         };
         let mut tick = Tick::new(&settings, controller);
         let stop = AtomicBool::new(false);

@@ -163,6 +163,8 @@ fn a_device_that_repeats_one_sample_is_a_fault_in_the_next_tick() {
         safety_box: SafetyBox { theta: 100.0, alpha: 1e4, ..SafetyBox::THESIS },
         max_steps: 600,
         start_theta_rad: 0.0,
+        stops: None,
+        rules: qube_hil::telemetry::TickRules::Witnessed,
     };
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     let ending = drives(&mut device, &mut Tick::new(&settings, policy));

@@ -129,6 +129,8 @@ fn rollout_seen_by(estimator: EstimatorSettings, policy: Policy, max_steps: u32)
         safety_box: SafetyBox::THESIS,
         max_steps,
         start_theta_rad: 0.0,
+        stops: None,
+        rules: qube_hil::telemetry::TickRules::Witnessed,
     };
     Tick::new(&settings, policy)
 }

@@ -21,6 +21,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
             Failure::fault(format!("{error}{}", with_last_ticks(&error)))
         }
         RigError::ThreadGone(_)
+        | RigError::Travel { .. }
         | RigError::Refused(_)
         | RigError::NotBegun { .. }
         | RigError::InDoubt(_)

@@ -1,31 +1,65 @@
 use serde::{Deserialize, Serialize};
 
+use super::current_watch::CurrentWatch;
+use super::probe::{Answer, Probe, STRONGEST_V};
 use super::rest::{StillnessDetector, Swing};
 use super::sensor_watch::SensorWatch;
-use super::settling::{Settler, settling_voltage};
-use super::stop_seek::StopSeek;
+use super::settling::GentleSettler;
+use super::stop_seek::{Found, StopSeek};
 use super::watch::{Alarm, Watch};
+use super::witness::ZERO_WITHIN_RAD;
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
-use crate::estimation::{Calibration, Estimator, EstimatorSettings};
-use crate::qube::{Measurement, RAD_PER_COUNT, State};
+use crate::estimation::{Calibration, Estimator, EstimatorSettings, MeasuredRig, MeasuredStops};
+use crate::qube::{HARD_STOP_RAD, Measurement, RAD_PER_COUNT, State};
 use crate::safety::gate;
 use crate::telemetry::{Ending, Fault};
 
 /// Most ticks for the whole of homing: 60 s.
 const MAX_TICKS: u32 = 6000;
 
-/// A swing wider than this is waited for: while it decays fast, its extremes have no middle, rad.
-const LARGEST_SWING_RAD: f64 = 1.5;
+/// A swing wider than this is waited for with the motor at 0 V, rad: what such a pendulum does to the
+/// arm nobody may add to.
+const LARGEST_SWING_RAD: f64 = 0.15;
 
-/// How gently the arm is held meanwhile, V/rad. An arm that gives way lets the motor's back-EMF take
-/// the pendulum's energy, within 8 s of a fall from upright; one that is held firmly keeps it.
-const LOOSE_HOLD_V_PER_RAD: f64 = 0.3;
+/// A pendulum that moves over more than this swings, rad.
+const SWINGING_RAD: f64 = 0.02;
+
+/// An arm that moves no farther than this, rad, and than so much for each rad of the pendulum's swing, is
+/// at rest: nothing but the pendulum moves it.
+const RESTING_ARM_RAD: f64 = 0.02;
+const RECOIL: f64 = 0.7;
+
+/// An arm that stands within this, rad, while the pendulum swings by up to so much, is held, by friction
+/// or by somebody: there the swing does not end by itself.
+const STANDING_ARM_RAD: f64 = 3.5 * RAD_PER_COUNT;
+const SWING_OF_A_HELD_ARM_RAD: f64 = 1.2;
+
+/// An arm that is led is never faster than this, rad/s ...
+const RUNAWAY_RAD_S: f64 = 4.0;
+
+/// ... for so many ticks.
+const RUNAWAY_TICKS: u32 = 4;
 
 /// A pendulum that moves over no more than four counts hangs still, rad.
 const STILL_RAD: f64 = 4.5 * RAD_PER_COUNT;
 
 /// An arm within this of where it should be is there, rad: friction may hold it a little off.
 const NEAR_MIDDLE_RAD: f64 = 0.1;
+
+/// The witness is called anew where the hanging count turns out to be another one by so much, rad.
+const OTHER_ZERO_RAD: f64 = 1.5 * RAD_PER_COUNT;
+
+/// How far the travel between the stops may differ from what it should be, as a fraction.
+const TRAVEL_TOLERANCE: f64 = 0.03;
+
+/// An arm that is off its place, that has more than this to get there, V ...
+const HELD_V: f64 = 1.3;
+
+/// ... and that stays within so many counts ...
+const HELD_COUNTS: i32 = 3;
+
+/// ... for so many ticks, is held.
+const HELD_TICKS: u32 = 200;
 
 /// Where the middle of the arm comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,6 +81,9 @@ pub struct HomingSettings {
     pub method: HomingMethod,
     /// Where the arm's zero lies, seen from that middle, rad: some stops are not where they should be.
     pub theta_offset_rad: f64,
+    /// How far apart the operator knows this rig's stops to be, rad; without it, as far as a Qube's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub travel_rad: Option<f64>,
     /// The arm's count where it was put by hand, if it has moved since.
     #[serde(skip)]
     pub hand_counts: Option<i32>,
@@ -56,11 +93,20 @@ pub struct HomingSettings {
     pub estimator: EstimatorSettings,
 }
 
+impl HomingSettings {
+    /// How far apart the stops should be, rad.
+    #[must_use]
+    pub fn expected_travel_rad(&self) -> f64 {
+        self.travel_rad.unwrap_or(2.0 * HARD_STOP_RAD)
+    }
+}
+
 impl Default for HomingSettings {
     fn default() -> Self {
         Self {
             method: HomingMethod::default(),
             theta_offset_rad: 0.0,
+            travel_rad: None,
             hand_counts: None,
             signs: Calibration::IDENTITY,
             estimator: EstimatorSettings::default(),
@@ -70,6 +116,10 @@ impl Default for HomingSettings {
 
 /// Finds the arm's middle and the count at which the pendulum hangs: encoders count from wherever
 /// they were switched on.
+///
+/// Nothing is believed before it has been seen. The motor stays at 0 V until the pendulum hardly swings;
+/// a push that grows from nothing shows whether the arm follows; from then on arm and pendulum are
+/// witnesses of each other, and the arm is led so slowly that a witness who falls silent costs no hit.
 #[derive(Debug)]
 pub struct Homing {
     settings: HomingSettings,
@@ -78,29 +128,68 @@ pub struct Homing {
     provisional: Calibration,
     watch: Watch,
     sensors: SensorWatch,
+    current: CurrentWatch,
     control: ControlState,
     stillness: StillnessDetector,
     stage: Stage,
+    /// Where the arm is held while nothing else is known, rad.
+    place_rad: f64,
     /// The middle between the stops, once it is known.
     middle_rad: Option<f64>,
+    /// The stops that were touched, the lower first, rad.
+    stops_rad: Option<(f64, f64)>,
     /// Where the pendulum hangs, as far as it is known.
     hanging_rad: f64,
     ticks: u32,
     swing: Swing,
-    settler: Settler,
+    arm_swing: Swing,
+    settler: GentleSettler,
+    held: Held,
+    runaway_ticks: u32,
+    middle_before_rad: Option<f64>,
     state: State,
     voltage_mv: i16,
-    found: Option<Calibration>,
+    found: Option<MeasuredRig>,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Stage {
-    /// Wait, the arm loosely held, until the pendulum swings about one point: there it hangs.
+    /// Wait at 0 V until the pendulum hardly swings: the middle of that is where it hangs.
     Observe,
+    /// Push until the arm follows.
+    Probe(Probe),
     /// Calm the pendulum about that point, with the arm in the middle as far as it is known.
     Calm,
     /// Look for the stops, which tell the middle.
     Seek(StopSeek),
+    /// The stops are not where they should be: come off the last one, if something lets the arm go.
+    ComeOff { from_rad: f64, ticks: u32 },
+}
+
+/// Whether pushing may begin: with these swings of pendulum and arm, rad.
+fn is_calm_enough(pendulum_rad: f64, arm_rad: f64) -> bool {
+    let hardly_swings =
+        pendulum_rad < LARGEST_SWING_RAD && arm_rad < RECOIL.mul_add(pendulum_rad, RESTING_ARM_RAD);
+    hardly_swings || pendulum_rad < SWING_OF_A_HELD_ARM_RAD && arm_rad < STANDING_ARM_RAD
+}
+
+/// For how long the arm has stayed where it is although it should go elsewhere.
+#[derive(Clone, Copy, Debug, Default)]
+struct Held {
+    counts: i32,
+    ticks: u32,
+}
+
+impl Held {
+    fn lasts(&mut self, counts: i32, is_pushed: bool) -> bool {
+        let stays = counts.wrapping_sub(self.counts).wrapping_abs() <= HELD_COUNTS;
+        *self = if stays && is_pushed {
+            Self { ticks: self.ticks + 1, ..*self }
+        } else {
+            Self { counts, ticks: 0 }
+        };
+        self.ticks >= HELD_TICKS
+    }
 }
 
 impl Homing {
@@ -117,21 +206,28 @@ impl Homing {
             provisional: settings.signs,
             watch: Watch::default(),
             sensors: SensorWatch::default(),
+            current: CurrentWatch::default(),
             control: ControlState::Identified.on(ControlEvent::Home).0,
             stillness: StillnessDetector::default(),
             stage: Stage::Observe,
+            place_rad: 0.0,
             middle_rad,
+            stops_rad: None,
             hanging_rad: 0.0,
             ticks: 0,
             swing: Swing::default(),
-            settler: Settler::default(),
+            arm_swing: Swing::default(),
+            settler: GentleSettler::default(),
+            held: Held::default(),
+            runaway_ticks: 0,
+            middle_before_rad: None,
             state: State::default(),
             voltage_mv: 0,
             found: None,
         }
     }
 
-    /// A homing out of a latched fault: first the arm, loosely held, must have been at rest for 1 s.
+    /// A homing out of a latched fault: first the arm must have been at rest for 1 s.
     #[must_use]
     pub fn after_fault(settings: &HomingSettings) -> Self {
         Self { control: ControlState::Cleared.on(ControlEvent::Home).0, ..Self::new(settings) }
@@ -140,7 +236,19 @@ impl Homing {
     /// Signs and zeros, once homing has completed.
     #[must_use]
     pub fn calibration(&self) -> Option<Calibration> {
+        self.found.map(|rig| rig.calibration)
+    }
+
+    /// All that is known of the rig, once homing has completed.
+    #[must_use]
+    pub fn measured(&self) -> Option<MeasuredRig> {
         self.found
+    }
+
+    /// How far apart the stops were that the arm touched, rad, once both were.
+    #[must_use]
+    pub fn travel_rad(&self) -> Option<f64> {
+        self.stops_rad.map(|(lowest_rad, highest_rad)| highest_rad - lowest_rad)
     }
 
     fn estimate(&mut self, measurement: &Measurement) -> State {
@@ -158,61 +266,145 @@ impl Homing {
         estimator.update(measurement).guarded
     }
 
+    /// The state with alpha as seen from hanging.
+    fn seen(&self) -> State {
+        State { alpha: self.state.alpha - self.hanging_rad, ..self.state }
+    }
+
+    /// From now on the pendulum is known to hang there.
+    fn hangs_at(&mut self, hanging_rad: f64, within_rad: f64) {
+        let is_other = (hanging_rad - self.hanging_rad).abs() > OTHER_ZERO_RAD;
+        self.hanging_rad = hanging_rad;
+        if is_other || self.sensors.witness().is_none() {
+            let off_counts = (hanging_rad / RAD_PER_COUNT).round() as i32;
+            let inverted = self.provisional.alpha_inverted;
+            let zero = self.provisional.alpha_zero_counts;
+            let off_counts = if inverted { -off_counts } else { off_counts };
+            let calibration = Calibration {
+                alpha_zero_counts: zero.wrapping_add(off_counts),
+                ..self.provisional
+            };
+            self.sensors.call_witness(calibration, within_rad);
+        }
+    }
+
     /// Moves on to the next stage where one has reached its end.
     fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
-        match self.stage {
+        let seen = self.seen();
+        match &mut self.stage {
             Stage::Observe => {
+                let arm = self.arm_swing.update(self.state.theta);
                 if let Some(window) = self.swing.update(self.state.alpha)
-                    && window.width_rad < LARGEST_SWING_RAD
+                    && let Some(arm) = arm
+                    && is_calm_enough(window.width_rad, arm.width_rad)
                 {
-                    self.hanging_rad = window.middle_rad;
+                    // The middle of a swing that decays is known once two of them agree.
+                    let before_rad = self.middle_before_rad.replace(window.middle_rad);
+                    let swings = window.width_rad > SWINGING_RAD;
+                    if swings && before_rad.is_none() {
+                        return None;
+                    }
+                    let before_rad = before_rad.filter(|_| swings).unwrap_or(window.middle_rad);
+                    let apart_rad = (window.middle_rad - before_rad).abs();
+                    let within_rad = 0.01f64.mul_add(window.width_rad, RAD_PER_COUNT);
+                    self.hangs_at(
+                        0.5 * (window.middle_rad + before_rad),
+                        within_rad + 0.5 * apart_rad,
+                    );
                     if self.control.take(ControlEvent::AtRest) == ControlAction::Seek {
-                        self.stage = Stage::Calm;
+                        self.stage = Stage::Probe(Probe::new(window.width_rad));
+                    }
+                }
+            }
+            Stage::Probe(probe) => {
+                let witness = self.sensors.witness();
+                let leads = witness.is_some_and(|own| own.pendulum_seems_to_lead());
+                let rather_leads = witness.is_some_and(|own| own.pendulum_rather_leads());
+                match probe.update(&seen) {
+                    Answer::Waits => {}
+                    Answer::Follows if leads => return Some(Ending::Fault(Fault::WrongSignAlpha)),
+                    Answer::Follows => {
+                        self.current.motor_works();
+                        self.place_rad = self.state.theta;
+                        self.swing = Swing::default();
+                        self.settler = GentleSettler::default();
+                        self.stage = match self.middle_rad {
+                            Some(_) => Stage::Calm,
+                            None => Stage::Seek(StopSeek::default()),
+                        };
+                    }
+                    Answer::Opposes => {
+                        return Some(Ending::Fault(if rather_leads {
+                            Fault::WrongSignTheta
+                        } else {
+                            Fault::WrongSignMotor
+                        }));
+                    }
+                    Answer::Stays => {
+                        let is_dead = self.current.is_dead(STRONGEST_V);
+                        let fault = if is_dead { Fault::MotorDead } else { Fault::ArmHeld };
+                        return Some(Ending::Fault(fault));
                     }
                 }
             }
             Stage::Calm => {
-                let off_middle_rad = self.state.theta - self.calm_rad();
+                // The middle, or the place where it was put by hand.
+                let off_rad = self.state.theta - self.calm_rad();
+                let is_pushed = f64::from(self.voltage_mv).abs() >= 1e3 * HELD_V
+                    && off_rad.abs() >= NEAR_MIDDLE_RAD;
+                if self.held.lasts(measurement.theta_counts, is_pushed) {
+                    return Some(Ending::Fault(Fault::ArmHeld));
+                }
                 if let Some(window) = self.swing.update(self.state.alpha)
                     && window.width_rad <= STILL_RAD
                 {
                     // Where it is still it hangs. While it is believed to hang elsewhere, that
                     // error holds the arm off its place for good.
-                    self.hanging_rad = window.middle_rad;
-                    if off_middle_rad.abs() >= NEAR_MIDDLE_RAD {
-                        return None;
-                    }
-                    if self.middle_rad.is_some() {
-                        self.found = Some(self.zeros(measurement, off_middle_rad));
+                    self.hangs_at(window.middle_rad, ZERO_WITHIN_RAD);
+                    if off_rad.abs() < NEAR_MIDDLE_RAD {
+                        self.found = Some(self.zeros(measurement, off_rad));
                         return Some(Ending::Completed);
                     }
-                    self.stage = Stage::Seek(StopSeek::default());
                 }
             }
-            Stage::Seek(ref mut seek) => match seek.update(self.state.theta) {
-                Ok(None) => {}
-                Ok(middle_rad) => {
-                    self.middle_rad = middle_rad;
+            Stage::Seek(seek) => {
+                if let Some(Found { lowest_rad, highest_rad }) = seek.update(self.state.theta) {
+                    self.stops_rad = Some((lowest_rad, highest_rad));
                     self.swing = Swing::default();
-                    self.settler = Settler::default();
-                    self.stage = Stage::Calm;
+                    let travel = (highest_rad - lowest_rad) / self.settings.expected_travel_rad();
+                    if (travel - 1.0).abs() > TRAVEL_TOLERANCE {
+                        self.place_rad = self.state.theta - 0.3;
+                        self.stage = Stage::ComeOff { from_rad: self.state.theta, ticks: 0 };
+                    } else {
+                        self.middle_rad = Some(0.5 * (lowest_rad + highest_rad));
+                        self.stage = Stage::Calm;
+                    }
                 }
-                Err(fault) => return Some(Ending::Fault(fault)),
-            },
+            }
+            Stage::ComeOff { from_rad, ticks } => {
+                *ticks += 1;
+                if *from_rad - self.state.theta > 0.05 {
+                    return Some(Ending::Fault(Fault::TravelWrong));
+                }
+                if *ticks > HELD_TICKS {
+                    return Some(Ending::Fault(Fault::ArmHeld));
+                }
+            }
         }
         None
     }
 
-    /// The counts at the arm's zero and at the hanging pendulum.
-    fn zeros(&self, measurement: &Measurement, off_middle_rad: f64) -> Calibration {
-        let off_zero_rad = off_middle_rad - self.settings.theta_offset_rad;
+    /// The counts at the arm's zero and at the hanging pendulum, and the stops as seen from there.
+    fn zeros(&self, measurement: &Measurement, off_middle_rad: f64) -> MeasuredRig {
+        let offset_rad = self.settings.theta_offset_rad;
+        let off_zero_rad = off_middle_rad - offset_rad;
         let off_hanging_rad = self.state.alpha - self.hanging_rad;
         let back = |counts: i32, off_rad: f64, inverted: bool| {
             let off_counts = (off_rad / RAD_PER_COUNT).round() as i32;
             counts.wrapping_sub(if inverted { -off_counts } else { off_counts })
         };
         let signs = &self.settings.signs;
-        Calibration {
+        let calibration = Calibration {
             theta_zero_counts: back(measurement.theta_counts, off_zero_rad, signs.theta_inverted),
             alpha_zero_counts: back(
                 measurement.alpha_counts,
@@ -220,20 +412,30 @@ impl Homing {
                 signs.alpha_inverted,
             ),
             ..*signs
-        }
+        };
+        let zero_rad = self.calm_rad() + offset_rad;
+        let stops = self.stops_rad.map(|(lowest_rad, highest_rad)| MeasuredStops {
+            lowest_theta_rad: lowest_rad - zero_rad,
+            highest_theta_rad: highest_rad - zero_rad,
+        });
+        MeasuredRig { calibration, stops }
     }
 
     /// Where the arm is held while the pendulum comes to rest: in the middle, or where it was.
     fn calm_rad(&self) -> f64 {
-        self.middle_rad.unwrap_or(0.0)
+        self.middle_rad.unwrap_or(self.place_rad)
     }
 
     fn wanted_voltage(&mut self) -> f64 {
-        let seen = State { alpha: self.state.alpha - self.hanging_rad, ..self.state };
+        let seen = self.seen();
         match self.stage {
-            Stage::Observe => -LOOSE_HOLD_V_PER_RAD * (seen.theta - self.calm_rad()),
+            Stage::Observe => 0.0,
+            Stage::Probe(probe) => probe.voltage_v(),
             Stage::Calm => self.settler.voltage(&seen, self.calm_rad()),
-            Stage::Seek(seek) => settling_voltage(&seen, seek.target_rad().unwrap_or(seen.theta)),
+            Stage::Seek(seek) => {
+                self.settler.follow(&seen, seek.target_rad().unwrap_or(seen.theta))
+            }
+            Stage::ComeOff { .. } => self.settler.voltage(&seen, self.place_rad - 1.0),
         }
     }
 
@@ -250,6 +452,30 @@ impl Homing {
         self.voltage_mv = 0;
         self.output(None, Some(ending))
     }
+
+    /// Whether the arm is fast against the voltage, though nothing but the motor moves it.
+    fn runs_away(&mut self) -> bool {
+        let State { theta_dot, .. } = self.state;
+        let seen = self.seen();
+        let swings = (seen.alpha.sin().abs() + seen.alpha_dot.abs() / 15.0) > 0.5;
+        let against = theta_dot * f64::from(self.voltage_mv) < 0.0;
+        let is_led = !matches!(self.stage, Stage::Observe);
+        let runs = is_led && against && !swings && theta_dot.abs() > RUNAWAY_RAD_S;
+        self.runaway_ticks = if runs { self.runaway_ticks + 1 } else { 0 };
+        self.runaway_ticks >= RUNAWAY_TICKS
+    }
+
+    /// What encoders and motor say of each other, if something is wrong.
+    fn sensed(&mut self, sample: &Measurement) -> Option<Fault> {
+        let alarm = self.sensors.check(sample, None);
+        let fault = alarm.map(|(Alarm::Zero(fault) | Alarm::Brake(fault))| fault);
+        let leads = self.sensors.witness().and_then(|own| own.pendulum_leads()) == Some(true);
+        // While the first push lasts, it is left to that to say which of the signs is wrong.
+        let is_calm = matches!(self.stage, Stage::Calm | Stage::Seek(_));
+        fault
+            .or_else(|| self.current.check(sample))
+            .or_else(|| (leads && is_calm).then_some(Fault::WrongSignAlpha))
+    }
 }
 
 impl Motion for Homing {
@@ -257,9 +483,11 @@ impl Motion for Homing {
         self.ticks += 1 + input.skipped_periods;
 
         // The arm is slow here: a fault that would brake a rollout can switch off at once.
-        let seen = input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, None));
-        let alarm = self.watch.check(input).or(seen);
-        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = alarm {
+        let watched = self.watch.check(input);
+        let watched = watched.map(|(Alarm::Zero(fault) | Alarm::Brake(fault))| fault);
+        let fault =
+            watched.or_else(|| input.measurement.as_ref().and_then(|sample| self.sensed(sample)));
+        if let Some(fault) = fault {
             return self.off(Ending::Fault(fault));
         }
         if input.stop_requested {
@@ -278,6 +506,9 @@ impl Motion for Homing {
             }
         } else if let Some(ending) = self.advance(measurement) {
             return self.off(ending);
+        }
+        if self.runs_away() {
+            return self.off(Ending::Fault(Fault::WrongSignMotor));
         }
         let wanted_v = self.wanted_voltage();
         self.voltage_mv = gate(wanted_v).unwrap_or(0);
@@ -402,7 +633,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_that_does_not_move_has_no_travel() {
+    fn a_qube_in_which_nothing_answers_is_not_homed() {
         let frozen = |tick: u64| TickInput {
             deadline_ns: tick * 10_000_000,
             measurement: Some(Measurement {
@@ -414,7 +645,7 @@ mod tests {
         };
         let mut homing = Homing::new(&HomingSettings::default());
         let ending = (0..10_000).find_map(|tick| homing.decide(&frozen(tick)).ending);
-        assert_eq!(ending, Some(Ending::Fault(Fault::TravelBlocked)));
+        assert_eq!(ending, Some(Ending::Fault(Fault::MotorDead)), "no current either");
         assert_eq!(homing.calibration(), None);
     }
 

@@ -6,12 +6,14 @@
 //! Reading order: [`Tick`] decides, [`drive`] runs it against a device and a clock,
 //! [`ControlThread`] gives it a thread of its own.
 
+mod current_watch;
 mod drive;
 mod homing;
 mod last_ticks;
 mod latency;
 mod machine;
 mod motion;
+mod probe;
 mod reconnect;
 mod rest;
 mod sensor_watch;
@@ -22,6 +24,7 @@ mod stop_seek;
 mod thread;
 mod tick;
 mod watch;
+mod witness;
 
 pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
 pub use homing::{Homing, HomingMethod, HomingSettings};
@@ -33,7 +36,7 @@ pub use reconnect::Patience;
 pub use sensor_watch::{Drive, SensorWatch};
 pub use sign_probe::{ArmResponse, ProbeSample, ProbeStage, ProbeTrace, SignProbe};
 pub use stop_press::{PressOutcome, StopPress};
-pub use thread::{ControlError, ControlThread, ThreadGone};
+pub use thread::{ControlError, ControlThread, Homed, ThreadGone};
 pub use tick::Tick;
 pub use watch::Alarm;
 

@@ -59,6 +59,13 @@ impl PlantDevice {
         }
     }
 
+    fn current_a(&self) -> f32 {
+        let motor = DomainParameters::NOMINAL;
+        let back_emf_v = motor.motor_back_emf_v_s * self.state.theta_dot;
+        let voltage_v = f64::from(self.voltage_mv) * 1e-3;
+        ((voltage_v - back_emf_v) / motor.motor_resistance_ohm) as f32
+    }
+
     fn catch_up(&mut self) {
         let now_ns = self.clock.now_ns();
         while self.simulated_ns < now_ns {
@@ -119,6 +126,7 @@ impl Device for PlantDevice {
             status,
             tachometer_counts_s: (self.state.theta_dot / RAD_PER_COUNT) as i32,
             applied_mv: self.voltage_mv,
+            current_a: self.current_a(),
             ..Measurement::default()
         })
     }

@@ -37,16 +37,35 @@ const BACK_REACH_RAD: f64 = 0.5;
 /// still holds cannot throw it far once the amplifier is off.
 const BACK_TICKS: u32 = 60;
 
-/// Whether the arm has been brought back to the middle and the pendulum no longer moves it.
-#[derive(Clone, Copy, Debug, Default)]
+/// An arm that rests this far from its nearer stop, rad, need not be any nearer to the middle: a cable may
+/// hold it off for as long as the brake works.
+const OFF_STOPS_RAD: f64 = 1.5;
+
+/// Whether the arm has been brought back and the pendulum no longer moves it.
+#[derive(Clone, Copy, Debug)]
 pub struct BackDetector {
     stay: Stay,
+    reach_rad: f64,
+}
+
+impl Default for BackDetector {
+    /// Back is near the middle.
+    fn default() -> Self {
+        Self { stay: Stay::default(), reach_rad: BACK_REACH_RAD }
+    }
 }
 
 impl BackDetector {
+    /// Back is wherever it is far from a stop; the nearer one is this far from the middle, rad.
+    pub fn off_stops(nearer_rad: f64) -> Self {
+        let reach_rad = (nearer_rad - OFF_STOPS_RAD).max(BACK_REACH_RAD);
+        Self { stay: Stay::default(), reach_rad }
+    }
+
     /// Takes the arm's next angle; true once the last 0.6 s stayed within the range.
     pub fn is_back(&mut self, theta: f64) -> bool {
-        let quiet = |width_rad| width_rad <= BACK_RANGE_RAD && theta.abs() < BACK_REACH_RAD;
+        let reach_rad = self.reach_rad;
+        let quiet = |width_rad| width_rad <= BACK_RANGE_RAD && theta.abs() < reach_rad;
         self.stay.update(theta, quiet) > BACK_TICKS
     }
 }

@@ -1,9 +1,27 @@
 use super::watch::Alarm;
+use super::witness::{Contradiction, RIG_SHARE, Witness};
+use crate::estimation::Calibration;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, RAD_PER_COUNT};
 use crate::telemetry::Fault;
 
 /// More counts than this in a control period (61 rad/s) are no motion but a jump.
 const JUMP_COUNTS: f64 = 200.0;
+
+/// A step of so many counts more than the one before and the one after is a jump too: a hit changes how
+/// fast the arm turns, but for more than one period.
+const SPIKE_COUNTS: i32 = 40;
+
+/// A motor that takes less than this for each volt while the arm stands is not connected, A.
+const DEAD_A_V: f32 = 0.02;
+
+/// From this voltage on, mV, no arm stays as fast as long that its back-EMF leaves no current ...
+const DRIVEN_MV: i16 = 800;
+
+/// ... as small as this, A ...
+const LEAST_DRIVEN_A: f32 = 0.012;
+
+/// ... for so many samples.
+const WITHOUT_CURRENT_TICKS: u32 = 15;
 
 /// A drive of this much, mV ...
 const FROZEN_DRIVE_MV: i16 = 1000;
@@ -50,6 +68,14 @@ const TACHOMETER_US: u64 = 300_000;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensorWatch {
     previous: Option<Measurement>,
+    /// The last steps of both counts, the newest last.
+    theta_steps: [i32; 3],
+    alpha_steps: [i32; 3],
+    /// Arm and pendulum against each other, and what makes angles of their counts; none by the first
+    /// rules.
+    witness: Option<(Calibration, Witness)>,
+    has_taken_current: bool,
+    without_current_ticks: u32,
     frozen: Push,
     stall: Push,
     pendulum: Pendulum,
@@ -154,6 +180,24 @@ impl Pendulum {
 }
 
 impl SensorWatch {
+    /// A watch that also holds arm and pendulum against each other.
+    #[must_use]
+    pub fn witnessed(calibration: Calibration) -> Self {
+        Self { witness: Some((calibration, Witness::default())), ..Self::default() }
+    }
+
+    /// From now on holds arm and pendulum against each other, with these zeros; the pendulum's within
+    /// so much, rad.
+    pub fn call_witness(&mut self, calibration: Calibration, zero_within_rad: f64) {
+        self.witness = Some((calibration, Witness::with_zero_within(zero_within_rad, RIG_SHARE)));
+    }
+
+    /// What arm and pendulum say of each other, where they are asked.
+    #[must_use]
+    pub fn witness(&self) -> Option<&Witness> {
+        self.witness.as_ref().map(|(_, witness)| witness)
+    }
+
     /// Looks at one sample; without a `drive` where the arm is meant to push against its stops.
     ///
     /// What concerns the arm ends with the amplifier off at once: a brake would work with the very
@@ -181,6 +225,42 @@ impl SensorWatch {
         if theta.abs() > JUMP_COUNTS * periods {
             return Some(Alarm::Zero(Fault::EncoderJump));
         }
+        if alpha.abs() > JUMP_COUNTS * periods && self.witness.is_some() {
+            self.witness = None;
+            return Some(Alarm::Brake(Fault::PendulumJump));
+        }
+        let mut testimony = self.witness.as_mut().and_then(|(calibration, witness)| {
+            let (theta, alpha) = calibration.angles_rad(sample);
+            witness.update(sample, theta, alpha)
+        });
+        if self.witness.is_some() {
+            // What may yet turn out to be a jump is no testimony.
+            let leaps = |steps: &[i32; 3], step: f64| (step - f64::from(steps[2])).abs() > 40.0;
+            if leaps(&self.theta_steps, theta / periods)
+                || leaps(&self.alpha_steps, alpha / periods)
+            {
+                testimony = None;
+            }
+            if is_spike(&mut self.theta_steps, theta / periods) {
+                return Some(Alarm::Zero(Fault::EncoderJump));
+            }
+            if is_spike(&mut self.alpha_steps, alpha / periods) {
+                self.witness = None;
+                return Some(Alarm::Brake(Fault::PendulumJump));
+            }
+        }
+        match testimony {
+            Some(Contradiction::ArmStands) => return Some(Alarm::Zero(Fault::EncoderFrozen)),
+            Some(Contradiction::PendulumStands) => {
+                // The brake goes on without it.
+                self.witness = None;
+                return Some(Alarm::Brake(Fault::PendulumFrozen));
+            }
+            None => {}
+        }
+        if self.witness.is_some() && self.takes_no_current(sample) {
+            return Some(Alarm::Zero(Fault::MotorDead));
+        }
         let counts_s = theta / elapsed_s;
         if self.disagrees(sample, counts_s) {
             return Some(Alarm::Zero(Fault::TachometerDisagrees));
@@ -205,8 +285,15 @@ impl SensorWatch {
         counts_s: f64,
         elapsed_s: f64,
     ) -> Option<Fault> {
+        let least_a = DEAD_A_V * f32::from(drive.voltage_mv.saturating_abs()) * 1e-3;
+        let takes_nothing = sample.current_a.abs() < least_a;
         if self.frozen.moves_nothing(sample, drive, (FROZEN_DRIVE_MV, FROZEN_COUNTS, FROZEN_US)) {
-            return Some(Fault::EncoderFrozen);
+            return Some(match self.witness {
+                // No witness says that it moves.
+                Some(_) if takes_nothing => Fault::MotorDead,
+                Some(_) => Fault::ArmHeld,
+                None => Fault::EncoderFrozen,
+            });
         }
         let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / RAD_PER_COUNT) as i32;
         // An arm that the pendulum throws to and fro stays near one place too, but not at one speed.
@@ -215,7 +302,19 @@ impl SensorWatch {
         }
         let stalls =
             self.stall.moves_nothing(sample, drive, (STALL_DRIVE_MV, crept_counts, STALL_US));
-        stalls.then_some(Fault::Stall)
+        let is_dead = self.witness.is_some() && takes_nothing;
+        stalls.then_some(if is_dead { Fault::MotorDead } else { Fault::Stall })
+    }
+
+    /// Whether the motor has voltage and takes no current, where it took some before.
+    fn takes_no_current(&mut self, sample: &Measurement) -> bool {
+        if sample.applied_mv.saturating_abs() < DRIVEN_MV {
+            return false;
+        }
+        let takes_some = sample.current_a.abs() >= LEAST_DRIVEN_A;
+        self.has_taken_current |= takes_some;
+        self.without_current_ticks = if takes_some { 0 } else { self.without_current_ticks + 1 };
+        self.has_taken_current && self.without_current_ticks >= WITHOUT_CURRENT_TICKS
     }
 
     fn disagrees(&mut self, sample: &Measurement, counts_s: f64) -> bool {
@@ -229,6 +328,15 @@ impl SensorWatch {
         let since_us = *self.disagree_since_us.get_or_insert(sample.device_time_us);
         sample.device_time_us.saturating_sub(since_us) >= TACHOMETER_US
     }
+}
+
+/// Takes the next step of a count; whether the one before was a jump.
+fn is_spike(steps: &mut [i32; 3], step: f64) -> bool {
+    *steps = [steps[1], steps[2], step as i32];
+    let [before, between, after] = *steps;
+    let (lowest, highest) = (before.min(after), before.max(after));
+    between > highest.max(0).saturating_add(SPIKE_COUNTS)
+        || between < lowest.min(0).saturating_sub(SPIKE_COUNTS)
 }
 
 #[cfg(test)]

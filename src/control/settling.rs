@@ -53,6 +53,61 @@ impl Settler {
     }
 }
 
+/// How fast a target moves that the arm is led to, rad/s: an arm that nobody sees is no faster.
+pub const LEAD_RAD_S: f64 = 1.2;
+
+/// Most volts while the pendulum is calm: cable, friction and dead zone take 1.4 V.
+const GENTLE_V: f64 = 2.0;
+
+/// How fast the voltage may change then, V/s: an encoder that freezes is found before it has grown.
+const GENTLE_V_S: f64 = 6.0;
+
+/// How fast it may change while the pendulum swings wide, V/s: at once.
+const FIRM_V_S: f64 = 400.0;
+
+/// From this swing on, sin(alpha) and a fifteenth of alpha_dot together, settling gets firmer ...
+const CALM_SWING: f64 = 0.35;
+
+/// ... up to this one.
+const WIDE_SWING: f64 = 0.9;
+
+/// Leads arm and pendulum to rest so gently that an encoder that freezes meanwhile costs no hit: the
+/// target goes ahead slowly, and the voltage grows slowly.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct GentleSettler {
+    settler: Settler,
+    target_rad: Option<f64>,
+    voltage_v: f64,
+}
+
+impl GentleSettler {
+    /// The next tick's voltage, V: led to `target_theta_rad`.
+    pub fn voltage(&mut self, state: &State, target_theta_rad: f64) -> f64 {
+        let target_rad = self.target_rad.get_or_insert(state.theta);
+        let most_rad = LEAD_RAD_S * CONTROL_PERIOD_S;
+        *target_rad += (target_theta_rad - *target_rad).clamp(-most_rad, most_rad);
+        let wanted_v = self.settler.voltage(state, *target_rad);
+        self.limit(state, wanted_v)
+    }
+
+    /// The voltage that is drawn to a target which moves by itself, V.
+    pub fn follow(&mut self, state: &State, target_theta_rad: f64) -> f64 {
+        self.target_rad = None;
+        self.limit(state, settling_voltage(state, target_theta_rad))
+    }
+
+    /// What of a wanted voltage is given now, V.
+    pub fn limit(&mut self, state: &State, wanted_v: f64) -> f64 {
+        let swing = Scalar::sin_cos(state.alpha).0.abs() + state.alpha_dot.abs() / 15.0;
+        let firm = ((swing - CALM_SWING) / (WIDE_SWING - CALM_SWING)).clamp(0.0, 1.0);
+        let most_v = GENTLE_V + firm * (LIMIT_V - GENTLE_V);
+        let step_v = (GENTLE_V_S + firm * (FIRM_V_S - GENTLE_V_S)) * CONTROL_PERIOD_S;
+        let change_v = (wanted_v.clamp(-most_v, most_v) - self.voltage_v).clamp(-step_v, step_v);
+        self.voltage_v += change_v;
+        self.voltage_v
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::f64::consts::PI;
@@ -85,7 +140,7 @@ mod tests {
                 for alpha_dot in [-25.0, -3.0, 0.0, 15.0] {
                     let mut state = State { theta, alpha, theta_dot: 0.0, alpha_dot };
                     let mut rest = RestDetector::default();
-                    let mut settler = Settler::default();
+                    let mut settler = GentleSettler::default();
                     let mut ticks = 0;
                     while !rest.at_rest(&state, 0.05) {
                         state = control_step(dynamics, state, settler.voltage(&state, 0.05));

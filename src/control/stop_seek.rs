@@ -1,10 +1,7 @@
 //! The arm's middle from its two hard stops: towards the one at negative theta, then the other.
 
-use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD};
-use crate::telemetry::Fault;
-
-/// How fast the arm looks for its stops, rad/s: slow enough to touch them without a hit.
-const SPEED_RAD_S: f64 = 1.5;
+use super::settling::LEAD_RAD_S;
+use crate::qube::CONTROL_PERIOD_S;
 
 /// How far ahead of the arm its moving target may run, rad: against a stop that pushes with 1.6 V. A
 /// real Qube's cable, friction and dead zone together take 1.2 V; 2 V are taken for a stalled motor.
@@ -15,10 +12,7 @@ const PROGRESS_RAD: f64 = 0.01;
 
 /// ... when it has not for this many ticks: longer than two swings of the pendulum, whose pull may
 /// lift the arm off the stop for a while.
-const BLOCKED_TICKS: u32 = 120;
-
-/// How far the travel between the stops may differ from the nominal one, as a fraction.
-const TRAVEL_TOLERANCE: f64 = 0.1;
+const BLOCKED_TICKS: u32 = 100;
 
 /// The seek of both stops, one after the other.
 #[derive(Clone, Copy, Debug, Default)]
@@ -27,6 +21,15 @@ pub struct StopSeek {
     negative_rad: Option<f64>,
     /// The way to the stop that comes next; it begins with the first angle after the last stop.
     approach: Option<Approach>,
+}
+
+/// Where the arm stood at its stops, rad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Found {
+    /// At the one at negative theta.
+    pub lowest_rad: f64,
+    /// At the other.
+    pub highest_rad: f64,
 }
 
 /// The way to one stop.
@@ -40,30 +43,21 @@ struct Approach {
 }
 
 impl StopSeek {
-    /// Takes the arm's next angle and moves its target on; gives the middle between the stops once
-    /// both are found.
-    ///
-    /// # Errors
-    ///
-    /// Where the stops are not as far apart as a Qube's: something is in the arm's way.
-    pub fn update(&mut self, theta: f64) -> Result<Option<f64>, Fault> {
+    /// Takes the arm's next angle and moves its target on; gives the stops once both are found.
+    pub fn update(&mut self, theta: f64) -> Option<Found> {
         let direction = if self.negative_rad.is_none() { -1.0 } else { 1.0 };
         let approach = self.approach.get_or_insert(Approach {
             target_rad: theta,
             furthest_rad: theta,
             blocked_ticks: 0,
         });
-        let Some(stop_rad) = approach.update(theta, direction) else { return Ok(None) };
+        let stop_rad = approach.update(theta, direction)?;
         self.approach = None;
-        let Some(negative_rad) = self.negative_rad else {
+        let Some(lowest_rad) = self.negative_rad else {
             self.negative_rad = Some(stop_rad);
-            return Ok(None);
+            return None;
         };
-        let travel_rad = stop_rad - negative_rad;
-        if (travel_rad / (2.0 * HARD_STOP_RAD) - 1.0).abs() > TRAVEL_TOLERANCE {
-            return Err(Fault::TravelBlocked);
-        }
-        Ok(Some(0.5 * (stop_rad + negative_rad)))
+        Some(Found { lowest_rad, highest_rad: stop_rad })
     }
 
     /// Where the arm is drawn to, rad; nowhere in the tick in which it stands at a stop.
@@ -75,7 +69,7 @@ impl StopSeek {
 impl Approach {
     /// Moves the target on; gives where the stop is once the arm stands at it.
     fn update(&mut self, theta: f64, direction: f64) -> Option<f64> {
-        let ahead_rad = direction * (self.target_rad - theta) + SPEED_RAD_S * CONTROL_PERIOD_S;
+        let ahead_rad = direction * (self.target_rad - theta) + LEAD_RAD_S * CONTROL_PERIOD_S;
         self.target_rad = theta + direction * ahead_rad.min(LEAD_RAD);
         self.blocked_ticks += 1;
         if direction * (theta - self.furthest_rad) > PROGRESS_RAD {

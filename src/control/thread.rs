@@ -12,7 +12,7 @@ use super::{
 };
 use crate::clock::{Clock, Nanoseconds, RealtimeReport, enter_realtime};
 use crate::device::{Device, DeviceError, Identity};
-use crate::estimation::Calibration;
+use crate::estimation::MeasuredRig;
 use crate::policy::Policy;
 use crate::safety::MotorHeat;
 use crate::telemetry::{TickRecord, TickSettings};
@@ -46,6 +46,15 @@ pub enum ControlError {
     },
 }
 
+/// What homing has found.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Homed {
+    /// Zeros and stops; none where homing did not complete.
+    pub rig: Option<MeasuredRig>,
+    /// How far apart the stops were, rad, where both were touched.
+    pub travel_rad: Option<f64>,
+}
+
 /// Prepared work: everything is loaded before the first tick.
 enum Command {
     Hello(Patience),
@@ -62,7 +71,7 @@ type Borrower = Box<dyn FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) + Send>
 enum Event {
     /// Who it is, and whether it is hardware.
     Identified(Result<Identity, DeviceError>, bool),
-    Homed(Result<(DriveReport, Option<Calibration>), ControlError>),
+    Homed(Result<(DriveReport, Homed), ControlError>),
     Finished(Result<DriveReport, ControlError>),
     Returned(Result<(), ControlError>),
     Cooled(MotorHeat),
@@ -154,7 +163,7 @@ impl ControlThread {
         self.is_hardware.load(Ordering::Relaxed)
     }
 
-    /// Finds the zeros of the encoders; none where homing did not complete.
+    /// Finds the zeros of the encoders, and the stops.
     ///
     /// # Errors
     /// The outer one when the thread is gone, the inner one when the device could not be armed, or
@@ -162,7 +171,7 @@ impl ControlThread {
     pub fn home(
         &self,
         settings: HomingSettings,
-    ) -> Result<Result<(DriveReport, Option<Calibration>), ControlError>, ThreadGone> {
+    ) -> Result<Result<(DriveReport, Homed), ControlError>, ThreadGone> {
         match self.ask(Command::Home(settings))? {
             Event::Homed(result) => Ok(result),
             _ => Err(ThreadGone),
@@ -306,7 +315,8 @@ fn obey(
             };
             let driven = allowed(state, ControlEvent::Home)
                 .and_then(|()| driven(state, motor, device, clock, &mut homing, None, stop));
-            Event::Homed(driven.map(|report| (report, homing.calibration())))
+            let homed = Homed { rig: homing.measured(), travel_rad: homing.travel_rad() };
+            Event::Homed(driven.map(|report| (report, homed)))
         }
         Command::Rollout(settings, policy, mut records) => {
             let mut tick = Tick::new(&settings, *policy);
@@ -363,6 +373,7 @@ mod tests {
     use super::*;
     use crate::clock::VirtualClock;
     use crate::control::RING_CAPACITY;
+    use crate::estimation::Calibration;
     use crate::estimation::EstimatorSettings;
     use crate::policy::{ClassicalController, ClassicalGains};
     use crate::qube::State;
@@ -382,6 +393,8 @@ mod tests {
             safety_box: SafetyBox::GUARDED,
             max_steps: 100,
             start_theta_rad: 0.0,
+            stops: None,
+            rules: crate::telemetry::TickRules::Witnessed,
         };
         (thread, settings)
     }
@@ -404,8 +417,8 @@ mod tests {
         assert!(thread.home(HomingSettings::default()).unwrap().is_err());
         thread.hello().unwrap().unwrap();
         assert!(is_refused(&rollout(&thread, settings)));
-        let (_, found) = thread.home(HomingSettings::default()).unwrap().unwrap();
-        assert!(found.is_some());
+        let (_, homed) = thread.home(HomingSettings::default()).unwrap().unwrap();
+        assert!(homed.rig.is_some());
         let mut ending = rollout(&thread, settings).unwrap();
         while ending == Ending::Completed {
             ending = rollout(&thread, settings).unwrap();
@@ -417,8 +430,8 @@ mod tests {
         assert!(thread.lend(|_, _, _| ()).unwrap().is_err());
         thread.hello().unwrap().unwrap();
         assert!(is_refused(&rollout(&thread, settings)));
-        let (_, found) = thread.home(HomingSettings::default()).unwrap().unwrap();
-        assert!(found.is_some());
+        let (_, homed) = thread.home(HomingSettings::default()).unwrap().unwrap();
+        assert!(homed.rig.is_some());
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
     }
 

@@ -1,14 +1,14 @@
 use super::rest::{BackDetector, RestDetector};
 use super::sensor_watch::{Drive, SensorWatch};
-use super::settling::Settler;
+use super::settling::{GentleSettler, Settler};
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
-use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, State};
-use crate::safety::{Guard, Retreat, brake_voltage, gate};
-use crate::telemetry::{Ending, Fault, Phase, TickSettings};
+use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, State};
+use crate::safety::{Guard, Limit, Retreat, SpeedEnvelope, brake_voltage, gate};
+use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
@@ -18,6 +18,9 @@ const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
 /// ... and 15 s for one that brings it back to the middle and waits for the pendulum.
 const MAX_RETREAT_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
+
+/// Homing finds the stops within this, rad: so much nearer they are where a nominal Qube has them.
+const STOPS_MEASURED_WITHIN_RAD: f64 = 0.02;
 
 /// Below this the arm counts as stopped, rad/s ...
 const STOPPED_RAD_S: f64 = 0.5;
@@ -40,6 +43,9 @@ pub struct Tick<C = Policy> {
     watch: Watch,
     sensors: SensorWatch,
     settler: Settler,
+    gentle: GentleSettler,
+    /// How much sooner than those of a nominal Qube the nearer stop comes, rad.
+    room_rad: f64,
     rest: RestDetector,
     back: BackDetector,
     control: ControlState,
@@ -58,20 +64,33 @@ impl<C: Controller> Tick<C> {
     /// A rollout that starts with settling.
     #[must_use]
     pub fn new(settings: &TickSettings, policy: C) -> Self {
+        let nearer_rad = settings.stops.map_or(HARD_STOP_RAD, |stops| stops.nearer_rad());
+        let room_rad = (HARD_STOP_RAD - STOPS_MEASURED_WITHIN_RAD - nearer_rad).max(0.0);
+        let is_witnessed = settings.rules == TickRules::Witnessed;
         let mut tick = Self {
             settings: *settings,
             policy,
             estimator: Estimator::new(settings.estimator, settings.calibration),
             watch: Watch::default(),
-            sensors: SensorWatch::default(),
+            sensors: if is_witnessed {
+                SensorWatch::witnessed(settings.calibration)
+            } else {
+                SensorWatch::default()
+            },
             settler: Settler::default(),
+            gentle: GentleSettler::default(),
+            room_rad,
             rest: RestDetector::default(),
-            back: BackDetector::default(),
+            back: if is_witnessed {
+                BackDetector::off_stops(HARD_STOP_RAD - room_rad)
+            } else {
+                BackDetector::default()
+            },
             control: ControlState::Ready,
             phase: Phase::Settling,
             periods_in_phase: 0,
             stopped_ticks: 0,
-            retreat: Retreat::default(),
+            retreat: Retreat::with_room(room_rad),
             reason: Ending::Completed,
             estimates: Estimates::default(),
             voltage_mv: 0,
@@ -127,10 +146,21 @@ impl<C: Controller> Tick<C> {
                 Some((ControlEvent::TimeUp, Ending::Completed))
             }
             Phase::Running => {
-                let limit = self.settings.safety_box.violation(&self.estimates.guarded)?;
+                let limit = self.limit_left()?;
                 Some((ControlEvent::LimitLeft, Ending::LeftBox(limit)))
             }
         }
+    }
+
+    /// The first limit that the state does not keep: of the box, or of an envelope that comes in as far
+    /// as the nearer stop does.
+    fn limit_left(&self) -> Option<Limit> {
+        let (safety_box, state) = (&self.settings.safety_box, &self.estimates.guarded);
+        let outside = || {
+            let envelope = safety_box.guard == Guard::Envelope && self.room_rad > 0.0;
+            envelope && !SpeedEnvelope::contains_with_room(state, self.room_rad)
+        };
+        safety_box.violation(state).or_else(|| outside().then_some(Limit::Envelope))
     }
 
     /// Whether braking is over.
@@ -165,7 +195,11 @@ impl<C: Controller> Tick<C> {
     fn wanted_voltage(&mut self) -> f64 {
         match self.phase {
             Phase::Settling => {
-                self.settler.voltage(&self.estimates.guarded, self.settings.start_theta_rad)
+                let (state, target) = (&self.estimates.guarded, self.settings.start_theta_rad);
+                match self.settings.rules {
+                    TickRules::First => self.settler.voltage(state, target),
+                    TickRules::Witnessed => self.gentle.voltage(state, target),
+                }
             }
             Phase::Running => self.policy.voltage_v(&self.estimates.seen),
             Phase::Braking => self.braking_voltage(),

@@ -18,6 +18,8 @@ fn settings() -> TickSettings {
         safety_box: SafetyBox::THESIS,
         max_steps: 600,
         start_theta_rad: 0.05,
+        stops: None,
+        rules: crate::telemetry::TickRules::Witnessed,
     }
 }
 

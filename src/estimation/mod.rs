@@ -10,6 +10,7 @@
 mod calibration;
 mod estimator;
 mod kalman_gains;
+mod measured_rig;
 mod observer;
 mod sent_voltages;
 mod settings;
@@ -18,6 +19,7 @@ mod velocity_filter;
 pub use calibration::Calibration;
 pub use estimator::{Estimates, Estimator};
 pub use kalman_gains::KalmanGains;
+pub use measured_rig::{MeasuredRig, MeasuredStops};
 pub use observer::{ObserverEquations, prediction_steps};
 pub use sent_voltages::{Piece, SentVoltages};
 pub use settings::{EstimatorSettings, GUARD_CORNER_RAD_S, ObserverSettings, SettingsError};

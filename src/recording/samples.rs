@@ -41,6 +41,8 @@ pub(crate) fn header() -> RolloutHeader {
             safety_box: SafetyBox::THESIS,
             max_steps: 600,
             start_theta_rad: 0.0,
+            stops: None,
+            rules: crate::telemetry::TickRules::Witnessed,
         },
         reward: RewardWeights::THESIS,
     }

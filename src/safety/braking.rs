@@ -54,9 +54,17 @@ pub struct Retreat {
     periods: u32,
     /// Whether full pushes are over.
     without_pushes: bool,
+    /// How much sooner than a nominal Qube's the nearer stop comes, rad.
+    room_rad: f64,
 }
 
 impl Retreat {
+    /// The brake of a Qube whose nearer stop comes so much sooner than a nominal one's, rad.
+    #[must_use]
+    pub fn with_room(room_rad: f64) -> Self {
+        Self { room_rad, ..Self::default() }
+    }
+
     /// From now on without full pushes: where the pendulum's encoder cannot be believed.
     pub fn disbelieve_pendulum(&mut self) {
         self.without_pushes = true;
@@ -67,7 +75,7 @@ impl Retreat {
     pub fn voltage_v(&mut self, state: &State) -> f64 {
         self.periods = self.periods.saturating_add(1);
         self.periods_since_push = self.periods_since_push.saturating_add(1);
-        let push = -SpeedEnvelope::outward(state);
+        let push = -SpeedEnvelope::outward(state, self.room_rad);
         if push != 0.0 {
             let late = self.periods > PUSHING_PERIODS;
             let overshot = push == -self.push && self.periods_since_push <= OVERSHOT_PERIODS;

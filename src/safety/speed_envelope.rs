@@ -56,14 +56,14 @@ const LARGEST_RECOIL_RAD: f64 = 0.7;
 pub struct SpeedEnvelope;
 
 impl SpeedEnvelope {
-    /// Towards which stop the state has left the envelope: 1 for the positive one, -1 for the negative
-    /// one, 0 for neither or both.
+    /// Towards which stop the state has left the envelope, with so much room, rad, left to it: 1 for
+    /// the positive one, -1 for the negative one, 0 for neither or both.
     #[must_use]
-    pub fn outward(state: &State) -> f64 {
+    pub fn outward(state: &State, room_rad: f64) -> f64 {
         let (sin, cos) = Scalar::sin_cos(state.alpha);
         let swing = cos * state.alpha_dot;
-        let positive = one_sided(state.theta, sin, state.theta_dot, swing);
-        let negative = one_sided(-state.theta, -sin, -state.theta_dot, -swing);
+        let positive = one_sided(state.theta + room_rad, sin, state.theta_dot, swing);
+        let negative = one_sided(room_rad - state.theta, -sin, -state.theta_dot, -swing);
         f64::from(u8::from(negative)) - f64::from(u8::from(positive))
     }
 

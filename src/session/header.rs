@@ -5,7 +5,7 @@ use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::RewardWeights;
 use crate::recording::FORMAT_VERSION;
 use crate::safety::SafetyBox;
-use crate::telemetry::{Preflight, RolloutHeader, TickSettings};
+use crate::telemetry::{Preflight, RolloutHeader, TickRules, TickSettings};
 
 /// What a rollout is: its place among the others, its policy, the rules it runs under.
 #[derive(Clone, Debug)]
@@ -62,6 +62,8 @@ impl RolloutPlan {
                     self.candidate.unwrap_or(0),
                     self.rollout,
                 ),
+                stops: None,
+                rules: TickRules::Witnessed,
             },
             reward: RewardWeights::THESIS,
         }

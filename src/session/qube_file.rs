@@ -71,6 +71,10 @@ pub struct RigHoming {
     /// Where zero lies, seen from the middle that homing finds, rad.
     #[serde(deserialize_with = "offset")]
     pub theta_offset_rad: f64,
+    /// How far apart this rig's stops are, rad, where an operator has accepted that they are not as far
+    /// apart as a Qube's.
+    #[serde(deserialize_with = "travel", skip_serializing_if = "Option::is_none")]
+    pub travel_rad: Option<f64>,
 }
 
 /// Where a rollout ends. A rig may be given narrower limits than the task's, never wider ones.
@@ -156,6 +160,7 @@ impl QubeFile {
         HomingSettings {
             method: self.homing.method,
             theta_offset_rad: self.homing.theta_offset_rad,
+            travel_rad: self.homing.travel_rad,
             hand_counts: None,
             signs: self.signs.into(),
             estimator,
@@ -202,6 +207,21 @@ fn motor_rating<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MotorRatin
 
 fn is_nominal(rating: &MotorRating) -> bool {
     *rating == MotorRating::NOMINAL
+}
+
+/// What an operator may say of the travel of a rig, rad: a quarter less than a Qube's, or more.
+const TRAVELS_RAD: std::ops::RangeInclusive<f64> = 3.6..=6.0;
+
+fn travel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    let value = f64::deserialize(deserializer)?;
+    if TRAVELS_RAD.contains(&value) {
+        Ok(Some(value))
+    } else {
+        let (least, most) = (TRAVELS_RAD.start(), TRAVELS_RAD.end());
+        Err(D::Error::custom(format!(
+            "{value} is no travel from stop to stop: give {least} to {most} rad"
+        )))
+    }
 }
 
 fn limit<'de, D: Deserializer<'de>>(deserializer: D, widest: f64) -> Result<f64, D::Error> {
@@ -269,7 +289,11 @@ mod tests {
             board: Some("0123456789abcdef".into()),
             profile: Some("lab.toml".into()),
             signs: Signs { alpha_inverted: true, ..Signs::default() },
-            homing: RigHoming { method: HomingMethod::Hand, theta_offset_rad: -0.05 },
+            homing: RigHoming {
+                method: HomingMethod::Hand,
+                theta_offset_rad: -0.05,
+                travel_rad: Some(4.32),
+            },
             limits: RigLimits { theta_rad: 2.0, ..RigLimits::default() },
             power: Some(PowerTest {
                 usb_lost: crate::session::UsbLost::KeepsItsWord,

@@ -13,13 +13,13 @@ use crate::control::{
 };
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{Device, DeviceError, Identity, SerialLink};
-use crate::estimation::Calibration;
+use crate::estimation::{MeasuredRig, MeasuredStops};
 use crate::policy::Policy;
 use crate::preflight::{
     Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
 };
 use crate::recording::Recorder;
-use crate::safety::{HardwareLimits, MotorHeat};
+use crate::safety::{HardwareLimits, MotorHeat, SafetyBox};
 use crate::storage::Disk;
 use crate::telemetry::{
     CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight, RolloutHeader,
@@ -137,11 +137,20 @@ impl RigSettings {
     }
 }
 
+/// How far inside of the nearer stop the box ends at least, rad: as far as the thesis's does.
+const INSIDE_STOP_RAD: f64 = 0.09;
+
+/// The task's box, no wider than the rig's own stops allow.
+fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> SafetyBox {
+    let widest_rad = stops.map_or(f64::INFINITY, |stops| stops.nearer_rad() - INSIDE_STOP_RAD);
+    SafetyBox { theta: of_the_task.theta.min(widest_rad), ..*of_the_task }
+}
+
 /// A Qube that has said hello and is homed, with the thread that drives it.
 pub struct Rig {
     control: ControlThread,
     identity: Identity,
-    calibration: Calibration,
+    measured: MeasuredRig,
     homing: HomingSettings,
     preflight: Preflight,
     /// The link, where it was measured: any but the embedded emulator's plain line.
@@ -196,7 +205,7 @@ impl Rig {
                 return Err(RigError::Unfit { results });
             }
             rig.home()?;
-            results.push(homed(&rig.calibration));
+            results.push(homed(&rig.measured.calibration));
             rig.preflight = Preflight::Done(results);
         } else {
             let skipped = Preflight::SkippedByFlag;
@@ -233,7 +242,7 @@ impl Rig {
         Ok(Self {
             control,
             identity,
-            calibration: settings.homing.signs,
+            measured: MeasuredRig { calibration: settings.homing.signs, stops: None },
             homing: settings.homing,
             preflight: Preflight::Unknown,
             link: None,
@@ -257,8 +266,9 @@ impl Rig {
         let mut examination = self.examine(learn_signs)?;
         examination.results.push(if examination.passed() {
             match self.home() {
-                Ok(()) => homed(&self.calibration),
+                Ok(()) => homed(&self.measured.calibration),
                 Err(RigError::Homing { fault, .. }) => not_homed(fault),
+                Err(RigError::Travel { .. }) => not_homed(Fault::TravelWrong),
                 Err(error) => return Err(error),
             }
         } else {
@@ -288,7 +298,7 @@ impl Rig {
     /// # Errors
     /// The device could not be armed, or the Qube is not homed.
     pub fn press(&mut self, push_v: f64, ticks: u32, rehearsal: bool) -> Result<Pressed, RigError> {
-        let calibration = self.calibration;
+        let calibration = self.measured.calibration;
         let pressed = self.control.lend(move |device, clock, stop| {
             device.hello()?;
             let mut press = StopPress::new(calibration, push_v, ticks, rehearsal);
@@ -403,15 +413,20 @@ impl Rig {
     fn home_once(&mut self) -> Result<(), RigError> {
         let (report, found) = self.control.home(self.homing)??;
         self.latch(report.outcome.ending);
-        match (report.outcome.ending, found) {
-            (_, Some(calibration)) => {
-                self.calibration = calibration;
+        match (report.outcome.ending, found.rig) {
+            (_, Some(measured)) => {
+                self.measured = measured;
+                let calibration = measured.calibration;
                 // From now on the middle is known, wherever a fault may leave the arm.
                 let middle_rad = -self.homing.theta_offset_rad;
                 self.homing.hand_counts = Some(calibration.theta_counts_at(middle_rad));
                 self.last_fault.set(None);
                 Ok(())
             }
+            (Ending::Fault(Fault::TravelWrong), None) => Err(RigError::Travel {
+                travel_rad: found.travel_rad.unwrap_or_default(),
+                expected_rad: self.homing.expected_travel_rad(),
+            }),
             (Ending::Fault(fault), None) => {
                 Err(RigError::Homing { fault, last_ticks: report.last_ticks })
             }
@@ -461,7 +476,12 @@ impl Rig {
             self.limits.admit(&header.settings.safety_box)?;
         }
         let policy = Policy::from_bytes(policy_file)?;
-        let settings = TickSettings { calibration: self.calibration, ..header.settings };
+        let settings = TickSettings {
+            calibration: self.measured.calibration,
+            stops: self.measured.stops,
+            safety_box: inside_stops(&header.settings.safety_box, self.measured.stops),
+            ..header.settings
+        };
         let header = RolloutHeader {
             started_unix_ns: self.wall_time_ns(),
             device: self.device_by_name(),

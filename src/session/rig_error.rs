@@ -42,6 +42,19 @@ pub enum RigError {
         /// The last second before it: homing has no recording.
         last_ticks: Vec<TickRecord>,
     },
+    /// The stops are not where they should be.
+    #[error(
+        "the arm's stops are {travel_rad:.2} rad apart, and should be {expected_rad:.2}: something is in \
+         its way (a cable, a hand, a screw), or this rig's stops are elsewhere. The motor is off. Clear \
+         the arm's way and start again; if nothing is in it, accept this rig's travel in qube.toml with \
+         travel_rad = {travel_rad:.2} under [homing]"
+    )]
+    Travel {
+        /// What homing found.
+        travel_rad: f64,
+        /// What it should be.
+        expected_rad: f64,
+    },
     /// The link failed before a rollout could begin; nothing has moved.
     #[error("the rollout could not begin: {source}. The motor is off. {}", fault.operator_step())]
     NotBegun {
@@ -152,6 +165,7 @@ impl RigError {
             Self::LinkLost { source, .. } => Some(link_fault(source).unwrap_or(Fault::LinkGone)),
             Self::Device(error) => link_fault(error),
             Self::InDoubt(doubt) => doubt.fault,
+            Self::Travel { .. } => Some(Fault::TravelWrong),
             _ => None,
         }
     }

@@ -122,10 +122,10 @@ faults! {
         "the pendulum's encoder jumped by more than 200 counts in 10 ms (a loose cable?)",
         "Look at the pendulum's encoder cable and its plug.";
     EncoderFrozen: Examine,
-        "the arm's encoder stayed for 300 ms against 1 V or more (loose cable, or a held arm?)",
-        "Free the arm; look at the arm's encoder and the motor's wires.";
+        "the arm's encoder stands still while the arm moves (a loose cable?)",
+        "Look at the arm's encoder, its cable and its plug.";
     PendulumFrozen: Examine,
-        "the pendulum's encoder stayed while the arm jerked (loose cable?)",
+        "the pendulum's encoder stands still while the arm jerks (a loose cable?)",
         "Look at the pendulum's encoder cable and its plug.";
     Stall: Examine,
         "the arm hardly turned for 500 ms against 2 V or more (is something in its way?)",
@@ -142,6 +142,30 @@ faults! {
     HomingTimedOut: Examine,
         "the arm's stops were not found within 60 s",
         "Clear the arm's way from stop to stop; look at the motor and at the arm's encoder.";
+    EncodersDisagree: Examine,
+        "the encoders of arm and pendulum contradict each other",
+        "Look at both encoders' cables; see whether the pendulum sits firmly on its shaft, and keep hands off.";
+    WrongSignTheta: Examine,
+        "the count of the arm runs against the arm: the sign of its encoder is wrong",
+        "Turn theta_inverted in qube.toml over, or let qube-hil check --write find the signs.";
+    WrongSignAlpha: Examine,
+        "the count of the pendulum runs against the pendulum: the sign of its encoder is wrong",
+        "Turn alpha_inverted in qube.toml over, or let qube-hil check --write find the signs.";
+    WrongSignMotor: Examine,
+        "the arm moves against the voltage: the sign of the motor is wrong",
+        "Turn voltage_inverted in qube.toml over, or let qube-hil check --write find the signs.";
+    MotorDead: Examine,
+        "the motor takes no current (is it connected, is the Qube switched on?)",
+        "Look whether the Qube is switched on; look at its supply and at the motor's wires.";
+    MotorWeak: Examine,
+        "the motor takes far less current than a Qube's does at the same voltage (a bad contact?)",
+        "Look at the motor's wires and plug and at the Qube's supply.";
+    ArmHeld: Examine,
+        "the arm's count stays although the motor pushes (is the arm held, or its encoder's cable loose?)",
+        "Free the arm; look whether cables have wound around it, and at its encoder.";
+    TravelWrong: Examine,
+        "the stops are not as far apart as those of a Qube (is something in the arm's way?)",
+        "Clear the arm's way from stop to stop; if this rig's stops are where they should be, accept their travel with travel_rad under [homing] in qube.toml.";
     TravelBlocked: Examine,
         "the arm's stops are not as far apart as a Qube's (is something in its way?)",
         "Clear the arm's way from stop to stop; look at the arm's encoder.";

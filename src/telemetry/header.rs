@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::{Fault, Phase, Preflight};
-use crate::estimation::{Calibration, EstimatorSettings};
+use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::RewardWeights;
 use crate::safety::{Limit, MotorHeat, SafetyBox};
 
@@ -22,6 +22,24 @@ pub struct TickSettings {
     pub max_steps: u32,
     /// Where the arm starts, rad.
     pub start_theta_rad: f64,
+    /// Where the arm's stops are, where homing has touched them: the guard keeps off the nearer one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stops: Option<MeasuredStops>,
+    /// By which of its rules the tick decided: recordings that name none ran by those of the first.
+    #[serde(default)]
+    pub rules: TickRules,
+}
+
+/// The rules of settling, watching and braking that have changed since the first recordings.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TickRules {
+    /// Those that recordings ran by that name none.
+    #[default]
+    First,
+    /// Arm and pendulum are watched against each other, settling is gentle, and a braked arm is at rest
+    /// wherever it is not near a stop.
+    Witnessed,
 }
 
 /// What is known of a rollout before it starts.

@@ -8,6 +8,6 @@ mod preflight;
 mod record;
 
 pub use fault::{Consequence, Fault, fault_table};
-pub use header::{Ending, LatencySummary, RolloutHeader, RolloutOutcome, TickSettings};
+pub use header::{Ending, LatencySummary, RolloutHeader, RolloutOutcome, TickRules, TickSettings};
 pub use preflight::{CheckResult, CheckVerdict, MeasuredLink, Preflight};
 pub use record::{Phase, TickRecord};

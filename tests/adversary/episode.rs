@@ -126,6 +126,8 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
         safety_box: domain.safety_box,
         max_steps: STEPS,
         start_theta_rad,
+        stops: None,
+        rules: qube_hil::telemetry::TickRules::Witnessed,
     };
     let mut tick = Tick::new(&settings, Adversary { genes: *genes, step: 0 });
     let mut random = ChaCha8Rng::seed_from_u64(seed);

@@ -3,6 +3,9 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
+/// By how many counts an encoder jumps unless somebody says another number.
+const USUAL_JUMP_COUNTS: i32 = 300;
+
 /// Something that goes wrong with an emulated Qube; each is known to happen to real ones.
 ///
 /// Times are seconds of the device's clock. As text: `silent@2`, `garble@10`, `wrong-version` ...
@@ -93,6 +96,45 @@ pub enum EmulatorFault {
         /// How long it is out, s.
         away_s: f64,
     },
+    /// The arm's encoder cable is loose: its count stays, and its tachometer goes on showing the last
+    /// velocity.
+    StuckTheta {
+        /// From when on, s.
+        after_s: f64,
+    },
+    /// The arm's encoder cable is loose for a while; counts that pass meanwhile are lost.
+    LapsingTheta {
+        /// From when on, s.
+        after_s: f64,
+        /// For how long, s.
+        lasts_s: f64,
+    },
+    /// The pendulum's encoder cable is loose for a while; counts that pass meanwhile are lost.
+    LapsingAlpha {
+        /// From when on, s.
+        after_s: f64,
+        /// For how long, s.
+        lasts_s: f64,
+    },
+    /// The arm's count is suddenly another one.
+    JumpTheta {
+        /// When, s.
+        after_s: f64,
+        /// By how much.
+        counts: i32,
+    },
+    /// The pendulum's count is suddenly another one.
+    JumpAlpha {
+        /// When, s.
+        after_s: f64,
+        /// By how much.
+        counts: i32,
+    },
+    /// The motor has a bad contact: only this share of the current flows.
+    WeakMotor {
+        /// The share, above 0 and at most 1.
+        share: f64,
+    },
     /// The arm's encoder is wired the other way round.
     FlippedTheta,
     /// The pendulum's encoder is wired the other way round.
@@ -107,8 +149,10 @@ pub enum EmulatorFault {
     "{text} is no fault. There are: silent@S, garble@N, wrong-version, frozen-theta@S, frozen-alpha@S, \
      dead-motor@S, blocked-arm@S, amplifier@S, stall@S, qube-absent@S, unplug@S, unplug@S+T (plugged in again \
      after T seconds), power-loss@S, \
-     brown-out@S, board-restart@S, emergency-stop@S, flipped-theta, flipped-alpha, flipped-motor \
-     (S seconds after the start, N each n-th reply)"
+     brown-out@S, board-restart@S, emergency-stop@S, flipped-theta, flipped-alpha, flipped-motor, \
+     stuck-theta@S (its tachometer too), frozen-theta@S+D, frozen-alpha@S+D (for D seconds), \
+     jump-theta@S, jump-alpha@S (300 counts, or jump-theta@S:N by N), weak-motor@F (the share F of \
+     its current) (S seconds after the start, N each n-th reply)"
 )]
 pub struct UnknownFault {
     /// The text.
@@ -124,10 +168,16 @@ impl EmulatorFault {
             | Self::WrongVersion
             | Self::FlippedTheta
             | Self::FlippedAlpha
-            | Self::FlippedMotor => 0,
+            | Self::FlippedMotor
+            | Self::WeakMotor { .. } => 0,
             Self::Silent { after_s }
             | Self::FrozenAlpha { after_s }
             | Self::FrozenTheta { after_s }
+            | Self::StuckTheta { after_s }
+            | Self::LapsingTheta { after_s, .. }
+            | Self::LapsingAlpha { after_s, .. }
+            | Self::JumpTheta { after_s, .. }
+            | Self::JumpAlpha { after_s, .. }
             | Self::DeadMotor { after_s }
             | Self::BlockedArm { after_s }
             | Self::AmplifierFault { after_s }
@@ -165,6 +215,20 @@ impl fmt::Display for EmulatorFault {
             Self::FlippedTheta => write!(formatter, "flipped-theta"),
             Self::FlippedAlpha => write!(formatter, "flipped-alpha"),
             Self::FlippedMotor => write!(formatter, "flipped-motor"),
+            Self::StuckTheta { after_s } => write!(formatter, "stuck-theta@{after_s}"),
+            Self::LapsingTheta { after_s, lasts_s } => {
+                write!(formatter, "frozen-theta@{after_s}+{lasts_s}")
+            }
+            Self::LapsingAlpha { after_s, lasts_s } => {
+                write!(formatter, "frozen-alpha@{after_s}+{lasts_s}")
+            }
+            Self::JumpTheta { after_s, counts } => {
+                write!(formatter, "jump-theta@{after_s}:{counts}")
+            }
+            Self::JumpAlpha { after_s, counts } => {
+                write!(formatter, "jump-alpha@{after_s}:{counts}")
+            }
+            Self::WeakMotor { share } => write!(formatter, "weak-motor@{share}"),
         }
     }
 }
@@ -182,6 +246,22 @@ impl FromStr for EmulatorFault {
             let seconds = text.parse::<f64>().ok();
             seconds.filter(|after_s| after_s.is_finite() && *after_s >= 0.0).ok_or_else(unknown)
         };
+        let number = |value: &str| {
+            value.parse::<f64>().ok().filter(|number| number.is_finite() && *number >= 0.0)
+        };
+        // S+D: from S on, for D.
+        let lapse = || {
+            let (after, lasts) = value?.split_once('+')?;
+            Some((number(after)?, number(lasts)?))
+        };
+        // S:N, or S for the usual jump.
+        let jump = || {
+            let (after, counts) = match value?.split_once(':') {
+                Some((after, counts)) => (after, counts.parse().ok()?),
+                None => (value?, USUAL_JUMP_COUNTS),
+            };
+            Some((number(after)?, counts))
+        };
         let seconds = || value.ok_or_else(unknown).and_then(parsed);
         Ok(match name {
             "silent" => Self::Silent { after_s: seconds()? },
@@ -195,8 +275,29 @@ impl FromStr for EmulatorFault {
             "flipped-theta" if value.is_none() => Self::FlippedTheta,
             "flipped-alpha" if value.is_none() => Self::FlippedAlpha,
             "flipped-motor" if value.is_none() => Self::FlippedMotor,
-            "frozen-alpha" => Self::FrozenAlpha { after_s: seconds()? },
-            "frozen-theta" => Self::FrozenTheta { after_s: seconds()? },
+            "frozen-alpha" => match lapse() {
+                Some((after_s, lasts_s)) => Self::LapsingAlpha { after_s, lasts_s },
+                None => Self::FrozenAlpha { after_s: seconds()? },
+            },
+            "frozen-theta" => match lapse() {
+                Some((after_s, lasts_s)) => Self::LapsingTheta { after_s, lasts_s },
+                None => Self::FrozenTheta { after_s: seconds()? },
+            },
+            "stuck-theta" => Self::StuckTheta { after_s: seconds()? },
+            "jump-theta" => {
+                let (after_s, counts) = jump().ok_or_else(unknown)?;
+                Self::JumpTheta { after_s, counts }
+            }
+            "jump-alpha" => {
+                let (after_s, counts) = jump().ok_or_else(unknown)?;
+                Self::JumpAlpha { after_s, counts }
+            }
+            "weak-motor" => Self::WeakMotor {
+                share: seconds()
+                    .ok()
+                    .filter(|share| *share > 0.0 && *share <= 1.0)
+                    .ok_or_else(unknown)?,
+            },
             "dead-motor" => Self::DeadMotor { after_s: seconds()? },
             "blocked-arm" => Self::BlockedArm { after_s: seconds()? },
             "amplifier" => Self::AmplifierFault { after_s: seconds()? },
@@ -243,6 +344,12 @@ mod tests {
             "flipped-theta",
             "flipped-alpha",
             "flipped-motor",
+            "stuck-theta@2.5",
+            "frozen-theta@2+0.5",
+            "frozen-alpha@3+0.5",
+            "jump-theta@4:300",
+            "jump-alpha@4:-120",
+            "weak-motor@0.3",
         ] {
             assert_eq!(text.parse::<EmulatorFault>().unwrap().to_string(), text);
         }
@@ -256,6 +363,9 @@ mod tests {
             "garble@0",
             "wrong-version@1",
             "x@1",
+            "jump-theta",
+            "weak-motor@2",
+            "frozen-alpha@1+",
         ] {
             assert_eq!(text.parse::<EmulatorFault>(), Err(UnknownFault { text: text.to_owned() }));
         }

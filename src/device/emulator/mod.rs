@@ -6,6 +6,7 @@
 mod board;
 mod bridge;
 mod fault;
+mod mishap;
 mod plant;
 mod play;
 mod pty;
@@ -16,7 +17,7 @@ pub use fault::{EmulatorFault, UnknownFault};
 pub use plant::Plant;
 pub use pty::EmulatedQube;
 
-use crate::qube::{QubeModel, State};
+use crate::qube::{HARD_STOP_RAD, QubeModel, State};
 
 /// What an emulated Qube is made of. The same settings give the same Qube.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,7 +40,12 @@ pub struct EmulatorSettings {
     pub seed: u64,
     /// What is wrong with it, if anything.
     pub fault: Option<EmulatorFault>,
+    /// Where its arm's two hard stops are, the lower first, rad.
+    pub stops_rad: [f64; 2],
 }
+
+/// Where the stops of a Qube are that is built as the published ones are, rad.
+pub const NOMINAL_STOPS_RAD: [f64; 2] = [-HARD_STOP_RAD, HARD_STOP_RAD];
 
 impl Default for EmulatorSettings {
     fn default() -> Self {
@@ -53,6 +59,7 @@ impl Default for EmulatorSettings {
             finger: None,
             seed: 0,
             fault: None,
+            stops_rad: NOMINAL_STOPS_RAD,
         }
     }
 }

@@ -7,6 +7,7 @@ use firmware_protocol::scaling::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::mishap::{Mishap, TrueReadings};
 use super::play::Play;
 use super::{EmulatorSettings, Finger};
 use crate::qube::{
@@ -65,6 +66,8 @@ pub struct Plant {
     next_finger_us: u64,
     arm_blocked: bool,
     motor_is_open: bool,
+    stops_rad: [f64; 2],
+    mishap: Mishap,
 }
 
 impl Plant {
@@ -80,7 +83,7 @@ impl Plant {
         let dynamics = GapDynamics::new(&model);
         let state = start.unwrap_or(State { theta, ..State::default() });
         let play = (play_rad > 0.0).then(|| Play::new(play_rad, &state));
-        Self {
+        let mut plant = Self {
             model,
             command_jitter_s,
             jitter,
@@ -98,6 +101,18 @@ impl Plant {
             next_finger_us: finger.map_or(u64::MAX, |finger| finger.from_us.max(1)),
             arm_blocked: false,
             motor_is_open: false,
+            stops_rad: settings.stops_rad,
+            mishap: Mishap::new(settings.fault),
+        };
+        plant.let_mishap_go_on();
+        plant
+    }
+
+    fn let_mishap_go_on(&mut self) {
+        while self.mishap.next_us().is_some_and(|next_us| next_us <= self.time_us) {
+            let Some(share) = self.mishap.go_on(self.true_readings()) else { continue };
+            self.model.parameters.motor_resistance_ohm /= share;
+            self.dynamics = GapDynamics::new(&self.model);
         }
     }
 
@@ -113,6 +128,8 @@ impl Plant {
             self.push_by_finger();
             let until_us = self.under_way.front().map_or(time_us, |next| next.0.min(time_us));
             let until_us = until_us.min(self.next_finger_us);
+            self.let_mishap_go_on();
+            let until_us = self.mishap.next_us().map_or(until_us, |next_us| next_us.min(until_us));
             let longest_us = if self.touches() {
                 CONTACT_STEP_US.min(self.longest_step_us)
             } else {
@@ -129,10 +146,21 @@ impl Plant {
             self.time_us += step_us;
             if self.arm_blocked {
                 self.stop_arm_at(before.theta);
-            } else if self.state.theta.abs() > HARD_STOP_RAD {
+            } else if let Some(stop_rad) = self.stop_beyond(self.state.theta) {
                 self.hardest_touch_rad_s = self.hardest_touch_rad_s.max(self.state.theta_dot.abs());
-                self.stop_arm_at(HARD_STOP_RAD.copysign(self.state.theta));
+                self.stop_arm_at(stop_rad);
             }
+        }
+        self.let_mishap_go_on();
+    }
+
+    /// The stop that the arm would have passed there.
+    fn stop_beyond(&self, theta: f64) -> Option<f64> {
+        let [lowest_rad, highest_rad] = self.stops_rad;
+        if theta < lowest_rad {
+            Some(lowest_rad)
+        } else {
+            (theta > highest_rad).then_some(highest_rad)
         }
     }
 
@@ -154,7 +182,8 @@ impl Plant {
     }
 
     fn touches(&self) -> bool {
-        self.arm_blocked || self.state.theta.abs() >= HARD_STOP_RAD
+        let [lowest_rad, highest_rad] = self.stops_rad;
+        self.arm_blocked || self.state.theta <= lowest_rad || self.state.theta >= highest_rad
     }
 
     fn stop_arm_at(&mut self, theta: f64) {
@@ -210,25 +239,28 @@ impl Plant {
     /// Encoder of the arm.
     #[must_use]
     pub fn theta_counts(&self) -> i32 {
-        counts(self.state.theta).wrapping_add(self.theta_offset_counts)
+        self.mishap.readings(self.true_readings()).theta_counts
     }
 
     /// Encoder of the pendulum.
     #[must_use]
     pub fn alpha_counts(&self) -> i32 {
-        counts(self.state.alpha).wrapping_add(self.alpha_offset_counts)
+        self.mishap.readings(self.true_readings()).alpha_counts
     }
 
     /// The 24-bit tachometer: ticks of 25 ns between edges of the arm's encoder, and direction.
     #[must_use]
     pub fn tachometer_raw(&self) -> u32 {
-        let counts_s = self.state.theta_dot / RAD_PER_COUNT;
-        let ticks = f64::from(TACHOMETER_COUNTS_S_TICKS) / counts_s.abs();
-        if ticks >= f64::from(TACHOMETER_STILL) {
-            return TACHOMETER_STILL;
+        self.mishap.readings(self.true_readings()).tachometer_raw
+    }
+
+    /// What an encoders' chip gives that nothing is wrong with.
+    fn true_readings(&self) -> TrueReadings {
+        TrueReadings {
+            theta_counts: counts(self.state.theta).wrapping_add(self.theta_offset_counts),
+            alpha_counts: counts(self.state.alpha).wrapping_add(self.alpha_offset_counts),
+            tachometer_raw: tachometer_register(self.state.theta_dot),
         }
-        let direction = if counts_s < 0.0 { TACHOMETER_NEGATIVE } else { 0 };
-        direction | ticks.round().max(1.0) as u32
     }
 
     /// The motor current (V - k_m theta') / R_m as the Qube's converter reads it.
@@ -243,6 +275,17 @@ impl Plant {
         let raw = f64::from(CURRENT_ZERO) + current_a * f64::from(CURRENT_COUNTS_PER_A);
         raw.round().clamp(0.0, f64::from(u16::MAX)) as u16
     }
+}
+
+/// The tachometer's register at a velocity of the arm, rad/s.
+fn tachometer_register(theta_dot: f64) -> u32 {
+    let counts_s = theta_dot / RAD_PER_COUNT;
+    let ticks = f64::from(TACHOMETER_COUNTS_S_TICKS) / counts_s.abs();
+    if ticks >= f64::from(TACHOMETER_STILL) {
+        return TACHOMETER_STILL;
+    }
+    let direction = if counts_s < 0.0 { TACHOMETER_NEGATIVE } else { 0 };
+    direction | ticks.round().max(1.0) as u32
 }
 
 /// The longest step with which friction at rest does not make an arm tremble that stands still.

@@ -1,0 +1,63 @@
+//! Starts with one thing wrong each, and how fast the arm met a stop: `scripts/harmless-homing` plays
+//! 10^4 of them.
+//!
+//! `cargo run --release --example harmless_homing -- SEEDS [FIRST_SEED [list]]` plays each case with so many
+//! seeds.
+
+#[path = "../tests/harmless/mod.rs"]
+mod harmless;
+
+use harmless::case::{Case, Start};
+use harmless::table::Row;
+use harmless::trial::{Trial, play};
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let number = |index: usize, default: u64| {
+        arguments.get(index).map_or(default, |text| text.parse().expect("a number"))
+    };
+    let (seeds, first_seed) = (number(0, 10), number(1, 0));
+    let lists = arguments.get(2).is_some_and(|text| text == "list");
+    let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    let mut harmless = true;
+    println!("{}", Row::HEAD);
+    for case in Case::ALL {
+        let mut trials: Vec<(Start, Trial)> = std::thread::scope(|scope| {
+            let workers: Vec<_> = (0..threads)
+                .map(|thread| {
+                    scope.spawn(move || {
+                        (first_seed + thread..first_seed + seeds)
+                            .step_by(threads as usize)
+                            .map(|seed| Start::new(case, seed))
+                            .map(|start| (start, play(&start)))
+                            .collect::<Vec<_>>()
+                    })
+                })
+                .collect();
+            workers.into_iter().flat_map(|worker| worker.join().expect("no panic")).collect()
+        });
+        trials.sort_by_key(|(start, _)| start.seed);
+        let row = Row::of(case, &trials);
+        println!("{row}");
+        if lists {
+            for (start, trial) in trials.iter().filter(|(start, trial)| trial.falls_short(start)) {
+                println!(
+                    "    seed {} fault {:?} at {:.2} s in {:?}: {:?}, off after {:.2} s, homed {:?}, contacts {:.1} {:.1} (off {:.1}), false results {}",
+                    start.seed,
+                    start.settings.fault,
+                    start.onset_s,
+                    trial.struck_in,
+                    trial.ending,
+                    trial.off_after_s,
+                    trial.homed_after_s,
+                    trial.gentle_contact_rad_s,
+                    trial.rollout_contact_rad_s,
+                    trial.contact_off_rad_s,
+                    trial.false_results
+                );
+            }
+        }
+        harmless &= row.harmless;
+    }
+    assert!(harmless, "a stop was touched faster than it may be");
+}

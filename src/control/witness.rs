@@ -1,0 +1,330 @@
+//! Arm and pendulum as witnesses of each other: the pendulum feels how the arm accelerates.
+
+use crate::elementary::Scalar;
+use crate::qube::{CONTROL_PERIOD_S, DomainParameters, Measurement, RAD_PER_COUNT};
+
+/// Control periods of each half of the long window ...
+const LONG: usize = 10;
+
+/// ... and of the short one, which finds strong pushes sooner.
+const SHORT: usize = 3;
+
+/// Samples that are kept.
+const KEPT: usize = DRIFT + 1;
+
+/// A change of velocity from one half of the long window to the other that only one of the two shows,
+/// rad/s, is none of quantisation (0.1) or of a degree of play between motor and arm (0.35) ...
+const LONG_RAD_S: f64 = 0.5;
+
+/// ... and in the short window (0.4 and 1.2).
+const SHORT_RAD_S: f64 = 1.8;
+
+/// What lengths and gravity that are 30 % off make of what is compared, as a share of it: the domain in
+/// which a rollout is safe. A false alarm there leaves the arm without a brake.
+pub const WIDE_DOMAIN_SHARE: f64 = 0.65;
+
+/// The same for 10 %: while the arm is led slowly, a false alarm costs nothing.
+pub const RIG_SHARE: f64 = 0.2;
+
+/// A count that has stayed within one for so many periods stands.
+const STANDS_TICKS: u32 = 4;
+
+/// In so many ticks in a row the two must contradict each other.
+const STREAK: u32 = 2;
+
+/// While the arm's count stands, the pendulum may feel the arm take up this velocity, rad/s ...
+const DRIFT_RAD_S: f64 = 0.45;
+
+/// ... over so many periods.
+const DRIFT: usize = 40;
+
+/// Samples farther apart than this leave a hole, us: what came before is forgotten.
+const HOLE_US: u64 = 15_000;
+
+/// Once the squares of the changes of velocity that the arm has shown sum up to this, it is known
+/// whether the pendulum lags or leads, (rad/s)^2.
+const ENOUGH: f64 = 2.0;
+
+/// A pendulum that leads by less than this share of what it should lag by leads nothing: its encoder
+/// may stand.
+const LEADS: f64 = 0.4;
+
+/// Two counts: as well as homing knows where the pendulum hangs.
+pub const ZERO_WITHIN_RAD: f64 = 2.0 * RAD_PER_COUNT;
+
+/// A pendulum that goes so many counts in a period and then stands has not come to rest by itself.
+const SWINGING_COUNTS: i32 = 3;
+
+/// What of the pendulum's equation depends on the Qube: lengths and gravity, no mass.
+const LENGTHS: f64 =
+    DomainParameters::NOMINAL.pendulum_length_m / DomainParameters::NOMINAL.rotary_length_m;
+const SWING: f64 = 2.0 / 3.0 * LENGTHS;
+const WEIGHT: f64 =
+    DomainParameters::NOMINAL.gravity_m_s2 / DomainParameters::NOMINAL.rotary_length_m;
+
+/// How two encoders contradict each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Contradiction {
+    /// The arm's count stands, and the pendulum feels that the arm moves.
+    ArmStands,
+    /// The pendulum's count stands where no pendulum would.
+    PendulumStands,
+}
+
+/// Compares the arm's changes of velocity with what the pendulum feels of them.
+///
+/// The pendulum's own equation of motion, divided by 1/2 M_p L_p L_r, knows neither motor nor friction
+/// of the arm, nor any mass:
+///
+/// ```text
+/// cos a th'' + (2 L_p / 3 L_r) a'' - (L_p / 2 L_r) cos a sin a th'^2 + (g / L_r) sin a = 0
+/// ```
+///
+/// Its two sides, integrated over both halves of a window, give the same change of velocity as long as
+/// both encoders are right: the one from the arm's counts, the other from the pendulum's. An arm
+/// that is held, that meets its stop, or that the pendulum carries along keeps to it too.
+#[derive(Clone, Copy, Debug)]
+pub struct Witness {
+    ring: [Entry; KEPT],
+    filled: usize,
+    newest: usize,
+    previous: Option<Previous>,
+    /// How far off hanging the zero of the pendulum may be, rad: a weight that pulls all the time.
+    zero_within_rad: f64,
+    unknown_share: f64,
+    /// How far the pendulum's count went when it last moved.
+    last_step_counts: i32,
+    /// Integral of the pendulum's weight and of its centrifugal terms, rad/s.
+    pull_rad_s: f64,
+    arm_stands_ticks: u32,
+    pendulum_stands_ticks: u32,
+    streak: u32,
+    /// Products of the arm's changes of velocity with those that the pendulum felt, and squares.
+    together: f64,
+    squares: f64,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Entry {
+    time_s: f64,
+    /// Integral of cos(alpha) d theta.
+    arm_rad: f64,
+    /// The pendulum's own angle, scaled.
+    swing_rad: f64,
+    /// Twice integrated pull on the pendulum.
+    pull_rad: f64,
+    /// Integral of its size.
+    strain_rad_s: f64,
+    /// Integral of the pull.
+    pulled_rad_s: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Previous {
+    sample: Measurement,
+    theta: f64,
+    alpha: f64,
+    /// Counts about which arm and pendulum stand.
+    theta_counts: i32,
+    alpha_counts: i32,
+}
+
+/// What the window shows.
+#[derive(Clone, Copy, Debug, Default)]
+struct Change {
+    arm_rad_s: f64,
+    felt_rad_s: f64,
+    unknown_rad_s: f64,
+}
+
+impl Default for Witness {
+    fn default() -> Self {
+        Self {
+            ring: [Entry::default(); KEPT],
+            filled: 0,
+            newest: 0,
+            previous: None,
+            zero_within_rad: ZERO_WITHIN_RAD,
+            unknown_share: WIDE_DOMAIN_SHARE,
+            last_step_counts: 0,
+            pull_rad_s: 0.0,
+            arm_stands_ticks: 0,
+            pendulum_stands_ticks: 0,
+            streak: 0,
+            together: 0.0,
+            squares: 0.0,
+        }
+    }
+}
+
+impl Witness {
+    /// A witness whose pendulum hangs within so much of its zero, rad, and of whose lengths so much is
+    /// unknown.
+    #[must_use]
+    pub fn with_zero_within(zero_within_rad: f64, unknown_share: f64) -> Self {
+        Self { zero_within_rad, unknown_share, ..Self::default() }
+    }
+
+    /// Whether the pendulum leads the arm where it should lag behind it; none until enough is known.
+    #[must_use]
+    pub fn pendulum_leads(&self) -> Option<bool> {
+        (self.squares > ENOUGH).then_some(self.pendulum_seems_to_lead())
+    }
+
+    /// Whether the pendulum rather leads the arm than lags behind it.
+    #[must_use]
+    pub fn pendulum_rather_leads(&self) -> bool {
+        self.together < 0.0
+    }
+
+    /// Whether the pendulum seems to lead the arm, as far as is known.
+    #[must_use]
+    pub fn pendulum_seems_to_lead(&self) -> bool {
+        self.together < -LEADS * self.squares
+    }
+
+    /// Takes the next sample and its angles, rad, the pendulum's from hanging.
+    pub fn update(
+        &mut self,
+        sample: &Measurement,
+        theta: f64,
+        alpha: f64,
+    ) -> Option<Contradiction> {
+        let next = |theta_counts, alpha_counts| {
+            Some(Previous { sample: *sample, theta, alpha, theta_counts, alpha_counts })
+        };
+        let Some(previous) = self.previous else {
+            self.previous = next(sample.theta_counts, sample.alpha_counts);
+            return None;
+        };
+        let elapsed_us = sample.device_time_us.saturating_sub(previous.sample.device_time_us);
+        if elapsed_us == 0 {
+            return None;
+        }
+        if elapsed_us > HOLE_US {
+            *self = Self {
+                together: self.together,
+                squares: self.squares,
+                ..Self::with_zero_within(self.zero_within_rad, self.unknown_share)
+            };
+            self.previous = next(sample.theta_counts, sample.alpha_counts);
+            return None;
+        }
+        let theta_counts =
+            about(sample.theta_counts, previous.theta_counts, &mut self.arm_stands_ticks);
+        if previous.alpha_counts.wrapping_sub(sample.alpha_counts).wrapping_abs() > 1 {
+            let step = previous.sample.alpha_counts.wrapping_sub(sample.alpha_counts);
+            self.last_step_counts = step.wrapping_abs();
+        }
+        let alpha_counts =
+            about(sample.alpha_counts, previous.alpha_counts, &mut self.pendulum_stands_ticks);
+        self.previous = next(theta_counts, alpha_counts);
+        self.push(elapsed_us as f64 * 1e-6, theta, alpha, &previous);
+
+        let (short, long) = (self.change(SHORT), self.change(LONG));
+        if let Some(long) = &long {
+            self.together += long.arm_rad_s * long.felt_rad_s;
+            self.squares += long.arm_rad_s * long.arm_rad_s;
+        }
+        let zero_rad_s = WEIGHT * self.zero_within_rad * LONG as f64 * CONTROL_PERIOD_S;
+        let contradicts = |change: &Option<Change>, least_rad_s: f64| {
+            change.is_some_and(|change| {
+                // Which way is another question: that of the signs.
+                let differ_rad_s = (change.arm_rad_s.abs() - change.felt_rad_s.abs()).abs();
+                differ_rad_s > least_rad_s + change.unknown_rad_s + zero_rad_s
+            })
+        };
+        let contradict =
+            contradicts(&short, SHORT_RAD_S) || contradicts(&long, LONG_RAD_S) || self.drifts();
+        let arm_stands = self.arm_stands_ticks >= STANDS_TICKS;
+        let pendulum_stands = self.pendulum_stands_ticks >= STANDS_TICKS;
+        let stands = arm_stands || pendulum_stands;
+        self.streak = if contradict && stands { self.streak + 1 } else { 0 };
+        // Where both stand, a pendulum that stopped in full swing is the one; else the one that has
+        // stood longer is the cause of the other's rest.
+        let is_the_arm = !pendulum_stands
+            || self.arm_stands_ticks > self.pendulum_stands_ticks
+                && self.last_step_counts < SWINGING_COUNTS;
+        (self.streak >= STREAK).then_some(if is_the_arm {
+            Contradiction::ArmStands
+        } else {
+            Contradiction::PendulumStands
+        })
+    }
+
+    /// Whether the pendulum has felt the arm take up a velocity while the arm's count stood.
+    fn drifts(&self) -> bool {
+        let stood = (self.arm_stands_ticks as usize).min(self.filled.saturating_sub(1)).min(DRIFT);
+        if stood < 2 * SHORT + 2 {
+            return false;
+        }
+        let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
+        // A velocity over some periods, and the pull up to their middle.
+        let velocity_and_pull = |back: usize| {
+            let (end, start) = (at(back), at(back + SHORT));
+            let elapsed_s = end.time_s - start.time_s;
+            let pulled_rad_s = 0.5 * (at(back + 1).pulled_rad_s + at(back + 2).pulled_rad_s);
+            ((end.swing_rad - start.swing_rad) / elapsed_s, pulled_rad_s)
+        };
+        let (now, before) = (velocity_and_pull(0), velocity_and_pull(stood - SHORT));
+        let (swung_rad_s, pulled_rad_s) = (now.0 - before.0, now.1 - before.1);
+        let stood_s = at(0).time_s - at(stood - SHORT).time_s;
+        let unknown_rad_s = self.unknown_share * 0.5 * (swung_rad_s.abs() + pulled_rad_s.abs());
+        let felt_rad_s = (swung_rad_s + pulled_rad_s).abs();
+        let zero_rad_s = WEIGHT * self.zero_within_rad * stood_s;
+        felt_rad_s > DRIFT_RAD_S + zero_rad_s + unknown_rad_s
+    }
+
+    fn push(&mut self, elapsed_s: f64, theta: f64, alpha: f64, previous: &Previous) {
+        let (sin, cos) = Scalar::sin_cos(0.5 * (alpha + previous.alpha));
+        let theta_dot = (theta - previous.theta) / elapsed_s;
+        let alpha_dot = (alpha - previous.alpha) / elapsed_s;
+        // cos a th'' is the derivative of cos a th', and sin a a' th' beside it.
+        let turning = sin * theta_dot * (alpha_dot - 0.5 * LENGTHS * cos * theta_dot);
+        let pull = WEIGHT.mul_add(sin, turning);
+        let last = self.ring[self.newest];
+        let before_rad_s = self.pull_rad_s;
+        self.pull_rad_s += pull * elapsed_s;
+        self.newest = (self.newest + 1) % KEPT;
+        self.filled = (self.filled + 1).min(KEPT);
+        self.ring[self.newest] = Entry {
+            time_s: last.time_s + elapsed_s,
+            arm_rad: last.arm_rad + cos * (theta - previous.theta),
+            swing_rad: SWING * alpha,
+            pull_rad: last.pull_rad + 0.5 * (before_rad_s + self.pull_rad_s) * elapsed_s,
+            strain_rad_s: last.strain_rad_s + pull.abs() * elapsed_s,
+            pulled_rad_s: self.pull_rad_s,
+        };
+    }
+
+    /// How the velocities changed from one half of the last `2 half` periods to the other.
+    fn change(&self, half: usize) -> Option<Change> {
+        if self.filled <= 2 * half {
+            return None;
+        }
+        let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
+        let (end, middle, start) = (at(0), at(half), at(2 * half));
+        let change = |value: fn(&Entry) -> f64| {
+            (value(end) - value(middle)) / (end.time_s - middle.time_s)
+                - (value(middle) - value(start)) / (middle.time_s - start.time_s)
+        };
+        let swing_rad_s = change(|entry| entry.swing_rad);
+        let strain_rad_s = 0.5 * (end.strain_rad_s - start.strain_rad_s);
+        Some(Change {
+            arm_rad_s: change(|entry| entry.arm_rad),
+            felt_rad_s: -swing_rad_s - change(|entry| entry.pull_rad),
+            unknown_rad_s: self.unknown_share * 0.5 * (swing_rad_s.abs() + strain_rad_s),
+        })
+    }
+}
+
+/// The count about which an encoder stands, and for how many ticks it has.
+fn about(now: i32, stood: i32, ticks: &mut u32) -> i32 {
+    if now.wrapping_sub(stood).wrapping_abs() <= 1 {
+        *ticks = ticks.saturating_add(1);
+        stood
+    } else {
+        *ticks = 0;
+        now
+    }
+}

@@ -1,0 +1,210 @@
+//! What may be wrong with a start, and with which Qube.
+
+use std::path::Path;
+
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::qube::{DomainParameter, HARD_STOP_RAD, Profile, QubeModel, State};
+use qube_hil::telemetry::Fault;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// What is wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Case {
+    Healthy,
+    ThetaDeadFromTheStart,
+    ThetaFrozen,
+    ThetaDead,
+    ThetaLapse,
+    ThetaJump,
+    AlphaDeadFromTheStart,
+    AlphaFrozen,
+    AlphaLapse,
+    AlphaJump,
+    ThetaSign,
+    AlphaSign,
+    MotorSign,
+    MotorDead,
+    MotorDeadLater,
+    MotorHalf,
+    MotorWeak,
+    ArmHeld,
+    ArmHeldLater,
+    BesideAStop,
+    BesideAStopFalling,
+}
+
+impl Case {
+    pub const ALL: [Self; 21] = [
+        Self::Healthy,
+        Self::ThetaDeadFromTheStart,
+        Self::ThetaFrozen,
+        Self::ThetaDead,
+        Self::ThetaLapse,
+        Self::ThetaJump,
+        Self::AlphaDeadFromTheStart,
+        Self::AlphaFrozen,
+        Self::AlphaLapse,
+        Self::AlphaJump,
+        Self::ThetaSign,
+        Self::AlphaSign,
+        Self::MotorSign,
+        Self::MotorDead,
+        Self::MotorDeadLater,
+        Self::MotorHalf,
+        Self::MotorWeak,
+        Self::ArmHeld,
+        Self::ArmHeldLater,
+        Self::BesideAStop,
+        Self::BesideAStopFalling,
+    ];
+
+    /// Whether the arm's encoder is the one that fails for good or for a while.
+    pub fn is_of_theta_encoder(self) -> bool {
+        matches!(
+            self,
+            Self::ThetaDeadFromTheStart
+                | Self::ThetaFrozen
+                | Self::ThetaDead
+                | Self::ThetaLapse
+                | Self::ThetaJump
+        )
+    }
+
+    /// Whether a start of this case may end by this fault.
+    #[allow(clippy::enum_glob_use)]
+    pub fn names_rightly(self, fault: Fault) -> bool {
+        use Fault::*;
+        match self {
+            Self::Healthy | Self::BesideAStop | Self::BesideAStopFalling | Self::MotorHalf => {
+                fault == MotorWeak && self == Self::MotorHalf
+            }
+            Self::ThetaDeadFromTheStart
+            | Self::ThetaFrozen
+            | Self::ThetaDead
+            | Self::ThetaLapse => fault == EncoderFrozen,
+            Self::ThetaJump => fault == EncoderJump,
+            Self::AlphaDeadFromTheStart | Self::AlphaFrozen | Self::AlphaLapse => {
+                fault == PendulumFrozen
+            }
+            Self::AlphaJump => fault == PendulumJump,
+            Self::ThetaSign => fault == WrongSignTheta,
+            Self::AlphaSign => fault == WrongSignAlpha,
+            Self::MotorSign => fault == WrongSignMotor,
+            Self::MotorDead | Self::MotorDeadLater => fault == MotorDead,
+            Self::MotorWeak => fault == MotorWeak,
+            Self::ArmHeld | Self::ArmHeldLater => matches!(fault, ArmHeld | Stall),
+        }
+    }
+}
+
+/// One start: a Qube, where it stands, and what is wrong.
+#[derive(Clone, Copy, Debug)]
+pub struct Start {
+    pub case: Case,
+    pub seed: u64,
+    pub settings: EmulatorSettings,
+    /// When the fault begins, s of the device's clock.
+    pub onset_s: f64,
+}
+
+impl Start {
+    /// The start of this case and seed: every second one fails in the first 15 s, which is homing.
+    pub fn new(case: Case, seed: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        random.set_stream(7);
+        let model = model(&mut random, seed);
+        // Where the cable lets a resting arm rest.
+        let gap = &model.gap;
+        let (rest_rad, reach_rad) = if gap.cable_stiffness_n_m_rad > 0.0 {
+            let holds_rad = gap.coulomb_torque_n_m / gap.cable_stiffness_n_m_rad;
+            (gap.cable_rest_rad, (0.9 * holds_rad).min(1.0))
+        } else {
+            (0.0, 1.0)
+        };
+        let theta = rest_rad + reach_rad * random.random_range(-1.0..1.0);
+        let swing = if random.random_bool(0.3) { 0.3 } else { 0.0 };
+        let mut start =
+            State { theta, alpha: random.random_range(-1.0..1.0) * swing, ..State::default() };
+        let early = random.random_bool(0.5);
+        let mut onset_s = random.random_range(0.0..if early { 15.0 } else { 60.0 });
+        let side = if random.random_bool(0.5) { 1.0 } else { -1.0 };
+        let counts = random.random_range(60..600) * if random.random_bool(0.5) { 1 } else { -1 };
+        let lasts_s = random.random_range(0.3..0.7);
+        let falling = State {
+            theta: side * (HARD_STOP_RAD - random.random_range(0.0..0.4)),
+            alpha: random.random_range(-3.1..3.1),
+            alpha_dot: random.random_range(-8.0..8.0),
+            theta_dot: 0.0,
+        };
+        let fault = match case {
+            Case::Healthy => None,
+            Case::ThetaDeadFromTheStart => {
+                onset_s = 0.0;
+                Some(EmulatorFault::FrozenTheta { after_s: 0.0 })
+            }
+            Case::ThetaFrozen => Some(EmulatorFault::StuckTheta { after_s: onset_s }),
+            Case::ThetaDead => Some(EmulatorFault::FrozenTheta { after_s: onset_s }),
+            Case::ThetaLapse => Some(EmulatorFault::LapsingTheta { after_s: onset_s, lasts_s }),
+            Case::ThetaJump => Some(EmulatorFault::JumpTheta { after_s: onset_s, counts }),
+            Case::AlphaDeadFromTheStart => {
+                onset_s = 0.0;
+                Some(EmulatorFault::FrozenAlpha { after_s: 0.0 })
+            }
+            Case::AlphaFrozen => Some(EmulatorFault::FrozenAlpha { after_s: onset_s }),
+            Case::AlphaLapse => Some(EmulatorFault::LapsingAlpha { after_s: onset_s, lasts_s }),
+            Case::AlphaJump => Some(EmulatorFault::JumpAlpha { after_s: onset_s, counts }),
+            Case::ThetaSign => Some(EmulatorFault::FlippedTheta),
+            Case::AlphaSign => Some(EmulatorFault::FlippedAlpha),
+            Case::MotorSign => Some(EmulatorFault::FlippedMotor),
+            Case::MotorDead => {
+                onset_s = 0.0;
+                Some(EmulatorFault::DeadMotor { after_s: 0.0 })
+            }
+            Case::MotorDeadLater => Some(EmulatorFault::DeadMotor { after_s: onset_s }),
+            Case::MotorHalf => Some(EmulatorFault::WeakMotor { share: 0.5 }),
+            Case::MotorWeak => Some(EmulatorFault::WeakMotor { share: 0.3 }),
+            Case::ArmHeld => {
+                onset_s = 0.0;
+                Some(EmulatorFault::BlockedArm { after_s: 0.0 })
+            }
+            Case::ArmHeldLater => Some(EmulatorFault::BlockedArm { after_s: onset_s }),
+            Case::BesideAStop => {
+                start = State { theta: falling.theta, ..State::default() };
+                None
+            }
+            Case::BesideAStopFalling => {
+                start = falling;
+                None
+            }
+        };
+        if matches!(
+            case,
+            Case::ThetaSign | Case::AlphaSign | Case::MotorSign | Case::MotorHalf | Case::MotorWeak
+        ) {
+            onset_s = 0.0;
+        }
+        let settings =
+            EmulatorSettings { model, seed, fault, start: Some(start), ..Default::default() };
+        Self { case, seed, settings, onset_s }
+    }
+}
+
+/// Nominal, `lab`, one and a half times its gap, and each of them 10 % off, in turn.
+fn model(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
+    let text = std::fs::read_to_string(path).expect("the profile lab");
+    let lab = Profile::parse(&text).expect("the profile lab").model();
+    let mut model = match seed % 3 {
+        0 => QubeModel::NOMINAL,
+        1 => lab,
+        _ => lab.scaled(1.5),
+    };
+    if (seed / 3).is_multiple_of(2) {
+        for parameter in DomainParameter::ALL {
+            let factor = random.random_range(0.9..1.1);
+            model.parameters.set(parameter, factor * model.parameters.get(parameter));
+        }
+    }
+    model
+}

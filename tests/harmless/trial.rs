@@ -1,0 +1,221 @@
+//! One start, played as a rig plays it: hello, homing, then rollout after rollout until a fault ends
+//! it or its time is over.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::clock::{Clock, VirtualClock};
+use qube_hil::control::{
+    ControlState, Homing, HomingSettings, Motion, Tick, TickInput, TickOutput, drive,
+};
+use qube_hil::device::{Device, SerialLink};
+use qube_hil::estimation::EstimatorSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains};
+use qube_hil::qube::{CONTROL_PERIOD_NS, State};
+use qube_hil::safety::SafetyBox;
+use qube_hil::telemetry::{Ending, TickSettings};
+
+use super::case::{Case, Start};
+use super::wire::SharedWire;
+
+/// A start is over after this long, s: every fault has begun 15 s before.
+const LONGEST_S: f64 = 75.0;
+
+/// A zero that is this far off, rad, makes a result a false one.
+const ZERO_WITHIN_RAD: f64 = 0.05;
+
+/// What came of a start.
+#[derive(Clone, Copy, Debug)]
+pub struct Trial {
+    /// The fastest contact with a stop while homing or settling, and as the arm coasted after it, rad/s.
+    pub gentle_contact_rad_s: f64,
+    /// The fastest contact in a rollout, in its braking, and as the arm coasted after it, rad/s.
+    pub rollout_contact_rad_s: f64,
+    /// The fastest contact of the same start with the amplifier off, rad/s.
+    pub contact_off_rad_s: f64,
+    /// How long homing took, s; none where it did not end well.
+    pub homed_after_s: Option<f64>,
+    /// How the last motion ended.
+    pub ending: Ending,
+    /// What control did when the fault began.
+    pub struck_in: Option<ControlState>,
+    /// How long after the fault's beginning the amplifier was off, s.
+    pub off_after_s: f64,
+    /// Rollouts that counted as results although the fault began before they ended.
+    pub false_results: u32,
+}
+
+/// A motion whose contacts are noted, with what control did then.
+struct Watched<'a, M> {
+    motion: M,
+    notes: &'a mut Notes,
+}
+
+struct Notes {
+    wire: SharedWire,
+    clock: VirtualClock,
+    onset_s: f64,
+    so_far_rad_s: f64,
+    gentle_rad_s: f64,
+    rollout_rad_s: f64,
+    struck_in: Option<ControlState>,
+    /// When the policy last had the motor, s.
+    ran_until_s: f64,
+}
+
+impl Notes {
+    fn note(&mut self, state: ControlState) {
+        let fastest = self.wire.fastest_contact_rad_s();
+        if fastest > self.so_far_rad_s {
+            self.so_far_rad_s = fastest;
+            match state {
+                ControlState::Running | ControlState::Braking | ControlState::Faulting => {
+                    self.rollout_rad_s = fastest;
+                }
+                _ => self.gentle_rad_s = fastest,
+            }
+        }
+        if state == ControlState::Running {
+            self.ran_until_s = seconds(&self.clock);
+        }
+        if self.struck_in.is_none() && seconds(&self.clock) >= self.onset_s {
+            self.struck_in = Some(state);
+        }
+    }
+
+    /// Drives a motion to its end, and lets the arm coast after it.
+    fn drive(&mut self, device: &mut dyn Device, motion: &mut dyn Motion) -> Ending {
+        let clock = self.clock.clone();
+        let stop = AtomicBool::new(false);
+        let mut watched = Watched { motion, notes: self };
+        let report = drive(device, &clock, &mut watched, None, &stop).expect("it arms");
+        report.outcome.ending
+    }
+
+    fn coast(&mut self, after: ControlState) {
+        self.clock.advance(3_000_000_000);
+        self.note(after);
+    }
+}
+
+fn seconds(clock: &VirtualClock) -> f64 {
+    clock.now_ns() as f64 * 1e-9
+}
+
+impl Motion for Watched<'_, &mut dyn Motion> {
+    fn decide(&mut self, input: &TickInput) -> TickOutput {
+        self.notes.note(self.motion.control_state());
+        self.motion.decide(input)
+    }
+
+    fn control_state(&self) -> ControlState {
+        self.motion.control_state()
+    }
+
+    fn device_mv(&self, voltage_mv: i16) -> i16 {
+        self.motion.device_mv(voltage_mv)
+    }
+}
+
+/// Plays a start; the same start gives the same trial.
+pub fn play(start: &Start) -> Trial {
+    let clock = VirtualClock::default();
+    let wire = SharedWire::new(start.settings, clock.clone());
+    let shared: Arc<dyn Clock> = Arc::new(clock.clone());
+    let mut device = SerialLink::new(wire.clone(), shared);
+    let mut notes = Notes {
+        wire,
+        clock: clock.clone(),
+        onset_s: start.onset_s,
+        so_far_rad_s: 0.0,
+        gentle_rad_s: 0.0,
+        rollout_rad_s: 0.0,
+        struck_in: None,
+        ran_until_s: 0.0,
+    };
+    device.hello().expect("an emulated Qube answers");
+    let mut homing = Homing::new(&HomingSettings::default());
+    let mut ending = notes.drive(&mut device, &mut homing);
+    let homed_after_s = (ending == Ending::Completed).then(|| seconds(&clock));
+    let mut off_s = seconds(&clock);
+    let mut phase = ControlState::Homing;
+    let mut false_results = 0;
+    if ending == Ending::Completed {
+        let rig = homing.calibration().expect("it homes");
+        while seconds(&clock) < LONGEST_S {
+            let settings = TickSettings {
+                calibration: rig,
+                estimator: EstimatorSettings::default(),
+                safety_box: SafetyBox::GUARDED,
+                max_steps: 600,
+                start_theta_rad: 0.05,
+                stops: None,
+                rules: qube_hil::telemetry::TickRules::Witnessed,
+            };
+            let controller = ClassicalController::new(ClassicalGains::default());
+            let mut tick = Tick::new(&settings, controller);
+            ending = notes.drive(&mut device, &mut tick);
+            off_s = seconds(&clock);
+            phase = notes.struck_in.unwrap_or(ControlState::Running);
+            if matches!(ending, Ending::Fault(_)) {
+                break;
+            }
+            // Counts that were lost while the arm stood are none.
+            let sample = device.sample(clock.now_ns() + 6_000_000).expect("it answers");
+            let zero_error_rad = rig.angles_rad(&sample).0 - notes.wire.state().theta;
+            let strikes = start.settings.fault.is_some() && notes.ran_until_s > start.onset_s;
+            false_results += u32::from(strikes && zero_error_rad.abs() > ZERO_WITHIN_RAD);
+            // What a session does between two rollouts.
+            clock.advance(20 * CONTROL_PERIOD_NS);
+        }
+    }
+    let settles = matches!(phase, ControlState::Homing | ControlState::Settling);
+    notes.coast(if settles { ControlState::Homing } else { ControlState::Running });
+    Trial {
+        gentle_contact_rad_s: notes.gentle_rad_s,
+        rollout_contact_rad_s: notes.rollout_rad_s,
+        contact_off_rad_s: contact_off_rad_s(start),
+        homed_after_s,
+        ending,
+        struck_in: notes.struck_in,
+        off_after_s: off_s - start.onset_s,
+        false_results,
+    }
+}
+
+/// The fastest contact of the same start with the amplifier off, rad/s.
+fn contact_off_rad_s(start: &Start) -> f64 {
+    if !matches!(start.case, Case::BesideAStop | Case::BesideAStopFalling) {
+        return 0.0;
+    }
+    // Over the same wire at the same times: a falling pendulum forgives no rounding.
+    let clock = VirtualClock::default();
+    let wire = SharedWire::new(start.settings, clock.clone());
+    let shared: Arc<dyn Clock> = Arc::new(clock.clone());
+    let mut device = SerialLink::new(wire.clone(), shared);
+    device.hello().expect("an emulated Qube answers");
+    let stop = AtomicBool::new(false);
+    drive(&mut device, &clock, &mut Idle { ticks: 0 }, None, &stop).expect("it arms");
+    wire.fastest_contact_rad_s()
+}
+
+/// 30 s at 0 V.
+struct Idle {
+    ticks: u32,
+}
+
+impl Motion for Idle {
+    fn decide(&mut self, _: &TickInput) -> TickOutput {
+        self.ticks += 1;
+        let ending = (self.ticks >= 3000).then_some(Ending::Completed);
+        TickOutput { ending, ..TickOutput::settling(State::default(), 0) }
+    }
+
+    fn control_state(&self) -> ControlState {
+        ControlState::Homing
+    }
+
+    fn device_mv(&self, voltage_mv: i16) -> i16 {
+        voltage_mv
+    }
+}
