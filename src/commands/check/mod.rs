@@ -121,7 +121,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     if passed {
         let path = written.map(Path::to_owned).or(device.path.clone());
         let path = path.unwrap_or_else(|| QUBE_FILE.into());
-        if !arguments.power_test && !(written.is_some() && wants_power_test(&path)) {
+        let is_offered = written.is_some() && wants_power_test(&path);
+        if !arguments.power_test && !is_offered {
             return Ok(());
         }
         let file = QubeFile {

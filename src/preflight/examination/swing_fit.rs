@@ -11,6 +11,8 @@
 //! which is linear in k, w^2, a, b and d. A pendulum that swings already, and a place where it hangs
 //! that is not known, are in a, b and d.
 
+use nalgebra::{DMatrix, DVector};
+
 use crate::control::ProbeSample;
 use crate::qube::RAD_PER_COUNT;
 
@@ -73,6 +75,9 @@ pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64) -> SwingFit {
     SwingFit { lag, driven_counts }
 }
 
+/// Below this, for each row, the smallest pivot of the normal matrix is that of a singular one.
+const SINGULAR: f64 = 1e-9;
+
 struct Solution {
     coefficients: [f64; TERMS],
     /// Of the first coefficient, in units of the residuals' variance.
@@ -95,49 +100,22 @@ fn least_squares(rows: &[([f64; TERMS], f64)], used: [bool; TERMS]) -> Option<So
     if rows.len() <= count {
         return None;
     }
-    // Normal matrix, beside it the right-hand side and the first unit vector.
-    let mut matrix = vec![vec![0.0; count + 2]; count];
-    for (row, value) in rows {
-        for (i, &term) in active.iter().enumerate() {
-            let scaled = row[term] / size[term];
-            for (j, &other) in active.iter().enumerate() {
-                matrix[i][j] += scaled * row[other] / size[other];
-            }
-            matrix[i][count] += scaled * value;
-        }
+    let design = DMatrix::from_fn(rows.len(), count, |row, column| {
+        rows[row].0[active[column]] / size[active[column]]
+    });
+    let observed = DVector::from_iterator(rows.len(), rows.iter().map(|(_, value)| *value));
+    let factor = design.tr_mul(&design).cholesky()?;
+    if factor.l_dirty().diagonal().min().powi(2) < SINGULAR * rows.len() as f64 {
+        return None;
     }
-    if let Some(first) = matrix.first_mut() {
-        first[count + 1] = 1.0;
-    }
-    for pivot in 0..count {
-        let best = (pivot..count)
-            .max_by(|a, b| matrix[*a][pivot].abs().total_cmp(&matrix[*b][pivot].abs()))?;
-        matrix.swap(pivot, best);
-        if matrix[pivot][pivot].abs() < 1e-9 * rows.len() as f64 {
-            return None;
-        }
-        for row in 0..count {
-            if row != pivot {
-                let factor = matrix[row][pivot] / matrix[pivot][pivot];
-                for column in pivot..count + 2 {
-                    matrix[row][column] -= factor * matrix[pivot][column];
-                }
-            }
-        }
-    }
+    let scaled = factor.solve(&design.tr_mul(&observed));
     let mut coefficients = [0.0; TERMS];
-    for (i, &term) in active.iter().enumerate() {
-        coefficients[term] = matrix[i][count] / matrix[i][i] / size[term];
+    for (coefficient, &term) in scaled.iter().zip(&active) {
+        coefficients[term] = coefficient / size[term];
     }
-    let squares: f64 = rows
-        .iter()
-        .map(|(row, value)| {
-            let explained: f64 = active.iter().map(|&term| coefficients[term] * row[term]).sum();
-            (value - explained) * (value - explained)
-        })
-        .sum();
-    let first_variance = matrix.first().map_or(0.0, |first| first[count + 1] / first[0])
-        / active.first().map_or(1.0, |&term| size[term] * size[term]);
+    let first_variance =
+        active.first().map_or(0.0, |&term| factor.inverse()[(0, 0)] / (size[term] * size[term]));
+    let squares = (observed - design * scaled).norm_squared();
     let residual_rad = (squares / (rows.len() - count) as f64).sqrt();
     Some(Solution { coefficients, first_variance, residual_rad })
 }
