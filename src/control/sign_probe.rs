@@ -36,6 +36,12 @@ const STOPPED_RAD_S: f64 = 0.5;
 /// The brake gets at least this much, V: what the push had may be within a motor's dead zone.
 const BRAKE_V: f64 = 1.0;
 
+/// Below this no motor's current is judged, A: the smallest push drives 0.02 A through one that stands.
+const LEAST_CURRENT_A: f64 = 0.02;
+
+/// Two readings of the current may differ by so much without a cause, A: rounding, offset and noise.
+const CURRENT_ERROR_A: f64 = 0.005;
+
 /// A short push of the arm that shows how encoders and motor are wired: open loop, because feedback
 /// needs the very signs that are looked for.
 ///
@@ -159,16 +165,21 @@ impl ProbeTrace {
     }
 
     /// By which part the motor's current had fallen at the end of the push, from its largest value
-    /// for that voltage: a motor that turns draws less. 0 where no current flowed.
+    /// for that voltage: a motor that turns draws less. 0 where no current flowed, or where it fell by
+    /// no more than a reading may err. Both values are means of two readings.
     #[must_use]
     pub fn current_drop(&self) -> f64 {
-        let pushed = self.samples().iter().filter(|sample| {
+        let mut pushed = self.samples().iter().filter(|sample| {
             sample.stage == ProbeStage::Push && sample.applied_v > 0.5 * self.push_v.abs()
         });
-        let (largest_a, last_a) = pushed.fold((0.0_f64, 0.0), |(largest_a, _), sample| {
-            (largest_a.max(sample.current_a), sample.current_a)
-        });
-        if largest_a > 0.0 { 1.0 - last_a / largest_a } else { 0.0 }
+        let Some(first) = pushed.next() else { return 0.0 };
+        let (largest_a, last_a, _) =
+            pushed.fold((0.0_f64, 0.0, first.current_a), |(largest_a, _, before_a), sample| {
+                let mean_a = 0.5 * (before_a + sample.current_a);
+                (largest_a.max(mean_a), mean_a, sample.current_a)
+            });
+        let is_seen = largest_a >= LEAST_CURRENT_A && largest_a - last_a >= CURRENT_ERROR_A;
+        if is_seen { 1.0 - last_a / largest_a } else { 0.0 }
     }
 
     fn push(&mut self, sample: ProbeSample) {
@@ -375,7 +386,7 @@ mod tests {
     fn a_motor_that_turns_draws_less_and_one_that_is_held_does_not() {
         let drop = |last_a: f64| {
             let mut trace = ProbeTrace::new(0.5);
-            for current_a in [0.0, 0.06, 0.05, last_a] {
+            for current_a in [0.0, 0.06, 0.06, 0.05, last_a, last_a] {
                 let (applied_v, stage) = (0.5, ProbeStage::Push);
                 trace.push(ProbeSample { current_a, applied_v, stage, ..ProbeSample::default() });
             }
@@ -383,5 +394,17 @@ mod tests {
         };
         assert!((drop(0.03) - 0.5).abs() < 1e-12);
         assert_eq!(drop(0.06), 0.0);
+        assert_eq!(drop(0.056), 0.0, "a reading may err by that much");
+    }
+
+    /// A motor without supply reads 1 mA now and then: its converter's rounding.
+    #[test]
+    fn a_motor_without_current_does_not_turn() {
+        let mut trace = ProbeTrace::new(2.0);
+        for current_a in [0.001, 0.001, 0.0, 0.0, 0.0] {
+            let (applied_v, stage) = (2.0, ProbeStage::Push);
+            trace.push(ProbeSample { current_a, applied_v, stage, ..ProbeSample::default() });
+        }
+        assert_eq!(trace.current_drop(), 0.0);
     }
 }
