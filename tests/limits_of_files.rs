@@ -178,6 +178,13 @@ fn a_soak_runs_under_the_envelope() {
     let output = qube_hil(directory.path(), &soak);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let recording = read(&directory.path().join("kept/rollout-0.mcap")).unwrap();
-    assert_eq!(recording.header.settings.safety_box, SafetyBox::GUARDED);
+    // The stops that homing measured may lie a count inside of where a Qube's are.
+    let SafetyBox { theta, .. } = recording.header.settings.safety_box;
+    assert!(
+        theta <= SafetyBox::GUARDED.theta && theta > SafetyBox::GUARDED.theta - 0.01,
+        "{theta}"
+    );
+    let guarded = SafetyBox { theta, ..SafetyBox::GUARDED };
+    assert_eq!(recording.header.settings.safety_box, guarded);
     assert!(!recording.header.hard_stop_accepted);
 }
