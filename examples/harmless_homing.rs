@@ -1,8 +1,8 @@
 //! Starts with one thing wrong each, and how fast the arm met a stop: `scripts/harmless-homing` plays
 //! 10^4 of them.
 //!
-//! `cargo run --release --example harmless_homing -- SEEDS [FIRST_SEED [list]]` plays each case with so many
-//! seeds.
+//! `cargo run --release --example harmless_homing -- SEEDS [FIRST_SEED [list [CASES]]]` plays each case with
+//! so many seeds.
 
 #[path = "../tests/harmless/mod.rs"]
 mod harmless;
@@ -21,7 +21,9 @@ fn main() {
     let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
     let mut harmless = true;
     println!("{}", Row::HEAD);
-    for case in Case::ALL {
+    let only = arguments.get(3);
+    let is_wanted = |case: &Case| only.is_none_or(|names| names.contains(&format!("{case:?}")));
+    for case in Case::ALL.into_iter().filter(is_wanted) {
         let mut trials: Vec<(Start, Trial)> = std::thread::scope(|scope| {
             let workers: Vec<_> = (0..threads)
                 .map(|thread| {

@@ -19,6 +19,7 @@ mod rest;
 mod sensor_watch;
 mod settling;
 mod sign_probe;
+mod standing;
 mod stop_press;
 mod stop_seek;
 mod thread;

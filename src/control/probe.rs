@@ -11,7 +11,7 @@ const RAMP_V_S: f64 = 0.55;
 
 /// ... and so many times slower for each rad over which the pendulum swings: it is then not known as
 /// well where it hangs, and so not seen as soon that an arm moves which nobody counts.
-const SLOWER_PER_SWING: f64 = 6.0;
+const SLOWER_PER_SWING: f64 = 12.0;
 
 /// The strongest push, V: cable, friction and dead zone of a real Qube take 1.4 V together.
 pub const STRONGEST_V: f64 = 1.8;

@@ -1,3 +1,4 @@
+use super::standing::Standing;
 use super::watch::Alarm;
 use super::witness::{Contradiction, RIG_SHARE, Witness};
 use crate::estimation::Calibration;
@@ -74,6 +75,8 @@ pub struct SensorWatch {
     /// Arm and pendulum against each other, and what makes angles of their counts; none by the first
     /// rules.
     witness: Option<(Calibration, Witness)>,
+    /// The arm's count against the whole Qube's momentum.
+    standing: Standing,
     has_taken_current: bool,
     without_current_ticks: u32,
     frozen: Push,
@@ -247,6 +250,14 @@ impl SensorWatch {
             if is_spike(&mut self.alpha_steps, alpha / periods) {
                 self.witness = None;
                 return Some(Alarm::Brake(Fault::PendulumJump));
+            }
+        }
+        if let (Some((calibration, _)), Some(drive)) = (&self.witness, drive) {
+            let (_, alpha) = calibration.angles_rad(sample);
+            let sign = if calibration.voltage_inverted { -1.0 } else { 1.0 };
+            let voltage_v = f64::from(drive.voltage_mv) * 1e-3;
+            if self.standing.is_frozen(sample, alpha, voltage_v, sign * sample.current_a) {
+                return Some(Alarm::Zero(Fault::EncoderFrozen));
             }
         }
         match testimony {

@@ -35,8 +35,8 @@ const STREAK: u32 = 2;
 /// While the arm's count stands, the pendulum may feel the arm take up this velocity, rad/s ...
 const DRIFT_RAD_S: f64 = 0.45;
 
-/// ... over so many periods.
-const DRIFT: usize = 40;
+/// ... over so many periods, or half as many: the weight that a zero is off by adds up.
+const DRIFT: usize = 80;
 
 /// Samples farther apart than this leave a hole, us: what came before is forgotten.
 const HOLE_US: u64 = 15_000;
@@ -255,6 +255,10 @@ impl Witness {
     /// Whether the pendulum has felt the arm take up a velocity while the arm's count stood.
     fn drifts(&self) -> bool {
         let stood = (self.arm_stands_ticks as usize).min(self.filled.saturating_sub(1)).min(DRIFT);
+        self.drifts_over(stood.min(DRIFT / 2)) || self.drifts_over(stood)
+    }
+
+    fn drifts_over(&self, stood: usize) -> bool {
         if stood < 2 * SHORT + 2 {
             return false;
         }

@@ -10,13 +10,13 @@ use super::case::{Case, Start};
 use super::trial::Trial;
 
 /// No contact is faster than this while homing or settling, rad/s.
-pub const FASTEST_CONTACT_RAD_S: f64 = 2.0;
+const FASTEST_CONTACT_RAD_S: f64 = 2.0;
 
 /// A freeze in a rollout is found within this, s ...
 const FOUND_WITHIN_S: f64 = 0.3;
 
 impl Trial {
-    /// Whether no stop was touched faster than it may be.
+    /// Whether no stop was touched faster than it may be, or than with the amplifier off.
     pub fn is_harmless(&self) -> bool {
         self.is_slower_than(FASTEST_CONTACT_RAD_S)
     }

@@ -61,6 +61,8 @@ struct Notes {
     struck_in: Option<ControlState>,
     /// When the policy last had the motor, s.
     ran_until_s: f64,
+    /// From when on the amplifier is off, s.
+    off_from_s: Option<f64>,
 }
 
 impl Notes {
@@ -105,6 +107,10 @@ fn seconds(clock: &VirtualClock) -> f64 {
 impl Motion for Watched<'_, &mut dyn Motion> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.notes.note(self.motion.control_state());
+        if self.notes.off_from_s.is_some_and(|off_s| seconds(&self.notes.clock) >= off_s) {
+            let ending = Some(Ending::Stopped);
+            return TickOutput { ending, ..TickOutput::settling(State::default(), 0) };
+        }
         self.motion.decide(input)
     }
 
@@ -119,6 +125,13 @@ impl Motion for Watched<'_, &mut dyn Motion> {
 
 /// Plays a start; the same start gives the same trial.
 pub fn play(start: &Start) -> Trial {
+    let trial = play_until(start, None);
+    let contact_off_rad_s = contact_off_rad_s(start, &trial);
+    Trial { contact_off_rad_s, ..trial }
+}
+
+/// Plays a start with the amplifier off from then on.
+fn play_until(start: &Start, off_from_s: Option<f64>) -> Trial {
     let clock = VirtualClock::default();
     let wire = SharedWire::new(start.settings, clock.clone());
     let shared: Arc<dyn Clock> = Arc::new(clock.clone());
@@ -132,6 +145,7 @@ pub fn play(start: &Start) -> Trial {
         rollout_rad_s: 0.0,
         struck_in: None,
         ran_until_s: 0.0,
+        off_from_s,
     };
     device.hello().expect("an emulated Qube answers");
     let mut homing = Homing::new(&HomingSettings::default());
@@ -157,7 +171,7 @@ pub fn play(start: &Start) -> Trial {
             ending = notes.drive(&mut device, &mut tick);
             off_s = seconds(&clock);
             phase = notes.struck_in.unwrap_or(ControlState::Running);
-            if matches!(ending, Ending::Fault(_)) {
+            if matches!(ending, Ending::Fault(_) | Ending::Stopped) {
                 break;
             }
             // Counts that were lost while the arm stood are none.
@@ -174,7 +188,7 @@ pub fn play(start: &Start) -> Trial {
     Trial {
         gentle_contact_rad_s: notes.gentle_rad_s,
         rollout_contact_rad_s: notes.rollout_rad_s,
-        contact_off_rad_s: contact_off_rad_s(start),
+        contact_off_rad_s: 0.0,
         homed_after_s,
         ending,
         struck_in: notes.struck_in,
@@ -183,8 +197,13 @@ pub fn play(start: &Start) -> Trial {
     }
 }
 
-/// The fastest contact of the same start with the amplifier off, rad/s.
-fn contact_off_rad_s(start: &Start) -> f64 {
+/// The fastest contact of the same start with the amplifier off, rad/s: from the beginning where the
+/// pendulum falls, from the instant at which the motor dies where it does.
+fn contact_off_rad_s(start: &Start, trial: &Trial) -> f64 {
+    if start.case == Case::MotorDeadLater && trial.gentle_contact_rad_s > 0.0 {
+        let off = play_until(start, Some(start.onset_s));
+        return off.gentle_contact_rad_s.max(off.rollout_contact_rad_s);
+    }
     if !matches!(start.case, Case::BesideAStop | Case::BesideAStopFalling) {
         return 0.0;
     }

@@ -1,0 +1,204 @@
+//! An arm's count that stands although the whole Qube's momentum says that the arm moves.
+
+use crate::elementary::Scalar;
+use crate::qube::{DomainParameters, Measurement};
+
+/// Ticks that are looked back over at most, and one more.
+const KEPT: usize = 26;
+
+/// A count that has stood for so many ticks is asked after.
+const LEAST_TICKS: usize = 5;
+
+/// What friction, cable and dead zone hold of an arm that stands, rad/s^2: four times the friction of
+/// the profile `lab` with its cable at the far stop, and the arm may be 30 % lighter.
+const HOLDS_RAD_S2: f64 = 24.0;
+
+/// What quantisation and a degree of play make of a change of velocity, rad/s.
+const LEAST_RAD_S: f64 = 1.0;
+
+/// What masses and lengths that are 30 % off make of the pendulum's share of the momentum ...
+const SWING_SHARE: f64 = 0.4;
+
+/// ... and an unknown motor of its push.
+const MOTOR_SHARE: f64 = 0.5;
+
+/// What the pendulum's own equation must say besides, rad/s ...
+const FELT_RAD_S: f64 = 0.5;
+
+/// ... and as a share of what is compared.
+const FELT_SHARE: f64 = 0.15;
+
+/// A current above this shows that the sensor is alive, A.
+const ALIVE_A: f32 = 0.03;
+
+/// An arm that has stood for so many ticks ...
+const RESUMES_AFTER_TICKS: usize = 4;
+
+/// ... goes no farther than this in its first period: 6 rad/s from rest are 600 rad/s^2.
+const RESUMES_COUNTS: i32 = 20;
+
+/// What the second period has at least of the first.
+const GOES_ON_COUNTS: i32 = 12;
+
+const NOMINAL: DomainParameters = DomainParameters::NOMINAL;
+
+/// Watches a standing count by two equations, each of which leaves out what the other one needs:
+///
+/// ```text
+/// A th'' = k V - d/dt (c cos a a') - friction        cos a th'' = -(2 L_p / 3 L_r) a'' - (g / L_r) sin a
+/// ```
+///
+/// The first knows nothing of gravity and the pendulum's period, the second nothing of motor and
+/// masses. An arm that stands makes both sides of both nothing. One that is held fails the first alone.
+#[derive(Clone, Copy, Debug)]
+pub struct Standing {
+    ring: [Entry; KEPT],
+    newest: usize,
+    filled: usize,
+    stood_ticks: usize,
+    stood_at: i32,
+    last_counts: i32,
+    resumed_counts: i32,
+    has_taken_current: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Entry {
+    time_s: f64,
+    alpha: f64,
+    /// Integral of the motor's push, rad/s.
+    pushed_rad_s: f64,
+    /// Integral of its size.
+    push_rad_s: f64,
+    /// Integral of the weight, rad/s.
+    pulled_rad_s: f64,
+}
+
+impl Default for Standing {
+    fn default() -> Self {
+        Self {
+            ring: [Entry::default(); KEPT],
+            newest: 0,
+            filled: 0,
+            stood_ticks: 0,
+            stood_at: 0,
+            last_counts: 0,
+            resumed_counts: 0,
+            has_taken_current: false,
+        }
+    }
+}
+
+impl Standing {
+    /// Takes a sample, the pendulum's angle, the voltage that was sent last and the current it drew,
+    /// both in the convention's signs; whether the arm's count stands and the arm does not.
+    pub fn is_frozen(
+        &mut self,
+        sample: &Measurement,
+        alpha: f64,
+        voltage_v: f64,
+        current_a: f32,
+    ) -> bool {
+        let last = self.ring[self.newest];
+        let time_s = sample.device_time_us as f64 * 1e-6;
+        let elapsed_s = time_s - last.time_s;
+        let step = sample.theta_counts.wrapping_sub(self.last_counts);
+        self.last_counts = sample.theta_counts;
+        if self.filled == 0 || elapsed_s > 0.015 {
+            *self = Self { has_taken_current: self.has_taken_current, ..Self::default() };
+            self.ring[0] = Entry { time_s, alpha, ..Entry::default() };
+            self.filled = 1;
+            (self.stood_at, self.last_counts) = (sample.theta_counts, sample.theta_counts);
+            return false;
+        }
+        self.push(time_s, elapsed_s, alpha, self.accelerates_rad_s2(voltage_v, current_a));
+        self.has_taken_current |= current_a.abs() > ALIVE_A;
+
+        // A count that goes on from standing as if it had never stood.
+        let resumed = self.resumed_counts;
+        self.resumed_counts = 0;
+        if resumed != 0 && step.signum() == resumed.signum() && step.abs() >= GOES_ON_COUNTS {
+            return true;
+        }
+        if sample.theta_counts.wrapping_sub(self.stood_at).wrapping_abs() > 1 {
+            if self.stood_ticks >= RESUMES_AFTER_TICKS && step.wrapping_abs() >= RESUMES_COUNTS {
+                self.resumed_counts = step;
+            }
+            (self.stood_at, self.stood_ticks) = (sample.theta_counts, 0);
+            return false;
+        }
+        self.stood_ticks += 1;
+        let longest = self.stood_ticks.min(self.filled.saturating_sub(3));
+        (LEAST_TICKS..=longest).any(|ticks| self.moves_over(ticks))
+    }
+
+    /// What the motor does to an arm that is free, rad/s^2.
+    fn accelerates_rad_s2(&self, voltage_v: f64, current_a: f32) -> f64 {
+        let arm_inertia = arm_inertia();
+        let current_a = if self.has_taken_current {
+            f64::from(current_a)
+        } else {
+            voltage_v / NOMINAL.motor_resistance_ohm
+        };
+        NOMINAL.motor_back_emf_v_s * current_a / arm_inertia
+    }
+
+    fn push(&mut self, time_s: f64, elapsed_s: f64, alpha: f64, accelerates_rad_s2: f64) {
+        let last = self.ring[self.newest];
+        let (sin, _) = Scalar::sin_cos(0.5 * (alpha + last.alpha));
+        let weight = NOMINAL.gravity_m_s2 / NOMINAL.rotary_length_m;
+        let pushed_rad_s = accelerates_rad_s2 * elapsed_s;
+        self.newest = (self.newest + 1) % KEPT;
+        self.filled = (self.filled + 1).min(KEPT);
+        self.ring[self.newest] = Entry {
+            time_s,
+            alpha,
+            pushed_rad_s: last.pushed_rad_s + pushed_rad_s,
+            push_rad_s: last.push_rad_s + pushed_rad_s.abs(),
+            pulled_rad_s: last.pulled_rad_s + weight * sin * elapsed_s,
+        };
+    }
+
+    /// Whether both equations say that the arm has taken up velocity in so many ticks.
+    fn moves_over(&self, ticks: usize) -> bool {
+        let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
+        let alpha_dot = |back: usize| {
+            let (end, start) = (at(back), at(back + 2));
+            (end.alpha - start.alpha) / (end.time_s - start.time_s)
+        };
+        // Velocities are those of one tick before.
+        let (now, before) = (at(1), at(ticks));
+        let (now_rad_s, before_rad_s) = (alpha_dot(0), alpha_dot(ticks - 1));
+        let cos = |entry: &Entry| Scalar::sin_cos(entry.alpha).1;
+        let (cos_now, cos_before) = (cos(now), cos(before));
+        let elapsed_s = now.time_s - before.time_s;
+
+        let lengths = NOMINAL.pendulum_length_m / NOMINAL.rotary_length_m;
+        let throw =
+            0.5 * NOMINAL.pendulum_mass_kg * NOMINAL.pendulum_length_m * NOMINAL.rotary_length_m
+                / arm_inertia();
+        let swung_rad_s = throw * (cos_now * now_rad_s - cos_before * before_rad_s);
+        let pushed_rad_s = now.pushed_rad_s - before.pushed_rad_s;
+        let push_rad_s = now.push_rad_s - before.push_rad_s;
+        let implied_rad_s = pushed_rad_s - swung_rad_s;
+        let may_be_rad_s = HOLDS_RAD_S2.mul_add(elapsed_s, LEAST_RAD_S)
+            + SWING_SHARE * swung_rad_s.abs()
+            + MOTOR_SHARE * push_rad_s;
+        if implied_rad_s.abs() <= may_be_rad_s {
+            return false;
+        }
+        let turned_rad_s = 2.0 / 3.0 * lengths * (now_rad_s - before_rad_s);
+        let pulled_rad_s = now.pulled_rad_s - before.pulled_rad_s;
+        let felt_rad_s = -(turned_rad_s + pulled_rad_s);
+        let least_rad_s =
+            FELT_SHARE.mul_add(0.5 * (turned_rad_s.abs() + pulled_rad_s.abs()), FELT_RAD_S);
+        let agree = felt_rad_s * implied_rad_s * (cos_now + cos_before) > 0.0;
+        felt_rad_s.abs() > least_rad_s && agree
+    }
+}
+
+/// Of the arm with the pendulum at its end, kg m^2.
+fn arm_inertia() -> f64 {
+    let DomainParameters { rotary_mass_kg, pendulum_mass_kg, rotary_length_m, .. } = NOMINAL;
+    (pendulum_mass_kg + rotary_mass_kg / 12.0) * rotary_length_m * rotary_length_m
+}

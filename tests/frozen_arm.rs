@@ -1,0 +1,61 @@
+//! An arm's encoder that freezes while arm and pendulum are in motion, and an arm that friction holds.
+
+use qube_hil::control::{Alarm, Drive, SensorWatch};
+use qube_hil::estimation::Calibration;
+use qube_hil::qube::{
+    Gap, GapDynamics, Measurement, QubeModel, RAD_PER_COUNT, State, control_step, counts,
+};
+use qube_hil::telemetry::Fault;
+
+/// How many ticks after the freeze (none: the encoder is right all along) the arm is called frozen,
+/// driven to and fro beside a swinging pendulum.
+fn found_after(gap: Gap, alpha: f64, amplitude_v: f64, frozen_at: Option<u32>) -> Option<u32> {
+    let dynamics = GapDynamics::new(&QubeModel { gap, ..QubeModel::NOMINAL });
+    let mut state = State { alpha, ..State::default() };
+    let mut watch = SensorWatch::witnessed(Calibration::IDENTITY);
+    let (mut theta_counts, mut voltage_v) = (0, 0.0);
+    for tick in 0..400_u32 {
+        let is_frozen = frozen_at.is_some_and(|at| tick > at);
+        theta_counts = if is_frozen { theta_counts } else { counts(state.theta) };
+        let theta_dot = if is_frozen { 0.0 } else { state.theta_dot };
+        let sample = Measurement {
+            device_time_us: u64::from(tick) * 10_000,
+            theta_counts,
+            alpha_counts: counts(state.alpha),
+            tachometer_counts_s: (theta_dot / RAD_PER_COUNT) as i32,
+            ..Measurement::default()
+        };
+        let voltage_mv = (1e3 * voltage_v) as i16;
+        let swing_rad_s = state.alpha.cos() * state.alpha_dot;
+        let alarm = watch.check(&sample, Some(Drive { voltage_mv, swing_rad_s }));
+        if alarm == Some(Alarm::Zero(Fault::EncoderFrozen)) {
+            return Some(tick - frozen_at.unwrap_or(tick));
+        }
+        voltage_v = if tick % 60 < 30 { amplitude_v } else { -amplitude_v };
+        state = control_step(&dynamics, state, voltage_v);
+    }
+    None
+}
+
+#[test]
+fn a_freeze_in_a_swing_is_found_within_300_ms() {
+    for at in (60..300).step_by(7) {
+        for (alpha, amplitude_v) in [(1.5, 2.0), (2.0, 4.0), (2.5, 3.0)] {
+            let found = found_after(Gap::default(), alpha, amplitude_v, Some(at));
+            assert!(found.is_some_and(|ticks| ticks <= 30), "{at}, {alpha}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn an_arm_that_friction_holds_against_a_swinging_pendulum_is_not_frozen() {
+    let sticky = Gap { coulomb_torque_n_m: 4.0 * 4.7e-4, ..Gap::default() };
+    for gap in [Gap::default(), sticky] {
+        for alpha in [0.0, 0.2, 0.5, 1.0, 2.0, 3.0, 3.1] {
+            for amplitude_v in [0.0, 0.3, 0.6] {
+                let found = found_after(gap, alpha, amplitude_v, None);
+                assert_eq!(found, None, "{alpha} rad, {amplitude_v} V");
+            }
+        }
+    }
+}
