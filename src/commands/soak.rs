@@ -15,7 +15,7 @@ use crate::policy::{ClassicalController, ClassicalGains, Policy};
 use crate::qube::{CONTROL_PERIOD_NS, MAX_STEPS};
 use crate::recording::{Recording, read};
 use crate::safety::SafetyBox;
-use crate::session::{Rig, RolloutPlan, Verdict, judge_recording};
+use crate::session::{Rig, RigError, RolloutPlan, Verdict, judge_recording};
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
 
@@ -24,6 +24,9 @@ const MAX_GROWTH_BYTES: i64 = 5_000_000;
 
 /// Rollouts after which everything is as large as it gets: buffers, threads' stacks, caches.
 const WARM_UP_ROLLOUTS: u64 = 20;
+
+/// How often in a row a rollout may fail to begin because of the link or of counts that moved.
+const MAX_NOT_BEGUN: u32 = 3;
 
 /// Run for hours: rollout after rollout by the classical controller, each recorded, read back and
 /// checked; no tick may be dropped and the memory may not grow
@@ -71,6 +74,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let mut soaked = Soaked::default();
     let mut ended_early = None;
+    let mut not_begun = 0;
     while soaked.ticks < ticks_wanted && !stop.requested() {
         let rollout = soaked.rollouts as u32;
         let path = folder.path.join(format!("rollout-{rollout}.mcap"));
@@ -86,8 +90,15 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             safety_box: device.safety_box(SafetyBox::default()),
             steps: MAX_STEPS as u32,
         };
-        rig.rollout(&MachineDisk, &path, plan.header(), &policy)
-            .map_err(|error| failures::rig(error, &stop))?;
+        match rig.rollout(&MachineDisk, &path, plan.header(), &policy) {
+            Ok(_) => not_begun = 0,
+            Err(RigError::NotBegun { .. }) if not_begun < MAX_NOT_BEGUN => {
+                not_begun += 1;
+                rig.start_again().map_err(|error| failures::rig(error, &stop))?;
+                continue;
+            }
+            Err(error) => return Err(failures::rig(error, &stop)),
+        }
         soaked.add(&read(&path).map_err(|error| failures::recording(&error))?);
         folder.is_done_with(&path)?;
         if soaked.rollouts.is_multiple_of(200) {

@@ -24,6 +24,7 @@ mod stop_press;
 mod stop_seek;
 mod thread;
 mod tick;
+mod undriven;
 mod watch;
 mod witness;
 
@@ -39,6 +40,7 @@ pub use sign_probe::{ArmResponse, ProbeSample, ProbeStage, ProbeTrace, SignProbe
 pub use stop_press::{PressOutcome, StopPress};
 pub use thread::{ControlError, ControlThread, Homed, ThreadGone};
 pub use tick::Tick;
+pub use undriven::{Moved, RestWatch, RestingCounts};
 pub use watch::Alarm;
 
 /// Records that the ring from the tick to the recorder holds: more than the longest rollout has

@@ -7,13 +7,14 @@ use thiserror::Error;
 
 use super::reconnect::{Patience, greet_patiently};
 use super::{
-    ControlAction, ControlEvent, ControlState, DriveReport, Homing, HomingSettings, Motion, Tick,
-    drive_warm,
+    ControlAction, ControlEvent, ControlState, DriveReport, Homing, HomingSettings, Motion, Moved,
+    RestWatch, RestingCounts, SAMPLE_TIMEOUT_NS, Tick, drive_warm,
 };
 use crate::clock::{Clock, Nanoseconds, RealtimeReport, enter_realtime};
-use crate::device::{Device, DeviceError, Identity};
+use crate::device::{Device, DeviceError, Identity, LinkFault};
 use crate::estimation::MeasuredRig;
 use crate::policy::Policy;
+use crate::qube::{CONTROL_PERIOD_NS, Measurement};
 use crate::safety::MotorHeat;
 use crate::telemetry::{TickRecord, TickSettings};
 
@@ -26,6 +27,10 @@ pub struct ThreadGone;
 
 /// How soon a stop is heard while the motor cools down, ns.
 const COOLING_STEP_NS: Nanoseconds = 100_000_000;
+
+/// How long arm and pendulum may take to come to rest while nothing is driven, ns. Where they do not,
+/// the arm is homed before the next rollout.
+const REST_TIME_NS: Nanoseconds = 15_000_000_000;
 
 /// What can keep control from doing what it is asked for.
 #[derive(Debug, Error)]
@@ -44,6 +49,9 @@ pub enum ControlError {
         /// Where control is.
         state: ControlState,
     },
+    /// The zeros are old ones: nothing has been armed.
+    #[error("{0}: the arm is homed again first")]
+    Moved(#[from] Moved),
 }
 
 /// What homing has found.
@@ -106,9 +114,11 @@ impl ControlThread {
             let _ = ready.send(report);
             let mut state = ControlState::default();
             let mut motor = Motor::default();
+            let mut undriven = Undriven::default();
             for command in inbox {
+                let (device, clock) = (device.as_mut(), clock.as_ref());
                 let event =
-                    obey(&mut state, &mut motor, command, device.as_mut(), clock.as_ref(), &stop);
+                    obey(&mut state, &mut motor, &mut undriven, command, device, clock, &stop);
                 if outbox.send(event).is_err() {
                     return;
                 }
@@ -284,9 +294,83 @@ impl Motor {
     }
 }
 
+/// What is known of the counts from one motion to the next.
+#[derive(Debug, Default)]
+struct Undriven {
+    /// The port, as errors name it.
+    port: String,
+    /// Where arm and pendulum came to rest after the last motion; none where that was not seen.
+    left_at: Option<RestingCounts>,
+}
+
+impl Undriven {
+    /// Watches, amplifier off, where a motion leaves arm and pendulum.
+    fn keep(
+        &mut self,
+        last: Option<&Measurement>,
+        device: &mut dyn Device,
+        clock: &dyn Clock,
+        stop: &AtomicBool,
+    ) {
+        let mut watch = RestWatch::after(last);
+        self.left_at = match watch_rest(&mut watch, device, clock, stop) {
+            Ok(rest) if !watch.has_jumped() => rest,
+            Ok(_) | Err(_) => None,
+        };
+    }
+
+    /// Compares, before a rollout arms the device, whether both are where they were left.
+    fn compare(
+        &self,
+        settings: &TickSettings,
+        device: &mut dyn Device,
+        clock: &dyn Clock,
+        stop: &AtomicBool,
+    ) -> Result<(), ControlError> {
+        let link = |fault| match fault {
+            LinkFault::NotArmed => DeviceError::Restarted { port: self.port.clone() },
+            fault => DeviceError::Link { port: self.port.clone(), fault },
+        };
+        let rest = watch_rest(&mut RestWatch::default(), device, clock, stop).map_err(link)?;
+        let rest = rest.ok_or(Moved::Unseen)?;
+        Ok(rest.compare(self.left_at, settings.calibration.alpha_zero_counts)?)
+    }
+}
+
+/// Samples at 100 Hz until arm and pendulum rest; none where they do not within the time, or somebody
+/// asks to stop.
+///
+/// # Errors
+/// The port is gone, or the board has restarted. A lost sample is none.
+fn watch_rest(
+    watch: &mut RestWatch,
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+) -> Result<Option<RestingCounts>, LinkFault> {
+    let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
+    let begin_ns = clock.now_ns();
+    let mut deadline_ns = begin_ns;
+    while deadline_ns < begin_ns + REST_TIME_NS && !stop.load(Ordering::Relaxed) {
+        match device.sample(clock.now_ns() + sample_time_ns) {
+            Ok(sample) => {
+                if let Some(rest) = watch.update(&sample) {
+                    return Ok(Some(rest));
+                }
+            }
+            Err(fault @ (LinkFault::Gone | LinkFault::NotArmed)) => return Err(fault),
+            Err(_) => {}
+        }
+        deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());
+        clock.sleep_until(deadline_ns);
+    }
+    Ok(None)
+}
+
 fn obey(
     state: &mut ControlState,
     motor: &mut Motor,
+    undriven: &mut Undriven,
     command: Command,
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -296,6 +380,10 @@ fn obey(
         Command::Hello(patience) => {
             let identified = greet_patiently(device, clock, stop, patience);
             let answered = identified.is_ok();
+            *undriven = Undriven::default();
+            if let Ok(identity) = &identified {
+                undriven.port.clone_from(&identity.port);
+            }
             state.take(if answered { ControlEvent::Hello } else { ControlEvent::NoAnswer });
             Event::Identified(identified, device.is_hardware())
         }
@@ -315,14 +403,29 @@ fn obey(
             };
             let driven = allowed(state, ControlEvent::Home)
                 .and_then(|()| driven(state, motor, device, clock, &mut homing, None, stop));
+            if let (Ok(report), ControlState::Ready) = (&driven, *state) {
+                undriven.keep(report.last_measurement.as_ref(), device, clock, stop);
+            }
             let homed = Homed { rig: homing.measured(), travel_rad: homing.travel_rad() };
             Event::Homed(driven.map(|report| (report, homed)))
         }
         Command::Rollout(settings, policy, mut records) => {
-            let mut tick = Tick::new(&settings, *policy);
+            let before = *state;
             let driven = allowed(state, ControlEvent::Rollout).and_then(|()| {
+                if let Err(error) = undriven.compare(&settings, device, clock, stop) {
+                    *state = before;
+                    if matches!(error, ControlError::Device(_)) {
+                        state.take(ControlEvent::NoAnswer);
+                    }
+                    return Err(error);
+                }
+                let mut tick = Tick::new(&settings, *policy);
                 driven(state, motor, device, clock, &mut tick, Some(&mut records), stop)
             });
+            undriven.left_at = None;
+            if let (Ok(report), ControlState::Ready) = (&driven, *state) {
+                undriven.keep(report.last_measurement.as_ref(), device, clock, stop);
+            }
             Event::Finished(driven)
         }
         Command::Lend(borrower) => {

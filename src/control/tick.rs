@@ -71,7 +71,7 @@ impl<C: Controller> Tick<C> {
             settings: *settings,
             policy,
             estimator: Estimator::new(settings.estimator, settings.calibration),
-            watch: Watch::default(),
+            watch: if is_witnessed { Watch::default() } else { Watch::of_the_first_rules() },
             sensors: if is_witnessed {
                 SensorWatch::witnessed(settings.calibration)
             } else {

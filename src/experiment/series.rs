@@ -7,11 +7,14 @@ use super::{ExperimentError, Plant, Recipe, RolloutResult};
 use crate::learning::{TrainSettings, curve_csv, train};
 use crate::policy::Policy;
 use crate::session::{
-    EmulatedQubeSettings, Rig, RigError, RigSettings, RolloutPlan, SeedFor, derived_seed,
-    write_whole,
+    EmulatedQubeSettings, Rig, RigError, RigSettings, RolloutPlan, SeedFor, SessionError,
+    derived_seed, write_whole,
 };
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
+
+/// How often in a row a rollout may fail to begin because of the link or of counts that moved.
+const MAX_NOT_BEGUN: u32 = 3;
 
 /// Policies by one recipe and one psi: each is trained with a seed of its own and run on plants.
 /// What is on disk and whole is not done again.
@@ -91,14 +94,28 @@ impl Series<'_> {
         rollouts: u32,
     ) -> Result<Vec<RolloutResult>, ExperimentError> {
         let settings = RigSettings { homing: self.recipe.settings.homing, ..self.rig.clone() };
+        let mut not_begun = 0;
         self.run(policy, plant, rollouts, |_, _, record| {
             let opened = match rig.take() {
                 Some(opened) => opened,
                 None => Rig::open(&settings, self.stop)?,
             };
             let opened = rig.insert(opened);
-            if matches!(record(opened)?, Ending::Fault(_)) {
-                opened.start_again()?;
+            match record(opened) {
+                // A rollout that could not begin is due again.
+                Err(ExperimentError::Session(SessionError::Rig(RigError::NotBegun { .. })))
+                    if not_begun < MAX_NOT_BEGUN =>
+                {
+                    not_begun += 1;
+                    opened.start_again()?;
+                }
+                Ok(ending) => {
+                    not_begun = 0;
+                    if matches!(ending, Ending::Fault(_)) {
+                        opened.start_again()?;
+                    }
+                }
+                Err(error) => return Err(error),
             }
             Ok(())
         })

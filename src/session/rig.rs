@@ -510,10 +510,14 @@ impl Rig {
             ControlError::Device(source) => match link_fault(&source) {
                 Some(fault) => {
                     self.last_fault.set(Some(fault));
-                    RigError::NotBegun { fault, source }
+                    RigError::NotBegun { fault, source: ControlError::Device(source) }
                 }
                 None => RigError::Device(source),
             },
+            ControlError::Moved(moved) => {
+                tracing::warn!("{moved}: the rollout does not begin, and the arm is homed again");
+                ControlError::from(moved).into()
+            }
             refused => refused.into(),
         }
     }

@@ -55,13 +55,13 @@ pub enum RigError {
         /// What it should be.
         expected_rad: f64,
     },
-    /// The link failed before a rollout could begin; nothing has moved.
+    /// The link failed before a rollout could begin, or the zeros are old ones; nothing has moved.
     #[error("the rollout could not begin: {source}. The motor is off. {}", fault.operator_step())]
     NotBegun {
         /// The fault that this is.
         fault: Fault,
-        /// How the device failed.
-        source: DeviceError,
+        /// What the device or its counts said.
+        source: ControlError,
     },
     /// A lost link did not come back.
     #[error(
@@ -140,6 +140,9 @@ impl From<ControlError> for RigError {
     fn from(error: ControlError) -> Self {
         match error {
             ControlError::Device(error) => Self::Device(error),
+            moved @ ControlError::Moved(_) => {
+                Self::NotBegun { fault: Fault::CountsMoved, source: moved }
+            }
             refused @ ControlError::Refused { .. } => Self::Refused(refused),
         }
     }

@@ -97,9 +97,12 @@ faults! {
     EmergencyStop: Examine,
         "the emergency-stop switch was opened",
         "See that nobody is near the arm, then close the switch. If nobody was at it, look at its wires.";
-    DeviceClock: Examine,
+    DeviceClock: TryAgain,
         "the device's clock does not go with the computer's, or the same sample came twice",
-        "Flash the firmware of this release, then qube-hil check --conformance.";
+        "Close what keeps this computer busy (qube-hil doctor). If it stays: flash the firmware of this release, then qube-hil check --conformance.";
+    CountsMoved: TryAgain,
+        "a count of arm or pendulum moved while nothing was driven (a hand, or an encoder's cable)",
+        "Keep hands off while a run lasts. If nobody was at it: look at the cables of both encoders.";
     TooLate: TryAgain,
         "five ticks in a row were more than 10 ms late",
         "Close what keeps this computer busy (qube-hil doctor).";

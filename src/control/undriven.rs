@@ -1,0 +1,239 @@
+//! What the counts show while nothing is driven: they say whether zeros that were found before the
+//! amplifier went off may still be used.
+
+use thiserror::Error;
+
+use crate::qube::{CONTROL_PERIOD_S, COUNTS_PER_REVOLUTION, Measurement, RAD_PER_COUNT};
+
+/// Arm and pendulum rest once this many samples, 0.6 s, lay close together: more than a swing of the
+/// pendulum, so that a swing shows its width.
+const REST_SAMPLES: u32 = 60;
+
+/// The width within which the arm's samples lie then, counts: an arm without dry friction that creeps by
+/// that much comes 8 counts on until it stands, and to wait until a cable has pulled an arm further than
+/// it creeps in the next second would take 8 s after each rollout ...
+const ARM_WIDTH: i32 = 5;
+
+/// ... and the pendulum's (0.1 rad), about the point at which it hangs.
+const PENDULUM_WIDTH: i32 = 32;
+
+/// A count may be so far off before it is another zero, counts (0.05 rad). An arm that a cable pulls at may
+/// creep further within some seconds: then it is homed before the next rollout, which is always safe.
+const TOLERANCE: i32 = 16;
+
+/// What the velocity of an arm that nothing drives may change by within a tick, counts a tick: 5 rad/s.
+/// More than that is no motion but a jump of the count, or a hit.
+const LARGEST_KICK: f64 = 16.0;
+
+/// Counts at which arm and pendulum rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RestingCounts {
+    theta: i32,
+    alpha: i32,
+}
+
+/// Why a zero that was found before must not be used any more.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum Moved {
+    /// The arm's count is another one than that at which it was left.
+    #[error(
+        "the arm's count moved by {0:.2} rad while nothing was driven (a hand, or its encoder's cable)"
+    )]
+    Arm(f64),
+    /// The pendulum rests at another count than that of hanging.
+    #[error("the pendulum rests {0:.2} rad from where it hung (a hand, or its encoder's cable)")]
+    Pendulum(f64),
+    /// It was not seen at rest, before or now.
+    #[error("arm and pendulum were not seen at rest since the last motion")]
+    Unseen,
+}
+
+impl RestingCounts {
+    /// Whether the zeros of the rollout before hold for the next: the arm was left at `before`, and the
+    /// pendulum hung at this count, or whole turns from it.
+    ///
+    /// # Errors
+    /// They do not: only homing gives new ones.
+    pub fn compare(self, before: Option<Self>, alpha_zero_counts: i32) -> Result<(), Moved> {
+        let before = before.ok_or(Moved::Unseen)?;
+        let arm = self.theta.wrapping_sub(before.theta);
+        if arm.unsigned_abs() > TOLERANCE.unsigned_abs() {
+            return Err(Moved::Arm(f64::from(arm) * RAD_PER_COUNT));
+        }
+        let half_turn = COUNTS_PER_REVOLUTION / 2;
+        // A power of two divides the counter's range, so that a wrap does no harm.
+        let pendulum = self.alpha.wrapping_sub(alpha_zero_counts).wrapping_add(half_turn);
+        let pendulum = pendulum.rem_euclid(COUNTS_PER_REVOLUTION) - half_turn;
+        if pendulum.abs() > TOLERANCE {
+            return Err(Moved::Pendulum(f64::from(pendulum) * RAD_PER_COUNT));
+        }
+        Ok(())
+    }
+}
+
+/// Watches arm and pendulum, amplifier off, until both rest.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RestWatch {
+    last: Option<Last>,
+    theta: Spread,
+    alpha: Spread,
+    samples: u32,
+    has_jumped: bool,
+}
+
+/// The sample before, and how fast the arm was, counts a tick.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    time_us: u64,
+    theta_counts: i32,
+    velocity: Option<f64>,
+}
+
+/// Lowest and highest of some counts, as seen from the first of them.
+#[derive(Clone, Copy, Debug, Default)]
+struct Spread {
+    origin: i32,
+    lowest: i32,
+    highest: i32,
+}
+
+impl Spread {
+    fn at(counts: i32) -> Self {
+        Self { origin: counts, lowest: 0, highest: 0 }
+    }
+
+    fn with(self, counts: i32) -> Self {
+        let off = counts.wrapping_sub(self.origin);
+        Self { lowest: self.lowest.min(off), highest: self.highest.max(off), ..self }
+    }
+
+    fn width(self) -> i32 {
+        self.highest.saturating_sub(self.lowest)
+    }
+
+    fn middle(self) -> i32 {
+        self.origin.wrapping_add(self.lowest + self.width() / 2)
+    }
+}
+
+impl RestWatch {
+    /// A watch that goes on from the last sample of a motion: nothing is missed in between.
+    #[must_use]
+    pub fn after(last: Option<&Measurement>) -> Self {
+        let last = last.map(|last| Last {
+            time_us: last.device_time_us,
+            theta_counts: last.theta_counts,
+            velocity: Some(f64::from(last.tachometer_counts_s) * CONTROL_PERIOD_S),
+        });
+        Self { last, ..Self::default() }
+    }
+
+    /// Takes the next sample, and gives the counts at which both rest, once they do.
+    pub fn update(&mut self, sample: &Measurement) -> Option<RestingCounts> {
+        self.follow(sample);
+        let theta = self.theta.with(sample.theta_counts);
+        let alpha = self.alpha.with(sample.alpha_counts);
+        if self.samples > 0 && theta.width() <= ARM_WIDTH && alpha.width() <= PENDULUM_WIDTH {
+            (self.theta, self.alpha) = (theta, alpha);
+            self.samples += 1;
+        } else {
+            self.theta = Spread::at(sample.theta_counts);
+            self.alpha = Spread::at(sample.alpha_counts);
+            self.samples = 1;
+        }
+        (self.samples >= REST_SAMPLES)
+            .then(|| RestingCounts { theta: self.theta.middle(), alpha: self.alpha.middle() })
+    }
+
+    /// Whether the arm's count has done what no arm does.
+    #[must_use]
+    pub fn has_jumped(&self) -> bool {
+        self.has_jumped
+    }
+
+    fn follow(&mut self, sample: &Measurement) {
+        let moved = self.last.and_then(|last| {
+            let ticks =
+                sample.device_time_us.saturating_sub(last.time_us) as f64 * 1e-6 / CONTROL_PERIOD_S;
+            let counts = sample.theta_counts.wrapping_sub(last.theta_counts);
+            (ticks > 0.0).then(|| (f64::from(counts), ticks, last.velocity))
+        });
+        if let Some((counts, ticks, Some(velocity))) = moved {
+            let kick = (counts - velocity * ticks).abs();
+            self.has_jumped |= kick > LARGEST_KICK * ticks.max(1.0);
+        }
+        self.last = Some(Last {
+            time_us: sample.device_time_us,
+            theta_counts: sample.theta_counts,
+            velocity: moved.map(|(counts, ticks, _)| counts / ticks),
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(tick: u64, theta_counts: i32, alpha_counts: i32) -> Measurement {
+        let device_time_us = 5_000 + tick * 10_000;
+        Measurement { device_time_us, theta_counts, alpha_counts, ..Measurement::default() }
+    }
+
+    #[test]
+    fn counts_that_stay_are_compared_and_those_that_moved_mean_homing_again() {
+        let zero = 700;
+        let left = RestingCounts { theta: -40, alpha: zero };
+        let now = |theta, alpha| RestingCounts { theta, alpha }.compare(Some(left), zero);
+        assert_eq!(now(-40, zero), Ok(()));
+        assert_eq!(now(-56, zero + 16), Ok(()));
+        // A pendulum that went over the top hangs whole turns away.
+        for turns in [-3, -1, 1, 2] {
+            assert_eq!(now(-40, zero + 2048 * turns), Ok(()));
+            assert!(matches!(now(-40, zero + 2048 * turns + 300), Err(Moved::Pendulum(_))));
+        }
+        assert!(matches!(now(260, zero), Err(Moved::Arm(rad)) if (rad - 0.92).abs() < 0.01));
+        assert!(matches!(now(-57, zero), Err(Moved::Arm(_))));
+        assert!(matches!(now(-40, zero - 17), Err(Moved::Pendulum(_))));
+        assert_eq!(left.compare(None, zero), Err(Moved::Unseen));
+        // Counters wrap.
+        let edge = RestingCounts { theta: i32::MAX, alpha: i32::MIN + 2 };
+        let over = RestingCounts { theta: i32::MIN + 3, alpha: i32::MAX };
+        assert_eq!(over.compare(Some(edge), i32::MIN + 2), Ok(()));
+    }
+
+    #[test]
+    fn what_swings_or_creeps_does_not_rest() {
+        let mut watch = RestWatch::default();
+        for tick in 0..200 {
+            // 0.2 rad to either side, twice a second.
+            let swing = (65.0 * (0.126 * tick as f64).sin()) as i32;
+            assert_eq!(watch.update(&sample(tick, 0, swing)), None);
+        }
+        let mut watch = RestWatch::default();
+        for tick in 0..200 {
+            assert_eq!(watch.update(&sample(tick, 2 * tick as i32, 0)), None);
+        }
+        assert!(!watch.has_jumped());
+        let rested = (200..).find_map(|tick| watch.update(&sample(tick, 398, 0)));
+        assert!(matches!(rested, Some(RestingCounts { theta: 390..=398, alpha: 0 })), "{rested:?}");
+    }
+
+    #[test]
+    fn a_jump_while_the_arm_comes_to_rest_is_seen() {
+        let last = sample(0, 1000, 0);
+        let coming = |jump_at: u64, jump: i32| {
+            let mut watch = RestWatch::after(Some(&last));
+            for tick in 1..80 {
+                // Slows down from 2 rad/s.
+                let coasted = (150.0 * (1.0 - (-0.045 * tick as f64).exp())) as i32;
+                let jumped = if tick >= jump_at { jump } else { 0 };
+                watch.update(&sample(tick, 1000 + coasted + jumped, 0));
+            }
+            watch.has_jumped()
+        };
+        assert!(!coming(500, 0));
+        for jump_at in [1, 2, 20, 60] {
+            assert!(coming(jump_at, 40) && coming(jump_at, -300), "at {jump_at}");
+        }
+    }
+}
