@@ -59,9 +59,9 @@ fn begin(root: &Path) -> SessionFolder {
 
 #[test]
 fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
-    // Each rollout has a new Qube, which is homed within 14.5 s; a policy that knows nothing leaves the
+    // Each rollout has a new Qube, which is homed within 16 s; a policy that knows nothing leaves the
     // envelope soon after that, and braking takes some seconds.
-    for fault in ["silent@15.5", "unplug@15.5"] {
+    for fault in ["silent@16.5", "unplug@16.5"] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("session");
         let fault: EmulatorFault = fault.parse().unwrap();
@@ -91,7 +91,7 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
 
 #[test]
 fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
-    for (fault, name) in [("amplifier@15.5", Fault::Amplifier), ("stall@15.5", Fault::StallError)] {
+    for (fault, name) in [("amplifier@16.5", Fault::Amplifier), ("stall@16.5", Fault::StallError)] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("session");
         let error = run(begin(&root), Some(fault.parse().unwrap())).unwrap_err();
