@@ -54,7 +54,8 @@ impl DoubtMemory {
         Self { folder }
     }
 
-    /// The doubt about a board, if there is one. A file that cannot be read is a doubt too.
+    /// The doubt about a board, if there is one. A file that cannot be read is a doubt too; one about a
+    /// fault that leaves none by this release's table is not.
     #[must_use]
     pub fn recall(&self, board: &str) -> Option<Doubt> {
         let path = self.path(board);
@@ -62,8 +63,10 @@ impl DoubtMemory {
             return None;
         }
         let read = MachineDisk.read(&path, MAX_FILE_BYTES).ok();
-        let doubt = read.and_then(|bytes| serde_json::from_slice(&bytes).ok());
-        Some(doubt.unwrap_or_else(|| Doubt { fault: None, board: board.into(), unix_s: None }))
+        let doubt: Doubt = read
+            .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+            .unwrap_or_else(|| Doubt { fault: None, board: board.into(), unix_s: None });
+        doubt.fault.is_none_or(Fault::leaves_doubt).then_some(doubt)
     }
 
     /// Keeps a doubt. Where that fails, it lasts as long as the program.
@@ -112,6 +115,8 @@ mod tests {
         assert_eq!(memory.recall("18"), None);
         memory.forget("17");
         assert_eq!(memory.recall("17"), None);
+        memory.keep(&Doubt { fault: Some(Fault::TooLate), board: "19".into(), unix_s: None });
+        assert_eq!(memory.recall("19"), None);
     }
 
     #[test]
