@@ -5,6 +5,8 @@
 //!
 //! May import `qube` and `replay`.
 
+#[cfg(test)]
+mod delay_tests;
 mod drift;
 mod fit;
 mod fitness;

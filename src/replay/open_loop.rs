@@ -73,6 +73,11 @@ pub fn simulate_from(
 
 /// Simulates a stretch of a recording in open loop and hands out the state at each of its samples,
 /// the first being `start`. Commands of before the stretch that are still on their way arrive in it.
+///
+/// The steps of integration depend on the samples' times alone; where a command arrives within a step,
+/// that one is cut in two, as in the lanes of a simulation. So the states are continuous in the delay:
+/// with steps between the arrivals their number would jump with it, and the error of integration with
+/// their number, by more than the states change over the difference by which a fit takes the slope.
 pub fn simulate_stretch(
     samples: &[MotionSample],
     stretch: Range<usize>,
@@ -91,27 +96,38 @@ pub fn simulate_stretch(
     }
     each(state);
     for sample in &samples[stretch.start + 1..stretch.end] {
-        while time_s < sample.time_s {
-            let next_s = samples.get(command + 1).map_or(f64::INFINITY, arrival_s);
-            if next_s <= time_s {
-                command += 1;
-                continue;
+        let steps = steps_over(sample.time_s - time_s);
+        let step_s = (sample.time_s - time_s) / f64::from(steps);
+        for step in 0..steps {
+            let begin_s = time_s + f64::from(step) * step_s;
+            let mut done_s = 0.0;
+            while done_s < step_s {
+                // One that arrives with the sample belongs to the next interval, however the sum of
+                // the steps is rounded.
+                let next_s = match samples.get(command + 1).map(arrival_s) {
+                    Some(next_s) if next_s < sample.time_s => next_s - begin_s,
+                    _ => f64::INFINITY,
+                };
+                if next_s <= done_s {
+                    command += 1;
+                    continue;
+                }
+                let until_s = next_s.min(step_s);
+                let voltage_v = samples[command].voltage_v;
+                state = runge_kutta_4(&dynamics, state, voltage_v, until_s - done_s);
+                done_s = until_s;
             }
-            let until_s = next_s.min(sample.time_s);
-            state = advance(&dynamics, state, samples[command].voltage_v, until_s - time_s);
-            time_s = until_s;
         }
+        time_s = time_s.max(sample.time_s);
         each(state);
     }
 }
 
-/// Over any duration with steps no longer than those of the simulation.
-fn advance(dynamics: &GapDynamics, from: State, voltage_v: f64, duration_s: f64) -> State {
+/// How many steps no longer than those of the simulation there are in a duration.
+fn steps_over(duration_s: f64) -> u32 {
     let longest_s = CONTROL_PERIOD_S / SUBSTEPS as f64;
     // A little slack: 0.004 s is written as 0.0040000001 often enough.
-    let steps = (duration_s / longest_s - 1e-6).ceil().max(1.0);
-    let step_s = duration_s / steps;
-    (0..steps as u32).fold(from, |state, _| runge_kutta_4(dynamics, state, voltage_v, step_s))
+    (duration_s / longest_s - 1e-6).ceil().max(1.0) as u32
 }
 
 #[cfg(test)]
@@ -159,6 +175,43 @@ mod tests {
         let rmse = simulate_beside(&log, &QubeModel::NOMINAL).unwrap().rmse;
         assert!((rmse.theta_rad - 0.3 / 2.0_f64.sqrt()).abs() < 1e-15);
         assert!((rmse.alpha_rad - 0.4 / 2.0_f64.sqrt()).abs() < 1e-15);
+    }
+
+    #[test]
+    fn the_motion_is_smooth_in_the_delay() {
+        // The slope over the difference by which a fit takes it is the one over a wide difference,
+        // wherever the commands arrive between samples and steps.
+        let with_delay = |command_delay_s| QubeModel {
+            gap: Gap { coulomb_torque_n_m: 5e-4, command_delay_s, ..Gap::default() },
+            ..QubeModel::NOMINAL
+        };
+        // Of a clock that jitters by 10 us.
+        let sample = |index: u32| MotionSample {
+            time_s: f64::from(index) * 0.01 + 1e-5 * f64::from(index * index % 7),
+            state: State::default(),
+            voltage_v: 1.5 * (f64::from(index) * 0.3).sin(),
+        };
+        let log = MotionLog { samples: (0..100).map(sample).collect() };
+        let thetas = |delay_s: f64| -> Vec<f64> {
+            let run = simulate_from(&log, &with_delay(delay_s), State::default()).unwrap();
+            run.simulated.iter().map(|state| state.theta).collect()
+        };
+        let slopes = |delay_s: f64, difference_s: f64| {
+            let (here, there) = (thetas(delay_s), thetas(delay_s + difference_s));
+            here.into_iter().zip(there).map(move |(a, b)| (b - a) / difference_s)
+        };
+        let mut worst = 0.0_f64;
+        for step in 1..1200 {
+            let delay_s = f64::from(step) * 2e-5;
+            let (mut difference, mut size) = (0.0, 0.0);
+            for (narrow, wide) in slopes(delay_s, 2e-6).zip(slopes(delay_s - 2e-5, 4e-5)) {
+                difference += (narrow - wide).powi(2);
+                size += wide * wide;
+            }
+            worst = worst.max((difference / size).sqrt());
+        }
+        println!("slopes differ by {worst} of themselves");
+        assert!(worst < 0.4, "{worst}");
     }
 
     #[test]

@@ -1,0 +1,71 @@
+//! Whether the standard error of the delay is what it says.
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::qube::{DomainParameter, Gap, GapTerm, QubeModel, State};
+use crate::replay::{MotionLog, MotionSample, simulate_stretch};
+
+/// A chirp of 4 s from 5 Hz down, sampled at 100 Hz on a clock that jitters by some microseconds as
+/// every real one does, its angles seen through noise of 1.6 mrad.
+fn chirp(truth: &QubeModel, seed: u64) -> MotionLog {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut uniform = |reach: f64| reach * (2.0 * rng.random::<f64>() - 1.0);
+    let phase = uniform(std::f64::consts::PI);
+    let mut samples: Vec<MotionSample> = (0..=400)
+        .map(|index| {
+            let time_s = f64::from(index) * 0.01;
+            let turned = 2.0 * std::f64::consts::PI * (5.0 * time_s - 0.4 * time_s * time_s);
+            let voltage_v = 1.5 * (turned + phase).cos();
+            MotionSample { time_s: time_s + uniform(2e-5), state: State::default(), voltage_v }
+        })
+        .collect();
+    let mut states = Vec::new();
+    let start = State { theta: -0.02, ..State::default() };
+    simulate_stretch(&samples, 0..samples.len(), truth, start, |state| states.push(state));
+    for (sample, state) in samples.iter_mut().zip(states) {
+        let mut seen = |angle: f64| angle + uniform(2e-3) + uniform(2e-3);
+        sample.state = State { theta: seen(state.theta), alpha: seen(state.alpha), ..state };
+    }
+    MotionLog { samples }
+}
+
+#[test]
+fn the_standard_error_of_the_delay_is_its_scatter_over_recordings() {
+    let unknowns: Vec<Unknown> = vec![
+        DomainParameter::MotorResistance.into(),
+        GapTerm::CoulombTorque.into(),
+        GapTerm::CableStiffness.into(),
+        GapTerm::CommandDelay.into(),
+    ];
+    // Where the commands arrive beside the steps of integration of a nominal period, and within the
+    // jitter of the samples on either side of them: there the number of steps between arrivals and
+    // samples differs from one sample, and from one delay, to the next.
+    for delay_s in [0.0033, 0.0067, 0.01] {
+        let gap = Gap {
+            coulomb_torque_n_m: 5e-4,
+            cable_stiffness_n_m_rad: 1e-3,
+            command_delay_s: delay_s,
+            ..Gap::default()
+        };
+        let mut truth = QubeModel { gap, ..QubeModel::NOMINAL };
+        truth.parameters.motor_resistance_ohm *= 1.1;
+        let (mut scatter_s, mut error_s) = (0.0, 0.0);
+        let seeds = 1000..1024;
+        let share = 1.0 / seeds.clone().count() as f64;
+        for seed in seeds {
+            let found = identify(&[chirp(&truth, seed)], &unknowns, &QubeModel::NOMINAL).unwrap();
+            let estimate = found.estimates[3];
+            let off_s = estimate.value - delay_s;
+            let off = off_s.abs() / estimate.standard_error;
+            assert!(off < 3.0, "{delay_s} s, seed {seed}: off by {off:.1} of {estimate:?}");
+            scatter_s += share * off_s * off_s;
+            error_s += share * estimate.standard_error * estimate.standard_error;
+        }
+        let (scatter_s, error_s) = (scatter_s.sqrt(), error_s.sqrt());
+        println!("{delay_s} s: scatter {scatter_s:.1e} s, standard error {error_s:.1e} s");
+        let ratio = error_s / scatter_s;
+        assert!((0.6..1.7).contains(&ratio), "{delay_s} s: {error_s:e} s beside {scatter_s:e} s");
+    }
+}
