@@ -5,7 +5,7 @@ use super::fit::{Fit, ResidualScale};
 use super::fitness::{Unfit, check_recording};
 use super::stretch::Stretch;
 use super::uncertainty::{Blind, Estimate, estimates};
-use crate::qube::QubeModel;
+use crate::qube::{QubeModel, State};
 use crate::replay::MotionLog;
 
 /// Lengths of the stretches that are fitted before whole recordings are, s. Short ones find the
@@ -16,6 +16,10 @@ const STAGES_S: [f64; 2] = [0.5, 2.0];
 /// A fit that is farther off over the shortest stretches explains nothing, rad (root mean square).
 /// The real Qube's chirps come to 0.01.
 const LARGEST_RESIDUAL_RAD: f64 = 0.1;
+
+/// A fit that leaves more than this share of the motion over whole recordings explains nothing. A wrong
+/// sign of the voltage leaves 0.93 to 1; a Qube that is one leaves some hundredths.
+const LARGEST_RESIDUAL_SHARE: f64 = 0.8;
 
 /// No quantity of a Qube is farther from what is likely, in standard deviations of its prior. The
 /// farthest of a real one is at 2.5.
@@ -55,6 +59,18 @@ pub enum IdentifyError {
         /// Root mean square over stretches of half a second, arm.
         theta_rad: f64,
         /// And pendulum.
+        alpha_rad: f64,
+    },
+    /// A fit that lies beside the motion as a Qube at rest does.
+    #[error(
+        "no Qube explains the recordings: beside the whole of them the best fit is off by {theta_rad:.2} rad \
+         (arm) and {alpha_rad:.2} rad (pendulum), as much as they move. Is a sign turned round, or the \
+         pendulum another one?"
+    )]
+    NothingExplained {
+        /// Root mean square over whole recordings, arm.
+        theta_rad: f64,
+        /// Root mean square over whole recordings, pendulum.
         alpha_rad: f64,
     },
     /// A fit that only a machine which is no Qube explains.
@@ -105,8 +121,27 @@ pub fn identify(
     let near = stage(short.model, STAGES_S[1]).model;
     let fit = stage(near, f64::INFINITY);
     plausible(unknowns, &fit.model)?;
+    let ResidualScale { theta_rad, alpha_rad } = fit.scale;
+    let least = (theta_rad / motion_rad(logs, |state| state.theta))
+        .min(alpha_rad / motion_rad(logs, |state| state.alpha));
+    if least > LARGEST_RESIDUAL_SHARE {
+        return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad });
+    }
     let (estimates, blind) = estimates(&fit);
     Ok(Identified { model: fit.model, estimates, blind, scale: fit.scale })
+}
+
+/// How far an angle goes about its mean in each recording, root mean square, rad.
+fn motion_rad(logs: &[MotionLog], angle: fn(&State) -> f64) -> f64 {
+    let (mut squares, mut count) = (0.0, 0.0);
+    for log in logs {
+        let own = log.samples.len() as f64;
+        let values = || log.samples.iter().map(|sample| angle(&sample.state));
+        let mean = values().sum::<f64>() / own;
+        squares += values().map(|value| (value - mean).powi(2)).sum::<f64>();
+        count += own;
+    }
+    (squares / count).sqrt()
 }
 
 /// Whether the fit is a Qube at all.

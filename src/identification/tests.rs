@@ -183,13 +183,21 @@ fn recordings_with_wrong_times_or_cut_off_angles_are_named() {
 #[test]
 fn a_recording_that_no_qube_makes_is_no_silent_fit() {
     // The voltage's sign is the other one.
-    let mut log = chirp(&truth(), 1.0, 4.0);
-    for sample in &mut log.samples {
-        sample.voltage_v = -sample.voltage_v;
+    for (sign, seconds) in [(1.0, 4.0), (-1.0, 4.0), (1.0, 5.0)] {
+        let mut log = chirp(&truth(), sign, seconds);
+        for sample in &mut log.samples {
+            sample.voltage_v = -sample.voltage_v;
+        }
+        assert_eq!(check_recording(&log), Ok(()));
+        let refused = identify(&[log], &all(), &QubeModel::NOMINAL);
+        assert!(
+            matches!(
+                refused,
+                Err(IdentifyError::Implausible { .. } | IdentifyError::NothingExplained { .. })
+            ),
+            "{sign}, {seconds} s: {refused:?}"
+        );
     }
-    assert_eq!(check_recording(&log), Ok(()));
-    let refused = identify(&[log], &all(), &QubeModel::NOMINAL);
-    assert!(matches!(refused, Err(IdentifyError::Implausible { .. })), "{refused:?}");
     // The angles have nothing to do with each other.
     let mut log = chirp(&truth(), 1.0, 4.0);
     let turned: Vec<f64> = log.samples.iter().rev().map(|sample| sample.state.alpha).collect();
