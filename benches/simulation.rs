@@ -1,10 +1,12 @@
-//! Control steps per second of the randomised simulation, with reward, observation and box.
+//! Control steps per second of the randomised simulation, with reward, observation and box; and of
+//! the bare lanes with friction, dead zones, cable and delays, 64 of them over 50 periods.
 //!
 //! `cargo bench --bench simulation`; pin it to one core for figures to compare.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use qube_hil::elementary::Level;
+use qube_hil::elementary::{Level, dispatch_at};
 use qube_hil::estimation::EstimatorSettings;
+use qube_hil::qube::{BLOCK, ControlPeriod, QubeLanes, State};
 use qube_hil::simulation::{
     DomainDistribution, Family, Pendulums, Progress, SensorModel, SimulationSettings, Trajectory,
 };
@@ -70,5 +72,36 @@ fn bench_level(
     });
 }
 
-criterion_group!(benches, control_steps);
+/// Half a second of 64 Qubes, no two of them alike: what a guard that simulates its brake has to do.
+fn qube_lanes(criterion: &mut Criterion) {
+    const PERIODS: usize = 50;
+    let blocks = 64 / BLOCK;
+    let mut start = vec![QubeLanes::hanging(); blocks];
+    for lane in 0..64 {
+        let Trajectory { mut model, .. } =
+            Trajectory::draw(&DomainDistribution::robust(), 1, lane as u64);
+        model.gap.command_delay_s = 0.02 * lane as f64 / 63.0;
+        let state = State { theta: 0.3, alpha: 2.0, theta_dot: 5.0, alpha_dot: -8.0 };
+        start[lane / BLOCK].restart(lane % BLOCK, &model, &state);
+    }
+    let mut group = criterion.benchmark_group("qube_lanes");
+    group.throughput(Throughput::Elements((64 * PERIODS) as u64));
+    for level in Level::ALL.into_iter().filter(|level| level.is_available()) {
+        group.bench_function(BenchmarkId::new(format!("{level:?}"), "64x50"), |bencher| {
+            let mut qubes = start.clone();
+            bencher.iter(|| {
+                qubes.clone_from(&start);
+                for period in 0..PERIODS {
+                    let command_v = if period < PERIODS / 2 { -5.0 } else { 1.0 };
+                    let commands_v = [[command_v; BLOCK]; 64 / BLOCK];
+                    let period = ControlPeriod { qubes: &mut qubes, commands_v: &commands_v };
+                    dispatch_at(level, period);
+                }
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, control_steps, qube_lanes);
 criterion_main!(benches);

@@ -3,8 +3,7 @@
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
 )]
 
-use super::lanes::{BLOCK, Lanes};
-use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, MAX_VOLTAGE_V, SUBSTEPS};
+use super::{BLOCK, CONTROL_PERIOD_S, Lanes, MAX_HISTORY, MAX_VOLTAGE_V, SUBSTEPS};
 
 /// Length of a substep, s.
 pub(super) const STEP_S: f32 = (CONTROL_PERIOD_S / SUBSTEPS as f64) as f32;
@@ -50,14 +49,16 @@ impl CommandLine {
         self.change_s[lane] = (delay_s - whole * CONTROL_PERIOD_S).max(0.0) as f32;
     }
 
+    /// Puts other commands in a lane's past, V, newest first.
+    pub(super) fn set_sent_v(&mut self, lane: usize, sent_v: &[f32; MAX_HISTORY]) {
+        for (own_v, sent_v) in self.sent_v.iter_mut().zip(sent_v) {
+            own_v[lane] = *sent_v;
+        }
+    }
+
     /// Whether a lane's commands arrive at once.
     pub(super) fn is_immediate(&self, lane: usize) -> bool {
         self.whole_periods[lane] == 0.0 && self.change_s[lane] == 0.0
-    }
-
-    /// The last commands of a lane, V, newest first.
-    pub(super) fn sent_v(&self, lane: usize) -> [f32; MAX_HISTORY] {
-        self.sent_v.map(|sent_v| sent_v[lane])
     }
 
     /// The last commands of all lanes, V, newest first.
@@ -70,7 +71,7 @@ impl CommandLine {
     #[inline(always)]
     pub(super) fn begin_period(&mut self, commands_v: &Lanes) {
         for lane in 0..BLOCK {
-            let mut newer_v = limited(commands_v[lane]);
+            let mut newer_v = limited_voltage(commands_v[lane]);
             let (mut before_v, mut after_v) = (newer_v, newer_v);
             for (age, sent_v) in self.sent_v.iter().enumerate() {
                 let older_v = sent_v[lane];
@@ -86,9 +87,18 @@ impl CommandLine {
         }
     }
 
-    /// Length of a piece of the period in a lane, s, and the voltage at the motor, V.
+    /// Length of a piece of the period in all lanes, s, and the voltages at the motors, V.
     #[inline(always)]
-    pub(super) fn piece(&self, piece: usize, lane: usize) -> (f32, f32) {
+    pub(super) fn pieces(&self, piece: usize) -> (Lanes, Lanes) {
+        let (mut steps_s, mut voltages_v) = ([0.0; BLOCK], [0.0; BLOCK]);
+        for lane in 0..BLOCK {
+            (steps_s[lane], voltages_v[lane]) = self.piece(piece, lane);
+        }
+        (steps_s, voltages_v)
+    }
+
+    #[inline(always)]
+    fn piece(&self, piece: usize, lane: usize) -> (f32, f32) {
         let change_s = self.change_s[lane];
         // How much of a substep lies before the change.
         let unchanged_s = |substep: usize| (change_s - substep as f32 * STEP_S).clamp(0.0, STEP_S);
@@ -103,14 +113,15 @@ impl CommandLine {
     pub(super) fn end_period(&mut self, commands_v: &Lanes) {
         self.sent_v.rotate_right(1);
         for lane in 0..BLOCK {
-            self.sent_v[0][lane] = limited(commands_v[lane]);
+            self.sent_v[0][lane] = limited_voltage(commands_v[lane]);
         }
     }
 }
 
-/// What is let through of a voltage.
+/// The voltage within the limits of what is ever commanded, V.
+#[must_use]
 #[inline(always)]
-pub(super) fn limited(voltage_v: f32) -> f32 {
+pub fn limited_voltage(voltage_v: f32) -> f32 {
     voltage_v.clamp(-MAX_VOLTAGE_V as f32, MAX_VOLTAGE_V as f32)
 }
 

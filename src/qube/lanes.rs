@@ -1,13 +1,13 @@
-use crate::qube::{Dynamics, GapDynamics, State};
+use super::{Dynamics, GapDynamics, State};
 
-/// Pendulums in a block: the widest vector's lanes.
-pub(super) const BLOCK: usize = 16;
+/// Qubes in a block: the widest vector's lanes.
+pub const BLOCK: usize = 16;
 
-/// One quantity of sixteen pendulums.
-pub(super) type Lanes = [f32; BLOCK];
+/// One quantity of the sixteen Qubes of a block.
+pub type Lanes = [f32; BLOCK];
 
 /// Many of something, each number of theirs beside that of the next.
-pub(super) trait InLanes {
+pub trait InLanes {
     /// One of them.
     type One;
 

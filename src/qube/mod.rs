@@ -1,15 +1,17 @@
 //! What a Qube is: parameters with units, equations of motion, integrator, encoder, reward, limits.
 //!
-//! One copy of the physics serves the simulation, the emulator and the tools. Pure: no randomness,
-//! no I/O. May import `elementary`.
+//! One copy of the physics serves the simulation, the emulator and the tools; [`QubeLanes`] is the
+//! same for sixteen Qubes side by side. Pure: no randomness, no I/O. May import `elementary`.
 //!
 //! Conventions everywhere: theta is the rotary arm, alpha the pendulum, **alpha = 0 hangs,
 //! alpha = pi stands**, angles in rad, velocities in rad/s, the action is the motor voltage in V.
 
+mod command_line;
 mod dynamics;
 mod encoder;
 mod gap;
 mod integrator;
+mod lanes;
 mod limits;
 mod measurement;
 mod motor_rating;
@@ -17,13 +19,16 @@ mod observation;
 mod parameters;
 mod profile;
 mod quantity;
+mod qube_lanes;
 mod reward;
 mod state;
 
+pub use command_line::limited_voltage;
 pub use dynamics::{Acceleration, Dynamics, EquationsOfMotion};
 pub use encoder::{COUNTS_PER_REVOLUTION, RAD_PER_COUNT, angle_rad, counts, quantised};
 pub use gap::{Gap, GapDynamics, MAX_CABLE_DRIFT_RAD_PER_MIN, QubeModel};
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
+pub use lanes::{BLOCK, InLanes, Lanes};
 pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
 pub use measurement::{Measurement, Status};
 pub use motor_rating::MotorRating;
@@ -31,5 +36,6 @@ pub use observation::{MAX_HISTORY, OBSERVATION_SIZE, observation};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
 pub use profile::{Profile, ProfileError, Provenance};
 pub use quantity::{GapTerm, Quantity};
+pub use qube_lanes::{ControlPeriod, QubeLanes};
 pub use reward::RewardWeights;
 pub use state::{State, wrap_angle};

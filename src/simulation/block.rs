@@ -3,30 +3,23 @@
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
 )]
 
-use super::delay::{CommandLine, STEP_S, limited};
 use super::lane_observer::ObserverLanes;
-use super::lanes::{BLOCK, InLanes, Lanes};
 use super::pendulums::Progress;
 use super::sensors::{SeenLanes, Sensors};
 use crate::elementary::{InstructionSet, Kernel};
 use crate::qube::{
-    GapDynamics, MAX_HISTORY, MAX_STEPS, MAX_VOLTAGE_V, OBSERVATION_SIZE, QubeModel, RewardWeights,
-    SUBSTEPS, State, observation, runge_kutta_4,
+    BLOCK, InLanes, Lanes, MAX_HISTORY, MAX_STEPS, MAX_VOLTAGE_V, OBSERVATION_SIZE, QubeLanes,
+    QubeModel, RewardWeights, SUBSTEPS, State, limited_voltage, observation,
 };
 use crate::safety::SafetyBox;
 
-/// Sixteen pendulums, each quantity of theirs beside that of the next: loops over a block's lanes
-/// have a fixed length and nothing that could overlap, so that they become plain vector code.
+/// Sixteen Qubes, with what sensors and estimators make of them.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct Block {
-    state: State<Lanes>,
-    /// What sensors and estimator make of it.
+    qubes: QubeLanes,
+    /// What sensors and estimator make of their states.
     sight: SeenLanes,
-    dynamics: GapDynamics<Lanes>,
-    commands: CommandLine,
-    /// Which lanes are the thesis's Qube. A block of these alone takes a shorter way to the same bits.
-    ideal: [bool; BLOCK],
     /// Steps since the start.
     steps: [u32; BLOCK],
 }
@@ -35,18 +28,11 @@ impl Block {
     /// Nominal Qubes that hang at rest.
     pub(super) fn hanging() -> Self {
         let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
-        Self {
-            state: State::all(&at_rest),
-            sight: SeenLanes::both(&at_rest),
-            dynamics: GapDynamics::all(&GapDynamics::new(&QubeModel::NOMINAL)),
-            commands: CommandLine::EMPTY,
-            ideal: [true; BLOCK],
-            steps: [0; BLOCK],
-        }
+        Self { qubes: QubeLanes::hanging(), sight: SeenLanes::both(&at_rest), steps: [0; BLOCK] }
     }
 
     pub(super) fn state(&self, lane: usize) -> State<f32> {
-        self.state.lane(lane)
+        self.qubes.state.lane(lane)
     }
 
     pub(super) fn seen(&self, lane: usize) -> State<f32> {
@@ -58,7 +44,8 @@ impl Block {
         let mut observed = [0.0; OBSERVATION_SIZE + MAX_HISTORY];
         let (state, commands) = observed.split_at_mut(OBSERVATION_SIZE);
         state.copy_from_slice(&observation(&self.seen(lane)));
-        commands.copy_from_slice(&self.commands.sent_v(lane).map(command_fraction));
+        let sent_v = self.qubes.sent_v().map(|sent_v| sent_v[lane]);
+        commands.copy_from_slice(&sent_v.map(command_fraction));
         observed
     }
 
@@ -69,18 +56,8 @@ impl Block {
         state: &State<f32>,
         seen: &State<f32>,
     ) {
-        self.state.set_lane(lane, state);
+        self.qubes.restart(lane, model, state);
         self.sight.restart(lane, seen);
-        self.dynamics.set_lane(lane, &GapDynamics::new(model));
-        self.commands.restart(lane, model.gap.command_delay_s);
-        let gap = self.dynamics.lane(lane);
-        let forces = [
-            gap.coulomb_torque,
-            gap.positive_dead_zone,
-            gap.negative_dead_zone,
-            gap.cable_stiffness,
-        ];
-        self.ideal[lane] = forces == [0.0; 4] && self.commands.is_immediate(lane);
         self.steps[lane] = 0;
     }
 }
@@ -123,30 +100,30 @@ impl Kernel for Step<'_> {
         }
         // One substep of every block before the next of any: neighbours do not wait for each other,
         // so that the processor works on several at once.
-        if blocks.iter().all(|block| block.ideal == [true; BLOCK]) {
+        if blocks.iter().all(|block| block.qubes.are_ideal()) {
             for _ in 0..SUBSTEPS {
                 for (block, voltages_v) in blocks.iter_mut().zip(voltages_v) {
-                    advance_ideal(block, voltages_v);
+                    block.qubes.advance_ideal(voltages_v);
                 }
             }
         } else {
             for (block, voltages_v) in blocks.iter_mut().zip(voltages_v) {
-                block.commands.begin_period(voltages_v);
+                block.qubes.begin_period(voltages_v);
             }
             for piece in 0..=SUBSTEPS {
                 for block in blocks.iter_mut() {
-                    advance(block, piece);
+                    block.qubes.advance(piece);
                 }
             }
         }
         let count = blocks.len();
         for (index, (block, progress)) in blocks.iter_mut().zip(progress).enumerate() {
-            let Block { state, sight, .. } = block;
+            let Block { qubes, sight, .. } = block;
             let observers = observers.get_mut(index);
-            surroundings.sensors.look(state, sight, observers, &voltages_v[index]);
+            surroundings.sensors.look(&qubes.state, sight, observers, &voltages_v[index]);
             judge(block, surroundings, progress);
-            if surroundings.history > 0 || block.ideal != [true; BLOCK] {
-                block.commands.end_period(&voltages_v[index]);
+            if surroundings.history > 0 || !block.qubes.are_ideal() {
+                block.qubes.end_period(&voltages_v[index]);
             }
             write_observations(block, index, count, surroundings.history, observations);
         }
@@ -175,30 +152,8 @@ impl Kernel for Observe<'_> {
 #[inline(always)]
 fn earn(block: &Block, reward: &RewardWeights<f32>, voltages_v: &Lanes, rewards: &mut Lanes) {
     for lane in 0..BLOCK {
-        rewards[lane] = reward.reward(&block.sight.seen.lane(lane), limited(voltages_v[lane]));
-    }
-}
-
-/// One substep of thesis's Qubes, whose voltage is the same for the whole period.
-#[inline(always)]
-fn advance_ideal(block: &mut Block, voltages_v: &Lanes) {
-    let Block { state, dynamics, .. } = block;
-    for lane in 0..BLOCK {
-        let own = dynamics.ideal.lane(lane);
-        let next = runge_kutta_4(&own, state.lane(lane), limited(voltages_v[lane]), STEP_S);
-        state.set_lane(lane, &next);
-    }
-}
-
-/// One piece of the period of any Qubes.
-#[inline(always)]
-fn advance(block: &mut Block, piece: usize) {
-    let Block { state, dynamics, commands, .. } = block;
-    for lane in 0..BLOCK {
-        let own = dynamics.lane(lane);
-        let (step_s, voltage_v) = commands.piece(piece, lane);
-        let next = runge_kutta_4(&own, state.lane(lane), voltage_v, step_s);
-        state.set_lane(lane, &next);
+        rewards[lane] =
+            reward.reward(&block.sight.seen.lane(lane), limited_voltage(voltages_v[lane]));
     }
 }
 
@@ -232,7 +187,7 @@ fn write_observations(
     for (feature, lanes) in own.into_iter().enumerate() {
         observations[feature * blocks + index] = lanes;
     }
-    for (age, sent_v) in block.commands.all_sent_v().iter().take(history).enumerate() {
+    for (age, sent_v) in block.qubes.sent_v().iter().take(history).enumerate() {
         let observed = &mut observations[(OBSERVATION_SIZE + age) * blocks + index];
         for lane in 0..BLOCK {
             observed[lane] = command_fraction(sent_v[lane]);

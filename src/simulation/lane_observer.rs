@@ -3,12 +3,10 @@
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
 )]
 
-use super::delay::limited;
-use super::lanes::{BLOCK, InLanes, Lanes};
 use crate::estimation::{
     KalmanGains, ObserverEquations, ObserverSettings, SentVoltages, prediction_steps,
 };
-use crate::qube::{CONTROL_PERIOD_S, State};
+use crate::qube::{BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, State, limited_voltage};
 
 /// Last commands of a lane that may still be on their way at the longest delay of an observer.
 const REMEMBERED: usize = 12;
@@ -116,7 +114,7 @@ impl LaneObserver {
         let ObserverLanes { estimate, commands_v } = lanes;
         commands_v.rotate_right(1);
         for lane in 0..BLOCK {
-            commands_v[0][lane] = limited(voltages_v[lane]);
+            commands_v[0][lane] = limited_voltage(voltages_v[lane]);
         }
         self.predict(&self.since, estimate, commands_v);
         for lane in 0..BLOCK {

@@ -4,12 +4,10 @@
 //! May import `qube`, `elementary`, `estimation`, `safety`.
 
 mod block;
-mod delay;
 mod distribution;
 mod domain_distribution;
 mod evaluation;
 mod lane_observer;
-mod lanes;
 mod pendulums;
 #[cfg(test)]
 mod pendulums_tests;

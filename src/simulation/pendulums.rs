@@ -1,10 +1,9 @@
 use super::block::{Block, Observe, Step, Surroundings};
 use super::lane_observer::ObserverLanes;
-use super::lanes::BLOCK;
 use super::sensors::Sensors;
 use super::{MAX_COMMAND_DELAY_S, SimulationSettings, Trajectory};
 use crate::elementary::{Level, Scalar, dispatch_at};
-use crate::qube::{MAX_HISTORY, State};
+use crate::qube::{BLOCK, MAX_HISTORY, State};
 
 /// The number of lanes is a multiple of this.
 pub const LANES_MULTIPLE: usize = BLOCK;

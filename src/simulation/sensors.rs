@@ -5,9 +5,8 @@
 
 use super::SensorModel;
 use super::lane_observer::{LaneObserver, ObserverLanes};
-use super::lanes::{BLOCK, InLanes, Lanes};
 use crate::estimation::{FilterGains, through_filters};
-use crate::qube::{CONTROL_PERIOD_S, State, quantised};
+use crate::qube::{BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, State, quantised};
 
 /// What lies between the states of a block and what policy and guard see of them.
 #[derive(Clone, Debug)]

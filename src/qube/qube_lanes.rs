@@ -1,0 +1,152 @@
+#![allow(
+    clippy::needless_range_loop,
+    reason = "a lane indexes many arrays at once, and plain index loops become vector code"
+)]
+
+use super::command_line::{CommandLine, STEP_S};
+use super::{
+    BLOCK, GapDynamics, InLanes, Lanes, MAX_HISTORY, QubeModel, SUBSTEPS, State, limited_voltage,
+    runge_kutta_4,
+};
+use crate::elementary::{InstructionSet, Kernel};
+
+/// Sixteen Qubes side by side in `f32`, each with its own parameters, gap and delay; each quantity of
+/// theirs lies beside that of the next. Loops over the lanes have a fixed length and nothing that could
+/// overlap, so that they become plain vector code.
+///
+/// A lane's numbers depend on its own start and commands alone, and are the same bits on every
+/// instruction set. Fast inside a [`Kernel`] only.
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+pub struct QubeLanes {
+    /// The true states.
+    pub state: State<Lanes>,
+    dynamics: GapDynamics<Lanes>,
+    commands: CommandLine,
+    /// Which lanes are the thesis's Qube. A block of these alone takes a shorter way to the same bits.
+    ideal: [bool; BLOCK],
+}
+
+impl QubeLanes {
+    /// Nominal Qubes that hang at rest.
+    #[must_use]
+    pub fn hanging() -> Self {
+        let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+        Self {
+            state: State::all(&at_rest),
+            dynamics: GapDynamics::all(&GapDynamics::new(&QubeModel::NOMINAL)),
+            commands: CommandLine::EMPTY,
+            ideal: [true; BLOCK],
+        }
+    }
+
+    /// Puts another Qube into a lane, to which nothing has been sent. Its delay is at most
+    /// [`MAX_HISTORY`] control periods.
+    ///
+    /// # Panics
+    /// If there is no such lane.
+    pub fn restart(&mut self, lane: usize, model: &QubeModel, state: &State<f32>) {
+        self.state.set_lane(lane, state);
+        let gap: GapDynamics<f32> = GapDynamics::new(model);
+        self.dynamics.set_lane(lane, &gap);
+        self.commands.restart(lane, model.gap.command_delay_s);
+        let forces = [
+            gap.coulomb_torque,
+            gap.positive_dead_zone,
+            gap.negative_dead_zone,
+            gap.cable_stiffness,
+        ];
+        self.ideal[lane] = forces == [0.0; 4] && self.commands.is_immediate(lane);
+    }
+
+    /// Puts commands into a lane's past, V, newest first.
+    ///
+    /// # Panics
+    /// If there is no such lane.
+    pub fn set_sent_v(&mut self, lane: usize, sent_v: &[f32; MAX_HISTORY]) {
+        self.commands.set_sent_v(lane, sent_v);
+    }
+
+    /// The last commands of all lanes, V, newest first.
+    #[must_use]
+    #[inline(always)]
+    pub fn sent_v(&self) -> &[Lanes; MAX_HISTORY] {
+        self.commands.all_sent_v()
+    }
+
+    /// Whether all lanes are the thesis's Qube, so that [`Self::advance_ideal`] moves them.
+    #[must_use]
+    #[inline(always)]
+    pub fn are_ideal(&self) -> bool {
+        self.ideal == [true; BLOCK]
+    }
+
+    /// One of [`SUBSTEPS`] steps in a control period of the thesis's Qubes, whose voltages are the
+    /// same for the whole period.
+    #[inline(always)]
+    pub fn advance_ideal(&mut self, commands_v: &Lanes) {
+        let Self { state, dynamics, .. } = self;
+        for lane in 0..BLOCK {
+            let own = dynamics.ideal.lane(lane);
+            let voltage_v = limited_voltage(commands_v[lane]);
+            let next = runge_kutta_4(&own, state.lane(lane), voltage_v, STEP_S);
+            state.set_lane(lane, &next);
+        }
+    }
+
+    /// A control period of any Qubes begins with these commands.
+    #[inline(always)]
+    pub fn begin_period(&mut self, commands_v: &Lanes) {
+        self.commands.begin_period(commands_v);
+    }
+
+    /// One of the `SUBSTEPS + 1` pieces of a control period of any Qubes, the first being 0.
+    #[inline(always)]
+    pub fn advance(&mut self, piece: usize) {
+        let Self { state, dynamics, commands, .. } = self;
+        // Apart from the integration: with both in one loop the compiler makes scalar code of it, which
+        // is eight times slower.
+        let (steps_s, voltages_v) = commands.pieces(piece);
+        for lane in 0..BLOCK {
+            let own = dynamics.lane(lane);
+            let next = runge_kutta_4(&own, state.lane(lane), voltages_v[lane], steps_s[lane]);
+            state.set_lane(lane, &next);
+        }
+    }
+
+    /// A control period is over: its commands come before those of the periods before it.
+    #[inline(always)]
+    pub fn end_period(&mut self, commands_v: &Lanes) {
+        self.commands.end_period(commands_v);
+    }
+}
+
+/// One control period of some blocks of Qubes of any kind.
+pub struct ControlPeriod<'a> {
+    /// The blocks.
+    pub qubes: &'a mut [QubeLanes],
+    /// Their commands, V.
+    pub commands_v: &'a [Lanes],
+}
+
+impl Kernel for ControlPeriod<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) {
+        let Self { qubes, commands_v } = self;
+        for (qubes, commands_v) in qubes.iter_mut().zip(commands_v) {
+            qubes.begin_period(commands_v);
+        }
+        // One piece of every block before the next of any: neighbours do not wait for each other, so
+        // that the processor works on several at once.
+        for piece in 0..=SUBSTEPS {
+            for qubes in qubes.iter_mut() {
+                qubes.advance(piece);
+            }
+        }
+        for (qubes, commands_v) in qubes.iter_mut().zip(commands_v) {
+            qubes.end_period(commands_v);
+        }
+    }
+}
