@@ -250,9 +250,9 @@ impl<'a> Server<'a> {
     fn serve(&mut self, pty: &Pty) -> io::Result<Served> {
         let mut housekeeping_us = 0;
         loop {
+            self.board.advance_to(self.now_us());
+            self.exchange(&pty.master)?;
             let now_us = self.now_us();
-            self.board.advance_to(now_us);
-            exchange(&pty.master, &mut self.board, &mut self.under_way, now_us)?;
             self.under_way.hand_over(&pty.master, now_us)?;
             if self.board.is_unplugged() {
                 return Ok(Served::Plug);
@@ -278,6 +278,35 @@ impl<'a> Server<'a> {
         }
     }
 
+    /// Reads until nothing is left and answers. The board's time is read after the bytes, so that no
+    /// request is handled at a time before it came, however long this thread was kept waiting.
+    fn exchange(&mut self, master: &impl AsFd) -> io::Result<()> {
+        let mut buffer = [0; 256];
+        loop {
+            let received = match rustix::io::read(master, &mut buffer) {
+                Ok(0) | Err(Errno::AGAIN) => return Ok(()),
+                Ok(length) => &buffer[..length],
+                Err(Errno::INTR) => continue,
+                Err(error) => return Err(error.into()),
+            };
+            let now_us = self.now_us();
+            self.board.advance_to(now_us);
+            for &byte in received {
+                let Some(reply) = self.board.receive(byte) else { continue };
+                let mut bytes = [0; firmware_protocol::MAX_FRAME_BYTES];
+                let bytes = &mut bytes[..reply.as_bytes().len()];
+                bytes.copy_from_slice(reply.as_bytes());
+                if self.board.garbles_reply() {
+                    bytes[1] ^= 0x10;
+                }
+                match self.under_way.bridge {
+                    None => write(master, bytes)?,
+                    Some(bridge) => self.under_way.take(bridge, now_us, bytes),
+                }
+            }
+        }
+    }
+
     /// Lets the board live on without a port until the cable is plugged in again.
     fn wait_for_plug(&mut self) -> io::Result<Served> {
         loop {
@@ -294,37 +323,6 @@ impl<'a> Server<'a> {
                 Ok(0) | Err(Errno::INTR) => {}
                 Ok(_) => return Ok(Served::Stopped),
                 Err(error) => return Err(error.into()),
-            }
-        }
-    }
-}
-
-/// Reads until nothing is left and answers.
-fn exchange(
-    master: &impl AsFd,
-    board: &mut Board,
-    under_way: &mut UnderWay,
-    now_us: u64,
-) -> io::Result<()> {
-    let mut buffer = [0; 256];
-    loop {
-        let received = match rustix::io::read(master, &mut buffer) {
-            Ok(0) | Err(Errno::AGAIN) => return Ok(()),
-            Ok(length) => &buffer[..length],
-            Err(Errno::INTR) => continue,
-            Err(error) => return Err(error.into()),
-        };
-        for &byte in received {
-            let Some(reply) = board.receive(byte) else { continue };
-            let mut bytes = [0; firmware_protocol::MAX_FRAME_BYTES];
-            let bytes = &mut bytes[..reply.as_bytes().len()];
-            bytes.copy_from_slice(reply.as_bytes());
-            if board.garbles_reply() {
-                bytes[1] ^= 0x10;
-            }
-            match under_way.bridge {
-                None => write(master, bytes)?,
-                Some(bridge) => under_way.take(bridge, now_us, bytes),
             }
         }
     }

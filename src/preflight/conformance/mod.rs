@@ -49,10 +49,20 @@ pub enum Deviation {
          were refused as stale"
     )]
     Disturbed,
+    /// An act was refused as stale although it followed its sample at once.
+    #[error("an act {elapsed_us} us after its sample was asked for was refused as stale")]
+    FreshRefused {
+        /// From asking for the sample to sending the act, by the computer's clock, us.
+        elapsed_us: u64,
+    },
 }
 
 /// How often a check is begun anew because the computer was too slow for the watchdog.
 const ATTEMPTS: u32 = 20;
+
+/// How often a fresh act may be refused: an emulated device on a busy computer can be kept from
+/// reading it for 20 ms, a real one cannot.
+const FRESH_REFUSALS: usize = 3;
 
 impl ConformanceCheck {
     /// Puts the device to this check. Leaves its motor off.
@@ -61,11 +71,16 @@ impl ConformanceCheck {
     /// How it differs.
     pub fn run(&self, speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
         let mut result = Err(Deviation::Disturbed);
+        let mut fresh_refusals = 0;
         for _ in 0..ATTEMPTS {
             speaker.fence()?;
             result = (self.run)(speaker);
-            if result != Err(Deviation::Disturbed) {
-                break;
+            match result {
+                Err(Deviation::Disturbed) => {}
+                Err(Deviation::FreshRefused { .. }) if fresh_refusals < FRESH_REFUSALS => {
+                    fresh_refusals += 1;
+                }
+                _ => break,
             }
         }
         let left_off = speaker.fence();

@@ -145,12 +145,11 @@ impl<'a> Speaker<'a> {
         if frame.sequence != sequence && refused_as_stale {
             // An act before this request came more than 20 ms after its sample, or so the device says.
             let elapsed_ns = self.acted_ns.saturating_sub(self.sampled_ns);
-            ensure!(
-                elapsed_ns > SURELY_FRESH_NS,
-                "an act {} us after its sample was asked for was refused as stale",
-                elapsed_ns / 1000
-            );
-            return Err(Deviation::Disturbed);
+            return Err(if elapsed_ns > SURELY_FRESH_NS {
+                Deviation::Disturbed
+            } else {
+                Deviation::FreshRefused { elapsed_us: elapsed_ns / 1000 }
+            });
         }
         ensure!(
             frame.sequence == sequence,
