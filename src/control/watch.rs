@@ -19,6 +19,12 @@ const CLOCK_LEAP_US: u64 = 1_000_000;
 /// less than 5 ms or more than 20 ms.
 const MAX_ODD_PACES: u32 = 3;
 
+/// Over so long, us, the two clocks are compared more closely ...
+const LONG_PACE_US: u64 = 500_000;
+
+/// ... and may differ by this share of it: a crystal is off by 0.005, answers come up to 10 ms later.
+const LONG_PACE_SHARE: f64 = 0.1;
+
 /// What a fault leaves to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alarm {
@@ -43,6 +49,8 @@ struct ClockWatch {
     /// When the last sample was asked for, and its time by the device's clock.
     last: Option<(u64, u64)>,
     odd_in_a_row: u32,
+    /// The same of the sample from which on the two are compared over a longer time.
+    long_since: Option<(u64, u64)>,
 }
 
 impl ClockWatch {
@@ -59,6 +67,19 @@ impl ClockWatch {
         elapsed_us == 0
             || elapsed_us > host_us + CLOCK_LEAP_US
             || self.odd_in_a_row >= MAX_ODD_PACES
+            || self.is_wrong_for_long(asked_ns, device_us)
+    }
+
+    /// Whether it goes at a pace that single periods do not show.
+    fn is_wrong_for_long(&mut self, asked_ns: u64, device_us: u64) -> bool {
+        let (since_ns, since_us) = *self.long_since.get_or_insert((asked_ns, device_us));
+        let host_us = asked_ns.saturating_sub(since_ns) / 1000;
+        if host_us < LONG_PACE_US {
+            return false;
+        }
+        self.long_since = Some((asked_ns, device_us));
+        let elapsed_us = device_us.saturating_sub(since_us);
+        elapsed_us.abs_diff(host_us) as f64 > LONG_PACE_SHARE * host_us as f64
     }
 }
 
@@ -150,6 +171,9 @@ mod tests {
         assert_eq!(ticks_until_wrong(back), Some(20));
         assert_eq!(ticks_until_wrong(|tick| 4_900 * tick), Some(3));
         assert_eq!(ticks_until_wrong(|tick| 20_100 * tick), Some(3));
+        // A pace that each single period may have, but not fifty of them.
+        assert_eq!(ticks_until_wrong(|tick| 19_000 * tick), Some(51));
+        assert_eq!(ticks_until_wrong(|tick| 8_900 * tick), Some(51));
         // A crystal's error, answers that are late in turns, and a wrap of whatever width are none.
         assert_eq!(ticks_until_wrong(|tick| 10_050 * tick), None);
         assert_eq!(ticks_until_wrong(|tick| 10_000 * tick + 5_900 * (tick % 2)), None);
