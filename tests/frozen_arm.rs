@@ -1,11 +1,17 @@
 //! An arm's encoder that freezes while arm and pendulum are in motion, and an arm that friction holds.
 
+#[path = "harmless/mod.rs"]
+#[allow(dead_code)]
+mod harmless;
+
+use harmless::freezes::{freezes, policies, qubes};
 use qube_hil::control::{Alarm, Drive, SensorWatch};
+use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::estimation::Calibration;
 use qube_hil::qube::{
     Gap, GapDynamics, Measurement, QubeModel, RAD_PER_COUNT, State, control_step, counts,
 };
-use qube_hil::telemetry::Fault;
+use qube_hil::telemetry::{Ending, Fault};
 
 /// How many ticks after the freeze (none: the encoder is right all along) the arm is called frozen,
 /// driven to and fro beside a swinging pendulum.
@@ -55,6 +61,26 @@ fn an_arm_that_friction_holds_against_a_swinging_pendulum_is_not_frozen() {
             for amplitude_v in [0.0, 0.3, 0.6] {
                 let found = found_after(gap, alpha, amplitude_v, None);
                 assert_eq!(found, None, "{alpha} rad, {amplitude_v} V");
+            }
+        }
+    }
+}
+
+/// Whole rollouts, most of which are quiet balancing, where only the asking push tells.
+#[test]
+fn a_freeze_anywhere_in_a_rollout_is_found_within_300_ms_and_a_healthy_qube_is_left_alone() {
+    for (qube, settings) in qubes() {
+        for (name, policy) in policies() {
+            for seed in 0..2 {
+                let settings = EmulatorSettings { seed, ..settings };
+                let (healthy, frozen) = freezes(settings, &policy).expect("it is homed");
+                let of = format!("{qube}, {name}, seed {seed}");
+                assert!(!matches!(healthy.ending, Ending::Fault(_)), "{of}: {:?}", healthy.ending);
+                for freeze in frozen {
+                    let found_ms = freeze.found_ms();
+                    assert!(found_ms.is_some_and(|ms| ms <= 300.0), "{of}: {found_ms:?}");
+                    assert!(!freeze.is_named_otherwise(), "{of}: {:?}", freeze.outcome.ending);
+                }
             }
         }
     }

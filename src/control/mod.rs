@@ -6,6 +6,7 @@
 //! Reading order: [`Tick`] decides, [`drive`] runs it against a device and a clock,
 //! [`ControlThread`] gives it a thread of its own.
 
+mod asking;
 mod current_watch;
 mod drive;
 mod homing;

@@ -65,6 +65,9 @@ const TACHOMETER_SHARE: f64 = 0.25;
 /// last velocity for 0.21 s after a sudden stop.
 const TACHOMETER_US: u64 = 300_000;
 
+/// A pendulum that felt less than this of a push, rad/s, hangs on an arm that is held.
+const FELT_RAD_S: f64 = 0.4;
+
 /// Watches encoders, motor and tachometer against each other, over the device's own time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensorWatch {
@@ -199,6 +202,17 @@ impl SensorWatch {
     #[must_use]
     pub fn witness(&self) -> Option<&Witness> {
         self.witness.as_ref().map(|(_, witness)| witness)
+    }
+
+    /// Why an arm's count stands although the motor has this voltage, enough to move any arm.
+    #[must_use]
+    pub fn why_arm_stands(&self, sample: &Measurement, voltage_mv: i16) -> Fault {
+        let least_a = DEAD_A_V * f32::from(voltage_mv.saturating_abs()) * 1e-3;
+        if sample.current_a.abs() < least_a {
+            return Fault::MotorDead;
+        }
+        let feels_arm = self.witness().is_none_or(|witness| witness.felt_rad_s() > FELT_RAD_S);
+        if feels_arm { Fault::EncoderFrozen } else { Fault::ArmHeld }
     }
 
     /// Looks at one sample; without a `drive` where the arm is meant to push against its stops.

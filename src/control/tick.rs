@@ -1,3 +1,4 @@
+use super::asking::AskingPush;
 use super::rest::{BackDetector, RestDetector};
 use super::sensor_watch::{Drive, SensorWatch};
 use super::settling::{GentleSettler, Settler};
@@ -6,7 +7,7 @@ use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOu
 use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
-use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, State};
+use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, State};
 use crate::safety::{Guard, Limit, Retreat, SpeedEnvelope, brake_voltage, gate};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
@@ -42,6 +43,8 @@ pub struct Tick<C = Policy> {
     estimator: Estimator,
     watch: Watch,
     sensors: SensorWatch,
+    /// Asks an arm whose count stands; none by the first rules.
+    asking: Option<AskingPush>,
     settler: Settler,
     gentle: GentleSettler,
     /// How much sooner than those of a nominal Qube the nearer stop comes, rad.
@@ -77,6 +80,7 @@ impl<C: Controller> Tick<C> {
             } else {
                 SensorWatch::default()
             },
+            asking: None,
             settler: Settler::default(),
             gentle: GentleSettler::default(),
             room_rad,
@@ -114,6 +118,8 @@ impl<C: Controller> Tick<C> {
                 // The box counts whole turns of the pendulum from the start of each rollout.
                 self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
+                let is_witnessed = self.settings.rules == TickRules::Witnessed;
+                self.asking = is_witnessed.then(AskingPush::default);
                 self.phase = Phase::Running;
             }
             ControlAction::Brake => self.phase = Phase::Braking,
@@ -201,9 +207,21 @@ impl<C: Controller> Tick<C> {
                     TickRules::Witnessed => self.gentle.voltage(state, target),
                 }
             }
-            Phase::Running => self.policy.voltage_v(&self.estimates.seen),
+            Phase::Running => {
+                let wanted_v = self.policy.voltage_v(&self.estimates.seen);
+                let theta = self.estimates.guarded.theta;
+                self.asking.as_mut().map_or(wanted_v, |asking| asking.voltage_v(wanted_v, theta))
+            }
             Phase::Braking => self.braking_voltage(),
         }
+    }
+
+    /// What is wrong with an arm that does not answer although any arm would.
+    fn unanswered(&mut self, sample: &Measurement) -> Option<Alarm> {
+        let asking = self.asking.as_mut().filter(|_| self.phase == Phase::Running)?;
+        let (_, alpha) = self.settings.calibration.angles_rad(sample);
+        let unanswered = asking.is_unanswered(sample, self.voltage_mv, alpha);
+        unanswered.then(|| Alarm::Zero(self.sensors.why_arm_stands(sample, self.voltage_mv)))
     }
 
     /// While the policy has the motor: what the motor had since the last tick.
@@ -244,7 +262,8 @@ impl<C: Controller> Motion for Tick<C> {
         };
         let seen =
             input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, Some(drive)));
-        let off = match self.watch.check(input).or(seen) {
+        let unanswered = input.measurement.as_ref().and_then(|sample| self.unanswered(sample));
+        let off = match self.watch.check(input).or(seen).or(unanswered) {
             Some(Alarm::Zero(fault)) => self.take(ControlEvent::ZeroFault, Ending::Fault(fault)),
             Some(Alarm::Brake(fault)) => {
                 if matches!(fault, Fault::PendulumJump | Fault::PendulumFrozen) {

@@ -183,6 +183,13 @@ impl Witness {
         self.together < -LEADS * self.squares
     }
 
+    /// The largest change of velocity of the arm that the pendulum has just felt, rad/s.
+    #[must_use]
+    pub fn felt_rad_s(&self) -> f64 {
+        let felt = |half| self.change(half).map_or(0.0, |change| change.felt_rad_s.abs());
+        felt(SHORT).max(felt(LONG))
+    }
+
     /// Takes the next sample and its angles, rad, the pendulum's from hanging.
     pub fn update(
         &mut self,

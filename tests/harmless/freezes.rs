@@ -1,0 +1,178 @@
+//! Rollouts in which the arm's encoder freezes: when that is found, and what the zero is worth after it.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::clock::{Clock, VirtualClock};
+use qube_hil::control::{
+    ControlState, Homing, HomingSettings, Motion, Tick, TickInput, TickOutput, drive,
+};
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::device::{Device, SerialLink};
+use qube_hil::estimation::EstimatorSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::qube::{Profile, QubeModel};
+use qube_hil::safety::SafetyBox;
+use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
+
+use super::wire::SharedWire;
+
+/// An arm that is faster moves, rad/s.
+pub const MOVES_RAD_S: f64 = 2.0;
+
+/// A motion that notes when the policy got the motor and when the rollout was over.
+struct Noted<'a> {
+    tick: &'a mut Tick,
+    clock: VirtualClock,
+    wire: SharedWire,
+    ran_s: Option<(f64, f64)>,
+    onset_s: f64,
+    /// When the arm was first faster than an arm may be that only drifts, s.
+    moved_s: Option<f64>,
+}
+
+impl Motion for Noted<'_> {
+    fn decide(&mut self, input: &TickInput) -> TickOutput {
+        let now_s = self.clock.now_ns() as f64 * 1e-9;
+        let output = self.tick.decide(input);
+        if self.tick.control_state() == ControlState::Running {
+            self.ran_s = Some((self.ran_s.map_or(now_s, |(first, _)| first), now_s));
+        }
+        if now_s >= self.onset_s && self.wire.state().theta_dot.abs() > MOVES_RAD_S {
+            self.moved_s.get_or_insert(now_s);
+        }
+        output
+    }
+
+    fn control_state(&self) -> ControlState {
+        self.tick.control_state()
+    }
+
+    fn device_mv(&self, voltage_mv: i16) -> i16 {
+        self.tick.device_mv(voltage_mv)
+    }
+}
+
+/// What came of a rollout, in the emulated Qube's own time.
+pub struct Outcome {
+    pub ending: Ending,
+    /// When the policy got the motor and when it lost it, s.
+    pub ran_s: (f64, f64),
+    pub over_s: f64,
+    /// When the arm was first faster than [`MOVES_RAD_S`] after the fault had begun, s.
+    pub moved_s: Option<f64>,
+    /// How far the zero of the arm was off in the end, rad.
+    pub zero_off_rad: f64,
+}
+
+/// Homes such a Qube and runs a rollout, with a fault from some time on; none where homing fails.
+pub fn rollout(
+    qube: EmulatorSettings,
+    policy: &Policy,
+    fault: Option<(EmulatorFault, f64)>,
+) -> Option<Outcome> {
+    let clock = VirtualClock::default();
+    let onset_s = fault.map_or(f64::INFINITY, |(_, at_s)| at_s);
+    let settings = EmulatorSettings { fault: fault.map(|(fault, _)| fault), ..qube };
+    let wire = SharedWire::new(settings, clock.clone());
+    let shared: Arc<dyn Clock> = Arc::new(clock.clone());
+    let mut device = SerialLink::new(wire.clone(), shared);
+    device.hello().expect("an emulated Qube answers");
+    let stop = AtomicBool::new(false);
+    let mut homing = Homing::new(&HomingSettings::default());
+    drive(&mut device, &clock, &mut homing, None, &stop).expect("it arms");
+    let calibration = homing.calibration()?;
+    let settings = TickSettings {
+        calibration,
+        estimator: EstimatorSettings::default(),
+        safety_box: SafetyBox::GUARDED,
+        max_steps: 600,
+        start_theta_rad: 0.05,
+        stops: None,
+        rules: TickRules::Witnessed,
+    };
+    let mut tick = Tick::new(&settings, policy.clone());
+    let mut noted = Noted {
+        tick: &mut tick,
+        clock: clock.clone(),
+        wire: wire.clone(),
+        ran_s: None,
+        onset_s,
+        moved_s: None,
+    };
+    let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("it arms");
+    let (ran_s, moved_s) = (noted.ran_s, noted.moved_s);
+    let over_s = clock.now_ns() as f64 * 1e-9;
+    let sample = device.sample(clock.now_ns() + 6_000_000).ok()?;
+    let zero_off_rad = (calibration.angles_rad(&sample).0 - wire.state().theta).abs();
+    Some(Outcome { ending: report.outcome.ending, ran_s: ran_s?, over_s, moved_s, zero_off_rad })
+}
+
+/// How an encoder of the arm freezes, and the same from some time on.
+pub const KINDS: [(&str, fn(f64) -> EmulatorFault); 3] = [
+    ("dead", |after_s| EmulatorFault::FrozenTheta { after_s }),
+    ("stuck", |after_s| EmulatorFault::StuckTheta { after_s }),
+    ("500 ms", |after_s| EmulatorFault::LapsingTheta { after_s, lasts_s: 0.5 }),
+];
+
+/// A freeze in a rollout.
+pub struct Freeze {
+    pub outcome: Outcome,
+    pub onset_s: f64,
+}
+
+impl Freeze {
+    /// From the freeze to the motor off; none where the rollout counts as a result.
+    pub fn found_ms(&self) -> Option<f64> {
+        let is_fault = matches!(self.outcome.ending, Ending::Fault(_));
+        is_fault.then_some(1e3 * (self.outcome.over_s - self.onset_s))
+    }
+
+    pub fn is_named_otherwise(&self) -> bool {
+        matches!(self.outcome.ending, Ending::Fault(fault) if fault != Fault::EncoderFrozen)
+    }
+
+    /// Whether the rollout counts although its zero is wrong.
+    pub fn counts_wrongly(&self) -> bool {
+        self.found_ms().is_none() && self.outcome.zero_off_rad > 0.05
+    }
+}
+
+/// A rollout that nothing ails, and the same with a freeze of each of the [`KINDS`] at one instant, spread
+/// evenly over the rollout by the seed. None where the Qube is not homed.
+pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<Freeze>)> {
+    let healthy = rollout(qube, policy, None)?;
+    let (from_s, to_s) = healthy.ran_s;
+    let share = (qube.seed as f64 * 0.618_033_988_75).fract();
+    let onset_s = from_s + share * (to_s - from_s - 0.35).max(0.0);
+    let frozen = KINDS.map(|(_, fault)| {
+        let outcome = rollout(qube, policy, Some((fault(onset_s), onset_s)))?;
+        Some(Freeze { outcome, onset_s })
+    });
+    Some((healthy, frozen.into_iter().flatten().collect()))
+}
+
+/// Qubes by name: as published, as a real one is, and farther from the ideal than that.
+pub fn qubes() -> [(&'static str, EmulatorSettings); 5] {
+    let lab = Profile::parse(include_str!("../../profiles/lab.toml")).expect("the profile lab");
+    let lab = lab.model();
+    let mut sticky = lab;
+    sticky.gap.coulomb_torque_n_m *= 3.0;
+    let of = |model| EmulatorSettings { model, ..EmulatorSettings::default() };
+    [
+        ("nominal", of(QubeModel::NOMINAL)),
+        ("lab", of(lab)),
+        ("gap 1.5", of(lab.scaled(1.5))),
+        ("friction x 3", of(sticky)),
+        ("play 1 degree", EmulatorSettings { play_rad: 1_f64.to_radians(), ..of(lab) }),
+    ]
+}
+
+/// The shipped policy for an unknown Qube and the classical controller.
+pub fn policies() -> [(&'static str, Policy); 2] {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let robust = Policy::load(&root.join("policies/robust.safetensors")).expect("the policy");
+    let classical = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+    [("robust", robust), ("classical", classical)]
+}
