@@ -10,7 +10,8 @@ use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
-    command.current_dir(directory).args(arguments).output().expect("it runs")
+    command.current_dir(directory).env("XDG_STATE_HOME", directory);
+    command.args(arguments).output().expect("it runs")
 }
 
 /// Runs the program and checks exit code, silence on stdout, and each word on stderr.

@@ -12,7 +12,8 @@ use serde_json::Value;
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
-    command.current_dir(directory).env("TMPDIR", directory).args(arguments);
+    command.current_dir(directory).env("TMPDIR", directory).env("XDG_STATE_HOME", directory);
+    command.args(arguments);
     command.output().expect("it runs")
 }
 

@@ -15,7 +15,8 @@ const EMULATED: [&str; 2] = ["--clock", "virtual"];
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
-    command.current_dir(directory).args(arguments).output().expect("it runs")
+    command.current_dir(directory).env("XDG_STATE_HOME", directory);
+    command.args(arguments).output().expect("it runs")
 }
 
 #[track_caller]

@@ -35,7 +35,7 @@ fn qube(link: &Path, fault: Option<&str>) -> EmulatedQube {
 
 fn program(directory: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).args(arguments);
+    command.current_dir(directory).env("XDG_STATE_HOME", directory).args(arguments);
     command
 }
 

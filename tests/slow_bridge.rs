@@ -126,7 +126,9 @@ fn on_a_pty_the_check_passes_through_it_too() {
     let bridge = Some(UsbBridge::Atmega16u2);
     let qube =
         EmulatedQube::spawn(EmulatorSettings { bridge, ..EmulatorSettings::default() }).unwrap();
+    let directory = tempfile::tempdir().unwrap();
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory.path()).env("XDG_STATE_HOME", directory.path());
     let output = command.args(["check", "--device", qube.port().to_str().unwrap()]).output();
     let output = output.unwrap();
     let text = String::from_utf8_lossy(&output.stdout).into_owned();

@@ -20,7 +20,8 @@ const PATIENCE: Duration = Duration::from_secs(120);
 
 fn program(directory: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).args(arguments).stdin(Stdio::null()).stderr(Stdio::piped());
+    command.current_dir(directory).env("XDG_STATE_HOME", directory).args(arguments);
+    command.stdin(Stdio::null()).stderr(Stdio::piped());
     command
 }
 

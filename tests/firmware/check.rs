@@ -14,9 +14,11 @@ const ATTEMPTS: u32 = 4;
 fn the_firmware_passes_the_check_of_a_qube() {
     let Some(toolchain) = toolchain() else { return };
     for attempt in 1.. {
+        let directory = tempfile::tempdir().unwrap();
         let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(0));
         let output = Command::cargo_bin("qube-hil")
             .expect("the program is built")
+            .env("XDG_STATE_HOME", directory.path())
             .args(["--json", "check", "--device", board.port()])
             .output()
             .expect("it runs");

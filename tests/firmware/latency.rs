@@ -31,6 +31,7 @@ fn latency_on_the_firmware() {
     let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(0));
     let output = Command::cargo_bin("qube-hil")
         .expect("the program is built")
+        .env("XDG_STATE_HOME", directory.path())
         .args(["run", "--policy", "classical", "--rollouts", ROLLOUTS, "--device", board.port()])
         .args(["--out", directory.path().to_str().unwrap()])
         .output()

@@ -20,6 +20,7 @@ fn swings_up(chip: Chip, policy: &str) {
         let board = SimulatedBoard::start(toolchain, chip, Qube::new(0));
         let output = Command::cargo_bin("qube-hil")
             .expect("the program is built")
+            .env("XDG_STATE_HOME", directory.path())
             .args(["--json", "run", "--policy", policy, "--device", board.port(), "--out", out])
             // Which has a test of its own; a busy computer would fail it here for its latency.
             .arg("--skip-check")

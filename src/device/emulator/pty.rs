@@ -289,6 +289,9 @@ impl<'a> Server<'a> {
                 Err(Errno::INTR) => continue,
                 Err(error) => return Err(error.into()),
             };
+            // The Qube moves by itself: what it takes to compute that is no time of the board's.
+            self.board.advance_to(self.now_us());
+            self.board.plant();
             let now_us = self.now_us();
             self.board.advance_to(now_us);
             for &byte in received {
