@@ -10,6 +10,8 @@ use std::time::Duration;
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings, Finger};
 use qube_hil::qube::State;
 use qube_hil::session::{QubeFile, UsbLost, power_warning};
+use qube_hil::telemetry::Fault;
+use serde_json::Value;
 
 /// When the arm is carried to its stop, and when the plug is pulled, s.
 const AT_STOP_S: u64 = 15;
@@ -42,19 +44,28 @@ fn program(directory: &Path, arguments: &[&str]) -> Command {
 /// The Qubes here are served in real time: one after the other.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// The whole test, begun again where a computer that is busy with others was too late for it.
-fn tested(directory: &Path, fault: &str, answer: &str) -> (EmulatedQube, String) {
+/// What a computer that is busy with others causes, and no defect of the test: late ticks, lost samples,
+/// an emulated board that got no time.
+const OF_A_BUSY_COMPUTER: [Fault; 4] =
+    [Fault::NoSample, Fault::TooLate, Fault::DeviceClock, Fault::WatchdogTripped];
+
+/// The whole test and the object that it printed, begun again where the computer was too busy for it;
+/// any other failure counts at once.
+fn tested(directory: &Path, fault: &str, answer: &str) -> (EmulatedQube, Value) {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut last = String::new();
-    for _ in 0..4 {
+    let mut tries = 0;
+    loop {
+        tries += 1;
         let (connected, code, told, text) = tested_once(directory, fault, answer);
         if code == Some(0) {
             assert!(told.contains("It came back"), "{told}");
-            return (connected, text);
+            return (connected, serde_json::from_str(&text).expect("one object"));
         }
-        last = format!("{code:?}: {told}\n{text}");
+        let all = format!("{told}\n{text}");
+        let is_busy = OF_A_BUSY_COMPUTER.iter().any(|fault| all.contains(&fault.to_string()))
+            || all.contains("failed: latency");
+        assert!(is_busy && tries < 4, "try {tries}, {code:?}: {all}");
     }
-    panic!("four times: {last}");
 }
 
 /// The whole test with a plug that is pulled in this way and an operator who answers so.
@@ -66,7 +77,7 @@ fn tested_once(
     let link = directory.join("qube");
     let mut connected = qube(&link, Some(fault));
     let started = std::time::Instant::now();
-    let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test"];
+    let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test", "--json"];
     let mut child = program(directory, &arguments)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -98,8 +109,10 @@ fn tested_once(
 #[test]
 fn a_board_that_dies_and_a_motor_that_goes_on_are_written_down_and_warned_of() {
     let directory = tempfile::tempdir().unwrap();
-    let (_connected, text) = tested(directory.path(), "power-loss", "y");
-    assert!(text.contains("keeps its last voltage"), "{text}");
+    let (_connected, result) = tested(directory.path(), "power-loss", "y");
+    assert_eq!(result["power_test"]["power"]["usb_lost"], "motor keeps its word", "{result}");
+    assert_eq!(result["passed"], true, "{result}");
+    assert!(result["checks"].as_array().is_some_and(|checks| checks.len() > 10), "{result}");
     let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
     assert_eq!(file.power.as_ref().unwrap().usb_lost, UsbLost::KeepsItsWord);
     assert!(power_warning(file.power.as_ref()).unwrap().contains("keeps its last voltage"));
@@ -108,8 +121,8 @@ fn a_board_that_dies_and_a_motor_that_goes_on_are_written_down_and_warned_of() {
 #[test]
 fn the_power_test_is_done_once_a_rig_and_its_result_ends_the_warning() {
     let directory = tempfile::tempdir().unwrap();
-    let (_connected, text) = tested(directory.path(), "unplug", "n");
-    assert!(text.contains("the motor of this Qube goes off"), "{text}");
+    let (_connected, result) = tested(directory.path(), "unplug", "n");
+    assert_eq!(result["power_test"]["power"]["usb_lost"], "motor off", "{result}");
 
     let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
     let power = file.power.unwrap();

@@ -16,6 +16,7 @@ fn minutes_of_ticks_drop_none_and_keep_no_memory() {
     let result: Value =
         serde_json::from_str(text.lines().last().unwrap_or_default()).expect("JSON");
     assert!(result["ticks"].as_u64() >= Some(18_000), "{result}");
+    assert_eq!(result["ended_by"], Value::Null, "{result}");
     for nothing in ["lost", "missed_deadlines", "void"] {
         assert_eq!(result[nothing], 0, "{result}");
     }

@@ -217,17 +217,34 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let failed = |error| failures::experiment(error, &stop, &resume);
     let progress = ExperimentProgress::new(&settings);
     let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag));
+    let mut ended = Ok(());
     if !arguments.table {
-        let ended = experiment.run(&|news| progress.tell(&news));
+        ended = experiment.run(&|news| progress.tell(&news)).map_err(failed);
         progress.finish();
-        ended.map_err(failed)?;
     }
 
-    let strategies = StrategyResults::read(&experiment).map_err(failed)?;
-    let summary = match &strategies {
-        Some(results) => Summary::of_strategies(results),
-        None => Summary::of_recipes(&Results::read(&experiment).map_err(failed)?),
+    let finished = StrategyResults::read(&experiment).and_then(|strategies| {
+        let summary = match &strategies {
+            Some(results) => Summary::of_strategies(results),
+            None => Summary::of_recipes(&Results::read(&experiment)?),
+        };
+        Ok((strategies, summary))
+    });
+    let (strategies, summary) = match finished {
+        Ok(finished) => finished,
+        // Why it ended says more than why its results cannot be read.
+        Err(error) => return Err(ended.err().unwrap_or_else(|| failed(error))),
     };
+    let directory = experiment.folder().root().display().to_string();
+    let mut result = summary.value;
+    result["directory"] = json!(directory);
+    result["wall_s"] = json!(started.elapsed().as_secs_f64());
+    result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
+    let text = format!("{}\neverything is in {directory}", summary.table);
+    if ended.is_err() {
+        output.print(&text, &result);
+        return ended;
+    }
     if let Some(path) = &arguments.csv {
         write_whole(&MachineDisk, path, summary.csv.as_bytes())
             .map_err(|error| failures::folder(&error))?;
@@ -235,11 +252,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(folder) = &arguments.figures {
         draw(&experiment, strategies.as_ref(), folder).map_err(failed)?;
     }
-    let directory = experiment.folder().root().display().to_string();
-    let mut result = summary.value;
-    result["directory"] = json!(directory);
-    result["wall_s"] = json!(started.elapsed().as_secs_f64());
-    output.print(&format!("{}\neverything is in {directory}", summary.table), &result);
+    output.print(&text, &result);
     Ok(())
 }
 

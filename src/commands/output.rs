@@ -16,6 +16,20 @@ impl Output {
         Self { json }
     }
 
+    /// Prints a part of a result that people see before the rest of it is there.
+    pub fn print_for_people(&self, text: &str) {
+        if !self.json {
+            self.print(text, &());
+        }
+    }
+
+    /// Prints the one object of such a result for scripts.
+    pub fn print_for_scripts(&self, value: &impl Serialize) {
+        if self.json {
+            self.print("", value);
+        }
+    }
+
     /// Prints a result in one of its two forms. A reader that has gone away is no failure.
     pub fn print(&self, text: &str, value: &impl Serialize) {
         let mut stdout = std::io::stdout().lock();

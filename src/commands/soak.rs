@@ -3,7 +3,7 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
-use super::device_arguments::{CheckArguments, DeviceArguments};
+use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::number_arguments::positive;
 use super::output::Output;
@@ -62,67 +62,23 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let folder = Folder::new(arguments.keep.clone())?;
-    let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
-    let estimator = EstimatorSettings::default();
     let device = arguments.device.choose()?;
-    let emulator = EmulatorSettings { seed: arguments.seed, ..EmulatorSettings::default() };
-    let settings = device.rig_settings(emulator, estimator, arguments.check);
-    let mut rig = Rig::open(&settings, &stop.flag).map_err(|error| failures::rig(error, &stop))?;
-    warn_without_realtime(rig.realtime());
-
-    let ticks_wanted = (arguments.hours * 3600e9 / CONTROL_PERIOD_NS as f64).ceil() as u64;
     let started = Instant::now();
     let mut soaked = Soaked::default();
-    let mut ended_early = None;
-    let mut not_begun = 0;
-    while soaked.ticks < ticks_wanted && !stop.requested() {
-        let rollout = soaked.rollouts as u32;
-        let path = folder.path.join(format!("rollout-{rollout}.mcap"));
-        let plan = RolloutPlan {
-            session: "soak".into(),
-            candidate: None,
-            rollout,
-            attempt: 0,
-            psi: Default::default(),
-            seed: arguments.seed,
-            policy: "classical".into(),
-            estimator,
-            safety_box: device.safety_box(SafetyBox::default()),
-            steps: MAX_STEPS as u32,
-        };
-        match rig.rollout(&MachineDisk, &path, plan.header(), &policy) {
-            Ok(_) => not_begun = 0,
-            Err(RigError::NotBegun { .. }) if not_begun < MAX_NOT_BEGUN => {
-                not_begun += 1;
-                rig.start_again().map_err(|error| failures::rig(error, &stop))?;
-                continue;
-            }
-            Err(error) => return Err(failures::rig(error, &stop)),
-        }
-        soaked.add(&read(&path).map_err(|error| failures::recording(&error))?);
-        folder.is_done_with(&path)?;
-        if soaked.rollouts.is_multiple_of(200) {
-            eprintln!("{:.1} h of {} h", soaked.hours(), arguments.hours);
-        }
-        if soaked.last_was_void
-            && !stop.requested()
-            && let Err(error) = rig.start_again()
-        {
-            ended_early = Some(failures::rig(error, &stop));
-            break;
-        }
-    }
-
-    let mut result = soaked.json();
-    result["wall_s"] = json!(started.elapsed().as_secs_f64());
-    output.print(&soaked.text(), &result);
+    let mut ended = soaked.soak(&arguments, &device, &folder, &stop);
     if stop.requested() {
-        return Err(stop.failure("stopped before the hours were over"));
+        ended = Err(stop.failure("stopped before the hours were over"));
     }
-    if let Some(failure) = ended_early {
-        return Err(failure);
+    match &ended {
+        Err(failure) if failure.is_usage() && soaked.rollouts == 0 => {}
+        _ => {
+            let mut result = soaked.json();
+            result["wall_s"] = json!(started.elapsed().as_secs_f64());
+            result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
+            output.print(&soaked.text(), &result);
+        }
     }
-    soaked.judge()
+    ended.and_then(|()| soaked.judge())
 }
 
 /// Where the recordings go.
@@ -176,6 +132,61 @@ struct Soaked {
 }
 
 impl Soaked {
+    /// Rollout after rollout until the hours are over or somebody asks to stop.
+    fn soak(
+        &mut self,
+        arguments: &Arguments,
+        device: &ChosenDevice,
+        folder: &Folder,
+        stop: &Stop,
+    ) -> Result<(), Failure> {
+        let failed = |error| failures::rig(error, stop);
+        let policy =
+            Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
+        let estimator = EstimatorSettings::default();
+        let emulator = EmulatorSettings { seed: arguments.seed, ..EmulatorSettings::default() };
+        let settings = device.rig_settings(emulator, estimator, arguments.check);
+        let mut rig = Rig::open(&settings, &stop.flag).map_err(failed)?;
+        warn_without_realtime(rig.realtime());
+
+        let ticks_wanted = (arguments.hours * 3600e9 / CONTROL_PERIOD_NS as f64).ceil() as u64;
+        let mut not_begun = 0;
+        while self.ticks < ticks_wanted && !stop.requested() {
+            let rollout = self.rollouts as u32;
+            let path = folder.path.join(format!("rollout-{rollout}.mcap"));
+            let plan = RolloutPlan {
+                session: "soak".into(),
+                candidate: None,
+                rollout,
+                attempt: 0,
+                psi: Default::default(),
+                seed: arguments.seed,
+                policy: "classical".into(),
+                estimator,
+                safety_box: device.safety_box(SafetyBox::default()),
+                steps: MAX_STEPS as u32,
+            };
+            match rig.rollout(&MachineDisk, &path, plan.header(), &policy) {
+                Ok(_) => not_begun = 0,
+                Err(RigError::NotBegun { .. }) if not_begun < MAX_NOT_BEGUN => {
+                    not_begun += 1;
+                    rig.start_again().map_err(failed)?;
+                    continue;
+                }
+                Err(error) => return Err(failed(error)),
+            }
+            self.add(&read(&path).map_err(|error| failures::recording(&error))?);
+            folder.is_done_with(&path)?;
+            if self.rollouts.is_multiple_of(200) {
+                eprintln!("{:.1} h of {} h", self.hours(), arguments.hours);
+            }
+            if self.last_was_void && !stop.requested() {
+                rig.start_again().map_err(failed)?;
+            }
+        }
+        Ok(())
+    }
+
     fn add(&mut self, recording: &Recording) {
         self.rollouts += 1;
         self.ticks += recording.ticks.len() as u64;

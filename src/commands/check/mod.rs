@@ -111,30 +111,36 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             Err(error) => unwritten = Some(error),
         }
     }
-    output.print(
-        &text,
-        &json!({ "checks": checks_json(results), "passed": passed, "written": written }),
-    );
-    if let Some(error) = unwritten {
-        return Err(Failure::failed(error));
-    }
-    if passed {
+    output.print_for_people(&text);
+    let mut value = json!({ "checks": checks_json(results), "passed": passed, "written": written });
+    let ended = if let Some(error) = unwritten {
+        Err(Failure::failed(error))
+    } else if !passed {
+        let note = if arguments.write.is_some() { ", so nothing was written" } else { "" };
+        Err(Failure::failed(format!("failed: {}{note}", failed_names(results))))
+    } else {
         let path = written.map(Path::to_owned).or(device.path.clone());
         let path = path.unwrap_or_else(|| QUBE_FILE.into());
         let is_offered = written.is_some() && wants_power_test(&path);
-        if !arguments.power_test && !is_offered {
-            return Ok(());
+        if arguments.power_test || is_offered {
+            let file = QubeFile {
+                port: Some(stable_port_name(&rig.identity().port)),
+                board: Some(rig.identity().serial.clone()),
+                signs: examination.signs.into(),
+                ..base_file(&path, &device)?
+            };
+            let tested = power_test::run(rig, &settings, &path, file, &stop);
+            value["power_test"] = match &tested {
+                Ok(tested) => tested.value.clone(),
+                Err(failure) => json!({ "ended_by": failure.ended_by() }),
+            };
+            tested.map(|tested| output.print_for_people(&tested.text))
+        } else {
+            Ok(())
         }
-        let file = QubeFile {
-            port: Some(stable_port_name(&rig.identity().port)),
-            board: Some(rig.identity().serial.clone()),
-            signs: examination.signs.into(),
-            ..base_file(&path, &device)?
-        };
-        return power_test::run(rig, &settings, &path, file, &stop, output);
-    }
-    let note = if arguments.write.is_some() { ", so nothing was written" } else { "" };
-    Err(Failure::failed(format!("failed: {}{note}", failed_names(results))))
+    };
+    output.print_for_scripts(&value);
+    ended
 }
 
 /// Whether an operator at a terminal wants the test of the motor without its board, where the file has

@@ -10,11 +10,10 @@ use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::commands::exit::Failure;
 use crate::commands::failures;
-use crate::commands::output::Output;
 use crate::commands::stop::Stop;
 use crate::control::PressOutcome;
 use crate::session::{PowerTest, QubeFile, Rig, RigError, RigSettings, UsbLost};
@@ -29,6 +28,12 @@ const MOST_V: f64 = 1.5;
 const STEP_TICKS: u32 = 6000;
 const REPLUG: Duration = Duration::from_secs(120);
 
+/// What the test has found, for people and for scripts.
+pub struct Tested {
+    pub text: String,
+    pub value: Value,
+}
+
 /// Leads the operator through the test and writes what came of it.
 pub fn run(
     mut rig: Rig,
@@ -36,8 +41,7 @@ pub fn run(
     path: &Path,
     file: QubeFile,
     stop: &Stop,
-    output: &Output,
-) -> Result<(), Failure> {
+) -> Result<Tested, Failure> {
     let failed = |error| failures::rig(error, stop);
     let board = rig.identity().serial.clone();
     ask(
@@ -92,11 +96,8 @@ pub fn run(
     let file = QubeFile { power: Some(power.clone()), ..file };
     file.save(path).map_err(Failure::failed)?;
     let text = format!("{}\nwritten: {}\n", power.sentence(), path.display());
-    output.print(
-        &text,
-        &json!({ "power": power, "rehearsed_v": push_v, "written": PathBuf::from(path) }),
-    );
-    Ok(())
+    let value = json!({ "power": power, "rehearsed_v": push_v, "written": PathBuf::from(path) });
+    Ok(Tested { text, value })
 }
 
 /// Finds the voltage that brings a pushed arm back, the board alive.
