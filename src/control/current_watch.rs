@@ -49,6 +49,13 @@ impl CurrentWatch {
         self.largest_a < DEAD_A_V * largest_v
     }
 
+    /// Whether the motor takes nothing of this voltage, mV, from an arm that is fast: a motor that is
+    /// connected has at least its back-EMF's current.
+    pub fn takes_nothing(&self, sample: &Measurement, voltage_mv: i16) -> bool {
+        let volts = f64::from(voltage_mv.saturating_abs()) * 1e-3;
+        f64::from(sample.current_a).abs() < (DEAD_A_V * volts).max(BLIND_A)
+    }
+
     /// Looks at one sample.
     pub fn check(&mut self, sample: &Measurement) -> Option<Fault> {
         let current_a = f64::from(sample.current_a);

@@ -61,6 +61,9 @@ const HELD_COUNTS: i32 = 3;
 /// ... for so many ticks, is held.
 const HELD_TICKS: u32 = 200;
 
+/// An arm that has not moved for so many ticks although its pendulum swings is held too.
+const STOOD_TICKS: u32 = 1000;
+
 /// Where the middle of the arm comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -145,6 +148,7 @@ pub struct Homing {
     arm_swing: Swing,
     settler: GentleSettler,
     held: Held,
+    stood: Held,
     runaway_ticks: u32,
     middle_before_rad: Option<f64>,
     state: State,
@@ -219,6 +223,7 @@ impl Homing {
             arm_swing: Swing::default(),
             settler: GentleSettler::default(),
             held: Held::default(),
+            stood: Held::default(),
             runaway_ticks: 0,
             middle_before_rad: None,
             state: State::default(),
@@ -352,6 +357,7 @@ impl Homing {
                 let off_rad = self.state.theta - self.calm_rad();
                 let is_pushed = f64::from(self.voltage_mv).abs() >= 1e3 * HELD_V
                     && off_rad.abs() >= NEAR_MIDDLE_RAD;
+                self.stood.lasts(measurement.theta_counts, true);
                 if self.held.lasts(measurement.theta_counts, is_pushed) {
                     return Some(Ending::Fault(Fault::ArmHeld));
                 }
@@ -433,7 +439,8 @@ impl Homing {
             Stage::Probe(probe) => probe.voltage_v(),
             Stage::Calm => self.settler.voltage(&seen, self.calm_rad()),
             Stage::Seek(seek) => {
-                self.settler.follow(&seen, seek.target_rad().unwrap_or(seen.theta))
+                let target_rad = seek.target_rad().unwrap_or(seen.theta);
+                self.settler.follow(&seen, target_rad, seek.push_v())
             }
             Stage::ComeOff { .. } => self.settler.voltage(&seen, self.place_rad - 1.0),
         }
@@ -494,7 +501,9 @@ impl Motion for Homing {
             return self.off(Ending::Stopped);
         }
         if self.ticks > MAX_TICKS {
-            return self.off(Ending::Fault(Fault::HomingTimedOut));
+            let is_held = self.stood.ticks >= STOOD_TICKS;
+            let fault = if is_held { Fault::ArmHeld } else { Fault::HomingTimedOut };
+            return self.off(Ending::Fault(fault));
         }
         let Some(measurement) = &input.measurement else {
             return self.output(None, None);
@@ -508,7 +517,10 @@ impl Motion for Homing {
             return self.off(ending);
         }
         if self.runs_away() {
-            return self.off(Ending::Fault(Fault::WrongSignMotor));
+            // What the cable throws runs against the voltage of a dead motor too.
+            let is_dead = self.current.takes_nothing(measurement, self.voltage_mv);
+            let fault = if is_dead { Fault::MotorDead } else { Fault::WrongSignMotor };
+            return self.off(Ending::Fault(fault));
         }
         let wanted_v = self.wanted_voltage();
         self.voltage_mv = gate(wanted_v).unwrap_or(0);

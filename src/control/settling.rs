@@ -65,6 +65,13 @@ const GENTLE_V_S: f64 = 6.0;
 /// How fast it may change while the pendulum swings wide, V/s: at once.
 const FIRM_V_S: f64 = 400.0;
 
+/// An arm that is faster than this, rad/s, is no longer led but thrown, as by the cable off a stop, and is
+/// caught as fast as it takes ...
+const THROWN_RAD_S: f64 = 1.5;
+
+/// ... at once from this speed on.
+const FAST_RAD_S: f64 = 3.0;
+
 /// From this swing on, sin(alpha) and a fifteenth of alpha_dot together, settling gets firmer ...
 const CALM_SWING: f64 = 0.35;
 
@@ -87,21 +94,24 @@ impl GentleSettler {
         let most_rad = LEAD_RAD_S * CONTROL_PERIOD_S;
         *target_rad += (target_theta_rad - *target_rad).clamp(-most_rad, most_rad);
         let wanted_v = self.settler.voltage(state, *target_rad);
-        self.limit(state, wanted_v)
+        self.limit(state, wanted_v, GENTLE_V)
     }
 
-    /// The voltage that is drawn to a target which moves by itself, V.
-    pub fn follow(&mut self, state: &State, target_theta_rad: f64) -> f64 {
+    /// The voltage that is drawn to a target which moves by itself, with a push besides, V.
+    pub fn follow(&mut self, state: &State, target_theta_rad: f64, push_v: f64) -> f64 {
         self.target_rad = None;
-        self.limit(state, settling_voltage(state, target_theta_rad))
+        let wanted_v = settling_voltage(state, target_theta_rad) + push_v;
+        self.limit(state, wanted_v, GENTLE_V + push_v.abs())
     }
 
-    /// What of a wanted voltage is given now, V.
-    pub fn limit(&mut self, state: &State, wanted_v: f64) -> f64 {
+    /// What of a wanted voltage is given now, V, and no more than `gentle_v` while the pendulum is calm.
+    fn limit(&mut self, state: &State, wanted_v: f64, gentle_v: f64) -> f64 {
         let swing = Scalar::sin_cos(state.alpha).0.abs() + state.alpha_dot.abs() / 15.0;
         let firm = ((swing - CALM_SWING) / (WIDE_SWING - CALM_SWING)).clamp(0.0, 1.0);
-        let most_v = GENTLE_V + firm * (LIMIT_V - GENTLE_V);
-        let step_v = (GENTLE_V_S + firm * (FIRM_V_S - GENTLE_V_S)) * CONTROL_PERIOD_S;
+        let most_v = gentle_v + firm * (LIMIT_V - gentle_v);
+        let thrown = (state.theta_dot.abs() - THROWN_RAD_S) / (FAST_RAD_S - THROWN_RAD_S);
+        let quick = firm.max(thrown.clamp(0.0, 1.0));
+        let step_v = (GENTLE_V_S + quick * (FIRM_V_S - GENTLE_V_S)) * CONTROL_PERIOD_S;
         let change_v = (wanted_v.clamp(-most_v, most_v) - self.voltage_v).clamp(-step_v, step_v);
         self.voltage_v += change_v;
         self.voltage_v

@@ -4,14 +4,25 @@ use super::settling::LEAD_RAD_S;
 use crate::qube::CONTROL_PERIOD_S;
 
 /// How far ahead of the arm its moving target may run, rad: against a stop that pushes with 1.6 V. A
-/// real Qube's cable, friction and dead zone together take 1.2 V; 2 V are taken for a stalled motor.
+/// real Qube's cable, friction and dead zone together take 1.2 V.
 const LEAD_RAD: f64 = 0.95;
+
+/// An arm that is drawn with all of that and is still slower than this, rad/s ...
+const SLOWEST_RAD_S: f64 = 0.35;
+
+/// ... is pushed besides, by so much for each rad that it lags behind, V/rad: at rest 2.1 V/s ...
+const PUSH_V_RAD: f64 = 6.0;
+
+/// ... and no more than this, V: together 2.75 V, which is the examination's strongest push. One and a half
+/// times the gap of the profile `lab` with four times its friction takes 2.5 V to the stop that its cable
+/// pulls away from.
+const MOST_PUSH_V: f64 = 1.12;
 
 /// An arm that gains no more than this against its drive stands at a stop, rad ...
 const PROGRESS_RAD: f64 = 0.01;
 
-/// ... when it has not for this many ticks: longer than two swings of the pendulum, whose pull may
-/// lift the arm off the stop for a while.
+/// ... when it has not for this many ticks, the strongest push included: longer than two swings of the
+/// pendulum, whose pull may lift the arm off the stop for a while.
 const BLOCKED_TICKS: u32 = 100;
 
 /// The seek of both stops, one after the other.
@@ -38,6 +49,9 @@ struct Approach {
     /// Where the arm is drawn to; it moves ahead of the arm.
     target_rad: f64,
     furthest_rad: f64,
+    last_rad: f64,
+    /// What pushes an arm that is drawn and hardly moves, V.
+    push_v: f64,
     /// Ticks since the arm last gained ground.
     blocked_ticks: u32,
 }
@@ -49,6 +63,8 @@ impl StopSeek {
         let approach = self.approach.get_or_insert(Approach {
             target_rad: theta,
             furthest_rad: theta,
+            last_rad: theta,
+            push_v: 0.0,
             blocked_ticks: 0,
         });
         let stop_rad = approach.update(theta, direction)?;
@@ -64,6 +80,12 @@ impl StopSeek {
     pub fn target_rad(&self) -> Option<f64> {
         self.approach.map(|approach| approach.target_rad)
     }
+
+    /// What pushes the arm besides, V.
+    pub fn push_v(&self) -> f64 {
+        let push_v = self.approach.map_or(0.0, |approach| approach.push_v);
+        if self.negative_rad.is_none() { -push_v } else { push_v }
+    }
 }
 
 impl Approach {
@@ -71,10 +93,17 @@ impl Approach {
     fn update(&mut self, theta: f64, direction: f64) -> Option<f64> {
         let ahead_rad = direction * (self.target_rad - theta) + LEAD_RAD_S * CONTROL_PERIOD_S;
         self.target_rad = theta + direction * ahead_rad.min(LEAD_RAD);
+        let gained_rad = direction * (theta - self.last_rad);
+        self.last_rad = theta;
+        let lags_rad = SLOWEST_RAD_S * CONTROL_PERIOD_S - gained_rad;
+        if ahead_rad >= LEAD_RAD || lags_rad < 0.0 {
+            self.push_v = (self.push_v + PUSH_V_RAD * lags_rad).clamp(0.0, MOST_PUSH_V);
+        }
         self.blocked_ticks += 1;
         if direction * (theta - self.furthest_rad) > PROGRESS_RAD {
             (self.furthest_rad, self.blocked_ticks) = (theta, 0);
         }
-        (self.blocked_ticks >= BLOCKED_TICKS).then_some(self.furthest_rad)
+        let is_pushed = self.push_v >= MOST_PUSH_V;
+        (is_pushed && self.blocked_ticks >= BLOCKED_TICKS).then_some(self.furthest_rad)
     }
 }

@@ -45,6 +45,9 @@ const HOLE_US: u64 = 15_000;
 /// whether the pendulum lags or leads, (rad/s)^2.
 const ENOUGH: f64 = 2.0;
 
+/// A change of the arm's velocity below this may be rounding: a long and slow way makes much of it, rad/s.
+const ROUNDING_RAD_S: f64 = 0.15;
+
 /// A pendulum that leads by less than this share of what it should lag by leads nothing: its encoder
 /// may stand.
 const LEADS: f64 = 0.4;
@@ -102,6 +105,9 @@ pub struct Witness {
     /// Products of the arm's changes of velocity with those that the pendulum felt, and squares.
     together: f64,
     squares: f64,
+    /// The same of those alone that are no rounding, while the pendulum's count moved too.
+    sure_together: f64,
+    sure_squares: f64,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -153,6 +159,8 @@ impl Default for Witness {
             streak: 0,
             together: 0.0,
             squares: 0.0,
+            sure_together: 0.0,
+            sure_squares: 0.0,
         }
     }
 }
@@ -168,7 +176,8 @@ impl Witness {
     /// Whether the pendulum leads the arm where it should lag behind it; none until enough is known.
     #[must_use]
     pub fn pendulum_leads(&self) -> Option<bool> {
-        (self.squares > ENOUGH).then_some(self.pendulum_seems_to_lead())
+        let leads = self.sure_together < -LEADS * self.sure_squares;
+        (self.sure_squares > ENOUGH).then_some(leads)
     }
 
     /// Whether the pendulum rather leads the arm than lags behind it.
@@ -212,6 +221,8 @@ impl Witness {
             *self = Self {
                 together: self.together,
                 squares: self.squares,
+                sure_together: self.sure_together,
+                sure_squares: self.sure_squares,
                 ..Self::with_zero_within(self.zero_within_rad, self.unknown_share)
             };
             self.previous = next(sample.theta_counts, sample.alpha_counts);
@@ -229,9 +240,16 @@ impl Witness {
         self.push(elapsed_us as f64 * 1e-6, theta, alpha, &previous);
 
         let (short, long) = (self.change(SHORT), self.change(LONG));
+        let pendulum_stands = self.pendulum_stands_ticks >= STANDS_TICKS;
         if let Some(long) = &long {
-            self.together += long.arm_rad_s * long.felt_rad_s;
-            self.squares += long.arm_rad_s * long.arm_rad_s;
+            let (together, square) =
+                (long.arm_rad_s * long.felt_rad_s, long.arm_rad_s * long.arm_rad_s);
+            self.together += together;
+            self.squares += square;
+            if !pendulum_stands && long.arm_rad_s.abs() >= ROUNDING_RAD_S {
+                self.sure_together += together;
+                self.sure_squares += square;
+            }
         }
         let zero_rad_s = WEIGHT * self.zero_within_rad * LONG as f64 * CONTROL_PERIOD_S;
         let contradicts = |change: &Option<Change>, least_rad_s: f64| {
@@ -244,7 +262,6 @@ impl Witness {
         let contradict =
             contradicts(&short, SHORT_RAD_S) || contradicts(&long, LONG_RAD_S) || self.drifts();
         let arm_stands = self.arm_stands_ticks >= STANDS_TICKS;
-        let pendulum_stands = self.pendulum_stands_ticks >= STANDS_TICKS;
         let stands = arm_stands || pendulum_stands;
         self.streak = if contradict && stands { self.streak + 1 } else { 0 };
         // Where both stand, a pendulum that stopped in full swing is the one; else the one that has

@@ -31,6 +31,10 @@ const NO_CURRENT_A: f64 = 0.02;
 /// A missing current counts from this voltage on, V: below it, it may be the amplifier's dead zone.
 const CURRENT_FROM_V: f64 = 1.0;
 
+/// An arm that stands shows the motor's whole current: less than this for each volt is a bad contact's, A.
+/// Qubes have been found to have 3.7 to 9.1 ohm, and this is 17.
+const WEAK_A_V: f64 = 1.0 / 17.0;
+
 /// A motor whose current falls by this part during a push turns: 1.5 rad/s at 0.25 V. That of an arm
 /// that is held stays.
 const TURNING_DROP: f64 = 0.15;
@@ -166,6 +170,13 @@ impl Evidence {
     /// Whether the motor draws current.
     pub(super) fn has_current(&self) -> bool {
         self.no_current_seen < DEFECT_SEEN
+    }
+
+    /// Whether nothing moves and the motor draws far less current than a Qube's that stands.
+    pub(super) fn is_weak(&self) -> bool {
+        !self.something_moved()
+            && self.strongest_v >= CURRENT_FROM_V
+            && self.current_a < WEAK_A_V * self.strongest_v
     }
 
     /// Whether anything moved, seen by an encoder or by the motor's current.

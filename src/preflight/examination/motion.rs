@@ -148,7 +148,7 @@ fn right_signs(signs: Calibration, seen: &Evidence) -> Option<Calibration> {
 fn verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<CheckResult> {
     let mut results = vec![motor(seen)];
     if results[0].failed() {
-        let why = "not before the motor has current";
+        let why = "not before the motor has its current";
         results.extend(ALL[1..].iter().map(|name| CheckResult::skipped(name, why)));
         return results;
     }
@@ -159,16 +159,19 @@ fn verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<CheckResu
 
 fn motor(seen: &Evidence) -> CheckResult {
     let value = format!("{:.0} mA at {:.2} V", seen.current_a * 1e3, seen.strongest_v);
-    if seen.has_current() {
-        CheckResult::pass(MOTOR, value)
-    } else {
-        CheckResult::fail(
+    if !seen.has_current() {
+        return CheckResult::fail(
             MOTOR,
             format!("only {value}, and nothing moves"),
             "switch the Qube's power on and look at its light; if it is on, the motor's wires are \
              loose",
-        )
+        );
     }
+    if seen.is_weak() {
+        let value = format!("{value} are far less than a Qube's motor takes, and nothing moves");
+        return CheckResult::fail(MOTOR, value, Fault::MotorWeak.operator_step());
+    }
+    CheckResult::pass(MOTOR, value)
 }
 
 fn stall(seen: &Evidence) -> CheckResult {
