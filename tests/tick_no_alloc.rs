@@ -13,8 +13,8 @@ use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Network, Policy};
-use qube_hil::qube::Measurement;
-use qube_hil::safety::SafetyBox;
+use qube_hil::qube::{MAX_HISTORY, Measurement, QubeModel, State};
+use qube_hil::safety::{CentringBrake, Ends, Foresight, Particle, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
 thread_local! {
@@ -177,4 +177,20 @@ fn a_rollout_in_virtual_time_allocates_nothing() {
         let (_, allocations) = driven(device, &clock, &mut rollout);
         assert_eq!(allocations, 0);
     }
+}
+
+#[test]
+fn the_trial_of_the_brake_allocates_nothing() {
+    let particles = [Particle::exact(QubeModel::NOMINAL); 70];
+    let ends = Ends { low_rad: -2.2, high_rad: 2.2 };
+    let mut foresight = Foresight::new(&particles, CentringBrake::default(), ends, 50);
+    let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+    let outward = State { theta: 1.9, theta_dot: 20.0, ..at_rest };
+    IN_THE_LOOP.set(true);
+    ALLOCATIONS.set(0);
+    let held = foresight.look(&at_rest, &[0.0; MAX_HISTORY], 5.0).holds;
+    let reached = !foresight.look(&outward, &[0.0; MAX_HISTORY], 5.0).holds;
+    IN_THE_LOOP.set(false);
+    assert_eq!(ALLOCATIONS.get(), 0);
+    assert!(held && reached);
 }

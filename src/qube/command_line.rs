@@ -49,11 +49,10 @@ impl CommandLine {
         self.change_s[lane] = (delay_s - whole * CONTROL_PERIOD_S).max(0.0) as f32;
     }
 
-    /// Puts other commands in a lane's past, V, newest first.
-    pub(super) fn set_sent_v(&mut self, lane: usize, sent_v: &[f32; MAX_HISTORY]) {
-        for (own_v, sent_v) in self.sent_v.iter_mut().zip(sent_v) {
-            own_v[lane] = *sent_v;
-        }
+    /// Other commands lie in the past of all lanes, V, newest first.
+    #[inline(always)]
+    pub(super) fn resume(&mut self, sent_v: &[Lanes; MAX_HISTORY]) {
+        self.sent_v = *sent_v;
     }
 
     /// Whether a lane's commands arrive at once.

@@ -59,12 +59,18 @@ impl QubeLanes {
         self.ideal[lane] = forces == [0.0; 4] && self.commands.is_immediate(lane);
     }
 
-    /// Puts commands into a lane's past, V, newest first.
-    ///
-    /// # Panics
-    /// If there is no such lane.
-    pub fn set_sent_v(&mut self, lane: usize, sent_v: &[f32; MAX_HISTORY]) {
-        self.commands.set_sent_v(lane, sent_v);
+    /// All lanes go on from these states, these commands (V, newest first) in their past.
+    #[inline(always)]
+    pub fn resume(&mut self, states: &State<Lanes>, sent_v: &[Lanes; MAX_HISTORY]) {
+        self.state = *states;
+        self.commands.resume(sent_v);
+    }
+
+    /// What moves the lanes.
+    #[must_use]
+    #[inline(always)]
+    pub fn dynamics(&self) -> &GapDynamics<Lanes> {
+        &self.dynamics
     }
 
     /// The last commands of all lanes, V, newest first.

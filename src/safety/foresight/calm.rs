@@ -1,0 +1,176 @@
+#![allow(
+    clippy::needless_range_loop,
+    reason = "a lane indexes many arrays at once, and plain index loops become vector code"
+)]
+
+use super::Ends;
+use crate::elementary::{inverse_square_root, sin_cos};
+use crate::qube::{
+    BLOCK, CONTROL_PERIOD_S, Dynamics, InLanes, Lanes, MAX_VOLTAGE_V, QubeLanes, State,
+};
+use crate::safety::{BrakeLaw, Particle};
+
+/// Angle to an end that must be left beside what the momentum asks for, rad.
+const SLACK_RAD: f32 = 0.3;
+
+/// The share of the full braking torque that is counted on.
+const BRAKING_SHARE: f32 = 0.5;
+
+/// The energy up to which the momentum is asked, as a multiple of what gravity's torque does over one
+/// radian; upright at rest it is 2. A pendulum with more goes over the top, and each turn may throw the
+/// arm anew.
+const SWINGING: f32 = 2.2;
+
+/// What tells of sixteen particles under the brake that no arm can reach an end any more.
+///
+/// A test of energy or one of momentum is enough for an arm. Both only spare simulation: what
+/// they accept, a simulation of 2 s accepts too, which the tests look for.
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+pub(super) struct CalmLanes {
+    /// Where the brake's middle lies, rad.
+    middle: Lanes,
+    positive_share: Lanes,
+    negative_share: Lanes,
+    /// Energy that spring and cable hold at the ends, J.
+    low_j: Lanes,
+    high_j: Lanes,
+    /// What a brake that comes late may add to the energy, J for each rad/s.
+    late_j_s: Lanes,
+    /// How late the brake comes at most, s: the delay, and a period for which each voltage is held.
+    late_s: Lanes,
+    /// What the share of the braking torque that is counted on takes off the arm's velocity, inverted
+    /// and halved, s^2/rad.
+    stopping_s2: Lanes,
+    ends: Ends,
+}
+
+impl CalmLanes {
+    pub(super) fn new(
+        particles: &[&Particle; BLOCK],
+        qubes: &QubeLanes,
+        brake: &impl BrakeLaw,
+        ends: &Ends,
+    ) -> Self {
+        let of = |number: fn(&Particle) -> f64| particles.map(|particle| number(particle) as f32);
+        let mut lanes = Self {
+            middle: of(|particle| particle.error.theta),
+            positive_share: of(|particle| particle.positive_share),
+            negative_share: of(|particle| particle.negative_share),
+            low_j: [0.0; BLOCK],
+            high_j: [0.0; BLOCK],
+            late_j_s: [0.0; BLOCK],
+            late_s: of(|particle| particle.model.gap.command_delay_s + CONTROL_PERIOD_S),
+            stopping_s2: [0.0; BLOCK],
+            ends: *ends,
+        };
+        for lane in 0..BLOCK {
+            let own = qubes.dynamics().lane(lane);
+            let Dynamics { arm_inertia, torque_per_volt, .. } = own.ideal;
+            lanes.high_j[lane] = lanes.held_j(qubes, brake, lane, ends.high_rad, 1.0);
+            lanes.low_j[lane] = lanes.held_j(qubes, brake, lane, ends.low_rad, -1.0);
+            let full_v = MAX_VOLTAGE_V as f32;
+            lanes.late_j_s[lane] = torque_per_volt * full_v * lanes.late_s[lane];
+            let left_v = (lanes.positive_share[lane] * full_v - own.positive_dead_zone)
+                .min(lanes.negative_share[lane] * full_v - own.negative_dead_zone);
+            // A motor that does nothing stops no arm: never below 0.
+            let braking = (BRAKING_SHARE * torque_per_volt * left_v).max(0.0) / arm_inertia;
+            lanes.stopping_s2[lane] = 0.5 / braking;
+        }
+        lanes
+    }
+
+    /// Whether no arm can reach an end any more. Not for what is not a number.
+    #[inline(always)]
+    pub(super) fn holds(&self, qubes: &QubeLanes, brake: &impl BrakeLaw) -> bool {
+        let mut calm = 0;
+        for lane in 0..BLOCK {
+            let own = qubes.dynamics().ideal.lane(lane);
+            let state = qubes.state.lane(lane);
+            // Above arm and pendulum at rest, the pendulum hanging.
+            let motion_j = own.energy(&state) + own.gravity_torque;
+            let energy = self.energy_holds(qubes, brake, lane, &own, motion_j);
+            let momentum = self.momentum_holds(lane, &own, &state);
+            let swings = motion_j < SWINGING * own.gravity_torque;
+            calm += u32::from(energy | (momentum & swings));
+        }
+        calm == BLOCK as u32
+    }
+
+    /// Whether the energy does not reach the ends.
+    ///
+    /// The brake and all friction only take energy: the arm at an end would have at least the energy
+    /// of spring and cable there, and of a pendulum that hangs at rest. A brake that comes late may add
+    /// some while the arm's velocity changes: a full voltage for as long as it is late, at the largest
+    /// velocity that the energy allows.
+    #[inline(always)]
+    fn energy_holds(
+        &self,
+        qubes: &QubeLanes,
+        brake: &impl BrakeLaw,
+        lane: usize,
+        own: &Dynamics<f32>,
+        motion_j: f32,
+    ) -> bool {
+        let theta = qubes.state.theta[lane];
+        let spring = brake.potential_v_rad(theta - self.middle[lane]);
+        let most_j = own.torque_per_volt.mul_add(spring, motion_j);
+        // The arm is lightest while the pendulum hangs or stands, and free to give way.
+        let lightest = own.arm_inertia - own.coupling * own.coupling / own.pendulum_inertia;
+        let square = 2.0 * most_j / lightest;
+        let fastest = square * inverse_square_root(square);
+        let energy_j = self.late_j_s[lane].mul_add(fastest, motion_j);
+        let high_j = self.high_j[lane] - self.held_j(qubes, brake, lane, theta, 1.0);
+        let low_j = self.low_j[lane] - self.held_j(qubes, brake, lane, theta, -1.0);
+        (energy_j < high_j) & (energy_j < low_j)
+    }
+
+    /// Energy that the arm of a lane has at least given to spring and cable once it is at this angle,
+    /// on its way towards the end on this side (1 or -1), J; up to a constant. The spring's help on
+    /// the way to its middle counts in full, what it holds beyond less the dead zone.
+    #[inline(always)]
+    fn held_j(
+        &self,
+        qubes: &QubeLanes,
+        brake: &impl BrakeLaw,
+        lane: usize,
+        theta: f32,
+        side: f32,
+    ) -> f32 {
+        let dynamics = qubes.dynamics();
+        let (positive, negative) = (self.positive_share[lane], self.negative_share[lane]);
+        let zones = (dynamics.positive_dead_zone[lane], dynamics.negative_dead_zone[lane]);
+        let high = side > 0.0;
+        let (against, towards) = if high { (negative, positive) } else { (positive, negative) };
+        let dead_zone = if high { zones.1 } else { zones.0 };
+        // Positive on this side of the brake's middle.
+        let out = side * (theta - self.middle[lane]);
+        let potential = brake.potential_v_rad(out);
+        let beyond = against.mul_add(potential, -(dead_zone * out));
+        let spring = if out > 0.0 { beyond } else { towards * potential };
+        let stretch = theta - dynamics.cable_rest[lane];
+        let cable = 0.5 * dynamics.cable_stiffness[lane] * stretch * stretch;
+        dynamics.ideal.torque_per_volt[lane].mul_add(spring, cable)
+    }
+
+    /// Whether the arm comes to rest short of the ends once the pendulum has given it all its momentum.
+    ///
+    /// No torque but those on the arm changes the momentum p = (A + q sin^2 a) th' + c cos a a', and where
+    /// the arm is when the pendulum has given everything follows from th + r sin a, r = c / A.
+    #[inline(always)]
+    fn momentum_holds(&self, lane: usize, own: &Dynamics<f32>, state: &State<f32>) -> bool {
+        let (sin, cos) = sin_cos(state.alpha);
+        let per_inertia = 1.0 / own.arm_inertia;
+        let recoil = own.coupling * per_inertia;
+        let heavier = (own.quarter_inertia * per_inertia * sin).mul_add(sin, 1.0);
+        let velocity = heavier.mul_add(state.theta_dot, recoil * cos * state.alpha_dot);
+        let square = velocity * velocity;
+        let goes_on = self.stopping_s2[lane].mul_add(square, self.late_s[lane] * velocity.abs());
+        let up = if velocity > 0.0 { goes_on } else { 0.0 };
+        let down = if velocity < 0.0 { goes_on } else { 0.0 };
+        let centre = recoil.mul_add(sin, state.theta);
+        let high = centre + recoil + up + SLACK_RAD;
+        let low = centre - recoil - down - SLACK_RAD;
+        (high < self.ends.high_rad) & (low > self.ends.low_rad)
+    }
+}

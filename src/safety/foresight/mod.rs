@@ -1,0 +1,314 @@
+#![allow(
+    clippy::needless_range_loop,
+    reason = "a lane indexes many arrays at once, and plain index loops become vector code"
+)]
+
+mod calm;
+#[cfg(test)]
+mod tests;
+
+use calm::CalmLanes;
+
+use super::{BrakeLaw, Particle};
+use crate::elementary::{InstructionSet, Kernel, Level, dispatch_at};
+use crate::qube::{
+    BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, MAX_HISTORY, QubeLanes, SUBSTEPS, State,
+    limited_voltage,
+};
+
+/// Blocks that are simulated side by side: so many that none waits for its own last result.
+const GROUP: usize = 4;
+
+/// Tries the brake before it is needed: one period of a voltage, then the brake, late by each
+/// particle's delay, for every Qube that this one may be.
+///
+/// Sixteen particles are not followed further once none of their arms can reach an end any more
+/// (`calm.rs`), and a group of 64 ends with the last of them. Nothing is allocated after
+/// [`Self::new`]. The outlook is the same, bit for bit, on every instruction set.
+#[derive(Clone, Debug)]
+pub struct Foresight<B> {
+    brake: B,
+    ends: Ends,
+    horizon: u32,
+    /// Without those that fill the last group.
+    count: usize,
+    particles: Vec<ParticleLanes>,
+    qubes: Vec<QubeLanes>,
+    level: Level,
+}
+
+/// The angles of the arm that must not be reached, rad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ends {
+    /// Below 0.
+    pub low_rad: f32,
+    /// Above 0.
+    pub high_rad: f32,
+}
+
+/// What comes of a voltage.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outlook {
+    /// Whether the brake keeps every particle's arm short of both ends.
+    pub holds: bool,
+    /// How close to an end the closest arm came, rad; below 0 beyond it, not a number for an arm that
+    /// left the numbers.
+    pub room_rad: f32,
+    /// The particle of that arm.
+    pub particle: usize,
+    /// Control periods that were simulated until it was known.
+    pub periods: u32,
+}
+
+/// What sixteen particles have beside their Qubes.
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+struct ParticleLanes {
+    error: State<Lanes>,
+    positive_share: Lanes,
+    negative_share: Lanes,
+    calm: CalmLanes,
+    /// Periods after which nothing but the brake's voltages is at the motors.
+    settled: u32,
+}
+
+impl<B: BrakeLaw + Copy> Foresight<B> {
+    /// The particles, hardest first; the ends; and how many control periods are simulated at most.
+    ///
+    /// # Panics
+    /// If there is no particle, an end lies on the wrong side of 0, a share of the voltage is none, or a
+    /// delay is longer than [`MAX_HISTORY`] control periods.
+    #[must_use]
+    pub fn new(particles: &[Particle], brake: B, ends: Ends, horizon: u32) -> Self {
+        assert!(!particles.is_empty(), "no particles");
+        assert!(ends.low_rad < 0.0 && ends.high_rad > 0.0, "{ends:?}");
+        let groups = particles.len().div_ceil(GROUP * BLOCK);
+        let mut qubes = vec![QubeLanes::hanging(); groups * GROUP];
+        let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+        // The last particle fills what is left.
+        let of_lane = |lane: usize| &particles[lane.min(particles.len() - 1)];
+        for lane in 0..groups * GROUP * BLOCK {
+            let Particle { model, positive_share, negative_share, .. } = of_lane(lane);
+            let shares = [positive_share, negative_share];
+            assert!(shares.iter().all(|share| (0.0..=1.0).contains(*share)), "{shares:?}");
+            let delays = 0.0..=MAX_HISTORY as f64 * CONTROL_PERIOD_S;
+            assert!(delays.contains(&model.gap.command_delay_s), "delay: {delays:?} s");
+            qubes[lane / BLOCK].restart(lane % BLOCK, model, &at_rest);
+        }
+        let lanes = qubes.iter().enumerate().map(|(block, qubes)| {
+            let particles = std::array::from_fn(|lane| of_lane(block * BLOCK + lane));
+            ParticleLanes::new(&particles, qubes, &brake, &ends)
+        });
+        let (particles, count) = (lanes.collect(), particles.len());
+        Self { brake, ends, horizon, count, particles, qubes, level: Level::best() }
+    }
+
+    /// The same, computed with this instruction set (for comparisons).
+    #[must_use]
+    pub fn at_level(mut self, level: Level) -> Self {
+        self.level = level;
+        self
+    }
+
+    /// What comes of this voltage: in the estimated state, with the last commands (V, newest first) in
+    /// the past.
+    #[must_use]
+    pub fn look(
+        &mut self,
+        state: &State<f32>,
+        sent_v: &[f32; MAX_HISTORY],
+        voltage_v: f32,
+    ) -> Outlook {
+        // A motor takes for 0 V what is not a number; a guard does not.
+        if voltage_v.is_nan() || sent_v.iter().any(|sent_v| sent_v.is_nan()) {
+            return Outlook { holds: false, room_rad: f32::NAN, particle: 0, periods: 0 };
+        }
+        let trial = Trial {
+            brake: &self.brake,
+            ends: self.ends,
+            horizon: self.horizon,
+            count: self.count,
+            particles: &self.particles,
+            qubes: &mut self.qubes,
+            state: *state,
+            sent_v: *sent_v,
+            voltage_v,
+        };
+        dispatch_at(self.level, trial)
+    }
+}
+
+impl ParticleLanes {
+    fn new(
+        particles: &[&Particle; BLOCK],
+        qubes: &QubeLanes,
+        brake: &impl BrakeLaw,
+        ends: &Ends,
+    ) -> Self {
+        let of = |number: fn(&Particle) -> f64| particles.map(|particle| number(particle) as f32);
+        let error = State {
+            theta: of(|particle| particle.error.theta),
+            alpha: of(|particle| particle.error.alpha),
+            theta_dot: of(|particle| particle.error.theta_dot),
+            alpha_dot: of(|particle| particle.error.alpha_dot),
+        };
+        let periods = |particle: &&Particle| {
+            (particle.model.gap.command_delay_s / CONTROL_PERIOD_S).ceil() as u32 + 1
+        };
+        Self {
+            error,
+            positive_share: of(|particle| particle.positive_share),
+            negative_share: of(|particle| particle.negative_share),
+            calm: CalmLanes::new(particles, qubes, brake, ends),
+            settled: particles.iter().map(periods).max().unwrap_or(0),
+        }
+    }
+
+    /// The voltages that arrive of these commands, V.
+    #[inline(always)]
+    fn arriving(&self, commands_v: &Lanes) -> Lanes {
+        let mut arriving_v = [0.0; BLOCK];
+        for lane in 0..BLOCK {
+            let command_v = limited_voltage(commands_v[lane]);
+            let share =
+                if command_v > 0.0 { self.positive_share[lane] } else { self.negative_share[lane] };
+            arriving_v[lane] = share * command_v;
+        }
+        arriving_v
+    }
+}
+
+struct Trial<'a, B> {
+    brake: &'a B,
+    ends: Ends,
+    horizon: u32,
+    count: usize,
+    particles: &'a [ParticleLanes],
+    qubes: &'a mut [QubeLanes],
+    state: State<f32>,
+    sent_v: [f32; MAX_HISTORY],
+    voltage_v: f32,
+}
+
+impl<B: BrakeLaw> Kernel for Trial<'_, B> {
+    type Output = Outlook;
+
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) -> Outlook {
+        let Self { brake, ends, horizon, count, particles, qubes, state, sent_v, voltage_v } = self;
+        let (groups, _) = qubes.as_chunks_mut::<GROUP>();
+        let (particle_groups, _) = particles.as_chunks::<GROUP>();
+        let mut outlook = Outlook { holds: true, room_rad: f32::INFINITY, particle: 0, periods: 0 };
+        for (group, (qubes, particles)) in groups.iter_mut().zip(particle_groups).enumerate() {
+            let mut rooms = [[f32::INFINITY; BLOCK]; GROUP];
+            for block in 0..GROUP {
+                resume(&mut qubes[block], &particles[block], &state, &sent_v);
+                narrow(&mut rooms[block], &qubes[block], &ends);
+            }
+            let mut over = [false; GROUP];
+            let mut holds = true;
+            for period in 0..horizon {
+                outlook.periods += 1;
+                let mut commands_v = [[voltage_v; BLOCK]; GROUP];
+                for block in 0..GROUP {
+                    if !over[block] {
+                        if period > 0 {
+                            commands_v[block] = brakes(brake, &qubes[block], &particles[block]);
+                        }
+                        commands_v[block] = particles[block].arriving(&commands_v[block]);
+                        qubes[block].begin_period(&commands_v[block]);
+                    }
+                }
+                for piece in 0..=SUBSTEPS {
+                    for block in 0..GROUP {
+                        if !over[block] {
+                            qubes[block].advance(piece);
+                            narrow(&mut rooms[block], &qubes[block], &ends);
+                        }
+                    }
+                }
+                for block in 0..GROUP {
+                    if !over[block] {
+                        qubes[block].end_period(&commands_v[block]);
+                        holds &= all_positive(&rooms[block]);
+                        over[block] = period >= particles[block].settled
+                            && particles[block].calm.holds(&qubes[block], brake);
+                    }
+                }
+                if !holds || over == [true; GROUP] {
+                    break;
+                }
+            }
+            for (index, &room_rad) in rooms.as_flattened().iter().enumerate() {
+                // Not a number is the least.
+                if room_rad < outlook.room_rad || room_rad.is_nan() {
+                    let particle = group * GROUP * BLOCK + index;
+                    (outlook.room_rad, outlook.particle) = (room_rad, particle.min(count - 1));
+                }
+            }
+            if !holds {
+                outlook.holds = false;
+                break;
+            }
+        }
+        outlook
+    }
+}
+
+/// Puts the estimated state with each particle's error, and what has arrived of the last commands, into
+/// a block.
+#[inline(always)]
+fn resume(
+    qubes: &mut QubeLanes,
+    particles: &ParticleLanes,
+    state: &State<f32>,
+    sent_v: &[f32; MAX_HISTORY],
+) {
+    let mut states = particles.error;
+    for lane in 0..BLOCK {
+        states.theta[lane] += state.theta;
+        states.alpha[lane] += state.alpha;
+        states.theta_dot[lane] += state.theta_dot;
+        states.alpha_dot[lane] += state.alpha_dot;
+    }
+    let arrived_v = sent_v.map(|sent_v| particles.arriving(&[sent_v; BLOCK]));
+    qubes.resume(&states, &arrived_v);
+}
+
+/// The brake's voltages of a block, V. It sees the angles with their errors.
+#[inline(always)]
+fn brakes(brake: &impl BrakeLaw, qubes: &QubeLanes, particles: &ParticleLanes) -> Lanes {
+    let mut commands_v = [0.0; BLOCK];
+    for lane in 0..BLOCK {
+        let State { theta, alpha, theta_dot, alpha_dot } = qubes.state.lane(lane);
+        let seen = State {
+            theta: theta - particles.error.theta[lane],
+            alpha: alpha - particles.error.alpha[lane],
+            theta_dot,
+            alpha_dot,
+        };
+        commands_v[lane] = brake.voltage_v(&seen);
+    }
+    commands_v
+}
+
+/// How close each arm has come to an end.
+#[inline(always)]
+fn narrow(rooms: &mut Lanes, qubes: &QubeLanes, ends: &Ends) {
+    for lane in 0..BLOCK {
+        let theta = qubes.state.theta[lane];
+        let (above, below) = (ends.high_rad - theta, theta - ends.low_rad);
+        let room = if above < below { above } else { below };
+        // Not a number stays one, since such a motion does.
+        rooms[lane] = if room >= rooms[lane] { rooms[lane] } else { room };
+    }
+}
+
+#[inline(always)]
+fn all_positive(rooms: &Lanes) -> bool {
+    let mut short = 0;
+    for lane in 0..BLOCK {
+        short += u32::from(rooms[lane] > 0.0);
+    }
+    short == BLOCK as u32
+}

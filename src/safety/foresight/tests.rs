@@ -1,0 +1,251 @@
+//! The brake's trial beside a simulation of each particle alone, in `f64` and in fine steps.
+
+use std::f64::consts::PI;
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::{Ends, Foresight, Outlook};
+use crate::elementary::Level;
+use crate::qube::{
+    CONTROL_PERIOD_S, DomainParameter, Gap, GapDynamics, MAX_HISTORY, QubeModel, State,
+    runge_kutta_4,
+};
+use crate::safety::{BrakeLaw as _, CentringBrake, Particle};
+
+const ENDS: Ends = Ends { low_rad: -2.2, high_rad: 2.1 };
+const HORIZON: u32 = 50;
+
+/// Steps of the reference in a control period.
+const FINE_STEPS: u32 = 20;
+
+/// A state with the commands before it and the one that is asked for.
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    state: State<f32>,
+    sent_v: [f32; MAX_HISTORY],
+    voltage_v: f32,
+}
+
+struct Draw(ChaCha8Rng);
+
+impl Draw {
+    fn new(seed: u64) -> Self {
+        Self(ChaCha8Rng::seed_from_u64(seed))
+    }
+
+    fn within(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.0.random::<f64>()
+    }
+
+    /// A Qube whose parameters differ by up to 30 % from the nominal ones.
+    fn particle(&mut self) -> Particle {
+        let mut model = QubeModel::NOMINAL;
+        for parameter in DomainParameter::ALL {
+            if parameter != DomainParameter::Gravity {
+                let nominal = model.parameters.get(parameter);
+                model.parameters.set(parameter, nominal * self.within(0.7, 1.3));
+            }
+        }
+        model.gap = Gap {
+            coulomb_torque_n_m: self.within(0.0, 7e-4),
+            positive_dead_zone_v: self.within(0.0, 0.3),
+            negative_dead_zone_v: self.within(0.0, 0.4),
+            cable_stiffness_n_m_rad: self.within(0.0, 1.5e-3),
+            cable_rest_rad: self.within(-1.2, 1.2),
+            command_delay_s: self.within(0.0, 0.025),
+            ..Gap::default()
+        };
+        let error = State {
+            theta: self.within(-0.05, 0.05),
+            alpha: self.within(-0.02, 0.02),
+            theta_dot: self.within(-0.5, 0.5),
+            alpha_dot: self.within(-0.5, 0.5),
+        };
+        let [positive_share, negative_share] = [self.within(0.8, 1.0), self.within(0.8, 1.0)];
+        Particle { model, positive_share, negative_share, error }
+    }
+
+    fn case(&mut self) -> Case {
+        let state = State {
+            theta: self.within(-1.8, 1.8) as f32,
+            alpha: self.within(-PI, PI) as f32,
+            theta_dot: self.within(-15.0, 15.0) as f32,
+            alpha_dot: self.within(-20.0, 20.0) as f32,
+        };
+        let mut voltage_v = || self.within(-6.0, 6.0) as f32;
+        Case { state, sent_v: std::array::from_fn(|_| voltage_v()), voltage_v: voltage_v() }
+    }
+}
+
+fn look(foresight: &mut Foresight<CentringBrake>, case: &Case) -> Outlook {
+    foresight.look(&case.state, &case.sent_v, case.voltage_v)
+}
+
+/// How close a particle's arm comes to an end within these periods, rad.
+fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
+    let (brake, error) = (CentringBrake::default(), particle.error);
+    let dynamics = GapDynamics::<f64>::new(&particle.model);
+    let arriving = |command_v: f64| {
+        let positive = command_v > 0.0;
+        let share = if positive { particle.positive_share } else { particle.negative_share };
+        share * command_v.clamp(-5.0, 5.0)
+    };
+    let mut state = State {
+        theta: f64::from(case.state.theta) + error.theta,
+        alpha: f64::from(case.state.alpha) + error.alpha,
+        theta_dot: f64::from(case.state.theta_dot) + error.theta_dot,
+        alpha_dot: f64::from(case.state.alpha_dot) + error.alpha_dot,
+    };
+    // Oldest first; the last one is that of the period at hand.
+    let mut commands_v: Vec<f64> = case.sent_v.iter().rev().map(|&v| arriving(v.into())).collect();
+    let (high, low) = (f64::from(ENDS.high_rad), f64::from(ENDS.low_rad));
+    let mut room = (high - state.theta).min(state.theta - low);
+    for period in 0..periods {
+        let seen =
+            State { theta: state.theta - error.theta, alpha: state.alpha - error.alpha, ..state };
+        let asked_v = if period == 0 { case.voltage_v.into() } else { brake.voltage_v(&seen) };
+        commands_v.push(arriving(asked_v));
+        let newest = (commands_v.len() - 1) as f64;
+        for step in 0..FINE_STEPS {
+            let step_s = CONTROL_PERIOD_S / f64::from(FINE_STEPS);
+            // The mean voltage of a step in which it changes.
+            let late = particle.model.gap.command_delay_s / CONTROL_PERIOD_S;
+            let begin = newest + f64::from(step) / f64::from(FINE_STEPS) - late;
+            let end = begin + 1.0 / f64::from(FINE_STEPS);
+            let (before, after) = (begin.floor().max(0.0), end.floor().max(0.0));
+            let share = if before == after { 1.0 } else { (after - begin) * f64::from(FINE_STEPS) };
+            let at = |index: f64| commands_v[(index as usize).min(commands_v.len() - 1)];
+            let voltage_v = share * at(before) + (1.0 - share) * at(after);
+            state = runge_kutta_4(&dynamics, state, voltage_v, step_s);
+            room = room.min(high - state.theta).min(state.theta - low);
+        }
+    }
+    room
+}
+
+#[test]
+fn it_sees_what_a_simulation_of_each_particle_alone_sees() {
+    let mut draw = Draw::new(1000);
+    let (mut held, mut reached, mut worst) = (0, 0, 0.0_f64);
+    for _ in 0..1500 {
+        let (particle, case) = (draw.particle(), draw.case());
+        let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, HORIZON);
+        let outlook = look(&mut foresight, &case);
+        let reference = room_rad(&particle, &case, outlook.periods);
+        assert_eq!(outlook.particle, 0);
+        assert_eq!(outlook.holds, outlook.room_rad > 0.0);
+        if outlook.holds {
+            held += 1;
+        } else {
+            reached += 1;
+        }
+        worst = worst.max((f64::from(outlook.room_rad) - reference).abs());
+    }
+    println!("{held} held, {reached} reached, room off by {worst:e} rad at most");
+    assert!(held > 300 && reached > 150);
+    // Lanes do not resolve the steep part of friction.
+    assert!(worst < 0.005, "{worst} rad");
+}
+
+#[test]
+fn an_arm_that_is_not_followed_to_the_horizon_never_reaches_an_end() {
+    let mut draw = Draw::new(1001);
+    let (mut early, mut closest) = (0, f64::INFINITY);
+    for _ in 0..3000 {
+        let (particle, case) = (draw.particle(), draw.case());
+        let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, HORIZON);
+        let outlook = look(&mut foresight, &case);
+        if outlook.holds && outlook.periods < HORIZON {
+            early += 1;
+            let room = room_rad(&particle, &case, 200);
+            assert!(room > 0.0, "{outlook:?}, {room} rad: {particle:?} {case:?}");
+            closest = closest.min(room);
+        }
+    }
+    println!("{early} ended early, none closer than {closest} rad");
+    assert!(early > 500);
+}
+
+#[test]
+fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
+    let mut draw = Draw::new(1002);
+    // A second group that is not full.
+    let particles: Vec<Particle> = (0..70).map(|_| draw.particle()).collect();
+    let mut alone: Vec<_> = particles
+        .iter()
+        .map(|particle| Foresight::new(&[*particle], CentringBrake::default(), ENDS, HORIZON))
+        .collect();
+    let all = Foresight::new(&particles, CentringBrake::default(), ENDS, HORIZON);
+    let mut all = Level::ALL.map(|level| all.clone().at_level(level));
+    let (mut held, mut reached) = (0, 0);
+    for _ in 0..60 {
+        let mut case = draw.case();
+        case.state.theta *= 0.7;
+        let outlooks = all.each_mut().map(|foresight| look(foresight, &case));
+        assert!(outlooks.iter().all(|outlook| *outlook == outlooks[0]), "{outlooks:?}");
+        let alone: Vec<Outlook> = alone.iter_mut().map(|one| look(one, &case)).collect();
+        let holds = alone.iter().all(|outlook| outlook.holds);
+        assert_eq!(outlooks[0].holds, holds);
+        if holds {
+            held += 1;
+        } else {
+            reached += 1;
+            assert!(!alone[outlooks[0].particle].holds);
+        }
+    }
+    assert!(held > 5 && reached > 5, "{held} held, {reached} reached");
+}
+
+#[test]
+fn what_is_not_a_number_does_not_hold() {
+    let particles = [Particle::exact(QubeModel::NOMINAL); 3];
+    let mut foresight = Foresight::new(&particles, CentringBrake::default(), ENDS, HORIZON);
+    let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+    let case = Case { state: at_rest, sent_v: [0.0; MAX_HISTORY], voltage_v: 1.0 };
+    let outlook = look(&mut foresight, &case);
+    assert!(outlook.holds && outlook.periods < 10, "{outlook:?}");
+    for bad in [f32::NAN, f32::INFINITY] {
+        for state in [
+            State { theta: bad, ..at_rest },
+            State { alpha: bad, ..at_rest },
+            State { theta_dot: bad, ..at_rest },
+            State { alpha_dot: bad, ..at_rest },
+        ] {
+            let outlook = look(&mut foresight, &Case { state, ..case });
+            assert!(!outlook.holds && outlook.particle < 3, "{state:?}: {outlook:?}");
+        }
+        let outlook = look(&mut foresight, &Case { voltage_v: f32::NAN, ..case });
+        assert!(!outlook.holds, "{outlook:?}");
+    }
+}
+
+/// Why an arm need not be followed once the energy does not reach an end.
+#[test]
+fn a_brake_that_is_not_late_takes_energy_from_every_qube() {
+    let mut draw = Draw::new(1003);
+    let brake = CentringBrake::default();
+    for _ in 0..50 {
+        let (mut particle, case) = (draw.particle(), draw.case());
+        particle.model.gap.positive_dead_zone_v = 0.0;
+        particle.model.gap.negative_dead_zone_v = 0.0;
+        let dynamics = GapDynamics::<f64>::new(&particle.model);
+        let energy_j = |state: &State| {
+            let stretch = state.theta - dynamics.cable_rest;
+            dynamics.ideal.energy(state)
+                + dynamics.ideal.torque_per_volt * brake.potential_v_rad(state.theta)
+                + 0.5 * dynamics.cable_stiffness * stretch * stretch
+        };
+        let mut state = State {
+            theta: case.state.theta.into(),
+            alpha: case.state.alpha.into(),
+            theta_dot: case.state.theta_dot.into(),
+            alpha_dot: case.state.alpha_dot.into(),
+        };
+        for _ in 0..20_000 {
+            let next = runge_kutta_4(&dynamics, state, brake.voltage_v(&state), 1e-5);
+            assert!(energy_j(&next) <= energy_j(&state) + 1e-7, "{state:?} of {particle:?}");
+            state = next;
+        }
+    }
+}
