@@ -14,8 +14,9 @@ const REST_SAMPLES: u32 = 60;
 /// it creeps in the next second would take 8 s after each rollout ...
 const ARM_WIDTH: i32 = 5;
 
-/// ... and the pendulum's (0.1 rad), about the point at which it hangs.
-const PENDULUM_WIDTH: i32 = 32;
+/// ... and the pendulum's (0.3 rad to either side). On an arm that dry friction holds it swings on for a minute,
+/// about the point at which it hangs; the middle of a whole swing is that point.
+const PENDULUM_WIDTH: i32 = 200;
 
 /// A count may be so far off before it is another zero, counts (0.05 rad). An arm that a cable pulls at may
 /// creep further within some seconds: then it is homed before the next rollout, which is always safe.
@@ -202,13 +203,16 @@ mod tests {
     }
 
     #[test]
-    fn what_swings_or_creeps_does_not_rest() {
+    fn what_swings_wide_or_creeps_does_not_rest() {
+        // 0.4 rad to either side, and 0.2 rad, twice a second.
+        let swing = |counts: f64, tick: u64| 700 + (counts * (0.126 * tick as f64).sin()) as i32;
         let mut watch = RestWatch::default();
         for tick in 0..200 {
-            // 0.2 rad to either side, twice a second.
-            let swing = (65.0 * (0.126 * tick as f64).sin()) as i32;
-            assert_eq!(watch.update(&sample(tick, 0, swing)), None);
+            assert_eq!(watch.update(&sample(tick, 0, swing(130.0, tick))), None);
         }
+        let mut watch = RestWatch::default();
+        let rested = (0..100).find_map(|tick| watch.update(&sample(tick, 0, swing(65.0, tick))));
+        assert!(matches!(rested, Some(RestingCounts { theta: 0, alpha: 695..=705 })), "{rested:?}");
         let mut watch = RestWatch::default();
         for tick in 0..200 {
             assert_eq!(watch.update(&sample(tick, 2 * tick as i32, 0)), None);
