@@ -121,6 +121,16 @@ impl Dynamics {
         let alpha_dot = state.alpha_dot + coupling / self.pendulum_inertia * state.theta_dot;
         State { theta, theta_dot: 0.0, alpha_dot, ..state }
     }
+
+    /// The state after a hand has stopped the pendulum at `alpha`: the hand takes none of the momentum
+    /// about the arm's own axis, m11 theta' + m12 alpha'.
+    #[must_use]
+    pub fn with_pendulum_stopped(&self, state: State, alpha: f64) -> State {
+        let (sin, cos) = state.alpha.sin_cos();
+        let inertia = self.arm_inertia + self.quarter_inertia * sin * sin;
+        let theta_dot = state.theta_dot + self.coupling * cos / inertia * state.alpha_dot;
+        State { alpha, alpha_dot: 0.0, theta_dot, ..state }
+    }
 }
 
 impl<T: Scalar> EquationsOfMotion<T> for Dynamics<T> {

@@ -135,6 +135,34 @@ pub enum EmulatorFault {
         /// The share, above 0 and at most 1.
         share: f64,
     },
+    /// The amplifier drives in one direction only; asked for the other one it gives 0 V.
+    OneSidedMotor {
+        /// From when on, s.
+        after_s: f64,
+        /// Whether it is the positive voltage that drives.
+        positive: bool,
+    },
+    /// The arm's encoder counts more or fewer lines than a Qube's.
+    ScaledTheta {
+        /// How many times as many counts, above 0 and at most 10.
+        factor: f64,
+    },
+    /// A hand pushes the arm.
+    PushedArm {
+        /// From when on, s.
+        after_s: f64,
+        /// For how long, s.
+        lasts_s: f64,
+        /// How strongly, as the voltage that pushes as strongly, V.
+        like_v: f64,
+    },
+    /// A hand holds the pendulum.
+    HeldPendulum {
+        /// From when on, s.
+        after_s: f64,
+        /// For how long, s.
+        lasts_s: f64,
+    },
     /// The arm's encoder is wired the other way round.
     FlippedTheta,
     /// The pendulum's encoder is wired the other way round.
@@ -152,7 +180,9 @@ pub enum EmulatorFault {
      brown-out@S, board-restart@S, emergency-stop@S, flipped-theta, flipped-alpha, flipped-motor, \
      stuck-theta@S (its tachometer too), frozen-theta@S+D, frozen-alpha@S+D (for D seconds), \
      jump-theta@S, jump-alpha@S (300 counts, or jump-theta@S:N by N), weak-motor@F (the share F of \
-     its current) (S seconds after the start, N each n-th reply)"
+     its current), one-sided-motor@S:+ or :- (only that voltage drives), scaled-theta@F (F times as many \
+     counts), pushed-arm@S+D:V (by a hand, like V volts), held-pendulum@S+D (S seconds after the start, \
+     N each n-th reply)"
 )]
 pub struct UnknownFault {
     /// The text.
@@ -169,6 +199,7 @@ impl EmulatorFault {
             | Self::FlippedTheta
             | Self::FlippedAlpha
             | Self::FlippedMotor
+            | Self::ScaledTheta { .. }
             | Self::WeakMotor { .. } => 0,
             Self::Silent { after_s }
             | Self::FrozenAlpha { after_s }
@@ -179,6 +210,9 @@ impl EmulatorFault {
             | Self::JumpTheta { after_s, .. }
             | Self::JumpAlpha { after_s, .. }
             | Self::DeadMotor { after_s }
+            | Self::OneSidedMotor { after_s, .. }
+            | Self::PushedArm { after_s, .. }
+            | Self::HeldPendulum { after_s, .. }
             | Self::BlockedArm { after_s }
             | Self::AmplifierFault { after_s }
             | Self::StallError { after_s }
@@ -229,6 +263,16 @@ impl fmt::Display for EmulatorFault {
                 write!(formatter, "jump-alpha@{after_s}:{counts}")
             }
             Self::WeakMotor { share } => write!(formatter, "weak-motor@{share}"),
+            Self::OneSidedMotor { after_s, positive } => {
+                write!(formatter, "one-sided-motor@{after_s}:{}", if *positive { '+' } else { '-' })
+            }
+            Self::ScaledTheta { factor } => write!(formatter, "scaled-theta@{factor}"),
+            Self::PushedArm { after_s, lasts_s, like_v } => {
+                write!(formatter, "pushed-arm@{after_s}+{lasts_s}:{like_v}")
+            }
+            Self::HeldPendulum { after_s, lasts_s } => {
+                write!(formatter, "held-pendulum@{after_s}+{lasts_s}")
+            }
         }
     }
 }
@@ -298,6 +342,37 @@ impl FromStr for EmulatorFault {
                     .filter(|share| *share > 0.0 && *share <= 1.0)
                     .ok_or_else(unknown)?,
             },
+            "one-sided-motor" => {
+                let (after, side) =
+                    value.and_then(|value| value.split_once(':')).ok_or_else(unknown)?;
+                let positive = match side {
+                    "+" => true,
+                    "-" => false,
+                    _ => return Err(unknown()),
+                };
+                Self::OneSidedMotor { after_s: parsed(after)?, positive }
+            }
+            "scaled-theta" => Self::ScaledTheta {
+                factor: seconds()
+                    .ok()
+                    .filter(|factor| *factor > 0.0 && *factor <= 10.0)
+                    .ok_or_else(unknown)?,
+            },
+            "pushed-arm" => {
+                let (lapse, volts) =
+                    value.and_then(|value| value.split_once(':')).ok_or_else(unknown)?;
+                let (after, lasts) = lapse.split_once('+').ok_or_else(unknown)?;
+                let like_v = volts.parse::<f64>().ok().filter(|like_v| like_v.is_finite());
+                Self::PushedArm {
+                    after_s: parsed(after)?,
+                    lasts_s: parsed(lasts)?,
+                    like_v: like_v.ok_or_else(unknown)?,
+                }
+            }
+            "held-pendulum" => {
+                let (after_s, lasts_s) = lapse().ok_or_else(unknown)?;
+                Self::HeldPendulum { after_s, lasts_s }
+            }
             "dead-motor" => Self::DeadMotor { after_s: seconds()? },
             "blocked-arm" => Self::BlockedArm { after_s: seconds()? },
             "amplifier" => Self::AmplifierFault { after_s: seconds()? },
@@ -350,6 +425,11 @@ mod tests {
             "jump-theta@4:300",
             "jump-alpha@4:-120",
             "weak-motor@0.3",
+            "one-sided-motor@2:+",
+            "one-sided-motor@0:-",
+            "scaled-theta@0.5",
+            "pushed-arm@3+0.5:-2",
+            "held-pendulum@3+0.5",
         ] {
             assert_eq!(text.parse::<EmulatorFault>().unwrap().to_string(), text);
         }
@@ -365,6 +445,9 @@ mod tests {
             "x@1",
             "jump-theta",
             "weak-motor@2",
+            "one-sided-motor@2",
+            "scaled-theta@0",
+            "pushed-arm@2+1",
             "frozen-alpha@1+",
         ] {
             assert_eq!(text.parse::<EmulatorFault>(), Err(UnknownFault { text: text.to_owned() }));

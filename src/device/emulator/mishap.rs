@@ -1,6 +1,6 @@
 //! What is wrong with an emulated Qube's encoders and motor, by its own time.
 
-use firmware_protocol::scaling::TACHOMETER_STILL;
+use firmware_protocol::scaling::{TACHOMETER_NEGATIVE, TACHOMETER_STILL};
 
 use super::EmulatorFault;
 
@@ -46,7 +46,9 @@ impl Mishap {
         let fault = self.fault?;
         let lasts_s = match fault {
             EmulatorFault::LapsingTheta { lasts_s, .. }
-            | EmulatorFault::LapsingAlpha { lasts_s, .. } => Some(lasts_s),
+            | EmulatorFault::LapsingAlpha { lasts_s, .. }
+            | EmulatorFault::PushedArm { lasts_s, .. }
+            | EmulatorFault::HeldPendulum { lasts_s, .. } => Some(lasts_s),
             _ => None,
         };
         match self.stage {
@@ -78,6 +80,10 @@ impl Mishap {
                 self.stage = Stage::After;
                 self.alpha_shift = self.held.alpha_counts.wrapping_sub(truly.alpha_counts);
             }
+            (
+                Stage::During,
+                EmulatorFault::PushedArm { .. } | EmulatorFault::HeldPendulum { .. },
+            ) => self.stage = Stage::After,
             _ => {}
         }
         None
@@ -102,8 +108,85 @@ impl Mishap {
             Some(EmulatorFault::LapsingAlpha { .. }) if self.stage == Stage::During => {
                 seen.alpha_counts = self.held.alpha_counts;
             }
+            Some(EmulatorFault::ScaledTheta { factor }) => {
+                let gone_counts = truly.theta_counts.wrapping_sub(self.held.theta_counts);
+                let counted = (f64::from(gone_counts) * factor).round() as i32;
+                seen.theta_counts = self.held.theta_counts.wrapping_add(counted);
+                seen.tachometer_raw = scaled_tachometer(truly.tachometer_raw, factor);
+            }
             _ => {}
         }
         seen
+    }
+
+    /// What the motor gets where the amplifier was told this, V.
+    pub fn driven_v(&self, voltage_v: f64) -> f64 {
+        match self.fault {
+            Some(EmulatorFault::OneSidedMotor { positive, .. }) if self.stage == Stage::During => {
+                if positive {
+                    voltage_v.max(0.0)
+                } else {
+                    voltage_v.min(0.0)
+                }
+            }
+            _ => voltage_v,
+        }
+    }
+
+    /// What a hand pushes the arm by, as a voltage, V.
+    pub fn pushed_like_v(&self) -> f64 {
+        match self.fault {
+            Some(EmulatorFault::PushedArm { like_v, .. }) if self.stage == Stage::During => like_v,
+            _ => 0.0,
+        }
+    }
+
+    /// Whether a hand holds the pendulum.
+    pub fn holds_pendulum(&self) -> bool {
+        self.stage == Stage::During
+            && matches!(self.fault, Some(EmulatorFault::HeldPendulum { .. }))
+    }
+}
+
+/// The tachometer's register where there are `factor` times as many edges.
+fn scaled_tachometer(raw: u32, factor: f64) -> u32 {
+    if raw == TACHOMETER_STILL {
+        return raw;
+    }
+    let ticks = f64::from(raw & !TACHOMETER_NEGATIVE) / factor;
+    if ticks >= f64::from(TACHOMETER_STILL) {
+        return TACHOMETER_STILL;
+    }
+    (raw & TACHOMETER_NEGATIVE) | ticks.round().max(1.0) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const START: TrueReadings =
+        TrueReadings { theta_counts: 500, alpha_counts: 7, tachometer_raw: 1000 };
+
+    #[test]
+    fn an_encoder_of_half_or_twice_as_many_lines_counts_so_and_its_tachometer_too() {
+        for (factor, counts, ticks) in [(0.5, 400, 2000), (2.0, 100, 500)] {
+            let mut mishap = Mishap::new(Some(EmulatorFault::ScaledTheta { factor }));
+            mishap.go_on(START);
+            let seen = mishap.readings(TrueReadings { theta_counts: 300, ..START });
+            assert_eq!((seen.theta_counts, seen.tachometer_raw), (counts, ticks));
+            let still = TrueReadings { tachometer_raw: TACHOMETER_STILL, ..START };
+            assert_eq!(mishap.readings(still).tachometer_raw, TACHOMETER_STILL);
+            let back = TrueReadings { tachometer_raw: TACHOMETER_NEGATIVE | 1000, ..START };
+            assert_eq!(mishap.readings(back).tachometer_raw, TACHOMETER_NEGATIVE | ticks);
+        }
+    }
+
+    #[test]
+    fn a_one_sided_amplifier_gives_nothing_the_other_way() {
+        let fault = EmulatorFault::OneSidedMotor { after_s: 1.0, positive: false };
+        let mut mishap = Mishap::new(Some(fault));
+        assert_eq!(mishap.driven_v(2.0), 2.0);
+        mishap.go_on(START);
+        assert_eq!((mishap.driven_v(2.0), mishap.driven_v(-2.0)), (0.0, -2.0));
     }
 }

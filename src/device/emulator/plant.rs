@@ -130,7 +130,7 @@ impl Plant {
             let until_us = until_us.min(self.next_finger_us);
             self.let_mishap_go_on();
             let until_us = self.mishap.next_us().map_or(until_us, |next_us| next_us.min(until_us));
-            let longest_us = if self.touches() {
+            let longest_us = if self.touches() || self.mishap.holds_pendulum() {
                 CONTACT_STEP_US.min(self.longest_step_us)
             } else {
                 self.longest_step_us
@@ -139,11 +139,18 @@ impl Plant {
             self.dynamics.cable_rest = self.model.gap.cable_rest_after(self.time_us as f64 * 1e-6);
             let before = self.state;
             let step_s = step_us as f64 * 1e-6;
+            let push_v = self.mishap.driven_v(self.voltage_v) + self.mishap.pushed_like_v();
             self.state = match &mut self.play {
-                None => runge_kutta_4(&self.dynamics, before, self.voltage_v, step_s),
-                Some(play) => play.step(&self.dynamics, before, self.voltage_v, step_s),
+                None => runge_kutta_4(&self.dynamics, before, push_v, step_s),
+                Some(play) => play.step(&self.dynamics, before, push_v, step_s),
             };
             self.time_us += step_us;
+            if self.mishap.holds_pendulum() {
+                self.state = self.dynamics.ideal.with_pendulum_stopped(self.state, before.alpha);
+                if let Some(play) = &mut self.play {
+                    play.follow(&self.state);
+                }
+            }
             if self.arm_blocked {
                 self.stop_arm_at(before.theta);
             } else if let Some(stop_rad) = self.stop_beyond(self.state.theta) {
@@ -271,7 +278,8 @@ impl Plant {
         }
         let motor_rad_s = self.play.map_or(self.state.theta_dot, |play| play.motor_rad_s());
         let back_emf_v = self.model.parameters.motor_back_emf_v_s * motor_rad_s;
-        let current_a = (self.voltage_v - back_emf_v) / self.model.parameters.motor_resistance_ohm;
+        let driven_v = self.mishap.driven_v(self.voltage_v);
+        let current_a = (driven_v - back_emf_v) / self.model.parameters.motor_resistance_ohm;
         let raw = f64::from(CURRENT_ZERO) + current_a * f64::from(CURRENT_COUNTS_PER_A);
         raw.round().clamp(0.0, f64::from(u16::MAX)) as u16
     }
