@@ -16,10 +16,10 @@ const WEAK_A_V: f64 = 1.0 / 17.0;
 /// From this on a bad contact can be told from a dead zone, mV.
 const WEAK_MV: i16 = 1200;
 
-/// An arm stands that stays within this many counts ...
+/// An arm within so many counts stays where it is.
 const STANDS_COUNTS: i32 = 3;
 
-/// ... for so many ticks.
+/// An arm stands that has stayed for so many ticks.
 const STANDS_TICKS: u32 = 25;
 
 /// A current sensor that has shown less than this although the motor moved the arm shows nothing, A.

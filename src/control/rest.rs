@@ -27,14 +27,14 @@ impl RestDetector {
     }
 }
 
-/// An arm that moved over no more than this, rad ...
+/// An arm that moves over no more than this is brought back, rad.
 const BACK_RANGE_RAD: f64 = 0.05;
 
-/// ... within this of the middle, rad ...
+/// An arm within this of the middle is brought back, rad.
 const BACK_REACH_RAD: f64 = 0.5;
 
-/// ... for this many ticks, which is longer than a swing of the pendulum, is back: what the pendulum
-/// still holds cannot throw it far once the amplifier is off.
+/// How long both must hold, in ticks: longer than a swing of the pendulum, so that what the pendulum
+/// still holds cannot throw the arm far once the amplifier is off.
 const BACK_TICKS: u32 = 60;
 
 /// An arm that rests this far from its nearer stop, rad, need not be any nearer to the middle: a cable may
@@ -70,10 +70,10 @@ impl BackDetector {
     }
 }
 
-/// An arm that moves less than this, rad ...
+/// An arm that moves less than this is still, rad.
 const STILL_RANGE_RAD: f64 = 0.1;
 
-/// ... for so many ticks, which is 1 s, is still.
+/// How long an arm must be still, in ticks: 1 s.
 const STILL_TICKS: u32 = 100;
 
 /// Whether the arm stays where it is, wherever that may be.

@@ -66,16 +66,16 @@ const GENTLE_V_S: f64 = 6.0;
 const FIRM_V_S: f64 = 400.0;
 
 /// An arm that is faster than this, rad/s, is no longer led but thrown, as by the cable off a stop, and is
-/// caught as fast as it takes ...
+/// caught as fast as it takes.
 const THROWN_RAD_S: f64 = 1.5;
 
-/// ... at once from this speed on.
+/// An arm that is thrown this fast is caught at once, rad/s.
 const FAST_RAD_S: f64 = 3.0;
 
-/// From this swing on, sin(alpha) and a fifteenth of alpha_dot together, settling gets firmer ...
+/// From this swing on settling gets firmer, sin(alpha) and a fifteenth of alpha_dot together.
 const CALM_SWING: f64 = 0.35;
 
-/// ... up to this one.
+/// From this swing on settling is as firm as it gets.
 const WIDE_SWING: f64 = 0.9;
 
 /// Leads arm and pendulum to rest so gently that an encoder that freezes meanwhile costs no hit: the

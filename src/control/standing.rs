@@ -16,25 +16,25 @@ const HOLDS_RAD_S2: f64 = 24.0;
 /// What quantisation and a degree of play make of a change of velocity, rad/s.
 const LEAST_RAD_S: f64 = 1.0;
 
-/// What masses and lengths that are 30 % off make of the pendulum's share of the momentum ...
+/// What masses and lengths that are 30 % off make of the pendulum's share of the momentum.
 const SWING_SHARE: f64 = 0.4;
 
-/// ... and an unknown motor of its push.
+/// What an unknown motor makes of its push.
 const MOTOR_SHARE: f64 = 0.5;
 
-/// What the pendulum's own equation must say besides, rad/s ...
+/// What the pendulum's own equation must say besides, rad/s.
 const FELT_RAD_S: f64 = 0.5;
 
-/// ... and as a share of what is compared.
+/// What the pendulum's own equation must say besides, as a share of what is compared.
 const FELT_SHARE: f64 = 0.15;
 
 /// A current above this shows that the sensor is alive, A.
 const ALIVE_A: f32 = 0.03;
 
-/// An arm that has stood for so many ticks ...
+/// A count that has not changed for so many ticks has stood.
 const RESUMES_AFTER_TICKS: usize = 4;
 
-/// ... goes no farther than this in its first period: 6 rad/s from rest are 600 rad/s^2.
+/// An arm that has stood goes no farther than this in its first period: 6 rad/s from rest are 600 rad/s^2.
 const RESUMES_COUNTS: i32 = 20;
 
 /// What the second period has at least of the first.

@@ -14,19 +14,19 @@ use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
-/// Most ticks for braking: 1 s for a brake that only stops the arm ...
+/// Most ticks for a brake that only stops the arm: 1 s.
 const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
-/// ... and 15 s for one that brings it back to the middle and waits for the pendulum.
+/// Most ticks for a brake that brings the arm back to the middle and waits for the pendulum: 15 s.
 const MAX_RETREAT_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
 /// Homing finds the stops within this, rad: so much nearer they are where a nominal Qube has them.
 const STOPS_MEASURED_WITHIN_RAD: f64 = 0.02;
 
-/// Below this the arm counts as stopped, rad/s ...
+/// Below this the arm counts as stopped, rad/s.
 const STOPPED_RAD_S: f64 = 0.5;
 
-/// ... when it stays so for this many ticks.
+/// How long an arm must stay that slow to count as stopped, in ticks.
 const STOPPED_TICKS: u32 = 3;
 
 /// An arm that is still faster than this at the end of braking does not obey the motor, rad/s.

@@ -5,10 +5,10 @@ use crate::telemetry::Fault;
 /// 20 ms have been seen on healthy links.
 const MAX_BLIND_NS: u64 = 35_000_000;
 
-/// A tick that wakes later than this after its deadline is too late, ns ...
+/// A tick that wakes later than this after its deadline is too late, ns.
 const MAX_LATENESS_NS: u64 = 10_000_000;
 
-/// ... and so many of them in a row are a fault.
+/// So many late ticks in a row are a fault.
 const MAX_LATE_TICKS: u32 = 5;
 
 /// A device's clock that leaps this far ahead of the computer's between two samples is wrong, us.
