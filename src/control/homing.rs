@@ -1,44 +1,22 @@
-use serde::{Deserialize, Serialize};
-
 use super::current_watch::CurrentWatch;
+use super::hanging::Hanging;
+use super::homing_settings::{HomingMethod, HomingSettings};
+use super::led_arm::{ComingOff, Held, Runaway, Stood};
 use super::probe::{Answer, Probe, STRONGEST_V};
 use super::rest::{StillnessDetector, Swing};
 use super::sensor_watch::SensorWatch;
-use super::settling::GentleSettler;
+use super::settling::{GentleSettler, LEAD_RAD_S};
 use super::stop_seek::{Found, StopSeek};
 use super::watch::{Alarm, Watch};
-use super::witness::ZERO_WITHIN_RAD;
+use super::witness::{Witness, ZERO_WITHIN_RAD};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
-use crate::estimation::{Calibration, Estimator, EstimatorSettings, MeasuredRig, MeasuredStops};
-use crate::qube::{HARD_STOP_RAD, Measurement, RAD_PER_COUNT, State};
+use crate::estimation::{Calibration, Estimator, MeasuredRig, MeasuredStops};
+use crate::qube::{Measurement, RAD_PER_COUNT, State};
 use crate::safety::gate;
 use crate::telemetry::{Ending, Fault};
 
 /// Most ticks for the whole of homing: 60 s.
 const MAX_TICKS: u32 = 6000;
-
-/// A swing wider than this is waited for with the motor at 0 V, rad: what such a pendulum does to the
-/// arm nobody may add to.
-const LARGEST_SWING_RAD: f64 = 0.15;
-
-/// A pendulum that moves over more than this swings, rad.
-const SWINGING_RAD: f64 = 0.02;
-
-/// An arm that moves no farther than this, rad, and than so much for each rad of the pendulum's swing, is
-/// at rest: nothing but the pendulum moves it.
-const RESTING_ARM_RAD: f64 = 0.02;
-const RECOIL: f64 = 0.7;
-
-/// An arm that stands within this, rad, while the pendulum swings by up to so much, is held, by friction
-/// or by somebody: there the swing does not end by itself.
-const STANDING_ARM_RAD: f64 = 3.5 * RAD_PER_COUNT;
-const SWING_OF_A_HELD_ARM_RAD: f64 = 1.2;
-
-/// An arm that is led is never faster than this, rad/s ...
-const RUNAWAY_RAD_S: f64 = 4.0;
-
-/// ... for so many ticks.
-const RUNAWAY_TICKS: u32 = 4;
 
 /// A pendulum that moves over no more than four counts hangs still, rad.
 const STILL_RAD: f64 = 4.5 * RAD_PER_COUNT;
@@ -49,73 +27,12 @@ const NEAR_MIDDLE_RAD: f64 = 0.1;
 /// The witness is called anew where the hanging count turns out to be another one by so much, rad.
 const OTHER_ZERO_RAD: f64 = 1.5 * RAD_PER_COUNT;
 
+/// How fast the arm is led before it is known how far it goes for each of its encoder's counts, rad/s:
+/// twice as far, if the encoder counts half.
+const FIRST_LEAD_RAD_S: f64 = 0.8;
+
 /// How far the travel between the stops may differ from what it should be, as a fraction.
 const TRAVEL_TOLERANCE: f64 = 0.03;
-
-/// An arm that is off its place, that has more than this to get there, V ...
-const HELD_V: f64 = 1.3;
-
-/// ... and that stays within so many counts ...
-const HELD_COUNTS: i32 = 3;
-
-/// ... for so many ticks, is held.
-const HELD_TICKS: u32 = 200;
-
-/// An arm that has not moved for so many ticks although its pendulum swings is held too.
-const STOOD_TICKS: u32 = 1000;
-
-/// Where the middle of the arm comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum HomingMethod {
-    /// Half-way between the two hard stops, which the arm touches slowly.
-    #[default]
-    Stops,
-    /// Where the arm is when homing starts: somebody put it into the middle by hand.
-    #[serde(alias = "here")]
-    Hand,
-}
-
-/// How homing is done.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct HomingSettings {
-    /// Where the middle comes from.
-    pub method: HomingMethod,
-    /// Where the arm's zero lies, seen from that middle, rad: some stops are not where they should be.
-    pub theta_offset_rad: f64,
-    /// How far apart the operator knows this rig's stops to be, rad; without it, as far as a Qube's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub travel_rad: Option<f64>,
-    /// The arm's count where it was put by hand, if it has moved since.
-    #[serde(skip)]
-    pub hand_counts: Option<i32>,
-    /// Signs of the rig; the zeros are what homing finds.
-    pub signs: Calibration,
-    /// Velocities for the motion itself.
-    pub estimator: EstimatorSettings,
-}
-
-impl HomingSettings {
-    /// How far apart the stops should be, rad.
-    #[must_use]
-    pub fn expected_travel_rad(&self) -> f64 {
-        self.travel_rad.unwrap_or(2.0 * HARD_STOP_RAD)
-    }
-}
-
-impl Default for HomingSettings {
-    fn default() -> Self {
-        Self {
-            method: HomingMethod::default(),
-            theta_offset_rad: 0.0,
-            travel_rad: None,
-            hand_counts: None,
-            signs: Calibration::IDENTITY,
-            estimator: EstimatorSettings::default(),
-        }
-    }
-}
 
 /// Finds the arm's middle and the count at which the pendulum hangs: encoders count from wherever
 /// they were switched on.
@@ -143,14 +60,14 @@ pub struct Homing {
     stops_rad: Option<(f64, f64)>,
     /// Where the pendulum hangs, as far as it is known.
     hanging_rad: f64,
+    /// The sign that a first push has shown to be wrong: none is named before a second one has.
+    suspected: Option<Fault>,
     ticks: u32,
     swing: Swing,
-    arm_swing: Swing,
     settler: GentleSettler,
     held: Held,
-    stood: Held,
-    runaway_ticks: u32,
-    middle_before_rad: Option<f64>,
+    stood: Stood,
+    runaway: Runaway,
     state: State,
     voltage_mv: i16,
     found: Option<MeasuredRig>,
@@ -159,41 +76,15 @@ pub struct Homing {
 #[derive(Clone, Copy, Debug)]
 enum Stage {
     /// Wait at 0 V until the pendulum hardly swings: the middle of that is where it hangs.
-    Observe,
+    Observe(Hanging),
     /// Push until the arm follows.
     Probe(Probe),
     /// Calm the pendulum about that point, with the arm in the middle as far as it is known.
     Calm,
     /// Look for the stops, which tell the middle.
     Seek(StopSeek),
-    /// The stops are not where they should be: come off the last one, if something lets the arm go.
-    ComeOff { from_rad: f64, ticks: u32 },
-}
-
-/// Whether pushing may begin: with these swings of pendulum and arm, rad.
-fn is_calm_enough(pendulum_rad: f64, arm_rad: f64) -> bool {
-    let hardly_swings =
-        pendulum_rad < LARGEST_SWING_RAD && arm_rad < RECOIL.mul_add(pendulum_rad, RESTING_ARM_RAD);
-    hardly_swings || pendulum_rad < SWING_OF_A_HELD_ARM_RAD && arm_rad < STANDING_ARM_RAD
-}
-
-/// For how long the arm has stayed where it is although it should go elsewhere.
-#[derive(Clone, Copy, Debug, Default)]
-struct Held {
-    counts: i32,
-    ticks: u32,
-}
-
-impl Held {
-    fn lasts(&mut self, counts: i32, is_pushed: bool) -> bool {
-        let stays = counts.wrapping_sub(self.counts).wrapping_abs() <= HELD_COUNTS;
-        *self = if stays && is_pushed {
-            Self { ticks: self.ticks + 1, ..*self }
-        } else {
-            Self { counts, ticks: 0 }
-        };
-        self.ticks >= HELD_TICKS
-    }
+    /// Something is wrong: lead the arm back to where it was pushed first, if something lets it go.
+    ComeOff(ComingOff),
 }
 
 impl Homing {
@@ -213,19 +104,18 @@ impl Homing {
             current: CurrentWatch::default(),
             control: ControlState::Identified.on(ControlEvent::Home).0,
             stillness: StillnessDetector::default(),
-            stage: Stage::Observe,
+            stage: Stage::Observe(Hanging::default()),
             place_rad: 0.0,
             middle_rad,
             stops_rad: None,
             hanging_rad: 0.0,
+            suspected: None,
             ticks: 0,
             swing: Swing::default(),
-            arm_swing: Swing::default(),
             settler: GentleSettler::default(),
             held: Held::default(),
-            stood: Held::default(),
-            runaway_ticks: 0,
-            middle_before_rad: None,
+            stood: Stood::default(),
+            runaway: Runaway::default(),
             state: State::default(),
             voltage_mv: 0,
             found: None,
@@ -296,69 +186,28 @@ impl Homing {
     /// Moves on to the next stage where one has reached its end.
     fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
         let seen = self.seen();
+        let scale_is_known = self.sensors.witness().is_some_and(Witness::scale_is_known);
         match &mut self.stage {
-            Stage::Observe => {
-                let arm = self.arm_swing.update(self.state.theta);
-                if let Some(window) = self.swing.update(self.state.alpha)
-                    && let Some(arm) = arm
-                    && is_calm_enough(window.width_rad, arm.width_rad)
-                {
-                    // The middle of a swing that decays is known once two of them agree.
-                    let before_rad = self.middle_before_rad.replace(window.middle_rad);
-                    let swings = window.width_rad > SWINGING_RAD;
-                    if swings && before_rad.is_none() {
-                        return None;
-                    }
-                    let before_rad = before_rad.filter(|_| swings).unwrap_or(window.middle_rad);
-                    let apart_rad = (window.middle_rad - before_rad).abs();
-                    let within_rad = 0.01f64.mul_add(window.width_rad, RAD_PER_COUNT);
-                    self.hangs_at(
-                        0.5 * (window.middle_rad + before_rad),
-                        within_rad + 0.5 * apart_rad,
-                    );
+            Stage::Observe(hanging) => {
+                if let Some(hung) = hanging.update(self.state.theta, self.state.alpha) {
+                    self.hangs_at(hung.middle_rad, hung.within_rad);
                     if self.control.take(ControlEvent::AtRest) == ControlAction::Seek {
-                        self.stage = Stage::Probe(Probe::new(window.width_rad));
+                        self.place_rad = self.state.theta;
+                        self.stage = Stage::Probe(Probe::new(hung.swing_rad));
                     }
                 }
             }
             Stage::Probe(probe) => {
-                let witness = self.sensors.witness();
-                let leads = witness.is_some_and(|own| own.pendulum_seems_to_lead());
-                let rather_leads = witness.is_some_and(|own| own.pendulum_rather_leads());
-                match probe.update(&seen) {
-                    Answer::Waits => {}
-                    Answer::Follows if leads => return Some(Ending::Fault(Fault::WrongSignAlpha)),
-                    Answer::Follows => {
-                        self.current.motor_works();
-                        self.place_rad = self.state.theta;
-                        self.swing = Swing::default();
-                        self.settler = GentleSettler::default();
-                        self.stage = match self.middle_rad {
-                            Some(_) => Stage::Calm,
-                            None => Stage::Seek(StopSeek::default()),
-                        };
-                    }
-                    Answer::Opposes => {
-                        return Some(Ending::Fault(if rather_leads {
-                            Fault::WrongSignTheta
-                        } else {
-                            Fault::WrongSignMotor
-                        }));
-                    }
-                    Answer::Stays => {
-                        let is_dead = self.current.is_dead(STRONGEST_V);
-                        let fault = if is_dead { Fault::MotorDead } else { Fault::ArmHeld };
-                        return Some(Ending::Fault(fault));
-                    }
-                }
+                let answer = probe.update(&seen);
+                return self.answered(answer).map(Ending::Fault);
             }
             Stage::Calm => {
                 // The middle, or the place where it was put by hand.
                 let off_rad = self.state.theta - self.calm_rad();
-                let is_pushed = f64::from(self.voltage_mv).abs() >= 1e3 * HELD_V
-                    && off_rad.abs() >= NEAR_MIDDLE_RAD;
-                self.stood.lasts(measurement.theta_counts, true);
-                if self.held.lasts(measurement.theta_counts, is_pushed) {
+                let voltage_v = f64::from(self.voltage_mv) * 1e-3;
+                let is_off = off_rad.abs() >= NEAR_MIDDLE_RAD;
+                self.stood.update(measurement.theta_counts);
+                if self.held.lasts(measurement.theta_counts, voltage_v, is_off) {
                     return Some(Ending::Fault(Fault::ArmHeld));
                 }
                 if let Some(window) = self.swing.update(self.state.alpha)
@@ -367,37 +216,79 @@ impl Homing {
                     // Where it is still it hangs. While it is believed to hang elsewhere, that
                     // error holds the arm off its place for good.
                     self.hangs_at(window.middle_rad, ZERO_WITHIN_RAD);
-                    if off_rad.abs() < NEAR_MIDDLE_RAD {
+                    if !is_off {
                         self.found = Some(self.zeros(measurement, off_rad));
                         return Some(Ending::Completed);
                     }
                 }
             }
             Stage::Seek(seek) => {
-                if let Some(Found { lowest_rad, highest_rad }) = seek.update(self.state.theta) {
+                let lead_rad_s = if scale_is_known { LEAD_RAD_S } else { FIRST_LEAD_RAD_S };
+                if let Some(Found { lowest_rad, highest_rad }) =
+                    seek.update(self.state.theta, lead_rad_s)
+                {
                     self.stops_rad = Some((lowest_rad, highest_rad));
                     self.swing = Swing::default();
                     let travel = (highest_rad - lowest_rad) / self.settings.expected_travel_rad();
                     if (travel - 1.0).abs() > TRAVEL_TOLERANCE {
-                        self.place_rad = self.state.theta - 0.3;
-                        self.stage = Stage::ComeOff { from_rad: self.state.theta, ticks: 0 };
+                        self.come_off(Fault::TravelWrong);
                     } else {
                         self.middle_rad = Some(0.5 * (lowest_rad + highest_rad));
                         self.stage = Stage::Calm;
                     }
                 }
             }
-            Stage::ComeOff { from_rad, ticks } => {
-                *ticks += 1;
-                if *from_rad - self.state.theta > 0.05 {
-                    return Some(Ending::Fault(Fault::TravelWrong));
-                }
-                if *ticks > HELD_TICKS {
-                    return Some(Ending::Fault(Fault::ArmHeld));
-                }
+            Stage::ComeOff(coming_off) => {
+                return coming_off.update(&seen).map(Ending::Fault);
             }
         }
         None
+    }
+
+    fn come_off(&mut self, fault: Fault) {
+        self.stage = Stage::ComeOff(ComingOff::after(fault, self.state.theta, self.place_rad));
+    }
+
+    /// Goes on where the arm follows a push; gives what is wrong where it does not.
+    fn answered(&mut self, answer: Answer) -> Option<Fault> {
+        let witness = self.sensors.witness();
+        let leads = witness.is_some_and(|own| own.pendulum_seems_to_lead());
+        let rather_leads = witness.is_some_and(|own| own.pendulum_rather_leads());
+        let wrong_sign = match answer {
+            Answer::Waits => return None,
+            Answer::Moves => return Some(Fault::ArmPushed),
+            Answer::Stays => {
+                let is_dead = self.current.is_dead(STRONGEST_V);
+                return Some(if is_dead { Fault::MotorDead } else { Fault::ArmHeld });
+            }
+            Answer::Follows if leads => Some(Fault::WrongSignAlpha),
+            Answer::Follows => None,
+            Answer::Opposes if rather_leads => Some(Fault::WrongSignTheta),
+            Answer::Opposes => Some(Fault::WrongSignMotor),
+        };
+        match (self.suspected, wrong_sign) {
+            (None, None) => {
+                self.current.motor_works();
+                self.swing = Swing::default();
+                self.settler = GentleSettler::default();
+                self.stage = match self.middle_rad {
+                    Some(_) => Stage::Calm,
+                    None => Stage::Seek(StopSeek::default()),
+                };
+                None
+            }
+            // Whoever pushes the arm once makes a sign look wrong, and whoever is told so changes it.
+            (None, Some(sign)) => {
+                self.suspected = Some(sign);
+                self.sensors.forget_signs();
+                if let Stage::Probe(probe) = &mut self.stage {
+                    probe.ask_again();
+                }
+                None
+            }
+            (Some(first), Some(second)) if first == second => Some(first),
+            (Some(_), _) => Some(Fault::ArmPushed),
+        }
     }
 
     /// The counts at the arm's zero and at the hanging pendulum, and the stops as seen from there.
@@ -435,14 +326,14 @@ impl Homing {
     fn wanted_voltage(&mut self) -> f64 {
         let seen = self.seen();
         match self.stage {
-            Stage::Observe => 0.0,
+            Stage::Observe(_) => 0.0,
             Stage::Probe(probe) => probe.voltage_v(),
             Stage::Calm => self.settler.voltage(&seen, self.calm_rad()),
             Stage::Seek(seek) => {
                 let target_rad = seek.target_rad().unwrap_or(seen.theta);
                 self.settler.follow(&seen, target_rad, seek.push_v())
             }
-            Stage::ComeOff { .. } => self.settler.voltage(&seen, self.place_rad - 1.0),
+            Stage::ComeOff(coming_off) => self.settler.voltage(&seen, coming_off.place_rad()),
         }
     }
 
@@ -460,28 +351,25 @@ impl Homing {
         self.output(None, Some(ending))
     }
 
-    /// Whether the arm is fast against the voltage, though nothing but the motor moves it.
-    fn runs_away(&mut self) -> bool {
-        let State { theta_dot, .. } = self.state;
-        let seen = self.seen();
-        let swings = (seen.alpha.sin().abs() + seen.alpha_dot.abs() / 15.0) > 0.5;
-        let against = theta_dot * f64::from(self.voltage_mv) < 0.0;
-        let is_led = !matches!(self.stage, Stage::Observe);
-        let runs = is_led && against && !swings && theta_dot.abs() > RUNAWAY_RAD_S;
-        self.runaway_ticks = if runs { self.runaway_ticks + 1 } else { 0 };
-        self.runaway_ticks >= RUNAWAY_TICKS
-    }
-
     /// What encoders and motor say of each other, if something is wrong.
     fn sensed(&mut self, sample: &Measurement) -> Option<Fault> {
         let alarm = self.sensors.check(sample, None);
-        let fault = alarm.map(|(Alarm::Zero(fault) | Alarm::Brake(fault))| fault);
-        let leads = self.sensors.witness().and_then(|own| own.pendulum_leads()) == Some(true);
+        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = alarm {
+            return Some(fault);
+        }
         // While the first push lasts, it is left to that to say which of the signs is wrong.
-        let is_calm = matches!(self.stage, Stage::Calm | Stage::Seek(_));
-        fault
-            .or_else(|| self.current.check(sample))
-            .or_else(|| (leads && is_calm).then_some(Fault::WrongSignAlpha))
+        let is_led = matches!(self.stage, Stage::Calm | Stage::Seek(_));
+        match self.current.check(sample) {
+            // At a stop, a stiff cable throws the arm across as soon as nobody holds it.
+            Some(Fault::MotorWeak) if is_led => self.come_off(Fault::MotorWeak),
+            Some(Fault::MotorWeak) if matches!(self.stage, Stage::ComeOff(_)) => {}
+            Some(fault) => return Some(fault),
+            None => {}
+        }
+        let witness = self.sensors.witness();
+        let leads = witness.and_then(|own| own.pendulum_leads()) == Some(true);
+        let miscounts = witness.is_some_and(|own| own.scale_is_wrong());
+        ((leads || miscounts) && is_led).then_some(Fault::EncodersDisagree)
     }
 }
 
@@ -501,7 +389,7 @@ impl Motion for Homing {
             return self.off(Ending::Stopped);
         }
         if self.ticks > MAX_TICKS {
-            let is_held = self.stood.ticks >= STOOD_TICKS;
+            let is_held = self.stood.is_held();
             let fault = if is_held { Fault::ArmHeld } else { Fault::HomingTimedOut };
             return self.off(Ending::Fault(fault));
         }
@@ -516,10 +404,11 @@ impl Motion for Homing {
         } else if let Some(ending) = self.advance(measurement) {
             return self.off(ending);
         }
-        if self.runs_away() {
+        let is_led = !matches!(self.stage, Stage::Observe(_) | Stage::Probe(_));
+        if is_led && self.runaway.lasts(&self.seen(), f64::from(self.voltage_mv)) {
             // What the cable throws runs against the voltage of a dead motor too.
             let is_dead = self.current.takes_nothing(measurement, self.voltage_mv);
-            let fault = if is_dead { Fault::MotorDead } else { Fault::WrongSignMotor };
+            let fault = if is_dead { Fault::MotorDead } else { Fault::ArmPushed };
             return self.off(Ending::Fault(fault));
         }
         let wanted_v = self.wanted_voltage();
@@ -533,139 +422,5 @@ impl Motion for Homing {
 
     fn device_mv(&self, voltage_mv: i16) -> i16 {
         self.settings.signs.device_mv(voltage_mv)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::sync::atomic::AtomicBool;
-
-    use super::super::drive;
-    use super::super::plant_device::{Mishap, PlantDevice};
-    use super::*;
-    use crate::qube::{COUNTS_PER_REVOLUTION, counts};
-
-    fn home(device: &mut PlantDevice, settings: &HomingSettings) -> (Ending, Option<Calibration>) {
-        let clock = device.clock.clone();
-        let mut homing = Homing::new(settings);
-        let report = drive(device, &clock, &mut homing, None, &AtomicBool::new(false)).unwrap();
-        assert!(!device.armed);
-        (report.outcome.ending, homing.calibration())
-    }
-
-    #[test]
-    fn the_middle_and_the_hanging_count_are_found_from_anywhere() {
-        // At rest, swinging, fallen from upright a moment ago, and still going round.
-        for (theta, alpha, alpha_dot) in [
-            (-2.0, 0.3, 0.0),
-            (0.4, -0.2, 5.0),
-            (2.3, 0.0, 0.0),
-            (0.5, 3.0, 2.0),
-            (-1.0, 1.0, 25.0),
-        ] {
-            let mut device = PlantDevice::new(State { theta, alpha, theta_dot: 0.0, alpha_dot });
-            device.offset_counts = 12_345;
-            let (ending, found) = home(&mut device, &HomingSettings::default());
-            assert_eq!(ending, Ending::Completed);
-            let found = found.unwrap();
-            assert!((found.theta_zero_counts - 12_345).abs() <= 3, "{found:?}");
-            let off_counts = (found.alpha_zero_counts - 12_345).rem_euclid(COUNTS_PER_REVOLUTION);
-            assert!(off_counts <= 3 || off_counts >= COUNTS_PER_REVOLUTION - 3, "{found:?}");
-            assert!(device.state.theta.abs() < 0.1);
-        }
-    }
-
-    #[test]
-    fn homing_by_hand_takes_the_place_where_the_arm_is() {
-        let mut device = PlantDevice::new(State { theta: 0.5, ..State::default() });
-        let settings = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
-        let (ending, found) = home(&mut device, &settings);
-        assert_eq!(ending, Ending::Completed);
-        assert!((found.unwrap().theta_zero_counts - counts(0.5)).abs() <= 3);
-        assert!(device.furthest_rad < 0.7, "homing by hand does not look for stops");
-    }
-
-    #[test]
-    fn an_arm_that_has_moved_since_it_was_put_by_hand_goes_back() {
-        for theta_inverted in [false, true] {
-            let signs = Calibration {
-                theta_inverted,
-                alpha_inverted: theta_inverted,
-                voltage_inverted: theta_inverted,
-                ..Calibration::IDENTITY
-            };
-            let mut device = PlantDevice::new(State { theta: 0.5, ..State::default() });
-            let settings = HomingSettings {
-                method: HomingMethod::Hand,
-                hand_counts: Some(counts(0.1)),
-                signs,
-                ..HomingSettings::default()
-            };
-            let (ending, found) = home(&mut device, &settings);
-            assert_eq!(ending, Ending::Completed);
-            assert!((found.unwrap().theta_zero_counts - counts(0.1)).abs() <= 1, "{found:?}");
-            assert!((device.state.theta - 0.1).abs() < 0.15, "{:?}", device.state);
-        }
-    }
-
-    #[test]
-    fn zero_lies_where_the_offset_says() {
-        for theta_inverted in [false, true] {
-            let mut device = PlantDevice::new(State::default());
-            let signs = Calibration {
-                theta_inverted,
-                alpha_inverted: theta_inverted,
-                voltage_inverted: theta_inverted,
-                ..Calibration::IDENTITY
-            };
-            let settings =
-                HomingSettings { theta_offset_rad: 0.2, signs, ..HomingSettings::default() };
-            let (_, found) = home(&mut device, &settings);
-            let expected = counts(if theta_inverted { -0.2 } else { 0.2 });
-            assert!((found.unwrap().theta_zero_counts - expected).abs() <= 4, "{found:?}");
-        }
-    }
-
-    #[test]
-    fn after_a_fault_the_arm_must_have_been_at_rest_for_a_second() {
-        let ticks_of = |alpha_dot: f64, mut homing: Homing| {
-            let mut device = PlantDevice::new(State { alpha_dot, ..State::default() });
-            let clock = device.clock.clone();
-            let stop = AtomicBool::new(false);
-            let report = drive(&mut device, &clock, &mut homing, None, &stop).unwrap();
-            assert_eq!(report.outcome.ending, Ending::Completed);
-            device.voltages_mv.len()
-        };
-        let settings = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
-        let plain = ticks_of(0.0, Homing::new(&settings));
-        let rested = ticks_of(0.0, Homing::after_fault(&settings));
-        assert!((100..110).contains(&(rested - plain)), "{rested} and {plain} ticks");
-        let still_moving = ticks_of(12.0, Homing::after_fault(&settings));
-        assert!(still_moving > rested + 50, "{still_moving} ticks");
-    }
-
-    #[test]
-    fn a_qube_in_which_nothing_answers_is_not_homed() {
-        let frozen = |tick: u64| TickInput {
-            deadline_ns: tick * 10_000_000,
-            measurement: Some(Measurement {
-                device_time_us: tick * 10_000,
-                status: crate::qube::Status { armed: true, ..Default::default() },
-                ..Measurement::default()
-            }),
-            ..TickInput::default()
-        };
-        let mut homing = Homing::new(&HomingSettings::default());
-        let ending = (0..10_000).find_map(|tick| homing.decide(&frozen(tick)).ending);
-        assert_eq!(ending, Some(Ending::Fault(Fault::MotorDead)), "no current either");
-        assert_eq!(homing.calibration(), None);
-    }
-
-    #[test]
-    fn a_lost_link_ends_homing() {
-        let mut device = PlantDevice::new(State::default());
-        device.mishap = Box::new(|tick| (tick > 50).then_some(Mishap::Lost));
-        let (ending, found) = home(&mut device, &HomingSettings::default());
-        assert_eq!((ending, found), (Ending::Fault(Fault::NoSample), None));
     }
 }

@@ -9,9 +9,12 @@
 mod asking;
 mod current_watch;
 mod drive;
+mod hanging;
 mod homing;
+mod homing_settings;
 mod last_ticks;
 mod latency;
+mod led_arm;
 mod machine;
 mod motion;
 mod probe;
@@ -30,7 +33,8 @@ mod watch;
 mod witness;
 
 pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
-pub use homing::{Homing, HomingMethod, HomingSettings};
+pub use homing::Homing;
+pub use homing_settings::{HomingMethod, HomingSettings};
 pub use last_ticks::LAST_TICKS;
 pub use latency::LatencyHistogram;
 pub use machine::{ControlAction, ControlEvent, ControlState, state_diagram};
@@ -49,6 +53,8 @@ pub use watch::Alarm;
 /// loses nothing.
 pub const RING_CAPACITY: usize = 4096;
 
+#[cfg(test)]
+mod homing_tests;
 #[cfg(test)]
 mod plant_device;
 #[cfg(test)]

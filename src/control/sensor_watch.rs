@@ -15,31 +15,31 @@ const SPIKE_COUNTS: i32 = 40;
 /// A motor that takes less than this for each volt while the arm stands is not connected, A.
 const DEAD_A_V: f32 = 0.02;
 
-/// From this voltage on, mV, no arm stays as fast as long that its back-EMF leaves no current ...
+/// From this voltage on, mV, no arm is fast enough for long that its back-EMF leaves no current.
 const DRIVEN_MV: i16 = 800;
 
-/// ... as small as this, A ...
+/// A driven motor that takes less than this takes no current, A.
 const LEAST_DRIVEN_A: f32 = 0.012;
 
-/// ... for so many samples.
+/// A motor that has taken no current for so many samples is dead.
 const WITHOUT_CURRENT_TICKS: u32 = 15;
 
-/// A drive of this much, mV ...
+/// A drive of this much moves an arm, mV: friction holds none against 1 V.
 const FROZEN_DRIVE_MV: i16 = 1000;
 
-/// ... in one direction for so long, us ...
+/// How long such a drive lasts in one direction before the arm's count must have moved, us.
 const FROZEN_US: u64 = 300_000;
 
-/// ... moves an arm by more counts than these: friction holds no arm against 1 V.
+/// An encoder within so many counts has not moved.
 const FROZEN_COUNTS: i32 = 2;
 
-/// A drive of this much, mV ...
+/// A drive of this much turns an arm, mV.
 const STALL_DRIVE_MV: i16 = 2000;
 
-/// ... in one direction for so long, us ...
+/// How long such a drive lasts in one direction before an arm that hardly turns is stalled, us.
 const STALL_US: u64 = 500_000;
 
-/// ... turns an arm faster than this, rad/s.
+/// An arm that is slower than this hardly turns, rad/s.
 const STALL_RAD_S: f64 = 0.5;
 
 /// A still arm that is driven this way while cos(alpha) alpha_dot grows by more than this the same way,
@@ -52,16 +52,16 @@ const CARRIED_RAD_S: f64 = 2.0;
 /// there it falls.
 const JERK_RAD_S: f64 = 6.0;
 
-/// ... and shows within this, us: a hit may catch it at the instant when it turns round.
+/// How long a pendulum may stay after that, us: a hit may catch it at the instant when it turns round.
 const PENDULUM_US: u64 = 300_000;
 
-/// Counter and tachometer may differ by this much, counts/s (1.5 rad/s) ...
+/// Counter and tachometer may differ by this much, counts/s (1.5 rad/s).
 const TACHOMETER_COUNTS_S: f64 = 500.0;
 
-/// ... and this share of the faster one ...
+/// Counter and tachometer may differ by this share of the faster one besides.
 const TACHOMETER_SHARE: f64 = 0.25;
 
-/// ... or more for less than this, us: a tachometer that measures the time between edges shows the
+/// Counter and tachometer may differ by more for less than this, us: a tachometer that measures the time between edges shows the
 /// last velocity for 0.21 s after a sudden stop.
 const TACHOMETER_US: u64 = 300_000;
 
@@ -213,6 +213,13 @@ impl SensorWatch {
         }
         let feels_arm = self.witness().is_none_or(|witness| witness.felt_rad_s() > FELT_RAD_S);
         if feels_arm { Fault::EncoderFrozen } else { Fault::ArmHeld }
+    }
+
+    /// From now on arm and pendulum say anew which of their signs are right.
+    pub fn forget_signs(&mut self) {
+        if let Some((_, witness)) = &mut self.witness {
+            witness.forget_signs();
+        }
     }
 
     /// Looks at one sample; without a `drive` where the arm is meant to push against its stops.

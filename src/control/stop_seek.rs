@@ -1,28 +1,27 @@
 //! The arm's middle from its two hard stops: towards the one at negative theta, then the other.
 
-use super::settling::LEAD_RAD_S;
 use crate::qube::CONTROL_PERIOD_S;
 
 /// How far ahead of the arm its moving target may run, rad: against a stop that pushes with 1.6 V. A
 /// real Qube's cable, friction and dead zone together take 1.2 V.
 const LEAD_RAD: f64 = 0.95;
 
-/// An arm that is drawn with all of that and is still slower than this, rad/s ...
+/// An arm that is drawn with all of that and is still slower than this is pushed besides, rad/s.
 const SLOWEST_RAD_S: f64 = 0.35;
 
-/// ... is pushed besides, by so much for each rad that it lags behind, V/rad: at rest 2.1 V/s ...
+/// How much stronger such a push grows for each rad that the arm lags behind, V/rad: at rest 2.1 V/s.
 const PUSH_V_RAD: f64 = 6.0;
 
-/// ... and no more than this, V: together 2.75 V, which is the examination's strongest push. One and a half
+/// The strongest such push, V: together 2.75 V, which is the examination's strongest push. One and a half
 /// times the gap of the profile `lab` with four times its friction takes 2.5 V to the stop that its cable
 /// pulls away from.
 const MOST_PUSH_V: f64 = 1.12;
 
-/// An arm that gains no more than this against its drive stands at a stop, rad ...
+/// An arm that gains no more than this against its drive stands at a stop, rad.
 const PROGRESS_RAD: f64 = 0.01;
 
-/// ... when it has not for this many ticks, the strongest push included: longer than two swings of the
-/// pendulum, whose pull may lift the arm off the stop for a while.
+/// How long an arm at a stop gains nothing, in ticks, the strongest push included: longer than two swings of
+/// the pendulum, whose pull may lift the arm off the stop for a while.
 const BLOCKED_TICKS: u32 = 100;
 
 /// The seek of both stops, one after the other.
@@ -57,8 +56,9 @@ struct Approach {
 }
 
 impl StopSeek {
-    /// Takes the arm's next angle and moves its target on; gives the stops once both are found.
-    pub fn update(&mut self, theta: f64) -> Option<Found> {
+    /// Takes the arm's next angle and moves its target on by at most `lead_rad_s`; gives the stops once
+    /// both are found.
+    pub fn update(&mut self, theta: f64, lead_rad_s: f64) -> Option<Found> {
         let direction = if self.negative_rad.is_none() { -1.0 } else { 1.0 };
         let approach = self.approach.get_or_insert(Approach {
             target_rad: theta,
@@ -67,7 +67,7 @@ impl StopSeek {
             push_v: 0.0,
             blocked_ticks: 0,
         });
-        let stop_rad = approach.update(theta, direction)?;
+        let stop_rad = approach.update(theta, direction, lead_rad_s)?;
         self.approach = None;
         let Some(lowest_rad) = self.negative_rad else {
             self.negative_rad = Some(stop_rad);
@@ -90,8 +90,8 @@ impl StopSeek {
 
 impl Approach {
     /// Moves the target on; gives where the stop is once the arm stands at it.
-    fn update(&mut self, theta: f64, direction: f64) -> Option<f64> {
-        let ahead_rad = direction * (self.target_rad - theta) + LEAD_RAD_S * CONTROL_PERIOD_S;
+    fn update(&mut self, theta: f64, direction: f64, lead_rad_s: f64) -> Option<f64> {
+        let ahead_rad = direction * (self.target_rad - theta) + lead_rad_s * CONTROL_PERIOD_S;
         self.target_rad = theta + direction * ahead_rad.min(LEAD_RAD);
         let gained_rad = direction * (theta - self.last_rad);
         self.last_rad = theta;

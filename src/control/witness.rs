@@ -3,20 +3,20 @@
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, DomainParameters, Measurement, RAD_PER_COUNT};
 
-/// Control periods of each half of the long window ...
+/// Control periods of each half of the long window.
 const LONG: usize = 10;
 
-/// ... and of the short one, which finds strong pushes sooner.
+/// Control periods of each half of the short window, which finds strong pushes sooner.
 const SHORT: usize = 3;
 
 /// Samples that are kept.
 const KEPT: usize = DRIFT + 1;
 
 /// A change of velocity from one half of the long window to the other that only one of the two shows,
-/// rad/s, is none of quantisation (0.1) or of a degree of play between motor and arm (0.35) ...
+/// rad/s, is none of quantisation (0.1) or of a degree of play between motor and arm (0.35).
 const LONG_RAD_S: f64 = 0.5;
 
-/// ... and in the short window (0.4 and 1.2).
+/// The same in the short window, rad/s: quantisation makes 0.4 of it, a degree of play 1.2.
 const SHORT_RAD_S: f64 = 1.8;
 
 /// What lengths and gravity that are 30 % off make of what is compared, as a share of it: the domain in
@@ -32,10 +32,11 @@ const STANDS_TICKS: u32 = 4;
 /// In so many ticks in a row the two must contradict each other.
 const STREAK: u32 = 2;
 
-/// While the arm's count stands, the pendulum may feel the arm take up this velocity, rad/s ...
+/// While the arm's count stands, the pendulum may feel the arm take up this velocity, rad/s.
 const DRIFT_RAD_S: f64 = 0.45;
 
-/// ... over so many periods, or half as many: the weight that a zero is off by adds up.
+/// Control periods over which the pendulum feels such an arm, or half as many: the weight that a zero is
+/// off by adds up.
 const DRIFT: usize = 80;
 
 /// Samples farther apart than this leave a hole, us: what came before is forgotten.
@@ -51,6 +52,19 @@ const ROUNDING_RAD_S: f64 = 0.15;
 /// A pendulum that leads by less than this share of what it should lag by leads nothing: its encoder
 /// may stand.
 const LEADS: f64 = 0.4;
+
+/// A change of velocity of which more than this share is unknown does not tell how far the arm goes.
+const UNKNOWN_SHARE: f64 = 0.35;
+
+/// Once the squares of those that do sum up to this for arm and pendulum, it is known whether the arm's
+/// encoder counts as it should, (rad/s)^2.
+const ENOUGH_FOR_SCALE: f64 = 1.0;
+
+/// So alike, as a square, the changes of both must be otherwise.
+const ALIKE: f64 = 0.85;
+
+/// Lengths that are 10 % off make 1.2 of it, and an encoder of half or twice as many lines 2.
+const WRONG_SCALE: f64 = 1.5;
 
 /// Two counts: as well as homing knows where the pendulum hangs.
 pub const ZERO_WITHIN_RAD: f64 = 2.0 * RAD_PER_COUNT;
@@ -108,6 +122,39 @@ pub struct Witness {
     /// The same of those alone that are no rounding, while the pendulum's count moved too.
     sure_together: f64,
     sure_squares: f64,
+    scale: Scale,
+}
+
+/// How far the arm counts as moving, compared with how far the pendulum feels it move: sums over all
+/// changes of velocity of which lengths and gravity leave little unknown.
+#[derive(Clone, Copy, Debug, Default)]
+struct Scale {
+    together: f64,
+    arm_squares: f64,
+    felt_squares: f64,
+}
+
+impl Scale {
+    fn take(&mut self, change: &Change) {
+        let size_rad_s = 0.5 * (change.arm_rad_s.abs() + change.felt_rad_s.abs());
+        if change.unknown_rad_s > UNKNOWN_SHARE * size_rad_s {
+            return;
+        }
+        self.together += change.arm_rad_s * change.felt_rad_s;
+        self.arm_squares += change.arm_rad_s * change.arm_rad_s;
+        self.felt_squares += change.felt_rad_s * change.felt_rad_s;
+    }
+
+    fn is_known(&self) -> bool {
+        self.arm_squares.min(self.felt_squares) > ENOUGH_FOR_SCALE
+    }
+
+    fn is_wrong(&self) -> bool {
+        let Self { together, arm_squares, felt_squares } = *self;
+        let agree = together * together > ALIKE * arm_squares * felt_squares;
+        let (less, more) = (arm_squares.min(felt_squares), arm_squares.max(felt_squares));
+        self.is_known() && agree && more > WRONG_SCALE * WRONG_SCALE * less
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -161,6 +208,7 @@ impl Default for Witness {
             squares: 0.0,
             sure_together: 0.0,
             sure_squares: 0.0,
+            scale: Scale::default(),
         }
     }
 }
@@ -173,11 +221,28 @@ impl Witness {
         Self { zero_within_rad, unknown_share, ..Self::default() }
     }
 
+    /// Forgets what it knows of who leads.
+    pub fn forget_signs(&mut self) {
+        (self.together, self.squares) = (0.0, 0.0);
+    }
+
     /// Whether the pendulum leads the arm where it should lag behind it; none until enough is known.
     #[must_use]
     pub fn pendulum_leads(&self) -> Option<bool> {
         let leads = self.sure_together < -LEADS * self.sure_squares;
         (self.sure_squares > ENOUGH).then_some(leads)
+    }
+
+    /// Whether enough is known to tell how far the arm goes for each of its encoder's counts.
+    #[must_use]
+    pub fn scale_is_known(&self) -> bool {
+        self.scale.is_known()
+    }
+
+    /// Whether the arm's encoder counts about half or twice as much as the pendulum feels.
+    #[must_use]
+    pub fn scale_is_wrong(&self) -> bool {
+        self.scale.is_wrong()
     }
 
     /// Whether the pendulum rather leads the arm than lags behind it.
@@ -223,6 +288,7 @@ impl Witness {
                 squares: self.squares,
                 sure_together: self.sure_together,
                 sure_squares: self.sure_squares,
+                scale: self.scale,
                 ..Self::with_zero_within(self.zero_within_rad, self.unknown_share)
             };
             self.previous = next(sample.theta_counts, sample.alpha_counts);
@@ -250,6 +316,7 @@ impl Witness {
                 self.sure_together += together;
                 self.sure_squares += square;
             }
+            self.scale.take(long);
         }
         let zero_rad_s = WEIGHT * self.zero_within_rad * LONG as f64 * CONTROL_PERIOD_S;
         let contradicts = |change: &Option<Change>, least_rad_s: f64| {

@@ -157,6 +157,9 @@ faults! {
     WrongSignMotor: Examine,
         "the arm moves against the voltage: the sign of the motor is wrong",
         "Turn voltage_inverted in qube.toml over, or let qube-hil check --write find the signs.";
+    ArmPushed: Examine,
+        "something other than the motor moved the arm (a hand, a cable?)",
+        "Keep hands and cables off arm and pendulum.";
     MotorDead: Examine,
         "the motor takes no current (is it connected, is the Qube switched on?)",
         "Look whether the Qube is switched on; look at its supply and at the motor's wires.";

@@ -1,0 +1,126 @@
+use std::sync::atomic::AtomicBool;
+
+use super::plant_device::{Mishap, PlantDevice};
+use super::{Homing, HomingMethod, HomingSettings, Motion, TickInput, drive};
+use crate::estimation::Calibration;
+use crate::qube::{COUNTS_PER_REVOLUTION, Measurement, State, counts};
+use crate::telemetry::{Ending, Fault};
+
+fn home(device: &mut PlantDevice, settings: &HomingSettings) -> (Ending, Option<Calibration>) {
+    let clock = device.clock.clone();
+    let mut homing = Homing::new(settings);
+    let report = drive(device, &clock, &mut homing, None, &AtomicBool::new(false)).unwrap();
+    assert!(!device.armed);
+    (report.outcome.ending, homing.calibration())
+}
+
+#[test]
+fn the_middle_and_the_hanging_count_are_found_from_anywhere() {
+    // At rest, swinging, fallen from upright a moment ago, and still going round.
+    for (theta, alpha, alpha_dot) in
+        [(-2.0, 0.3, 0.0), (0.4, -0.2, 5.0), (2.3, 0.0, 0.0), (0.5, 3.0, 2.0), (-1.0, 1.0, 25.0)]
+    {
+        let mut device = PlantDevice::new(State { theta, alpha, theta_dot: 0.0, alpha_dot });
+        device.offset_counts = 12_345;
+        let (ending, found) = home(&mut device, &HomingSettings::default());
+        assert_eq!(ending, Ending::Completed);
+        let found = found.unwrap();
+        assert!((found.theta_zero_counts - 12_345).abs() <= 3, "{found:?}");
+        let off_counts = (found.alpha_zero_counts - 12_345).rem_euclid(COUNTS_PER_REVOLUTION);
+        assert!(off_counts <= 3 || off_counts >= COUNTS_PER_REVOLUTION - 3, "{found:?}");
+        assert!(device.state.theta.abs() < 0.1);
+    }
+}
+
+#[test]
+fn homing_by_hand_takes_the_place_where_the_arm_is() {
+    let mut device = PlantDevice::new(State { theta: 0.5, ..State::default() });
+    let settings = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
+    let (ending, found) = home(&mut device, &settings);
+    assert_eq!(ending, Ending::Completed);
+    assert!((found.unwrap().theta_zero_counts - counts(0.5)).abs() <= 3);
+    assert!(device.furthest_rad < 0.7, "homing by hand does not look for stops");
+}
+
+#[test]
+fn an_arm_that_has_moved_since_it_was_put_by_hand_goes_back() {
+    for theta_inverted in [false, true] {
+        let signs = Calibration {
+            theta_inverted,
+            alpha_inverted: theta_inverted,
+            voltage_inverted: theta_inverted,
+            ..Calibration::IDENTITY
+        };
+        let mut device = PlantDevice::new(State { theta: 0.5, ..State::default() });
+        let settings = HomingSettings {
+            method: HomingMethod::Hand,
+            hand_counts: Some(counts(0.1)),
+            signs,
+            ..HomingSettings::default()
+        };
+        let (ending, found) = home(&mut device, &settings);
+        assert_eq!(ending, Ending::Completed);
+        assert!((found.unwrap().theta_zero_counts - counts(0.1)).abs() <= 1, "{found:?}");
+        assert!((device.state.theta - 0.1).abs() < 0.15, "{:?}", device.state);
+    }
+}
+
+#[test]
+fn zero_lies_where_the_offset_says() {
+    for theta_inverted in [false, true] {
+        let mut device = PlantDevice::new(State::default());
+        let signs = Calibration {
+            theta_inverted,
+            alpha_inverted: theta_inverted,
+            voltage_inverted: theta_inverted,
+            ..Calibration::IDENTITY
+        };
+        let settings = HomingSettings { theta_offset_rad: 0.2, signs, ..HomingSettings::default() };
+        let (_, found) = home(&mut device, &settings);
+        let expected = counts(if theta_inverted { -0.2 } else { 0.2 });
+        assert!((found.unwrap().theta_zero_counts - expected).abs() <= 4, "{found:?}");
+    }
+}
+
+#[test]
+fn after_a_fault_the_arm_must_have_been_at_rest_for_a_second() {
+    let ticks_of = |alpha_dot: f64, mut homing: Homing| {
+        let mut device = PlantDevice::new(State { alpha_dot, ..State::default() });
+        let clock = device.clock.clone();
+        let stop = AtomicBool::new(false);
+        let report = drive(&mut device, &clock, &mut homing, None, &stop).unwrap();
+        assert_eq!(report.outcome.ending, Ending::Completed);
+        device.voltages_mv.len()
+    };
+    let settings = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
+    let plain = ticks_of(0.0, Homing::new(&settings));
+    let rested = ticks_of(0.0, Homing::after_fault(&settings));
+    assert!((100..110).contains(&(rested - plain)), "{rested} and {plain} ticks");
+    let still_moving = ticks_of(12.0, Homing::after_fault(&settings));
+    assert!(still_moving > rested + 50, "{still_moving} ticks");
+}
+
+#[test]
+fn a_qube_in_which_nothing_answers_is_not_homed() {
+    let frozen = |tick: u64| TickInput {
+        deadline_ns: tick * 10_000_000,
+        measurement: Some(Measurement {
+            device_time_us: tick * 10_000,
+            status: crate::qube::Status { armed: true, ..Default::default() },
+            ..Measurement::default()
+        }),
+        ..TickInput::default()
+    };
+    let mut homing = Homing::new(&HomingSettings::default());
+    let ending = (0..10_000).find_map(|tick| homing.decide(&frozen(tick)).ending);
+    assert_eq!(ending, Some(Ending::Fault(Fault::MotorDead)), "no current either");
+    assert_eq!(homing.calibration(), None);
+}
+
+#[test]
+fn a_lost_link_ends_homing() {
+    let mut device = PlantDevice::new(State::default());
+    device.mishap = Box::new(|tick| (tick > 50).then_some(Mishap::Lost));
+    let (ending, found) = home(&mut device, &HomingSettings::default());
+    assert_eq!((ending, found), (Ending::Fault(Fault::NoSample), None));
+}
