@@ -44,7 +44,7 @@ fn main() {
         if lists {
             for (start, trial) in trials.iter().filter(|(start, trial)| trial.falls_short(start)) {
                 println!(
-                    "    seed {} fault {:?} at {:.2} s in {:?}: {:?}, off after {:.2} s, homed {:?}, contacts {:.1} {:.1} (off {:.1}), false results {}",
+                    "    seed {} fault {:?} at {:.2} s in {:?}: {:?}, off after {:.2} s, homed {:?}, contacts {:.2} {:.2} (off {:.2}), false results {}",
                     start.seed,
                     start.settings.fault,
                     start.onset_s,

@@ -8,7 +8,7 @@ use harmless::case::{Case, Start};
 use harmless::table::Row;
 use harmless::trial::play;
 
-/// Of each of the 21 cases: 210 starts.
+/// Of each of the 26 cases: 260 starts.
 const SEEDS: std::ops::Range<u64> = 0..10;
 
 #[test]
@@ -19,15 +19,14 @@ fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
         let trials: Vec<_> = starts.map(|start| (start, play(&start))).collect();
         let row = Row::of(case, &trials);
         println!("{row} all harmless: {}", row.harmless);
-        // Not yet kept in one of 90 starts of an encoder that is dead from the start.
-        let limit_rad_s = if case == Case::ThetaDeadFromTheStart { 2.5 } else { 2.0 };
         for (start, trial) in &trials {
             let because = format!("{case:?}, seed {}: {trial:?}", start.seed);
-            assert!(trial.is_slower_than(limit_rad_s), "{because}");
+            assert!(trial.is_harmless() || case.is_by_hand(), "{because}");
             if trial.falls_short(start) {
                 println!("falls short: {because}");
             }
-            // Where the fault is there from the start, or none is, homing names it or none.
+            // Where the fault is there from the start, or none is, homing names it or none; and no sign
+            // is named because of a hand.
             let from_the_start = matches!(
                 case,
                 Case::Healthy
@@ -39,6 +38,11 @@ fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
                     | Case::MotorWeak
                     | Case::BesideAStop
                     | Case::BesideAStopFalling
+                    | Case::ThetaHalf
+                    | Case::ThetaDouble
+                    | Case::MotorOneSided
+                    | Case::ArmPushed
+                    | Case::PendulumHeld
             );
             assert!(!from_the_start || trial.is_named_rightly(start), "{because}");
         }

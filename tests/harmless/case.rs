@@ -32,10 +32,15 @@ pub enum Case {
     ArmHeldLater,
     BesideAStop,
     BesideAStopFalling,
+    ThetaHalf,
+    ThetaDouble,
+    MotorOneSided,
+    ArmPushed,
+    PendulumHeld,
 }
 
 impl Case {
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 26] = [
         Self::Healthy,
         Self::ThetaDeadFromTheStart,
         Self::ThetaFrozen,
@@ -57,6 +62,11 @@ impl Case {
         Self::ArmHeldLater,
         Self::BesideAStop,
         Self::BesideAStopFalling,
+        Self::ThetaHalf,
+        Self::ThetaDouble,
+        Self::MotorOneSided,
+        Self::ArmPushed,
+        Self::PendulumHeld,
     ];
 
     /// Whether the arm's encoder is the one that fails for good or for a while.
@@ -94,7 +104,18 @@ impl Case {
             Self::MotorDead | Self::MotorDeadLater => fault == MotorDead,
             Self::MotorWeak => fault == MotorWeak,
             Self::ArmHeld | Self::ArmHeldLater => matches!(fault, ArmHeld | Stall),
+            Self::ThetaHalf | Self::ThetaDouble => fault == EncodersDisagree,
+            Self::MotorOneSided => matches!(fault, MotorDead | MotorWeak),
+            // Whoever reads of a wrong sign changes it.
+            Self::ArmPushed | Self::PendulumHeld => {
+                !matches!(fault, WrongSignTheta | WrongSignAlpha | WrongSignMotor)
+            }
         }
+    }
+
+    /// Whether a hand moves or holds something: it may throw the arm into a stop by itself.
+    pub fn is_by_hand(self) -> bool {
+        matches!(self, Self::ArmPushed | Self::PendulumHeld)
     }
 }
 
@@ -137,8 +158,27 @@ impl Start {
             alpha_dot: random.random_range(-8.0..8.0),
             theta_dot: 0.0,
         };
+        let hand_lasts_s = random.random_range(0.2..1.5);
+        let hand_like_v = random.random_range(0.5..3.0) * side;
+        if matches!(case, Case::ArmPushed | Case::PendulumHeld | Case::MotorOneSided) {
+            // All of them while homing, every second one in its first seconds.
+            onset_s = if early { 0.4 * onset_s } else { 0.25 * onset_s };
+        }
         let fault = match case {
             Case::Healthy => None,
+            Case::ThetaHalf => Some(EmulatorFault::ScaledTheta { factor: 0.5 }),
+            Case::ThetaDouble => Some(EmulatorFault::ScaledTheta { factor: 2.0 }),
+            Case::MotorOneSided => {
+                Some(EmulatorFault::OneSidedMotor { after_s: onset_s, positive: side > 0.0 })
+            }
+            Case::ArmPushed => Some(EmulatorFault::PushedArm {
+                after_s: onset_s,
+                lasts_s: hand_lasts_s,
+                like_v: hand_like_v,
+            }),
+            Case::PendulumHeld => {
+                Some(EmulatorFault::HeldPendulum { after_s: onset_s, lasts_s: hand_lasts_s })
+            }
             Case::ThetaDeadFromTheStart => {
                 onset_s = 0.0;
                 Some(EmulatorFault::FrozenTheta { after_s: 0.0 })
@@ -180,7 +220,13 @@ impl Start {
         };
         if matches!(
             case,
-            Case::ThetaSign | Case::AlphaSign | Case::MotorSign | Case::MotorHalf | Case::MotorWeak
+            Case::ThetaSign
+                | Case::AlphaSign
+                | Case::MotorSign
+                | Case::MotorHalf
+                | Case::MotorWeak
+                | Case::ThetaHalf
+                | Case::ThetaDouble
         ) {
             onset_s = 0.0;
         }

@@ -18,12 +18,7 @@ const FOUND_WITHIN_S: f64 = 0.3;
 impl Trial {
     /// Whether no stop was touched faster than it may be, or than with the amplifier off.
     pub fn is_harmless(&self) -> bool {
-        self.is_slower_than(FASTEST_CONTACT_RAD_S)
-    }
-
-    /// Whether no stop was touched faster than this, rad/s, or than with the amplifier off.
-    pub fn is_slower_than(&self, limit_rad_s: f64) -> bool {
-        self.gentle_contact_rad_s <= limit_rad_s.max(1.01 * self.contact_off_rad_s)
+        self.gentle_contact_rad_s <= FASTEST_CONTACT_RAD_S.max(1.01 * self.contact_off_rad_s)
     }
 
     /// Whether the fault was named as it should be, or none was there to be named.
@@ -36,7 +31,7 @@ impl Trial {
 
     /// Whether something about it is not as it should be.
     pub fn falls_short(&self, start: &Start) -> bool {
-        !self.is_harmless()
+        !self.is_harmless() && !start.case.is_by_hand()
             || !self.is_named_rightly(start)
             || start.case.is_of_theta_encoder() && self.false_results > 0
     }
@@ -52,6 +47,8 @@ impl Start {
                 | Case::MotorWeak
                 | Case::BesideAStop
                 | Case::BesideAStopFalling
+                | Case::ArmPushed
+                | Case::PendulumHeld
         )
     }
 }
@@ -98,7 +95,7 @@ impl Row {
         Self {
             case,
             starts: trials.len(),
-            harmless: trials.iter().all(|(_, trial)| trial.is_harmless()),
+            harmless: case.is_by_hand() || trials.iter().all(|(_, trial)| trial.is_harmless()),
             gentle_rad_s: largest(|trial| trial.gentle_contact_rad_s),
             rollout_rad_s: largest(|trial| trial.rollout_contact_rad_s),
             too_fast: count(&|_, trial| !trial.is_harmless()),

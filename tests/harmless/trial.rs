@@ -39,6 +39,8 @@ pub struct Trial {
     pub ending: Ending,
     /// What control did when the fault began.
     pub struck_in: Option<ControlState>,
+    /// How long it lasted in all, s.
+    pub lasted_s: f64,
     /// How long after the fault's beginning the amplifier was off, s.
     pub off_after_s: f64,
     /// Rollouts that counted as results although the fault began before they ended.
@@ -59,10 +61,12 @@ struct Notes {
     gentle_rad_s: f64,
     rollout_rad_s: f64,
     struck_in: Option<ControlState>,
+    /// What control did last while it had the motor.
+    last_state: ControlState,
     /// When the policy last had the motor, s.
     ran_until_s: f64,
-    /// From when on the amplifier is off, s.
-    off_from_s: Option<f64>,
+    /// From when on the motor has 0 V, as with the amplifier off, and until when this lasts, s.
+    off: Option<(f64, f64)>,
 }
 
 impl Notes {
@@ -76,6 +80,9 @@ impl Notes {
                 }
                 _ => self.gentle_rad_s = fastest,
             }
+        }
+        if !matches!(state, ControlState::Ready | ControlState::Faulted) {
+            self.last_state = state;
         }
         if state == ControlState::Running {
             self.ran_until_s = seconds(&self.clock);
@@ -94,9 +101,9 @@ impl Notes {
         report.outcome.ending
     }
 
-    fn coast(&mut self, after: ControlState) {
+    fn coast(&mut self) {
         self.clock.advance(3_000_000_000);
-        self.note(after);
+        self.note(self.last_state);
     }
 }
 
@@ -107,8 +114,11 @@ fn seconds(clock: &VirtualClock) -> f64 {
 impl Motion for Watched<'_, &mut dyn Motion> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.notes.note(self.motion.control_state());
-        if self.notes.off_from_s.is_some_and(|off_s| seconds(&self.notes.clock) >= off_s) {
-            let ending = Some(Ending::Stopped);
+        let now_s = seconds(&self.notes.clock);
+        if let Some((from_s, until_s)) = self.notes.off
+            && now_s >= from_s
+        {
+            let ending = (now_s >= until_s).then_some(Ending::Stopped);
             return TickOutput { ending, ..TickOutput::settling(State::default(), 0) };
         }
         self.motion.decide(input)
@@ -130,8 +140,8 @@ pub fn play(start: &Start) -> Trial {
     Trial { contact_off_rad_s, ..trial }
 }
 
-/// Plays a start with the amplifier off from then on.
-fn play_until(start: &Start, off_from_s: Option<f64>) -> Trial {
+/// Plays a start, with the amplifier off from some instant on until another.
+fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     let clock = VirtualClock::default();
     let wire = SharedWire::new(start.settings, clock.clone());
     let shared: Arc<dyn Clock> = Arc::new(clock.clone());
@@ -144,15 +154,15 @@ fn play_until(start: &Start, off_from_s: Option<f64>) -> Trial {
         gentle_rad_s: 0.0,
         rollout_rad_s: 0.0,
         struck_in: None,
+        last_state: ControlState::Homing,
         ran_until_s: 0.0,
-        off_from_s,
+        off,
     };
     device.hello().expect("an emulated Qube answers");
     let mut homing = Homing::new(&HomingSettings::default());
     let mut ending = notes.drive(&mut device, &mut homing);
     let homed_after_s = (ending == Ending::Completed).then(|| seconds(&clock));
     let mut off_s = seconds(&clock);
-    let mut phase = ControlState::Homing;
     let mut false_results = 0;
     if ending == Ending::Completed {
         let rig = homing.calibration().expect("it homes");
@@ -170,7 +180,6 @@ fn play_until(start: &Start, off_from_s: Option<f64>) -> Trial {
             let mut tick = Tick::new(&settings, controller);
             ending = notes.drive(&mut device, &mut tick);
             off_s = seconds(&clock);
-            phase = notes.struck_in.unwrap_or(ControlState::Running);
             if matches!(ending, Ending::Fault(_) | Ending::Stopped) {
                 break;
             }
@@ -183,8 +192,7 @@ fn play_until(start: &Start, off_from_s: Option<f64>) -> Trial {
             clock.advance(20 * CONTROL_PERIOD_NS);
         }
     }
-    let settles = matches!(phase, ControlState::Homing | ControlState::Settling);
-    notes.coast(if settles { ControlState::Homing } else { ControlState::Running });
+    notes.coast();
     Trial {
         gentle_contact_rad_s: notes.gentle_rad_s,
         rollout_contact_rad_s: notes.rollout_rad_s,
@@ -193,48 +201,24 @@ fn play_until(start: &Start, off_from_s: Option<f64>) -> Trial {
         ending,
         struck_in: notes.struck_in,
         off_after_s: off_s - start.onset_s,
+        lasted_s: seconds(&clock),
         false_results,
     }
 }
 
 /// The fastest contact of the same start with the amplifier off, rad/s: from the beginning where the
 /// pendulum falls, from the instant at which the motor dies where it does.
+///
+/// It is played and watched in the same ticks: a falling pendulum forgives no rounding.
 fn contact_off_rad_s(start: &Start, trial: &Trial) -> f64 {
-    if start.case == Case::MotorDeadLater && trial.gentle_contact_rad_s > 0.0 {
-        let off = play_until(start, Some(start.onset_s));
-        return off.gentle_contact_rad_s.max(off.rollout_contact_rad_s);
-    }
-    if !matches!(start.case, Case::BesideAStop | Case::BesideAStopFalling) {
+    let from_s = match start.case {
+        Case::MotorDeadLater => start.onset_s,
+        Case::BesideAStop | Case::BesideAStopFalling => 0.0,
+        _ => return 0.0,
+    };
+    if trial.gentle_contact_rad_s == 0.0 {
         return 0.0;
     }
-    // Over the same wire at the same times: a falling pendulum forgives no rounding.
-    let clock = VirtualClock::default();
-    let wire = SharedWire::new(start.settings, clock.clone());
-    let shared: Arc<dyn Clock> = Arc::new(clock.clone());
-    let mut device = SerialLink::new(wire.clone(), shared);
-    device.hello().expect("an emulated Qube answers");
-    let stop = AtomicBool::new(false);
-    drive(&mut device, &clock, &mut Idle { ticks: 0 }, None, &stop).expect("it arms");
-    wire.fastest_contact_rad_s()
-}
-
-/// 30 s at 0 V.
-struct Idle {
-    ticks: u32,
-}
-
-impl Motion for Idle {
-    fn decide(&mut self, _: &TickInput) -> TickOutput {
-        self.ticks += 1;
-        let ending = (self.ticks >= 3000).then_some(Ending::Completed);
-        TickOutput { ending, ..TickOutput::settling(State::default(), 0) }
-    }
-
-    fn control_state(&self) -> ControlState {
-        ControlState::Homing
-    }
-
-    fn device_mv(&self, voltage_mv: i16) -> i16 {
-        voltage_mv
-    }
+    let off = play_until(start, Some((from_s, trial.lasted_s)));
+    off.gentle_contact_rad_s.max(off.rollout_contact_rad_s)
 }
