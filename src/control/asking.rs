@@ -23,10 +23,11 @@ const LARGEST_V: f64 = 5.0;
 const SWALLOWED_V: f64 = 0.9;
 
 /// What the weight of a pendulum holds of an arm, V: so much times sin(alpha) cos(alpha), M_p L_r g / 2 over
-/// the motor's torque for a volt ...
+/// the motor's torque for a volt.
 const WEIGHT_HOLDS_V: f64 = 3.0;
 
-/// ... and its swing: so much times sin(alpha) alpha_dot^2, M_p L_r L_p / 2 over the same, V s^2.
+/// What the swing of a pendulum holds of an arm, V s^2: so much times sin(alpha) alpha_dot^2,
+/// M_p L_r L_p / 2 over the motor's torque for a volt.
 const SWING_HOLDS_V_S2: f64 = 0.026;
 
 /// Control periods from a command to the motor of the slowest of Qubes: 20 ms.

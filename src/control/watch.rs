@@ -19,10 +19,11 @@ const CLOCK_LEAP_US: u64 = 1_000_000;
 /// less than 5 ms or more than 20 ms.
 const MAX_ODD_PACES: u32 = 3;
 
-/// Over so long, us, the two clocks are compared more closely ...
+/// Over so long the two clocks are compared more closely, us.
 const LONG_PACE_US: u64 = 500_000;
 
-/// ... and may differ by this share of it: a crystal is off by 0.005, answers come up to 10 ms later.
+/// How far the two clocks may differ then, as a share: a crystal is off by 0.005, answers come up to 10 ms
+/// later.
 const LONG_PACE_SHARE: f64 = 0.1;
 
 /// What a fault leaves to do.
