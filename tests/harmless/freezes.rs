@@ -109,8 +109,11 @@ pub fn rollout(
     Some(Outcome { ending: report.outcome.ending, ran_s: ran_s?, over_s, moved_s, zero_off_rad })
 }
 
+/// A fault of the emulated Qube from some time on, s.
+type FaultFrom = fn(f64) -> EmulatorFault;
+
 /// How an encoder of the arm freezes, and the same from some time on.
-pub const KINDS: [(&str, fn(f64) -> EmulatorFault); 3] = [
+pub const KINDS: [(&str, FaultFrom); 3] = [
     ("dead", |after_s| EmulatorFault::FrozenTheta { after_s }),
     ("stuck", |after_s| EmulatorFault::StuckTheta { after_s }),
     ("500 ms", |after_s| EmulatorFault::LapsingTheta { after_s, lasts_s: 0.5 }),
