@@ -4,11 +4,14 @@
 //! Each rollout is frozen at an instant at which the policy has the motor: for good, its tachometer at 0
 //! or at its last value, or for 500 ms in which counts are lost.
 
-#[path = "../tests/harmless/mod.rs"]
-#[allow(dead_code)]
-mod harmless;
+#[path = "../tests/harmless/freezes.rs"]
+#[allow(dead_code)] // The test and the example read different parts of it.
+mod freezes;
+#[path = "../tests/harmless/wire.rs"]
+#[allow(dead_code)] // As above.
+mod wire;
 
-use harmless::freezes::{Freeze, KINDS, freezes, policies, qubes};
+use freezes::{Freeze, KINDS, freezes, policies, qubes};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::telemetry::Ending;
 

@@ -18,18 +18,11 @@ use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 
 use super::wire::SharedWire;
 
-/// An arm that is faster moves, rad/s.
-pub const MOVES_RAD_S: f64 = 2.0;
-
 /// A motion that notes when the policy got the motor and when the rollout was over.
 struct Noted<'a> {
     tick: &'a mut Tick,
     clock: VirtualClock,
-    wire: SharedWire,
     ran_s: Option<(f64, f64)>,
-    onset_s: f64,
-    /// When the arm was first faster than an arm may be that only drifts, s.
-    moved_s: Option<f64>,
 }
 
 impl Motion for Noted<'_> {
@@ -38,9 +31,6 @@ impl Motion for Noted<'_> {
         let output = self.tick.decide(input);
         if self.tick.control_state() == ControlState::Running {
             self.ran_s = Some((self.ran_s.map_or(now_s, |(first, _)| first), now_s));
-        }
-        if now_s >= self.onset_s && self.wire.state().theta_dot.abs() > MOVES_RAD_S {
-            self.moved_s.get_or_insert(now_s);
         }
         output
     }
@@ -60,21 +50,18 @@ pub struct Outcome {
     /// When the policy got the motor and when it lost it, s.
     pub ran_s: (f64, f64),
     pub over_s: f64,
-    /// When the arm was first faster than [`MOVES_RAD_S`] after the fault had begun, s.
-    pub moved_s: Option<f64>,
     /// How far the zero of the arm was off in the end, rad.
     pub zero_off_rad: f64,
 }
 
-/// Homes such a Qube and runs a rollout, with a fault from some time on; none where homing fails.
+/// Homes such a Qube and runs a rollout, perhaps with a fault; none where homing fails.
 pub fn rollout(
     qube: EmulatorSettings,
     policy: &Policy,
-    fault: Option<(EmulatorFault, f64)>,
+    fault: Option<EmulatorFault>,
 ) -> Option<Outcome> {
     let clock = VirtualClock::default();
-    let onset_s = fault.map_or(f64::INFINITY, |(_, at_s)| at_s);
-    let settings = EmulatorSettings { fault: fault.map(|(fault, _)| fault), ..qube };
+    let settings = EmulatorSettings { fault, ..qube };
     let wire = SharedWire::new(settings, clock.clone());
     let shared: Arc<dyn Clock> = Arc::new(clock.clone());
     let mut device = SerialLink::new(wire.clone(), shared);
@@ -93,20 +80,13 @@ pub fn rollout(
         rules: TickRules::Witnessed,
     };
     let mut tick = Tick::new(&settings, policy.clone());
-    let mut noted = Noted {
-        tick: &mut tick,
-        clock: clock.clone(),
-        wire: wire.clone(),
-        ran_s: None,
-        onset_s,
-        moved_s: None,
-    };
+    let mut noted = Noted { tick: &mut tick, clock: clock.clone(), ran_s: None };
     let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("it arms");
-    let (ran_s, moved_s) = (noted.ran_s, noted.moved_s);
+    let ran_s = noted.ran_s;
     let over_s = clock.now_ns() as f64 * 1e-9;
     let sample = device.sample(clock.now_ns() + 6_000_000).ok()?;
     let zero_off_rad = (calibration.angles_rad(&sample).0 - wire.state().theta).abs();
-    Some(Outcome { ending: report.outcome.ending, ran_s: ran_s?, over_s, moved_s, zero_off_rad })
+    Some(Outcome { ending: report.outcome.ending, ran_s: ran_s?, over_s, zero_off_rad })
 }
 
 /// A fault of the emulated Qube from some time on, s.
@@ -150,7 +130,7 @@ pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<
     let share = (qube.seed as f64 * 0.618_033_988_75).fract();
     let onset_s = from_s + share * (to_s - from_s - 0.35).max(0.0);
     let frozen = KINDS.map(|(_, fault)| {
-        let outcome = rollout(qube, policy, Some((fault(onset_s), onset_s)))?;
+        let outcome = rollout(qube, policy, Some(fault(onset_s)))?;
         Some(Freeze { outcome, onset_s })
     });
     Some((healthy, frozen.into_iter().flatten().collect()))
