@@ -60,15 +60,17 @@ impl Rig {
     }
 }
 
-/// Full voltage, the other way in each tick: the arm trembles, and the winding burns 5 V / 8.4 ohm.
+/// Full voltage, the other way after each second tick: the arm trembles by some counts, and the winding burns
+/// 5 V / 8.4 ohm.
+#[derive(Default)]
 struct Trembling {
-    sign: f64,
+    ticks: u32,
 }
 
 impl Controller for Trembling {
     fn voltage_v(&mut self, _: &State) -> f64 {
-        self.sign = -self.sign;
-        5.0 * self.sign
+        self.ticks += 1;
+        if self.ticks / 2 % 2 == 0 { 5.0 } else { -5.0 }
     }
 }
 
@@ -135,7 +137,7 @@ fn nor_do_a_thousand_of_each() {
 fn a_policy_that_burns_current_is_braked_in_the_computed_time() {
     let mut rig = Rig::homed(QubeModel::NOMINAL, 1);
     rig.heat = MotorHeat::default();
-    let outcome = rig.rollout(Trembling { sign: 1.0 }, 0, 6000);
+    let outcome = rig.rollout(Trembling::default(), 0, 6000);
     assert_eq!(outcome.ending, Ending::Fault(Fault::MotorOverheated));
     // Settling takes less than 1 s; then 17.6 s at 0.595 A, by the closed formula.
     let heating = (5.0_f64 / 8.4 / 0.54).powi(2);
@@ -149,7 +151,7 @@ fn a_policy_that_burns_current_is_braked_in_the_computed_time() {
 #[test]
 fn heat_carries_over_to_the_next_rollout_and_a_pause_takes_it_away() {
     let mut rig = Rig::homed(QubeModel::NOMINAL, 2);
-    let tremble = |rig: &mut Rig| rig.rollout(Trembling { sign: 1.0 }, 0, 600);
+    let tremble = |rig: &mut Rig| rig.rollout(Trembling::default(), 0, 600);
     let mut rollouts = 0;
     let ending = loop {
         let outcome = tremble(&mut rig);
