@@ -70,7 +70,7 @@ struct Trembling {
 impl Controller for Trembling {
     fn voltage_v(&mut self, _: &State) -> f64 {
         self.ticks += 1;
-        if self.ticks / 2 % 2 == 0 { 5.0 } else { -5.0 }
+        if (self.ticks / 2).is_multiple_of(2) { 5.0 } else { -5.0 }
     }
 }
 

@@ -11,11 +11,11 @@ const REST_SAMPLES: u32 = 60;
 
 /// The width within which the arm's samples lie then, counts: an arm without dry friction that creeps by
 /// that much comes 8 counts on until it stands, and to wait until a cable has pulled an arm further than
-/// it creeps in the next second would take 8 s after each rollout ...
+/// it creeps in the next second would take 8 s after each rollout.
 const ARM_WIDTH: i32 = 5;
 
-/// ... and the pendulum's (0.3 rad to either side). On an arm that dry friction holds it swings on for a minute,
-/// about the point at which it hangs; the middle of a whole swing is that point.
+/// The width within which the pendulum's samples lie then, counts (0.3 rad to either side). On an arm that dry
+/// friction holds it swings on for a minute, and the middle of a whole swing is where it hangs.
 const PENDULUM_WIDTH: i32 = 200;
 
 /// A count may be so far off before it is another zero, counts (0.05 rad). An arm that a cable pulls at may

@@ -12,10 +12,10 @@ use crate::policy::Policy;
 use crate::simulation::{DomainDistribution, SimulationSettings};
 use crate::storage::{Disk, MachineDisk};
 
-/// A policy succeeds with at least this mean return ...
+/// A rollout of at least this return succeeds.
 const SUCCESS_RETURN: f64 = 400.0;
 
-/// ... when at least this share of its rollouts does: four of five.
+/// A policy succeeds when at least this share of its rollouts does: four of five.
 const SUCCESS_SHARE: f64 = 0.8;
 
 /// Seed of the fresh starts in simulation: the same for every policy.

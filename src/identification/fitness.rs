@@ -30,16 +30,17 @@ const ARM_ALONE_RAD: f64 = 0.3;
 /// arm is then several times any friction.
 const PENDULUM_ALONE_RAD: f64 = 0.6;
 
-/// Faster than this nothing turns, rad/s ...
+/// Faster than this nothing turns, rad/s.
 const FASTEST_RAD_S: f64 = 80.0;
 
-/// ... and a single step has this much room for noise, rad.
+/// Room for noise in a single step, rad.
 const STEP_ROOM_RAD: f64 = 0.1;
 
-/// An angle that comes in steps of this many counts and then stays at its extreme ...
+/// An angle that comes in steps of this many counts and then stays at its extreme was
+/// cut off there: at a turning point it would slow down first.
 const CLIPPED_STEP_COUNTS: f64 = 4.5;
 
-/// ... for this many samples was cut off there: at a turning point it would slow down first.
+/// For so many samples it must stay there.
 const CLIPPED_SAMPLES: usize = 4;
 
 /// How many times as fast as its velocities say an angle may move. A filter makes velocities a

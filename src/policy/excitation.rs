@@ -15,10 +15,10 @@ const FREQUENCIES_HZ: [f64; 2] = [5.0, 1.0];
 /// the box. It is a part of the voltage that is recorded, so that a fit knows of it.
 const CENTRING_V_PER_RAD: f64 = 0.5;
 
-/// Where the arm will be after this time decides whether steps drive it back, s ...
+/// Where the arm will be after this time decides whether steps drive it back, s.
 const LOOK_AHEAD_S: f64 = 0.2;
 
-/// ... which they do from here on, rad.
+/// Steps drive an arm back that will be farther out than this, rad.
 const WAY_OUT_RAD: f64 = 0.6;
 
 /// What moves a Qube so that its recording tells what it is made of.

@@ -18,10 +18,10 @@ const RETREAT_DAMPING_V_S: f64 = 0.5;
 /// Volts towards the middle for each rad.
 const RETREAT_CENTRING_V_RAD: f64 = 0.3;
 
-/// Outside of this the way back gets steep, rad ...
+/// Outside of this the way back gets steep, rad.
 const WALL_RAD: f64 = 0.5;
 
-/// ... by so many more volts for each rad.
+/// Volts more for each rad outside of it.
 const WALL_V_RAD: f64 = 8.0;
 
 /// After this long, in control periods, the brake goes on with a share of its firmness: light and

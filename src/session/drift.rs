@@ -11,13 +11,13 @@ use crate::telemetry::Phase;
 /// Rollouts that a day's drift is estimated from.
 pub const DRIFT_ROLLOUTS: usize = 3;
 
-/// A delay that differs by less is the same, s ...
+/// A delay that differs by less is the same, s.
 const DELAY_TOLERANCE_S: f64 = 0.002;
 
-/// ... and so is a rest of the cable, rad ...
+/// A rest of the cable that differs by less is the same, rad.
 const REST_TOLERANCE_RAD: f64 = 0.1;
 
-/// ... and a hanging pendulum's angle, rad: five counts.
+/// A hanging pendulum's angle that differs by less is the same, rad: five counts.
 const ALPHA_TOLERANCE_RAD: f64 = 5.0 * crate::qube::RAD_PER_COUNT;
 
 /// A difference must also be this many standard errors.

@@ -9,10 +9,10 @@ use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
 /// A return below this is no success (method of the thesis, section 5.2).
 const SUCCESS_RETURN: f64 = 400.0;
 
-/// The pendulum must be within this of upright, rad ...
+/// The pendulum must be within this of upright, rad.
 const UPRIGHT_RAD: f64 = 0.2;
 
-/// ... in each of so many last steps.
+/// Last steps in each of which it must be.
 const UPRIGHT_STEPS: usize = 100;
 
 /// What a recording is worth; computed from its ticks each time it is asked for.

@@ -8,9 +8,9 @@ use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{InProcessWire, LinkFault, Transport};
 
-/// Without a valid command the amplifier goes off after this ...
+/// Without a valid command the amplifier goes off after this, us.
 const WATCHDOG_US: u64 = 50_000;
-/// ... at the device's next poll, at most so much later.
+/// The device looks at that so often, us: the amplifier goes off so much later at most.
 const POLL_US: u64 = 5_000;
 
 /// A board and its wire, shared between the link that uses it and the test that looks at it.

@@ -9,9 +9,9 @@ const SUCCESS_SHARE: f64 = 0.9;
 /// What came of judging an answer, as far as it had to go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Judgement {
-    /// Rollouts that succeeded ...
+    /// Rollouts that succeeded.
     pub stood: u32,
-    /// ... of so many that were run.
+    /// Rollouts that were run.
     pub ran: u32,
 }
 

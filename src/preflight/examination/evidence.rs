@@ -15,14 +15,17 @@ const DEAD_COUNTS: f64 = 2.0;
 /// leaves 0.3.
 const DRIVEN_COUNTS: f64 = 2.0;
 
-/// A pendulum follows the arm by 3 L_r / (2 L_p), 0.99 nominally: one of at least this ...
+/// A pendulum follows the arm by 3 L_r / (2 L_p), 0.99 nominally: one that follows by at least this
+/// is alive, where it is known well enough.
 const ALIVE_LAG: f64 = 0.5;
 
-/// ... known this well ...
+/// How well that must be known, one standard error.
 const KNOWN_LAG: f64 = 0.15;
 
-/// ... and this many times better than nothing is alive; one that is surely below this is not.
+/// Standard errors that lie between what was found and nothing.
 const SIGMAS: f64 = 5.0;
+
+/// A pendulum that surely follows by less than this is not alive.
 const DEAD_LAG: f64 = 0.3;
 
 /// Below this no current flows through the motor, A. At 1 V an arm that is held draws 0.1 A.

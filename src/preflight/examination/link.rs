@@ -7,11 +7,13 @@ use crate::device::{Device, DeviceError, Identity, LinkFault};
 use crate::preflight::latency_timer::{latency_timer_cure, latency_timer_ms};
 use crate::telemetry::{CheckResult, LatencySummary, MeasuredLink};
 
-/// Samples that are asked for where the link is checked, and where it is only measured ...
+/// Samples that are asked for where the link is checked.
 pub(super) const SAMPLES: u32 = 600;
+
+/// Samples that are asked for where the link is only measured.
 pub(super) const FEW_SAMPLES: u32 = 200;
 
-/// ... but no longer than this.
+/// Longest time for either, ns.
 const LONGEST_NS: Nanoseconds = 5_000_000_000;
 
 /// Between two samples there is a pause of a part of this: a USB bridge that hands bytes over by a
