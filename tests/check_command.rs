@@ -1,5 +1,9 @@
 //! `check` and `doctor` as commands, and what `run` and `session` do with a Qube that is not fit.
 
+#[path = "real_time/mod.rs"]
+mod real_time;
+
+use real_time::in_real_time;
 use std::io::{Read, Write};
 use std::path::Path;
 use std::process::Output;
@@ -56,27 +60,30 @@ fn the_table_fits_a_terminal_and_its_json_names_each_check() {
 
 #[test]
 fn conformance_of_any_device_is_a_command() {
-    let directory = tempfile::tempdir().unwrap();
-    for arguments in [&["--clock", "virtual"][..], &["--device", "emulated"]] {
-        let arguments = [&["check", "--conformance"][..], arguments].concat();
-        let output = qube_hil(directory.path(), &arguments);
-        assert_eq!(output.status.code(), Some(0), "{}{}", stdout(&output), stderr(&output));
-        assert!(stdout(&output).contains("33 of 33 checks passed"), "{}", stdout(&output));
-    }
-    let absent = with_fault("qube-absent@0");
-    let output = qube_hil(
-        directory.path(),
-        &["check", "--conformance", "--device", port(&absent), "--json"],
-    );
-    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
-    let result: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let hello = &result["checks"][0];
-    assert_eq!((&hello["name"], &hello["pass"]), (&Value::from("hello"), &Value::from(false)));
-    assert!(hello["value"].as_str().unwrap().contains("0x0000"), "{hello}");
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        for arguments in [&["--clock", "virtual"][..], &["--device", "emulated"]] {
+            let arguments = [&["check", "--conformance"][..], arguments].concat();
+            let output = qube_hil(directory.path(), &arguments);
+            assert_eq!(output.status.code(), Some(0), "{}{}", stdout(&output), stderr(&output));
+            assert!(stdout(&output).contains("33 of 33 checks passed"), "{}", stdout(&output));
+        }
+        let absent = with_fault("qube-absent@0");
+        let output = qube_hil(
+            directory.path(),
+            &["check", "--conformance", "--device", port(&absent), "--json"],
+        );
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        let result: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let hello = &result["checks"][0];
+        assert_eq!((&hello["name"], &hello["pass"]), (&Value::from("hello"), &Value::from(false)));
+        assert!(hello["value"].as_str().unwrap().contains("0x0000"), "{hello}");
 
-    let silent = with_fault("silent@0");
-    let output = qube_hil(directory.path(), &["check", "--conformance", "--device", port(&silent)]);
-    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+        let silent = with_fault("silent@0");
+        let output =
+            qube_hil(directory.path(), &["check", "--conformance", "--device", port(&silent)]);
+        assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    });
 }
 
 #[test]
@@ -123,41 +130,45 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
 
 #[test]
 fn a_session_on_a_qube_that_is_not_fit_stops_before_anything_is_trained() {
-    let directory = tempfile::tempdir().unwrap();
-    let qube = with_fault("frozen-alpha@0");
-    let begin = ["session", "--out", "session", "--device", port(&qube)];
-    let resume = ["session", "--resume", "session", "--device", port(&qube)];
-    for arguments in [&begin[..], &resume[..]] {
-        let output = qube_hil(directory.path(), arguments);
-        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
-        let stderr = stderr(&output);
-        for word in ["pendulum", "cure: ", "encoder 1", "--skip-check"] {
-            assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let qube = with_fault("frozen-alpha@0");
+        let begin = ["session", "--out", "session", "--device", port(&qube)];
+        let resume = ["session", "--resume", "session", "--device", port(&qube)];
+        for arguments in [&begin[..], &resume[..]] {
+            let output = qube_hil(directory.path(), arguments);
+            assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+            let stderr = stderr(&output);
+            for word in ["pendulum", "cure: ", "encoder 1", "--skip-check"] {
+                assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
+            }
         }
-    }
-    let folder = SessionFolder::open(&directory.path().join("session")).unwrap();
-    assert_eq!(
-        Ledger::open(&qube_hil::storage::MachineDisk, &folder.ledger()).unwrap().entries(),
-        []
-    );
+        let folder = SessionFolder::open(&directory.path().join("session")).unwrap();
+        assert_eq!(
+            Ledger::open(&qube_hil::storage::MachineDisk, &folder.ledger()).unwrap().entries(),
+            []
+        );
+    });
 }
 
 #[test]
 fn a_fault_in_homing_is_named_and_its_last_second_kept() {
-    let directory = tempfile::tempdir().unwrap();
-    let qube = with_fault("unplug@3");
-    let arguments = ["run", "--policy", "classical", "--skip-check", "--device", port(&qube)];
-    let output = qube_hil(directory.path(), &arguments);
-    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
-    let told = stderr(&output);
-    assert!(told.contains("unplugged"), "{told}");
-    let kept = told.trim().rsplit(' ').next().unwrap();
-    let ticks = std::fs::read_to_string(kept).unwrap_or_else(|error| panic!("{told}: {error}"));
-    assert!((50..=100).contains(&ticks.lines().count()), "{told}");
-    for line in ticks.lines() {
-        let tick: Value = serde_json::from_str(line).unwrap();
-        assert!(tick["lateness_ns"].is_u64(), "{line}");
-    }
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let qube = with_fault("unplug@3");
+        let arguments = ["run", "--policy", "classical", "--skip-check", "--device", port(&qube)];
+        let output = qube_hil(directory.path(), &arguments);
+        assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+        let told = stderr(&output);
+        assert!(told.contains("unplugged"), "{told}");
+        let kept = told.trim().rsplit(' ').next().unwrap();
+        let ticks = std::fs::read_to_string(kept).unwrap_or_else(|error| panic!("{told}: {error}"));
+        assert!((50..=100).contains(&ticks.lines().count()), "{told}");
+        for line in ticks.lines() {
+            let tick: Value = serde_json::from_str(line).unwrap();
+            assert!(tick["lateness_ns"].is_u64(), "{line}");
+        }
+    });
 }
 
 #[test]
@@ -187,20 +198,22 @@ fn settings_of_a_qube_that_are_none() {
 
 #[test]
 fn the_doctor_looks_at_the_computer_and_at_a_port() {
-    let directory = tempfile::tempdir().unwrap();
-    let qube = EmulatedQube::spawn(EmulatorSettings::default()).unwrap();
-    let arguments = ["doctor", "--seconds", "1", "--device", port(&qube), "--json"];
-    let output = qube_hil(directory.path(), &arguments);
-    let result: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let checks = result["checks"].as_array().unwrap();
-    let names: Vec<&str> = checks.iter().filter_map(|check| check["name"].as_str()).collect();
-    let of_the_port = format!("port {}", port(&qube));
-    assert_eq!(names, ["scheduling", "memory", "sleep", "timer", "processor", &of_the_port]);
-    assert_eq!(checks[5]["verdict"], "well");
-    assert!(checks[3]["value"].as_str().unwrap().contains("100 ticks"), "{}", checks[3]);
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let qube = EmulatedQube::spawn(EmulatorSettings::default()).unwrap();
+        let arguments = ["doctor", "--seconds", "1", "--device", port(&qube), "--json"];
+        let output = qube_hil(directory.path(), &arguments);
+        let result: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let checks = result["checks"].as_array().unwrap();
+        let names: Vec<&str> = checks.iter().filter_map(|check| check["name"].as_str()).collect();
+        let of_the_port = format!("port {}", port(&qube));
+        assert_eq!(names, ["scheduling", "memory", "sleep", "timer", "processor", &of_the_port]);
+        assert_eq!(checks[5]["verdict"], "well");
+        assert!(checks[3]["value"].as_str().unwrap().contains("100 ticks"), "{}", checks[3]);
 
-    let arguments = ["doctor", "--seconds", "1", "--device", "/dev/ttyNOWHERE"];
-    let output = qube_hil(directory.path(), &arguments);
-    assert_eq!(output.status.code(), Some(1), "{}", stdout(&output));
-    assert!(stdout(&output).contains("does not exist"), "{}", stdout(&output));
+        let arguments = ["doctor", "--seconds", "1", "--device", "/dev/ttyNOWHERE"];
+        let output = qube_hil(directory.path(), &arguments);
+        assert_eq!(output.status.code(), Some(1), "{}", stdout(&output));
+        assert!(stdout(&output).contains("does not exist"), "{}", stdout(&output));
+    });
 }

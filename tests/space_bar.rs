@@ -1,6 +1,10 @@
 //! The space bar at a terminal: it brakes as Ctrl-C does, and the terminal is given back on every way
 //! out. On a real pty that is the program's controlling terminal.
 
+#[path = "real_time/mod.rs"]
+mod real_time;
+
+use real_time::in_real_time;
 use std::io::Read;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::CommandExt;
@@ -119,69 +123,75 @@ fn under_way(directory: &Path) -> bool {
 
 #[test]
 fn the_space_bar_brakes_a_run_as_ctrl_c_does_and_gives_the_terminal_back() {
-    let directory = tempfile::tempdir().unwrap();
-    let mut terminal = Terminal::start(directory.path(), &RUN);
-    terminal.wait_for_text("space bar or Ctrl-C");
-    let first = terminal.shown.lines().next().unwrap_or_default().to_owned();
-    assert!(first.contains("space bar"), "not the first line: {first}");
-    terminal.wait_until("a rollout", |_| under_way(directory.path()));
-    assert!(!terminal.is_cooked());
-    terminal.press(b"x");
-    terminal.press(b" ");
-    assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
-    assert!(terminal.shown.contains("stopping"), "{}", terminal.shown);
-    assert!(terminal.is_cooked());
-    let recording =
-        qube_hil::recording::read(&directory.path().join("out/rollout-0.mcap")).unwrap();
-    let ending = recording.outcome.unwrap().ending;
-    assert_eq!(ending, qube_hil::telemetry::Ending::Stopped);
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::start(directory.path(), &RUN);
+        terminal.wait_for_text("space bar or Ctrl-C");
+        let first = terminal.shown.lines().next().unwrap_or_default().to_owned();
+        assert!(first.contains("space bar"), "not the first line: {first}");
+        terminal.wait_until("a rollout", |_| under_way(directory.path()));
+        assert!(!terminal.is_cooked());
+        terminal.press(b"x");
+        terminal.press(b" ");
+        assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
+        assert!(terminal.shown.contains("stopping"), "{}", terminal.shown);
+        assert!(terminal.is_cooked());
+        let recording =
+            qube_hil::recording::read(&directory.path().join("out/rollout-0.mcap")).unwrap();
+        let ending = recording.outcome.unwrap().ending;
+        assert_eq!(ending, qube_hil::telemetry::Ending::Stopped);
+    });
 }
 
 #[test]
 fn a_terminal_is_given_back_by_ctrl_c_twice_sigterm_and_while_stopped() {
-    let directory = tempfile::tempdir().unwrap();
-    let mut terminal = Terminal::start(directory.path(), &RUN);
-    terminal.wait_for_text("space bar or Ctrl-C");
-    terminal.wait_until("single keys", |it| !it.is_cooked());
-    // Ctrl-Z: the terminal is the shell's while the program is stopped.
-    let process = Pid::from_child(&terminal.child);
-    kill_process(process, Signal::TSTP).unwrap();
-    terminal.wait_until("it stops", |_| {
-        let options = WaitOptions::UNTRACED | WaitOptions::NOHANG;
-        waitpid(Some(process), options).unwrap().is_some_and(|(_, status)| status.stopped())
-    });
-    assert!(terminal.is_cooked());
-    kill_process(process, Signal::CONT).unwrap();
-    terminal.wait_until("single keys again", |it| !it.is_cooked());
-    kill_process(process, Signal::TERM).unwrap();
-    assert_eq!(terminal.exit_code(), Some(143), "{}", terminal.shown);
-    assert!(terminal.is_cooked());
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::start(directory.path(), &RUN);
+        terminal.wait_for_text("space bar or Ctrl-C");
+        terminal.wait_until("single keys", |it| !it.is_cooked());
+        // Ctrl-Z: the terminal is the shell's while the program is stopped.
+        let process = Pid::from_child(&terminal.child);
+        kill_process(process, Signal::TSTP).unwrap();
+        terminal.wait_until("it stops", |_| {
+            let options = WaitOptions::UNTRACED | WaitOptions::NOHANG;
+            waitpid(Some(process), options).unwrap().is_some_and(|(_, status)| status.stopped())
+        });
+        assert!(terminal.is_cooked());
+        kill_process(process, Signal::CONT).unwrap();
+        terminal.wait_until("single keys again", |it| !it.is_cooked());
+        kill_process(process, Signal::TERM).unwrap();
+        assert_eq!(terminal.exit_code(), Some(143), "{}", terminal.shown);
+        assert!(terminal.is_cooked());
 
-    let other = tempfile::tempdir().unwrap();
-    let mut terminal = Terminal::start(other.path(), &RUN);
-    terminal.wait_until("single keys", |it| !it.is_cooked());
-    let process = Pid::from_child(&terminal.child);
-    kill_process(process, Signal::INT).unwrap();
-    terminal.wait_for_text("stopping");
-    let _ = kill_process(process, Signal::INT);
-    assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
-    assert!(terminal.is_cooked());
+        let other = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::start(other.path(), &RUN);
+        terminal.wait_until("single keys", |it| !it.is_cooked());
+        let process = Pid::from_child(&terminal.child);
+        kill_process(process, Signal::INT).unwrap();
+        terminal.wait_for_text("stopping");
+        let _ = kill_process(process, Signal::INT);
+        assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
+        assert!(terminal.is_cooked());
+    });
 }
 
 #[test]
 fn a_session_hears_the_space_bar_and_prints_what_is_there() {
-    let directory = tempfile::tempdir().unwrap();
-    let arguments = ["session", "--clock", "virtual", "--json", "--out", "out"];
-    let mut terminal = Terminal::start(directory.path(), &arguments);
-    terminal.wait_for_text("space bar or Ctrl-C");
-    terminal.wait_for_text("candidate 0");
-    terminal.press(b" ");
-    assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
-    assert!(terminal.is_cooked());
-    let json = &terminal.shown[terminal.shown.find("{\"").unwrap_or(0)..];
-    let json = json.lines().next().unwrap_or_default();
-    let result: serde_json::Value = serde_json::from_str(json.trim())
-        .unwrap_or_else(|error| panic!("{error}: {}", terminal.shown));
-    assert_eq!(result["ended_by"]["exit_code"], 130, "{result}");
-    assert!(result["candidates"].is_array(), "{result}");
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let arguments = ["session", "--clock", "virtual", "--json", "--out", "out"];
+        let mut terminal = Terminal::start(directory.path(), &arguments);
+        terminal.wait_for_text("space bar or Ctrl-C");
+        terminal.wait_for_text("candidate 0");
+        terminal.press(b" ");
+        assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
+        assert!(terminal.is_cooked());
+        let json = &terminal.shown[terminal.shown.find("{\"").unwrap_or(0)..];
+        let json = json.lines().next().unwrap_or_default();
+        let result: serde_json::Value = serde_json::from_str(json.trim())
+            .unwrap_or_else(|error| panic!("{error}: {}", terminal.shown));
+        assert_eq!(result["ended_by"]["exit_code"], 130, "{result}");
+        assert!(result["candidates"].is_array(), "{result}");
+    });
 }
