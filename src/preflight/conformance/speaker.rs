@@ -137,19 +137,23 @@ impl<'a> Speaker<'a> {
         let reply = Reply::parse(&frame).map_err(|error| {
             Deviation::Wrong(format!("{request} was answered wrongly: {error}"))
         })?;
-        let refused_as_stale = matches!(
-            reply,
-            Reply::Refusal { refused_type, reason: RefusalReason::StaleSample }
-                if refused_type == self.act_request(0).message_type()
-        );
-        if frame.sequence != sequence && refused_as_stale {
-            // An act before this request came more than 20 ms after its sample, or so the device says.
+        // Acts are sent without waiting for their answer, so what refuses one comes here.
+        if let Reply::Refusal { refused_type, reason } = reply
+            && frame.sequence != sequence
+            && refused_type == self.act_request(0).message_type()
+        {
             let elapsed_ns = self.acted_ns.saturating_sub(self.sampled_ns);
-            return Err(if elapsed_ns > SURELY_FRESH_NS {
-                Deviation::Disturbed
-            } else {
-                Deviation::FreshRefused { elapsed_us: elapsed_ns / 1000 }
-            });
+            match reason {
+                RefusalReason::WatchdogTripped => return Err(Deviation::Disturbed),
+                // It came more than 20 ms after its sample, or so the device says.
+                RefusalReason::StaleSample if elapsed_ns > SURELY_FRESH_NS => {
+                    return Err(Deviation::Disturbed);
+                }
+                RefusalReason::StaleSample => {
+                    return Err(Deviation::FreshRefused { elapsed_us: elapsed_ns / 1000 });
+                }
+                _ => {}
+            }
         }
         ensure!(
             frame.sequence == sequence,
