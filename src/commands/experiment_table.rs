@@ -3,6 +3,7 @@ use std::fmt::Write;
 use serde_json::{Map, Value, json};
 
 use crate::experiment::{Behaviour, RecipeResult, Results};
+use crate::session::Quietness;
 
 /// Columns of a name.
 const NAME: usize = 20;
@@ -45,8 +46,36 @@ pub fn table(results: &Results) -> String {
                 short(&recipe.recipe)
             );
         }
+        let _ = writeln!(
+            text,
+            "\n{:NAME$} {:>11} {:>14} {:>10} {:>14}",
+            "balancing", "V a tick", "sign changes/s", "V rms", "copper loss, W"
+        );
+        for recipe in &recipes {
+            let _ = writeln!(
+                text,
+                "{:NAME$} {}",
+                short(&recipe.recipe),
+                quietness_columns(&recipe.quietness())
+            );
+        }
     }
     text
+}
+
+/// How quietly a recipe's policies balance, in the columns of the table.
+fn quietness_columns(quietness: &Quietness) -> String {
+    let columns = match quietness.figures() {
+        None => ["-"; 4].map(String::from),
+        Some(figures) => [
+            format!("{:.2}", figures.change_v),
+            format!("{:.1}", figures.sign_changes_per_s),
+            format!("{:.2}", figures.rms_v),
+            format!("{:.2}", figures.copper_loss_w),
+        ],
+    };
+    let [change, signs, rms, loss] = columns;
+    format!("{change:>11} {signs:>14} {rms:>10} {loss:>14}")
 }
 
 fn line(recipe: &RecipeResult) -> String {
@@ -99,6 +128,7 @@ fn model(recipe: &RecipeResult) -> Value {
         "success_rate": recipe.success_rate(),
         "success_interval": recipe.success_interval(),
         "rollouts": shares,
+        "balancing": recipe.quietness().figures(),
         "psi": recipe.psi,
     })
 }
@@ -109,7 +139,7 @@ pub fn csv(results: &Results) -> String {
     for behaviour in Behaviour::ALL {
         let _ = write!(text, ",{}", behaviour.name());
     }
-    text.push('\n');
+    text.push_str(",change_v,sign_changes_per_s,rms_v,copper_loss_w\n");
     for recipe in &results.recipes {
         for policy in &recipe.policies {
             let mean = policy.mean_return().map_or(String::new(), |mean| format!("{mean:.3}"));
@@ -125,7 +155,17 @@ pub fn csv(results: &Results) -> String {
             for behaviour in Behaviour::ALL {
                 let _ = write!(text, ",{}", policy.count(behaviour));
             }
-            text.push('\n');
+            let _ = match policy.quietness().figures() {
+                None => writeln!(text, ",,,,"),
+                Some(figures) => writeln!(
+                    text,
+                    ",{:.4},{:.3},{:.4},{:.4}",
+                    figures.change_v,
+                    figures.sign_changes_per_s,
+                    figures.rms_v,
+                    figures.copper_loss_w
+                ),
+            };
         }
     }
     text
@@ -137,7 +177,9 @@ mod tests {
     use crate::experiment::{PolicyResult, RolloutResult};
 
     fn results(policies: u32) -> Results {
-        let rollout = |return_, behaviour| RolloutResult { return_: Some(return_), behaviour };
+        let quietness = Quietness::NONE;
+        let rollout =
+            |return_, behaviour| RolloutResult { return_: Some(return_), behaviour, quietness };
         let policies = (0..policies).map(|number| PolicyResult {
             number,
             simulated_return: 555.4 + f64::from(number % 3),
@@ -171,6 +213,6 @@ mod tests {
         let lines: Vec<&str> = csv.lines().collect();
         assert_eq!(lines.len(), 4);
         assert!(lines.iter().all(|line| fields(line) == fields(lines[0])));
-        assert!(lines[1].ends_with("270.800,false,1,0,1,0,0,0"), "{}", lines[1]);
+        assert!(lines[1].ends_with("270.800,false,1,0,1,0,0,0,,,,"), "{}", lines[1]);
     }
 }

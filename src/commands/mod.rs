@@ -48,7 +48,7 @@ use output::Output;
 
 use crate::clock::RealtimeReport;
 use crate::safety::{LARGEST_LOAD, WARNING_LOAD};
-use crate::session::Latencies;
+use crate::session::{Latencies, Quietness};
 use crate::telemetry::LatencySummary;
 
 /// Hardware-in-the-loop for the Quanser Qube: policies are trained over a distribution of
@@ -167,6 +167,15 @@ fn heat_line(largest_motor_load: Option<f64>) -> String {
         return line + "\n";
     }
     format!("{line}: it is getting hot, and at {:.0} % the arm is braked\n", percent(LARGEST_LOAD))
+}
+
+/// How quietly policies balanced, as a line for people; nothing where none did.
+fn quietness_line(quietness: &Quietness) -> String {
+    let Some(figures) = quietness.figures() else { return String::new() };
+    format!(
+        "balancing: {:.2} V a tick, {:.1} sign changes/s, {:.2} V rms, {:.2} W copper loss\n",
+        figures.change_v, figures.sign_changes_per_s, figures.rms_v, figures.copper_loss_w
+    )
 }
 
 /// The timing of all ticks, as lines for people.

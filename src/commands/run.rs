@@ -14,7 +14,10 @@ use super::number_arguments::between;
 use super::output::Output;
 use super::printable::tell;
 use super::stop::Stop;
-use super::{astray_line, dated_folder, failures, heat_line, timing_lines, warn_without_realtime};
+use super::{
+    astray_line, dated_folder, failures, heat_line, quietness_line, timing_lines,
+    warn_without_realtime,
+};
 use crate::control::HomingMethod;
 use crate::identification::{Unfit, check_recording};
 use crate::policy::{
@@ -25,8 +28,8 @@ use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
 use crate::safety::SafetyBox;
 use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Latencies, Recorded, Rig, RigError, RigSettings, RolloutPlan, Verdict,
-    judge_recording,
+    DRIFT_ROLLOUTS, Drift, Latencies, Quietness, Recorded, Rig, RigError, RigSettings, RolloutPlan,
+    Verdict, judge_recording,
 };
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
@@ -342,6 +345,8 @@ struct Results {
     success: Vec<bool>,
     recordings: Vec<PathBuf>,
     latencies: Latencies,
+    /// How quietly the policy balanced, where it did.
+    quietness: Quietness,
     /// How often the observer had lost the Qube.
     times_astray: u64,
     /// The motor's largest load; none where no recording tells it.
@@ -360,6 +365,7 @@ impl Results {
     fn add(&mut self, path: &Path) -> Result<(), Failure> {
         let recording = read(path).map_err(|error| failures::recording(&error))?;
         self.latencies.add(&recording.ticks);
+        self.quietness.add(&recording.ticks);
         let outcome = recording.outcome.as_ref();
         self.times_astray += outcome.map_or(0, |outcome| u64::from(outcome.times_astray));
         // None is less than any number.
@@ -439,6 +445,7 @@ impl Results {
         if self.recordings.is_empty() {
             return "no rollout was run".into();
         }
+        let quietness = quietness_line(&self.quietness);
         let heat = heat_line(self.largest_motor_load);
         let timing = timing_lines(&self.latencies);
         let drift = match &self.drift {
@@ -448,7 +455,10 @@ impl Results {
             }
             None => String::new(),
         };
-        format!("{}{astray}{heat}{drift}{timing}recordings in {directory}{next}", self.lines)
+        format!(
+            "{}{astray}{quietness}{heat}{drift}{timing}recordings in {directory}{next}",
+            self.lines
+        )
     }
 
     fn json(&self) -> Value {
@@ -457,6 +467,7 @@ impl Results {
             "ended_early": self.ended_early,
             "success": self.success,
             "times_astray": self.times_astray,
+            "balancing": self.quietness.figures(),
             "largest_motor_load": self.largest_motor_load,
             "missed_deadlines": self.latencies.missed_deadlines(),
             "lateness_us": self.latencies.lateness_us(),

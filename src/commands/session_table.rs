@@ -2,9 +2,11 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
-use super::{astray_line, timing_lines};
+use super::{astray_line, quietness_line, timing_lines};
 use crate::recording::read;
-use crate::session::{Candidate, Latencies, Purpose, Session, SessionError, Verdict, mean_return};
+use crate::session::{
+    Candidate, Latencies, Purpose, Quietness, Session, SessionError, Verdict, mean_return,
+};
 use crate::simulation::PsiSpace;
 
 /// The end of a session: its candidates and what was verified, read from its folder.
@@ -24,6 +26,8 @@ pub struct SessionTable {
 struct Best {
     candidate: usize,
     policy: String,
+    /// How quietly it balanced.
+    quietness: Quietness,
 }
 
 impl SessionTable {
@@ -33,19 +37,25 @@ impl SessionTable {
         let folder = session.folder();
         let mut latencies = Latencies::default();
         let (mut void_rollouts, mut times_astray) = (0, 0);
+        let mut best = best(&candidates).map(|candidate| Best {
+            candidate,
+            policy: folder.policy(candidate as u32).display().to_string(),
+            quietness: Quietness::NONE,
+        });
         for (candidate, _) in &candidates {
             for &(rollout, attempt) in &candidate.finished {
                 let recording = read(&folder.rollout(candidate.number, rollout, attempt))?;
                 latencies.add(&recording.ticks);
+                if let Some(best) = &mut best
+                    && best.candidate == candidate.number as usize
+                {
+                    best.quietness.add(&recording.ticks);
+                }
                 void_rollouts += u64::from(attempt);
                 times_astray +=
                     recording.outcome.map_or(0, |outcome| u64::from(outcome.times_astray));
             }
         }
-        let best = best(&candidates).map(|candidate| Best {
-            candidate,
-            policy: folder.policy(candidate as u32).display().to_string(),
-        });
         let directory = folder.root().display().to_string();
         let psi = session.settings().psi.clone();
         Ok(Self { psi, candidates, latencies, void_rollouts, times_astray, directory, best })
@@ -76,7 +86,7 @@ impl SessionTable {
             );
         }
         let _ = writeln!(text, "      psi: {}", self.psi.names().collect::<Vec<_>>().join(" "));
-        if let Some(Best { candidate, policy }) = &self.best {
+        if let Some(Best { candidate, policy, quietness }) = &self.best {
             let (candidate, verdicts) = &self.candidates[*candidate];
             let whose = match candidate.purpose {
                 Purpose::Incumbent => format!("that of candidate {}", self.incumbent(candidate)),
@@ -90,6 +100,7 @@ impl SessionTable {
                 mean_return(verdicts).unwrap_or(0.0),
                 verdicts.len(),
             );
+            text.push_str(&quietness_line(quietness));
             let longest = self.psi.names().map(|name| name.len()).max().unwrap_or(0);
             for (name, value) in self.psi.names().zip(&candidate.psi) {
                 let _ = writeln!(text, "  {name:longest$}  {value:.5}");
@@ -121,10 +132,11 @@ impl SessionTable {
                 .map(|(candidate, verdicts)| valued(&self.psi, candidate, verdicts))
                 .collect::<Vec<Value>>()
         };
-        let best = self.best.as_ref().map(|Best { candidate, policy }| {
+        let best = self.best.as_ref().map(|Best { candidate, policy, quietness }| {
             let (candidate, verdicts) = &self.candidates[*candidate];
             let mut best = valued(&self.psi, candidate, verdicts);
             best["policy"] = json!(policy);
+            best["balancing"] = json!(quietness.figures());
             best
         });
         let rollouts: usize = self.candidates.iter().map(|(_, verdicts)| verdicts.len()).sum();

@@ -4,27 +4,24 @@ use serde::Serialize;
 
 use crate::qube::wrap_angle;
 use crate::recording::Recording;
-use crate::session::{Verdict, judge_recording};
+use crate::session::{ABOUT_UPRIGHT_RAD, Quietness, Verdict, judge_recording};
 use crate::telemetry::{Phase, TickRecord};
 
 /// Steps at the end of a rollout that say where it came to: 3 s, by when any swing-up has had time.
 const LAST_STEPS: usize = 300;
 
-/// A pendulum within this of upright is about up, rad: 30 degrees.
-const ABOUT_UPRIGHT_RAD: f64 = 0.5;
-
 /// In this share of the last steps it must have been about up to be called chattering.
 const CHATTERING_SHARE: f64 = 0.5;
 
-/// Steps at the end in which the voltage's sign is watched: the last second.
-const SIGN_STEPS: usize = 100;
+/// Steps at the end over which a pendulum must be held, and quietly: the last second.
+const HOLDING_STEPS: usize = 100;
 
-/// A voltage below this has no sign: standing still takes less, V.
-const SIGN_VOLTAGE_V: f64 = 1.0;
+/// A voltage from this root mean square on holds a pendulum by force: standing still takes less, V.
+const CHATTERING_RMS_V: f64 = 1.0;
 
-/// Changes of sign in the last second from which on a pendulum that stands is called chattering:
-/// 3 Hz to and fro. The limit cycle that filter and delay make has 5 to 6 Hz.
-const CHATTERING_CHANGES: usize = 6;
+/// Changes of sign in a second from which on such a voltage is called chattering: 3 Hz to and fro.
+/// The limit cycle that filter and delay make has 5 to 6 Hz.
+const CHATTERING_CHANGES_PER_S: f64 = 6.0;
 
 /// What a rollout did, by its recording: each is exactly one of these.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -38,8 +35,8 @@ pub enum Behaviour {
     /// It left the safety box or the speed envelope.
     LeftBox,
     /// It kept the pendulum about upright (within 0.5 rad in half of its last 300 steps), but did
-    /// not hold it still, or held it by a voltage that went between more than 1 V of either sign six
-    /// times in the last second.
+    /// not hold it still, or held it by a voltage of at least 1 V (root mean square) that changed its
+    /// sign at least six times in the last second.
     Chattered,
     /// None of these: it never got the pendulum up, or lost it.
     Fell,
@@ -80,9 +77,10 @@ fn of_a_failure(running: &[&TickRecord]) -> Behaviour {
     let from_upright_rad = |tick: &TickRecord| wrap_angle(tick.state.alpha - PI).abs();
     let up = last(LAST_STEPS).iter().filter(|tick| from_upright_rad(tick) < ABOUT_UPRIGHT_RAD);
     let is_about_up = up.count() as f64 >= CHATTERING_SHARE * LAST_STEPS as f64;
-    let holds = running.len() >= SIGN_STEPS
-        && last(SIGN_STEPS).iter().all(|tick| from_upright_rad(tick) < 0.2);
-    let chatters = sign_changes(last(SIGN_STEPS)) >= CHATTERING_CHANGES;
+    let holds = running.len() > HOLDING_STEPS
+        && last(HOLDING_STEPS).iter().all(|tick| from_upright_rad(tick) < 0.2);
+    // One tick more: a change needs the tick before.
+    let chatters = chatters(last(HOLDING_STEPS + 1));
     match (holds, is_about_up) {
         (true, _) if !chatters => Behaviour::StoodLate,
         (true, _) | (false, true) => Behaviour::Chattered,
@@ -90,15 +88,13 @@ fn of_a_failure(running: &[&TickRecord]) -> Behaviour {
     }
 }
 
-/// How often the voltage went from one sign to the other.
-fn sign_changes(ticks: &[&TickRecord]) -> usize {
-    let signs: Vec<bool> = ticks
-        .iter()
-        .map(|tick| f64::from(tick.voltage_mv) / 1000.0)
-        .filter(|voltage_v| voltage_v.abs() >= SIGN_VOLTAGE_V)
-        .map(f64::is_sign_positive)
-        .collect();
-    signs.windows(2).filter(|pair| pair[0] != pair[1]).count()
+/// Whether the voltage of this stretch goes to and fro.
+fn chatters(ticks: &[&TickRecord]) -> bool {
+    let mut quietness = Quietness::NONE;
+    quietness.add_stretch(ticks);
+    quietness.figures().is_some_and(|figures| {
+        figures.rms_v >= CHATTERING_RMS_V && figures.sign_changes_per_s >= CHATTERING_CHANGES_PER_S
+    })
 }
 
 #[cfg(test)]

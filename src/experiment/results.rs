@@ -9,6 +9,7 @@ use super::statistics::{Interval, bootstrap_interval, mean, standard_deviation, 
 use super::{Behaviour, Experiment, ExperimentError, Plant, Recipe, RolloutResult};
 use crate::learning::evaluate_afresh;
 use crate::policy::Policy;
+use crate::session::Quietness;
 use crate::simulation::{DomainDistribution, SimulationSettings};
 use crate::storage::{Disk, MachineDisk};
 
@@ -64,6 +65,14 @@ impl PolicyResult {
     #[must_use]
     pub fn count(&self, behaviour: Behaviour) -> usize {
         self.rollouts.iter().filter(|it| it.behaviour == behaviour).count()
+    }
+
+    /// How quietly it balanced in all of them.
+    #[must_use]
+    pub fn quietness(&self) -> Quietness {
+        let mut all = Quietness::NONE;
+        self.rollouts.iter().for_each(|rollout| all.merge(&rollout.quietness));
+        all
     }
 
     /// Whether its mean return is at least 400 and at least four of five of its rollouts succeed.
@@ -124,6 +133,14 @@ impl RecipeResult {
     #[must_use]
     pub fn success_interval(&self) -> Interval {
         wilson_interval(self.successes(), self.policies.len())
+    }
+
+    /// How quietly its policies balanced.
+    #[must_use]
+    pub fn quietness(&self) -> Quietness {
+        let mut all = Quietness::NONE;
+        self.policies.iter().for_each(|policy| all.merge(&policy.quietness()));
+        all
     }
 
     /// The share of all rollouts that did this; NaN of none.
@@ -236,6 +253,7 @@ mod tests {
         let rollouts = returns.into_iter().enumerate().map(|(index, return_)| RolloutResult {
             return_: Some(return_),
             behaviour: if index < stood { Behaviour::Stood } else { Behaviour::Fell },
+            quietness: Quietness::NONE,
         });
         PolicyResult { number: 0, simulated_return: 500.0, rollouts: rollouts.collect() }
     }
@@ -246,7 +264,11 @@ mod tests {
         assert!(policy([550.0, 550.0, 550.0, 550.0, 10.0], 4).succeeds());
         assert!(!policy([550.0, 550.0, 550.0, 300.0, 300.0], 3).succeeds());
         assert!(!policy([410.0, 410.0, 410.0, 410.0, 10.0], 4).succeeds());
-        let fault = RolloutResult { return_: None, behaviour: Behaviour::Fault };
+        let fault = RolloutResult {
+            return_: None,
+            behaviour: Behaviour::Fault,
+            quietness: Quietness::NONE,
+        };
         let broken = PolicyResult { rollouts: vec![fault; 5], ..policy([0.0; 5], 0) };
         assert!(!broken.succeeds() && broken.mean_return().is_none());
     }

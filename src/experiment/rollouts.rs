@@ -4,7 +4,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::folder::{make, recording};
 use super::{Behaviour, ExperimentError};
 use crate::recording::{RecordingError, read};
-use crate::session::{Rig, RolloutPlan, SessionError, Verdict, judge_recording, put_aside};
+use crate::session::{
+    Quietness, Rig, RolloutPlan, SessionError, Verdict, judge_recording, put_aside,
+};
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
 
@@ -15,11 +17,14 @@ pub struct RolloutResult {
     pub return_: Option<f64>,
     /// What it did.
     pub behaviour: Behaviour,
+    /// How quietly it balanced, where it did.
+    pub quietness: Quietness,
 }
 
 impl RolloutResult {
     /// A rollout that a fault ended as often as it may: it counts as a failure.
-    const FAULT: Self = Self { return_: None, behaviour: Behaviour::Fault };
+    const FAULT: Self =
+        Self { return_: None, behaviour: Behaviour::Fault, quietness: Quietness::NONE };
 }
 
 /// Where a rollout stands by the recordings in its folder.
@@ -48,7 +53,8 @@ fn standing(rollouts: &Path, rollout: u32, repetitions: u32) -> Result<Standing,
         };
         match (judge_recording(&recorded), Behaviour::of(&recorded)) {
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
-                let result = RolloutResult { return_: Some(return_), behaviour };
+                let quietness = Quietness::of(&recorded.ticks);
+                let result = RolloutResult { return_: Some(return_), behaviour, quietness };
                 return Ok(Standing::Finished(result));
             }
             (Verdict::Unfinished, _) => return Ok(Standing::Due { attempt }),

@@ -15,6 +15,7 @@ mod orchestrator;
 mod plan;
 mod power_test;
 mod qube_file;
+mod quietness;
 mod rig;
 mod rig_error;
 mod seeds;
@@ -34,6 +35,7 @@ pub use orchestrator::{Progress, Session};
 pub use plan::{Candidate, Extent, Step, candidates, next_step};
 pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
+pub use quietness::{ABOUT_UPRIGHT_RAD, Quietness, QuietnessFigures};
 pub use rig::{
     ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, Pressed, Recorded, Recovery, Rig,
     RigSettings, TimedDevice,

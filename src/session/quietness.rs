@@ -1,0 +1,194 @@
+use std::f64::consts::PI;
+
+use serde::Serialize;
+
+use crate::qube::{CONTROL_PERIOD_S, DomainParameters, wrap_angle};
+use crate::telemetry::{Phase, TickRecord};
+
+/// A pendulum within this of upright is about up, rad: 30 degrees.
+pub const ABOUT_UPRIGHT_RAD: f64 = 0.5;
+
+/// A policy balances once the pendulum has been about up for this many ticks: after half a second the
+/// swing-up and its catch are over.
+const CATCH_TICKS: usize = 50;
+
+/// How quietly policies balance, over the recorded ticks of any number of rollouts: how far and how
+/// often the voltage jumps, and what it costs.
+///
+/// A tick counts when the policy has the motor and the pendulum has been within
+/// [`ABOUT_UPRIGHT_RAD`] of upright for half a second before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Quietness {
+    ticks: u64,
+    changes_v: f64,
+    sign_changes: u64,
+    squares_v2: f64,
+    losses_w: f64,
+}
+
+/// The figures of a [`Quietness`], for scripts.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct QuietnessFigures {
+    /// Mean change of the voltage from one tick to the next, without its sign, V.
+    pub change_v: f64,
+    /// Changes of the voltage's sign in a second.
+    pub sign_changes_per_s: f64,
+    /// Root of the mean square of the voltage, V.
+    pub rms_v: f64,
+    /// Mean heat in the motor's winding, W.
+    pub copper_loss_w: f64,
+}
+
+impl Default for Quietness {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
+impl Quietness {
+    /// Nothing has balanced.
+    pub const NONE: Self =
+        Self { ticks: 0, changes_v: 0.0, sign_changes: 0, squares_v2: 0.0, losses_w: 0.0 };
+
+    /// Quietness of the balancing part of one rollout.
+    #[must_use]
+    pub fn of(ticks: &[TickRecord]) -> Self {
+        let mut quietness = Self::NONE;
+        quietness.add(ticks);
+        quietness
+    }
+
+    /// Adds the balancing part of one rollout.
+    pub fn add(&mut self, ticks: &[TickRecord]) {
+        let running: Vec<&TickRecord> =
+            ticks.iter().filter(|tick| tick.phase == Phase::Running).collect();
+        let mut ticks_up = 0;
+        for pair in running.windows(2) {
+            let is_up = wrap_angle(pair[1].state.alpha - PI).abs() < ABOUT_UPRIGHT_RAD;
+            ticks_up = if is_up { ticks_up + 1 } else { 0 };
+            if ticks_up > CATCH_TICKS {
+                self.add_tick(pair[0], pair[1]);
+            }
+        }
+    }
+
+    /// Adds every tick but the first of a stretch, whatever the pendulum does in it.
+    pub(crate) fn add_stretch(&mut self, ticks: &[&TickRecord]) {
+        for pair in ticks.windows(2) {
+            self.add_tick(pair[0], pair[1]);
+        }
+    }
+
+    /// Adds one tick and what changed since the one before.
+    fn add_tick(&mut self, before: &TickRecord, tick: &TickRecord) {
+        let (last_mv, now_mv) = (before.voltage_mv, tick.voltage_mv);
+        let voltage_v = volts(now_mv);
+        self.ticks += 1;
+        self.changes_v += (voltage_v - volts(last_mv)).abs();
+        self.sign_changes += u64::from(i32::from(last_mv) * i32::from(now_mv) < 0);
+        self.squares_v2 += voltage_v * voltage_v;
+        self.losses_w += copper_loss_w(voltage_v, tick.state.theta_dot);
+    }
+
+    /// Adds what another has counted.
+    pub fn merge(&mut self, other: &Self) {
+        self.ticks += other.ticks;
+        self.changes_v += other.changes_v;
+        self.sign_changes += other.sign_changes;
+        self.squares_v2 += other.squares_v2;
+        self.losses_w += other.losses_w;
+    }
+
+    /// What it comes to; none where nothing balanced.
+    #[must_use]
+    pub fn figures(&self) -> Option<QuietnessFigures> {
+        if self.ticks == 0 {
+            return None;
+        }
+        let ticks = self.ticks as f64;
+        Some(QuietnessFigures {
+            change_v: self.changes_v / ticks,
+            sign_changes_per_s: self.sign_changes as f64 / (ticks * CONTROL_PERIOD_S),
+            rms_v: (self.squares_v2 / ticks).sqrt(),
+            copper_loss_w: self.losses_w / ticks,
+        })
+    }
+}
+
+fn volts(millivolts: i16) -> f64 {
+    f64::from(millivolts) / 1000.0
+}
+
+/// I^2 R of the nominal winding, its current from voltage and speed as in [`crate::safety::MotorHeat`],
+/// W. The current that the board measures is left out: at rest its zero error would be all of it.
+fn copper_loss_w(voltage_v: f64, theta_dot_rad_s: f64) -> f64 {
+    let nominal = DomainParameters::NOMINAL;
+    let across_winding_v = voltage_v - nominal.motor_back_emf_v_s * theta_dot_rad_s;
+    across_winding_v * across_winding_v / nominal.motor_resistance_ohm
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::State;
+
+    /// Running ticks with these angles of the pendulum and voltages.
+    fn rollout(
+        ticks: u32,
+        alpha: impl Fn(u32) -> f64,
+        voltage_mv: impl Fn(u32) -> i16,
+    ) -> Vec<TickRecord> {
+        let tick = |tick| TickRecord {
+            tick,
+            phase: Phase::Running,
+            state: State { alpha: alpha(tick), theta_dot: 10.0, ..State::default() },
+            voltage_mv: voltage_mv(tick),
+            ..TickRecord::default()
+        };
+        (0..ticks).map(tick).collect()
+    }
+
+    #[test]
+    fn a_square_wave_has_the_figures_that_can_be_counted() {
+        // +1, +1, -1, -1 V and so on: a change of 2 V and of sign each other tick.
+        let wave = |tick: u32| if tick % 4 < 2 { 1000 } else { -1000 };
+        let figures = Quietness::of(&rollout(451, |_| -PI, wave)).figures().unwrap();
+        assert!((figures.change_v - 1.0).abs() < 1e-12, "{figures:?}");
+        assert!((figures.sign_changes_per_s - 50.0).abs() < 1e-9, "{figures:?}");
+        assert!((figures.rms_v - 1.0).abs() < 1e-12, "{figures:?}");
+        // 0.42 V of back EMF at 10 rad/s, 8.4 ohm.
+        let loss_w = (0.58 * 0.58 + 1.42 * 1.42) / 2.0 / 8.4;
+        assert!((figures.copper_loss_w - loss_w).abs() < 1e-12, "{figures:?}");
+    }
+
+    #[test]
+    fn swing_up_catch_other_phases_and_what_falls_do_not_count() {
+        let loud = |tick: u32| if tick.is_multiple_of(2) { 5000 } else { -5000 };
+        assert_eq!(Quietness::of(&rollout(600, |_| 0.5, loud)).figures(), None);
+        // Up at tick 100: counted from tick 150 on.
+        let alpha = |tick| if tick < 100 { 2.0 } else { PI + 0.4 };
+        let quiet = |tick| if tick < 149 { loud(tick) } else { 200 };
+        let mut ticks = rollout(600, alpha, quiet);
+        let figures = Quietness::of(&ticks).figures().unwrap();
+        assert_eq!((figures.change_v, figures.sign_changes_per_s), (0.0, 0.0));
+        for tick in &mut ticks {
+            tick.phase = Phase::Braking;
+        }
+        assert_eq!(Quietness::of(&ticks), Quietness::NONE);
+    }
+
+    #[test]
+    fn rollouts_add_up_tick_by_tick_and_not_across_their_ends() {
+        let still = rollout(300, |_| PI, |_| 2000);
+        let (mut both, mut merged) = (Quietness::of(&still), Quietness::of(&still));
+        let other = rollout(150, |_| PI, |_| -2000);
+        both.add(&other);
+        merged.merge(&Quietness::of(&other));
+        for quietness in [both, merged] {
+            let figures = quietness.figures().unwrap();
+            assert_eq!((figures.change_v, figures.sign_changes_per_s), (0.0, 0.0));
+            assert!((figures.rms_v - 2.0).abs() < 1e-12, "{figures:?}");
+        }
+        assert_eq!(both.ticks, merged.ticks);
+    }
+}
