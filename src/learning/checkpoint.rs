@@ -17,7 +17,7 @@ use crate::storage::{Disk, MachineDisk, read_bounded};
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
 /// Changes when the content of a checkpoint does.
-const VERSION: &str = "2";
+const VERSION: &str = "3";
 
 /// Where a training keeps itself, so that it can go on after an interruption.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -117,8 +117,8 @@ fn to_bytes(trainer: &Trainer<'_>) -> Result<Vec<u8>, safetensors::SafeTensorErr
         .collect();
     let curve = trainer.curve.iter().flat_map(|update| update.to_array());
     contents.push(("curve", Dtype::F64, curve.flat_map(f64::to_le_bytes).collect()));
-    let best_return = trainer.best_return.to_le_bytes().to_vec();
-    contents.push(("best_return", Dtype::F64, best_return));
+    let best = [trainer.best_return, trainer.best_score].into_iter().flat_map(f64::to_le_bytes);
+    contents.push(("best_return", Dtype::F64, best.collect()));
     let counters = [trainer.policy.moments.steps, trainer.value.moments.steps];
     let counters = counters.into_iter().flat_map(u64::to_le_bytes).collect();
     contents.push(("counters", Dtype::U64, counters));
@@ -167,10 +167,10 @@ fn from_tensors(tensors: &SafeTensors<'_>, trainer: &mut Trainer<'_>) -> Result<
         let (numbers, _) = bytes(name, Dtype::F64)?.as_chunks::<8>();
         Ok::<_, String>(numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect::<Vec<_>>())
     };
-    let [best_return] = numbers("best_return")?[..] else {
-        return Err("best_return is not one number".to_owned());
+    let [best_return, best_score] = numbers("best_return")?[..] else {
+        return Err("best_return is not two numbers".to_owned());
     };
-    trainer.best_return = best_return;
+    (trainer.best_return, trainer.best_score) = (best_return, best_score);
     let curve = numbers("curve")?;
     trainer.curve = curve.as_chunks().0.iter().map(TrainUpdate::from_array).collect();
     let (counters, _) = bytes("counters", Dtype::U64)?.as_chunks::<8>();

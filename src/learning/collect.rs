@@ -4,6 +4,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::TrainSettings;
 use super::actor::{VOLTS_PER_OUTPUT, outputs};
+use super::calm::Calm;
 use super::kernels::{Forward, gaussian_log_probability};
 use super::network::{LOG_STD, Network, WIDTH};
 use super::random::{Stream, normal_pair};
@@ -73,6 +74,7 @@ impl Collector<'_> {
         let mut ends = Vec::new();
         let mut cut: Vec<(usize, Observation)> = Vec::new();
         let log_std = self.policy.tail[LOG_STD];
+        let weight = self.settings.voltage_change_weight_at(self.update);
         let (std, inverse_std) = (exp(log_std), exp(-log_std));
 
         pendulums.observe(&mut observations);
@@ -90,7 +92,8 @@ impl Collector<'_> {
             pendulums.step(&voltages_v, &mut rewards, &mut progress, &mut observations);
             for (lane, explorer) in explorers.iter_mut().enumerate() {
                 let index = lane * MAX_STEPS + step;
-                transitions[index].reward = rewards[lane];
+                transitions[index].reward =
+                    rewards[lane] * explorer.calm.factor(voltages_v[lane], weight);
                 let is_last = step + 1 == MAX_STEPS;
                 match progress[lane] {
                     Progress::Running if !is_last => continue,
@@ -148,6 +151,7 @@ impl Collector<'_> {
             number,
             generator: stream(true).generator(self.seed),
             spare: None,
+            calm: Calm::default(),
         }
     }
 }
@@ -159,6 +163,7 @@ struct Explorer {
     number: u16,
     generator: ChaCha8Rng,
     spare: Option<f32>,
+    calm: Calm,
 }
 
 impl Explorer {
@@ -177,4 +182,52 @@ fn observation(observations: &[f32], lane: usize, lanes: usize) -> Observation {
         *entry = of_lanes[lane];
     }
     observation
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A batch of the update in which this weight is whole. What is seen and done in it does not depend
+    /// on what it earns.
+    fn batch(voltage_change_weight: f32) -> Vec<Transition> {
+        let settings =
+            TrainSettings { pendulums: 16, voltage_change_weight, ..TrainSettings::quick() };
+        let size = settings.simulation.observation_size();
+        let mut generator = Stream::Weights.generator(3);
+        let policy = Network::orthogonal(size, &mut generator, 0.01, settings.first_log_std);
+        let value = Network::orthogonal(size, &mut generator, 1.0, 0.0);
+        let collector = Collector {
+            policy: &policy,
+            value: &value,
+            distribution: DomainDistribution::nominal(),
+            settings: &settings,
+            seed: 3,
+            update: settings.updates / 2,
+        };
+        collector.collect(1).transitions
+    }
+
+    #[test]
+    fn a_reward_is_less_by_the_square_of_the_change_of_the_limited_voltage() {
+        let (plain, weighted) = (batch(0.0), batch(0.02));
+        let voltage_v = |transition: &Transition| (5.0 * transition.action).clamp(-5.0, 5.0);
+        let parts = |index: usize, last_v: f32| {
+            let change_v = voltage_v(&weighted[index]) - last_v;
+            let expected = (-0.02 * change_v * change_v).exp();
+            let part = weighted[index].reward / plain[index].reward;
+            (part - expected).abs() < 1e-5
+        };
+        assert!(parts(0, 0.0), "the motor had no voltage before a trajectory");
+        let mut after_another = 0;
+        for index in 1..plain.len() {
+            assert_eq!(plain[index].action, weighted[index].action);
+            assert_eq!(plain[index].observation, weighted[index].observation);
+            // Either it goes on, or a trajectory begins here.
+            let goes_on = parts(index, voltage_v(&weighted[index - 1]));
+            assert!(goes_on || parts(index, 0.0), "{index}");
+            after_another += usize::from(goes_on);
+        }
+        assert!(after_another > plain.len() * 9 / 10, "{after_another} of {}", plain.len());
+    }
 }

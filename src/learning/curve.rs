@@ -9,7 +9,7 @@ pub struct TrainUpdate {
     pub mean_return: f64,
     /// Smallest of those returns.
     pub worst_return: f64,
-    /// Rewards of the exploring policy in the batch, for 600 steps.
+    /// Rewards of the exploring policy in the batch as it learns from them, for 600 steps.
     pub training_return: f64,
     /// Trajectories in the batch; more than pendulums where some left the safety box.
     pub trajectories: u32,

@@ -4,6 +4,7 @@
 //! or `control`: training cannot move the motor.
 
 mod actor;
+mod calm;
 mod checkpoint;
 mod collect;
 mod curve;

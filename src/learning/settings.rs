@@ -51,6 +51,10 @@ pub struct TrainSettings {
     /// spread: who has learned to swing up one pendulum learns to swing up others. 0 is the thesis's
     /// training; evaluations are under the whole distribution all along.
     pub widening: f32,
+    /// Weight of a change of the voltage in what is learned from, 1/V^2: a step whose voltage differs
+    /// by dV from the one before earns exp(-weight dV^2) times its reward. It grows over the first half
+    /// of the updates. Which policy is handed on goes by it too; returns that are told are plain.
+    pub voltage_change_weight: f32,
     /// Fixed starts of the evaluation after each update.
     pub evaluation_starts: u16,
     /// Training ends early once an evaluation reaches this mean return.
@@ -84,6 +88,7 @@ impl TrainSettings {
             first_log_std: 0.0,
             smallest_log_std: -1.0,
             widening: 0.0,
+            voltage_change_weight: 0.0,
             evaluation_starts: 100,
             enough: None,
             simulation: SimulationSettings::default(),
@@ -129,6 +134,8 @@ impl TrainSettings {
         bounded("first_log_std", self.first_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("smallest_log_std", self.smallest_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("widening", self.widening, 0.0..=1.0, "0 to 1")?;
+        let weights = 0.0..=10.0;
+        bounded("voltage_change_weight", self.voltage_change_weight, weights, "0 to 10")?;
         bounded("simulation.history", self.simulation.history, 0..=MAX_HISTORY, "0 to 4")?;
         let room_rad = self.simulation.envelope_room_rad;
         bounded("simulation.envelope_room_rad", room_rad, 0.0..=1.0, "0 to 1")?;
@@ -181,6 +188,14 @@ impl TrainSettings {
     pub fn spread_at(&self, update: u32) -> f64 {
         let widening_updates = f64::from(self.widening) * f64::from(self.updates);
         if widening_updates > 0.0 { (f64::from(update) / widening_updates).min(1.0) } else { 1.0 }
+    }
+
+    /// Weight of a change of the voltage in an update: it grows in a straight line over the first half,
+    /// so that standing up is learned before standing quietly.
+    #[must_use]
+    pub fn voltage_change_weight_at(&self, update: u32) -> f32 {
+        let grown = 2.0 * update as f32 / self.updates.max(1) as f32;
+        self.voltage_change_weight * grown.min(1.0)
     }
 
     /// Learning rate of an update.

@@ -118,6 +118,9 @@ fn settings_out_of_range_are_named() {
     assert_eq!(refused(TrainSettings { learning_rate: f32::NAN, ..small() }), "learning_rate");
     assert_eq!(refused(TrainSettings { clip: 0.0, ..small() }), "clip");
     assert_eq!(refused(TrainSettings { evaluation_starts: 0, ..small() }), "evaluation_starts");
+    let voltage_change_weight = f32::NAN;
+    let weight_of_nothing = TrainSettings { voltage_change_weight, ..small() };
+    assert_eq!(refused(weight_of_nothing), "voltage_change_weight");
     assert_eq!(refused(TrainSettings { threads: 0, ..small() }), "threads");
     let simulation = SimulationSettings { history: 5, ..small().simulation };
     assert_eq!(refused(TrainSettings { simulation, ..small() }), "simulation.history");
@@ -133,6 +136,24 @@ fn the_thesis_preset_has_the_published_budget() {
     assert_eq!(transitions / network::WIDTH * thesis.epochs as usize * 100, 750_000);
     assert_eq!((thesis.discount, thesis.trace_decay, thesis.clip), (0.99, 0.95, 0.1));
     assert_eq!(thesis.learning_rate, 5e-4);
+}
+
+#[test]
+fn a_weight_on_changes_of_the_voltage_grows_and_what_is_told_stays_plain() {
+    let settings = TrainSettings { voltage_change_weight: 0.5, ..small_with_history() };
+    assert_eq!(settings.voltage_change_weight_at(0), 0.0);
+    assert_eq!(settings.voltage_change_weight_at(settings.updates - 1), 0.5);
+    let weighted = train_small(&settings, 5, None, u32::MAX).unwrap();
+    let plain = train_small(&small_with_history(), 5, None, u32::MAX).unwrap();
+    assert_ne!(weighted.network, plain.network);
+    // The first update, in which the weight is 0, learns the same, and its policy is told to earn the
+    // same.
+    assert_eq!(weighted.curve[0].mean_return, plain.curve[0].mean_return);
+    let told = |trained: &Trained| {
+        trained.curve.iter().any(|update| update.mean_return == trained.best_return)
+    };
+    assert!(told(&weighted) && told(&plain));
+    assert_eq!((weighted.voltage_change_weight, plain.voltage_change_weight), (0.5, 0.0));
 }
 
 #[test]

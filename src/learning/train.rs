@@ -32,6 +32,8 @@ pub struct Trained {
     pub sensors: SensorModel,
     /// What ended a simulated rollout early beside the box.
     pub guard: Guard,
+    /// Weight of a change of the voltage in what was learned from, 1/V^2.
+    pub voltage_change_weight: f32,
     /// Everything random in it.
     pub seed: u64,
 }
@@ -82,6 +84,7 @@ impl Trained {
                 gradient_steps: last.map_or(0, |last| last.gradient_steps),
                 sensors,
                 guard,
+                voltage_change_weight: self.voltage_change_weight,
                 best_return: Some(self.best_return),
                 program_version: env!("CARGO_PKG_VERSION").to_owned(),
             },

@@ -1,6 +1,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::actor::NetworkActor;
+use super::calm::Calm;
 use super::collect::{Batch, Collector};
 use super::curve::TrainUpdate;
 use super::export::exported;
@@ -11,7 +12,7 @@ use super::random::Stream;
 use super::train::Trained;
 use super::transition::Transition;
 use super::{TrainError, TrainSettings};
-use crate::simulation::{DomainDistribution, Evaluation, evaluate};
+use crate::simulation::{DomainDistribution, Evaluation, evaluate_and_tell};
 
 /// Gain of the policy's output layer at the start: near 0 V everywhere.
 const POLICY_GAIN: f64 = 0.01;
@@ -30,6 +31,8 @@ pub(super) struct Trainer<'a> {
     pub value: Box<Learner>,
     pub best: Network,
     pub best_return: f64,
+    /// What the best one was chosen by: its return, or its calm return.
+    pub best_score: f64,
     pub curve: Vec<TrainUpdate>,
 }
 
@@ -49,6 +52,7 @@ impl<'a> Trainer<'a> {
             seed,
             best: policy.clone(),
             best_return: f64::NEG_INFINITY,
+            best_score: f64::NEG_INFINITY,
             policy: Learner::new(policy),
             value: Learner::new(value),
             curve: Vec::new(),
@@ -63,10 +67,12 @@ impl<'a> Trainer<'a> {
         if stop.load(Ordering::Relaxed) {
             return Err(TrainError::Stopped);
         }
-        let evaluation = self.evaluate();
+        let (evaluation, calm_return) = self.evaluate();
         let mean_return = evaluation.mean_return();
-        if mean_return > self.best_return {
-            self.best_return = mean_return;
+        let is_weighted = self.settings.voltage_change_weight > 0.0;
+        let score = if is_weighted { calm_return } else { mean_return };
+        if score > self.best_score {
+            (self.best_score, self.best_return) = (score, mean_return);
             self.best = self.policy.network.clone();
         }
         let earlier = self.curve.last().map_or(0, |last| last.steps);
@@ -101,15 +107,24 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// Runs the policy without exploration from the fixed starts.
-    pub fn evaluate(&self) -> Evaluation {
-        evaluate(
+    /// Runs the policy without exploration from the fixed starts. Beside what it earns stands its calm
+    /// return: the mean return with the weight of a change of the voltage.
+    pub fn evaluate(&self) -> (Evaluation, f64) {
+        let starts = usize::from(self.settings.evaluation_starts);
+        let weight = self.settings.voltage_change_weight;
+        let mut calm = vec![Calm::default(); starts];
+        let mut calm_return = 0.0;
+        let evaluation = evaluate_and_tell(
             &mut NetworkActor(&self.policy.network),
             self.distribution,
             &self.settings.simulation,
             EVALUATION_SEED,
-            self.settings.evaluation_starts.into(),
-        )
+            starts,
+            |start, reward, voltage_v| {
+                calm_return += f64::from(reward * calm[start].factor(voltage_v, weight));
+            },
+        );
+        (evaluation, calm_return / starts as f64)
     }
 
     /// Both nets learn from the same minibatches but share nothing else, so that each can have a
@@ -154,6 +169,7 @@ impl<'a> Trainer<'a> {
             final_return: self.curve.last().map_or(f64::NEG_INFINITY, |last| last.mean_return),
             sensors: self.settings.simulation.sensors,
             guard: self.settings.simulation.safety_box.guard,
+            voltage_change_weight: self.settings.voltage_change_weight,
             seed: self.seed,
             curve: self.curve,
         })

@@ -65,7 +65,7 @@ impl<'a> Workbench<'a> {
     /// One evaluation: the mean return.
     #[must_use]
     pub fn evaluate(&self) -> f64 {
-        self.trainer.evaluate().mean_return()
+        self.trainer.evaluate().0.mean_return()
     }
 
     /// One whole update.

@@ -29,6 +29,7 @@ fn network_policy_with_history(history: usize) -> Policy {
             steps: 4_800_000,
             gradient_steps: 750_000,
             guard: SimulatedGuard::Envelope,
+            voltage_change_weight: 0.02,
             sensors: SimulatedSensors::Encoders {
                 corner_rad_s: 200.0,
                 counts_per_revolution: 2048,

@@ -27,10 +27,18 @@ pub struct TrainingRecord {
     /// What ended a simulated rollout early beside the safety box.
     #[serde(default, skip_serializing_if = "SimulatedGuard::is_box")]
     pub guard: SimulatedGuard,
+    /// Weight of a change of the voltage in what was learned from, 1/V^2; files that name none were
+    /// trained without.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub voltage_change_weight: f32,
     /// Mean return of the deterministic evaluation by which this policy was chosen.
     pub best_return: Option<f64>,
     /// Version of the program that trained it.
     pub program_version: String,
+}
+
+fn is_zero(weight: &f32) -> bool {
+    *weight == 0.0
 }
 
 /// The guard of a training: `safety::Guard`, as a policy's file names it.

@@ -152,6 +152,7 @@ mod tests {
             gradient_steps: 0,
             sensors: SimulatedSensors::TrueState,
             guard: SimulatedGuard::Box,
+            voltage_change_weight: 0.0,
             best_return: None,
             program_version: "0".into(),
         }

@@ -52,6 +52,19 @@ pub fn evaluate(
     seed: u64,
     starts: usize,
 ) -> Evaluation {
+    evaluate_and_tell(actor, distribution, settings, seed, starts, |_, _, _| {})
+}
+
+/// As [`evaluate`]; `tell` hears of each step of each trajectory: which, its reward, and its voltage
+/// before any limit, V.
+pub fn evaluate_and_tell(
+    actor: &mut impl Actor,
+    distribution: &DomainDistribution,
+    settings: &SimulationSettings,
+    seed: u64,
+    starts: usize,
+    mut tell: impl FnMut(usize, f32, f32),
+) -> Evaluation {
     let mut pendulums = Pendulums::new(starts, settings);
     for lane in 0..starts {
         pendulums.restart(lane, &Trajectory::draw(distribution, seed, lane as u64));
@@ -71,6 +84,7 @@ pub fn evaluate(
             if running[lane] {
                 evaluation.returns[lane] += f64::from(rewards[lane]);
                 evaluation.steps[lane] += 1;
+                tell(lane, rewards[lane], voltages_v[lane]);
                 running[lane] = progress[lane] == Progress::Running;
             }
         }
