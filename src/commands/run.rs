@@ -28,8 +28,8 @@ use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
 use crate::safety::SafetyBox;
 use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Latencies, Quietness, Recorded, Rig, RigError, RigSettings, RolloutPlan,
-    Verdict, judge_recording,
+    DRIFT_ROLLOUTS, Drift, Latencies, MAX_NOT_BEGUN, Quietness, Recorded, Rig, RigError,
+    RigSettings, RolloutPlan, Verdict, judge_recording,
 };
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
@@ -200,9 +200,6 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     ended
 }
-
-/// How often in a row a rollout may fail to begin because of the link.
-const MAX_NOT_BEGUN: u32 = 3;
 
 /// Rollouts of one policy, one after the other.
 struct Series<'a> {

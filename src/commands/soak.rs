@@ -15,7 +15,7 @@ use crate::policy::{ClassicalController, ClassicalGains, Policy};
 use crate::qube::{CONTROL_PERIOD_NS, MAX_STEPS};
 use crate::recording::{Recording, read};
 use crate::safety::SafetyBox;
-use crate::session::{Rig, RigError, RolloutPlan, Verdict, judge_recording};
+use crate::session::{MAX_NOT_BEGUN, Rig, RigError, RolloutPlan, Verdict, judge_recording};
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
 
@@ -24,9 +24,6 @@ const MAX_GROWTH_BYTES: i64 = 5_000_000;
 
 /// Rollouts after which everything is as large as it gets: buffers, threads' stacks, caches.
 const WARM_UP_ROLLOUTS: u64 = 20;
-
-/// How often in a row a rollout may fail to begin because of the link or of counts that moved.
-const MAX_NOT_BEGUN: u32 = 3;
 
 /// Run for hours: rollout after rollout by the classical controller, each recorded, read back and
 /// checked; no tick may be dropped and the memory may not grow

@@ -7,14 +7,11 @@ use super::{ExperimentError, Plant, Recipe, RolloutResult};
 use crate::learning::{TrainSettings, curve_csv, train};
 use crate::policy::Policy;
 use crate::session::{
-    EmulatedQubeSettings, Rig, RigError, RigSettings, RolloutPlan, SeedFor, SessionError,
-    derived_seed, write_whole,
+    EmulatedQubeSettings, MAX_NOT_BEGUN, Rig, RigError, RigSettings, RolloutPlan, SeedFor,
+    SessionError, derived_seed, write_whole,
 };
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
-
-/// How often in a row a rollout may fail to begin because of the link or of counts that moved.
-const MAX_NOT_BEGUN: u32 = 3;
 
 /// Policies by one recipe and one psi: each is trained with a seed of its own and run on plants.
 /// What is on disk and whole is not done again.

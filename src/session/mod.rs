@@ -37,8 +37,8 @@ pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use quietness::{ABOUT_UPRIGHT_RAD, Quietness, QuietnessFigures};
 pub use rig::{
-    ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, Pressed, Recorded, Recovery, Rig,
-    RigSettings, TimedDevice,
+    ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, MAX_NOT_BEGUN, Pressed, Recorded,
+    Recovery, Rig, RigSettings, TimedDevice,
 };
 pub use rig_error::RigError;
 pub use seeds::{Purpose as SeedFor, derived_seed};

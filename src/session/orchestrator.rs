@@ -7,9 +7,9 @@ use super::folder::{put_aside, write_whole};
 use super::seeds::{Purpose as SeedFor, derived_seed};
 use super::training::{Job, News, train_all};
 use super::{
-    Candidate, ClockChoice, DRIFT_ROLLOUTS, Doubt, Drift, Entry, Ledger, Purpose, Rig, RigError,
-    RigSettings, RolloutPlan, SessionError, SessionFolder, SessionSettings, Step, Verdict,
-    candidates, judge, judge_recording, mean_return, next_step,
+    Candidate, ClockChoice, DRIFT_ROLLOUTS, Doubt, Drift, Entry, Ledger, MAX_NOT_BEGUN, Purpose,
+    Rig, RigError, RigSettings, RolloutPlan, SessionError, SessionFolder, SessionSettings, Step,
+    Verdict, candidates, judge, judge_recording, mean_return, next_step,
 };
 use crate::identification::Unfit;
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
@@ -76,9 +76,6 @@ pub struct Session {
     /// How often in a row a rollout could not begin.
     not_begun: u32,
 }
-
-/// How often in a row a rollout may fail to begin because of the link.
-const MAX_NOT_BEGUN: u32 = 3;
 
 impl Session {
     /// Takes up a session where its ledger ends; an empty ledger is a new one.

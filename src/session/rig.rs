@@ -33,6 +33,9 @@ const HOMING_PAUSES_NS: [u64; 2] = [1_000_000_000, 2_000_000_000];
 /// How long a lost link is tried again, s.
 pub const LINK_PATIENCE_S: f64 = 30.0;
 
+/// How often in a row a rollout may fail to begin because of the link or of counts that moved.
+pub const MAX_NOT_BEGUN: u32 = 3;
+
 /// Where the Qube is.
 #[derive(Clone, Debug)]
 pub enum DeviceChoice {
