@@ -407,7 +407,7 @@ impl Motion for Homing {
         let is_led = !matches!(self.stage, Stage::Observe(_) | Stage::Probe(_));
         if is_led && self.runaway.lasts(&self.seen(), f64::from(self.voltage_mv)) {
             // What the cable throws runs against the voltage of a dead motor too.
-            let is_dead = self.current.takes_nothing(measurement, self.voltage_mv);
+            let is_dead = self.current.takes_nothing_at_speed(measurement, self.voltage_mv);
             let fault = if is_dead { Fault::MotorDead } else { Fault::ArmPushed };
             return self.off(Ending::Fault(fault));
         }

@@ -1,3 +1,4 @@
+use super::current_watch::takes_nothing;
 use super::standing::Standing;
 use super::watch::Alarm;
 use super::witness::{Contradiction, RIG_SHARE, Witness};
@@ -11,9 +12,6 @@ const JUMP_COUNTS: f64 = 200.0;
 /// A step of so many counts more than the one before and the one after is a jump too: a hit changes how
 /// fast the arm turns, but for more than one period.
 const SPIKE_COUNTS: i32 = 40;
-
-/// A motor that takes less than this for each volt while the arm stands is not connected, A.
-const DEAD_A_V: f32 = 0.02;
 
 /// From this voltage on, mV, no arm is fast enough for long that its back-EMF leaves no current.
 const DRIVEN_MV: i16 = 800;
@@ -207,8 +205,7 @@ impl SensorWatch {
     /// Why an arm's count stands although the motor has this voltage, enough to move any arm.
     #[must_use]
     pub fn why_arm_stands(&self, sample: &Measurement, voltage_mv: i16) -> Fault {
-        let least_a = DEAD_A_V * f32::from(voltage_mv.saturating_abs()) * 1e-3;
-        if sample.current_a.abs() < least_a {
+        if takes_nothing(sample, voltage_mv) {
             return Fault::MotorDead;
         }
         let feels_arm = self.witness().is_none_or(|witness| witness.felt_rad_s() > FELT_RAD_S);
@@ -317,12 +314,11 @@ impl SensorWatch {
         counts_s: f64,
         elapsed_s: f64,
     ) -> Option<Fault> {
-        let least_a = DEAD_A_V * f32::from(drive.voltage_mv.saturating_abs()) * 1e-3;
-        let takes_nothing = sample.current_a.abs() < least_a;
+        let is_dead = self.witness.is_some() && takes_nothing(sample, drive.voltage_mv);
         if self.frozen.moves_nothing(sample, drive, (FROZEN_DRIVE_MV, FROZEN_COUNTS, FROZEN_US)) {
             return Some(match self.witness {
                 // No witness says that it moves.
-                Some(_) if takes_nothing => Fault::MotorDead,
+                Some(_) if is_dead => Fault::MotorDead,
                 Some(_) => Fault::ArmHeld,
                 None => Fault::EncoderFrozen,
             });
@@ -334,7 +330,6 @@ impl SensorWatch {
         }
         let stalls =
             self.stall.moves_nothing(sample, drive, (STALL_DRIVE_MV, crept_counts, STALL_US));
-        let is_dead = self.witness.is_some() && takes_nothing;
         stalls.then_some(if is_dead { Fault::MotorDead } else { Fault::Stall })
     }
 
