@@ -53,6 +53,10 @@ const JERK_RAD_S: f64 = 6.0;
 /// How long a pendulum may stay after that, us: a hit may catch it at the instant when it turns round.
 const PENDULUM_US: u64 = 300_000;
 
+/// Samples that are closer together than this, us, tell no change of velocity: one count in it is 0.6 rad/s.
+/// The tick after a late one may follow within 0.2 ms, where one count seems to be 15 rad/s.
+const LEAST_VELOCITY_US: u64 = 5_000;
+
 /// Counter and tachometer may differ by this much, counts/s (1.5 rad/s).
 const TACHOMETER_COUNTS_S: f64 = 500.0;
 
@@ -294,7 +298,8 @@ impl SensorWatch {
         if self.disagrees(sample, counts_s) {
             return Some(Alarm::Zero(Fault::TachometerDisagrees));
         }
-        let pendulum_is_frozen = self.pendulum.is_frozen(sample, counts_s * RAD_PER_COUNT);
+        let pendulum_is_frozen = elapsed_us >= LEAST_VELOCITY_US
+            && self.pendulum.is_frozen(sample, counts_s * RAD_PER_COUNT);
         // The arm first: a pendulum's fault lasts while the brake works, and may hide none of the arm's.
         let held = drive.and_then(|drive| self.held(sample, drive, counts_s, elapsed_s));
         if let Some(fault) = held {
@@ -386,6 +391,21 @@ mod tests {
                 Alarm::Zero(fault) | Alarm::Brake(fault) => Some((tick, fault)),
             }
         })
+    }
+
+    #[test]
+    fn one_count_between_two_samples_that_follow_each_other_at_once_is_no_jerk() {
+        // A computer that stood still for 20 ms, and the tick after that.
+        for close_us in [141, 242, 2_000] {
+            let mut watch = SensorWatch::default();
+            let before = (0..60).map(|tick| (10_000 * tick, 0));
+            for (device_time_us, theta_counts) in
+                before.chain([(611_000, 0), (611_000 + close_us, -1), (620_000, -1)])
+            {
+                let sample = Measurement { device_time_us, theta_counts, ..Measurement::default() };
+                assert_eq!(watch.check(&sample, Some(Drive::default())), None, "{close_us} us");
+            }
+        }
     }
 
     #[test]
