@@ -14,28 +14,16 @@ use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::{Examination, ExaminationSettings, examine};
 use qube_hil::recording::read;
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::{
-    ClockChoice, DeviceChoice, QubeFile, Recovery, Rig, RigError, RigSettings, RolloutPlan,
-    Verdict, judge,
-};
+use qube_hil::session::{QubeFile, Rig, RigError, RigSettings, RolloutPlan, Verdict, judge};
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{CheckVerdict, Ending, Fault, Phase, Preflight};
 
 fn settings(fault: Option<&str>) -> RigSettings {
-    RigSettings {
-        device: DeviceChoice::Emulated,
-        clock: ClockChoice::Virtual,
-        emulator: EmulatorSettings {
-            fault: fault.map(|fault| fault.parse::<EmulatorFault>().unwrap()),
-            seed: 11,
-            ..EmulatorSettings::default()
-        },
-        homing: HomingSettings::default(),
-        skip_check: false,
-        board: None,
-        limits: Default::default(),
-        recovery: Recovery::default(),
-    }
+    RigSettings::emulated(EmulatorSettings {
+        fault: fault.map(|fault| fault.parse::<EmulatorFault>().unwrap()),
+        seed: 11,
+        ..EmulatorSettings::default()
+    })
 }
 
 fn stop() -> Arc<AtomicBool> {

@@ -14,8 +14,7 @@ use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::safety::SafetyBox;
 use qube_hil::session::{
-    ClockChoice, Connect, DeviceChoice, Recovery, Rig, RigError, RigSettings, RolloutPlan,
-    TimedDevice, Verdict, judge,
+    Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice, Verdict, judge,
 };
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Fault;
@@ -137,20 +136,16 @@ impl Connect for Troubled {
 
 fn settings(clock: &VirtualClock, trouble: Trouble, from_s: f64, to_s: f64) -> RigSettings {
     let nanoseconds = |time_s: f64| (time_s * 1e9) as Nanoseconds;
+    let troubled = DeviceChoice::Other(Arc::new(Troubled {
+        clock: clock.clone(),
+        trouble,
+        from_ns: nanoseconds(from_s),
+        to_ns: nanoseconds(to_s),
+    }));
     RigSettings {
-        device: DeviceChoice::Other(Arc::new(Troubled {
-            clock: clock.clone(),
-            trouble,
-            from_ns: nanoseconds(from_s),
-            to_ns: nanoseconds(to_s),
-        })),
-        clock: ClockChoice::Virtual,
         emulator: EmulatorSettings { seed: 3, ..EmulatorSettings::default() },
         homing: HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() },
-        skip_check: false,
-        board: None,
-        limits: Default::default(),
-        recovery: Recovery::default(),
+        ..RigSettings::in_virtual_time(troubled)
     }
 }
 

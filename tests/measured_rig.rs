@@ -16,8 +16,7 @@ use qube_hil::qube::{Measurement, Profile, QubeModel};
 use qube_hil::recording::{Recording, read};
 use qube_hil::safety::SafetyBox;
 use qube_hil::session::{
-    ClockChoice, Connect, DeviceChoice, Recovery, Rig, RigError, RigSettings, RolloutPlan,
-    TimedDevice,
+    Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice,
 };
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Fault};
@@ -104,16 +103,8 @@ impl Bench {
 
     /// Homes a Qube.
     fn open(&self, emulator: EmulatorSettings, homing: HomingSettings) -> Result<Rig, RigError> {
-        let settings = RigSettings {
-            device: DeviceChoice::Other(Arc::new(self.clone())),
-            clock: ClockChoice::Virtual,
-            emulator,
-            homing,
-            skip_check: false,
-            board: None,
-            limits: Default::default(),
-            recovery: Recovery::default(),
-        };
+        let device = DeviceChoice::Other(Arc::new(self.clone()));
+        let settings = RigSettings { emulator, homing, ..RigSettings::in_virtual_time(device) };
         Rig::open(&settings, &Arc::default())
     }
 }

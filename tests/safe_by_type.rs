@@ -13,8 +13,7 @@ use qube_hil::qube::Measurement;
 use qube_hil::recording::{parse, read};
 use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use qube_hil::session::{
-    ClockChoice, Connect, DeviceChoice, Recovery, Rig, RigError, RigSettings, RolloutPlan,
-    TimedDevice,
+    Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice,
 };
 use qube_hil::storage::MachineDisk;
 
@@ -71,32 +70,23 @@ impl Connect for SilentWay {
     }
 }
 
-fn rig_settings(device: DeviceChoice) -> RigSettings {
-    RigSettings {
-        device,
-        clock: ClockChoice::Virtual,
-        emulator: EmulatorSettings::default(),
-        homing: Default::default(),
-        skip_check: false,
-        board: None,
-        limits: Default::default(),
-        recovery: Recovery::default(),
-    }
-}
-
 #[test]
 fn what_declares_nothing_is_hardware_before_and_after_it_has_answered() {
-    let silent = rig_settings(DeviceChoice::Other(Arc::new(SilentWay)));
+    let silent = RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(SilentWay)));
     assert!(silent.is_hardware() && silent.checks());
-    assert!(rig_settings(DeviceChoice::Port("/dev/null".into())).is_hardware());
-    assert!(!rig_settings(DeviceChoice::Emulated).is_hardware());
+    assert!(RigSettings::in_virtual_time(DeviceChoice::Port("/dev/null".into())).is_hardware());
+    assert!(!RigSettings::in_virtual_time(DeviceChoice::Emulated).is_hardware());
     let rig = Rig::connect(&silent, &Arc::default()).unwrap();
     assert!(rig.is_hardware());
     // The device's own word counts, whatever the way to it says.
     let way = Way { declares_emulated: true };
-    let rig = Rig::connect(&rig_settings(DeviceChoice::Other(Arc::new(way))), &Arc::default());
+    let rig = Rig::connect(
+        &RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(way))),
+        &Arc::default(),
+    );
     assert!(rig.unwrap().is_hardware());
-    let rig = Rig::connect(&rig_settings(DeviceChoice::Emulated), &Arc::default()).unwrap();
+    let rig = Rig::connect(&RigSettings::in_virtual_time(DeviceChoice::Emulated), &Arc::default())
+        .unwrap();
     assert!(!rig.is_hardware());
 }
 
@@ -142,7 +132,9 @@ fn what_is_hardware_is_examined_before_its_first_motion() {
         Arc::new(Way { declares_emulated: true }),
         Arc::new(Way { declares_emulated: false }),
     ] {
-        let rig = Rig::open(&rig_settings(DeviceChoice::Other(way)), &Arc::default()).unwrap();
+        let rig =
+            Rig::open(&RigSettings::in_virtual_time(DeviceChoice::Other(way)), &Arc::default())
+                .unwrap();
         let preflight = rig.preflight();
         assert!(matches!(preflight, qube_hil::telemetry::Preflight::Done(_)), "{preflight:?}");
     }
@@ -176,7 +168,8 @@ fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
     let wide = SafetyBox { theta: 9.0, ..SafetyBox::GUARDED };
     let open = |limits| {
         let hardware = DeviceChoice::Other(Arc::new(SilentWay));
-        let settings = RigSettings { limits, skip_check: true, ..rig_settings(hardware) };
+        let settings =
+            RigSettings { limits, skip_check: true, ..RigSettings::in_virtual_time(hardware) };
         Rig::open(&settings, &Arc::default()).unwrap()
     };
     let rig = open(HardwareLimits::default());
@@ -193,7 +186,8 @@ fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
     assert!(!rollout(&rig, SafetyBox::GUARDED).unwrap());
 
     // An experiment on an emulated Qube chooses its box.
-    let rig = Rig::open(&rig_settings(DeviceChoice::Emulated), &Arc::default()).unwrap();
+    let rig =
+        Rig::open(&RigSettings::in_virtual_time(DeviceChoice::Emulated), &Arc::default()).unwrap();
     assert!(!rollout(&rig, SafetyBox::THESIS).unwrap());
 }
 

@@ -8,8 +8,8 @@ use std::sync::atomic::AtomicBool;
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::recording::read;
 use qube_hil::session::{
-    ClockChoice, DeviceChoice, Entry, Extent, Ledger, Recovery, RigSettings, Session, SessionError,
-    SessionFolder, SessionSettings, Verdict, judge,
+    Entry, Extent, Ledger, Recovery, RigSettings, Session, SessionError, SessionFolder,
+    SessionSettings, Verdict, judge,
 };
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Fault, Preflight};
@@ -39,16 +39,9 @@ fn run_with(
     fault: Option<EmulatorFault>,
     recovery: Recovery,
 ) -> Result<(), SessionError> {
-    let rig = RigSettings {
-        device: DeviceChoice::Emulated,
-        clock: ClockChoice::Virtual,
-        emulator: EmulatorSettings { fault, ..EmulatorSettings::default() },
-        homing: settings().homing,
-        skip_check: false,
-        board: None,
-        limits: Default::default(),
-        recovery,
-    };
+    let homing = settings().homing;
+    let emulator = EmulatorSettings { fault, ..EmulatorSettings::default() };
+    let rig = RigSettings { homing, recovery, ..RigSettings::emulated(emulator) };
     let stop = Arc::new(AtomicBool::new(false));
     Session::open(folder, settings(), rig, stop)?.run(&mut |_| ())
 }

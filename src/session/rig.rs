@@ -127,6 +127,27 @@ impl Default for Recovery {
 }
 
 impl RigSettings {
+    /// What is at this place, in virtual time, and nothing else out of the ordinary.
+    #[must_use]
+    pub fn in_virtual_time(device: DeviceChoice) -> Self {
+        Self {
+            device,
+            clock: ClockChoice::Virtual,
+            emulator: EmulatorSettings::default(),
+            homing: HomingSettings::default(),
+            skip_check: false,
+            board: None,
+            limits: HardwareLimits::default(),
+            recovery: Recovery::default(),
+        }
+    }
+
+    /// The embedded emulated Qube, made so, in virtual time.
+    #[must_use]
+    pub fn emulated(emulator: EmulatorSettings) -> Self {
+        Self { emulator, ..Self::in_virtual_time(DeviceChoice::Emulated) }
+    }
+
     /// Whether it counts as hardware before anybody has answered there.
     #[must_use]
     pub fn is_hardware(&self) -> bool {

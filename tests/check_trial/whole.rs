@@ -9,8 +9,8 @@ use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::estimation::{Calibration, EstimatorSettings};
 use qube_hil::policy::Policy;
 use qube_hil::qube::QubeModel;
-use qube_hil::safety::{HardwareLimits, SafetyBox};
-use qube_hil::session::{ClockChoice, DeviceChoice, Rig, RigSettings, RolloutPlan};
+use qube_hil::safety::SafetyBox;
+use qube_hil::session::{Rig, RigSettings, RolloutPlan};
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Fault};
 use rand::{RngExt, SeedableRng};
@@ -19,16 +19,8 @@ use rand_chacha::ChaCha8Rng;
 use super::rigs::{DEFECTS, FIRST_SEED, number, of_each, rig, signs_of};
 
 fn connected(emulator: EmulatorSettings, signs: Calibration) -> Rig {
-    let settings = RigSettings {
-        device: DeviceChoice::Emulated,
-        clock: ClockChoice::Virtual,
-        emulator,
-        homing: HomingSettings { signs, ..HomingSettings::default() },
-        skip_check: false,
-        board: None,
-        recovery: Default::default(),
-        limits: HardwareLimits::default(),
-    };
+    let homing = HomingSettings { signs, ..HomingSettings::default() };
+    let settings = RigSettings { homing, ..RigSettings::emulated(emulator) };
     Rig::connect(&settings, &Arc::new(AtomicBool::new(false))).unwrap()
 }
 

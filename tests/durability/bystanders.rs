@@ -18,8 +18,8 @@ use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::qube::Measurement;
 use qube_hil::recording::RecordingError;
 use qube_hil::session::{
-    ClockChoice, Connect, DeviceChoice, Progress, Recovery, Rig, RigError, RigSettings, Session,
-    SessionFolder, TimedDevice, Verdict, judge,
+    Connect, DeviceChoice, Progress, Rig, RigError, RigSettings, Session, SessionFolder,
+    TimedDevice, Verdict, judge,
 };
 use qube_hil::storage::{Disk, DiskFile, Hold};
 
@@ -277,15 +277,10 @@ impl Connect for PanickingWiring {
 fn a_control_thread_that_panics_switches_the_amplifier_off_and_is_named() {
     for samples in [3, 50] {
         let wire = WatchedWire::new(EmulatorSettings::default(), VirtualClock::default());
+        let wiring = PanickingWiring { samples, wire: wire.clone() };
         let settings = RigSettings {
-            device: DeviceChoice::Other(Arc::new(PanickingWiring { samples, wire: wire.clone() })),
-            clock: ClockChoice::Virtual,
-            emulator: EmulatorSettings::default(),
             homing: HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() },
-            skip_check: false,
-            board: None,
-            limits: Default::default(),
-            recovery: Recovery::default(),
+            ..RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(wiring)))
         };
         let error = Rig::open(&settings, &Arc::default()).err().unwrap();
         assert!(matches!(error, RigError::ThreadGone(_)), "{error}");

@@ -8,7 +8,7 @@ use qube_hil::clock::{Nanoseconds, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{DeviceError, LinkFault, SerialLink, Transport};
-use qube_hil::session::{ClockChoice, Connect, DeviceChoice, Recovery, RigSettings, TimedDevice};
+use qube_hil::session::{Connect, DeviceChoice, RigSettings, TimedDevice};
 
 use crate::fault_port::{FaultPort, Plan};
 use crate::watched_wire::WatchedWire;
@@ -79,16 +79,9 @@ impl Wiring {
     }
 
     pub fn rig_settings(self, method: HomingMethod) -> RigSettings {
-        RigSettings {
-            device: DeviceChoice::Other(Arc::new(self)),
-            clock: ClockChoice::Virtual,
-            emulator: EmulatorSettings::default(),
-            homing: HomingSettings { method, ..HomingSettings::default() },
-            skip_check: false,
-            board: None,
-            limits: Default::default(),
-            recovery: Recovery::default(),
-        }
+        let homing = HomingSettings { method, ..HomingSettings::default() };
+        let device = DeviceChoice::Other(Arc::new(self));
+        RigSettings { homing, ..RigSettings::in_virtual_time(device) }
     }
 }
 
