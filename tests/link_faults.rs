@@ -181,6 +181,17 @@ fn two_seconds_of_late_answers_do_not_use_up_the_tries_of_homing() {
 }
 
 #[test]
+fn answers_that_are_late_for_a_moment_are_no_fault_of_the_motor() {
+    // While the arm is pushed.
+    for from_s in [2.8, 2.9, 3.0, 3.1, 3.2, 3.4, 3.6, 3.8, 4.0] {
+        let clock = VirtualClock::default();
+        let settings = settings(&clock, Trouble::Late(60 * MS), from_s, from_s + 0.07);
+        let found = Rig::connect(&settings, &stop()).unwrap().check(false).unwrap();
+        assert!(found.passed(), "late from {from_s} s: {:#?}", found.results);
+    }
+}
+
+#[test]
 fn a_port_that_is_gone_for_a_moment_or_for_seconds_is_opened_again() {
     let directory = tempfile::tempdir().unwrap();
     for away_s in [0.02, 3.0, 20.0] {

@@ -16,6 +16,9 @@ const STEP_V: f64 = 0.25;
 /// stiff one; friction, a one-sided dead zone and a cable together may need more than 2 V.
 const STEPS: u32 = 11;
 
+/// How often a push is done again that a late computer or link has ended, which says nothing against the Qube.
+const DONE_AGAIN: u32 = 2;
+
 const MOTOR: &str = "motor";
 const STALL: &str = "stall";
 const ARM: &str = "arm";
@@ -98,6 +101,7 @@ fn probe(
     for step in 1..=STEPS {
         for direction in [1.0, -1.0] {
             let push_v = direction * STEP_V * f64::from(step);
+            let mut disturbed = 0;
             loop {
                 ensure_going(stop)?;
                 device.hello()?;
@@ -105,6 +109,11 @@ fn probe(
                 let report = drive(device, clock, &mut probe, None, stop)?;
                 match report.outcome.ending {
                     Ending::Fault(Fault::LinkGone) => return Err(super::link::gone(port)),
+                    Ending::Fault(fault) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {
+                        disturbed += 1;
+                        rest::wait_for_the_arm(device, clock, stop, port)?;
+                        continue;
+                    }
                     Ending::Fault(fault) => return Ok(Err(fault)),
                     Ending::Stopped => return Err(Interruption::Stopped),
                     Ending::Completed | Ending::LeftBox(_) => {}
