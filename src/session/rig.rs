@@ -335,6 +335,14 @@ impl Rig {
         Ok(pressed)
     }
 
+    /// Whether the Qube still answers a hello.
+    ///
+    /// # Errors
+    /// The control thread has died.
+    pub fn answers(&self) -> Result<bool, RigError> {
+        Ok(self.control.hello()?.is_ok())
+    }
+
     /// All checks but homing.
     fn examine(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
         let settings = ExaminationSettings {

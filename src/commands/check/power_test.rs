@@ -28,6 +28,9 @@ const MOST_V: f64 = 1.5;
 const STEP_TICKS: u32 = 6000;
 const REPLUG: Duration = Duration::from_secs(120);
 
+/// How often a rehearsal is done again that a late computer or link has ended.
+const DONE_AGAIN: u32 = 2;
+
 /// What the test has found, for people and for scripts.
 pub struct Tested {
     pub text: String,
@@ -57,17 +60,18 @@ pub fn run(
          the arm alone."
     );
     let pressed = rig.press(push_v, STEP_TICKS, false).map_err(failed)?;
-    let unplugged = matches!(
-        pressed.ending,
+    match pressed.ending {
+        Ending::Stopped => return Err(failed(RigError::Stopped { during: "the power test" })),
+        // A computer that was late for a moment has lost samples too, and then the motor is off whatever
+        // its Qube does without a board.
         Ending::Fault(Fault::LinkGone | Fault::NoSample | Fault::BoardRestarted)
-    );
-    if pressed.ending == Ending::Stopped {
-        return Err(failed(RigError::Stopped { during: "the power test" }));
-    }
-    if !unplugged {
-        return Err(Failure::failed(
-            "the plug was not pulled, so nothing is known: the motor is off; begin again",
-        ));
+            if !rig.answers().map_err(failed)? => {}
+        Ending::Fault(fault) => return Err(failed(RigError::Ended { fault })),
+        _ => {
+            return Err(Failure::failed(
+                "the plug was not pulled, so nothing is known: the motor is off; begin again",
+            ));
+        }
     }
     // The port goes before the operator answers: a dead board's port is no use to anybody.
     drop(rig);
@@ -103,6 +107,7 @@ pub fn run(
 /// Finds the voltage that brings a pushed arm back, the board alive.
 fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     let mut push_v = STEP_V;
+    let mut disturbed = 0;
     while push_v <= MOST_V {
         eprintln!(
             "At {push_v:.2} V: with one finger push the arm a finger's breadth (1 cm) off its stop \
@@ -112,7 +117,13 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
             rig.press(push_v, STEP_TICKS, true).map_err(|error| failures::rig(error, stop))?;
         match (pressed.ending, pressed.outcome) {
             (Ending::Stopped, _) => return Err(stop.failure("stopped; the motor is off")),
-            (Ending::Fault(fault), _) => return Err(Failure::fault(format!("{fault}"))),
+            (Ending::Fault(fault), _) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {
+                disturbed += 1;
+                eprintln!("The motor is off, and nothing is known yet: {fault}. Once more.");
+            }
+            (Ending::Fault(fault), _) => {
+                return Err(failures::rig(RigError::Ended { fault }, stop));
+            }
             (_, PressOutcome::CameBack) => {
                 eprintln!("It came back: so it feels while the motor has its voltage.");
                 return Ok(push_v);
