@@ -6,6 +6,8 @@
 
 #[path = "firmware/acting.rs"]
 mod acting;
+#[path = "firmware/board_clock.rs"]
+mod board_clock;
 #[path = "firmware/check.rs"]
 mod check;
 #[path = "firmware/conformance.rs"]

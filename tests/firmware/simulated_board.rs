@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use qube_hil::clock::enter_realtime;
 
+use crate::board_clock::BoardClock;
 use crate::qube::{FRAME_BYTES, Qube};
 use crate::toolchain::{Chip, Toolchain};
 
@@ -121,6 +122,12 @@ impl SimulatedBoard {
     /// Simulated time of the last frame.
     pub fn time_us(&self) -> u64 {
         self.shared.time_us.load(Ordering::Relaxed)
+    }
+
+    /// The board's own time, for a host that is never late for it.
+    pub fn clock(&self) -> BoardClock {
+        let shared = Arc::clone(&self.shared);
+        BoardClock::new(move || shared.time_us.load(Ordering::Relaxed))
     }
 
     /// Real time that the simulation could not follow, because the computer was busy.

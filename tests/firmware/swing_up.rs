@@ -1,61 +1,76 @@
-//! The program as users start it completes a swing-up on the firmware.
+//! A swing-up on the firmware, homing and recording included, in the board's own time.
 
-use assert_cmd::Command;
-use serde_json::Value;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
+use qube_hil::estimation::EstimatorSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::safety::SafetyBox;
+use qube_hil::session::{Rig, RigSettings, RolloutPlan, Verdict, judge};
+use qube_hil::storage::MachineDisk;
+
+use crate::board_clock::rig_settings;
 use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// How often a rollout is repeated: because the computer was too busy for real time, or because the
-/// policy left the box.
+/// How often a rollout is repeated because the policy left the box.
 const ATTEMPTS: u32 = 4;
 
-fn swings_up(chip: Chip, policy: &str) {
+fn plan() -> RolloutPlan {
+    RolloutPlan {
+        session: "test".into(),
+        candidate: None,
+        rollout: 0,
+        attempt: 0,
+        psi: Default::default(),
+        seed: 0,
+        policy: "test".into(),
+        estimator: EstimatorSettings::default(),
+        safety_box: SafetyBox::GUARDED,
+        steps: 600,
+    }
+}
+
+fn swings_up(chip: Chip, policy: &Policy) {
     let Some(toolchain) = toolchain() else { return };
     let mut complaints = String::new();
     for _ in 0..ATTEMPTS {
         let directory = tempfile::tempdir().unwrap();
-        let out = directory.path().to_str().unwrap();
+        let path = directory.path().join("rollout.mcap");
         let board = SimulatedBoard::start(toolchain, chip, Qube::new(0));
-        let output = Command::cargo_bin("qube-hil")
-            .expect("the program is built")
-            .env("XDG_STATE_HOME", directory.path())
-            .args(["--json", "run", "--policy", policy, "--device", board.port(), "--out", out])
-            // Which has a test of its own; a busy computer would fail it here for its latency.
-            .arg("--skip-check")
-            .output()
-            .expect("it runs");
+        // The check has a test of its own.
+        let settings = RigSettings { skip_check: true, ..rig_settings(&board) };
+        let rig = Rig::open(&settings, &Arc::new(AtomicBool::new(false))).unwrap();
+        let header = plan().header();
+        let recorded = rig.rollout(&MachineDisk, &path, header, &policy.to_bytes()).unwrap();
         let simulated_s = board.time_us() as f64 * 1e-6;
-        let given_up_us = board.given_up_us();
-        let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
-        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-        if output.status.success() {
-            let result: Value = serde_json::from_str(stdout.lines().last().unwrap()).unwrap();
-            println!(
-                "{policy} on {}: {result}\n{simulated_s:.1} s simulated with {:.0} % of a core, \
-                 {given_up_us} us given up",
-                chip.name(),
-                100.0 * board.processor_s() / simulated_s
-            );
-            if result["success"][0] == true {
-                assert_eq!(board.lost_bytes(), 0);
-                return;
-            }
+        let told = format!(
+            "{:?}\n{simulated_s:.1} s simulated with {:.0} % of a core, {} us given up\n",
+            recorded.outcome,
+            100.0 * board.processor_s() / simulated_s,
+            board.given_up_us(),
+        );
+        if let Verdict::Result { success: true, .. } = judge(&MachineDisk, &path).unwrap() {
+            println!("{}: {told}", chip.name());
+            assert_eq!(board.lost_bytes(), 0);
+            return;
         }
-        complaints +=
-            &format!("{stdout}{stderr}({given_up_us} us of {simulated_s} s not simulated)");
+        complaints += &told;
     }
     panic!("no swing-up in {ATTEMPTS} attempts: {complaints}");
 }
 
 #[test]
 fn the_classical_controller_swings_up_on_the_firmware() {
-    swings_up(Chip::Atmega328p, "classical");
+    let classical = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+    swings_up(Chip::Atmega328p, &classical);
 }
 
 #[test]
 fn a_trained_policy_swings_up_on_the_firmware() {
-    let policy = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/nominal.safetensors");
-    swings_up(Chip::Atmega2560, policy);
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let policy = Policy::load(&folder.join("policies/nominal.safetensors")).unwrap();
+    swings_up(Chip::Atmega2560, &policy);
 }

@@ -1,0 +1,84 @@
+//! A host's clock that goes with the simulated board's: where the computer stands still, both do.
+
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use qube_hil::clock::{Clock, Nanoseconds};
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::device::{DeviceError, SerialLink};
+use qube_hil::session::{ClockChoice, Connect, DeviceChoice, RigSettings, TimedDevice};
+
+use crate::simulated_board::SimulatedBoard;
+
+/// How far this clock goes on by itself without a sign of the board.
+const AHEAD: Duration = Duration::from_millis(3);
+
+/// How long a wait sleeps at a time.
+const NAP: Duration = Duration::from_micros(200);
+
+/// The time of a simulated board, us, which its frames tell; between them the computer's own time.
+#[derive(Clone)]
+pub struct BoardClock {
+    board_us: Arc<dyn Fn() -> u64 + Send + Sync>,
+    last: Arc<Mutex<Last>>,
+}
+
+struct Last {
+    board_us: u64,
+    seen: Instant,
+    told_ns: Nanoseconds,
+}
+
+impl BoardClock {
+    pub fn new(board_us: impl Fn() -> u64 + Send + Sync + 'static) -> Self {
+        let last = Last { board_us: board_us(), seen: Instant::now(), told_ns: 0 };
+        Self { board_us: Arc::new(board_us), last: Arc::new(Mutex::new(last)) }
+    }
+}
+
+impl fmt::Debug for BoardClock {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "BoardClock({} us)", (self.board_us)())
+    }
+}
+
+impl Clock for BoardClock {
+    fn now_ns(&self) -> Nanoseconds {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let board_us = (self.board_us)();
+        if board_us != last.board_us {
+            (last.board_us, last.seen) = (board_us, Instant::now());
+        }
+        let ahead = last.seen.elapsed().min(AHEAD);
+        last.told_ns = last.told_ns.max(board_us * 1000 + ahead.as_nanos() as u64);
+        last.told_ns
+    }
+
+    fn sleep_until(&self, deadline_ns: Nanoseconds) {
+        while self.now_ns() < deadline_ns {
+            std::thread::sleep(NAP);
+        }
+    }
+}
+
+/// The way to a simulated board in its own time.
+#[derive(Debug)]
+struct Connection {
+    port: String,
+    clock: BoardClock,
+}
+
+impl Connect for Connection {
+    fn connect(&self, _: &EmulatorSettings) -> Result<TimedDevice, DeviceError> {
+        let clock = Arc::new(self.clock.clone());
+        Ok((Box::new(SerialLink::open(&self.port, clock.clone())?), clock))
+    }
+}
+
+/// A rig with the Qube at this board, in the board's time.
+pub fn rig_settings(board: &SimulatedBoard) -> RigSettings {
+    let connection = Connection { port: board.port().to_owned(), clock: board.clock() };
+    let device = DeviceChoice::Other(Arc::new(connection));
+    RigSettings { clock: ClockChoice::Wall, ..RigSettings::in_virtual_time(device) }
+}
