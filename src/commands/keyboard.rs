@@ -56,6 +56,12 @@ impl Keyboard {
         Self { watched }
     }
 
+    /// No terminal.
+    #[cfg(test)]
+    pub fn none() -> Self {
+        Self { watched: None }
+    }
+
     /// What the operator must know before anything moves.
     pub fn hint(&self) -> &'static str {
         match self.watched {

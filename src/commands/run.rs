@@ -474,3 +474,6 @@ impl Results {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;

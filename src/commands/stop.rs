@@ -9,7 +9,7 @@ use super::exit::Failure;
 use super::keyboard;
 
 /// A request to stop, set by a signal or a key.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Stop {
     /// Watched by the control thread and by training.
     pub flag: Arc<AtomicBool>,

@@ -1,0 +1,102 @@
+//! What ends a run, in virtual time: no computer is too busy for it.
+
+use std::path::Path;
+
+use super::*;
+use crate::control::HomingSettings;
+use crate::device::emulator::{EmulatorFault, EmulatorSettings};
+use crate::session::{DoubtMemory, Recovery};
+use crate::telemetry::Preflight;
+
+/// An emulated Qube that is homed by hand and meets this fault, if any.
+fn settings(fault: Option<&str>) -> RigSettings {
+    let fault = fault.map(|fault| fault.parse::<EmulatorFault>().unwrap());
+    RigSettings {
+        homing: HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() },
+        ..RigSettings::emulated(EmulatorSettings { fault, seed: 5, ..EmulatorSettings::default() })
+    }
+}
+
+/// Rollouts of the classical controller: how they ended, and what they came to.
+fn run(settings: RigSettings, directory: &Path, rollouts: u32) -> (Result<(), Failure>, Results) {
+    let plan = RolloutPlan {
+        session: "run".into(),
+        candidate: None,
+        rollout: 0,
+        attempt: 0,
+        psi: Default::default(),
+        seed: 0,
+        policy: "classical".into(),
+        estimator: Default::default(),
+        safety_box: SafetyBox::GUARDED,
+        steps: MAX_STEPS as u32,
+    };
+    let files = vec![policy_file("classical").unwrap()];
+    let driver = Driver { name: "classical".into(), files, steps: plan.steps };
+    let (stop, keyboard) = (Stop::default(), Keyboard::none());
+    let directory = directory.to_owned();
+    let mut series = Series { settings, plan, driver, directory, stop: &stop, keyboard: &keyboard };
+    let mut results = Results::default();
+    (series.run(rollouts, &mut results), results)
+}
+
+fn recordings(directory: &Path) -> usize {
+    std::fs::read_dir(directory).map_or(0, Iterator::count)
+}
+
+#[test]
+fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let memory = Some(DoubtMemory::new(directory.join("state")));
+    let remembering = |fault, acknowledged| {
+        let recovery = Recovery { memory: memory.clone(), acknowledged, ..Recovery::default() };
+        RigSettings { recovery, skip_check: true, ..settings(fault) }
+    };
+    // The first rollout is over by then, and the fourth is not.
+    let (ended, results) = run(remembering(Some("stall@27"), false), &directory.join("one"), 6);
+    let ended_by = ended.unwrap_err().ended_by();
+    // What was measured is there, and why no more of it.
+    let returns = &results.returns;
+    assert!(returns.len() >= 2 && returns.len() < 6, "{returns:?}");
+    assert!(returns[0].is_some() && returns.last().unwrap().is_none(), "{returns:?}");
+    assert_eq!(results.json()["returns"].as_array().unwrap().len(), returns.len());
+    assert_eq!(ended_by["fault"], "stall_error", "{ended_by}");
+    assert_eq!(ended_by["consequence"], "examine", "{ended_by}");
+    assert_eq!(ended_by["exit_code"], 4, "{ended_by}");
+    let cause = ended_by["cause"].as_str().unwrap();
+    assert!(cause.contains("reports a stall") && cause.contains("--acknowledge"), "{cause}");
+    assert!(!cause.contains("amplifier"), "{cause}");
+    let kept = recordings(&directory.join("one"));
+    assert_eq!(kept, returns.len(), "a rollout that never began leaves no file");
+
+    // Started again without a word: refused, before anything has moved.
+    let (ended, _) = run(remembering(None, false), &directory.join("two"), 1);
+    let ended_by = ended.unwrap_err().ended_by();
+    let cause = ended_by["cause"].as_str().unwrap();
+    assert!(cause.contains("doubt") && cause.contains("reports a stall"), "{cause}");
+    assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!("stall_error"), &json!(4)));
+    assert!(!directory.join("two").exists());
+
+    // With it the Qube is examined, whatever else is asked for, and runs.
+    let (ended, _) = run(remembering(None, true), &directory.join("three"), 1);
+    ended.unwrap();
+    let preflight = read(&directory.join("three/rollout-0.mcap")).unwrap().header.preflight;
+    assert!(matches!(preflight, Preflight::Done(_)), "{preflight:?}");
+    // And that was the end of the doubt.
+    let (ended, _) = run(remembering(None, false), &directory.join("four"), 1);
+    ended.unwrap();
+    let preflight = read(&directory.join("four/rollout-0.mcap")).unwrap().header.preflight;
+    assert!(!matches!(preflight, Preflight::Done(_)), "{preflight:?}");
+}
+
+#[test]
+fn a_cable_that_is_plugged_in_again_voids_one_rollout_and_the_run_goes_on() {
+    let directory = tempfile::tempdir().unwrap();
+    let (ended, results) = run(settings(Some("unplug@9+3")), directory.path(), 3);
+    ended.unwrap();
+    let void: Vec<usize> = (0..3).filter(|number| results.returns[*number].is_none()).collect();
+    let [void] = void[..] else { panic!("{:?}", results.returns) };
+    let why = results.ended_early[void].as_ref().unwrap();
+    assert!(void < 2 && why.contains("unplugged"), "{why}");
+}
