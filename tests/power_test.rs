@@ -1,35 +1,31 @@
 //! `check --power-test` with an emulated Qube on a pty and an operator who does as he is told: the plug
 //! is pulled, the answer is written to `qube.toml`, and the warning ends where the motor goes off.
 
+#[path = "real_time/mod.rs"]
+mod real_time;
+
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings, Finger};
 use qube_hil::qube::State;
 use qube_hil::session::{QubeFile, UsbLost, power_warning};
-use qube_hil::telemetry::Fault;
+use real_time::in_real_time;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-/// When the arm is carried to its stop, and when the plug is pulled, s.
-const AT_STOP_S: u64 = 15;
-const UNPLUGGED_S: u64 = 32;
+/// When the arm is carried to its stop, s of the board's clock: a check and a homing are over by then.
+const AT_STOP_S: u64 = 20;
 
-/// A Qube whose plug is pulled once the test is under way, under a name that lasts.
-fn qube(link: &Path, fault: Option<&str>) -> EmulatedQube {
-    let settings = EmulatorSettings {
-        seed: 5,
-        start: Some(State::default()),
-        fault: fault.map(|fault| format!("{fault}@{UNPLUGGED_S}").parse().unwrap()),
-        finger: fault.map(|_| Finger {
-            from_us: AT_STOP_S * 1_000_000,
-            every_us: 2_500_000,
-            counts: 40,
-        }),
-        ..EmulatorSettings::default()
-    };
+/// From a word to a hand at the plug: the motor presses by then.
+const AN_OPERATOR_TAKES: Duration = Duration::from_millis(500);
+
+/// A Qube with an operator's finger at its arm or none, under a name that lasts.
+fn qube(link: &Path, finger: Option<Finger>) -> EmulatedQube {
+    let start = Some(State::default());
+    let settings = EmulatorSettings { seed: 5, start, finger, ..EmulatorSettings::default() };
     let mut qube = EmulatedQube::spawn(settings).unwrap();
     qube.link_as(link).unwrap();
     qube
@@ -41,42 +37,29 @@ fn program(directory: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// The Qubes here are served in real time: one after the other.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-
-/// What a computer that is busy with others causes, and no defect of the test: late ticks, lost samples,
-/// an emulated board that got no time.
-const OF_A_BUSY_COMPUTER: [Fault; 4] =
-    [Fault::NoSample, Fault::TooLate, Fault::DeviceClock, Fault::WatchdogTripped];
-
-/// The whole test and the object that it printed, begun again where the computer was too busy for it;
-/// any other failure counts at once.
-fn tested(directory: &Path, fault: &str, answer: &str) -> (EmulatedQube, Value) {
-    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut tries = 0;
-    loop {
-        tries += 1;
-        let (connected, code, told, text) = tested_once(directory, fault, answer);
-        if code == Some(0) {
-            assert!(told.contains("It came back"), "{told}");
-            return (connected, serde_json::from_str(&text).expect("one object"));
-        }
-        let all = format!("{told}\n{text}");
-        let is_busy = OF_A_BUSY_COMPUTER.iter().any(|fault| all.contains(&fault.to_string()))
-            || all.contains("failed: latency");
-        assert!(is_busy && tries < 4, "try {tries}, {code:?}: {all}");
-    }
+/// What happens as the operator is asked to pull the plug.
+enum AtThePlug {
+    /// He pulls it, and answers so.
+    Pulled(&'static str),
+    /// The program stands still for a while, and the plug stays where it is.
+    Stopped,
 }
 
-/// The whole test with a plug that is pulled in this way and an operator who answers so.
-fn tested_once(
-    directory: &Path,
-    fault: &str,
-    answer: &str,
-) -> (EmulatedQube, Option<i32>, String, String) {
+/// What the program came to.
+struct Told {
+    code: Option<i32>,
+    told: String,
+    text: String,
+    /// The Qube at its end, if any.
+    connected: Option<EmulatedQube>,
+}
+
+/// The whole test with an operator who does what he is told as he is told it.
+fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
     let link = directory.join("qube");
-    let mut connected = qube(&link, Some(fault));
-    let started = std::time::Instant::now();
+    let finger = Finger { from_us: AT_STOP_S * 1_000_000, every_us: 2_500_000, counts: 40 };
+    let mut connected = Some(qube(&link, Some(finger)));
+    let started = Instant::now();
     let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test", "--json"];
     let mut child = program(directory, &arguments)
         .stdin(Stdio::piped())
@@ -92,79 +75,122 @@ fn tested_once(
             let wait = Duration::from_secs(AT_STOP_S + 1).saturating_sub(started.elapsed());
             std::thread::sleep(wait);
             writeln!(operator).unwrap();
+        } else if line.contains("Now pull the USB plug") {
+            match at_the_plug {
+                AtThePlug::Pulled(_) => {
+                    std::thread::sleep(AN_OPERATOR_TAKES);
+                    connected = None;
+                }
+                AtThePlug::Stopped => {
+                    std::thread::sleep(AN_OPERATOR_TAKES);
+                    let process = Pid::from_child(&child);
+                    kill_process(process, Signal::STOP).unwrap();
+                    std::thread::sleep(Duration::from_millis(300));
+                    kill_process(process, Signal::CONT).unwrap();
+                }
+            }
         } else if line.contains("The board is gone") {
+            let AtThePlug::Pulled(answer) = at_the_plug else { panic!("the plug is in: {line}") };
             writeln!(operator, "{answer}").unwrap();
         } else if line.contains("Plug the USB cable in again") {
-            drop(connected);
-            connected = qube(&link, None);
+            connected = Some(qube(&link, None));
             writeln!(operator).unwrap();
         }
         told.push(line);
     }
     let output = child.wait_with_output().unwrap();
     let (told, text) = (told.join("\n"), String::from_utf8_lossy(&output.stdout).into_owned());
-    (connected, output.status.code(), told, text)
+    Told { code: output.status.code(), told, text, connected }
+}
+
+/// The same where the plug is pulled: the Qube that is connected again, and the object that it printed.
+fn pulled(directory: &Path, answer: &'static str) -> (EmulatedQube, Value) {
+    let Told { code, told, text, connected } = tested(directory, &AtThePlug::Pulled(answer));
+    assert_eq!(code, Some(0), "{told}\n{text}");
+    assert!(told.contains("It came back"), "{told}");
+    (connected.expect("it is plugged in again"), serde_json::from_str(&text).expect("one object"))
 }
 
 #[test]
 fn a_board_that_dies_and_a_motor_that_goes_on_are_written_down_and_warned_of() {
-    let directory = tempfile::tempdir().unwrap();
-    let (_connected, result) = tested(directory.path(), "power-loss", "y");
-    assert_eq!(result["power_test"]["power"]["usb_lost"], "motor keeps its word", "{result}");
-    assert_eq!(result["passed"], true, "{result}");
-    assert!(result["checks"].as_array().is_some_and(|checks| checks.len() > 10), "{result}");
-    let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
-    assert_eq!(file.power.as_ref().unwrap().usb_lost, UsbLost::KeepsItsWord);
-    assert!(power_warning(file.power.as_ref()).unwrap().contains("keeps its last voltage"));
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let (_connected, result) = pulled(directory.path(), "y");
+        assert_eq!(result["power_test"]["power"]["usb_lost"], "motor keeps its word", "{result}");
+        assert_eq!(result["passed"], true, "{result}");
+        assert!(result["checks"].as_array().is_some_and(|checks| checks.len() > 10), "{result}");
+        let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
+        assert_eq!(file.power.as_ref().unwrap().usb_lost, UsbLost::KeepsItsWord);
+        assert!(power_warning(file.power.as_ref()).unwrap().contains("keeps its last voltage"));
+    });
 }
 
 #[test]
 fn the_power_test_is_done_once_a_rig_and_its_result_ends_the_warning() {
-    let directory = tempfile::tempdir().unwrap();
-    let (_connected, result) = tested(directory.path(), "unplug", "n");
-    assert_eq!(result["power_test"]["power"]["usb_lost"], "motor off", "{result}");
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let (_connected, result) = pulled(directory.path(), "n");
+        assert_eq!(result["power_test"]["power"]["usb_lost"], "motor off", "{result}");
 
-    let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
-    let power = file.power.unwrap();
-    assert_eq!(power.usb_lost, UsbLost::MotorOff);
-    assert_eq!(Some(power.board), file.board);
-    assert_eq!(power.date.len(), "2026-01-31".len());
+        let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
+        let power = file.power.unwrap();
+        assert_eq!(power.usb_lost, UsbLost::MotorOff);
+        assert_eq!(Some(power.board), file.board);
+        assert_eq!(power.date.len(), "2026-01-31".len());
 
-    // Known now, and not known without the file: one line each time.
-    let arguments = ["run", "--device", "qube", "--policy", "classical", "--out"];
-    let warns = |out: &str, rename: bool| {
-        if rename {
-            std::fs::rename(directory.path().join("qube.toml"), directory.path().join("kept"))
+        // Known now, and not known without the file: one line each time.
+        let arguments = ["run", "--device", "qube", "--policy", "classical", "--out"];
+        let warns = |out: &str, rename: bool| {
+            if rename {
+                std::fs::rename(directory.path().join("qube.toml"), directory.path().join("kept"))
+                    .unwrap();
+            }
+            // Ended at once: what counts is said before anything is driven.
+            let arguments = [&arguments[..], &[out, "--rollouts", "1"]].concat();
+            let mut child = program(directory.path(), &arguments)
+                .stdout(Stdio::null())
+                .stderr(Stdio::piped())
+                .spawn()
                 .unwrap();
-        }
-        // Ended at once: what counts is said before anything is driven.
-        let arguments = [&arguments[..], &[out, "--rollouts", "1"]].concat();
-        let mut child = program(directory.path(), &arguments)
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
-        let before: Vec<String> =
-            lines.by_ref().take_while(|line| !line.starts_with("homing:")).collect();
-        child.kill().unwrap();
-        child.wait().unwrap();
-        before.iter().filter(|line| line.contains("--power-test")).count()
-    };
-    assert_eq!((warns("known", false), warns("unknown", true)), (0, 1));
+            let mut lines =
+                BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+            let before: Vec<String> =
+                lines.by_ref().take_while(|line| !line.starts_with("homing:")).collect();
+            child.kill().unwrap();
+            child.wait().unwrap();
+            before.iter().filter(|line| line.contains("--power-test")).count()
+        };
+        assert_eq!((warns("known", false), warns("unknown", true)), (0, 1));
+    });
+}
+
+#[test]
+fn a_computer_that_stands_still_is_not_taken_for_a_pulled_plug() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::Stopped);
+        assert!(told.contains("Now pull the USB plug"), "{told}");
+        assert_eq!(code, Some(4), "{told}");
+        assert!(told.contains("keeps this computer busy"), "{told}");
+        let result: Value = serde_json::from_str(&text).expect("one object");
+        assert_eq!(result["power_test"]["ended_by"]["consequence"], "try_again", "{result}");
+        assert!(!directory.path().join("qube.toml").exists());
+    });
 }
 
 #[test]
 fn nobody_at_the_terminal_means_no_test_and_no_file() {
-    let directory = tempfile::tempdir().unwrap();
-    let refused = program(directory.path(), &["check", "--power-test"]).output().unwrap();
-    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
-    let link = directory.path().join("qube");
-    let _qube = qube(&link, None);
-    let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test"];
-    let output = program(directory.path(), &arguments).stdin(Stdio::null()).output().unwrap();
-    assert_eq!(output.status.code(), Some(1), "{output:?}");
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(told.contains("needs an operator") || told.contains("failed:"), "{told}");
-    assert!(!directory.path().join("qube.toml").exists());
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let refused = program(directory.path(), &["check", "--power-test"]).output().unwrap();
+        assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+        let link = directory.path().join("qube");
+        let _qube = qube(&link, None);
+        let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test"];
+        let output = program(directory.path(), &arguments).stdin(Stdio::null()).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{output:?}");
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(told.contains("needs an operator") || told.contains("failed:"), "{told}");
+        assert!(!directory.path().join("qube.toml").exists());
+    });
 }

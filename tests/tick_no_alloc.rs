@@ -1,6 +1,9 @@
 //! The tick is sacred: from its first deadline to its last act nothing on the control thread
 //! allocates, over a real pty as well as in virtual time.
 
+#[path = "real_time/mod.rs"]
+mod real_time;
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::path::Path;
@@ -16,6 +19,7 @@ use qube_hil::policy::{ClassicalController, ClassicalGains, Network, Policy};
 use qube_hil::qube::{MAX_HISTORY, Measurement, QubeModel, State};
 use qube_hil::safety::{CentringBrake, Ends, Foresight, Particle, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
+use real_time::in_real_time;
 
 thread_local! {
     static IN_THE_LOOP: Cell<bool> = const { Cell::new(false) };
@@ -146,20 +150,26 @@ fn an_allocation_in_the_loop_is_counted() {
 
 #[test]
 fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
-    for homing in [true, false] {
-        let qube = EmulatedQube::spawn(EmulatorSettings::default()).expect("a pty");
-        let port = qube.port().to_string_lossy().into_owned();
-        let device = SerialLink::open(&port, Arc::new(MonotonicClock)).expect("the pty opens");
-        let settings = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
-        let (ending, allocations) = if homing {
-            driven(device, &MonotonicClock, &mut Homing::new(&settings))
-        } else {
-            driven(device, &MonotonicClock, &mut rollout(network(), 100))
-        };
-        // Uncalibrated counts may lie outside the box: that ends the rollout early and is no fault.
-        assert!(!matches!(ending, Ending::Fault(Fault::NoSample | Fault::LinkGone)), "{ending:?}");
-        assert_eq!(allocations, 0);
-    }
+    in_real_time(|| {
+        for homing in [true, false] {
+            let qube = EmulatedQube::spawn(EmulatorSettings::default()).expect("a pty");
+            let port = qube.port().to_string_lossy().into_owned();
+            let device = SerialLink::open(&port, Arc::new(MonotonicClock)).expect("the pty opens");
+            let settings =
+                HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
+            let (ending, allocations) = if homing {
+                driven(device, &MonotonicClock, &mut Homing::new(&settings))
+            } else {
+                driven(device, &MonotonicClock, &mut rollout(network(), 100))
+            };
+            // Uncalibrated counts may lie outside the box: that ends the rollout early and is no fault.
+            assert!(
+                !matches!(ending, Ending::Fault(Fault::NoSample | Fault::LinkGone)),
+                "{ending:?}"
+            );
+            assert_eq!(allocations, 0);
+        }
+    });
 }
 
 #[test]

@@ -8,6 +8,8 @@ mod bystanders;
 mod cuts;
 mod fault_port;
 mod processes;
+#[path = "../real_time/mod.rs"]
+mod real_time;
 mod schedules;
 mod simulated_disk;
 mod sweep;
