@@ -53,9 +53,9 @@ const JERK_RAD_S: f64 = 6.0;
 /// How long a pendulum may stay after that, us: a hit may catch it at the instant when it turns round.
 const PENDULUM_US: u64 = 300_000;
 
-/// Samples that are closer together than this, us, tell no change of velocity: one count in it is 0.6 rad/s.
-/// The tick after a late one may follow within 0.2 ms, where one count seems to be 15 rad/s.
-const LEAST_VELOCITY_US: u64 = 5_000;
+/// Samples that are closer together than this, us, tell no velocity: one count in it is 0.6 rad/s. The tick
+/// after a late one may follow within 0.2 ms, where one count seems to be 15 rad/s.
+const LEAST_STEP_US: u64 = 5_000;
 
 /// Counter and tachometer may differ by this much, counts/s (1.5 rad/s).
 const TACHOMETER_COUNTS_S: f64 = 500.0;
@@ -74,7 +74,9 @@ const FELT_RAD_S: f64 = 0.4;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensorWatch {
     previous: Option<Measurement>,
-    /// The last steps of both counts, the newest last.
+    /// The last sample that was far enough from the one before it to tell a step.
+    stepped: Option<Measurement>,
+    /// The last steps of both counts, counts in a period, the newest last.
     theta_steps: [i32; 3],
     alpha_steps: [i32; 3],
     /// Arm and pendulum against each other, and what makes angles of their counts; none by the first
@@ -187,6 +189,24 @@ impl Pendulum {
     }
 }
 
+/// How far both counts went in some time.
+#[derive(Clone, Copy, Debug)]
+struct Step {
+    theta: f64,
+    alpha: f64,
+    elapsed_s: f64,
+}
+
+impl Step {
+    fn theta_of_a_period(&self) -> f64 {
+        self.theta * (CONTROL_PERIOD_S / self.elapsed_s)
+    }
+
+    fn alpha_of_a_period(&self) -> f64 {
+        self.alpha * (CONTROL_PERIOD_S / self.elapsed_s)
+    }
+}
+
 impl SensorWatch {
     /// A watch that also holds arm and pendulum against each other.
     #[must_use]
@@ -247,6 +267,7 @@ impl SensorWatch {
         let theta = moved(sample.theta_counts, previous.theta_counts);
         let alpha = moved(sample.alpha_counts, previous.alpha_counts);
         let periods = (elapsed_s / CONTROL_PERIOD_S).max(1.0);
+        let step = self.step(sample, &previous);
         if theta.abs() > JUMP_COUNTS * periods {
             return Some(Alarm::Zero(Fault::EncoderJump));
         }
@@ -261,15 +282,18 @@ impl SensorWatch {
         if self.witness.is_some() {
             // What may yet turn out to be a jump is no testimony.
             let leaps = |steps: &[i32; 3], step: f64| (step - f64::from(steps[2])).abs() > 40.0;
-            if leaps(&self.theta_steps, theta / periods)
-                || leaps(&self.alpha_steps, alpha / periods)
+            let step = step.unwrap_or(Step { theta, alpha, elapsed_s: CONTROL_PERIOD_S });
+            if leaps(&self.theta_steps, step.theta_of_a_period())
+                || leaps(&self.alpha_steps, step.alpha_of_a_period())
             {
                 testimony = None;
             }
-            if is_spike(&mut self.theta_steps, theta / periods) {
+        }
+        if let Some(step) = step.filter(|_| self.witness.is_some()) {
+            if is_spike(&mut self.theta_steps, step.theta_of_a_period()) {
                 return Some(Alarm::Zero(Fault::EncoderJump));
             }
-            if is_spike(&mut self.alpha_steps, alpha / periods) {
+            if is_spike(&mut self.alpha_steps, step.alpha_of_a_period()) {
                 self.witness = None;
                 return Some(Alarm::Brake(Fault::PendulumJump));
             }
@@ -298,8 +322,9 @@ impl SensorWatch {
         if self.disagrees(sample, counts_s) {
             return Some(Alarm::Zero(Fault::TachometerDisagrees));
         }
-        let pendulum_is_frozen = elapsed_us >= LEAST_VELOCITY_US
-            && self.pendulum.is_frozen(sample, counts_s * RAD_PER_COUNT);
+        let pendulum_is_frozen = step.is_some_and(|step| {
+            self.pendulum.is_frozen(sample, step.theta / step.elapsed_s * RAD_PER_COUNT)
+        });
         // The arm first: a pendulum's fault lasts while the brake works, and may hide none of the arm's.
         let held = drive.and_then(|drive| self.held(sample, drive, counts_s, elapsed_s));
         if let Some(fault) = held {
@@ -309,6 +334,21 @@ impl SensorWatch {
             return Some(Alarm::Brake(Fault::PendulumJump));
         }
         pendulum_is_frozen.then_some(Alarm::Brake(Fault::PendulumFrozen))
+    }
+
+    /// How far both counts went since the last sample that told that; none where that is too short ago.
+    fn step(&mut self, sample: &Measurement, previous: &Measurement) -> Option<Step> {
+        let from = *self.stepped.get_or_insert(*previous);
+        let elapsed_us = sample.device_time_us.saturating_sub(from.device_time_us);
+        if elapsed_us < LEAST_STEP_US {
+            return None;
+        }
+        self.stepped = Some(*sample);
+        Some(Step {
+            theta: f64::from(sample.theta_counts.wrapping_sub(from.theta_counts)),
+            alpha: f64::from(sample.alpha_counts.wrapping_sub(from.alpha_counts)),
+            elapsed_s: elapsed_us as f64 * 1e-6,
+        })
     }
 
     /// What is wrong with an arm that is driven and does not follow.
