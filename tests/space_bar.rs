@@ -129,7 +129,10 @@ fn the_space_bar_brakes_a_run_as_ctrl_c_does_and_gives_the_terminal_back() {
         terminal.wait_for_text("space bar or Ctrl-C");
         let first = terminal.shown.lines().next().unwrap_or_default().to_owned();
         assert!(first.contains("space bar"), "not the first line: {first}");
-        terminal.wait_until("a rollout", |_| under_way(directory.path()));
+        terminal.wait_until("a rollout or its end", |it| {
+            under_way(directory.path()) || it.child.try_wait().unwrap().is_some()
+        });
+        assert!(under_way(directory.path()), "no rollout: {}", terminal.shown);
         assert!(!terminal.is_cooked());
         terminal.press(b"x");
         terminal.press(b" ");

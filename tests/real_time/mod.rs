@@ -7,6 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
 /// What the program says where the computer was too late for a Qube.
 const TOO_LATE: &str = "keeps this computer busy";
 
@@ -46,23 +48,39 @@ pub fn in_real_time(test: impl Fn()) {
     test();
 }
 
-/// How a test ended, and the longest time for which the computer stood still meanwhile.
+/// How a test ended, and the longest time for which a processor stood still meanwhile.
 fn witnessed(test: &impl Fn()) -> (std::thread::Result<()>, Duration) {
     let is_over = AtomicBool::new(false);
+    let processors = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
     std::thread::scope(|scope| {
-        let witness = scope.spawn(|| {
-            let mut longest = Duration::ZERO;
-            while !is_over.load(Ordering::Relaxed) {
-                let asleep = Instant::now();
-                std::thread::sleep(NAP);
-                longest = longest.max(asleep.elapsed().saturating_sub(NAP));
-            }
-            longest
-        });
+        let witnesses: Vec<_> = (0..CpuSet::MAX_CPU)
+            .filter(|processor| processors.is_set(*processor))
+            .map(|processor| {
+                scope.spawn({
+                    let is_over = &is_over;
+                    move || longest_stand(processor, is_over)
+                })
+            })
+            .collect();
         let ended = catch_unwind(AssertUnwindSafe(test));
         is_over.store(true, Ordering::Relaxed);
-        (ended, witness.join().unwrap_or_default())
+        let stands = witnesses.into_iter().map(|witness| witness.join().unwrap_or_default());
+        (ended, stands.max().unwrap_or_default())
     })
+}
+
+/// How much later than asked for a thread on this processor wakes, at most, until the test is over.
+fn longest_stand(processor: usize, is_over: &AtomicBool) -> Duration {
+    let mut here = CpuSet::new();
+    here.set(processor);
+    let _ = sched_setaffinity(None, &here);
+    let mut longest = Duration::ZERO;
+    while !is_over.load(Ordering::Relaxed) {
+        let asleep = Instant::now();
+        std::thread::sleep(NAP);
+        longest = longest.max(asleep.elapsed().saturating_sub(NAP));
+    }
+    longest
 }
 
 /// What a panic says.
