@@ -100,3 +100,17 @@ fn a_cable_that_is_plugged_in_again_voids_one_rollout_and_the_run_goes_on() {
     let why = results.ended_early[void].as_ref().unwrap();
     assert!(void < 2 && why.contains("unplugged"), "{why}");
 }
+
+#[test]
+fn a_cable_that_stays_out_is_a_fault_with_what_was_measured() {
+    let directory = tempfile::tempdir().unwrap();
+    let recovery = Recovery { link_patience_s: 2.0, ..Recovery::default() };
+    let settings = RigSettings { recovery, ..settings(Some("unplug@16")) };
+    let (ended, results) = run(settings, directory.path(), 9);
+    let ended_by = ended.unwrap_err().ended_by();
+    assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!("link_gone"), &json!(4)));
+    let cause = ended_by["cause"].as_str().unwrap();
+    assert!(cause.contains("did not come back within 2 s"), "{cause}");
+    assert!(results.returns.len() >= 2 && results.returns[0].is_some(), "{:?}", results.returns);
+    assert_eq!(recordings(directory.path()), results.returns.len());
+}
