@@ -34,8 +34,9 @@ const ALIVE_A: f32 = 0.03;
 /// A count that has not changed for so many ticks has stood.
 const RESUMES_AFTER_TICKS: usize = 4;
 
-/// An arm that has stood goes no farther than this in its first period: 6 rad/s from rest are 600 rad/s^2.
-const RESUMES_COUNTS: i32 = 20;
+/// An arm that has stood goes no farther than this in its first period: the lightest with the strongest
+/// motor takes up 1000 rad/s^2, and a first count of its way does not show.
+const RESUMES_COUNTS: i32 = 32;
 
 /// What the second period has at least of the first.
 const GOES_ON_COUNTS: i32 = 12;

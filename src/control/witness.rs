@@ -20,8 +20,9 @@ const LONG_RAD_S: f64 = 0.5;
 const SHORT_RAD_S: f64 = 1.8;
 
 /// What lengths and gravity that are 30 % off make of what is compared, as a share of it: the domain in
-/// which a rollout is safe. A false alarm there leaves the arm without a brake.
-pub const WIDE_DOMAIN_SHARE: f64 = 0.65;
+/// which a rollout is safe. A false alarm there leaves the arm without a brake, and with 0.65 a search
+/// for policies that throw the arm against its stop finds such alarms.
+pub const WIDE_DOMAIN_SHARE: f64 = 1.2;
 
 /// The same for 10 %: while the arm is led slowly, a false alarm costs nothing.
 pub const RIG_SHARE: f64 = 0.2;

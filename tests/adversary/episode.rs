@@ -160,6 +160,7 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
                 device_time_us: u64::from(number) * 10_000,
                 theta_counts,
                 alpha_counts,
+                current_a: plant.current_a(),
                 tachometer_counts_s: (plant.state.theta_dot / RAD_PER_COUNT) as i32,
                 status: Status { armed: true, ..Status::default() },
                 applied_mv,

@@ -24,6 +24,7 @@ pub struct Plant {
     /// When it got there, s.
     pub farthest_at_s: f64,
     dynamics: Dynamics,
+    parameters: DomainParameters,
     roughness: Roughness,
     voltage_v: f64,
     time_s: f64,
@@ -41,6 +42,7 @@ impl Plant {
             farthest_rad: 0.0,
             farthest_at_s: 0.0,
             dynamics: Dynamics::new(&parameters),
+            parameters,
             roughness,
             voltage_v: 0.0,
             time_s: 0.0,
@@ -70,6 +72,12 @@ impl Plant {
 
     pub fn set_voltage(&mut self, voltage_v: f64) {
         self.voltage_v = voltage_v;
+    }
+
+    /// The motor's current, A.
+    pub fn current_a(&self) -> f32 {
+        let back_emf_v = self.parameters.motor_back_emf_v_s * self.state.theta_dot;
+        ((self.voltage_v - back_emf_v) / self.parameters.motor_resistance_ohm) as f32
     }
 
     /// What the two encoders show.
