@@ -16,13 +16,14 @@ use qube_hil::qube::{
     BLOCK, ControlPeriod, DomainParameter, InLanes, MAX_HISTORY, Profile, QubeLanes, QubeModel,
     State, limited_voltage,
 };
-use qube_hil::safety::{CentringBrake, Ends, Foresight, Particle};
+use qube_hil::safety::{CentringBrake, Ends, Foresight, Particle, Reach};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 const PARTICLES: usize = 64;
-const HORIZON: u32 = 50;
+const HORIZON: u32 = 75;
 const ROLLOUTS: u64 = 50;
+const REACH: Reach = Reach { held: 2, horizon: HORIZON };
 const STEPS: usize = 600;
 const ENDS: Ends = Ends { low_rad: -2.2, high_rad: 2.2 };
 
@@ -123,7 +124,7 @@ fn foresight(criterion: &mut Criterion) {
     let ticks = rollout(0);
     for level in Level::ALL.into_iter().filter(|level| level.is_available()) {
         let brake = CentringBrake::default();
-        let mut foresight = Foresight::new(&particles(), brake, ENDS, HORIZON).at_level(level);
+        let mut foresight = Foresight::new(&particles(), brake, ENDS, REACH).at_level(level);
         if level != Level::Plain {
             single_ticks(level, &mut foresight);
         }

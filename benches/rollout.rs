@@ -28,6 +28,7 @@ fn virtual_rollout(criterion: &mut Criterion) {
         max_steps: 600,
         start_theta_rad: 0.0,
         stops: None,
+        foresight: None,
         rules: qube_hil::telemetry::TickRules::Witnessed,
     };
     let network = Policy::load(std::path::Path::new("policies/nominal.safetensors"));

@@ -277,6 +277,7 @@ impl Tally {
             max_steps: 600,
             start_theta_rad: 0.1 * (seed as f64).sin(),
             stops: None,
+            foresight: None,
             rules: qube_hil::telemetry::TickRules::Witnessed,
         };
         let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);

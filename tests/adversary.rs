@@ -1,4 +1,4 @@
-//! The speed envelope against policies that are searched for one purpose: to throw the arm against
+//! The guards against policies that are searched for one purpose: to throw the arm against
 //! its hard stop. `scripts/adversary` plays 10^6 episodes of this; here is a small count.
 
 #[path = "adversary/mod.rs"]
@@ -7,7 +7,7 @@ mod adversary;
 use adversary::episode::{Domain, PROMISED, play};
 use adversary::search::search;
 use qube_hil::qube::HARD_STOP_RAD;
-use qube_hil::safety::SafetyBox;
+use qube_hil::safety::{Guard, SafetyBox};
 
 #[test]
 fn no_adversary_reaches_the_hard_stop_or_more_than_five_volts() {
@@ -25,6 +25,23 @@ fn no_adversary_reaches_the_hard_stop_or_more_than_five_volts() {
             worst.episode
         );
         assert_eq!(worst.largest_mv, 5000, "the gate lets 5 V through and no more");
+    }
+}
+
+#[test]
+fn foresight_lets_no_adversary_reach_the_hard_stop() {
+    let safety_box = SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS };
+    let domain = Domain { safety_box, ..PROMISED };
+    for seed in 1000..1002 {
+        let worst = search(&domain, seed, 6);
+        println!("search {seed}: {:.3} rad", worst.episode.farthest_rad);
+        assert!(
+            worst.episode.farthest_rad < HARD_STOP_RAD,
+            "delays of seed {}, genes {:?}: {:?}",
+            worst.seed,
+            worst.genes,
+            worst.episode
+        );
     }
 }
 

@@ -47,6 +47,7 @@ fn rollout(seed: u64, controller: impl Controller) -> Ending {
         max_steps: 600,
         start_theta_rad: 0.1 * (seed as f64).sin(),
         stops: None,
+        foresight: None,
         rules: qube_hil::telemetry::TickRules::Witnessed,
     };
     let mut tick = Tick::new(&settings, controller);

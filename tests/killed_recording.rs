@@ -47,6 +47,7 @@ fn header() -> RolloutHeader {
             max_steps: 600,
             start_theta_rad: 0.0,
             stops: None,
+            foresight: None,
             rules: qube_hil::telemetry::TickRules::Witnessed,
         },
         reward: RewardWeights::THESIS,

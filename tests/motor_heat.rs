@@ -50,6 +50,7 @@ impl Rig {
             max_steps,
             start_theta_rad: 0.1 * (seed as f64).sin(),
             stops: None,
+            foresight: None,
             rules: qube_hil::telemetry::TickRules::Witnessed,
         };
         let mut tick = Tick::new(&settings, controller);

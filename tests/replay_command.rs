@@ -41,6 +41,21 @@ fn a_rollout_comes_out_again_bit_for_bit() {
     assert!(recording["actions_compared"].as_u64().unwrap() > 600);
     assert_eq!(recording["actions_different"], 0);
 
+    // Under foresight too, with all that decides what it says in the recording.
+    let foreseen = folder.path().join("foreseen");
+    let foreseen = foreseen.to_str().unwrap();
+    let run =
+        ["run", "--policy", "classical", "--clock", "virtual", "--guard", "foresight", "--out"];
+    let run = qube_hil(&[&run[..], &[foreseen]].concat());
+    assert!(run.status.success(), "{run:?}");
+    let recording = Path::new(foreseen).join("rollout-0.mcap");
+    let header = qube_hil::recording::read(&recording).unwrap().header;
+    assert!(header.settings.foresight.is_some());
+    let output = qube_hil(&["replay", "--json", recording.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let recording = &json(&output)["recordings"][0];
+    assert_eq!(recording["actions_different"], 0, "{recording}");
+
     let plots = folder.path().join("plots");
     let output =
         qube_hil(&["replay", "--simulate", "--plot", plots.to_str().unwrap(), "--json", path]);

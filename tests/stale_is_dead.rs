@@ -164,6 +164,7 @@ fn a_device_that_repeats_one_sample_is_a_fault_in_the_next_tick() {
         max_steps: 600,
         start_theta_rad: 0.0,
         stops: None,
+        foresight: None,
         rules: qube_hil::telemetry::TickRules::Witnessed,
     };
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));

@@ -39,7 +39,7 @@ const ROOMS: &[Room] = &[
     room("storage", &[]),
     room("qube", &["elementary"]),
     room("estimation", &["qube", "elementary"]),
-    room("safety", &["qube", "elementary"]),
+    room("safety", &["qube", "elementary", "estimation"]),
     Room {
         name: "policy",
         may_import: &["qube", "elementary", "storage"],

@@ -10,6 +10,9 @@ pub enum GuardArgument {
     Box,
     /// The speed envelope too: the arm is braked before its hard stop cannot be avoided any more
     Envelope,
+    /// On trial, for emulated Qubes alone: the brake is tried before each voltage leaves, for many Qubes
+    /// that this one may be
+    Foresight,
 }
 
 impl From<GuardArgument> for Guard {
@@ -17,6 +20,7 @@ impl From<GuardArgument> for Guard {
         match argument {
             GuardArgument::Box => Self::Box,
             GuardArgument::Envelope => Self::Envelope,
+            GuardArgument::Foresight => Self::Foresight,
         }
     }
 }

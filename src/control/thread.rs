@@ -497,6 +497,7 @@ mod tests {
             max_steps: 100,
             start_theta_rad: 0.0,
             stops: None,
+            foresight: None,
             rules: crate::telemetry::TickRules::Witnessed,
         };
         (thread, settings)

@@ -8,7 +8,10 @@ use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, State};
-use crate::safety::{Guard, Limit, Retreat, SpeedEnvelope, brake_voltage, gate};
+use crate::safety::{
+    CentringBrake, ForeseenBrake, Foresight, Guard, Limit, Retreat, SpeedEnvelope, brake_voltage,
+    gate,
+};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
@@ -56,6 +59,11 @@ pub struct Tick<C = Policy> {
     periods_in_phase: u32,
     stopped_ticks: u32,
     retreat: Retreat,
+    /// Tries the brake before each voltage leaves, where that is the guard.
+    foresight: Option<Foresight<CentringBrake>>,
+    foreseen_brake: ForeseenBrake,
+    /// The last voltages that were sent, newest first, V: some may still be on their way.
+    sent_v: [f32; MAX_HISTORY],
     /// What the rollout ends with.
     reason: Ending,
     /// What the policy sees; what guard, settling and brake go by.
@@ -95,6 +103,10 @@ impl<C: Controller> Tick<C> {
             periods_in_phase: 0,
             stopped_ticks: 0,
             retreat: Retreat::with_room(room_rad),
+            foresight: (settings.safety_box.guard == Guard::Foresight)
+                .then(|| settings.foresight.unwrap_or_default().foresight(settings.stops)),
+            foreseen_brake: ForeseenBrake::default(),
+            sent_v: [0.0; MAX_HISTORY],
             reason: Ending::Completed,
             estimates: Estimates::default(),
             voltage_mv: 0,
@@ -179,7 +191,7 @@ impl<C: Controller> Tick<C> {
                 self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };
                 (self.stopped_ticks >= STOPPED_TICKS, MAX_BRAKING_TICKS)
             }
-            Guard::Envelope => (self.back.is_back(theta), MAX_RETREAT_TICKS),
+            Guard::Envelope | Guard::Foresight => (self.back.is_back(theta), MAX_RETREAT_TICKS),
         };
         let time_is_up = self.periods_in_phase >= most_ticks;
         if !stands && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
@@ -195,6 +207,7 @@ impl<C: Controller> Tick<C> {
         match self.settings.safety_box.guard {
             Guard::Box => brake_voltage(self.estimates.guarded.theta_dot),
             Guard::Envelope => self.retreat.voltage_v(&self.estimates.guarded),
+            Guard::Foresight => self.foreseen_brake.voltage_v(&self.estimates.guarded),
         }
     }
 
@@ -222,6 +235,22 @@ impl<C: Controller> Tick<C> {
         let (_, alpha) = self.settings.calibration.angles_rad(sample);
         let unanswered = asking.is_unanswered(sample, self.voltage_mv, alpha);
         unanswered.then(|| Alarm::Zero(self.sensors.why_arm_stands(sample, self.voltage_mv)))
+    }
+
+    /// Whether the brake would still be good after this voltage, mV, for every Qube that this one may be.
+    fn brake_holds_after(&mut self, voltage_mv: i16) -> bool {
+        let state = self.estimates.guarded.cast();
+        let voltage_v = f32::from(voltage_mv) * 1e-3;
+        let Some(foresight) = &mut self.foresight else { return true };
+        foresight.look(&state, &self.sent_v, voltage_v).holds
+    }
+
+    /// Remembers what the motor was told for this and so many more periods.
+    fn remember_sent(&mut self, more_periods: u32) {
+        for _ in 0..=more_periods.min(MAX_HISTORY as u32) {
+            self.sent_v.rotate_right(1);
+            self.sent_v[0] = f32::from(self.voltage_mv) * 1e-3;
+        }
     }
 
     /// While the policy has the motor: what the motor had since the last tick.
@@ -253,6 +282,7 @@ impl<C: Controller> Motion for Tick<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.periods_in_phase += input.skipped_periods;
         self.tell_policy_what_was_applied(input.skipped_periods);
+        self.remember_sent(input.skipped_periods);
 
         // Watch the link, the clock, the device's own flags, and the sensors.
         let drive = Drive {
@@ -308,6 +338,16 @@ impl<C: Controller> Motion for Tick<C> {
                 gate(wanted_v).unwrap_or(0)
             }
         };
+
+        // Try the brake, unless it works already. Where it would come too late it begins now; settling has
+        // its voltage for this tick and goes on.
+        if self.phase != Phase::Braking && !self.brake_holds_after(self.voltage_mv) {
+            if self.phase == Phase::Running {
+                self.take(ControlEvent::LimitLeft, Ending::LeftBox(Limit::Foresight));
+            }
+            wanted_v = self.braking_voltage();
+            self.voltage_mv = gate(wanted_v).unwrap_or(0);
+        }
         self.estimator.send(f64::from(self.voltage_mv) / 1000.0);
         self.periods_in_phase += 1;
         TickOutput { wanted_v: Some(wanted_v), ..self.output() }

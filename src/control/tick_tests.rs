@@ -8,7 +8,7 @@ use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, drive};
 use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use crate::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use crate::qube::{DomainParameters, QubeModel, State, Status, wrap_angle};
-use crate::safety::{Limit, SafetyBox};
+use crate::safety::{Guard, Limit, SafetyBox};
 use crate::telemetry::{Ending, Fault, Phase, TickRecord, TickSettings};
 
 fn settings() -> TickSettings {
@@ -19,6 +19,7 @@ fn settings() -> TickSettings {
         max_steps: 600,
         start_theta_rad: 0.05,
         stops: None,
+        foresight: None,
         rules: crate::telemetry::TickRules::Witnessed,
     }
 }
@@ -132,6 +133,40 @@ fn under_the_envelope_the_arm_comes_back_and_never_touches_its_stop() {
     assert!(report.last_ticks.is_empty());
     assert!(device.furthest_rad < 2.0, "{} rad", device.furthest_rad);
     assert!(device.state.theta.abs() < 0.6, "{:?}", device.state);
+}
+
+#[test]
+fn under_foresight_the_arm_comes_back_and_never_touches_its_stop() {
+    let outward = ClassicalGains {
+        pump_v_per_j: 0.0,
+        centring_v_per_rad: -100.0,
+        damping_v_s_per_rad: 0.0,
+        ..ClassicalGains::default()
+    };
+    let safety_box = SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS };
+    let settings = TickSettings { safety_box, ..settings() };
+    let mut device = PlantDevice::new(State::default());
+    let clock = device.clock.clone();
+    let mut tick = Tick::new(&settings, ClassicalController::new(outward));
+    let stop = AtomicBool::new(false);
+    let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Foresight));
+    assert_eq!(tick.control_state(), ControlState::Ready);
+    assert!(device.furthest_rad < 2.2, "{} rad", device.furthest_rad);
+    assert!(device.state.theta.abs() < 0.6, "{:?}", device.state);
+}
+
+#[test]
+fn foresight_ends_no_swing_up_of_a_nominal_qube() {
+    let safety_box = SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS };
+    let settings = TickSettings { safety_box, ..settings() };
+    let mut device = PlantDevice::new(State::default());
+    let clock = device.clock.clone();
+    let mut tick = Tick::new(&settings, classical());
+    let stop = AtomicBool::new(false);
+    let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    assert_eq!(report.outcome.ending, Ending::Completed);
+    assert_eq!(tick.control_state(), ControlState::Ready);
 }
 
 /// Asks for another voltage each time and notes what it is told.

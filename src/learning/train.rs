@@ -70,7 +70,8 @@ impl Trained {
             }
         };
         let guard = match self.guard {
-            Guard::Box => SimulatedGuard::Box,
+            // A simulation does not try the brake.
+            Guard::Box | Guard::Foresight => SimulatedGuard::Box,
             Guard::Envelope => SimulatedGuard::Envelope,
         };
         Policy::Network(NetworkPolicy {

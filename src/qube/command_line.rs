@@ -86,6 +86,12 @@ impl CommandLine {
         }
     }
 
+    /// The voltages at the motors at the very beginning of the period at hand and just before it, V.
+    #[inline(always)]
+    pub(super) fn before_v(&self) -> &Lanes {
+        &self.before_v
+    }
+
     /// Length of a piece of the period in all lanes, s, and the voltages at the motors, V.
     #[inline(always)]
     pub(super) fn pieces(&self, piece: usize) -> (Lanes, Lanes) {

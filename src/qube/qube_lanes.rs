@@ -5,8 +5,8 @@
 
 use super::command_line::{CommandLine, STEP_S};
 use super::{
-    BLOCK, GapDynamics, InLanes, Lanes, MAX_HISTORY, QubeModel, SUBSTEPS, State, limited_voltage,
-    runge_kutta_4,
+    BLOCK, EquationsOfMotion as _, GapDynamics, InLanes, Lanes, MAX_HISTORY, QubeModel, SUBSTEPS,
+    State, limited_voltage, runge_kutta_4,
 };
 use crate::elementary::{InstructionSet, Kernel};
 
@@ -104,6 +104,22 @@ impl QubeLanes {
     #[inline(always)]
     pub fn begin_period(&mut self, commands_v: &Lanes) {
         self.commands.begin_period(commands_v);
+    }
+
+    /// The accelerations of arm and pendulum under the voltages that the motors had when the period
+    /// at hand began, rad/s^2.
+    #[must_use]
+    #[inline(always)]
+    pub fn accelerations_before(&self) -> (Lanes, Lanes) {
+        let voltages_v = self.commands.before_v();
+        let (mut theta_dot_dot, mut alpha_dot_dot) = ([0.0; BLOCK], [0.0; BLOCK]);
+        for lane in 0..BLOCK {
+            let own = self.dynamics.lane(lane);
+            let acceleration = own.acceleration(&self.state.lane(lane), voltages_v[lane]);
+            theta_dot_dot[lane] = acceleration.theta;
+            alpha_dot_dot[lane] = acceleration.alpha;
+        }
+        (theta_dot_dot, alpha_dot_dot)
     }
 
     /// One of the `SUBSTEPS + 1` pieces of a control period of any Qubes, the first being 0.

@@ -18,6 +18,17 @@ pub struct State<T = f64> {
 }
 
 impl State {
+    /// The same state in single precision.
+    #[must_use]
+    pub fn cast(&self) -> State<f32> {
+        State {
+            theta: self.theta as f32,
+            alpha: self.alpha as f32,
+            theta_dot: self.theta_dot as f32,
+            alpha_dot: self.alpha_dot as f32,
+        }
+    }
+
     /// Whether every entry is a number.
     #[must_use]
     pub fn is_finite(&self) -> bool {

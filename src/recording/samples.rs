@@ -42,6 +42,7 @@ pub(crate) fn header() -> RolloutHeader {
             max_steps: 600,
             start_theta_rad: 0.0,
             stops: None,
+            foresight: None,
             rules: crate::telemetry::TickRules::Witnessed,
         },
         reward: RewardWeights::THESIS,

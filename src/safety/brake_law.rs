@@ -21,6 +21,10 @@ pub trait BrakeLaw {
 pub struct CentringBrake {
     /// Volts against each rad/s of the arm.
     pub damping_v_s: f64,
+    /// An arm that is faster than this is damped more, rad/s.
+    pub fast_rad_s: f64,
+    /// Volts against each rad/s beyond `fast_rad_s`, beside `damping_v_s`.
+    pub fast_v_s: f64,
     /// Volts towards the middle for each rad.
     pub centring_v_rad: f64,
     /// Outside of this angle the spring is steep, rad.
@@ -30,9 +34,17 @@ pub struct CentringBrake {
 }
 
 impl Default for CentringBrake {
-    /// The gains of [`super::Retreat`].
+    /// Of the gains that were tried, those under which most Qubes within 30 % of a nominal one come to
+    /// rest soon.
     fn default() -> Self {
-        Self { damping_v_s: 0.5, centring_v_rad: 0.3, wall_rad: 0.5, wall_v_rad: 8.0 }
+        Self {
+            damping_v_s: 0.45,
+            fast_rad_s: 2.0,
+            fast_v_s: 1.0,
+            centring_v_rad: 0.3,
+            wall_rad: 0.5,
+            wall_v_rad: 8.0,
+        }
     }
 }
 
@@ -43,7 +55,11 @@ impl BrakeLaw for CentringBrake {
         let beyond = state.theta.abs() - T::from_f64(self.wall_rad);
         let beyond = if beyond > zero { beyond } else { zero };
         let beyond = if state.theta < zero { -beyond } else { beyond };
+        let faster = state.theta_dot.abs() - T::from_f64(self.fast_rad_s);
+        let faster = if faster > zero { faster } else { zero };
+        let faster = if state.theta_dot < zero { -faster } else { faster };
         let wanted_v = -(T::from_f64(self.damping_v_s) * state.theta_dot
+            + T::from_f64(self.fast_v_s) * faster
             + T::from_f64(self.centring_v_rad) * state.theta
             + T::from_f64(self.wall_v_rad) * beyond);
         let largest_v = T::from_f64(MAX_VOLTAGE_V);
@@ -84,19 +100,6 @@ mod tests {
             let (right, left) = (middle + 0.5 * step, -middle - 0.5 * step);
             assert!((brake.potential_v_rad(right) - integral).abs() < 1e-6, "{right} rad");
             assert!((brake.potential_v_rad(left) - integral).abs() < 1e-6, "{left} rad");
-        }
-    }
-
-    #[test]
-    fn it_is_the_retreat_without_full_pushes() {
-        let mut retreat = super::super::Retreat::default();
-        retreat.disbelieve_pendulum();
-        for step in 0..90 {
-            let x = f64::from(step);
-            let theta_dot = 12.0 * (0.7 * x).cos();
-            let state = State { theta: 2.3 * x.sin(), theta_dot, ..State::default() };
-            let voltage_v = CentringBrake::default().voltage_v(&state);
-            assert!((voltage_v - retreat.voltage_v(&state)).abs() < 1e-12, "{state:?}");
         }
     }
 }

@@ -1,4 +1,4 @@
-use super::SpeedEnvelope;
+use super::{BrakeLaw, CentringBrake, SpeedEnvelope};
 use crate::qube::{MAX_VOLTAGE_V, State};
 
 /// Volts against each rad/s of the arm: full voltage from 5 rad/s on, and below that gentle enough
@@ -93,5 +93,27 @@ impl Retreat {
                 + RETREAT_CENTRING_V_RAD * state.theta
                 + WALL_V_RAD * beyond_rad);
         wanted_v.clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V)
+    }
+}
+
+/// The brake under foresight: stops the arm and brings it back to the middle, by the very law that was
+/// tried before it was needed.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ForeseenBrake {
+    law: CentringBrake,
+    periods: u32,
+}
+
+/// After this long, in control periods, it goes on with a share of its firmness: longer than a
+/// [`super::Foresight`] looks, and by then the arm is only to come to rest.
+const FORESEEN_PERIODS: u32 = 150;
+
+impl ForeseenBrake {
+    /// The voltage for the next control period, V.
+    #[must_use]
+    pub fn voltage_v(&mut self, state: &State) -> f64 {
+        self.periods = self.periods.saturating_add(1);
+        let firmness = if self.periods > FORESEEN_PERIODS { GENTLE } else { 1.0 };
+        firmness * self.law.voltage_v(state)
     }
 }

@@ -11,6 +11,8 @@ pub enum Guard {
     /// The [`super::SpeedEnvelope`], and [`super::Retreat`] back to the middle.
     #[default]
     Envelope,
+    /// A [`super::Foresight`] of the brake before each voltage leaves: on trial, for emulated Qubes alone.
+    Foresight,
 }
 
 impl Guard {

@@ -47,6 +47,12 @@ pub enum TooWide {
          command line"
     )]
     GuardOff,
+    /// Foresight of the brake, which nobody has tried on hardware.
+    #[error(
+        "guard = \"foresight\" is on trial, for emulated Qubes alone: leave the speed envelope on \
+         (guard = \"envelope\")"
+    )]
+    GuardOnTrial,
 }
 
 impl HardwareLimits {
@@ -80,6 +86,9 @@ impl HardwareLimits {
     /// It is wider than these limits in something.
     pub fn admit(&self, safety_box: &SafetyBox) -> Result<(), TooWide> {
         safety_box.check_within(&self.widest)?;
+        if safety_box.guard == Guard::Foresight {
+            return Err(TooWide::GuardOnTrial);
+        }
         if safety_box.guard.is_box() && !self.widest.guard.is_box() {
             return Err(TooWide::GuardOff);
         }
@@ -166,7 +175,11 @@ mod tests {
             assert_eq!(consent, None);
             assert_eq!(HardwareLimits::of(SafetyBox::THESIS, consent), Err(TooWide::GuardOff));
         }
+        let on_trial = SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS };
         let consent = GuardConsent::given(Some(Guard::Box), true);
+        for consent in [None, consent] {
+            assert_eq!(HardwareLimits::of(on_trial, consent), Err(TooWide::GuardOnTrial));
+        }
         let limits = HardwareLimits::of(SafetyBox::THESIS, consent).unwrap();
         assert_eq!(limits.admit(&SafetyBox::THESIS), Ok(()));
         assert_eq!(limits.admit(&SafetyBox::GUARDED), Ok(()));

@@ -1,24 +1,31 @@
 //! What ends a rollout and what the motor is told then: the safety box, the speed envelope, the
 //! motor's heat, the braking rules, the last gate.
 //!
-//! [`Foresight`] tries a brake for many Qubes at once before it is needed; the tick does not ask it yet.
+//! [`Foresight`] tries the brake for many Qubes at once before it is needed, where [`Guard::Foresight`] is
+//! chosen.
 //!
-//! Pure state machine, readable alone. May import `qube` and `elementary`.
+//! Pure state machine, readable alone. May import `qube`, `elementary` and, to simulate what a brake will
+//! see, `estimation`.
 
+mod belief;
 mod brake_law;
 mod braking;
 mod foresight;
+mod foresight_settings;
 mod guard;
 mod hardware_limits;
 mod motor_heat;
 mod particle;
+mod places;
 mod safety_box;
 mod speed_envelope;
 mod voltage_gate;
 
+pub use belief::Belief;
 pub use brake_law::{BrakeLaw, CentringBrake};
-pub use braking::{Retreat, brake_voltage};
-pub use foresight::{Ends, Foresight, Outlook};
+pub use braking::{ForeseenBrake, Retreat, brake_voltage};
+pub use foresight::{Ends, Foresight, Outlook, Reach};
+pub use foresight_settings::{ForesightError, ForesightSettings};
 pub use guard::Guard;
 pub use hardware_limits::{GuardConsent, HardwareLimits, TooWide};
 pub use motor_heat::{COOLED_LOAD, LARGEST_LOAD, MotorHeat, WARNING_LOAD};

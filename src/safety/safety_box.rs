@@ -24,7 +24,7 @@ pub struct SafetyBox<T = f64> {
     pub theta_dot: T,
     /// Largest |alpha_dot|, rad/s.
     pub alpha_dot: T,
-    /// Whether the speed envelope ends a rollout before the box does.
+    /// What ends a rollout before the box does.
     pub guard: Guard,
 }
 
@@ -42,6 +42,8 @@ pub enum Limit {
     AlphaDot,
     /// The speed envelope: a little later the hard stop could not be avoided any more.
     Envelope,
+    /// A little later the brake could no longer keep every Qube that this one may be off its stop.
+    Foresight,
 }
 
 impl std::fmt::Display for Limit {
@@ -52,6 +54,7 @@ impl std::fmt::Display for Limit {
             Self::ThetaDot => "theta_dot",
             Self::AlphaDot => "alpha_dot",
             Self::Envelope => "the speed envelope",
+            Self::Foresight => "what the brake can still stop",
         })
     }
 }
@@ -89,7 +92,7 @@ impl SafetyBox {
             Some(Limit::ThetaDot)
         } else if !keeps(state.alpha_dot, self.alpha_dot) {
             Some(Limit::AlphaDot)
-        } else if !self.guard.is_box() && !SpeedEnvelope::contains(state) {
+        } else if self.guard == Guard::Envelope && !SpeedEnvelope::contains(state) {
             Some(Limit::Envelope)
         } else {
             None
@@ -106,7 +109,8 @@ impl<T: Scalar> SafetyBox<T> {
             & (state.alpha.abs() < self.alpha)
             & (state.theta_dot.abs() < self.theta_dot)
             & (state.alpha_dot.abs() < self.alpha_dot)
-            & (self.guard.is_box() || SpeedEnvelope::contains_with_room(state, envelope_room_rad))
+            & (self.guard != Guard::Envelope
+                || SpeedEnvelope::contains_with_room(state, envelope_room_rad))
     }
 }
 

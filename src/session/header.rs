@@ -63,6 +63,7 @@ impl RolloutPlan {
                     self.rollout,
                 ),
                 stops: None,
+                foresight: None,
                 rules: TickRules::Witnessed,
             },
             reward: RewardWeights::THESIS,

@@ -19,7 +19,7 @@ use crate::preflight::{
     Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
 };
 use crate::recording::Recorder;
-use crate::safety::{HardwareLimits, MotorHeat, SafetyBox};
+use crate::safety::{ForesightSettings, Guard, HardwareLimits, MotorHeat, SafetyBox};
 use crate::storage::Disk;
 use crate::telemetry::{
     CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight, RolloutHeader,
@@ -512,6 +512,8 @@ impl Rig {
             calibration: self.measured.calibration,
             stops: self.measured.stops,
             safety_box: inside_stops(&header.settings.safety_box, self.measured.stops),
+            foresight: (header.settings.safety_box.guard == Guard::Foresight)
+                .then(ForesightSettings::default),
             ..header.settings
         };
         let header = RolloutHeader {

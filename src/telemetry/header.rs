@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::{Fault, Phase, Preflight};
 use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::RewardWeights;
-use crate::safety::{Limit, MotorHeat, SafetyBox};
+use crate::safety::{ForesightSettings, Limit, MotorHeat, SafetyBox};
 
 /// Everything beside measurements and policy that decides what the tick does: with these three a
 /// recording can be run again.
@@ -25,6 +25,9 @@ pub struct TickSettings {
     /// Where the arm's stops are, where homing has touched them: the guard keeps off the nearer one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stops: Option<MeasuredStops>,
+    /// What the guard knew of the Qube and how it looked ahead, where foresight is the guard.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub foresight: Option<ForesightSettings>,
     /// By which of its rules the tick decided: recordings that name none ran by those of the first.
     #[serde(default)]
     pub rules: TickRules,
@@ -74,7 +77,7 @@ pub struct RolloutHeader {
     /// it, which then plays no part.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motor_heat: Option<MotorHeat>,
-    /// The speed envelope was off on hardware, because the operator had accepted on the command line
+    /// The guard was off on hardware, because the operator had accepted on the command line
     /// that the arm may reach its hard stop.
     #[serde(default, skip_serializing_if = "is_false")]
     pub hard_stop_accepted: bool,

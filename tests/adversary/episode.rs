@@ -127,6 +127,7 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
         max_steps: STEPS,
         start_theta_rad,
         stops: None,
+        foresight: None,
         rules: qube_hil::telemetry::TickRules::Witnessed,
     };
     let mut tick = Tick::new(&settings, Adversary { genes: *genes, step: 0 });

@@ -77,6 +77,7 @@ pub fn rollout(
         max_steps: 600,
         start_theta_rad: 0.05,
         stops: None,
+        foresight: None,
         rules: TickRules::Witnessed,
     };
     let mut tick = Tick::new(&settings, policy.clone());

@@ -174,6 +174,7 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
                 max_steps: 600,
                 start_theta_rad: 0.05,
                 stops: None,
+                foresight: None,
                 rules: qube_hil::telemetry::TickRules::Witnessed,
             };
             let controller = ClassicalController::new(ClassicalGains::default());

@@ -11,6 +11,7 @@ use calm::CalmLanes;
 
 use super::{BrakeLaw, Particle};
 use crate::elementary::{InstructionSet, Kernel, Level, dispatch_at};
+use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use crate::qube::{
     BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, MAX_HISTORY, QubeLanes, SUBSTEPS, State,
     limited_voltage,
@@ -19,8 +20,9 @@ use crate::qube::{
 /// Blocks that are simulated side by side: so many that none waits for its own last result.
 const GROUP: usize = 4;
 
-/// Tries the brake before it is needed: one period of a voltage, then the brake, late by each
-/// particle's delay, for every Qube that this one may be.
+/// Tries the brake before it is needed: some periods of a voltage, then the brake, late by each
+/// particle's delay and with the velocities that the estimator would show it, for every Qube that this
+/// one may be.
 ///
 /// Trap: an arm that is held to the horizon may reach an end after it. A pendulum that comes to rest
 /// nearly upright falls later than 0.5 s: of arms at +-30 % that are neither calm nor at an end after
@@ -33,12 +35,24 @@ const GROUP: usize = 4;
 pub struct Foresight<B> {
     brake: B,
     ends: Ends,
-    horizon: u32,
+    reach: Reach,
+    filter: FilterGains<f32>,
     /// Without those that fill the last group.
     count: usize,
     particles: Vec<ParticleLanes>,
     qubes: Vec<QubeLanes>,
+    /// What the estimator would show of each.
+    seen: Vec<State<Lanes>>,
     level: Level,
+}
+
+/// How far a trial looks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reach {
+    /// Control periods for which the voltage is held before the brake begins.
+    pub held: u32,
+    /// Control periods that are simulated at most.
+    pub horizon: u32,
 }
 
 /// The angles of the arm that must not be reached, rad.
@@ -77,16 +91,18 @@ struct ParticleLanes {
 }
 
 impl<B: BrakeLaw + Copy> Foresight<B> {
-    /// The particles, hardest first; the ends; and how many control periods are simulated at most.
+    /// The particles, hardest first; the ends; and how far a trial looks. The estimator that is
+    /// simulated is the guard's, at its own corner.
     ///
     /// # Panics
     /// If there is no particle, an end lies on the wrong side of 0, a share of the voltage is none, or a
     /// delay is longer than [`MAX_HISTORY`] control periods.
     #[must_use]
-    pub fn new(particles: &[Particle], brake: B, ends: Ends, horizon: u32) -> Self {
+    pub fn new(particles: &[Particle], brake: B, ends: Ends, reach: Reach) -> Self {
         assert!(!particles.is_empty(), "no particles");
         assert!(ends.low_rad < 0.0 && ends.high_rad > 0.0, "{ends:?}");
-        let groups = particles.len().div_ceil(GROUP * BLOCK);
+        let count = particles.len();
+        let groups = count.div_ceil(GROUP * BLOCK);
         let mut qubes = vec![QubeLanes::hanging(); groups * GROUP];
         let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
         // The last particle fills what is left.
@@ -103,8 +119,11 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
             let particles = std::array::from_fn(|lane| of_lane(block * BLOCK + lane));
             ParticleLanes::new(&particles, qubes, &brake, &ends)
         });
-        let (particles, count) = (lanes.collect(), particles.len());
-        Self { brake, ends, horizon, count, particles, qubes, level: Level::best() }
+        let particles = lanes.map(|particles| particles.holding(reach.held)).collect();
+        let seen = vec![State::all(&at_rest); qubes.len()];
+        let filter = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S).cast();
+        let level = Level::best();
+        Self { brake, ends, reach, filter, count, particles, qubes, seen, level }
     }
 
     /// The same, computed with this instruction set (for comparisons).
@@ -139,10 +158,12 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         let trial = Trial {
             brake: &self.brake,
             ends: self.ends,
-            horizon: self.horizon,
+            reach: self.reach,
+            filter: &self.filter,
             count: self.count,
             particles: &self.particles,
             qubes: &mut self.qubes,
+            seen: &mut self.seen,
             state: *state,
             sent_v: *sent_v,
             voltage_v,
@@ -177,6 +198,11 @@ impl ParticleLanes {
         }
     }
 
+    /// The same where the first voltage is held for so long.
+    fn holding(self, held: u32) -> Self {
+        Self { settled: self.settled + held - 1, ..self }
+    }
+
     /// The voltages that arrive of these commands, V.
     #[inline(always)]
     fn arriving(&self, commands_v: &Lanes) -> Lanes {
@@ -194,10 +220,12 @@ impl ParticleLanes {
 struct Trial<'a, B> {
     brake: &'a B,
     ends: Ends,
-    horizon: u32,
+    reach: Reach,
+    filter: &'a FilterGains<f32>,
     count: usize,
     particles: &'a [ParticleLanes],
     qubes: &'a mut [QubeLanes],
+    seen: &'a mut [State<Lanes>],
     state: State<f32>,
     sent_v: [f32; MAX_HISTORY],
     voltage_v: f32,
@@ -208,25 +236,30 @@ impl<B: BrakeLaw> Kernel for Trial<'_, B> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> Outlook {
-        let Self { brake, ends, horizon, count, particles, qubes, state, sent_v, voltage_v } = self;
+        let Self { brake, ends, reach, filter, count, particles, qubes, seen, .. } = self;
+        let Self { state, sent_v, voltage_v, .. } = self;
         let (groups, _) = qubes.as_chunks_mut::<GROUP>();
+        let (seen_groups, _) = seen.as_chunks_mut::<GROUP>();
         let (particle_groups, _) = particles.as_chunks::<GROUP>();
         let mut outlook = Outlook { holds: true, room_rad: f32::INFINITY, particle: 0, periods: 0 };
-        for (group, (qubes, particles)) in groups.iter_mut().zip(particle_groups).enumerate() {
+        let all = groups.iter_mut().zip(seen_groups).zip(particle_groups);
+        for (group, ((qubes, seen), particles)) in all.enumerate() {
             let mut rooms = [[f32::INFINITY; BLOCK]; GROUP];
             for block in 0..GROUP {
-                resume(&mut qubes[block], &particles[block], &state, &sent_v);
+                let first_v = particles[block].arriving(&[voltage_v; BLOCK]);
+                seen[block] = State::all(&state);
+                resume(&mut qubes[block], &particles[block], &state, &sent_v, &first_v, filter);
                 narrow(&mut rooms[block], &qubes[block], &ends);
             }
             let mut over = [false; GROUP];
             let mut holds = true;
-            for period in 0..horizon {
+            for period in 0..reach.horizon {
                 outlook.periods += 1;
                 let mut commands_v = [[voltage_v; BLOCK]; GROUP];
                 for block in 0..GROUP {
                     if !over[block] {
-                        if period > 0 {
-                            commands_v[block] = brakes(brake, &qubes[block], &particles[block]);
+                        if period >= reach.held {
+                            commands_v[block] = brakes(brake, &seen[block]);
                         }
                         commands_v[block] = particles[block].arriving(&commands_v[block]);
                         qubes[block].begin_period(&commands_v[block]);
@@ -243,6 +276,7 @@ impl<B: BrakeLaw> Kernel for Trial<'_, B> {
                 for block in 0..GROUP {
                     if !over[block] {
                         qubes[block].end_period(&commands_v[block]);
+                        observe(&mut seen[block], &qubes[block], &particles[block], filter);
                         holds &= all_positive(&rooms[block]);
                         over[block] = period >= particles[block].settled
                             && particles[block].calm.holds(&qubes[block], brake);
@@ -270,12 +304,17 @@ impl<B: BrakeLaw> Kernel for Trial<'_, B> {
 
 /// Puts the estimated state with each particle's error, and what has arrived of the last commands, into
 /// a block.
+///
+/// An estimated velocity is that of a moment ago, by the filter's lag. Each particle's own acceleration
+/// then, under the voltage that its motor had, brings it up to date.
 #[inline(always)]
 fn resume(
     qubes: &mut QubeLanes,
     particles: &ParticleLanes,
     state: &State<f32>,
     sent_v: &[f32; MAX_HISTORY],
+    first_v: &Lanes,
+    filter: &FilterGains<f32>,
 ) {
     let mut states = particles.error;
     for lane in 0..BLOCK {
@@ -286,21 +325,38 @@ fn resume(
     }
     let arrived_v = sent_v.map(|sent_v| particles.arriving(&[sent_v; BLOCK]));
     qubes.resume(&states, &arrived_v);
+    qubes.begin_period(first_v);
+    let (theta_dot_dot, alpha_dot_dot) = qubes.accelerations_before();
+    // Half a period for the difference of two angles, and the filter's memory of earlier ones.
+    let lag_s = CONTROL_PERIOD_S as f32 * (0.5 + filter.decay / (1.0 - filter.decay));
+    for lane in 0..BLOCK {
+        qubes.state.theta_dot[lane] += lag_s * theta_dot_dot[lane];
+        qubes.state.alpha_dot[lane] += lag_s * alpha_dot_dot[lane];
+    }
 }
 
-/// The brake's voltages of a block, V. It sees the angles with their errors.
+/// What the estimator shows of a block after a period.
 #[inline(always)]
-fn brakes(brake: &impl BrakeLaw, qubes: &QubeLanes, particles: &ParticleLanes) -> Lanes {
+fn observe(
+    seen: &mut State<Lanes>,
+    qubes: &QubeLanes,
+    particles: &ParticleLanes,
+    filter: &FilterGains<f32>,
+) {
+    for lane in 0..BLOCK {
+        let theta = qubes.state.theta[lane] - particles.error.theta[lane];
+        let alpha = qubes.state.alpha[lane] - particles.error.alpha[lane];
+        let next = through_filters(&seen.lane(lane), theta, alpha, filter);
+        seen.set_lane(lane, &next);
+    }
+}
+
+/// The brake's voltages of a block, V.
+#[inline(always)]
+fn brakes(brake: &impl BrakeLaw, seen: &State<Lanes>) -> Lanes {
     let mut commands_v = [0.0; BLOCK];
     for lane in 0..BLOCK {
-        let State { theta, alpha, theta_dot, alpha_dot } = qubes.state.lane(lane);
-        let seen = State {
-            theta: theta - particles.error.theta[lane],
-            alpha: alpha - particles.error.alpha[lane],
-            theta_dot,
-            alpha_dot,
-        };
-        commands_v[lane] = brake.voltage_v(&seen);
+        commands_v[lane] = brake.voltage_v(&seen.lane(lane));
     }
     commands_v
 }

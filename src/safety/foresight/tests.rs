@@ -5,16 +5,18 @@ use std::f64::consts::PI;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Ends, Foresight, Outlook};
+use super::{Ends, Foresight, Outlook, Reach};
 use crate::elementary::Level;
+use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use crate::qube::{
-    CONTROL_PERIOD_S, DomainParameter, Gap, GapDynamics, MAX_HISTORY, QubeModel, State,
-    runge_kutta_4,
+    CONTROL_PERIOD_S, DomainParameter, EquationsOfMotion as _, Gap, GapDynamics, MAX_HISTORY,
+    QubeModel, State, runge_kutta_4,
 };
 use crate::safety::{BrakeLaw as _, CentringBrake, Particle};
 
 const ENDS: Ends = Ends { low_rad: -2.2, high_rad: 2.1 };
-const HORIZON: u32 = 50;
+const HORIZON: u32 = 75;
+const REACH: Reach = Reach { held: 1, horizon: HORIZON };
 
 /// Steps of the reference in a control period.
 const FINE_STEPS: u32 = 20;
@@ -99,11 +101,23 @@ fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
     };
     // Oldest first; the last one is that of the period at hand.
     let mut commands_v: Vec<f64> = case.sent_v.iter().rev().map(|&v| arriving(v.into())).collect();
+    let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
+    let mut seen = State {
+        theta: f64::from(case.state.theta),
+        alpha: f64::from(case.state.alpha),
+        theta_dot: f64::from(case.state.theta_dot),
+        alpha_dot: f64::from(case.state.alpha_dot),
+    };
+    // The estimate is that of a moment ago.
+    let ago = (particle.model.gap.command_delay_s / CONTROL_PERIOD_S).floor() as usize;
+    let before_v = commands_v[commands_v.len().saturating_sub(1 + ago).min(commands_v.len() - 1)];
+    let then = dynamics.acceleration(&state, before_v);
+    let lag_s = CONTROL_PERIOD_S * (0.5 + gains.decay / (1.0 - gains.decay));
+    state.theta_dot += lag_s * then.theta;
+    state.alpha_dot += lag_s * then.alpha;
     let (high, low) = (f64::from(ENDS.high_rad), f64::from(ENDS.low_rad));
     let mut room = (high - state.theta).min(state.theta - low);
     for period in 0..periods {
-        let seen =
-            State { theta: state.theta - error.theta, alpha: state.alpha - error.alpha, ..state };
         let asked_v = if period == 0 { case.voltage_v.into() } else { brake.voltage_v(&seen) };
         commands_v.push(arriving(asked_v));
         let newest = (commands_v.len() - 1) as f64;
@@ -120,6 +134,8 @@ fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
             state = runge_kutta_4(&dynamics, state, voltage_v, step_s);
             room = room.min(high - state.theta).min(state.theta - low);
         }
+        let (theta, alpha) = (state.theta - error.theta, state.alpha - error.alpha);
+        seen = through_filters(&seen, theta, alpha, &gains);
     }
     room
 }
@@ -130,7 +146,7 @@ fn it_sees_what_a_simulation_of_each_particle_alone_sees() {
     let (mut held, mut reached, mut worst) = (0, 0, 0.0_f64);
     for _ in 0..1500 {
         let (particle, case) = (draw.particle(), draw.case());
-        let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, HORIZON);
+        let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, REACH);
         let outlook = look(&mut foresight, &case);
         let reference = room_rad(&particle, &case, outlook.periods);
         assert_eq!(outlook.particle, 0);
@@ -164,8 +180,10 @@ fn search_for_hasty_acceptance(seed: u64, particles: u32) -> u32 {
             }
         }
         let brake = CentringBrake::default();
-        let mut foresight = Foresight::new(&[particle], brake, ENDS, HORIZON);
-        let mut simulation = Foresight::new(&[particle], brake, ENDS, 150).without_calm();
+        let mut foresight = Foresight::new(&[particle], brake, ENDS, REACH);
+        let mut simulation =
+            Foresight::new(&[particle], brake, ENDS, Reach { held: 1, horizon: 150 })
+                .without_calm();
         for _ in 0..20 {
             let case = draw.case();
             let outlook = look(&mut foresight, &case);
@@ -200,9 +218,9 @@ fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
     let particles: Vec<Particle> = (0..70).map(|_| draw.particle()).collect();
     let mut alone: Vec<_> = particles
         .iter()
-        .map(|particle| Foresight::new(&[*particle], CentringBrake::default(), ENDS, HORIZON))
+        .map(|particle| Foresight::new(&[*particle], CentringBrake::default(), ENDS, REACH))
         .collect();
-    let all = Foresight::new(&particles, CentringBrake::default(), ENDS, HORIZON);
+    let all = Foresight::new(&particles, CentringBrake::default(), ENDS, REACH);
     let mut all = Level::ALL.map(|level| all.clone().at_level(level));
     let (mut held, mut reached) = (0, 0);
     for _ in 0..60 {
@@ -226,7 +244,7 @@ fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
 #[test]
 fn what_is_not_a_number_does_not_hold() {
     let particles = [Particle::exact(QubeModel::NOMINAL); 3];
-    let mut foresight = Foresight::new(&particles, CentringBrake::default(), ENDS, HORIZON);
+    let mut foresight = Foresight::new(&particles, CentringBrake::default(), ENDS, REACH);
     let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
     let case = Case { state: at_rest, sent_v: [0.0; MAX_HISTORY], voltage_v: 1.0 };
     let outlook = look(&mut foresight, &case);
