@@ -69,7 +69,7 @@ enum Command {
     Cool,
     Motor(MotorHeat),
     Home(HomingSettings),
-    Rollout(TickSettings, Box<Policy>, rtrb::Producer<TickRecord>),
+    Rollout(Box<TickSettings>, Box<Policy>, rtrb::Producer<TickRecord>),
     Lend(Borrower),
 }
 
@@ -199,7 +199,7 @@ impl ControlThread {
         policy: Policy,
         records: rtrb::Producer<TickRecord>,
     ) -> Result<Result<DriveReport, ControlError>, ThreadGone> {
-        match self.ask(Command::Rollout(settings, Box::new(policy), records))? {
+        match self.ask(Command::Rollout(Box::new(settings), Box::new(policy), records))? {
             Event::Finished(result) => Ok(result),
             _ => Err(ThreadGone),
         }
