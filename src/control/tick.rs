@@ -134,7 +134,11 @@ impl<C: Controller> Tick<C> {
                 self.asking = is_witnessed.then(AskingPush::default);
                 self.phase = Phase::Running;
             }
-            ControlAction::Brake => self.phase = Phase::Braking,
+            ControlAction::Brake => {
+                self.phase = Phase::Braking;
+                // Settling may have had its voltage before.
+                self.foreseen_brake = ForeseenBrake::default();
+            }
             ControlAction::Off => self.voltage_mv = 0,
             ControlAction::GoOn
             | ControlAction::Lend

@@ -77,6 +77,9 @@ impl TryFrom<Unchecked> for ForesightSettings {
     }
 }
 
+/// Where an end lies at least, rad, whatever a file says of the stops.
+const NEAREST_END_RAD: f64 = 0.01;
+
 impl ForesightSettings {
     /// The rules of this program.
     pub const VERSION: u32 = 1;
@@ -85,7 +88,7 @@ impl ForesightSettings {
     #[must_use]
     pub fn foresight(&self, stops: Option<MeasuredStops>) -> Foresight<CentringBrake> {
         let nearer_rad = stops.map_or(HARD_STOP_RAD, |stops| stops.nearer_rad());
-        let end_rad = (nearer_rad.min(HARD_STOP_RAD) - self.margin_rad) as f32;
+        let end_rad = (nearer_rad.min(HARD_STOP_RAD) - self.margin_rad).max(NEAREST_END_RAD) as f32;
         let ends = Ends { low_rad: -end_rad, high_rad: end_rad };
         let reach = Reach { held: self.held_periods, horizon: self.horizon_periods };
         Foresight::new(&self.belief.particles(), CentringBrake::default(), ends, reach)
@@ -111,6 +114,15 @@ impl Default for ForesightSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::{MAX_HISTORY, State};
+
+    #[test]
+    fn no_stops_are_too_near_to_look_ahead() {
+        let stops = MeasuredStops { lowest_theta_rad: 3.0, highest_theta_rad: -1.0 };
+        let mut foresight = ForesightSettings::default().foresight(Some(stops));
+        let hanging = State { theta: 0.3, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+        assert!(!foresight.look(&hanging, &[0.0; MAX_HISTORY], 0.0).holds);
+    }
 
     #[test]
     fn what_a_file_says_is_checked_before_anything_is_computed_with_it() {
