@@ -35,8 +35,8 @@ const ALIVE_A: f32 = 0.03;
 const RESUMES_AFTER_TICKS: usize = 4;
 
 /// An arm that has stood goes no farther than this in its first period: the lightest with the strongest
-/// motor takes up 1000 rad/s^2, and a first count of its way does not show.
-const RESUMES_COUNTS: i32 = 32;
+/// motor takes up 1200 rad/s^2, which is 32 counts where the first two of its way do not show.
+const RESUMES_COUNTS: i32 = 40;
 
 /// What the second period has at least of the first.
 const GOES_ON_COUNTS: i32 = 12;
