@@ -16,8 +16,8 @@ use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Network, Policy};
-use qube_hil::qube::Measurement;
-use qube_hil::safety::{Guard, SafetyBox};
+use qube_hil::qube::{MAX_HISTORY, Measurement, State};
+use qube_hil::safety::{ForesightSettings, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 use real_time::in_real_time;
 
@@ -127,11 +127,7 @@ fn rollout(policy: Policy, max_steps: u32) -> Tick {
 }
 
 fn rollout_seen_by(estimator: EstimatorSettings, policy: Policy, max_steps: u32) -> Tick {
-    Tick::new(&settings(estimator, max_steps), policy)
-}
-
-fn settings(estimator: EstimatorSettings, max_steps: u32) -> TickSettings {
-    TickSettings {
+    let settings = TickSettings {
         calibration: Calibration::IDENTITY,
         estimator,
         safety_box: SafetyBox::THESIS,
@@ -140,7 +136,8 @@ fn settings(estimator: EstimatorSettings, max_steps: u32) -> TickSettings {
         stops: None,
         foresight: None,
         rules: qube_hil::telemetry::TickRules::Witnessed,
-    }
+    };
+    Tick::new(&settings, policy)
 }
 
 #[test]
@@ -195,12 +192,15 @@ fn a_rollout_in_virtual_time_allocates_nothing() {
 }
 
 #[test]
-fn a_rollout_under_foresight_allocates_nothing() {
-    let clock = VirtualClock::default();
-    let device = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
-    let safety_box = SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS };
-    let settings = TickSettings { safety_box, ..settings(EstimatorSettings::default(), 600) };
-    let mut rollout = Tick::new(&settings, classical());
-    let (ending, allocations) = driven(device, &clock, &mut rollout);
-    assert_eq!((ending, allocations), (Ending::Completed, 0));
+fn the_trial_of_the_brake_allocates_nothing() {
+    let mut foresight = ForesightSettings::default().foresight(None);
+    let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+    let outward = State { theta: 1.9, theta_dot: 20.0, ..at_rest };
+    IN_THE_LOOP.set(true);
+    ALLOCATIONS.set(0);
+    let held = foresight.look(&at_rest, &[0.0; MAX_HISTORY], 5.0).holds;
+    let reached = !foresight.look(&outward, &[0.0; MAX_HISTORY], 5.0).holds;
+    IN_THE_LOOP.set(false);
+    assert_eq!(ALLOCATIONS.get(), 0);
+    assert!(held && reached);
 }

@@ -1,7 +1,7 @@
 use super::current_watch::takes_nothing;
 use super::standing::Standing;
 use super::watch::Alarm;
-use super::witness::{Contradiction, RIG_SHARE, Witness};
+use super::witness::{Contradiction, RIG_SHARE, WHOLE_DOMAIN_SHARE, Witness};
 use crate::estimation::Calibration;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, RAD_PER_COUNT};
 use crate::telemetry::Fault;
@@ -218,6 +218,14 @@ impl SensorWatch {
     /// so much, rad.
     pub fn call_witness(&mut self, calibration: Calibration, zero_within_rad: f64) {
         self.witness = Some((calibration, Witness::with_zero_within(zero_within_rad, RIG_SHARE)));
+    }
+
+    /// From now on a policy moves the arm: no healthy Qube of the whole domain may raise an alarm, which
+    /// would leave the arm without a brake.
+    pub fn allow_the_whole_domain(&mut self) {
+        if let Some((_, witness)) = &mut self.witness {
+            witness.allow(WHOLE_DOMAIN_SHARE);
+        }
     }
 
     /// What arm and pendulum say of each other, where they are asked.

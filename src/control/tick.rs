@@ -132,6 +132,7 @@ impl<C: Controller> Tick<C> {
                 self.policy.start();
                 let is_witnessed = self.settings.rules == TickRules::Witnessed;
                 self.asking = is_witnessed.then(AskingPush::default);
+                self.sensors.allow_the_whole_domain();
                 self.phase = Phase::Running;
             }
             ControlAction::Brake => {
