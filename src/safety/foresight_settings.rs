@@ -99,7 +99,7 @@ impl Default for ForesightSettings {
     /// For a Qube of which nothing is known but that its parameters lie within 30 % of the name plate's.
     ///
     /// A voltage is held for two periods: one lost sample changes nothing. An arm that does not come
-    /// near an end in 0.75 s of braking did not in 1.5 s either, in all searches.
+    /// near an end in 0.75 s of braking did not in 1.5 s either, in the searches of both that were compared.
     fn default() -> Self {
         Self {
             version: Self::VERSION,
