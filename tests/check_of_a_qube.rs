@@ -41,16 +41,9 @@ fn names(found: &Examination, verdict: CheckVerdict) -> Vec<&str> {
 
 fn plan() -> RolloutPlan {
     RolloutPlan {
-        session: "test".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: Default::default(),
         seed: 1,
-        policy: "classical".into(),
-        estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
-        steps: 600,
+        ..RolloutPlan::single("test", "classical")
     }
 }
 

@@ -9,10 +9,8 @@ use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{DeviceError, SerialLink};
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::Profile;
-use qube_hil::safety::SafetyBox;
 use qube_hil::session::{
     Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice,
 };
@@ -94,18 +92,7 @@ fn settings(seed: u64) -> RigSettings {
 }
 
 fn rollout(rig: &Rig, seed: u64, path: &Path) -> Result<Ending, RigError> {
-    let plan = RolloutPlan {
-        session: "test".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: Default::default(),
-        seed,
-        policy: "test".into(),
-        estimator: EstimatorSettings::default(),
-        safety_box: SafetyBox::GUARDED,
-        steps: 600,
-    };
+    let plan = RolloutPlan { seed, ..RolloutPlan::single("test", "test") };
     let policy = if seed.is_multiple_of(3) {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         Policy::load(&root.join("policies/robust.safetensors")).unwrap()

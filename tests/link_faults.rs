@@ -10,7 +10,6 @@ use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, InProcessWire, LinkFault, SerialLink, Transport};
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::safety::SafetyBox;
 use qube_hil::session::{
@@ -155,16 +154,9 @@ fn stop() -> Arc<AtomicBool> {
 
 fn rollout(rig: &Rig, path: &Path) -> Result<(), RigError> {
     let plan = RolloutPlan {
-        session: "test".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: Default::default(),
         seed: 1,
-        policy: "classical".into(),
-        estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
-        steps: 600,
+        ..RolloutPlan::single("test", "classical")
     };
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
     rig.rollout(&MachineDisk, path, plan.header(), &policy).map(drop)

@@ -10,7 +10,6 @@ use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::control::{ControlError, HomingMethod, HomingSettings, Moved};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Measurement, Profile, QubeModel};
 use qube_hil::recording::{Recording, read};
@@ -110,18 +109,7 @@ impl Bench {
 }
 
 fn rollout(rig: &Rig, number: u32, path: &Path, policy: &Policy) -> Result<Recording, RigError> {
-    let plan = RolloutPlan {
-        session: "test".into(),
-        candidate: None,
-        rollout: number,
-        attempt: 0,
-        psi: Default::default(),
-        seed: 1,
-        policy: "test".into(),
-        estimator: EstimatorSettings::default(),
-        safety_box: SafetyBox::GUARDED,
-        steps: 600,
-    };
+    let plan = RolloutPlan { rollout: number, seed: 1, ..RolloutPlan::single("test", "test") };
     rig.rollout(&MachineDisk, path, plan.header(), &policy.to_bytes())?;
     let recording = read(path).unwrap();
     std::fs::remove_file(path).unwrap();

@@ -144,18 +144,8 @@ fn what_is_hardware_is_examined_before_its_first_motion() {
 fn rollout(rig: &Rig, safety_box: SafetyBox) -> Result<bool, RigError> {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
-    let plan = RolloutPlan {
-        session: "test".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: Default::default(),
-        seed: 1,
-        policy: "classical".into(),
-        estimator: Default::default(),
-        safety_box,
-        steps: 10,
-    };
+    let plan =
+        RolloutPlan { seed: 1, safety_box, steps: 10, ..RolloutPlan::single("test", "classical") };
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
     let recorded = rig.rollout(&MachineDisk, &path, plan.header(), &policy);
     assert_eq!(path.exists(), recorded.is_ok(), "a rollout that was refused left a file");

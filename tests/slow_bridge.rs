@@ -12,7 +12,6 @@ use qube_hil::clock::{Clock, VirtualClock};
 use qube_hil::control::{LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS};
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings, UsbBridge};
 use qube_hil::device::{Device, SerialLink};
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::CONTROL_PERIOD_NS;
 use qube_hil::recording::read;
@@ -37,16 +36,9 @@ fn classical() -> Policy {
 
 fn plan() -> RolloutPlan {
     RolloutPlan {
-        session: "test".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: Default::default(),
         seed: 1,
-        policy: "classical".into(),
-        estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
-        steps: 600,
+        ..RolloutPlan::single("test", "classical")
     }
 }
 

@@ -171,16 +171,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         eprintln!("homing: the arm looks for its stops");
     }
     let plan = RolloutPlan {
-        session: "run".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: Default::default(),
         seed: arguments.seed,
-        policy: driver.name.clone(),
         estimator,
         safety_box,
         steps: driver.steps,
+        ..RolloutPlan::single("run", &driver.name)
     };
     let mut results = Results { excited: arguments.excite.is_some(), ..Results::default() };
     let mut series = Series { settings, plan, driver, directory, stop: &stop, keyboard: &keyboard };

@@ -12,7 +12,7 @@ use super::{failures, warn_without_realtime};
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::policy::{ClassicalController, ClassicalGains, Policy};
-use crate::qube::{CONTROL_PERIOD_NS, MAX_STEPS};
+use crate::qube::CONTROL_PERIOD_NS;
 use crate::recording::{Recording, read};
 use crate::safety::SafetyBox;
 use crate::session::{MAX_NOT_BEGUN, Rig, RigError, RolloutPlan, Verdict, judge_recording};
@@ -152,16 +152,11 @@ impl Soaked {
             let rollout = self.rollouts as u32;
             let path = folder.path.join(format!("rollout-{rollout}.mcap"));
             let plan = RolloutPlan {
-                session: "soak".into(),
-                candidate: None,
                 rollout,
-                attempt: 0,
-                psi: Default::default(),
                 seed: arguments.seed,
-                policy: "classical".into(),
                 estimator,
                 safety_box: device.safety_box(SafetyBox::default()),
-                steps: MAX_STEPS as u32,
+                ..RolloutPlan::single("soak", "classical")
             };
             match rig.rollout(&MachineDisk, &path, plan.header(), &policy) {
                 Ok(_) => not_begun = 0,

@@ -28,6 +28,16 @@ fn classical() -> Policy {
     Policy::Classical(ClassicalController::new(ClassicalGains::default()))
 }
 
+/// Drives the arm away from the middle.
+fn outward() -> ClassicalController {
+    ClassicalController::new(ClassicalGains {
+        pump_v_per_j: 0.0,
+        centring_v_per_rad: -100.0,
+        damping_v_s_per_rad: 0.0,
+        ..ClassicalGains::default()
+    })
+}
+
 fn rollout(device: &mut PlantDevice, policy: Policy, stop: bool) -> (DriveReport, Vec<TickRecord>) {
     let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
     let mut tick = Tick::new(&settings(), policy);
@@ -64,14 +74,8 @@ fn a_pendulum_that_was_left_turned_round_starts_at_alpha_near_zero() {
 
 #[test]
 fn a_policy_that_pushes_outward_leaves_the_box_and_is_braked() {
-    let outward = ClassicalGains {
-        pump_v_per_j: 0.0,
-        centring_v_per_rad: -100.0,
-        damping_v_s_per_rad: 0.0,
-        ..ClassicalGains::default()
-    };
     let mut device = PlantDevice::new(State::default());
-    let policy = Policy::Classical(ClassicalController::new(outward));
+    let policy = Policy::Classical(outward());
     let (report, records) = rollout(&mut device, policy, false);
     assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Theta));
     let braking = records.iter().find(|r| r.phase == Phase::Braking).unwrap();
@@ -81,12 +85,6 @@ fn a_policy_that_pushes_outward_leaves_the_box_and_is_braked() {
 
 #[test]
 fn no_observer_however_wrong_moves_the_limits_of_the_box() {
-    let outward = ClassicalGains {
-        pump_v_per_j: 0.0,
-        centring_v_per_rad: -100.0,
-        damping_v_s_per_rad: 0.0,
-        ..ClassicalGains::default()
-    };
     // A Qube whose arm is a hundred times as heavy and whose voltages act a tenth of a second
     // late: what this observer shows is far from where the arm is.
     let parameters = DomainParameters { rotary_mass_kg: 9.5, ..DomainParameters::NOMINAL };
@@ -100,7 +98,7 @@ fn no_observer_however_wrong_moves_the_limits_of_the_box() {
     let settings = TickSettings { estimator, ..settings() };
     let mut device = PlantDevice::new(State::default());
     let clock = device.clock.clone();
-    let mut tick = Tick::new(&settings, ClassicalController::new(outward));
+    let mut tick = Tick::new(&settings, outward());
     let stop = AtomicBool::new(false);
     let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
     let report = drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
@@ -116,16 +114,10 @@ fn no_observer_however_wrong_moves_the_limits_of_the_box() {
 
 #[test]
 fn under_the_envelope_the_arm_comes_back_and_never_touches_its_stop() {
-    let outward = ClassicalGains {
-        pump_v_per_j: 0.0,
-        centring_v_per_rad: -100.0,
-        damping_v_s_per_rad: 0.0,
-        ..ClassicalGains::default()
-    };
     let settings = TickSettings { safety_box: SafetyBox::GUARDED, ..settings() };
     let mut device = PlantDevice::new(State::default());
     let clock = device.clock.clone();
-    let mut tick = Tick::new(&settings, ClassicalController::new(outward));
+    let mut tick = Tick::new(&settings, outward());
     let stop = AtomicBool::new(false);
     let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
     assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Envelope));
@@ -137,17 +129,11 @@ fn under_the_envelope_the_arm_comes_back_and_never_touches_its_stop() {
 
 #[test]
 fn under_foresight_the_arm_comes_back_and_never_touches_its_stop() {
-    let outward = ClassicalGains {
-        pump_v_per_j: 0.0,
-        centring_v_per_rad: -100.0,
-        damping_v_s_per_rad: 0.0,
-        ..ClassicalGains::default()
-    };
     let safety_box = SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS };
     let settings = TickSettings { safety_box, ..settings() };
     let mut device = PlantDevice::new(State::default());
     let clock = device.clock.clone();
-    let mut tick = Tick::new(&settings, ClassicalController::new(outward));
+    let mut tick = Tick::new(&settings, outward());
     let stop = AtomicBool::new(false);
     let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
     assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Foresight));

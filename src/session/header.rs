@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use super::seeds::start_theta_rad;
 use crate::estimation::{Calibration, EstimatorSettings};
-use crate::qube::RewardWeights;
+use crate::qube::{MAX_STEPS, RewardWeights};
 use crate::recording::FORMAT_VERSION;
 use crate::safety::SafetyBox;
 use crate::telemetry::{Preflight, RolloutHeader, TickRules, TickSettings};
@@ -33,6 +33,23 @@ pub struct RolloutPlan {
 }
 
 impl RolloutPlan {
+    /// A whole rollout that belongs to no search, under the usual guard and estimator; from seed 0.
+    #[must_use]
+    pub fn single(session: &str, policy: &str) -> Self {
+        Self {
+            session: session.into(),
+            candidate: None,
+            rollout: 0,
+            attempt: 0,
+            psi: BTreeMap::new(),
+            seed: 0,
+            policy: policy.into(),
+            estimator: EstimatorSettings::default(),
+            safety_box: SafetyBox::GUARDED,
+            steps: MAX_STEPS as u32,
+        }
+    }
+
     /// The header as far as it is known before a rig fills in device, check, calibration and time.
     #[must_use]
     pub fn header(&self) -> RolloutHeader {

@@ -6,10 +6,9 @@ use std::sync::atomic::AtomicBool;
 
 use qube_hil::control::HomingSettings;
 use qube_hil::device::emulator::EmulatorSettings;
-use qube_hil::estimation::{Calibration, EstimatorSettings};
+use qube_hil::estimation::Calibration;
 use qube_hil::policy::Policy;
 use qube_hil::qube::QubeModel;
-use qube_hil::safety::SafetyBox;
 use qube_hil::session::{Rig, RigSettings, RolloutPlan};
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Fault};
@@ -32,18 +31,7 @@ fn refusals(rig: &mut Rig) -> Vec<(String, String)> {
 }
 
 fn rollout(rig: &Rig, seed: u64) -> Ending {
-    let plan = RolloutPlan {
-        session: "test".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: Default::default(),
-        seed,
-        policy: "test".into(),
-        estimator: EstimatorSettings::default(),
-        safety_box: SafetyBox::GUARDED,
-        steps: 600,
-    };
+    let plan = RolloutPlan { seed, ..RolloutPlan::single("test", "test") };
     let name = ["robust", "nominal"][(seed % 2) as usize];
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("policies/{name}.safetensors"));
     let policy = Policy::load(&path).unwrap();

@@ -1,13 +1,11 @@
 //! The wire fails at the i-th operation, for each i of a whole run and in each way: every run ends
 //! with the amplifier off, and with a recording that is right.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use qube_hil::control::HomingMethod;
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::recording::read_on;
 use qube_hil::safety::SafetyBox;
@@ -65,16 +63,9 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
 /// A rollout of 60 steps by the classical controller, and its policy file.
 pub fn plan() -> (RolloutPlan, Vec<u8>) {
     let plan = RolloutPlan {
-        session: "sweep".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: BTreeMap::new(),
-        seed: 0,
-        policy: "classical".into(),
-        estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
         steps: STEPS,
+        ..RolloutPlan::single("sweep", "classical")
     };
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
     (plan, policy)

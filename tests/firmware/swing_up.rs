@@ -4,9 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::safety::SafetyBox;
 use qube_hil::session::{Rig, RigSettings, RolloutPlan, Verdict, judge};
 use qube_hil::storage::MachineDisk;
 
@@ -19,18 +17,7 @@ use crate::toolchain::{Chip, toolchain};
 const ATTEMPTS: u32 = 4;
 
 fn plan() -> RolloutPlan {
-    RolloutPlan {
-        session: "test".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: Default::default(),
-        seed: 0,
-        policy: "test".into(),
-        estimator: EstimatorSettings::default(),
-        safety_box: SafetyBox::GUARDED,
-        steps: 600,
-    }
+    RolloutPlan::single("test", "test")
 }
 
 fn swings_up(chip: Chip, policy: &Policy) {

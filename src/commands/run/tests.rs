@@ -19,18 +19,7 @@ fn settings(fault: Option<&str>) -> RigSettings {
 
 /// Rollouts of the classical controller: how they ended, and what they came to.
 fn run(settings: RigSettings, directory: &Path, rollouts: u32) -> (Result<(), Failure>, Results) {
-    let plan = RolloutPlan {
-        session: "run".into(),
-        candidate: None,
-        rollout: 0,
-        attempt: 0,
-        psi: Default::default(),
-        seed: 0,
-        policy: "classical".into(),
-        estimator: Default::default(),
-        safety_box: SafetyBox::GUARDED,
-        steps: MAX_STEPS as u32,
-    };
+    let plan = RolloutPlan::single("run", "classical");
     let files = vec![policy_file("classical").unwrap()];
     let driver = Driver { name: "classical".into(), files, steps: plan.steps };
     let (stop, keyboard) = (Stop::default(), Keyboard::none());
