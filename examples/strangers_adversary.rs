@@ -1,0 +1,138 @@
+//! How near its stop an adversary brings the arm of a Qube that foresight guards, who knows the promise of
+//! foresight and nothing of how it is kept.
+//!
+//! `cargo run --release --example strangers_adversary -- --searches 20 --first 1 --optimiser both --belief
+//! unknown --out FILE`. Each search that is done is a line of FILE; those that are there are not made again.
+//! With `--show SEED` the farthest episode of that seed in FILE is told tick by tick.
+
+#[path = "../tests/stranger/mod.rs"]
+mod stranger;
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use clap::Parser;
+use qube_hil::safety::Guard;
+use stranger::{Effort, Hunt, Known, Method, SearchRecord, summary};
+
+/// The adversary's command line.
+#[derive(Parser)]
+struct Arguments {
+    /// How many seeds are searched by each optimiser.
+    #[arg(long, default_value_t = 20)]
+    searches: u64,
+    /// The first seed.
+    #[arg(long, default_value_t = 1)]
+    first: u64,
+    /// ce, cma or both.
+    #[arg(long, default_value = "both")]
+    optimiser: String,
+    /// unknown or identified.
+    #[arg(long, default_value = "unknown")]
+    belief: String,
+    /// Generations of a search.
+    #[arg(long, default_value_t = 25)]
+    generations: u32,
+    /// Episodes of a generation.
+    #[arg(long, default_value_t = 64)]
+    population: usize,
+    /// Searches at a time.
+    #[arg(long, default_value_t = 2)]
+    threads: usize,
+    /// Where the lines go.
+    #[arg(long)]
+    out: PathBuf,
+    /// Tells the farthest episode of this seed tick by tick, and searches nothing.
+    #[arg(long)]
+    show: Option<u64>,
+}
+
+fn main() -> anyhow::Result<()> {
+    let arguments = Arguments::parse();
+    let known = match arguments.belief.as_str() {
+        "unknown" => Known::Unknown,
+        "identified" => Known::Identified,
+        _ => anyhow::bail!("--belief: give unknown or identified"),
+    };
+    let methods = match arguments.optimiser.as_str() {
+        "ce" => vec![Method::Ce],
+        "cma" => vec![Method::Cma],
+        "both" => vec![Method::Ce, Method::Cma],
+        _ => anyhow::bail!("--optimiser: give ce, cma or both"),
+    };
+    let hunts: Vec<Hunt> = (arguments.first..arguments.first + arguments.searches)
+        .flat_map(|seed| methods.iter().map(move |&method| (seed, method)))
+        .map(|(seed, method)| Hunt { seed, known, method, guard: Guard::Foresight })
+        .collect();
+    let done = read(&arguments.out)?;
+    let record_of = |hunt: &Hunt| done.iter().find(|record| is_of(record, hunt));
+    if let Some(seed) = arguments.show {
+        let hunts =
+            methods.iter().map(|&method| Hunt { seed, known, method, guard: Guard::Foresight });
+        for hunt in hunts {
+            if let Some(record) = record_of(&hunt) {
+                tell(&hunt, record);
+            }
+        }
+        return Ok(());
+    }
+
+    let missing: Vec<&Hunt> = hunts.iter().filter(|hunt| record_of(hunt).is_none()).collect();
+    let file = Mutex::new(OpenOptions::new().create(true).append(true).open(&arguments.out)?);
+    let next = AtomicUsize::new(0);
+    let effort = Effort { generations: arguments.generations, population: arguments.population };
+    let work = || -> anyhow::Result<()> {
+        while let Some(hunt) = missing.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let record = hunt.run(effort);
+            let line = serde_json::to_string(&record)?;
+            let mut file = file.lock().map_err(|_| anyhow::anyhow!("another thread has failed"))?;
+            writeln!(file, "{line}")?;
+            eprintln!(
+                "seed {} {:?}: {} hits, farthest {:.4} rad",
+                hunt.seed, hunt.method, record.hits, record.farthest_rad
+            );
+        }
+        Ok(())
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..arguments.threads).map(|_| scope.spawn(work)).collect();
+        threads.into_iter().try_for_each(|thread| {
+            thread.join().map_err(|_| anyhow::anyhow!("a search panicked"))?
+        })
+    })?;
+
+    let mut records = read(&arguments.out)?;
+    records.retain(|record| hunts.iter().any(|hunt| is_of(record, hunt)));
+    print!("{}", summary(&records));
+    Ok(())
+}
+
+fn is_of(record: &SearchRecord, hunt: &Hunt) -> bool {
+    let scenario = &record.scenario;
+    scenario.seed == hunt.seed && scenario.known == hunt.known && record.method == hunt.method
+}
+
+/// The searches of a file; a line that was cut off is none.
+fn read(path: &PathBuf) -> anyhow::Result<Vec<SearchRecord>> {
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let text = std::fs::read_to_string(path)?;
+    Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+}
+
+/// Tells what is kept of a search: its farthest episode, then one for each false fault.
+fn tell(hunt: &Hunt, record: &SearchRecord) {
+    let faults = record.kept_faults.values();
+    for found in record.farthest.iter().chain(faults) {
+        let trace = hunt.show(&record.scenario, &found.genes);
+        println!("{:?} {}", record.method, trace.told);
+        for line in &trace.lines {
+            println!("{line}");
+        }
+        println!("{:?}\nas recorded: {}\n", trace.outcome, trace.outcome == found.outcome);
+    }
+}

@@ -1,0 +1,53 @@
+//! An adversary who knows nothing of foresight but its promise, in a search small enough for every day.
+//!
+//! `cargo run --release --example strangers_adversary` searches in earnest; this search has no mishaps on the
+//! link, where lost samples still bring an arm to its stop.
+
+#[path = "stranger/mod.rs"]
+mod stranger;
+
+use qube_hil::safety::Guard;
+use stranger::{Effort, Hunt, Known, Method};
+
+/// Far fewer episodes than the example plays.
+const EFFORT: Effort = Effort { generations: 3, population: 16 };
+
+/// A seed whose attack is linear feedback in three stages on a link without mishaps, the Qube sought too.
+const SEED: u64 = 7;
+
+/// The search of that seed on an identified Qube.
+fn hunt(method: Method, guard: Guard) -> Hunt {
+    Hunt { seed: SEED, known: Known::Identified, method, guard }
+}
+
+#[test]
+fn no_arm_of_an_identified_qube_reaches_its_stop() {
+    for method in [Method::Ce, Method::Cma] {
+        let record = hunt(method, Guard::Foresight).run(EFFORT);
+        let told = serde_json::to_string(&record.kept_hits).unwrap();
+        assert_eq!(record.hits, 0, "{method:?} reached {} rad: {told}", record.farthest_rad);
+        assert!(record.farthest_rad > 0.5, "{method:?} only went to {} rad", record.farthest_rad);
+    }
+}
+
+#[test]
+fn without_foresight_the_same_searches_reach_the_stop() {
+    for method in [Method::Ce, Method::Cma] {
+        let record = hunt(method, Guard::Box).run(EFFORT);
+        assert!(record.hits > 0, "{method:?} only went to {} rad", record.farthest_rad);
+    }
+}
+
+#[test]
+fn an_episode_repeats_bit_for_bit() {
+    let hunt = hunt(Method::Cma, Guard::Foresight);
+    let record = hunt.run(EFFORT);
+    let text = serde_json::to_string(&record).unwrap();
+    assert_eq!(serde_json::to_string(&hunt.run(EFFORT)).unwrap(), text);
+    let read: stranger::SearchRecord = serde_json::from_str(&text).unwrap();
+    let farthest = read.farthest.unwrap();
+    let trace = hunt.show(&read.scenario, &farthest.genes);
+    assert_eq!(trace.outcome, farthest.outcome);
+    assert!(trace.lines.len() > 30 && trace.told.contains("zero off by"));
+    assert!(stranger::summary(&[record]).contains("48 episodes"));
+}

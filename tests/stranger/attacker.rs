@@ -1,0 +1,76 @@
+use qube_hil::policy::Controller;
+use qube_hil::qube::State;
+
+use super::genes::Genes;
+use super::moves::{Moves, MovesKind, Segment, features, weigh};
+
+/// A policy that attacks: it moves the arm somehow and may strike once, when it is worst.
+pub struct Attacker {
+    moves: Moves,
+    strike: Option<Strike>,
+    step: u32,
+}
+
+/// Full pushes, one after the other, from an instant on.
+struct Strike {
+    /// From this step on it waits for its state.
+    from: u32,
+    /// The state has come when these weights make more than nothing of it.
+    state: [f64; 6],
+    segments: Vec<Segment>,
+    since: Option<u32>,
+}
+
+impl Strike {
+    fn new(genes: &mut Genes, steps: u32) -> Self {
+        let from = genes.whole(0, steps);
+        let waits = genes.normal() > -0.3;
+        let mut state = std::array::from_fn(|_| genes.normal());
+        if !waits {
+            state = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        }
+        let segments = (0..5).map(|_| {
+            let (steps, voltage_v) = (genes.whole(0, 30), 10.0 * genes.normal());
+            Segment { steps, voltage_v, period: None }
+        });
+        Self { from, state, segments: segments.collect(), since: None }
+    }
+
+    fn voltage_v(&mut self, step: u32, state: &State) -> Option<f64> {
+        if self.since.is_none() && step >= self.from && weigh(&self.state, &features(state)) > 0.0 {
+            self.since = Some(step);
+        }
+        Segment::of(&self.segments, step - self.since?)
+    }
+}
+
+impl Attacker {
+    /// What the genes say.
+    pub fn new(kind: MovesKind, strikes: bool, genes: &mut Genes, steps: u32) -> Self {
+        let moves = Moves::new(kind, genes, steps);
+        let strike = strikes.then(|| Strike::new(genes, steps));
+        Self { moves, strike, step: 0 }
+    }
+}
+
+impl Controller for Attacker {
+    fn start(&mut self) {
+        self.step = 0;
+        self.moves.start();
+        if let Some(strike) = &mut self.strike {
+            strike.since = None;
+        }
+    }
+
+    fn applied(&mut self, voltage_v: f64) {
+        self.moves.applied(voltage_v);
+    }
+
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        let step = self.step;
+        self.step += 1;
+        let moves_v = self.moves.voltage_v(step, state);
+        let strikes_v = self.strike.as_mut().and_then(|strike| strike.voltage_v(step, state));
+        strikes_v.unwrap_or(moves_v).clamp(-5.0, 5.0)
+    }
+}

@@ -1,0 +1,217 @@
+use qube_hil::policy::{LayerWeights, Network, Policy};
+use qube_hil::qube::{MAX_VOLTAGE_V, State};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+use super::genes::{Genes, normal};
+
+/// How an attack moves the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MovesKind {
+    /// Linear feedback of any sign in three stages.
+    Feedback,
+    /// A small neural network.
+    Net,
+    /// Full voltage to and fro at switching times.
+    BangBang,
+    /// Pumps energy into the pendulum.
+    Pump,
+    /// Full voltage to and fro as fast as ticks allow, between pushes.
+    Chatter,
+    /// The shipped policy `robust` with other weights.
+    Robust,
+    /// The shipped policy `nominal` with other weights.
+    Nominal,
+}
+
+/// Numbers that a linear law weighs.
+const FEATURES: usize = 6;
+
+/// Hidden units of the small network.
+const HIDDEN: usize = 6;
+
+/// Directions in which a shipped policy's weights may go.
+const DIRECTIONS: usize = 16;
+
+/// The moves of one attack.
+#[derive(Clone, Debug)]
+pub enum Moves {
+    Feedback { stages: [[f64; FEATURES]; 3], switches: [Switch; 2], stage: usize },
+    Net { inner: Vec<[f64; FEATURES]>, outer: Vec<f64> },
+    Times { segments: Vec<Segment> },
+    Pump { gain: f64, centring: f64, damping: f64 },
+    Shipped { network: Box<Network> },
+}
+
+/// When one stage gives way to the next.
+#[derive(Clone, Copy, Debug)]
+pub enum Switch {
+    Step(u32),
+    Angle(f64),
+}
+
+/// A voltage for some steps; with a period it goes to and fro.
+#[derive(Clone, Copy, Debug)]
+pub struct Segment {
+    pub steps: u32,
+    pub voltage_v: f64,
+    pub period: Option<u32>,
+}
+
+impl Segment {
+    fn voltage_v(&self, step: u32) -> f64 {
+        match self.period {
+            Some(period) if step / period % 2 == 1 => -self.voltage_v,
+            _ => self.voltage_v,
+        }
+    }
+
+    /// The voltage in a step of segments that follow each other; none after the last.
+    pub fn of(segments: &[Self], mut step: u32) -> Option<f64> {
+        for segment in segments {
+            if step < segment.steps {
+                return Some(segment.voltage_v(step));
+            }
+            step -= segment.steps;
+        }
+        None
+    }
+}
+
+/// What a law sees of a state, each about one.
+pub fn features(state: &State) -> [f64; FEATURES] {
+    let (sin, cos) = (libm::sin(state.alpha), libm::cos(state.alpha));
+    [1.0, state.theta, sin, cos, 0.1 * state.theta_dot, 0.1 * state.alpha_dot]
+}
+
+/// The product of weights and features.
+pub fn weigh(weights: &[f64; FEATURES], features: &[f64; FEATURES]) -> f64 {
+    weights.iter().zip(features).map(|(weight, feature)| weight * feature).sum()
+}
+
+fn weights(genes: &mut Genes, scale: f64) -> [f64; FEATURES] {
+    std::array::from_fn(|_| scale * genes.normal())
+}
+
+impl Moves {
+    /// What the genes say of this kind.
+    pub fn new(kind: MovesKind, genes: &mut Genes, steps: u32) -> Self {
+        match kind {
+            MovesKind::Feedback => Self::Feedback {
+                stages: std::array::from_fn(|_| weights(genes, 5.0)),
+                switches: std::array::from_fn(|_| {
+                    let by_step = genes.normal() < 0.0;
+                    let (step, angle) = (genes.whole(1, steps), 2.3 * genes.unit());
+                    if by_step { Switch::Step(step) } else { Switch::Angle(angle) }
+                }),
+                stage: 0,
+            },
+            MovesKind::Net => Self::Net {
+                inner: (0..HIDDEN).map(|_| weights(genes, 1.5)).collect(),
+                outer: (0..HIDDEN).map(|_| 5.0 * genes.normal()).collect(),
+            },
+            MovesKind::BangBang => {
+                let mut sign = if genes.normal() < 0.0 { -1.0 } else { 1.0 };
+                let segments = (0..12).map(|_| {
+                    sign = -sign;
+                    Segment {
+                        steps: genes.whole(1, 45),
+                        voltage_v: sign * MAX_VOLTAGE_V,
+                        period: None,
+                    }
+                });
+                Self::Times { segments: segments.collect() }
+            }
+            MovesKind::Chatter => {
+                let segments = (0..8).map(|_| {
+                    let (steps, voltage_v) = (genes.whole(1, 60), 10.0 * genes.normal());
+                    let (chatters, period) = (genes.normal() < 0.3, genes.whole(1, 12));
+                    Segment { steps, voltage_v, period: chatters.then_some(period) }
+                });
+                Self::Times { segments: segments.collect() }
+            }
+            MovesKind::Pump => Self::Pump {
+                gain: 10.0 * genes.normal(),
+                centring: 5.0 * genes.normal(),
+                damping: 0.5 * genes.normal(),
+            },
+            MovesKind::Robust => {
+                Self::shipped(include_bytes!("../../policies/robust.safetensors"), genes)
+            }
+            MovesKind::Nominal => {
+                Self::shipped(include_bytes!("../../policies/nominal.safetensors"), genes)
+            }
+        }
+    }
+
+    /// A shipped policy, its weights moved along directions that are always the same.
+    fn shipped(bytes: &[u8], genes: &mut Genes) -> Self {
+        let policy = Policy::from_bytes(bytes).expect("a shipped policy");
+        let Policy::Network(policy) = policy else { panic!("a shipped network") };
+        let network = policy.network;
+        let mut layers = network.layers();
+        for direction in 0..DIRECTIONS {
+            let along = 0.5 * genes.normal();
+            let mut random = ChaCha8Rng::seed_from_u64(direction as u64);
+            for layer in &mut layers {
+                move_along(layer, along, &mut random);
+            }
+        }
+        let (sizes, scale_v) = (network.sizes().to_vec(), network.action_scale_v());
+        let network = Network::new(&sizes, &layers, scale_v).expect("finite weights");
+        Self::Shipped { network: Box::new(network) }
+    }
+
+    /// The voltage in a step, V.
+    pub fn voltage_v(&mut self, step: u32, state: &State) -> f64 {
+        let seen = features(state);
+        match self {
+            Self::Feedback { stages, switches, stage } => {
+                let is_over = switches.get(*stage).is_some_and(|switch| match *switch {
+                    Switch::Step(at) => step >= at,
+                    Switch::Angle(angle) => state.theta.abs() > angle,
+                });
+                *stage += usize::from(is_over);
+                weigh(&stages[*stage], &seen)
+            }
+            Self::Net { inner, outer } => {
+                let hidden = inner.iter().map(|weights| weigh(weights, &seen));
+                hidden.zip(outer).map(|(sum, weight)| *weight * sum / (1.0 + sum.abs())).sum()
+            }
+            Self::Times { segments } => Segment::of(segments, step).unwrap_or(0.0),
+            Self::Pump { gain, centring, damping } => {
+                let way = state.alpha_dot * libm::cos(state.alpha);
+                *gain * way.clamp(-1.0, 1.0) - *centring * state.theta - *damping * state.theta_dot
+            }
+            Self::Shipped { network } => network.voltage_v(state),
+        }
+    }
+
+    /// The policy begins.
+    pub fn start(&mut self) {
+        match self {
+            Self::Feedback { stage, .. } => *stage = 0,
+            Self::Shipped { network } => network.start(),
+            Self::Net { .. } | Self::Times { .. } | Self::Pump { .. } => {}
+        }
+    }
+
+    /// The motor had this voltage, V.
+    pub fn applied(&mut self, voltage_v: f64) {
+        if let Self::Shipped { network } = self {
+            network.applied(voltage_v);
+        }
+    }
+}
+
+/// Moves weights by a share of their own mean size.
+fn move_along(layer: &mut LayerWeights, along: f64, random: &mut ChaCha8Rng) {
+    for numbers in [&mut layer.weight, &mut layer.bias] {
+        let sum: f64 = numbers.iter().map(|number| f64::from(number.abs())).sum();
+        let size = sum / numbers.len().max(1) as f64;
+        for number in numbers {
+            *number += (along * size * normal(random)) as f32;
+        }
+    }
+}

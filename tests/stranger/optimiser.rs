@@ -1,0 +1,34 @@
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use super::cma::Cma;
+use super::cross_entropy::CrossEntropy;
+
+/// Looks for the genes with the highest score, a generation at a time.
+pub trait Optimiser {
+    /// The next genes to try.
+    fn ask(&mut self, count: usize, random: &mut ChaCha8Rng) -> Vec<Vec<f64>>;
+
+    /// What came of them, the best first.
+    fn tell(&mut self, best_first: &[Vec<f64>]);
+}
+
+/// The optimisers there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// The cross-entropy method.
+    Ce,
+    /// Covariance matrix adaptation.
+    Cma,
+}
+
+impl Method {
+    /// An optimiser of so many genes.
+    pub fn optimiser(self, genes: usize) -> Box<dyn Optimiser> {
+        match self {
+            Self::Ce => Box::new(CrossEntropy::new(genes)),
+            Self::Cma => Box::new(Cma::new(genes)),
+        }
+    }
+}

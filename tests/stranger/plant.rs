@@ -1,0 +1,98 @@
+use std::collections::VecDeque;
+
+use qube_hil::qube::{GapDynamics, HARD_STOP_RAD, State, runge_kutta_4};
+
+use super::beliefs::DrawnQube;
+
+/// The longest integration step, ns: friction at rest is stable with it in every Qube of the beliefs.
+const STEP_NS: u64 = 1_000_000;
+
+/// The true Qube: its commands arrive late, its amplifier is weak, its arm has stops.
+pub struct Plant {
+    pub state: State,
+    pub now_ns: u64,
+    /// The largest |theta| so far, rad.
+    pub farthest_rad: f64,
+    /// The largest |theta| that the arm was heading for, rad: where it would be a little later.
+    pub headed_rad: f64,
+    /// The speed at which the arm reached a stop, rad/s.
+    pub hit_rad_s: Option<f64>,
+    qube: DrawnQube,
+    dynamics: GapDynamics,
+    delay_ns: u64,
+    ahead_s: f64,
+    /// The voltage at the motor, and those on their way with the times of their arrival.
+    motor_v: f64,
+    under_way: VecDeque<(u64, f64)>,
+}
+
+impl Plant {
+    /// A Qube in a state; `ahead_s` is how far ahead [`Self::headed_rad`] looks.
+    pub fn new(qube: DrawnQube, state: State, ahead_s: f64) -> Self {
+        Self {
+            state,
+            now_ns: 0,
+            farthest_rad: state.theta.abs(),
+            headed_rad: 0.0,
+            hit_rad_s: None,
+            dynamics: GapDynamics::new(&qube.model),
+            delay_ns: (qube.model.gap.command_delay_s * 1e9).round() as u64,
+            qube,
+            ahead_s,
+            motor_v: 0.0,
+            under_way: VecDeque::new(),
+        }
+    }
+
+    /// Gives the amplifier a voltage at this instant.
+    pub fn command(&mut self, voltage_v: f64) {
+        let positive = voltage_v > 0.0;
+        let share = if positive { self.qube.positive_share } else { self.qube.negative_share };
+        self.under_way.push_back((self.now_ns + self.delay_ns, share * voltage_v));
+    }
+
+    /// The motor's current, A: its voltage less its back-EMF through its resistance.
+    pub fn current_a(&self) -> f64 {
+        let motor = &self.qube.model.parameters;
+        (self.motor_v - motor.motor_back_emf_v_s * self.state.theta_dot)
+            / motor.motor_resistance_ohm
+    }
+
+    /// Lets time pass.
+    pub fn go_on_until(&mut self, until_ns: u64) {
+        while self.now_ns < until_ns {
+            while let Some(&(at_ns, voltage_v)) = self.under_way.front()
+                && at_ns <= self.now_ns
+            {
+                self.motor_v = voltage_v;
+                self.under_way.pop_front();
+            }
+            let next_ns = self.under_way.front().map_or(until_ns, |&(at_ns, _)| at_ns);
+            let step_ns = (next_ns.min(until_ns) - self.now_ns).min(STEP_NS);
+            let step_s = step_ns as f64 * 1e-9;
+            self.state = runge_kutta_4(&self.dynamics, self.state, self.motor_v, step_s);
+            self.now_ns += step_ns;
+            self.look();
+        }
+    }
+
+    /// Whether arm and pendulum lie still.
+    pub fn is_at_rest(&self) -> bool {
+        let State { alpha, theta_dot, alpha_dot, .. } = self.state;
+        theta_dot.abs() < 0.02
+            && alpha_dot.abs() < 0.5
+            && alpha.sin().abs() < 0.05
+            && alpha.cos() > 0.0
+    }
+
+    fn look(&mut self) {
+        let State { theta, theta_dot, .. } = self.state;
+        self.farthest_rad = self.farthest_rad.max(theta.abs());
+        self.headed_rad = self.headed_rad.max((theta + self.ahead_s * theta_dot).abs());
+        if theta.abs() >= HARD_STOP_RAD {
+            self.hit_rad_s = Some(self.hit_rad_s.unwrap_or(0.0).max(theta_dot.abs()));
+            let stop_rad = HARD_STOP_RAD.copysign(theta);
+            self.state = self.dynamics.ideal.with_arm_stopped(self.state, stop_rad);
+        }
+    }
+}
