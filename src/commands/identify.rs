@@ -13,7 +13,7 @@ use crate::identification::{
     Blind, Estimate, HorizonError, Identified, Unknown, check_recording, horizon_error, identify,
     start_state,
 };
-use crate::qube::{Profile, Provenance, QubeModel};
+use crate::qube::{Correlations, Profile, Provenance, QubeModel};
 use crate::replay::{MotionLog, plot_svg, simulate_from};
 use crate::session::write_whole;
 use crate::storage::MachineDisk;
@@ -86,6 +86,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         parameters: identified.model.parameters,
         gap: identified.model.gap,
         standard_errors: standard_errors(&identified.estimates),
+        correlations: Some(Correlations::new(
+            unknowns.iter().map(|unknown| unknown.name().to_owned()).collect(),
+            &identified.correlations,
+        )),
         provenance: Some(Provenance {
             recordings: arguments.files.iter().map(|path| file_name(path)).collect(),
             program_version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -1,7 +1,7 @@
 use super::fit::Fit;
 use super::fitness::check_motion;
 use super::stretch::Stretch;
-use super::uncertainty::{Estimate, estimates};
+use super::uncertainty::{Estimate, uncertainty};
 use super::{Unfit, Unknown};
 use crate::qube::{GapTerm, Quantity, QubeModel};
 use crate::replay::MotionLog;
@@ -49,7 +49,7 @@ pub fn drift(motions: &[MotionLog], reference: &QubeModel) -> Result<DriftEstima
     let stretches = usable.iter().flat_map(|log| Stretch::cut(&log.samples, STRETCH_S));
     let mut fit = Fit::new(&CHANGING, *reference, stretches.collect());
     fit.run();
-    let (found, _) = estimates(&fit);
+    let found = uncertainty(&fit).estimates;
     let [command_delay, cable_rest] = [found[0], found[1]];
     Ok(DriftEstimate { command_delay, cable_rest, motions: usable.len() })
 }

@@ -4,7 +4,7 @@ use super::Unknown;
 use super::fit::{Fit, ResidualScale};
 use super::fitness::{Unfit, check_recording};
 use super::stretch::Stretch;
-use super::uncertainty::{Blind, Estimate, estimates};
+use super::uncertainty::{Blind, Estimate, Uncertainty, uncertainty};
 use crate::qube::{QubeModel, State};
 use crate::replay::MotionLog;
 
@@ -34,6 +34,8 @@ pub struct Identified {
     pub estimates: Vec<Estimate>,
     /// What the recordings cannot tell apart, the blindest first.
     pub blind: Vec<Blind>,
+    /// How the errors of the estimates go together, -1 to 1, in the same order.
+    pub correlations: Vec<Vec<f64>>,
     /// What the model does not explain of whole recordings.
     pub scale: ResidualScale,
 }
@@ -127,8 +129,8 @@ pub fn identify(
     if least > LARGEST_RESIDUAL_SHARE {
         return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad });
     }
-    let (estimates, blind) = estimates(&fit);
-    Ok(Identified { model: fit.model, estimates, blind, scale: fit.scale })
+    let Uncertainty { estimates, blind, correlations } = uncertainty(&fit);
+    Ok(Identified { model: fit.model, estimates, blind, correlations, scale: fit.scale })
 }
 
 /// How far an angle goes about its mean in each recording, root mean square, rad.

@@ -34,12 +34,22 @@ impl Estimate {
 /// prior standard deviations at once, the simulated motion stays as it is.
 pub type Blind = Vec<(Unknown, f64)>;
 
-/// The estimates, and the directions in which the recordings are blind.
+/// What a fit says of its unknowns, in their order.
+pub(super) struct Uncertainty {
+    /// Each with its standard error.
+    pub estimates: Vec<Estimate>,
+    /// The directions in which the recordings are blind, the blindest first.
+    pub blind: Vec<Blind>,
+    /// How the errors of the estimates go together, -1 to 1.
+    pub correlations: Vec<Vec<f64>>,
+}
+
+/// The estimates, the directions in which the recordings are blind, and what errors go together.
 ///
 /// The information matrix takes residuals for independent. They are not: a model's errors last.
 /// So it is divided by how many samples one independent sample is worth, the integrated
 /// autocorrelation time of the residuals.
-pub(super) fn estimates(fit: &Fit<'_>) -> (Vec<Estimate>, Vec<Blind>) {
+pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
     let information = fit.information() / autocorrelation_time(fit);
     let stds =
         DVector::from_iterator(fit.unknowns.len(), fit.unknowns.iter().map(|u| u.prior().std));
@@ -48,15 +58,17 @@ pub(super) fn estimates(fit: &Fit<'_>) -> (Vec<Estimate>, Vec<Blind>) {
         information[(row, column)] * stds[row] * stds[column]
     });
     let eigen = SymmetricEigen::new(scaled);
-    let variance = |index: usize| -> f64 {
-        let parts = eigen.eigenvectors.row(index);
+    let covariance = |one: usize, other: usize| -> f64 {
+        let parts = eigen.eigenvectors.row(one).component_mul(&eigen.eigenvectors.row(other));
         let eigenvalues = eigen.eigenvalues.iter();
-        parts
-            .iter()
-            .zip(eigenvalues)
-            .map(|(part, value)| part * part / (1.0 + value.max(0.0)))
-            .sum()
+        parts.iter().zip(eigenvalues).map(|(part, value)| part / (1.0 + value.max(0.0))).sum()
     };
+    let variance = |index: usize| covariance(index, index);
+    let correlations = (0..stds.len()).map(|one| {
+        let of = |other| covariance(one, other) / (variance(one) * variance(other)).sqrt();
+        (0..stds.len()).map(of).collect()
+    });
+    let correlations = correlations.collect();
     let estimates = fit.unknowns.iter().enumerate().map(|(index, &unknown)| {
         let (moved, left) = (unknown.of(&fit.model), variance(index));
         Estimate {
@@ -75,7 +87,11 @@ pub(super) fn estimates(fit: &Fit<'_>) -> (Vec<Estimate>, Vec<Blind>) {
         })
         .collect();
     blind.sort_by(|a, b| a.0.total_cmp(&b.0));
-    (estimates.collect(), blind.into_iter().map(|(_, direction)| direction).collect())
+    Uncertainty {
+        estimates: estimates.collect(),
+        blind: blind.into_iter().map(|(_, direction)| direction).collect(),
+        correlations,
+    }
 }
 
 /// Samples that one independent sample is worth: 1 + 2 (r1 + r2 + ...) up to the first r below

@@ -24,10 +24,7 @@ impl Unknown {
     /// Its name in tables and files.
     #[must_use]
     pub fn name(self) -> &'static str {
-        match self.0 {
-            Quantity::Parameter(parameter) => parameter.symbol(),
-            Quantity::Gap(term) => term.name(),
-        }
+        self.0.name()
     }
 
     /// What can be said without a recording: a ruler and a balance know lengths to 3 % and masses

@@ -34,7 +34,7 @@ pub use measurement::{Measurement, Status};
 pub use motor_rating::MotorRating;
 pub use observation::{MAX_HISTORY, OBSERVATION_SIZE, observation};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
-pub use profile::{Profile, ProfileError, Provenance};
+pub use profile::{Correlations, Profile, ProfileError, Provenance};
 pub use quantity::{GapTerm, Quantity};
 pub use qube_lanes::{ControlPeriod, QubeLanes};
 pub use reward::RewardWeights;

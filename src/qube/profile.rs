@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use super::{
     DomainParameter, DomainParameters, Gap, GapTerm, MAX_CABLE_DRIFT_RAD_PER_MIN, ParameterError,
-    QubeModel,
+    Quantity, QubeModel,
 };
 
 /// One Qube in a file: what it is, how sure that is, and where it comes from. `identify` writes it;
@@ -24,9 +24,22 @@ pub struct Profile {
     /// Standard errors by name, each in the unit of its quantity.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub standard_errors: BTreeMap<String, f64>,
+    /// How these errors go together; none in files that older programs wrote.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correlations: Option<Correlations>,
     /// Where it comes from.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub provenance: Option<Provenance>,
+}
+
+/// How the errors of some quantities go together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Correlations {
+    /// The quantities, by name.
+    pub names: Vec<String>,
+    /// One row a quantity: with those before it in the list and with itself, -1 to 1.
+    pub rows: Vec<Vec<f64>>,
 }
 
 /// Where a profile comes from.
@@ -52,6 +65,20 @@ pub enum ProfileError {
     /// No TOML, a name that does not exist, or a value of another type.
     #[error("{}", .0.to_string().trim_end())]
     Invalid(#[from] Box<toml::de::Error>),
+    /// Errors of quantities that do not exist, or that go together as no errors do.
+    #[error(
+        "correlations: give each of some quantities one row, of numbers from -1 to 1 with those before it \
+         and 1 with itself"
+    )]
+    Correlations,
+    /// A standard error that is none.
+    #[error("standard_errors.{name} = {value}: give a quantity's name and a number from 0")]
+    StandardError {
+        /// Which entry.
+        name: String,
+        /// Its value.
+        value: f64,
+    },
     /// A parameter that no Qube has.
     #[error("parameters.{0}")]
     Parameter(#[from] ParameterError),
@@ -88,13 +115,60 @@ impl Profile {
                 return Err(ProfileError::Gap { name, value, smallest, largest });
             }
         }
+        for (name, &value) in &profile.standard_errors {
+            if Quantity::from_name(name).is_none() || !(0.0..f64::INFINITY).contains(&value) {
+                return Err(ProfileError::StandardError { name: name.clone(), value });
+            }
+        }
+        if profile.correlations.as_ref().is_some_and(|correlations| !correlations.are_some()) {
+            return Err(ProfileError::Correlations);
+        }
         Ok(profile)
+    }
+
+    /// The standard error of a quantity, in its unit; 0 where the file tells none.
+    #[must_use]
+    pub fn standard_error(&self, quantity: Quantity) -> f64 {
+        self.standard_errors.get(quantity.name()).copied().unwrap_or(0.0)
     }
 
     /// The Qube that it describes.
     #[must_use]
     pub fn model(&self) -> QubeModel {
         QubeModel { parameters: self.parameters, gap: self.gap }
+    }
+}
+
+impl Correlations {
+    /// Those of these quantities, a full matrix given.
+    #[must_use]
+    pub fn new(names: Vec<String>, matrix: &[Vec<f64>]) -> Self {
+        // As many digits as tell anything.
+        let rounded = |value: &f64| (value * 1e4).round() / 1e4;
+        let row = |(index, row): (usize, &Vec<f64>)| row[..=index].iter().map(rounded).collect();
+        Self { names, rows: matrix.iter().enumerate().map(row).collect() }
+    }
+
+    /// Whether each name is a quantity's and each row has its length and range.
+    fn are_some(&self) -> bool {
+        let known = self.names.iter().all(|name| Quantity::from_name(name).is_some());
+        let whole = |(index, row): (usize, &Vec<f64>)| {
+            row.len() == index + 1
+                && row.iter().all(|value| value.abs() <= 1.0 + 1e-9)
+                && (row[index] - 1.0).abs() < 1e-9
+        };
+        known && self.rows.len() == self.names.len() && self.rows.iter().enumerate().all(whole)
+    }
+
+    /// That of two quantities; 1 of one with itself, 0 where the file tells none.
+    #[must_use]
+    pub fn of(&self, one: Quantity, other: Quantity) -> f64 {
+        let place = |quantity: Quantity| self.names.iter().position(|name| name == quantity.name());
+        match (place(one), place(other)) {
+            _ if one == other => 1.0,
+            (Some(one), Some(other)) => self.rows[one.max(other)][one.min(other)],
+            _ => 0.0,
+        }
     }
 }
 
@@ -143,6 +217,10 @@ mod tests {
             parameters: DomainParameters { motor_resistance_ohm: 9.1, ..DomainParameters::NOMINAL },
             gap: Gap { command_delay_s: 0.01, ..Gap::default() },
             standard_errors: BTreeMap::from([("R_m".into(), 0.2)]),
+            correlations: Some(Correlations {
+                names: vec!["R_m".into(), "command_delay_s".into()],
+                rows: vec![vec![1.0], vec![-0.5, 1.0]],
+            }),
             provenance: Some(Provenance {
                 recordings: vec!["a.csv".into()],
                 program_version: "1".into(),

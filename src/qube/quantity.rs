@@ -131,6 +131,21 @@ impl Quantity {
         }
     }
 
+    /// `M_p`, `command_delay_s` ...: as profiles write it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Parameter(parameter) => parameter.symbol(),
+            Self::Gap(term) => term.name(),
+        }
+    }
+
+    /// The quantity that profiles write so.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::all().find(|quantity| quantity.name() == name)
+    }
+
     /// The quantity with this symbol.
     #[must_use]
     pub fn from_symbol(symbol: &str) -> Option<Self> {

@@ -103,6 +103,7 @@ impl<'a> FromRecordings<'a> {
             parameters: found.parameters,
             gap: found.gap,
             standard_errors: Default::default(),
+            correlations: None,
             provenance: None,
         };
         Ok(Ok(toml::to_string_pretty(&profile)?))
