@@ -1,6 +1,8 @@
-//! Which share of good swing-ups foresight of the brake would end, by how much is not known of the Qube.
+//! Which share of good swing-ups foresight of the brake would end, by how much is not known of the Qube, and of
+//! one that is identified: with the standard errors and correlations of `lab`, at the middle of the Qubes it is
+//! asked of.
 //!
-//! `cargo run --release --example ended_by_foresight`. Rollouts of the shipped policy `robust` and of the
+//! `cargo run --release --example ended_by_foresight [-- HELD_PERIODS]`. Rollouts of the shipped policy `robust` and of the
 //! classical controller on `lab`, half and one and a half times its gap and the nominal Qube, and on each of
 //! them with one parameter 10 % off, run in the thesis's box alone; those that succeed are looked at again.
 
@@ -13,7 +15,7 @@ use qube_hil::qube::{
     CONTROL_PERIOD_S, DomainParameter, GapDynamics, MAX_HISTORY, Measurement, Profile, QubeModel,
     State, counts, runge_kutta_4, wrap_angle,
 };
-use qube_hil::safety::{Belief, ForesightSettings, SafetyBox};
+use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube, SafetyBox, Trial};
 
 /// Steps of a rollout, and those at its end in which the pendulum must stand.
 const STEPS: u64 = 600;
@@ -24,7 +26,7 @@ const FINE_STEPS: u32 = 20;
 
 /// What the guard is asked in a tick.
 struct Tick {
-    state: State<f32>,
+    state: State,
     sent_v: [f32; MAX_HISTORY],
     voltage_v: f32,
 }
@@ -78,7 +80,7 @@ fn rollout(model: &QubeModel, policy: &mut dyn Controller, theta: f64) -> Option
         }
         let voltage_v = policy.voltage_v(&estimates.seen).clamp(-5.0, 5.0);
         policy.applied(voltage_v);
-        let state = estimates.guarded.cast();
+        let state = estimates.guarded;
         ticks.push(Tick { state, sent_v, voltage_v: voltage_v as f32 });
         sent_v.rotate_right(1);
         sent_v[0] = voltage_v as f32;
@@ -102,9 +104,26 @@ fn around(model: &QubeModel) -> Vec<QubeModel> {
     models
 }
 
+/// Another Qube, known as well as this one.
+fn around_model(profile: &Profile, model: &QubeModel) -> Profile {
+    let mut other = Profile { parameters: model.parameters, gap: model.gap, ..profile.clone() };
+    for parameter in DomainParameter::ALL {
+        let grown = model.parameters.get(parameter) / profile.parameters.get(parameter);
+        if let Some(error) = other.standard_errors.get_mut(parameter.symbol()) {
+            *error *= grown;
+        }
+    }
+    other
+}
+
 fn main() {
+    let held_periods =
+        std::env::args().nth(1).map_or(ForesightSettings::default().held_periods, |held| {
+            held.parse().expect("control periods")
+        });
     let text = std::fs::read_to_string("profiles/lab.toml").expect("the shipped profile");
-    let lab = Profile::parse(&text).expect("the shipped profile").model();
+    let profile = Profile::parse(&text).expect("the shipped profile");
+    let lab = profile.model();
     let plants = [
         ("lab", lab),
         ("gap 0.5", lab.scaled(0.5)),
@@ -112,8 +131,11 @@ fn main() {
         ("nominal", QubeModel::NOMINAL),
     ];
     let shares = [0.1, 0.15, 0.2, 0.3];
-    println!("| Qube | policy | succeed in the box | ended at 10, 15, 20, 30 % |");
-    println!("| --- | --- | --- | --- |");
+    println!(
+        "| Qube | policy | succeed in the box | ended at 10, 15, 20, 30 % | identified: ended by the brake, by \
+         the prediction |"
+    );
+    println!("| --- | --- | --- | --- | --- |");
     for (name, plant) in plants {
         for kind in ["robust", "classical"] {
             let mut good = Vec::new();
@@ -130,16 +152,38 @@ fn main() {
             }
             let ended = shares.map(|within| {
                 let belief = Belief::of_any_qube(within);
-                let settings = ForesightSettings { belief, ..ForesightSettings::default() };
+                let settings =
+                    ForesightSettings { belief, held_periods, ..ForesightSettings::default() };
                 let mut foresight = settings.foresight(None);
                 let mut ends = |ticks: &&Vec<Tick>| {
                     ticks.iter().any(|tick| {
-                        !foresight.look(&tick.state, &tick.sent_v, tick.voltage_v).holds
+                        !foresight.look(&tick.state.cast(), &tick.sent_v, tick.voltage_v).holds
                     })
                 };
                 good.iter().filter(|ticks| ends(ticks)).count()
             });
-            println!("| {name} | {kind} | {} | {ended:?} |", good.len());
+            let settings = ForesightSettings {
+                identified: Some(IdentifiedQube::of(&around_model(&profile, &plant))),
+                held_periods,
+                ..ForesightSettings::default()
+            };
+            let mut identified = [0; 2];
+            for ticks in &good {
+                let mut foresight = settings.foresight(None);
+                foresight.begin_policy();
+                let end = (0_u64..).zip(ticks).find_map(|(index, tick)| {
+                    let time_us = (index + 1) * 10_000;
+                    let unpredicted =
+                        foresight.follow(&tick.state, time_us, &tick.sent_v) == Trial::Failed;
+                    let too_late =
+                        !foresight.look(&tick.state.cast(), &tick.sent_v, tick.voltage_v).holds;
+                    (too_late || unpredicted).then_some(usize::from(!too_late))
+                });
+                if let Some(end) = end {
+                    identified[end] += 1;
+                }
+            }
+            println!("| {name} | {kind} | {} | {ended:?} | {identified:?} |", good.len());
         }
     }
 }

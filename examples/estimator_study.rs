@@ -278,7 +278,7 @@ impl Tally {
             start_theta_rad: 0.1 * (seed as f64).sin(),
             stops: None,
             foresight: None,
-            rules: qube_hil::telemetry::TickRules::Witnessed,
+            rules: qube_hil::telemetry::TickRules::NEWEST,
         };
         let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let mut tick = Tick::new(&settings, policy.clone());

@@ -48,7 +48,7 @@ fn rollout(seed: u64, controller: impl Controller) -> Ending {
         start_theta_rad: 0.1 * (seed as f64).sin(),
         stops: None,
         foresight: None,
-        rules: qube_hil::telemetry::TickRules::Witnessed,
+        rules: qube_hil::telemetry::TickRules::NEWEST,
     };
     let mut tick = Tick::new(&settings, controller);
     drive(&mut device, &clock, &mut tick, None, &stop).expect("it arms").outcome.ending

@@ -48,7 +48,7 @@ fn header() -> RolloutHeader {
             start_theta_rad: 0.0,
             stops: None,
             foresight: None,
-            rules: qube_hil::telemetry::TickRules::Witnessed,
+            rules: qube_hil::telemetry::TickRules::NEWEST,
         },
         reward: RewardWeights::THESIS,
     }

@@ -51,7 +51,7 @@ impl Rig {
             start_theta_rad: 0.1 * (seed as f64).sin(),
             stops: None,
             foresight: None,
-            rules: qube_hil::telemetry::TickRules::Witnessed,
+            rules: qube_hil::telemetry::TickRules::NEWEST,
         };
         let mut tick = Tick::new(&settings, controller);
         let stop = AtomicBool::new(false);

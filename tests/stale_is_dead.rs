@@ -165,7 +165,7 @@ fn a_device_that_repeats_one_sample_is_a_fault_in_the_next_tick() {
         start_theta_rad: 0.0,
         stops: None,
         foresight: None,
-        rules: qube_hil::telemetry::TickRules::Witnessed,
+        rules: qube_hil::telemetry::TickRules::NEWEST,
     };
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     let ending = drives(&mut device, &mut Tick::new(&settings, policy));

@@ -135,7 +135,7 @@ fn rollout_seen_by(estimator: EstimatorSettings, policy: Policy, max_steps: u32)
         start_theta_rad: 0.0,
         stops: None,
         foresight: None,
-        rules: qube_hil::telemetry::TickRules::Witnessed,
+        rules: qube_hil::telemetry::TickRules::NEWEST,
     };
     Tick::new(&settings, policy)
 }

@@ -64,6 +64,8 @@ pub enum ControlEvent {
     BrakeFault,
     /// A fault of link, amplifier or encoder.
     ZeroFault,
+    /// The arm's count is doubted while link and amplifier can be trusted.
+    CountDoubted,
 }
 
 /// What control does from now on.
@@ -130,7 +132,7 @@ impl ControlState {
 
 impl ControlEvent {
     /// All of them, in the order of the table's columns.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Hello,
         Self::NoAnswer,
         Self::Check,
@@ -145,13 +147,14 @@ impl ControlEvent {
         Self::Stands,
         Self::BrakeFault,
         Self::ZeroFault,
+        Self::CountDoubted,
     ];
 }
 
 type Entry = (ControlState, ControlAction);
 
 /// Rows: states. Columns: Hello, NoAnswer, Check, Checked, Home, Rollout, AtRest, Homed, TimeUp, LimitLeft, Stop,
-/// Stands, BrakeFault, ZeroFault.
+/// Stands, BrakeFault, ZeroFault, CountDoubted.
 #[rustfmt::skip]
 const TABLE: [[Entry; ControlEvent::ALL.len()]; ControlState::ALL.len()] = {
     use ControlAction as A;
@@ -167,54 +170,54 @@ const TABLE: [[Entry; ControlEvent::ALL.len()]; ControlState::ALL.len()] = {
     [
         // Idle
         [KNOWN, rest(S::Idle), no(S::Idle), rest(S::Idle), no(S::Idle), no(S::Idle), rest(S::Idle),
-         rest(S::Idle), rest(S::Idle), rest(S::Idle), rest(S::Idle), rest(S::Idle), LATCH, LATCH],
+         rest(S::Idle), rest(S::Idle), rest(S::Idle), rest(S::Idle), rest(S::Idle), LATCH, LATCH, LATCH],
         // Identified
         [KNOWN, (S::Idle, A::Off), LEND, rest(S::Identified), HOME, no(S::Identified),
          rest(S::Identified), rest(S::Identified), rest(S::Identified), rest(S::Identified),
-         rest(S::Identified), rest(S::Identified), LATCH, LATCH],
+         rest(S::Identified), rest(S::Identified), LATCH, LATCH, LATCH],
         // Checking
         [no(S::Checking), LATCH, no(S::Checking), (S::Checked, A::Off), no(S::Checking),
          no(S::Checking), rest(S::Checking), rest(S::Checking), rest(S::Checking),
-         rest(S::Checking), rest(S::Checking), rest(S::Checking), LATCH, LATCH],
+         rest(S::Checking), rest(S::Checking), rest(S::Checking), LATCH, LATCH, LATCH],
         // Checked
         [KNOWN, LATCH, LEND, rest(S::Checked), HOME, no(S::Checked), rest(S::Checked),
          rest(S::Checked), rest(S::Checked), rest(S::Checked), rest(S::Checked), rest(S::Checked),
-         LATCH, LATCH],
+         LATCH, LATCH, LATCH],
         // Cleared
         [rest(S::Cleared), LATCH, no(S::Cleared), rest(S::Cleared), (S::Resting, A::Watch),
          no(S::Cleared), rest(S::Cleared), rest(S::Cleared), rest(S::Cleared), rest(S::Cleared),
-         rest(S::Cleared), rest(S::Cleared), LATCH, LATCH],
+         rest(S::Cleared), rest(S::Cleared), LATCH, LATCH, LATCH],
         // Resting
         [no(S::Resting), LATCH, no(S::Resting), rest(S::Resting), no(S::Resting), no(S::Resting),
          HOME, rest(S::Resting), rest(S::Resting), rest(S::Resting), (S::Cleared, A::Off),
-         rest(S::Resting), LATCH, LATCH],
+         rest(S::Resting), LATCH, LATCH, LATCH],
         // Homing: the arm is slow here, and off is a stop.
         [no(S::Homing), LATCH, no(S::Homing), rest(S::Homing), no(S::Homing), no(S::Homing),
          (S::Homing, A::Seek), (S::Ready, A::Off), rest(S::Homing), rest(S::Homing),
-         (S::Identified, A::Off), rest(S::Homing), LATCH, LATCH],
+         (S::Identified, A::Off), rest(S::Homing), LATCH, LATCH, LATCH],
         // Ready
         [KNOWN, LATCH, LEND, rest(S::Ready), HOME, (S::Settling, A::Settle), rest(S::Ready),
          rest(S::Ready), rest(S::Ready), rest(S::Ready), rest(S::Ready), rest(S::Ready), LATCH,
-         LATCH],
+         LATCH, LATCH],
         // Settling
         [no(S::Settling), LATCH, no(S::Settling), rest(S::Settling), no(S::Settling),
          no(S::Settling), (S::Running, A::RunPolicy), rest(S::Settling), rest(S::Settling),
-         rest(S::Settling), STOP, rest(S::Settling), FAIL, LATCH],
+         rest(S::Settling), STOP, rest(S::Settling), FAIL, LATCH, LATCH],
         // Running
         [no(S::Running), LATCH, no(S::Running), rest(S::Running), no(S::Running), no(S::Running),
-         rest(S::Running), rest(S::Running), STOP, STOP, STOP, rest(S::Running), FAIL, LATCH],
+         rest(S::Running), rest(S::Running), STOP, STOP, STOP, rest(S::Running), FAIL, LATCH, FAIL],
         // Braking: it is being stopped already, and what it came to stands.
         [no(S::Braking), LATCH, no(S::Braking), rest(S::Braking), no(S::Braking), no(S::Braking),
          rest(S::Braking), rest(S::Braking), rest(S::Braking), rest(S::Braking), rest(S::Braking),
-         (S::Ready, A::Off), rest(S::Braking), LATCH],
+         (S::Ready, A::Off), rest(S::Braking), LATCH, FAIL],
         // Faulting
         [no(S::Faulting), LATCH, no(S::Faulting), rest(S::Faulting), no(S::Faulting),
          no(S::Faulting), rest(S::Faulting), rest(S::Faulting), rest(S::Faulting),
-         rest(S::Faulting), rest(S::Faulting), LATCH, rest(S::Faulting), LATCH],
+         rest(S::Faulting), rest(S::Faulting), LATCH, rest(S::Faulting), LATCH, rest(S::Faulting)],
         // Faulted
         [(S::Cleared, A::GoOn), rest(S::Faulted), no(S::Faulted), rest(S::Faulted), no(S::Faulted),
          no(S::Faulted), rest(S::Faulted), rest(S::Faulted), rest(S::Faulted), rest(S::Faulted),
-         rest(S::Faulted), rest(S::Faulted), rest(S::Faulted), rest(S::Faulted)],
+         rest(S::Faulted), rest(S::Faulted), rest(S::Faulted), rest(S::Faulted), rest(S::Faulted)],
     ]
 };
 
@@ -278,6 +281,11 @@ mod tests {
             if event == E::BrakeFault {
                 let stops = matches!(next, S::Faulted | S::Faulting | S::Braking);
                 assert!(stops && action != A::RunPolicy, "{step}");
+            }
+            // A doubted count is damped where the arm may be fast, and switches off everywhere else.
+            if event == E::CountDoubted {
+                let damps = matches!(state, S::Running | S::Braking | S::Faulting);
+                assert_eq!(next, if damps { S::Faulting } else { S::Faulted }, "{step}");
             }
             // The latch gives way to a hello alone, and then nothing moves before 1 s at rest.
             if state == S::Faulted {

@@ -498,7 +498,7 @@ mod tests {
             start_theta_rad: 0.0,
             stops: None,
             foresight: None,
-            rules: crate::telemetry::TickRules::Witnessed,
+            rules: crate::telemetry::TickRules::NEWEST,
         };
         (thread, settings)
     }

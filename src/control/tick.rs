@@ -9,7 +9,7 @@ use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, State};
 use crate::safety::{
-    CentringBrake, ForeseenBrake, Foresight, Guard, Limit, Retreat, SpeedEnvelope, brake_voltage,
+    ForeseenBrake, Guard, Limit, Retreat, SpeedEnvelope, Trial, TrustedForesight, brake_voltage,
     gate,
 };
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
@@ -60,8 +60,10 @@ pub struct Tick<C = Policy> {
     stopped_ticks: u32,
     retreat: Retreat,
     /// Tries the brake before each voltage leaves, where that is the guard.
-    foresight: Option<Foresight<CentringBrake>>,
+    foresight: Option<TrustedForesight>,
     foreseen_brake: ForeseenBrake,
+    /// Whether the brake goes by the arm's velocity alone, because its count is doubted.
+    damps: bool,
     /// The last voltages that were sent, newest first, V: some may still be on their way.
     sent_v: [f32; MAX_HISTORY],
     /// What the rollout ends with.
@@ -77,7 +79,7 @@ impl<C: Controller> Tick<C> {
     pub fn new(settings: &TickSettings, policy: C) -> Self {
         let nearer_rad = settings.stops.map_or(HARD_STOP_RAD, |stops| stops.nearer_rad());
         let room_rad = (HARD_STOP_RAD - STOPS_MEASURED_WITHIN_RAD - nearer_rad).max(0.0);
-        let is_witnessed = settings.rules == TickRules::Witnessed;
+        let is_witnessed = settings.rules != TickRules::First;
         let mut tick = Self {
             settings: *settings,
             policy,
@@ -106,6 +108,7 @@ impl<C: Controller> Tick<C> {
             foresight: (settings.safety_box.guard == Guard::Foresight)
                 .then(|| settings.foresight.unwrap_or_default().foresight(settings.stops)),
             foreseen_brake: ForeseenBrake::default(),
+            damps: false,
             sent_v: [0.0; MAX_HISTORY],
             reason: Ending::Completed,
             estimates: Estimates::default(),
@@ -130,9 +133,12 @@ impl<C: Controller> Tick<C> {
                 // The box counts whole turns of the pendulum from the start of each rollout.
                 self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
-                let is_witnessed = self.settings.rules == TickRules::Witnessed;
+                let is_witnessed = self.settings.rules != TickRules::First;
                 self.asking = is_witnessed.then(AskingPush::default);
                 self.sensors.allow_the_whole_domain();
+                if let Some(foresight) = &mut self.foresight {
+                    foresight.begin_policy();
+                }
                 self.phase = Phase::Running;
             }
             ControlAction::Brake => {
@@ -151,7 +157,7 @@ impl<C: Controller> Tick<C> {
     }
 
     /// What the state or the clock asks for, if anything.
-    fn event(&mut self, input: &TickInput) -> Option<(ControlEvent, Ending)> {
+    fn event(&mut self, input: &TickInput, predicted: Trial) -> Option<(ControlEvent, Ending)> {
         let stopped = input.stop_requested.then_some((ControlEvent::Stop, Ending::Stopped));
         match self.phase {
             Phase::Braking => self.braked(),
@@ -169,7 +175,8 @@ impl<C: Controller> Tick<C> {
                 Some((ControlEvent::TimeUp, Ending::Completed))
             }
             Phase::Running => {
-                let limit = self.limit_left()?;
+                let unpredicted = (predicted == Trial::Failed).then_some(Limit::Unpredicted);
+                let limit = self.limit_left().or(unpredicted)?;
                 Some((ControlEvent::LimitLeft, Ending::LeftBox(limit)))
             }
         }
@@ -191,6 +198,8 @@ impl<C: Controller> Tick<C> {
         let State { theta, theta_dot, .. } = self.estimates.guarded;
         let speed_rad_s = theta_dot.abs();
         let (stands, most_ticks) = match self.settings.safety_box.guard {
+            // A count that stands is at rest at once, and is waited for: the arm may not stand.
+            _ if self.damps => (self.back.is_back(theta), MAX_RETREAT_TICKS),
             Guard::Box => {
                 let slow = speed_rad_s < STOPPED_RAD_S;
                 self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };
@@ -209,6 +218,9 @@ impl<C: Controller> Tick<C> {
     }
 
     fn braking_voltage(&mut self) -> f64 {
+        if self.damps {
+            return brake_voltage(self.estimates.guarded.theta_dot);
+        }
         match self.settings.safety_box.guard {
             Guard::Box => brake_voltage(self.estimates.guarded.theta_dot),
             Guard::Envelope => self.retreat.voltage_v(&self.estimates.guarded),
@@ -222,7 +234,7 @@ impl<C: Controller> Tick<C> {
                 let (state, target) = (&self.estimates.guarded, self.settings.start_theta_rad);
                 match self.settings.rules {
                     TickRules::First => self.settler.voltage(state, target),
-                    TickRules::Witnessed => self.gentle.voltage(state, target),
+                    TickRules::Witnessed | TickRules::Damped => self.gentle.voltage(state, target),
                 }
             }
             Phase::Running => {
@@ -240,6 +252,14 @@ impl<C: Controller> Tick<C> {
         let (_, alpha) = self.settings.calibration.angles_rad(sample);
         let unanswered = asking.is_unanswered(sample, self.voltage_mv, alpha);
         unanswered.then(|| Alarm::Zero(self.sensors.why_arm_stands(sample, self.voltage_mv)))
+    }
+
+    /// Whether the Qube has moved as its profile says, where that decides.
+    fn predicted(&mut self, device_time_us: u64) -> Trial {
+        let (state, sent_v) = (&self.estimates.guarded, &self.sent_v);
+        let follow =
+            |foresight: &mut TrustedForesight| foresight.follow(state, device_time_us, sent_v);
+        self.foresight.as_mut().map_or(Trial::Passed, follow)
     }
 
     /// Whether the brake would still be good after this voltage, mV, for every Qube that this one may be.
@@ -298,7 +318,14 @@ impl<C: Controller> Motion for Tick<C> {
         let seen =
             input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, Some(drive)));
         let unanswered = input.measurement.as_ref().and_then(|sample| self.unanswered(sample));
+        // An arm whose count is doubted wrongly would coast into its stop with the motor off; a count that
+        // does stand asks for 0 V.
+        let damps = self.settings.rules == TickRules::Damped;
         let off = match self.watch.check(input).or(seen).or(unanswered) {
+            Some(Alarm::Zero(fault)) if damps && fault.doubts_count() => {
+                self.damps = true;
+                self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
+            }
             Some(Alarm::Zero(fault)) => self.take(ControlEvent::ZeroFault, Ending::Fault(fault)),
             Some(Alarm::Brake(fault)) => {
                 if matches!(fault, Fault::PendulumJump | Fault::PendulumFrozen) {
@@ -318,12 +345,13 @@ impl<C: Controller> Motion for Tick<C> {
             return self.output();
         };
         self.estimates = self.estimator.update(measurement);
+        let predicted = self.predicted(measurement.device_time_us);
 
         // Guard: leave the phase where the state asks for it. A brake that has just begun may find
         // the arm at rest.
         for _ in 0..2 {
             let was = self.phase;
-            if let Some((event, reason)) = self.event(input)
+            if let Some((event, reason)) = self.event(input, predicted)
                 && self.take(event, reason)
             {
                 return self.off();

@@ -20,7 +20,7 @@ fn settings() -> TickSettings {
         start_theta_rad: 0.05,
         stops: None,
         foresight: None,
-        rules: crate::telemetry::TickRules::Witnessed,
+        rules: crate::telemetry::TickRules::NEWEST,
     }
 }
 

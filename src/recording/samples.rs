@@ -43,7 +43,7 @@ pub(crate) fn header() -> RolloutHeader {
             start_theta_rad: 0.0,
             stops: None,
             foresight: None,
-            rules: crate::telemetry::TickRules::Witnessed,
+            rules: crate::telemetry::TickRules::NEWEST,
         },
         reward: RewardWeights::THESIS,
     }

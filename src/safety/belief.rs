@@ -1,15 +1,45 @@
+use nalgebra::{DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 use super::Particle;
 use super::places::{NUMBERS, PLACES};
 use crate::qube::{
-    CONTROL_PERIOD_S, DomainParameter, Gap, GapTerm, MAX_HISTORY, QubeModel, RAD_PER_COUNT, State,
+    CONTROL_PERIOD_S, DomainParameter, Gap, GapTerm, MAX_HISTORY, ParameterError, Profile,
+    Quantity, QubeModel, RAD_PER_COUNT, State,
 };
 
 /// How much faster arm and pendulum may be than they are estimated, rad/s: one count in a period.
 const VELOCITY_RAD_S: f64 = RAD_PER_COUNT / CONTROL_PERIOD_S;
 
-/// What is believed of the Qube at hand: it lies between two Qubes, number by number.
+/// By how much a number of an identified Qube may be off whatever its standard error says, as a share:
+/// no model is the Qube.
+const MODEL_ERROR: f64 = 0.1;
+
+/// The same of the delay, which changes with computer and link.
+const DELAY_ERROR: f64 = 0.3;
+
+/// And at least so much, s.
+const LEAST_DELAY_ERROR_S: f64 = 0.002;
+
+/// By so many standard errors an identified number may be off.
+const STANDARD_ERRORS: f64 = 3.0;
+
+/// A parameter of a Qube is not farther off than this, as a share, identified or not.
+const UNKNOWN_SHARE: f64 = 0.3;
+
+/// Of what is sent to an identified Qube at least this share arrives: a weak supply, a one-sided amplifier.
+const IDENTIFIED_SHARE: f64 = 0.8;
+
+/// What several numbers at once may be off, in the order of [`Quantity::all`]: of parameters their
+/// logarithms, of the gap's terms their values.
+type Step = [f64; Quantity::COUNT];
+
+/// How far from where it is counted from the arm's zero may lie, rad: homing finds the stops within this.
+const ZERO_RAD: f64 = 0.02;
+
+/// What is believed of the Qube at hand: it lies between two Qubes, number by number, or besides by
+/// steps of several numbers at once from there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Belief {
@@ -20,6 +50,49 @@ pub struct Belief {
     /// The least share of a voltage that arrives at the motor, on either side: a weak supply, an
     /// amplifier that is not the same on both sides.
     pub least_share: f64,
+    /// What may be off together, where the errors of a fit are known to go together.
+    #[serde(default = "no_steps", skip_serializing_if = "are_none")]
+    pub steps: [Step; Quantity::COUNT],
+}
+
+/// Why these are no beliefs of a Qube.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum BeliefError {
+    /// A share that is none.
+    #[error("least_share = {0}: give a share from 0 to 1")]
+    Share(f64),
+    /// A parameter that no Qube has.
+    #[error(transparent)]
+    Parameter(#[from] ParameterError),
+    /// The least of a number is above its most, or no Qube has it.
+    #[error("{name} from {low} to {high}: no Qube lies between")]
+    Interval {
+        /// Which number.
+        name: &'static str,
+        /// Its least value.
+        low: f64,
+        /// Its most.
+        high: f64,
+    },
+    /// A delay longer than the commands that are remembered.
+    #[error("command_delay_s = {delay_s}: give at most {longest_s}")]
+    Delay {
+        /// The delay, s.
+        delay_s: f64,
+        /// The longest, s.
+        longest_s: f64,
+    },
+    /// A step that is not a number or leads to no Qube.
+    #[error("steps: give numbers from -1 to 1")]
+    Step,
+}
+
+fn no_steps() -> [Step; Quantity::COUNT] {
+    [[0.0; Quantity::COUNT]; Quantity::COUNT]
+}
+
+fn are_none(steps: &[Step; Quantity::COUNT]) -> bool {
+    *steps == no_steps()
 }
 
 impl Belief {
@@ -45,34 +118,73 @@ impl Belief {
             command_delay_s: 0.02,
             ..Gap::default()
         };
-        Self { low, high, least_share: 1.0 }
+        Self { low, high, least_share: 1.0, steps: no_steps() }
     }
 
-    /// Says what is wrong with it: a number of the one Qube that no Qube has, or above that of the other.
-    pub(super) fn check(&self) -> Result<(), String> {
+    /// What a profile says: each number within 10 % of it, or within three standard errors where that is
+    /// more, but no parameter farther off than an unknown Qube's; the delay within 30 % or 2 ms. Where it is
+    /// known how the errors go together, three standard errors in each direction that is independent of
+    /// the others, beside the 10 %.
+    #[must_use]
+    pub fn of_profile(profile: &Profile) -> Self {
+        let model = profile.model();
+        let (mut low, mut high) = (model, model);
+        for quantity in Quantity::all() {
+            let value = model.get(quantity);
+            let error = if profile.correlations.is_some() {
+                0.0
+            } else {
+                STANDARD_ERRORS * profile.standard_error(quantity)
+            };
+            let (least, most) = match quantity {
+                Quantity::Parameter(DomainParameter::Gravity) => (value, value),
+                Quantity::Parameter(_) => {
+                    let off = error.max(MODEL_ERROR * value).min(UNKNOWN_SHARE * value);
+                    (value - off, value + off)
+                }
+                Quantity::Gap(term) => {
+                    let off = error.max(match term {
+                        GapTerm::CommandDelay => (DELAY_ERROR * value).max(LEAST_DELAY_ERROR_S),
+                        _ => MODEL_ERROR * value.abs(),
+                    });
+                    (possible(term, value - off), possible(term, value + off))
+                }
+            };
+            low.set(quantity, least);
+            high.set(quantity, most);
+        }
+        Self { low, high, least_share: IDENTIFIED_SHARE, steps: independent_steps(profile) }
+    }
+
+    /// Whether Qubes lie between the two, and the steps are some.
+    ///
+    /// # Errors
+    /// The first number that is wrong.
+    pub(super) fn check(&self) -> Result<(), BeliefError> {
         if !(0.0..=1.0).contains(&self.least_share) {
-            return Err(format!("least_share = {}: give a share from 0 to 1", self.least_share));
+            return Err(BeliefError::Share(self.least_share));
         }
         for end in [self.low, self.high] {
-            end.parameters.check().map_err(|error| error.to_string())?;
+            end.parameters.check()?;
         }
-        let parameters = DomainParameter::ALL.map(|parameter| {
-            let ends = [self.low, self.high].map(|end| end.parameters.get(parameter));
-            (parameter.symbol(), ends, 0.0..=f64::MAX)
-        });
-        let gaps = GapTerm::ALL.map(|term| {
-            let ends = [self.low, self.high].map(|end| end.gap.get(term));
-            (term.name(), ends, term.range())
-        });
-        for (name, [low, high], range) in parameters.into_iter().chain(gaps) {
+        for quantity in Quantity::all() {
+            let [low, high] = [self.low, self.high].map(|end| end.get(quantity));
+            let range = match quantity {
+                Quantity::Parameter(_) => 0.0..=f64::MAX,
+                Quantity::Gap(term) => term.range(),
+            };
             if !(range.contains(&low) && range.contains(&high) && low <= high) {
-                return Err(format!("{name} from {low} to {high}: no Qube lies between"));
+                return Err(BeliefError::Interval { name: quantity.name(), low, high });
             }
         }
-        let longest_s = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
+        let longest_s = LONGEST_DELAY_S;
         let delay_s = self.high.gap.command_delay_s;
         if delay_s > longest_s {
-            return Err(format!("command_delay_s = {delay_s}: give at most {longest_s}"));
+            return Err(BeliefError::Delay { delay_s, longest_s });
+        }
+        let within = |number: &f64| (-1.0..=1.0).contains(number);
+        if !self.steps.as_flattened().iter().all(within) {
+            return Err(BeliefError::Step);
         }
         Ok(())
     }
@@ -85,10 +197,18 @@ impl Belief {
         let both = places.flat_map(|(row, place)| {
             // In half of them the pendulum goes faster the same way, in half the other way.
             let swing_rad_s = if row % 2 == 0 { VELOCITY_RAD_S } else { -VELOCITY_RAD_S };
-            let error =
-                State { theta_dot: VELOCITY_RAD_S, alpha_dot: swing_rad_s, ..State::default() };
-            let mirrored_error =
-                State { theta_dot: -VELOCITY_RAD_S, alpha_dot: -swing_rad_s, ..State::default() };
+            let error = State {
+                theta: ZERO_RAD,
+                theta_dot: VELOCITY_RAD_S,
+                alpha_dot: swing_rad_s,
+                ..State::default()
+            };
+            let mirrored_error = State {
+                theta: -ZERO_RAD,
+                theta_dot: -VELOCITY_RAD_S,
+                alpha_dot: -swing_rad_s,
+                ..State::default()
+            };
             [
                 Particle { error, ..self.at(&place) },
                 Particle { error: mirrored_error, ..self.at(&mirrored(&place)) },
@@ -100,30 +220,98 @@ impl Belief {
     /// The particle at a place.
     fn at(&self, place: &[f64; NUMBERS]) -> Particle {
         let between = |low: f64, high: f64, place: f64| 0.5 * (low + high + place * (high - low));
-        let mut model = self.low;
-        for (parameter, place) in DomainParameter::ALL.into_iter().zip(place) {
-            let ends = [self.low, self.high].map(|end| end.parameters.get(parameter));
-            model.parameters.set(parameter, between(ends[0], ends[1], *place));
+        let mut model = QubeModel { gap: Gap::default(), ..self.low };
+        for (quantity, place) in Quantity::all().zip(place) {
+            let [low, high] = [self.low, self.high].map(|end| end.get(quantity));
+            model.set(quantity, between(low, high, *place));
         }
-        let of = |term: fn(&Gap) -> f64, number: usize| {
-            between(term(&self.low.gap), term(&self.high.gap), place[number])
-        };
-        model.gap = Gap {
-            coulomb_torque_n_m: of(|gap| gap.coulomb_torque_n_m, 9),
-            positive_dead_zone_v: of(|gap| gap.positive_dead_zone_v, 10),
-            negative_dead_zone_v: of(|gap| gap.negative_dead_zone_v, 11),
-            cable_stiffness_n_m_rad: of(|gap| gap.cable_stiffness_n_m_rad, 12),
-            cable_rest_rad: of(|gap| gap.cable_rest_rad, 13),
-            command_delay_s: of(|gap| gap.command_delay_s, 14),
-            cable_drift_rad_per_min: 0.0,
-        };
+        for step in &self.steps {
+            go(&mut model, step, place);
+        }
+        let [.., positive, negative] = *place;
         Particle {
             model,
-            positive_share: between(self.least_share, 1.0, place[15]),
-            negative_share: between(self.least_share, 1.0, place[16]),
+            positive_share: between(self.least_share, 1.0, positive),
+            negative_share: between(self.least_share, 1.0, negative),
             error: State::default(),
         }
     }
+}
+
+/// The longest delay of a particle, s.
+const LONGEST_DELAY_S: f64 = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
+
+/// The nearest value of a term that a particle may have.
+fn possible(term: GapTerm, value: f64) -> f64 {
+    let (least, most) = term.range().into_inner();
+    value.clamp(least, if term == GapTerm::CommandDelay { LONGEST_DELAY_S } else { most })
+}
+
+/// How far a quantity of a Qube that is not known is from the middle of what it may be: of parameters the
+/// logarithm.
+fn unknown_width(quantity: Quantity) -> f64 {
+    match quantity {
+        Quantity::Parameter(_) => UNKNOWN_SHARE,
+        Quantity::Gap(_) => {
+            let Belief { low, high, .. } = Belief::of_any_qube(UNKNOWN_SHARE);
+            0.5 * (high.get(quantity) - low.get(quantity))
+        }
+    }
+}
+
+/// Moves a Qube by one step, the way on which the place lies.
+fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS]) {
+    let along: f64 = Quantity::all()
+        .zip(step.iter().zip(place))
+        .map(|(quantity, (step, place))| step / unknown_width(quantity) * place)
+        .sum();
+    for (quantity, step) in Quantity::all().zip(step) {
+        let step = if along < 0.0 { -step } else { *step };
+        let value = model.get(quantity);
+        model.set(
+            quantity,
+            match quantity {
+                Quantity::Parameter(_) => value * step.exp(),
+                Quantity::Gap(term) => possible(term, value + step),
+            },
+        );
+    }
+}
+
+/// Three standard errors of a profile in each direction that is independent of the others: none where it is not
+/// known how errors go together. A direction of which the recordings say nothing (all masses and forces by the
+/// same factor) changes no motion; no step of it is larger than what may be unknown of a Qube.
+fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
+    let Some(correlations) = &profile.correlations else { return no_steps() };
+    let quantities: Vec<Quantity> = Quantity::all().collect();
+    let model = profile.model();
+    // In units of what may be unknown of a Qube.
+    let error = |quantity: Quantity| {
+        let value = match quantity {
+            Quantity::Parameter(_) => model.get(quantity),
+            Quantity::Gap(_) => 1.0,
+        };
+        if value == 0.0 {
+            return 0.0;
+        }
+        profile.standard_error(quantity) / value / unknown_width(quantity)
+    };
+    let covariance = DMatrix::from_fn(quantities.len(), quantities.len(), |row, column| {
+        let (one, other) = (quantities[row], quantities[column]);
+        correlations.of(one, other) * error(one) * error(other)
+    });
+    let eigen = SymmetricEigen::new(covariance);
+    let mut steps = no_steps();
+    for (index, step) in steps.iter_mut().enumerate() {
+        let length = STANDARD_ERRORS * eigen.eigenvalues[index].max(0.0).sqrt();
+        let direction = eigen.eigenvectors.column(index);
+        let longest = length * direction.amax();
+        let shortened = if longest > 1.0 { length / longest } else { length };
+        for (quantity, step) in quantities.iter().zip(step) {
+            *step = shortened * direction[quantity.index()] * unknown_width(*quantity);
+        }
+    }
+    steps
 }
 
 /// The place of the same Qube seen in a mirror: positive is negative.

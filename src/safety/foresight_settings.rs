@@ -1,9 +1,9 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{Belief, CentringBrake, Ends, Foresight, Reach};
+use super::{Belief, BeliefError, CentringBrake, Ends, Foresight, Reach, TrustedForesight};
 use crate::estimation::MeasuredStops;
-use crate::qube::HARD_STOP_RAD;
+use crate::qube::{HARD_STOP_RAD, Profile};
 
 /// All that decides what a [`Foresight`] says, beside the stops: it travels in every recording.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -13,6 +13,9 @@ pub struct ForesightSettings {
     pub version: u32,
     /// What is believed of the Qube.
     pub belief: Belief,
+    /// What is believed of it besides, where it is identified: decides instead, while the Qube moves so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub identified: Option<IdentifiedQube>,
     /// How far off its stops every particle's arm must stay, rad.
     pub margin_rad: f64,
     /// Control periods for which a voltage is held before the brake begins.
@@ -21,12 +24,33 @@ pub struct ForesightSettings {
     pub horizon_periods: u32,
 }
 
+/// What is known of an identified Qube, and how a trial looks ahead by it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IdentifiedQube {
+    /// What is believed of it.
+    pub belief: Belief,
+    /// Control periods for which a voltage is held before the brake begins.
+    pub held_periods: u32,
+}
+
+impl IdentifiedQube {
+    /// What a profile says of a Qube. A voltage is held for four periods: as many samples as a link may lose
+    /// in a row, and the one that is lost last.
+    #[must_use]
+    pub fn of(profile: &Profile) -> Self {
+        Self { belief: Belief::of_profile(profile), held_periods: 4 }
+    }
+}
+
 /// The same as a file of any origin holds it.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Unchecked {
     version: u32,
     belief: Belief,
+    #[serde(default)]
+    identified: Option<IdentifiedQube>,
     margin_rad: f64,
     held_periods: u32,
     horizon_periods: u32,
@@ -52,28 +76,32 @@ pub enum ForesightError {
     },
     /// No Qubes lie between the two of the belief.
     #[error("foresight.belief: {0}")]
-    Belief(String),
+    Belief(#[from] BeliefError),
 }
 
 impl TryFrom<Unchecked> for ForesightSettings {
     type Error = ForesightError;
 
     fn try_from(unchecked: Unchecked) -> Result<Self, ForesightError> {
-        let Unchecked { version, belief, margin_rad, held_periods, horizon_periods } = unchecked;
+        let Unchecked { version, belief, identified, margin_rad, held_periods, horizon_periods } =
+            unchecked;
         if version != Self::VERSION {
             return Err(ForesightError::Version(version));
         }
+        let held = identified.map_or(held_periods, |identified| identified.held_periods);
         for (name, value, least, most) in [
             ("margin_rad", margin_rad, 0.0, 1.0),
             ("held_periods", f64::from(held_periods), 1.0, 10.0),
+            ("identified.held_periods", f64::from(held), 1.0, 10.0),
             ("horizon_periods", f64::from(horizon_periods), 1.0, 1000.0),
         ] {
             if !(least..=most).contains(&value) {
                 return Err(ForesightError::Number { name, value, least, most });
             }
         }
-        belief.check().map_err(ForesightError::Belief)?;
-        Ok(Self { version, belief, margin_rad, held_periods, horizon_periods })
+        belief.check()?;
+        identified.map_or(Ok(()), |identified| identified.belief.check())?;
+        Ok(Self { version, belief, identified, margin_rad, held_periods, horizon_periods })
     }
 }
 
@@ -86,26 +114,32 @@ impl ForesightSettings {
 
     /// What looks ahead for a Qube with these stops, or with those of a nominal one.
     #[must_use]
-    pub fn foresight(&self, stops: Option<MeasuredStops>) -> Foresight<CentringBrake> {
+    pub fn foresight(&self, stops: Option<MeasuredStops>) -> TrustedForesight {
         let nearer_rad = stops.map_or(HARD_STOP_RAD, |stops| stops.nearer_rad());
         let end_rad = (nearer_rad.min(HARD_STOP_RAD) - self.margin_rad).max(NEAREST_END_RAD) as f32;
         let ends = Ends { low_rad: -end_rad, high_rad: end_rad };
-        let reach = Reach { held: self.held_periods, horizon: self.horizon_periods };
-        Foresight::new(&self.belief.particles(), CentringBrake::default(), ends, reach)
+        let of = |belief: Belief, held| {
+            let reach = Reach { held, horizon: self.horizon_periods };
+            Foresight::new(&belief.particles(), CentringBrake::default(), ends, reach)
+        };
+        let identified = self.identified.map(|known| of(known.belief, known.held_periods));
+        TrustedForesight::new(of(self.belief, self.held_periods), identified)
     }
 }
 
 impl Default for ForesightSettings {
     /// For a Qube of which nothing is known but that its parameters lie within 30 % of the name plate's.
     ///
-    /// A voltage is held for two periods: one lost sample changes nothing. An arm that does not come
+    /// A voltage is held for three periods: two lost samples change nothing, and a third one nothing that
+    /// was found in searches, as few Qubes are as hard as the particles of all of them. An arm that does not come
     /// near an end in 0.75 s of braking did not in 1.5 s either, in the searches of both that were compared.
     fn default() -> Self {
         Self {
             version: Self::VERSION,
             belief: Belief::of_any_qube(0.3),
+            identified: None,
             margin_rad: 0.1,
-            held_periods: 2,
+            held_periods: 3,
             horizon_periods: 75,
         }
     }
@@ -126,17 +160,23 @@ mod tests {
 
     #[test]
     fn what_a_file_says_is_checked_before_anything_is_computed_with_it() {
-        let json = serde_json::to_value(ForesightSettings::default()).unwrap();
+        let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap();
+        let identified = Some(IdentifiedQube::of(&lab));
+        let settings = ForesightSettings { identified, ..ForesightSettings::default() };
+        let json = serde_json::to_value(settings).unwrap();
         let read = |json: &serde_json::Value| {
             serde_json::from_value::<ForesightSettings>(json.clone()).map_err(|it| it.to_string())
         };
-        assert_eq!(read(&json), Ok(ForesightSettings::default()));
+        assert_eq!(read(&json), Ok(settings));
         for (pointer, value, told) in [
             ("/version", 2.into(), "version = 2: this program knows 1"),
             ("/margin_rad", (-0.1).into(), "margin_rad = -0.1"),
             ("/held_periods", 0.into(), "held_periods = 0"),
             ("/horizon_periods", 4_000_000_000_u32.into(), "from 1 to 1000"),
             ("/belief/least_share", 1.5.into(), "least_share = 1.5"),
+            ("/identified/belief/least_share", 1.5.into(), "least_share = 1.5"),
+            ("/identified/held_periods", 0.into(), "identified.held_periods = 0"),
+            ("/identified/belief/steps/3/3", 2.into(), "steps"),
             ("/belief/high/gap/command_delay_s", 0.1.into(), "command_delay_s"),
             ("/belief/low/gap/command_delay_s", (-0.1).into(), "command_delay_s"),
             ("/belief/low/gap/coulomb_torque_n_m", 1.0.into(), "coulomb_torque_n_m"),

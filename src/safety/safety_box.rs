@@ -44,6 +44,8 @@ pub enum Limit {
     Envelope,
     /// A little later the brake could no longer keep every Qube that this one may be off its stop.
     Foresight,
+    /// The Qube moved as no Qube that its profile may describe.
+    Unpredicted,
 }
 
 impl std::fmt::Display for Limit {
@@ -55,6 +57,7 @@ impl std::fmt::Display for Limit {
             Self::AlphaDot => "alpha_dot",
             Self::Envelope => "the speed envelope",
             Self::Foresight => "what the brake can still stop",
+            Self::Unpredicted => "what its profile says of the Qube",
         })
     }
 }

@@ -81,7 +81,7 @@ impl RolloutPlan {
                 ),
                 stops: None,
                 foresight: None,
-                rules: TickRules::Witnessed,
+                rules: TickRules::NEWEST,
             },
             reward: RewardWeights::THESIS,
         }

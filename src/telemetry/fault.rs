@@ -198,6 +198,15 @@ impl Fault {
         self.consequence() == Consequence::TryAgain
     }
 
+    /// Whether the arm's count is doubted while nothing is known against link and motor.
+    #[must_use]
+    pub fn doubts_count(self) -> bool {
+        matches!(
+            self,
+            Self::EncoderFrozen | Self::ArmHeld | Self::Stall | Self::TachometerDisagrees
+        )
+    }
+
     /// Whether it leaves a doubt about a sensor or the motor.
     #[must_use]
     pub fn leaves_doubt(self) -> bool {

@@ -43,6 +43,14 @@ pub enum TickRules {
     /// Arm and pendulum are watched against each other, settling is gentle, and a braked arm is at rest
     /// wherever it is not near a stop.
     Witnessed,
+    /// As before; besides, an arm whose count is doubted while a policy has the motor is damped before the
+    /// motor goes off.
+    Damped,
+}
+
+impl TickRules {
+    /// Those of this program.
+    pub const NEWEST: Self = Self::Damped;
 }
 
 /// What is known of a rollout before it starts.

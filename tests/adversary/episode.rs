@@ -128,7 +128,7 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
         start_theta_rad,
         stops: None,
         foresight: None,
-        rules: qube_hil::telemetry::TickRules::Witnessed,
+        rules: qube_hil::telemetry::TickRules::NEWEST,
     };
     let mut tick = Tick::new(&settings, Adversary { genes: *genes, step: 0 });
     let mut random = ChaCha8Rng::seed_from_u64(seed);

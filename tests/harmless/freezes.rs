@@ -18,7 +18,7 @@ use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 
 use super::wire::SharedWire;
 
-/// A motion that notes when the policy got the motor and when the rollout was over.
+/// A motion that notes when the policy got the motor and when it lost it.
 struct Noted<'a> {
     tick: &'a mut Tick,
     clock: VirtualClock,
@@ -28,9 +28,14 @@ struct Noted<'a> {
 impl Motion for Noted<'_> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         let now_s = self.clock.now_ns() as f64 * 1e-9;
+        let was = self.tick.control_state();
         let output = self.tick.decide(input);
         if self.tick.control_state() == ControlState::Running {
             self.ran_s = Some((self.ran_s.map_or(now_s, |(first, _)| first), now_s));
+        } else if was == ControlState::Running
+            && let Some((_, last_s)) = &mut self.ran_s
+        {
+            *last_s = now_s;
         }
         output
     }
@@ -49,7 +54,6 @@ pub struct Outcome {
     pub ending: Ending,
     /// When the policy got the motor and when it lost it, s.
     pub ran_s: (f64, f64),
-    pub over_s: f64,
     /// How far the zero of the arm was off in the end, rad.
     pub zero_off_rad: f64,
 }
@@ -78,16 +82,15 @@ pub fn rollout(
         start_theta_rad: 0.05,
         stops: None,
         foresight: None,
-        rules: TickRules::Witnessed,
+        rules: TickRules::NEWEST,
     };
     let mut tick = Tick::new(&settings, policy.clone());
     let mut noted = Noted { tick: &mut tick, clock: clock.clone(), ran_s: None };
     let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("it arms");
     let ran_s = noted.ran_s;
-    let over_s = clock.now_ns() as f64 * 1e-9;
     let sample = device.sample(clock.now_ns() + 6_000_000).ok()?;
     let zero_off_rad = (calibration.angles_rad(&sample).0 - wire.state().theta).abs();
-    Some(Outcome { ending: report.outcome.ending, ran_s: ran_s?, over_s, zero_off_rad })
+    Some(Outcome { ending: report.outcome.ending, ran_s: ran_s?, zero_off_rad })
 }
 
 /// A fault of the emulated Qube from some time on, s.
@@ -107,10 +110,10 @@ pub struct Freeze {
 }
 
 impl Freeze {
-    /// From the freeze to the motor off; none where the rollout counts as a result.
+    /// From the freeze until the policy has lost the motor; none where the rollout counts as a result.
     pub fn found_ms(&self) -> Option<f64> {
         let is_fault = matches!(self.outcome.ending, Ending::Fault(_));
-        is_fault.then_some(1e3 * (self.outcome.over_s - self.onset_s))
+        is_fault.then_some(1e3 * (self.outcome.ran_s.1 - self.onset_s).max(0.0))
     }
 
     pub fn is_named_otherwise(&self) -> bool {

@@ -175,7 +175,7 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
                 start_theta_rad: 0.05,
                 stops: None,
                 foresight: None,
-                rules: qube_hil::telemetry::TickRules::Witnessed,
+                rules: qube_hil::telemetry::TickRules::NEWEST,
             };
             let controller = ClassicalController::new(ClassicalGains::default());
             let mut tick = Tick::new(&settings, controller);

@@ -1,16 +1,9 @@
 use std::path::Path;
 
-use qube_hil::qube::{DomainParameter, Profile, Quantity, QubeModel};
-use qube_hil::safety::Belief;
+use qube_hil::qube::{Profile, Quantity, QubeModel};
+use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube};
 
 use super::genes::Genes;
-
-/// Within which share of `lab` an identified Qube is believed.
-const IDENTIFIED_WITHIN: f64 = 0.1;
-
-/// Within which share of the delay, and within how much at least, s.
-const DELAY_WITHIN: f64 = 0.3;
-const DELAY_WITHIN_S: f64 = 0.002;
 
 /// What is known of the Qube that is driven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -32,11 +25,19 @@ pub struct DrawnQube {
 
 impl Known {
     /// What the guard is told.
-    pub fn belief(self) -> Belief {
-        match self {
-            Self::Unknown => Belief::of_any_qube(0.3),
-            Self::Identified => around(&lab()),
-        }
+    pub fn settings(self) -> ForesightSettings {
+        let identified = match self {
+            Self::Unknown => None,
+            Self::Identified => Some(IdentifiedQube::of(lab())),
+        };
+        ForesightSettings { identified, ..ForesightSettings::default() }
+    }
+
+    /// Between which Qubes the one at hand lies: 10 % of each number to either side of an identified one, 30 % of
+    /// its delay or 2 ms.
+    fn belief(self) -> Belief {
+        let ForesightSettings { belief, identified, .. } = self.settings();
+        identified.map_or(belief, |identified| identified.belief)
     }
 
     /// A Qube that lies within the belief: each number where a gene says.
@@ -59,35 +60,17 @@ impl Known {
     pub fn observed(self) -> QubeModel {
         match self {
             Self::Unknown => QubeModel::NOMINAL,
-            Self::Identified => lab(),
+            Self::Identified => lab().model(),
         }
     }
 }
 
 /// The Qube whose recordings are public.
-fn lab() -> QubeModel {
-    static LAB: std::sync::OnceLock<QubeModel> = std::sync::OnceLock::new();
-    *LAB.get_or_init(|| {
+fn lab() -> &'static Profile {
+    static LAB: std::sync::OnceLock<Profile> = std::sync::OnceLock::new();
+    LAB.get_or_init(|| {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
         let text = std::fs::read_to_string(path).expect("the shipped profile");
-        Profile::parse(&text).expect("the shipped profile").model()
+        Profile::parse(&text).expect("the shipped profile")
     })
-}
-
-/// The belief in a Qube that was found to be this one.
-fn around(model: &QubeModel) -> Belief {
-    let (mut low, mut high) = (*model, *model);
-    for quantity in Quantity::all() {
-        if quantity != Quantity::Parameter(DomainParameter::Gravity) {
-            let value = model.get(quantity);
-            let within = IDENTIFIED_WITHIN * value.abs();
-            low.set(quantity, value - within);
-            high.set(quantity, value + within);
-        }
-    }
-    let delay_s = model.gap.command_delay_s;
-    let within_s = (DELAY_WITHIN * delay_s).max(DELAY_WITHIN_S);
-    low.gap.command_delay_s = (delay_s - within_s).max(0.0);
-    high.gap.command_delay_s = delay_s + within_s;
-    Belief { low, high, least_share: 0.8 }
 }

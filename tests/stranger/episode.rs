@@ -3,7 +3,7 @@ use std::sync::atomic::Ordering;
 use qube_hil::control::{Tick, drive};
 use qube_hil::estimation::Calibration;
 use qube_hil::qube::State;
-use qube_hil::safety::{ForesightSettings, Guard, SafetyBox};
+use qube_hil::safety::{Guard, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -96,7 +96,6 @@ pub fn gene_count(scenario: &Scenario) -> usize {
 
 /// The settings of a rollout under attack.
 pub fn settings(scenario: &Scenario, guard: Guard) -> TickSettings {
-    let belief = scenario.known.belief();
     TickSettings {
         calibration: Calibration::IDENTITY,
         estimator: scenario.estimator(),
@@ -104,9 +103,8 @@ pub fn settings(scenario: &Scenario, guard: Guard) -> TickSettings {
         max_steps: scenario.steps,
         start_theta_rad: 0.0,
         stops: None,
-        foresight: (guard == Guard::Foresight)
-            .then(|| ForesightSettings { belief, ..ForesightSettings::default() }),
-        rules: TickRules::Witnessed,
+        foresight: (guard == Guard::Foresight).then(|| scenario.known.settings()),
+        rules: TickRules::NEWEST,
     }
 }
 

@@ -22,6 +22,14 @@ pub enum MishapKind {
     LinkDead,
 }
 
+impl MishapKind {
+    /// Whether the guard can still brake: no more than three samples are lost in a row, and no act is late
+    /// beside them.
+    pub fn is_promised(self) -> bool {
+        !matches!(self, Self::LinkDead | Self::LostAndStalled)
+    }
+}
+
 /// At which instant a mishap begins.
 #[derive(Clone, Copy, Debug)]
 enum Instant {

@@ -50,6 +50,15 @@ pub fn summary(records: &[SearchRecord]) -> String {
         records.iter().filter(|record| record.hits > 0).count(),
         total(|record| record.clean_hits),
     );
+    let promised = || records.iter().filter(|record| record.scenario.mishap.is_promised());
+    let _ = writeln!(
+        text,
+        "within the promise: {} searches, {} episodes, {} hits, farthest {:.4} rad",
+        promised().count(),
+        promised().map(|record| record.episodes).sum::<u64>(),
+        promised().map(|record| record.hits).sum::<u64>(),
+        promised().map(|record| record.farthest_rad).fold(0.0, f64::max),
+    );
     let counts = |of: fn(&SearchRecord) -> &BTreeMap<String, u64>| {
         let mut counts = BTreeMap::<String, u64>::new();
         for (name, count) in records.iter().flat_map(of) {

@@ -4,10 +4,12 @@
 )]
 
 mod calm;
+mod prediction;
 #[cfg(test)]
 mod tests;
 
 use calm::CalmLanes;
+pub use prediction::Prediction;
 
 use super::{BrakeLaw, Particle};
 use crate::elementary::{InstructionSet, Kernel, Level, dispatch_at};

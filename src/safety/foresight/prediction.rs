@@ -1,0 +1,161 @@
+#![allow(
+    clippy::needless_range_loop,
+    reason = "a lane indexes many arrays at once, and plain index loops become vector code"
+)]
+
+use super::{Foresight, ParticleLanes, resume};
+use crate::elementary::{InstructionSet, Kernel, Level, dispatch_at};
+use crate::estimation::FilterGains;
+use crate::qube::{BLOCK, CONTROL_PERIOD_S, MAX_HISTORY, QubeLanes, SUBSTEPS, State};
+
+/// After so many periods the prediction begins anew from the estimate: long enough for two Qubes to part,
+/// short enough for a pendulum that stands.
+const WINDOW_PERIODS: u32 = 10;
+
+/// A sample so much sooner or later than its period, s, begins the prediction anew.
+const LATE_S: f64 = 0.002;
+
+/// How far outside of all particles an angle may be seen, rad: a degree of play between motor and arm, and two
+/// counts.
+const PLAY_RAD: f64 = 0.025;
+
+/// And for each rad/s of its velocity, s: by so much may a sample's time be wrong.
+const JITTER_S: f64 = 0.0005;
+
+/// Follows the Qube with every particle, some periods at a time, and says whether it moves as one of them
+/// may.
+///
+/// Nothing is allocated after [`Self::of`]; the same bits on every instruction set.
+#[derive(Clone, Debug)]
+pub struct Prediction {
+    particles: Vec<ParticleLanes>,
+    qubes: Vec<QubeLanes>,
+    filter: FilterGains<f32>,
+    level: Level,
+    /// Since when and for how many periods the particles have run; none before the first sample.
+    run: Option<Run>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    since_us: u64,
+    periods: u32,
+}
+
+/// The least and the most of the particles' angles, rad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Spread {
+    theta: [f32; 2],
+    alpha: [f32; 2],
+}
+
+impl Prediction {
+    /// With the particles of a foresight.
+    #[must_use]
+    pub fn of<B>(foresight: &Foresight<B>) -> Self {
+        let Foresight { particles, qubes, filter, level, .. } = foresight;
+        let (particles, qubes) = (particles.clone(), qubes.clone());
+        Self { particles, qubes, filter: *filter, level: *level, run: None }
+    }
+
+    /// Begins anew with the next sample: its angles may be counted from another zero.
+    pub fn begin_anew(&mut self) {
+        self.run = None;
+    }
+
+    /// Takes the estimated state of a sample, its time by the device's clock, and the commands before it (V,
+    /// newest first); whether a particle may have moved so.
+    #[must_use]
+    pub fn is_kept(
+        &mut self,
+        state: &State,
+        device_time_us: u64,
+        sent_v: &[f32; MAX_HISTORY],
+    ) -> bool {
+        let kept = self.run.is_none_or(|run| {
+            let periods = run.periods + 1;
+            let elapsed_s = device_time_us.saturating_sub(run.since_us) as f64 * 1e-6;
+            let late_s = (elapsed_s - f64::from(periods) * CONTROL_PERIOD_S).abs();
+            self.run = Some(Run { periods, ..run });
+            if late_s > LATE_S {
+                self.run = None;
+                return true;
+            }
+            let spread = dispatch_at(
+                self.level,
+                Period { particles: &self.particles, qubes: &mut self.qubes, command_v: sent_v[0] },
+            );
+            let lies = |angle: f64, velocity: f64, [least, most]: [f32; 2]| {
+                let beyond = PLAY_RAD + (JITTER_S + late_s) * velocity.abs();
+                angle >= f64::from(least) - beyond && angle <= f64::from(most) + beyond
+            };
+            lies(state.theta, state.theta_dot, spread.theta)
+                && lies(state.alpha, state.alpha_dot, spread.alpha)
+        });
+        if !kept || self.run.is_none_or(|run| run.periods >= WINDOW_PERIODS) {
+            let Self { particles, qubes, filter, level, .. } = &mut *self;
+            let begin = Begin { particles, qubes, filter, state: state.cast(), sent_v };
+            dispatch_at(*level, begin);
+            self.run = Some(Run { since_us: device_time_us, periods: 0 });
+        }
+        kept
+    }
+}
+
+/// The particles go on from an estimate.
+struct Begin<'a> {
+    particles: &'a [ParticleLanes],
+    qubes: &'a mut [QubeLanes],
+    filter: &'a FilterGains<f32>,
+    state: State<f32>,
+    sent_v: &'a [f32; MAX_HISTORY],
+}
+
+impl Kernel for Begin<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) {
+        let Self { particles, qubes, filter, state, sent_v } = self;
+        for (qubes, particles) in qubes.iter_mut().zip(particles) {
+            let first_v = particles.arriving(&[sent_v[0]; BLOCK]);
+            resume(qubes, particles, &state, sent_v, &first_v, filter);
+        }
+    }
+}
+
+/// One control period of all particles under one command.
+struct Period<'a> {
+    particles: &'a [ParticleLanes],
+    qubes: &'a mut [QubeLanes],
+    command_v: f32,
+}
+
+impl Kernel for Period<'_> {
+    type Output = Spread;
+
+    #[inline(always)]
+    fn run<I: InstructionSet>(self) -> Spread {
+        let Self { particles, qubes, command_v } = self;
+        let none = [f32::INFINITY, f32::NEG_INFINITY];
+        let mut spread = Spread { theta: none, alpha: none };
+        for (qubes, particles) in qubes.iter_mut().zip(particles) {
+            let commands_v = particles.arriving(&[command_v; BLOCK]);
+            qubes.begin_period(&commands_v);
+            for piece in 0..=SUBSTEPS {
+                qubes.advance(piece);
+            }
+            qubes.end_period(&commands_v);
+            for lane in 0..BLOCK {
+                widen(&mut spread.theta, qubes.state.theta[lane] - particles.error.theta[lane]);
+                widen(&mut spread.alpha, qubes.state.alpha[lane] - particles.error.alpha[lane]);
+            }
+        }
+        spread
+    }
+}
+
+#[inline(always)]
+fn widen(spread: &mut [f32; 2], angle: f32) {
+    *spread = [spread[0].min(angle), spread[1].max(angle)];
+}
