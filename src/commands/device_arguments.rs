@@ -9,7 +9,7 @@ use super::profile;
 use crate::control::{HomingMethod, HomingSettings};
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
-use crate::qube::{MotorRating, QubeModel};
+use crate::qube::{MotorRating, Profile};
 use crate::safety::{GuardConsent, HardwareLimits, SafetyBox};
 use crate::session::{
     ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, QUBE_FILE, QubeFile, Recovery,
@@ -80,8 +80,8 @@ pub struct ChosenDevice {
     /// That file.
     pub path: Option<PathBuf>,
     home: Option<HomingMethod>,
-    /// Where the profile is that the file names.
-    profile: Option<PathBuf>,
+    /// What the Qube was when its profile was made, where the file names one.
+    pub profile: Option<Profile>,
 }
 
 impl DeviceArguments {
@@ -125,7 +125,7 @@ impl QubeArguments {
         };
         let named = file.as_ref().and_then(|file| file.profile.as_deref());
         let folder = path.and_then(Path::parent).unwrap_or(Path::new(""));
-        let profile = named.map(|profile| folder.join(profile));
+        let profile = named.map(|named| profile::load(&folder.join(named))).transpose()?;
         Ok(ChosenDevice {
             choice,
             clock,
@@ -180,11 +180,6 @@ impl ChosenDevice {
         self.file.as_ref().map_or(MotorRating::NOMINAL, |file| file.motor)
     }
 
-    /// What the Qube was when its profile was made, where its file names one.
-    pub fn profile(&self) -> Result<Option<QubeModel>, Failure> {
-        self.profile.as_deref().map(|path| Ok(profile::load(path)?.model())).transpose()
-    }
-
     /// What a rig is opened with.
     pub fn rig_settings(
         &self,
@@ -199,6 +194,7 @@ impl ChosenDevice {
             homing: self.homing(HomingSettings { estimator, ..HomingSettings::default() }),
             skip_check: check.skip_check,
             board: self.file.as_ref().and_then(|file| file.board.clone()),
+            profile: self.profile.clone(),
             recovery: check.recovery(&self.choice),
             limits: HardwareLimits::default().with_motor(self.motor()),
         }

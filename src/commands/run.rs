@@ -23,7 +23,7 @@ use crate::identification::{Unfit, check_recording};
 use crate::policy::{
     ClassicalController, ClassicalGains, EXCITATION_STEPS, Excitation, ExcitationShape, Policy,
 };
-use crate::qube::{MAX_STEPS, QubeModel};
+use crate::qube::{MAX_STEPS, Profile, QubeModel};
 use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
 use crate::safety::SafetyBox;
@@ -149,7 +149,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 
     let estimator = arguments.estimator.settings()?.unwrap_or_default();
     let device = arguments.device.choose()?;
-    let profile = device.profile()?;
+    let profile = device.profile.as_ref().map(Profile::model);
     let emulated = arguments.emulated.settings()?.unwrap_or_default();
     let emulator = emulated.emulator(arguments.seed);
     let guard = arguments.guard.into();

@@ -19,6 +19,7 @@ use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
+use crate::qube::Profile;
 use crate::safety::{Guard, GuardConsent};
 use crate::session::{Session, SessionError, SessionFolder, SessionSettings};
 use crate::simulation::SensorModel;
@@ -115,7 +116,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(difference) = estimators_differ(&settings) {
         tell(&difference);
     }
-    let profile = device.profile()?;
+    let profile = device.profile.as_ref().map(Profile::model);
     let stop = Stop::on_signals()?;
     let rig_settings = crate::session::RigSettings {
         homing: settings.homing,

@@ -18,8 +18,11 @@ use crate::policy::Policy;
 use crate::preflight::{
     Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
 };
+use crate::qube::Profile;
 use crate::recording::Recorder;
-use crate::safety::{ForesightSettings, Guard, HardwareLimits, MotorHeat, SafetyBox};
+use crate::safety::{
+    ForesightSettings, Guard, HardwareLimits, IdentifiedQube, Limit, MotorHeat, SafetyBox,
+};
 use crate::storage::Disk;
 use crate::telemetry::{
     CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight, RolloutHeader,
@@ -101,6 +104,8 @@ pub struct RigSettings {
     pub skip_check: bool,
     /// The serial number of the board that the signs belong to, where it is known.
     pub board: Option<String>,
+    /// What the Qube was found to be, where it is identified.
+    pub profile: Option<Profile>,
     /// The widest box of a rollout where the Qube is hardware; an emulated one has no such limits.
     pub limits: HardwareLimits,
     /// What is done after a fault.
@@ -137,6 +142,7 @@ impl RigSettings {
             homing: HomingSettings::default(),
             skip_check: false,
             board: None,
+            profile: None,
             limits: HardwareLimits::default(),
             recovery: Recovery::default(),
         }
@@ -152,6 +158,13 @@ impl RigSettings {
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         self.device.is_hardware()
+    }
+
+    /// What the guard may believe of the Qube: a real one's profile counts for its own board alone.
+    fn identified(&self) -> Option<IdentifiedQube> {
+        let profile = self.profile.as_ref();
+        let own = profile.filter(|_| self.board.is_some() || !self.is_hardware());
+        own.map(IdentifiedQube::of)
     }
 
     /// Whether opening such a rig begins with a check.
@@ -184,6 +197,8 @@ pub struct Rig {
     stop: Arc<AtomicBool>,
     link_patience_s: f64,
     memory: Option<DoubtMemory>,
+    /// What the guard believes of the Qube, until a rollout contradicts it.
+    identified: Cell<Option<IdentifiedQube>>,
     /// The fault that ended the last motion, until the Qube is homed again.
     last_fault: Cell<Option<Fault>>,
     /// Served until the rig is closed; dropped after the control thread.
@@ -275,6 +290,7 @@ impl Rig {
             stop: Arc::clone(stop),
             link_patience_s: settings.recovery.link_patience_s,
             memory: settings.recovery.memory.clone(),
+            identified: Cell::new(settings.identified()),
             last_fault: Cell::new(None),
             _emulator: emulator,
         })
@@ -512,8 +528,12 @@ impl Rig {
             calibration: self.measured.calibration,
             stops: self.measured.stops,
             safety_box: inside_stops(&header.settings.safety_box, self.measured.stops),
-            foresight: (header.settings.safety_box.guard == Guard::Foresight)
-                .then(ForesightSettings::default),
+            foresight: (header.settings.safety_box.guard == Guard::Foresight).then(|| {
+                ForesightSettings {
+                    identified: self.identified.get(),
+                    ..ForesightSettings::default()
+                }
+            }),
             ..header.settings
         };
         let header = RolloutHeader {
@@ -535,6 +555,14 @@ impl Rig {
             }
         };
         self.latch(report.outcome.ending);
+        if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
+            tracing::warn!(
+                "the Qube does not move as its profile says: from now on it is guarded as an unknown one. Is \
+                 the pendulum another one, or the supply weak? Make a new profile with run --excite and \
+                 identify"
+            );
+            self.identified.set(None);
+        }
         let path = recorder.finish(report.outcome.clone(), report.last_ticks)?;
         Ok(Recorded { path, outcome: report.outcome })
     }
