@@ -1,6 +1,6 @@
 //! Searches the worst adversary of the guard: `scripts/adversary` runs it over 10^6 episodes.
 //!
-//! `cargo run --release --example adversary -- SEARCHES [SPREAD [DELAY_MS [CORNER [envelope|foresight|box [FIRST]]]]]`
+//! `cargo run --release --example adversary -- SEARCHES [SPREAD [DELAY_MS [CORNER [foresight|box [FIRST]]]]]`
 
 #[path = "../tests/adversary/mod.rs"]
 mod adversary;
@@ -8,7 +8,7 @@ mod adversary;
 use adversary::episode::{Domain, PROMISED};
 use adversary::search::{Worst, search};
 use qube_hil::qube::HARD_STOP_RAD;
-use qube_hil::safety::{Guard, SafetyBox};
+use qube_hil::safety::SafetyBox;
 
 /// Generations of one search.
 const GENERATIONS: u32 = 25;
@@ -24,7 +24,6 @@ fn main() {
         corner_rad_s: number(3, PROMISED.corner_rad_s),
         safety_box: match arguments.get(4).map(String::as_str) {
             Some("box") => SafetyBox::THESIS,
-            Some("foresight") => SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS },
             _ => SafetyBox::GUARDED,
         },
         ..PROMISED

@@ -10,7 +10,7 @@
 //!
 //! SEEDS is a number, or a range as `5..10`. MODEL is `nominal`, `handcrafted`, or `specialists`: for each seed one Qube drawn from
 //! `handcrafted`, and a policy trained for it alone. What no specialist earns, no policy for all
-//! of them can. PRESET is `thesis`, `quick` or `machine`; settings are those of `TrainSettings`.
+//! of them can. PRESET is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`.
 
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -77,9 +77,8 @@ fn with_settings(preset: &str, replaced: &[String]) -> anyhow::Result<TrainSetti
     let settings = match preset {
         "thesis" => TrainSettings::thesis(),
         "quick" => TrainSettings::quick(),
-        "machine" => TrainSettings::machine(),
         "robust" => TrainSettings::robust(),
-        other => anyhow::bail!("{other} is not thesis, quick or machine"),
+        other => anyhow::bail!("{other} is not thesis, quick or robust"),
     };
     let mut table = toml::Table::try_from(settings)?;
     table.extend(replaced.join("\n").parse::<toml::Table>()?);

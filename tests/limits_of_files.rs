@@ -5,9 +5,10 @@ use std::path::Path;
 use std::process::Output;
 
 use assert_cmd::Command;
+use qube_hil::experiment::{ExperimentFolder, ExperimentSettings, Plant, Recipe, RecipeModel};
 use qube_hil::recording::read;
 use qube_hil::safety::{Guard, SafetyBox};
-use qube_hil::session::{SessionFolder, SessionSettings};
+use qube_hil::session::{EmulatedQubeSettings, SessionFolder, SessionSettings};
 
 /// A port that does not exist: who comes as far as this has passed all limits.
 const PORT: [&str; 2] = ["--device", "/dev/ttyNOWHERE"];
@@ -64,7 +65,7 @@ fn a_configuration_widens_nothing() {
     for flags in [&["--guard", "box"][..], &["--accept-hard-stop"]] {
         session(off, PORT, flags, &["--accept-hard-stop", "--guard box"]);
     }
-    let contradiction = ["--guard", "envelope", "--accept-hard-stop"];
+    let contradiction = ["--guard", "foresight", "--accept-hard-stop"];
     session("seed = 1\n", PORT, &contradiction, &["--accept-hard-stop"]);
 }
 
@@ -86,7 +87,7 @@ fn both_words_on_one_command_line_lead_to_the_port() {
     refused(directory.path(), &[&resume, &PORT[..]].concat(), &named);
     refused(directory.path(), &[&resume, &PORT[..], &both[..2]].concat(), &["--accept-hard-stop"]);
     refused(directory.path(), &[&resume, &PORT[..], &both].concat(), &port);
-    let other = ["--guard", "envelope"];
+    let other = ["--guard", "foresight"];
     refused(directory.path(), &[&resume, &PORT[..], &other].concat(), &["that it began with"]);
 }
 
@@ -108,9 +109,9 @@ fn a_session_that_is_resumed_widens_nothing() {
         assert_ne!(wide, whole);
         resume(&wide, &["session.toml", "safety_box.theta", "at most 2.3"]);
     }
-    let off = whole.replace("guard = \"envelope\"", "guard = \"box\"");
+    let off = whole.replace("guard = \"foresight\"", "guard = \"box\"");
     // Files from before there was a guard name none, and mean the box.
-    let silent = whole.replace("guard = \"envelope\"\n", "");
+    let silent = whole.replace("guard = \"foresight\"\n", "");
     for text in [off, silent] {
         assert_ne!(text, whole);
         std::fs::write(root.join("session.toml"), text).unwrap();
@@ -119,6 +120,99 @@ fn a_session_that_is_resumed_widens_nothing() {
         let settings = SessionSettings::load(&root.join("session.toml")).unwrap();
         assert_eq!(settings.safety_box, SafetyBox::THESIS);
         assert_eq!(settings.training.simulation.safety_box.guard, Guard::Box);
+    }
+}
+
+/// Nothing begins or goes on under the guard of the past, whatever asks for it.
+#[test]
+fn the_guard_of_the_past_is_refused_with_what_is_in_its_place() {
+    let directory = tempfile::tempdir().unwrap();
+    let told = |arguments: &[&str], words: &[&str]| {
+        let output = qube_hil(directory.path(), arguments);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {stderr}");
+        for word in words {
+            assert!(stderr.contains(word), "{arguments:?}: {word:?} is missing in: {stderr}");
+        }
+    };
+    for command in [&["run", "--policy", "classical"][..], &["session"], &["experiment"]] {
+        let arguments = [command, &["--guard", "envelope"]].concat();
+        told(&arguments, &["--guard", "nothing is driven under it any more; foresight"]);
+    }
+    for command in ["train", "experiment"] {
+        told(&[command, "--preset", "machine"], &["--preset", "robust is in its place"]);
+    }
+
+    let write = |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();
+    let begin = ["session", "--config", "my.toml", "--out", "begun"];
+    let envelope = "guard = \"envelope\"";
+    for (text, words) in [
+        (format!("[safety_box]\n{envelope}\n"), ["safety_box.guard", "give guard = \"foresight\""]),
+        (
+            format!("[training.simulation.safety_box]\n{envelope}\n"),
+            ["training.simulation.safety_box.guard", "leave it out"],
+        ),
+        ("[training]\nwidening = 0.4\n".into(), ["training.widening", "leave it out"]),
+        (
+            "[training.simulation]\nenvelope_room_rad = 0.0\n".into(),
+            ["training.simulation.envelope_room_rad", "leave it out"],
+        ),
+    ] {
+        write("my.toml", &text);
+        refused(directory.path(), &begin, &["my.toml", words[0], words[1]]);
+        let (head, tail) =
+            ("name = \"mine\"\nmodel = \"nominal\"\n", text.replace('[', "[settings."));
+        write("mine.toml", &format!("{head}{tail}"));
+        let begin = ["experiment", "--recipe", "mine.toml", "--out", "begun"];
+        refused(directory.path(), &begin, &["mine.toml", words[0], words[1]]);
+    }
+    assert!(!directory.path().join("begun").exists());
+
+    // What a session and an experiment of that time have written.
+    let root = directory.path().join("session");
+    let whole = SessionSettings::quick().to_toml().unwrap();
+    drop(SessionFolder::create(&root, &whole).unwrap());
+    let of_the_past = |whole: &str, guard: &str, widening: f64| {
+        let text = whole.replace("guard = \"foresight\"", &format!("guard = \"{guard}\""));
+        let text = text
+            .replace("evaluation_starts", &format!("widening = {widening:?}\nevaluation_starts"));
+        text.replace("history =", "envelope_room_rad = 0.0\nhistory =")
+    };
+    let resume = ["session", "--resume", "session"];
+    for (guard, widening, words) in [
+        ("envelope", 0.0, ["safety_box.guard", "begin a new one"]),
+        ("box", 0.6, ["training.widening = 0.6", "begin a new one"]),
+    ] {
+        write("session/session.toml", &of_the_past(&whole, guard, widening));
+        refused(directory.path(), &resume, &["session.toml", words[0], words[1]]);
+    }
+    let settings = of_the_past(&whole, "box", 0.0);
+    write("session/session.toml", &settings);
+    let settings = SessionSettings::load(&root.join("session.toml")).unwrap();
+    assert_eq!(settings, SessionSettings::quick().under(Guard::Box));
+
+    let recipe = Recipe::of(RecipeModel::Nominal, &SessionSettings::quick());
+    let lab = Plant { name: "lab".into(), emulated: EmulatedQubeSettings::default(), vary: 0.0 };
+    let ended = ExperimentSettings {
+        name: "ended".into(),
+        seed: 0,
+        policies: 1,
+        rollouts: 1,
+        simulated_starts: 1000,
+        plants: vec![lab],
+        recipes: vec![recipe],
+        strategies: None,
+    };
+    let whole = ended.to_toml().unwrap();
+    drop(ExperimentFolder::create(&directory.path().join("ended"), &whole).unwrap());
+    let resume = ["experiment", "--resume", "ended"];
+    for (guard, widening, word) in
+        [("envelope", 0.0, "safety_box.guard"), ("box", 0.6, "training.widening = 0.6")]
+    {
+        write("ended/experiment.toml", &of_the_past(&whole, guard, widening));
+        refused(directory.path(), &resume, &["experiment.toml", word, "--table"]);
+        let table = qube_hil(directory.path(), &[&resume[..], &["--table"]].concat());
+        assert!(table.status.success(), "{}", String::from_utf8_lossy(&table.stderr));
     }
 }
 
@@ -152,7 +246,7 @@ fn an_experiment_widens_nothing() {
     assert_ne!(wide, whole);
     std::fs::write(&toml, wide).unwrap();
     refused(directory.path(), &[&resume, &PORT[..]].concat(), &["nominal", "safety_box.theta"]);
-    std::fs::write(&toml, whole.replace("guard = \"envelope\"", "guard = \"box\"")).unwrap();
+    std::fs::write(&toml, whole.replace("guard = \"foresight\"", "guard = \"box\"")).unwrap();
     let named = ["nominal", "guard", "--accept-hard-stop"];
     refused(directory.path(), &[&resume, &PORT[..]].concat(), &named);
 }
@@ -173,7 +267,7 @@ fn a_rigs_own_file_widens_nothing() {
 }
 
 #[test]
-fn a_soak_runs_under_the_envelope() {
+fn a_soak_runs_under_foresight() {
     let directory = tempfile::tempdir().unwrap();
     let soak = ["soak", "--clock", "virtual", "--hours", "0.001", "--keep", "kept"];
     let output = qube_hil(directory.path(), &soak);

@@ -4,16 +4,25 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use qube_hil::policy::Policy;
+use qube_hil::replay::rerun;
+use qube_hil::safety::{Guard, Limit};
+use qube_hil::telemetry::{Ending, Phase};
 use serde_json::Value;
 
 fn qube_hil(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_qube-hil")).args(arguments).output().unwrap()
 }
 
-/// A rollout of the classical controller in virtual time.
+/// A whole rollout of the classical controller in virtual time, in the box.
 fn recorded(folder: &Path) -> PathBuf {
+    recorded_under("box", folder)
+}
+
+fn recorded_under(guard: &str, folder: &Path) -> PathBuf {
     let folder = folder.to_str().unwrap();
-    let run = qube_hil(&["run", "--policy", "classical", "--clock", "virtual", "--out", folder]);
+    let run = ["run", "--policy", "classical", "--clock", "virtual", "--guard", guard, "--out"];
+    let run = qube_hil(&[&run[..], &[folder]].concat());
     assert!(run.status.success(), "{run:?}");
     Path::new(folder).join("rollout-0.mcap")
 }
@@ -41,17 +50,13 @@ fn a_rollout_comes_out_again_bit_for_bit() {
     assert!(recording["actions_compared"].as_u64().unwrap() > 600);
     assert_eq!(recording["actions_different"], 0);
 
+    assert!(recording.get("note").is_none(), "{recording}");
+
     // Under foresight too, with all that decides what it says in the recording.
-    let foreseen = folder.path().join("foreseen");
-    let foreseen = foreseen.to_str().unwrap();
-    let run =
-        ["run", "--policy", "classical", "--clock", "virtual", "--guard", "foresight", "--out"];
-    let run = qube_hil(&[&run[..], &[foreseen]].concat());
-    assert!(run.status.success(), "{run:?}");
-    let recording = Path::new(foreseen).join("rollout-0.mcap");
-    let header = qube_hil::recording::read(&recording).unwrap().header;
+    let foreseen = recorded_under("foresight", &folder.path().join("foreseen"));
+    let header = qube_hil::recording::read(&foreseen).unwrap().header;
     assert!(header.settings.foresight.is_some());
-    let output = qube_hil(&["replay", "--json", recording.to_str().unwrap()]);
+    let output = qube_hil(&["replay", "--json", foreseen.to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let recording = &json(&output)["recordings"][0];
     assert_eq!(recording["actions_different"], 0, "{recording}");
@@ -62,6 +67,40 @@ fn a_rollout_comes_out_again_bit_for_bit() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(json(&output)["recordings"][0]["rmse"]["theta_rad"].is_number());
     assert!(fs::read_to_string(plots.join("rollout-0.svg")).unwrap().starts_with("<svg"));
+}
+
+/// A recording of a program whose guard was the speed envelope, which its policy left. Its blocks were packed
+/// into one since, to be small, and its index left out; every message is as that program wrote it.
+#[test]
+fn a_rollout_under_the_guard_of_the_past_is_compared_until_it_brakes() {
+    let fixture =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/left_the_speed_envelope.mcap");
+    let recording = qube_hil::recording::read(&fixture).unwrap();
+    let left = Ending::LeftBox(Limit::Envelope);
+    assert_eq!(recording.header.settings.safety_box.guard, Guard::Envelope);
+    assert_eq!(recording.outcome.as_ref().map(|outcome| outcome.ending), Some(left));
+    let braking = recording.ticks.iter().position(|tick| tick.phase == Phase::Braking).unwrap();
+
+    let policy = || Policy::from_bytes(&recording.policy).unwrap();
+    let again = rerun(&recording, policy());
+    assert!(again.agrees() && again.ending_of_the_file, "{again:?}");
+    assert_eq!((again.actions_compared, again.ending), (braking, Some(left)));
+    // Compared they are.
+    let mut changed = recording.clone();
+    changed.ticks[braking - 1].voltage_mv += 1;
+    assert_eq!(rerun(&changed, policy()).actions_different, 1);
+
+    let path = fixture.to_str().unwrap();
+    let output = qube_hil(&["replay", path]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let told = String::from_utf8(output.stdout).unwrap();
+    let sentence = "compared up to its first braking tick, and its end is taken from the file";
+    assert_eq!(told.matches(sentence).count(), 1, "{told}");
+    assert!(told.contains(&format!("{braking} of {braking} actions")), "{told}");
+    let output = qube_hil(&["replay", "--json", path]);
+    let recording = &json(&output)["recordings"][0];
+    assert!(recording["note"].as_str().unwrap().contains(sentence), "{recording}");
+    assert_eq!((&recording["problem"], &recording["actions_different"]), (&Value::Null, &0.into()));
 }
 
 #[test]

@@ -11,7 +11,7 @@ use qube_hil::device::{
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::Measurement;
 use qube_hil::recording::{parse, read};
-use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
+use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox, TooWide};
 use qube_hil::session::{
     Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice,
 };
@@ -175,10 +175,13 @@ fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
     assert!(rollout(&rig, SafetyBox::THESIS).unwrap(), "the recording does not say it");
     assert!(!rollout(&rig, SafetyBox::GUARDED).unwrap());
 
-    // An experiment on an emulated Qube chooses its box.
+    // An experiment on an emulated Qube chooses its box, and no guard of the past.
     let rig =
         Rig::open(&RigSettings::in_virtual_time(DeviceChoice::Emulated), &Arc::default()).unwrap();
     assert!(!rollout(&rig, SafetyBox::THESIS).unwrap());
+    let of_the_past = SafetyBox { guard: Guard::Envelope, ..SafetyBox::THESIS };
+    let refused = rollout(&rig, of_the_past).unwrap_err();
+    assert!(matches!(refused, RigError::TooWide(TooWide::EnvelopeGone)), "{refused}");
 }
 
 /// A file of the fuzzers' corpus, written before there was a guard.
@@ -216,10 +219,10 @@ fn files_that_name_no_guard_mean_the_box_as_they_ran() {
 }
 
 #[test]
-fn what_is_written_names_its_guard_byte_for_byte_as_before() {
+fn what_is_written_names_its_guard() {
     let json = serde_json::to_string(&SafetyBox::GUARDED).unwrap();
     let expected = "{\"theta\":2.3,\"alpha\":12.566370614359172,\"theta_dot\":30.0,\
-                    \"alpha_dot\":40.0,\"guard\":\"envelope\"}";
+                    \"alpha_dot\":40.0,\"guard\":\"foresight\"}";
     assert_eq!(json, expected);
     let header = parse(&old("recording/two-blocks")).unwrap().header;
     let json = serde_json::to_string(&header).unwrap();

@@ -52,8 +52,8 @@ fn begin(root: &Path) -> SessionFolder {
 
 #[test]
 fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
-    // Each rollout has a new Qube, which is homed within 16 s; a policy that knows nothing leaves the
-    // envelope soon after that, and braking takes some seconds.
+    // Each rollout has a new Qube, which is homed within 16 s; a policy that knows nothing is
+    // braked soon after that, and braking takes some seconds.
     for fault in ["silent@16.5", "unplug@16.5"] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("session");

@@ -1,4 +1,4 @@
-//! The policies in `policies/` do what their page says: in virtual time, under the envelope.
+//! The policies in `policies/` do what their page says: in virtual time, in the box.
 
 use assert_cmd::Command;
 use serde_json::Value;
@@ -8,7 +8,11 @@ fn returns(policy: &str, qube: &[&str]) -> Vec<f64> {
     let policy = format!("{}/policies/{policy}", env!("CARGO_MANIFEST_DIR"));
     let mut command = Command::cargo_bin("qube-hil").unwrap();
     command.current_dir(directory.path()).args(["run", "--policy", &policy, "--rollouts", "3"]);
-    let output = command.args(["--clock", "virtual", "--json"]).args(qube).output().unwrap();
+    let output = command
+        .args(["--clock", "virtual", "--guard", "box", "--json"])
+        .args(qube)
+        .output()
+        .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let told: Value = serde_json::from_slice(&output.stdout).unwrap();
     let stands = |rollout: &Value| rollout.as_bool().unwrap();

@@ -89,7 +89,7 @@ fn a_rollout_through_it_is_recorded_with_its_link_and_replays_the_same() {
     assert_eq!(recording.header.device["sample_time_us"], link.sample_time_us.to_string());
     assert!(rerun(&recording, classical()).agrees());
     let outcome = recording.outcome.as_ref().unwrap();
-    // An act is younger than what the envelope assumes and a device accepts: 20 ms from its sample.
+    // An act is younger than what foresight allows for and a device accepts: 20 ms from its sample.
     assert!(outcome.sample_to_act_us.max < 12_000.0, "{outcome:?}");
     let ticks = recording.ticks.len() as u32;
     assert!(outcome.missed_deadlines * 200 <= ticks, "{} of {ticks}", outcome.missed_deadlines);

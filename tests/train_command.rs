@@ -9,7 +9,10 @@ use rustix::process::{Pid, Signal, kill_process};
 
 fn train(directory: &Path, out: &str, more: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).args(["train", "--seed", "3", "--out", out]).args(more);
+    command
+        .current_dir(directory)
+        .args(["train", "--preset", "quick", "--seed", "3", "--out", out])
+        .args(more);
     command
 }
 

@@ -15,7 +15,7 @@ pub struct EstimatorArguments {
     estimator: Option<EstimatorArgument>,
 
     /// Corner of the velocity filter, rad/s (50 is the thesis's set-up) [default: 200; `experiment`
-    /// without --preset machine: 50]
+    /// without --preset robust: 50]
     #[arg(long, value_name = "CORNER", value_parser = positive)]
     filter: Option<f64>,
 

@@ -11,12 +11,13 @@ use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::experiment_progress::ExperimentProgress;
 use super::failures;
-use super::guard_argument::{ConsentArgument, GuardArgument};
+use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
 use super::printable::tell;
 use super::stop::Stop;
 use super::strategy_arguments::{StrategyArguments, check_device};
+use super::words_gone::names_but;
 use super::{dated_folder, experiment_table, strategy_table};
 use crate::estimation::EstimatorSettings;
 use crate::experiment::{
@@ -40,8 +41,8 @@ use crate::storage::{Disk, MachineDisk};
 /// return is at least 400 and at least 4 of 5 of its rollouts stand to the end.
 ///
 /// Without other flags everything is as published: true states in training, the plain box, a
-/// velocity filter of 50 rad/s on the machine. --preset machine has what the machine has, in training
-/// too, and the filter of 200 rad/s.
+/// velocity filter of 50 rad/s on the machine. --preset robust has what the machine has, in training
+/// too, its guard, and the filter of 200 rad/s.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil experiment --profile lab              # the thesis's table, on a real gap\n  \
@@ -84,19 +85,24 @@ pub struct Arguments {
 
     /// Training budget, and what of the machine training knows: `quick` and `thesis` nothing, as
     /// published
-    #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
+    #[arg(
+        long,
+        default_value = "quick",
+        value_parser = names_but::<Preset>("machine", "it is no more; robust is in its place"),
+        conflicts_with = "resume"
+    )]
     preset: Preset,
 
-    /// Guard of rollouts and simulations [default: the box, as published; on a port and with
-    /// --preset machine or robust the envelope]; with --resume that of the experiment
-    #[arg(long, value_enum)]
+    /// Guard of rollouts [default: the box, as published; on a port and with --preset robust foresight];
+    /// with --resume that of the experiment
+    #[arg(long, value_parser = guard_parser())]
     guard: Option<GuardArgument>,
 
     #[command(flatten)]
     consent: ConsentArgument,
 
     /// What simulations show of the state: as it is, or through encoders and the machine's filter
-    /// [default: as it is; with --preset machine or robust encoders]
+    /// [default: as it is; with --preset robust encoders]
     #[arg(long, value_enum, conflicts_with = "resume")]
     sensors: Option<Sensors>,
 
@@ -156,9 +162,7 @@ enum FamilyArgument {
 enum Preset {
     /// A second or two a policy, on true states in the thesis's box
     Quick,
-    /// Seconds a policy, with the machine's encoders, velocity filter and speed envelope
-    Machine,
-    /// Half a minute a policy, as `machine` and with more to learn: for the models with a gap
+    /// Half a minute a policy, with the machine's encoders and velocity filter
     Robust,
     /// The published budget, on true states in the thesis's box
     Thesis,
@@ -194,7 +198,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let device = arguments.qube.choose()?;
     let consent = arguments.consent.beside(arguments.guard)?;
     let (folder, mut settings) = match &arguments.resume {
-        Some(directory) => resumed(directory, arguments.guard, &device)?,
+        Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
     };
     let limits = narrowed(&mut settings, consent, &device)?;
@@ -309,7 +313,7 @@ fn narrowed(
         recipe.settings.safety_box = device.safety_box(recipe.settings.safety_box);
         device.limits(&format!("recipe {}", recipe.name), &recipe.settings.safety_box, consent)?;
     }
-    let guard = consent.map_or(Guard::Envelope, |_| Guard::Box);
+    let guard = consent.map_or(Guard::Foresight, |_| Guard::Box);
     let widest = device.safety_box(SafetyBox { guard, ..SafetyBox::default() });
     device.limits("the Qube's file", &widest, consent)
 }
@@ -363,10 +367,9 @@ fn begun(
 /// What the flags ask for, to which each recipe adds its model.
 fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let is_emulated = !device.choice.is_hardware();
-    let knows_the_machine = matches!(arguments.preset, Preset::Machine | Preset::Robust);
+    let knows_the_machine = arguments.preset == Preset::Robust;
     let mut training = match arguments.preset {
         Preset::Quick => TrainSettings::quick(),
-        Preset::Machine => TrainSettings::machine(),
         Preset::Robust => TrainSettings::robust(),
         Preset::Thesis => TrainSettings::thesis(),
     };
@@ -383,7 +386,7 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
         if encoders { SensorModel::Encoders { estimator } } else { SensorModel::TrueState };
     let guard = match arguments.guard {
         Some(guard) => guard.into(),
-        None if knows_the_machine || !is_emulated => Guard::Envelope,
+        None if knows_the_machine || !is_emulated => Guard::Foresight,
         None => Guard::Box,
     };
     let settings = SessionSettings {
@@ -407,14 +410,16 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
 
 fn resumed(
     directory: &Path,
-    guard: Option<GuardArgument>,
+    arguments: &Arguments,
     device: &ChosenDevice,
 ) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
     let folder = ExperimentFolder::open(directory).map_err(Failure::usage)?;
-    let settings = ExperimentSettings::load(&folder.settings()).map_err(Failure::usage)?;
+    let load =
+        if arguments.table { ExperimentSettings::load } else { ExperimentSettings::load_to_resume };
+    let settings = load(&folder.settings()).map_err(Failure::usage)?;
     let of_another =
         |guard| settings.recipes.iter().all(|it| it.settings.safety_box.guard != guard);
-    if guard.is_some_and(|guard| of_another(Guard::from(guard))) {
+    if arguments.guard.is_some_and(|guard| of_another(Guard::from(guard))) {
         return Err(Failure::usage(
             "an experiment goes on with the guards that it began with: leave --guard out",
         ));

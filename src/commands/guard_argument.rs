@@ -1,6 +1,8 @@
 use clap::ValueEnum;
+use clap::builder::TypedValueParser;
 
 use super::exit::Failure;
+use super::words_gone::names_but;
 use crate::safety::{Guard, GuardConsent};
 
 /// `--guard`, as the command line spells it.
@@ -8,18 +10,20 @@ use crate::safety::{Guard, GuardConsent};
 pub enum GuardArgument {
     /// The safety box of the thesis and nothing more: to compare with published figures
     Box,
-    /// The speed envelope too: the arm is braked before its hard stop cannot be avoided any more
-    Envelope,
-    /// On trial, for emulated Qubes alone: the brake is tried before each voltage leaves, for many Qubes
-    /// that this one may be
+    /// Foresight too: before each voltage leaves, the brake is tried for many Qubes that this one may be,
+    /// and the arm is braked before it could come too late
     Foresight,
+}
+
+/// The parser of `--guard`.
+pub fn guard_parser() -> impl TypedValueParser<Value = GuardArgument> {
+    names_but("envelope", "nothing is driven under it any more; foresight is in its place")
 }
 
 impl From<GuardArgument> for Guard {
     fn from(argument: GuardArgument) -> Self {
         match argument {
             GuardArgument::Box => Self::Box,
-            GuardArgument::Envelope => Self::Envelope,
             GuardArgument::Foresight => Self::Foresight,
         }
     }

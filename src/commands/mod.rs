@@ -36,6 +36,7 @@ mod strategy_arguments;
 mod strategy_table;
 mod toy;
 mod train;
+mod words_gone;
 
 use std::io::IsTerminal;
 use std::path::PathBuf;

@@ -55,11 +55,18 @@ struct Report {
     return_recomputed: Option<f64>,
     actions_compared: usize,
     actions_different: usize,
+    /// What is to be known of the comparison, if anything is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    note: Option<&'static str>,
     /// What is wrong, if anything is.
     problem: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rmse: Option<Rmse>,
 }
+
+/// Said of a recording whose guard is no more.
+const ENDING_OF_THE_FILE: &str = "this rollout ran under the speed envelope, which is no more: it is \
+     compared up to its first braking tick, and its end is taken from the file";
 
 /// What is wrong with one file, and what that makes of the command.
 struct Problem {
@@ -184,8 +191,12 @@ fn rerun_recording(
         "{path}: return {:.2}, recomputed {:.2}; {same} of {} actions are the same bit for bit",
         rerun.return_recorded,
         rerun.return_recomputed,
-        recording.ticks.len(),
+        rerun.actions_compared + rerun.not_compared,
     );
+    if rerun.ending_of_the_file {
+        report.note = Some(ENDING_OF_THE_FILE);
+        let _ = writeln!(text, "{path}: {ENDING_OF_THE_FILE}");
+    }
     Ok(findings(recording, &rerun)
         .map_or(Ok(()), |what| Err(Problem::data_lost(one_line(&format!("{path}: {what}"))))))
 }

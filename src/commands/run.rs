@@ -8,7 +8,7 @@ use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
-use super::guard_argument::{ConsentArgument, GuardArgument};
+use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::keyboard::Keyboard;
 use super::number_arguments::between;
 use super::output::Output;
@@ -74,8 +74,8 @@ pub struct Arguments {
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
-    /// What ends a rollout: the speed envelope too, or the box alone
-    #[arg(long, value_enum, default_value_t = GuardArgument::Envelope)]
+    /// What ends a rollout: foresight of the brake too, or the box alone
+    #[arg(long, value_parser = guard_parser(), default_value = "foresight")]
     guard: GuardArgument,
 
     #[command(flatten)]

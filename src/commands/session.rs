@@ -10,7 +10,7 @@ use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
-use super::guard_argument::{ConsentArgument, GuardArgument};
+use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::keyboard::Keyboard;
 use super::output::Output;
 use super::printable::tell;
@@ -60,9 +60,9 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
-    /// What ends a rollout, simulated or not: the speed envelope too, or the box alone [default:
-    /// envelope, or what --config says]; with --resume that of the session
-    #[arg(long, value_enum)]
+    /// What ends a rollout: foresight of the brake too, or the box alone [default: foresight, or what
+    /// --config says]; with --resume that of the session
+    #[arg(long, value_parser = guard_parser())]
     guard: Option<GuardArgument>,
 
     #[command(flatten)]

@@ -8,11 +8,11 @@ use serde_json::json;
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
-use super::guard_argument::GuardArgument;
 use super::number_arguments::between;
 use super::output::Output;
 use super::profile;
 use super::stop::Stop;
+use super::words_gone::names_but;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
@@ -57,15 +57,14 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
     psi: Option<PathBuf>,
 
-    /// How long to train, on what simulation: `machine` and `robust` for a policy that is to run on a
-    /// Qube, `quick` and `thesis` as published [default: robust with --model robust, --profile or
-    /// --delay-ms, else machine]
-    #[arg(long, value_enum)]
-    preset: Option<Preset>,
-
-    /// What ends a simulated rollout: the speed envelope too, or the box alone [default: the preset's]
-    #[arg(long, value_enum)]
-    guard: Option<GuardArgument>,
+    /// How long to train, on what simulation: `robust` for a policy that is to run on a Qube, `quick`
+    /// and `thesis` as published
+    #[arg(
+        long,
+        default_value = "robust",
+        value_parser = names_but::<Preset>("machine", "it is no more; robust is in its place")
+    )]
+    preset: Preset,
 
     /// Everything random follows from it
     #[arg(long, default_value_t = 0)]
@@ -112,11 +111,6 @@ impl Arguments {
     /// Whether the simulated Qubes have what real ones have beside the equations of motion.
     fn has_gap(&self) -> bool {
         self.profile.is_some() || self.delay_ms.is_some() || self.model == Model::Robust
-    }
-
-    fn preset(&self) -> Preset {
-        let default = if self.has_gap() { Preset::Robust } else { Preset::Machine };
-        self.preset.unwrap_or(default)
     }
 }
 
@@ -172,9 +166,7 @@ enum Model {
 /// How much training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Preset {
-    /// Seconds, with the machine's encoders, velocity filter and speed envelope
-    Machine,
-    /// Half a minute, as `machine` and with more to learn: for Qubes with a delay that differ
+    /// Half a minute, with the machine's encoders and velocity filter
     Robust,
     /// A second or two, on true states in the thesis's box
     Quick,
@@ -185,8 +177,7 @@ enum Preset {
 /// Trains and saves.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let distribution = distribution(&arguments)?;
-    let preset = match arguments.preset() {
-        Preset::Machine => TrainSettings::machine(),
+    let preset = match arguments.preset {
         Preset::Robust => TrainSettings::robust(),
         Preset::Quick => TrainSettings::quick(),
         Preset::Thesis => TrainSettings::thesis(),
@@ -263,9 +254,6 @@ fn simulation(
     arguments: &Arguments,
     mut simulation: SimulationSettings,
 ) -> Result<SimulationSettings, Failure> {
-    if let Some(guard) = arguments.guard {
-        simulation.safety_box.guard = guard.into();
-    }
     match arguments.sensors {
         Some(Sensors::True) => simulation.sensors = SensorModel::TrueState,
         Some(Sensors::Encoders) => {
@@ -325,7 +313,7 @@ fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
             (None, other) => name(&other),
         },
         psi: psi.map(|psi| psi.named_values()),
-        preset: name(&arguments.preset()),
+        preset: name(&arguments.preset),
     })
 }
 

@@ -15,8 +15,8 @@ pub const SAMPLE_TIMEOUT_NS: u64 = 6_000_000;
 
 /// The longest that a tick waits for its sample, whatever the link needs, ns. Of the tick's 10 ms that
 /// leaves 1.5 ms: 0.1 to decide, and 1.3 until an act is at the motor (a frame of USB, 14 bytes on the
-/// line). Then the act is at most 10 ms younger than its sample: within the 20 ms that the speed
-/// envelope assumes and that a device accepts.
+/// line). Then the act is at most 10 ms younger than its sample: within the 20 ms that foresight
+/// allows for and that a device accepts.
 pub const LONGEST_SAMPLE_TIMEOUT_NS: u64 = 8_500_000;
 
 /// What came of driving one motion to its end.

@@ -54,7 +54,7 @@ pub enum ControlEvent {
     Homed,
     /// The policy has had all its steps.
     TimeUp,
-    /// The safety box or the speed envelope is left.
+    /// The safety box is left, or the guard ends the rollout.
     LimitLeft,
     /// Somebody asks to stop.
     Stop,

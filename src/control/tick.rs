@@ -8,10 +8,7 @@ use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, State};
-use crate::safety::{
-    ForeseenBrake, Guard, Limit, Retreat, SpeedEnvelope, Trial, TrustedForesight, brake_voltage,
-    gate,
-};
+use crate::safety::{ForeseenBrake, Guard, Limit, Trial, TrustedForesight, brake_voltage, gate};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
@@ -21,7 +18,7 @@ const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
 /// Most ticks for a brake that brings the arm back to the middle and waits for the pendulum: 15 s.
-const MAX_RETREAT_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
+const MAX_RETURN_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
 /// Homing finds the stops within this, rad: so much nearer they are where a nominal Qube has them.
 const STOPS_MEASURED_WITHIN_RAD: f64 = 0.02;
@@ -50,15 +47,12 @@ pub struct Tick<C = Policy> {
     asking: Option<AskingPush>,
     settler: Settler,
     gentle: GentleSettler,
-    /// How much sooner than those of a nominal Qube the nearer stop comes, rad.
-    room_rad: f64,
     rest: RestDetector,
     back: BackDetector,
     control: ControlState,
     phase: Phase,
     periods_in_phase: u32,
     stopped_ticks: u32,
-    retreat: Retreat,
     /// Tries the brake before each voltage leaves, where that is the guard.
     foresight: Option<TrustedForesight>,
     foreseen_brake: ForeseenBrake,
@@ -93,7 +87,6 @@ impl<C: Controller> Tick<C> {
             asking: None,
             settler: Settler::default(),
             gentle: GentleSettler::default(),
-            room_rad,
             rest: RestDetector::default(),
             back: if is_witnessed {
                 BackDetector::off_stops(HARD_STOP_RAD - room_rad)
@@ -104,7 +97,6 @@ impl<C: Controller> Tick<C> {
             phase: Phase::Settling,
             periods_in_phase: 0,
             stopped_ticks: 0,
-            retreat: Retreat::with_room(room_rad),
             foresight: (settings.safety_box.guard == Guard::Foresight)
                 .then(|| settings.foresight.unwrap_or_default().foresight(settings.stops)),
             foreseen_brake: ForeseenBrake::default(),
@@ -176,21 +168,11 @@ impl<C: Controller> Tick<C> {
             }
             Phase::Running => {
                 let unpredicted = (predicted == Trial::Failed).then_some(Limit::Unpredicted);
-                let limit = self.limit_left().or(unpredicted)?;
+                let safety_box = &self.settings.safety_box;
+                let limit = safety_box.violation(&self.estimates.guarded).or(unpredicted)?;
                 Some((ControlEvent::LimitLeft, Ending::LeftBox(limit)))
             }
         }
-    }
-
-    /// The first limit that the state does not keep: of the box, or of an envelope that comes in as far
-    /// as the nearer stop does.
-    fn limit_left(&self) -> Option<Limit> {
-        let (safety_box, state) = (&self.settings.safety_box, &self.estimates.guarded);
-        let outside = || {
-            let envelope = safety_box.guard == Guard::Envelope && self.room_rad > 0.0;
-            envelope && !SpeedEnvelope::contains_with_room(state, self.room_rad)
-        };
-        safety_box.violation(state).or_else(|| outside().then_some(Limit::Envelope))
     }
 
     /// Whether braking is over.
@@ -205,7 +187,7 @@ impl<C: Controller> Tick<C> {
                 self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };
                 (self.stopped_ticks >= STOPPED_TICKS, MAX_BRAKING_TICKS)
             }
-            Guard::Envelope | Guard::Foresight => (self.back.is_back(theta), MAX_RETREAT_TICKS),
+            Guard::Envelope | Guard::Foresight => (self.back.is_back(theta), MAX_RETURN_TICKS),
         };
         let time_is_up = self.periods_in_phase >= most_ticks;
         if !stands && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
@@ -223,8 +205,9 @@ impl<C: Controller> Tick<C> {
         }
         match self.settings.safety_box.guard {
             Guard::Box => brake_voltage(self.estimates.guarded.theta_dot),
-            Guard::Envelope => self.retreat.voltage_v(&self.estimates.guarded),
-            Guard::Foresight => self.foreseen_brake.voltage_v(&self.estimates.guarded),
+            Guard::Envelope | Guard::Foresight => {
+                self.foreseen_brake.voltage_v(&self.estimates.guarded)
+            }
         }
     }
 
@@ -327,12 +310,7 @@ impl<C: Controller> Motion for Tick<C> {
                 self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
             }
             Some(Alarm::Zero(fault)) => self.take(ControlEvent::ZeroFault, Ending::Fault(fault)),
-            Some(Alarm::Brake(fault)) => {
-                if matches!(fault, Fault::PendulumJump | Fault::PendulumFrozen) {
-                    self.retreat.disbelieve_pendulum();
-                }
-                self.take(ControlEvent::BrakeFault, Ending::Fault(fault))
-            }
+            Some(Alarm::Brake(fault)) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
             None => false,
         };
         if off {

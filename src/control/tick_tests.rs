@@ -8,7 +8,7 @@ use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, drive};
 use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use crate::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use crate::qube::{DomainParameters, QubeModel, State, Status, wrap_angle};
-use crate::safety::{Guard, Limit, SafetyBox};
+use crate::safety::{Limit, SafetyBox};
 use crate::telemetry::{Ending, Fault, Phase, TickRecord, TickSettings};
 
 fn settings() -> TickSettings {
@@ -113,24 +113,8 @@ fn no_observer_however_wrong_moves_the_limits_of_the_box() {
 }
 
 #[test]
-fn under_the_envelope_the_arm_comes_back_and_never_touches_its_stop() {
-    let settings = TickSettings { safety_box: SafetyBox::GUARDED, ..settings() };
-    let mut device = PlantDevice::new(State::default());
-    let clock = device.clock.clone();
-    let mut tick = Tick::new(&settings, outward());
-    let stop = AtomicBool::new(false);
-    let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
-    assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Envelope));
-    assert_eq!(tick.control_state(), ControlState::Ready);
-    assert!(report.last_ticks.is_empty());
-    assert!(device.furthest_rad < 2.0, "{} rad", device.furthest_rad);
-    assert!(device.state.theta.abs() < 0.6, "{:?}", device.state);
-}
-
-#[test]
 fn under_foresight_the_arm_comes_back_and_never_touches_its_stop() {
-    let safety_box = SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS };
-    let settings = TickSettings { safety_box, ..settings() };
+    let settings = TickSettings { safety_box: SafetyBox::GUARDED, ..settings() };
     let mut device = PlantDevice::new(State::default());
     let clock = device.clock.clone();
     let mut tick = Tick::new(&settings, outward());
@@ -144,8 +128,7 @@ fn under_foresight_the_arm_comes_back_and_never_touches_its_stop() {
 
 #[test]
 fn foresight_ends_no_swing_up_of_a_nominal_qube() {
-    let safety_box = SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS };
-    let settings = TickSettings { safety_box, ..settings() };
+    let settings = TickSettings { safety_box: SafetyBox::GUARDED, ..settings() };
     let mut device = PlantDevice::new(State::default());
     let clock = device.clock.clone();
     let mut tick = Tick::new(&settings, classical());

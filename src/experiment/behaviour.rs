@@ -32,7 +32,7 @@ pub enum Behaviour {
     Stood,
     /// It stood at its end and calmly, but too late to earn 400.
     StoodLate,
-    /// It left the safety box or the speed envelope.
+    /// It left the safety box, or its guard ended it.
     LeftBox,
     /// It kept the pendulum about upright (within 0.5 rad in half of its last 300 steps), but did
     /// not hold it still, or held it by a voltage of at least 1 V (root mean square) that changed its

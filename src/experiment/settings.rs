@@ -1,8 +1,10 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
 
 use super::{ExperimentError, Plant, Recipe, RecipeModel, StrategySettings};
+use crate::session::{Retired, take_retired};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// Everything that decides an experiment, as `experiment.toml` holds it.
@@ -31,19 +33,57 @@ pub struct ExperimentSettings {
 }
 
 impl ExperimentSettings {
-    /// Reads `experiment.toml`.
+    /// Reads `experiment.toml`, of whatever time, to look at what is finished.
     ///
     /// # Errors
     /// The file cannot be read or is no experiment.
     pub fn load(path: &Path) -> Result<Self, ExperimentError> {
+        Self::loaded(path).map(|(settings, _)| settings)
+    }
+
+    /// Reads `experiment.toml` to go on by it.
+    ///
+    /// # Errors
+    /// The file cannot be read, is no experiment, or asks for what is no more.
+    pub fn load_to_resume(path: &Path) -> Result<Self, ExperimentError> {
+        let (settings, retired) = Self::loaded(path)?;
+        let retired = retired.iter().find(|entry| entry.changed_something()).map(|entry| {
+            format!("{entry}: an experiment goes on with the settings that it began with")
+        });
+        let gone = settings.recipes.iter().find_map(|recipe| {
+            let gone = recipe.settings.check_resumable().err()?;
+            Some(format!("recipe {}: {gone}", recipe.name))
+        });
+        match gone.or(retired) {
+            Some(reason) => Err(ExperimentError::Settings {
+                path: path.to_owned(),
+                reason: format!("{reason}; --table shows what is finished"),
+            }),
+            None => Ok(settings),
+        }
+    }
+
+    /// The settings, and what was read that is no setting any more.
+    fn loaded(path: &Path) -> Result<(Self, Vec<Retired>), ExperimentError> {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
-        let text =
+        let invalid = |error: toml::de::Error| unreadable(error.to_string().trim_end().to_owned());
+        let mut text =
             read_text(path, SETTINGS_BYTES).map_err(|error| unreadable(error.to_string()))?;
-        let settings: Self = toml::from_str(&text)
-            .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
+        let mut table: Table = toml::from_str(&text).map_err(invalid)?;
+        let recipes = table.get_mut("recipes").and_then(Value::as_array_mut);
+        let retired: Vec<Retired> = recipes
+            .into_iter()
+            .flatten()
+            .filter_map(|recipe| recipe.get_mut("settings").and_then(Value::as_table_mut))
+            .flat_map(take_retired)
+            .collect();
+        if !retired.is_empty() {
+            text = toml::to_string(&table)?;
+        }
+        let settings: Self = toml::from_str(&text).map_err(invalid)?;
         settings.check().map_err(unreadable)?;
-        Ok(settings)
+        Ok((settings, retired))
     }
 
     /// The whole as TOML.

@@ -25,7 +25,7 @@ pub(super) struct Batch {
 pub(super) struct Collector<'a> {
     pub policy: &'a Network,
     pub value: &'a Network,
-    pub distribution: DomainDistribution,
+    pub distribution: &'a DomainDistribution,
     pub settings: &'a TrainSettings,
     pub seed: u64,
     pub update: u32,
@@ -147,7 +147,7 @@ impl Collector<'_> {
     fn explorer(&self, lane: usize, number: u16) -> Explorer {
         let stream = |noise| Stream::Trajectory { update: self.update, lane, number, noise };
         Explorer {
-            trajectory: Trajectory::draw(&self.distribution, self.seed, stream(false).number()),
+            trajectory: Trajectory::draw(self.distribution, self.seed, stream(false).number()),
             number,
             generator: stream(true).generator(self.seed),
             spare: None,
@@ -200,7 +200,7 @@ mod tests {
         let collector = Collector {
             policy: &policy,
             value: &value,
-            distribution: DomainDistribution::nominal(),
+            distribution: &DomainDistribution::nominal(),
             settings: &settings,
             seed: 3,
             update: settings.updates / 2,

@@ -47,10 +47,6 @@ pub struct TrainSettings {
     /// And the smallest that it may become. Without it the standard deviation shrinks until a
     /// gradient step moves the mean by as much, and the policy collapses (docs/learning.md).
     pub smallest_log_std: f32,
-    /// Share of the updates over which the distribution widens, from its means alone to all of its
-    /// spread: who has learned to swing up one pendulum learns to swing up others. 0 is the thesis's
-    /// training; evaluations are under the whole distribution all along.
-    pub widening: f32,
     /// Weight of a change of the voltage in what is learned from, 1/V^2: a step whose voltage differs
     /// by dV from the one before earns exp(-weight dV^2) times its reward. It grows over the first half
     /// of the updates. Which policy is handed on goes by it too; returns that are told are plain.
@@ -87,7 +83,6 @@ impl TrainSettings {
             adam_epsilon: 1e-5,
             first_log_std: 0.0,
             smallest_log_std: -1.0,
-            widening: 0.0,
             voltage_change_weight: 0.0,
             evaluation_starts: 100,
             enough: None,
@@ -133,12 +128,9 @@ impl TrainSettings {
         bounded("largest_gradient_norm", self.largest_gradient_norm, norms, "above 0")?;
         bounded("first_log_std", self.first_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("smallest_log_std", self.smallest_log_std, -10.0..=2.0, "-10 to 2")?;
-        bounded("widening", self.widening, 0.0..=1.0, "0 to 1")?;
         let weights = 0.0..=10.0;
         bounded("voltage_change_weight", self.voltage_change_weight, weights, "0 to 10")?;
         bounded("simulation.history", self.simulation.history, 0..=MAX_HISTORY, "0 to 4")?;
-        let room_rad = self.simulation.envelope_room_rad;
-        bounded("simulation.envelope_room_rad", room_rad, 0.0..=1.0, "0 to 1")?;
         if let SensorModel::Encoders { estimator } = &self.simulation.sensors {
             estimator.check()?;
         }
@@ -155,39 +147,18 @@ impl TrainSettings {
         Self { updates: 60, pendulums: 16, clip: 0.2, first_log_std: 0.4, ..Self::thesis() }
     }
 
-    /// A policy that the machine can run, in some seconds: as [`Self::quick`], but in a simulation
-    /// with the machine's sensors and guard. The speed envelope leaves less room to swing up in, so
-    /// that twice the pendulums, a third more updates and a distribution that widens are needed.
-    #[must_use]
-    pub fn machine() -> Self {
-        Self {
-            updates: 80,
-            pendulums: 32,
-            widening: 0.6,
-            simulation: SimulationSettings::machine(),
-            ..Self::quick()
-        }
-    }
-
-    /// A policy for a Qube that is not quite known, in half a minute: of the distribution's Qubes many
-    /// leave the envelope if swung up as others can be, so that there is more to learn than for
-    /// [`Self::machine`], and the last two commands help.
+    /// A policy that the machine can run, in half a minute: in a simulation with the machine's sensors,
+    /// and with the last two commands beside the state for Qubes that have a delay and are not quite
+    /// known. There is more to learn than for [`Self::quick`], by four times the pendulums in twice the
+    /// updates.
     #[must_use]
     pub fn robust() -> Self {
         Self {
             updates: 120,
             pendulums: 64,
-            widening: 0.4,
             simulation: SimulationSettings::robust(),
-            ..Self::machine()
+            ..Self::quick()
         }
-    }
-
-    /// How much of the distribution's spread an update draws from, 0 to 1.
-    #[must_use]
-    pub fn spread_at(&self, update: u32) -> f64 {
-        let widening_updates = f64::from(self.widening) * f64::from(self.updates);
-        if widening_updates > 0.0 { (f64::from(update) / widening_updates).min(1.0) } else { 1.0 }
     }
 
     /// Weight of a change of the voltage in an update: it grows in a straight line over the first half,

@@ -11,7 +11,6 @@ use crate::policy::{
     TrainingRecord,
 };
 use crate::qube::COUNTS_PER_REVOLUTION;
-use crate::safety::Guard;
 use crate::simulation::{DomainDistribution, SensorModel};
 
 /// What came of a training.
@@ -30,8 +29,6 @@ pub struct Trained {
     pub curve: Vec<TrainUpdate>,
     /// How the simulation showed the state.
     pub sensors: SensorModel,
-    /// What ended a simulated rollout early beside the box.
-    pub guard: Guard,
     /// Weight of a change of the voltage in what was learned from, 1/V^2.
     pub voltage_change_weight: f32,
     /// Everything random in it.
@@ -69,11 +66,6 @@ impl Trained {
                 }
             }
         };
-        let guard = match self.guard {
-            // A simulation does not try the brake.
-            Guard::Box | Guard::Foresight => SimulatedGuard::Box,
-            Guard::Envelope => SimulatedGuard::Envelope,
-        };
         Policy::Network(NetworkPolicy {
             network: self.network,
             training: TrainingRecord {
@@ -84,7 +76,7 @@ impl Trained {
                 steps: last.map_or(0, |last| last.steps),
                 gradient_steps: last.map_or(0, |last| last.gradient_steps),
                 sensors,
-                guard,
+                guard: SimulatedGuard::Box,
                 voltage_change_weight: self.voltage_change_weight,
                 best_return: Some(self.best_return),
                 program_version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -100,7 +100,7 @@ impl<'a> Trainer<'a> {
         Collector {
             policy: &self.policy.network,
             value: &self.value.network,
-            distribution: self.distribution.narrowed(self.settings.spread_at(update)),
+            distribution: self.distribution,
             settings: self.settings,
             seed: self.seed,
             update,
@@ -168,7 +168,6 @@ impl<'a> Trainer<'a> {
             final_network: exported(&self.policy.network)?,
             final_return: self.curve.last().map_or(f64::NEG_INFINITY, |last| last.mean_return),
             sensors: self.settings.simulation.sensors,
-            guard: self.settings.simulation.safety_box.guard,
             voltage_change_weight: self.settings.voltage_change_weight,
             seed: self.seed,
             curve: self.curve,

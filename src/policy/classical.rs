@@ -32,7 +32,7 @@ pub struct ClassicalGains {
 impl Default for ClassicalGains {
     /// Balance: discrete LQR at 100 Hz on the nominal parameters linearised upright, Q = diag(1, 1,
     /// 0.02, 0.005), R = 0.05. Swing-up: the best worst case of a random search over gains, with the
-    /// starts of the test below, among those that stay inside the speed envelope.
+    /// starts of the test below, among those under which the arm can always be braked.
     fn default() -> Self {
         Self {
             pump_v_per_j: 111.0,

@@ -41,14 +41,14 @@ fn is_zero(weight: &f32) -> bool {
     *weight == 0.0
 }
 
-/// The guard of a training: `safety::Guard`, as a policy's file names it.
+/// The guard of a training, as a policy's file names it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SimulatedGuard {
-    /// Nothing beside the box; also that of files which name none.
+    /// Nothing beside the box: all that simulations know, and that of files which name none.
     #[default]
     Box,
-    /// The speed envelope.
+    /// That of trainings before foresight, which ended a simulated rollout sooner than the box.
     Envelope,
 }
 

@@ -1,7 +1,8 @@
 use crate::control::{Motion, Tick, TickInput};
 use crate::policy::Policy;
 use crate::recording::{Recording, return_of};
-use crate::telemetry::{Ending, Fault, TickRecord};
+use crate::safety::Guard;
+use crate::telemetry::{Ending, Fault, Phase, TickRecord};
 
 /// What came of running a recording again.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +21,9 @@ pub struct Rerun {
     pub not_compared: usize,
     /// How the rollout ended again; none where it is cut off.
     pub ending: Option<Ending>,
+    /// Whether its guard is no more: what came from its first braking tick on was not compared, and how it
+    /// ended is what the file says.
+    pub ending_of_the_file: bool,
 }
 
 /// One tick that decided otherwise.
@@ -45,13 +49,19 @@ impl Rerun {
 /// it decides. `policy` is the one attached to the recording.
 ///
 /// Where ticks are missing (the recorder had no room, a block is damaged) comparing ends: the
-/// filters' memory is lost with them.
+/// filters' memory is lost with them. It ends too where a rollout under [`Guard::Envelope`] brakes: that
+/// guard and its brake are no more.
 #[must_use]
 pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
     let mut tick = Tick::new(&recording.header.settings, policy);
     let outcome_ending = recording.outcome.as_ref().map(|outcome| outcome.ending);
     let ended_by = |fault| outcome_ending == Some(Ending::Fault(fault));
-    let whole = recording.ticks.iter().zip(0..).take_while(|(tick, number)| tick.tick == *number);
+    let knows_guard = recording.header.settings.safety_box.guard != Guard::Envelope;
+    let is_known = |tick: &&TickRecord| knows_guard || tick.phase != Phase::Braking;
+    let known = recording.ticks.iter().take_while(is_known).count();
+    let ticks = &recording.ticks[..known];
+    let ending_of_the_file = known < recording.ticks.len();
+    let whole = ticks.iter().zip(0..).take_while(|(tick, number)| tick.tick == *number);
     let compared: Vec<&TickRecord> = whole.map(|(tick, _)| tick).collect();
 
     let mut heat = recording.header.motor_heat;
@@ -99,8 +109,9 @@ pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
         actions_compared: compared.len(),
         actions_different: differences.len(),
         first_difference: differences.first().copied(),
-        not_compared: recording.ticks.len() - compared.len(),
-        ending,
+        not_compared: known - compared.len(),
+        ending: if ending_of_the_file { outcome_ending } else { ending },
+        ending_of_the_file,
     }
 }
 
@@ -136,7 +147,7 @@ mod tests {
     use crate::recording::samples::{POLICY, header, outcome};
     use crate::recording::{RolloutWriter, parse};
     use crate::safety::MotorHeat;
-    use crate::telemetry::{Phase, RolloutHeader, RolloutOutcome};
+    use crate::telemetry::{RolloutHeader, RolloutOutcome};
 
     fn classical(gains: ClassicalGains) -> Policy {
         Policy::Classical(ClassicalController::new(gains))

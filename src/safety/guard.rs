@@ -5,13 +5,14 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 pub enum Guard {
     /// Nothing beside the box, and a brake against the arm's velocity alone: the thesis's set-up.
-    /// A file which does not name its guard is older than the envelope and means this one; its reader
-    /// says so, not [`Default`].
+    /// A file which does not name its guard is older than any and means this one; its reader says so,
+    /// not [`Default`].
     Box,
-    /// The [`super::SpeedEnvelope`], and [`super::Retreat`] back to the middle.
-    #[default]
+    /// Of recordings before foresight; nothing is driven under it.
     Envelope,
-    /// A [`super::Foresight`] of the brake before each voltage leaves: on trial, for emulated Qubes alone.
+    /// A [`super::Foresight`] of the brake before each voltage leaves, and a [`super::ForeseenBrake`] back
+    /// to the middle.
+    #[default]
     Foresight,
 }
 

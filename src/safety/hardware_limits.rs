@@ -20,7 +20,7 @@ impl GuardConsent {
 }
 
 /// The widest box that a Qube which is hardware is driven in. Made of a box that is no wider than the
-/// task's, under the speed envelope unless there is a [`GuardConsent`].
+/// task's, under foresight unless there is a [`GuardConsent`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HardwareLimits {
     widest: SafetyBox,
@@ -42,26 +42,26 @@ pub enum TooWide {
     },
     /// The box alone, and nobody has accepted what may come of it.
     #[error(
-        "guard = \"box\" lets a policy drive the arm of a real Qube into its hard stop: leave the speed \
-         envelope on (guard = \"envelope\"), or give --guard box and --accept-hard-stop both on this \
+        "guard = \"box\" lets a policy drive the arm of a real Qube into its hard stop: leave the \
+         guard on (guard = \"foresight\"), or give --guard box and --accept-hard-stop both on this \
          command line"
     )]
     GuardOff,
-    /// Foresight of the brake, which nobody has tried on hardware.
+    /// The guard of recordings before foresight.
     #[error(
-        "guard = \"foresight\" is on trial, for emulated Qubes alone: leave the speed envelope on \
-         (guard = \"envelope\")"
+        "guard = \"envelope\" is known for the sake of old recordings, and nothing is driven under it any \
+         more"
     )]
-    GuardOnTrial,
+    EnvelopeGone,
 }
 
 impl HardwareLimits {
     /// A box with the right to it.
     ///
     /// # Errors
-    /// The box is wider than the task's, or leaves the envelope out without consent.
+    /// The box is wider than the task's, or leaves foresight out without consent.
     pub fn of(safety_box: SafetyBox, consent: Option<GuardConsent>) -> Result<Self, TooWide> {
-        let guard = if consent.is_some() { Guard::Box } else { Guard::Envelope };
+        let guard = if consent.is_some() { Guard::Box } else { Guard::Foresight };
         let of_the_task =
             Self { widest: SafetyBox { guard, ..SafetyBox::GUARDED }, ..Self::default() };
         of_the_task.admit(&safety_box)?;
@@ -86,9 +86,7 @@ impl HardwareLimits {
     /// It is wider than these limits in something.
     pub fn admit(&self, safety_box: &SafetyBox) -> Result<(), TooWide> {
         safety_box.check_within(&self.widest)?;
-        if safety_box.guard == Guard::Foresight {
-            return Err(TooWide::GuardOnTrial);
-        }
+        safety_box.guard.check_driven()?;
         if safety_box.guard.is_box() && !self.widest.guard.is_box() {
             return Err(TooWide::GuardOff);
         }
@@ -96,8 +94,18 @@ impl HardwareLimits {
     }
 }
 
+impl Guard {
+    /// Says whether a rollout may begin under this guard, on whatever Qube.
+    ///
+    /// # Errors
+    /// It is known for the sake of old recordings alone.
+    pub fn check_driven(self) -> Result<(), TooWide> {
+        if self == Self::Envelope { Err(TooWide::EnvelopeGone) } else { Ok(()) }
+    }
+}
+
 impl Default for HardwareLimits {
-    /// The task's box under the speed envelope, the nominal motor.
+    /// The task's box under foresight, the nominal motor.
     fn default() -> Self {
         Self { widest: SafetyBox::GUARDED, motor: MotorRating::NOMINAL }
     }
@@ -131,7 +139,7 @@ mod tests {
 
     #[test]
     fn what_nobody_chose_is_guarded() {
-        assert_eq!(Guard::default(), Guard::Envelope);
+        assert_eq!(Guard::default(), Guard::Foresight);
         assert_eq!(SafetyBox::default(), SafetyBox::GUARDED);
         assert_eq!(
             HardwareLimits::default(),
@@ -168,17 +176,17 @@ mod tests {
             (None, false),
             (None, true),
             (Some(Guard::Box), false),
-            (Some(Guard::Envelope), false),
-            (Some(Guard::Envelope), true),
+            (Some(Guard::Foresight), false),
+            (Some(Guard::Foresight), true),
         ] {
             let consent = GuardConsent::given(guard, accepts);
             assert_eq!(consent, None);
             assert_eq!(HardwareLimits::of(SafetyBox::THESIS, consent), Err(TooWide::GuardOff));
         }
-        let on_trial = SafetyBox { guard: Guard::Foresight, ..SafetyBox::THESIS };
+        let of_the_past = SafetyBox { guard: Guard::Envelope, ..SafetyBox::THESIS };
         let consent = GuardConsent::given(Some(Guard::Box), true);
         for consent in [None, consent] {
-            assert_eq!(HardwareLimits::of(on_trial, consent), Err(TooWide::GuardOnTrial));
+            assert_eq!(HardwareLimits::of(of_the_past, consent), Err(TooWide::EnvelopeGone));
         }
         let limits = HardwareLimits::of(SafetyBox::THESIS, consent).unwrap();
         assert_eq!(limits.admit(&SafetyBox::THESIS), Ok(()));

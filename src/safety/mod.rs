@@ -1,8 +1,8 @@
-//! What ends a rollout and what the motor is told then: the safety box, the speed envelope, the
+//! What ends a rollout and what the motor is told then: the safety box, the foresight of the brake, the
 //! motor's heat, the braking rules, the last gate.
 //!
-//! [`Foresight`] tries the brake for many Qubes at once before it is needed, where [`Guard::Foresight`] is
-//! chosen.
+//! [`Foresight`] tries the brake for many Qubes at once before it is needed, wherever nobody has chosen
+//! [`Guard::Box`].
 //!
 //! Pure state machine, readable alone. May import `qube`, `elementary` and, to simulate what a brake will
 //! see, `estimation`.
@@ -18,13 +18,12 @@ mod motor_heat;
 mod particle;
 mod places;
 mod safety_box;
-mod speed_envelope;
 mod trusted_foresight;
 mod voltage_gate;
 
 pub use belief::{Belief, BeliefError};
 pub use brake_law::{BrakeLaw, CentringBrake};
-pub use braking::{ForeseenBrake, Retreat, brake_voltage};
+pub use braking::{ForeseenBrake, brake_voltage};
 pub use foresight::{Ends, Foresight, Outlook, Prediction, Reach};
 pub use foresight_settings::{ForesightError, ForesightSettings, IdentifiedQube};
 pub use guard::Guard;
@@ -32,6 +31,5 @@ pub use hardware_limits::{GuardConsent, HardwareLimits, TooWide};
 pub use motor_heat::{COOLED_LOAD, LARGEST_LOAD, MotorHeat, WARNING_LOAD};
 pub use particle::Particle;
 pub use safety_box::{Limit, SafetyBox};
-pub use speed_envelope::SpeedEnvelope;
 pub use trusted_foresight::{Trial, TrustedForesight};
 pub use voltage_gate::{NotANumber, gate};

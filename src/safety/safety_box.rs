@@ -2,7 +2,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Guard, SpeedEnvelope};
+use super::Guard;
 use crate::elementary::Scalar;
 use crate::qube::State;
 
@@ -40,7 +40,7 @@ pub enum Limit {
     ThetaDot,
     /// |alpha_dot|.
     AlphaDot,
-    /// The speed envelope: a little later the hard stop could not be avoided any more.
+    /// The guard of recordings before foresight, whose limit was the state's alone.
     Envelope,
     /// A little later the brake could no longer keep every Qube that this one may be off its stop.
     Foresight,
@@ -67,9 +67,9 @@ impl SafetyBox {
     pub const THESIS: Self =
         Self { theta: 2.3, alpha: 4.0 * PI, theta_dot: 30.0, alpha_dot: 40.0, guard: Guard::Box };
 
-    /// The thesis's limits inside the speed envelope: what every rollout on a Qube runs under unless
-    /// somebody switches the envelope off.
-    pub const GUARDED: Self = Self { guard: Guard::Envelope, ..Self::THESIS };
+    /// The thesis's limits under foresight: what every rollout on a Qube runs under unless somebody
+    /// switches the guard off.
+    pub const GUARDED: Self = Self { guard: Guard::Foresight, ..Self::THESIS };
 
     /// The same box in another number type.
     #[must_use]
@@ -95,8 +95,6 @@ impl SafetyBox {
             Some(Limit::ThetaDot)
         } else if !keeps(state.alpha_dot, self.alpha_dot) {
             Some(Limit::AlphaDot)
-        } else if self.guard == Guard::Envelope && !SpeedEnvelope::contains(state) {
-            Some(Limit::Envelope)
         } else {
             None
         }
@@ -104,22 +102,19 @@ impl SafetyBox {
 }
 
 impl<T: Scalar> SafetyBox<T> {
-    /// Whether a state keeps all limits, and so much room to the envelope where that is the guard;
-    /// without a branch, for loops over many pendulums.
+    /// Whether a state keeps all limits; without a branch, for loops over many pendulums.
     #[inline(always)]
-    pub fn contains(&self, state: &State<T>, envelope_room_rad: T) -> bool {
+    pub fn contains(&self, state: &State<T>) -> bool {
         (state.theta.abs() < self.theta)
             & (state.alpha.abs() < self.alpha)
             & (state.theta_dot.abs() < self.theta_dot)
             & (state.alpha_dot.abs() < self.alpha_dot)
-            & (self.guard != Guard::Envelope
-                || SpeedEnvelope::contains_with_room(state, envelope_room_rad))
     }
 }
 
 impl<T: Scalar> SafetyBox<T> {
     /// What a file means that says nothing of a limit or of the guard: it was written before there was
-    /// an envelope, and ran in the thesis's box.
+    /// any guard, and ran in the thesis's box.
     fn of_silent_files() -> Self {
         SafetyBox::THESIS.cast()
     }
@@ -140,7 +135,7 @@ mod tests {
     fn each_limit_is_named_on_both_sides_and_for_nan() {
         let inside = State { theta: 2.29, alpha: -12.5, theta_dot: 29.9, alpha_dot: -39.9 };
         assert_eq!(SafetyBox::THESIS.violation(&inside), None);
-        assert!(SafetyBox::THESIS.contains(&inside, 0.0));
+        assert!(SafetyBox::THESIS.contains(&inside));
         for sign in [1.0, -1.0, f64::NAN] {
             for (state, limit) in [
                 (State { theta: 2.3 * sign, ..inside }, Limit::Theta),
@@ -149,7 +144,7 @@ mod tests {
                 (State { alpha_dot: 40.0 * sign, ..inside }, Limit::AlphaDot),
             ] {
                 assert_eq!(SafetyBox::THESIS.violation(&state), Some(limit));
-                assert!(!SafetyBox::THESIS.contains(&state, 0.0));
+                assert!(!SafetyBox::THESIS.contains(&state));
             }
         }
     }

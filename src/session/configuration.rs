@@ -6,7 +6,7 @@ use thiserror::Error;
 use toml::{Table, Value};
 
 use super::qube_file::LARGEST_OFFSET_RAD;
-use super::{FolderError, ProfileSettings, SessionSettings};
+use super::{FolderError, ProfileSettings, SessionSettings, take_retired};
 use crate::qube::MAX_STEPS;
 use crate::safety::{Guard, SafetyBox};
 use crate::simulation::{PsiTarget, SensorModel};
@@ -48,13 +48,26 @@ pub enum ConfigurationError {
 }
 
 impl SessionSettings {
-    /// Reads a whole configuration. One that names no guard is older than the envelope and means the
-    /// box alone.
+    /// Reads a whole configuration, to go on by it. One that names no guard is older than any and means
+    /// the box alone.
     ///
     /// # Errors
-    /// It cannot be read or is no configuration.
+    /// It cannot be read, is no configuration, or asks for what is no more.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
-        Self::default().under(Guard::Box).overridden_by(path)
+        let mut text = read(path)?;
+        let mut table: Table = parsed(&text, path)?;
+        let retired = take_retired(&mut table);
+        let out_of_range =
+            |reason| ConfigurationError::OutOfRange { path: path.to_owned(), reason };
+        if let Some(entry) = retired.iter().find(|entry| entry.changed_something()) {
+            return Err(out_of_range(format!("{entry}: {BEGIN_ANEW}")));
+        }
+        if !retired.is_empty() {
+            text = toml::to_string(&table)?;
+        }
+        let settings = Self::default().under(Guard::Box).laid_under(&text, path)?;
+        settings.check_resumable().map_err(out_of_range)?;
+        Ok(settings)
     }
 
     /// These settings with the entries of a file instead of their own.
@@ -74,10 +87,7 @@ impl SessionSettings {
     pub fn configured_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         let settings = self.overridden_by_text(&text, path)?;
-        let file: Table = toml::from_str(&text).map_err(|source| ConfigurationError::Invalid {
-            path: path.to_owned(),
-            source: Box::new(source),
-        })?;
+        let file: Table = parsed(&text, path)?;
         let simulation = file.get("training").and_then(|training| training.get("simulation"));
         let simulated = simulation.and_then(|simulation| simulation.get("sensors"));
         let estimator = match (file.get("estimator"), settings.training.simulation.sensors) {
@@ -93,8 +103,19 @@ impl SessionSettings {
     /// named in errors. Safe for text of any origin.
     ///
     /// # Errors
-    /// The text holds something that is no setting.
+    /// The text holds something that is no setting, or asks for what is no more.
     pub fn overridden_by_text(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
+        let out_of_range =
+            |reason| ConfigurationError::OutOfRange { path: path.to_owned(), reason };
+        if let Some(entry) = take_retired(&mut parsed(text, path)?).first() {
+            return Err(out_of_range(format!("{entry}: leave it out")));
+        }
+        let settings = self.laid_under(text, path)?;
+        settings.check_begun().map_err(out_of_range)?;
+        Ok(settings)
+    }
+
+    fn laid_under(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
         let invalid = |source| ConfigurationError::Invalid {
             path: path.to_owned(),
             source: Box::new(source),
@@ -175,12 +196,51 @@ impl SessionSettings {
         }
         self.homing.estimator.check().map_err(|error| format!("homing.estimator.{error}"))
     }
+
+    /// Says in words why what ran with these settings cannot be gone on with, if it cannot.
+    ///
+    /// # Errors
+    /// It ran under a guard that is no more.
+    pub fn check_resumable(&self) -> Result<(), String> {
+        let simulated = self.training.simulation.safety_box.guard;
+        for (key, guard) in
+            [("safety_box", self.safety_box.guard), ("training.simulation.safety_box", simulated)]
+        {
+            if let Err(gone) = guard.check_driven() {
+                return Err(format!("{key}.{gone}: {BEGIN_ANEW}"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Says in words why nothing can begin with these settings, if it cannot.
+    fn check_begun(&self) -> Result<(), String> {
+        if !self.training.simulation.safety_box.guard.is_box() {
+            return Err(
+                "training.simulation.safety_box.guard: simulations know no guard beside the \
+                        box: leave it out"
+                    .into(),
+            );
+        }
+        let give = "give guard = \"foresight\", which is in its place, or leave it out";
+        self.safety_box.guard.check_driven().map_err(|gone| format!("safety_box.{gone}: {give}"))
+    }
 }
+
+/// What to do about settings of the past that something is to go on by.
+const BEGIN_ANEW: &str = "it goes on with the settings that it began with, so begin a new one";
 
 /// The text of a configuration.
 pub(super) fn read(path: &Path) -> Result<String, ConfigurationError> {
     read_text(path, SETTINGS_BYTES)
         .map_err(|source| ConfigurationError::Unreadable { path: path.to_owned(), source })
+}
+
+fn parsed(text: &str, path: &Path) -> Result<Table, ConfigurationError> {
+    toml::from_str(text).map_err(|source| ConfigurationError::Invalid {
+        path: path.to_owned(),
+        source: Box::new(source),
+    })
 }
 
 fn lay_over(below: &mut Table, above: Table) {

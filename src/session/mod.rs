@@ -16,6 +16,7 @@ mod plan;
 mod power_test;
 mod qube_file;
 mod quietness;
+mod retired;
 mod rig;
 mod rig_error;
 mod seeds;
@@ -36,6 +37,7 @@ pub use plan::{Candidate, Extent, Step, candidates, next_step};
 pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use quietness::{ABOUT_UPRIGHT_RAD, Quietness, QuietnessFigures};
+pub use retired::{Retired, take_retired};
 pub use rig::{
     ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, MAX_NOT_BEGUN, Pressed, Recorded,
     Recovery, Rig, RigSettings, TimedDevice,

@@ -510,7 +510,8 @@ impl Rig {
     /// filled into the header.
     ///
     /// # Errors
-    /// The box is wider than a rig that is hardware may have, whoever asks for it; the device could not
+    /// The box is wider than a rig that is hardware may have, whoever asks for it, or its guard is no more;
+    /// the device could not
     /// be armed, the policy is none, the recording could not be written. A
     /// rollout that ended by a fault is no error here: its outcome says so.
     pub fn rollout(
@@ -520,6 +521,7 @@ impl Rig {
         header: RolloutHeader,
         policy_file: &[u8],
     ) -> Result<Recorded, RigError> {
+        header.settings.safety_box.guard.check_driven()?;
         if self.is_hardware() {
             self.limits.admit(&header.settings.safety_box)?;
         }

@@ -148,8 +148,8 @@ impl SessionSettings {
         }
     }
 
-    /// The thesis's own model, extent and training budget. Simulations have the machine's sensors and
-    /// guard: what is trained on true states fails on the machine (docs/learning.md).
+    /// The thesis's own model, extent and training budget. Simulations have the machine's sensors: what
+    /// is trained on true states fails on the machine (docs/learning.md).
     #[must_use]
     pub fn thesis() -> Self {
         let training =
@@ -157,11 +157,10 @@ impl SessionSettings {
         Self { model: Model::OptNominal, extent: Extent::THESIS, training, ..Self::quick() }
     }
 
-    /// Puts rollouts and simulations alike under this guard.
+    /// Puts rollouts under this guard.
     #[must_use]
     pub fn under(mut self, guard: Guard) -> Self {
         self.safety_box.guard = guard;
-        self.training.simulation.safety_box.guard = guard;
         self
     }
 
@@ -225,15 +224,13 @@ impl SessionSettings {
     /// What a policy's file says of where it comes from.
     #[must_use]
     pub fn origin(&self, psi: &[f64]) -> Origin {
-        // Sensors and guard are named in the policy's record beside the preset.
+        // Sensors are named in the policy's record beside the preset.
         let same_budget = |preset: TrainSettings| {
             let simulation = self.training.simulation;
             self.training == TrainSettings { simulation, ..preset }
         };
         let preset = if same_budget(TrainSettings::robust()) {
             "robust"
-        } else if same_budget(TrainSettings::machine()) {
-            "machine"
         } else if same_budget(TrainSettings::quick()) {
             "quick"
         } else if same_budget(TrainSettings::thesis()) {

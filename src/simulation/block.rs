@@ -71,7 +71,6 @@ pub(super) struct Surroundings {
     pub(super) history: usize,
     pub(super) reward: RewardWeights<f32>,
     pub(super) safety_box: SafetyBox<f32>,
-    pub(super) envelope_room_rad: f32,
 }
 
 /// One control period of all blocks.
@@ -159,11 +158,11 @@ fn earn(block: &Block, reward: &RewardWeights<f32>, voltages_v: &Lanes, rewards:
 
 #[inline(always)]
 fn judge(block: &mut Block, surroundings: &Surroundings, progress: &mut [Progress; BLOCK]) {
-    let Surroundings { safety_box, envelope_room_rad, .. } = surroundings;
+    let safety_box = &surroundings.safety_box;
     for lane in 0..BLOCK {
         block.steps[lane] += 1;
         let time_is_up = block.steps[lane] >= MAX_STEPS as u32;
-        let inside = safety_box.contains(&block.sight.guarded.lane(lane), *envelope_room_rad);
+        let inside = safety_box.contains(&block.sight.guarded.lane(lane));
         let in_the_box = if time_is_up { Progress::TimeUp } else { Progress::Running };
         progress[lane] = if inside { in_the_box } else { Progress::LeftBox };
     }

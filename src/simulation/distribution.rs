@@ -128,20 +128,6 @@ impl Distribution {
         }
     }
 
-    /// The same mean, the standard deviation `share` times as large.
-    #[must_use]
-    pub fn narrowed(self, share: f64) -> Self {
-        match self {
-            Self::Constant { value } => Self::Constant { value },
-            Self::Normal { mean, standard_deviation } => {
-                Self::Normal { mean, standard_deviation: share * standard_deviation }
-            }
-            Self::Uniform { mean, standard_deviation } => {
-                Self::Uniform { mean, standard_deviation: share * standard_deviation }
-            }
-        }
-    }
-
     /// Says what is not physical about drawing this quantity so, if anything is.
     ///
     /// # Errors

@@ -162,12 +162,6 @@ impl DomainDistribution {
         self
     }
 
-    /// The same means, each standard deviation `share` times as large, 0 to 1.
-    #[must_use]
-    pub fn narrowed(&self, share: f64) -> Self {
-        Self { distributions: self.distributions.map(|distribution| distribution.narrowed(share)) }
-    }
-
     /// How a quantity is drawn.
     #[must_use]
     pub fn get(&self, quantity: impl Into<Quantity>) -> Distribution {
@@ -237,19 +231,6 @@ mod tests {
             let opt = DomainDistribution::opt_nominal(&psi, family);
             assert_eq!(is_random(&opt), masses_and_lengths);
             assert_eq!(is_random(&DomainDistribution::opt_handcrafted(&psi, family)), [true; 9]);
-        }
-    }
-
-    #[test]
-    fn a_narrowed_distribution_keeps_its_means() {
-        let wide = DomainDistribution::handcrafted(Family::Uniform);
-        for share in [0.0, 0.3, 1.0] {
-            let narrow = wide.narrowed(share);
-            for parameter in DomainParameter::ALL {
-                let (wide, narrow) = (wide.get(parameter), narrow.get(parameter));
-                assert_eq!(narrow.mean(), wide.mean());
-                assert_eq!(narrow.standard_deviation(), share * wide.standard_deviation());
-            }
         }
     }
 

@@ -122,7 +122,7 @@ mod tests {
             let Trajectory { model, start } = Trajectory::draw(&distribution, 5, number as u64);
             let dynamics = Dynamics::new(&model.parameters);
             let (mut state, mut earned, mut taken) = (start, 0.0, 0);
-            while taken < MAX_STEPS as u32 && SafetyBox::THESIS.contains(&state, 0.0) {
+            while taken < MAX_STEPS as u32 && SafetyBox::THESIS.contains(&state) {
                 let voltage_v = (3.0 - 2.0 * 0.1 * state.theta_dot).clamp(-5.0, 5.0);
                 earned += RewardWeights::THESIS.reward(&state, voltage_v);
                 state = control_step(&dynamics, state, voltage_v);

@@ -58,7 +58,6 @@ impl Pendulums {
                 history: settings.history,
                 reward: settings.reward.cast(),
                 safety_box: settings.safety_box.cast(),
-                envelope_room_rad: settings.envelope_room_rad as f32,
             },
             observation_size: settings.observation_size(),
             level: Level::best(),

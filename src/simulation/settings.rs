@@ -17,11 +17,8 @@ pub struct SimulationSettings {
     pub history: usize,
     /// What a step earns.
     pub reward: RewardWeights,
-    /// What ends a trajectory early.
+    /// What ends a trajectory early; simulations know no guard beside it.
     pub safety_box: SafetyBox,
-    /// By how much the speed envelope ends a trajectory sooner than on the machine, rad: a policy that
-    /// has gone to its edge in simulation crosses it on a Qube that is a little different.
-    pub envelope_room_rad: f64,
 }
 
 impl SimulationSettings {
@@ -43,19 +40,18 @@ impl SimulationSettings {
         self
     }
 
-    /// What the machine has, with room to its envelope, and the last two commands in the observation:
-    /// for Qubes that have a delay and are not quite known.
+    /// What the machine has, and the last two commands in the observation: for Qubes that have a delay
+    /// and are not quite known.
     #[must_use]
     pub fn robust() -> Self {
-        Self { history: 2, envelope_room_rad: 0.15, ..Self::machine() }
+        Self { history: 2, ..Self::machine() }
     }
 
-    /// What the machine has: encoders, their velocity filter, and the speed envelope.
+    /// What the machine has: encoders and their velocity filter.
     #[must_use]
     pub fn machine() -> Self {
         Self {
             sensors: SensorModel::Encoders { estimator: EstimatorSettings::default() },
-            safety_box: SafetyBox::GUARDED,
             ..Self::default()
         }
     }
@@ -69,7 +65,6 @@ impl Default for SimulationSettings {
             history: 0,
             reward: RewardWeights::THESIS,
             safety_box: SafetyBox::THESIS,
-            envelope_room_rad: 0.0,
         }
     }
 }

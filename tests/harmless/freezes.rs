@@ -77,7 +77,7 @@ pub fn rollout(
     let settings = TickSettings {
         calibration,
         estimator: EstimatorSettings::default(),
-        safety_box: SafetyBox::GUARDED,
+        safety_box: SafetyBox::THESIS,
         max_steps: 600,
         start_theta_rad: 0.05,
         stops: None,

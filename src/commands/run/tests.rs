@@ -19,7 +19,16 @@ fn settings(fault: Option<&str>) -> RigSettings {
 
 /// Rollouts of the classical controller: how they ended, and what they came to.
 fn run(settings: RigSettings, directory: &Path, rollouts: u32) -> (Result<(), Failure>, Results) {
-    let plan = RolloutPlan::single("run", "classical");
+    run_within(SafetyBox::GUARDED, settings, directory, rollouts)
+}
+
+fn run_within(
+    safety_box: SafetyBox,
+    settings: RigSettings,
+    directory: &Path,
+    rollouts: u32,
+) -> (Result<(), Failure>, Results) {
+    let plan = RolloutPlan { safety_box, ..RolloutPlan::single("run", "classical") };
     let files = vec![policy_file("classical").unwrap()];
     let driver = Driver { name: "classical".into(), files, steps: plan.steps };
     let (stop, keyboard) = (Stop::default(), Keyboard::none());
@@ -82,7 +91,9 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
 #[test]
 fn a_cable_that_is_plugged_in_again_voids_one_rollout_and_the_run_goes_on() {
     let directory = tempfile::tempdir().unwrap();
-    let (ended, results) = run(settings(Some("unplug@9+3")), directory.path(), 3);
+    // In the box, where a rollout lasts until the cable is out.
+    let settings = settings(Some("unplug@9+3"));
+    let (ended, results) = run_within(SafetyBox::THESIS, settings, directory.path(), 3);
     ended.unwrap();
     let void: Vec<usize> = (0..3).filter(|number| results.returns[*number].is_none()).collect();
     let [void] = void[..] else { panic!("{:?}", results.returns) };
