@@ -48,6 +48,11 @@ pub struct QubeArguments {
     /// --qube file says, else stops]
     #[arg(long, value_enum)]
     home: Option<HomeArgument>,
+
+    /// Guard the emulated Qube as one of which nothing is known [default: it is known within 10 %, as one that
+    /// was identified]
+    #[arg(long, conflicts_with = "qube")]
+    unidentified: bool,
 }
 
 /// The two clocks by name.
@@ -82,6 +87,8 @@ pub struct ChosenDevice {
     home: Option<HomingMethod>,
     /// What the Qube was when its profile was made, where the file names one.
     pub profile: Option<Profile>,
+    /// Whether nothing is to be known of the embedded emulated Qube.
+    unidentified: bool,
 }
 
 impl DeviceArguments {
@@ -130,6 +137,7 @@ impl QubeArguments {
             choice,
             clock,
             profile,
+            unidentified: self.unidentified,
             path: path.map(Path::to_owned),
             file,
             home: self.home.map(|home| match home {
@@ -195,6 +203,7 @@ impl ChosenDevice {
             skip_check: check.skip_check,
             board: self.file.as_ref().and_then(|file| file.board.clone()),
             profile: self.profile.clone(),
+            unidentified: self.unidentified,
             recovery: check.recovery(&self.choice),
             limits: HardwareLimits::default().with_motor(self.motor()),
         }

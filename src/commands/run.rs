@@ -164,6 +164,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
     }
+    if let Some(warning) = settings.identification_warning(safety_box.guard) {
+        eprintln!("warning: {warning}");
+    }
     if settings.checks() {
         eprintln!("checking the Qube: the arm is pushed a little (--skip-check leaves it out)");
     }

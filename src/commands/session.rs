@@ -134,6 +134,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
     }
+    if let Some(warning) = rig_settings.identification_warning(settings.safety_box.guard) {
+        eprintln!("warning: {warning}");
+    }
     if rig_settings.checks() {
         eprintln!("first the Qube is checked and homed (--skip-check leaves the check out)");
     }

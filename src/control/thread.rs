@@ -493,7 +493,7 @@ mod tests {
         let settings = TickSettings {
             calibration: Calibration::IDENTITY,
             estimator: EstimatorSettings::default(),
-            safety_box: SafetyBox::GUARDED,
+            safety_box: SafetyBox::THESIS,
             max_steps: 100,
             start_theta_rad: 0.0,
             stops: None,

@@ -181,7 +181,7 @@ impl<C: Controller> Tick<C> {
         let speed_rad_s = theta_dot.abs();
         let (stands, most_ticks) = match self.settings.safety_box.guard {
             // A count that stands is at rest at once, and is waited for: the arm may not stand.
-            _ if self.damps => (self.back.is_back(theta), MAX_RETREAT_TICKS),
+            _ if self.damps => (self.back.is_back(theta), MAX_RETURN_TICKS),
             Guard::Box => {
                 let slow = speed_rad_s < STOPPED_RAD_S;
                 self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };

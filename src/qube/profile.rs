@@ -97,6 +97,19 @@ pub enum ProfileError {
 }
 
 impl Profile {
+    /// Of a Qube that is known exactly.
+    #[must_use]
+    pub fn exact(name: &str, model: &QubeModel) -> Self {
+        Self {
+            name: name.to_owned(),
+            parameters: model.parameters,
+            gap: model.gap,
+            standard_errors: BTreeMap::new(),
+            correlations: None,
+            provenance: None,
+        }
+    }
+
     /// Reads a profile from TOML.
     ///
     /// # Errors

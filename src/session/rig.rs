@@ -106,6 +106,9 @@ pub struct RigSettings {
     pub board: Option<String>,
     /// What the Qube was found to be, where it is identified.
     pub profile: Option<Profile>,
+    /// Guard the embedded emulated Qube as one of which nothing is known; without a profile it is known to
+    /// be about what it is made of.
+    pub unidentified: bool,
     /// The widest box of a rollout where the Qube is hardware; an emulated one has no such limits.
     pub limits: HardwareLimits,
     /// What is done after a fault.
@@ -143,6 +146,7 @@ impl RigSettings {
             skip_check: false,
             board: None,
             profile: None,
+            unidentified: false,
             limits: HardwareLimits::default(),
             recovery: Recovery::default(),
         }
@@ -161,10 +165,27 @@ impl RigSettings {
     }
 
     /// What the guard may believe of the Qube: a real one's profile counts for its own board alone.
-    fn identified(&self) -> Option<IdentifiedQube> {
-        let profile = self.profile.as_ref();
-        let own = profile.filter(|_| self.board.is_some() || !self.is_hardware());
-        own.map(IdentifiedQube::of)
+    #[must_use]
+    pub fn identified(&self) -> Option<IdentifiedQube> {
+        match &self.profile {
+            Some(profile) if self.board.is_some() || !self.is_hardware() => {
+                Some(IdentifiedQube::of(profile))
+            }
+            None if matches!(self.device, DeviceChoice::Emulated) && !self.unidentified => {
+                Some(IdentifiedQube::of(&Profile::exact("emulated", &self.emulator.model)))
+            }
+            _ => None,
+        }
+    }
+
+    /// What is to be said before a Qube is driven that is not identified; none where it is, or where nothing
+    /// looks ahead.
+    #[must_use]
+    pub fn identification_warning(&self, guard: Guard) -> Option<&'static str> {
+        (guard == Guard::Foresight && self.identified().is_none()).then_some(
+            "this Qube is not identified: its guard allows for any Qube within 30 % and ends most swing-ups \
+             early. Make its profile (run --excite chirp, then identify), and name profile and board in qube.toml",
+        )
     }
 
     /// Whether opening such a rig begins with a check.

@@ -98,14 +98,8 @@ impl<'a> FromRecordings<'a> {
             Ok(found) => found.model,
             Err(why) => return Ok(Err(why.to_string())),
         };
-        let profile = Profile {
-            name: format!("{} from {recordings} recordings", self.course.name),
-            parameters: found.parameters,
-            gap: found.gap,
-            standard_errors: Default::default(),
-            correlations: None,
-            provenance: None,
-        };
+        let name = format!("{} from {recordings} recordings", self.course.name);
+        let profile = Profile::exact(&name, &found);
         Ok(Ok(toml::to_string_pretty(&profile)?))
     }
 
