@@ -106,8 +106,8 @@ pub struct RigSettings {
     pub board: Option<String>,
     /// What the Qube was found to be, where it is identified.
     pub profile: Option<Profile>,
-    /// Guard the embedded emulated Qube as one of which nothing is known; without a profile it is known to
-    /// be about what it is made of.
+    /// Guard an emulated Qube as one of which nothing is known; without a profile it is known to be about what
+    /// it is made of.
     pub unidentified: bool,
     /// The widest box of a rollout where the Qube is hardware; an emulated one has no such limits.
     pub limits: HardwareLimits,
@@ -171,7 +171,7 @@ impl RigSettings {
             Some(profile) if self.board.is_some() || !self.is_hardware() => {
                 Some(IdentifiedQube::of(profile))
             }
-            None if matches!(self.device, DeviceChoice::Emulated) && !self.unidentified => {
+            None if !self.is_hardware() && !self.unidentified => {
                 Some(IdentifiedQube::of(&Profile::exact("emulated", &self.emulator.model)))
             }
             _ => None,
