@@ -9,9 +9,9 @@ use qube_hil::device::{
     Device, DeviceError, Identity, InProcessWire, LinkFault, SerialLink, Transport,
 };
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::qube::Measurement;
+use qube_hil::qube::{Measurement, Profile, QubeModel};
 use qube_hil::recording::{parse, read};
-use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox, TooWide};
+use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, IdentifiedQube, SafetyBox, TooWide};
 use qube_hil::session::{
     Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice,
 };
@@ -227,4 +227,24 @@ fn what_is_written_names_its_guard() {
     let header = parse(&old("recording/two-blocks")).unwrap().header;
     let json = serde_json::to_string(&header).unwrap();
     assert!(!json.contains("hard_stop_accepted"), "{json}");
+}
+
+#[test]
+fn a_real_qubes_profile_counts_for_its_own_board_alone() {
+    let profile = Profile::exact("mine", &QubeModel::NOMINAL);
+    let known = Some(IdentifiedQube::of(&profile));
+    let emulated = RigSettings::in_virtual_time(DeviceChoice::Emulated);
+    assert_eq!(emulated.identified(), known, "it is made of nothing else");
+    assert!(RigSettings { unidentified: true, ..emulated }.identified().is_none());
+
+    let port = RigSettings::in_virtual_time(DeviceChoice::Port("/dev/null".into()));
+    assert!(port.identified().is_none());
+    let of_any_board = RigSettings { profile: Some(profile), ..port };
+    assert!(of_any_board.identified().is_none());
+    let warning = of_any_board.identification_warning(Guard::Foresight);
+    assert!(warning.is_some_and(|warning| warning.contains("name profile and board")));
+    assert!(of_any_board.identification_warning(Guard::Box).is_none());
+    let of_its_board = RigSettings { board: Some("1234".into()), ..of_any_board };
+    assert_eq!(of_its_board.identified(), known);
+    assert!(of_its_board.identification_warning(Guard::Foresight).is_none());
 }

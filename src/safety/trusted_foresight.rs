@@ -102,3 +102,70 @@ impl TrustedForesight {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{ForesightSettings, IdentifiedQube};
+    use super::*;
+    use crate::qube::{
+        CONTROL_PERIOD_S, GapDynamics, Profile, QubeModel, quantised, runge_kutta_4,
+    };
+
+    /// Follows a Qube that is pushed to and fro, and what comes of the last sample; the share of the
+    /// voltage arrives.
+    fn follow(plant: &QubeModel, share: f64) -> (TrustedForesight, Trial) {
+        let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap();
+        let identified = Some(IdentifiedQube::of(&Profile::exact("lab", &lab.model())));
+        let settings = ForesightSettings { identified, ..ForesightSettings::default() };
+        let mut foresight = settings.foresight(None);
+        foresight.begin_policy();
+        let plant =
+            QubeModel { gap: crate::qube::Gap { command_delay_s: 0.01, ..plant.gap }, ..*plant };
+        let dynamics = GapDynamics::new(&plant);
+        let (mut state, mut sent_v) = (State::default(), [0.0; MAX_HISTORY]);
+        let mut before = state;
+        let mut worst = Trial::Passed;
+        for tick in 0..200_u64 {
+            let seen = State {
+                theta: quantised(state.theta),
+                alpha: quantised(state.alpha),
+                theta_dot: (quantised(state.theta) - quantised(before.theta)) / CONTROL_PERIOD_S,
+                alpha_dot: (quantised(state.alpha) - quantised(before.alpha)) / CONTROL_PERIOD_S,
+            };
+            before = state;
+            if foresight.follow(&seen, 10_000 * tick, &sent_v) == Trial::Failed {
+                worst = Trial::Failed;
+            }
+            // What was sent a period ago arrives now.
+            let arriving_v = share * f64::from(sent_v[0]);
+            let voltage_v = if tick % 30 < 15 { 3.5 } else { -3.5 };
+            for _ in 0..20 {
+                state = runge_kutta_4(&dynamics, state, arriving_v, CONTROL_PERIOD_S / 20.0);
+            }
+            sent_v.rotate_right(1);
+            sent_v[0] = voltage_v;
+        }
+        (foresight, worst)
+    }
+
+    #[test]
+    fn a_profile_is_trusted_while_it_predicts_and_no_longer() {
+        let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap().model();
+        let (foresight, own) = follow(&lab, 1.0);
+        assert_eq!(own, Trial::Passed);
+        assert_eq!(foresight.identified.unwrap().trust, Trust::Earned);
+        let mut other_pendulum = lab;
+        other_pendulum.parameters.pendulum_length_m *= 1.5;
+        let mut heavy_arm = lab;
+        heavy_arm.parameters.rotary_mass_kg *= 2.0;
+        for (name, plant, share) in [
+            ("another pendulum", other_pendulum, 1.0),
+            ("another arm", heavy_arm, 1.0),
+            ("a weak supply", lab, 0.5),
+        ] {
+            let (foresight, trial) = follow(&plant, share);
+            assert_eq!(trial, Trial::Failed, "{name}");
+            assert_eq!(foresight.identified.unwrap().trust, Trust::Lost, "{name}");
+        }
+    }
+}
