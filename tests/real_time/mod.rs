@@ -13,7 +13,7 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 const TOO_LATE: &str = "keeps this computer busy";
 
 /// How often a test is begun again.
-const AGAIN: u32 = 4;
+const AGAIN: u32 = 6;
 
 /// A computer that wakes a thread so much later than it asked for stands still: longer than a control
 /// period, and than what the system's scheduler takes between threads that are ready.
@@ -21,6 +21,12 @@ const STANDS_STILL: Duration = Duration::from_millis(15);
 
 /// How long the witness sleeps at a time.
 const NAP: Duration = Duration::from_millis(2);
+
+/// A computer that has kept up for so long may go on doing so.
+const CALM: Duration = Duration::from_secs(2);
+
+/// How often a calm of that length is waited for before a test begins again.
+const CALMS: u32 = 15;
 
 /// The Qubes of a test are served in real time: one test after the other.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
@@ -44,8 +50,19 @@ pub fn in_real_time(test: impl Fn()) {
             "begun again, {again} of at most {AGAIN} times: the computer stood still for {} ms{says}",
             stood.as_millis()
         );
+        wait_for_calm();
     }
     test();
+}
+
+/// Waits until the computer keeps up, half a minute at most: stalls come in bursts.
+fn wait_for_calm() {
+    for _ in 0..CALMS {
+        let (_, stood) = witnessed(&|| std::thread::sleep(CALM));
+        if stood < STANDS_STILL {
+            return;
+        }
+    }
 }
 
 /// How a test ended, and the longest time for which a processor stood still meanwhile.
