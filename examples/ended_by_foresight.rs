@@ -15,7 +15,7 @@ use qube_hil::qube::{
     CONTROL_PERIOD_S, DomainParameter, GapDynamics, MAX_HISTORY, Measurement, Profile, QubeModel,
     State, counts, runge_kutta_4, wrap_angle,
 };
-use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube, SafetyBox, Trial};
+use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube, SafetyBox};
 
 /// Steps of a rollout, and those at its end in which the pendulum must stand.
 const STEPS: u64 = 600;
@@ -173,8 +173,7 @@ fn main() {
                 foresight.begin_policy();
                 let end = (0_u64..).zip(ticks).find_map(|(index, tick)| {
                     let time_us = (index + 1) * 10_000;
-                    let unpredicted =
-                        foresight.follow(&tick.state, time_us, &tick.sent_v) == Trial::Failed;
+                    let unpredicted = foresight.is_contradicted(&tick.state, time_us, &tick.sent_v);
                     let too_late =
                         !foresight.look(&tick.state.cast(), &tick.sent_v, tick.voltage_v).holds;
                     (too_late || unpredicted).then_some(usize::from(!too_late))

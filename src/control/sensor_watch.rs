@@ -221,7 +221,7 @@ impl SensorWatch {
     }
 
     /// From now on a policy moves the arm: no healthy Qube of the whole domain may raise an alarm, which
-    /// would leave the arm without a brake.
+    /// would void the rollout and leave a doubt.
     pub fn allow_the_whole_domain(&mut self) {
         if let Some((_, witness)) = &mut self.witness {
             witness.allow(WHOLE_DOMAIN_SHARE);

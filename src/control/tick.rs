@@ -8,7 +8,7 @@ use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, State};
-use crate::safety::{ForeseenBrake, Guard, Limit, Trial, TrustedForesight, brake_voltage, gate};
+use crate::safety::{ForeseenBrake, Guard, Limit, TrustedForesight, brake_voltage, gate};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
@@ -149,7 +149,7 @@ impl<C: Controller> Tick<C> {
     }
 
     /// What the state or the clock asks for, if anything.
-    fn event(&mut self, input: &TickInput, predicted: Trial) -> Option<(ControlEvent, Ending)> {
+    fn event(&mut self, input: &TickInput, unpredicted: bool) -> Option<(ControlEvent, Ending)> {
         let stopped = input.stop_requested.then_some((ControlEvent::Stop, Ending::Stopped));
         match self.phase {
             Phase::Braking => self.braked(),
@@ -167,7 +167,7 @@ impl<C: Controller> Tick<C> {
                 Some((ControlEvent::TimeUp, Ending::Completed))
             }
             Phase::Running => {
-                let unpredicted = (predicted == Trial::Failed).then_some(Limit::Unpredicted);
+                let unpredicted = unpredicted.then_some(Limit::Unpredicted);
                 let safety_box = &self.settings.safety_box;
                 let limit = safety_box.violation(&self.estimates.guarded).or(unpredicted)?;
                 Some((ControlEvent::LimitLeft, Ending::LeftBox(limit)))
@@ -237,12 +237,10 @@ impl<C: Controller> Tick<C> {
         unanswered.then(|| Alarm::Zero(self.sensors.why_arm_stands(sample, self.voltage_mv)))
     }
 
-    /// Whether the Qube has moved as its profile says, where that decides.
-    fn predicted(&mut self, device_time_us: u64) -> Trial {
-        let (state, sent_v) = (&self.estimates.guarded, &self.sent_v);
-        let follow =
-            |foresight: &mut TrustedForesight| foresight.follow(state, device_time_us, sent_v);
-        self.foresight.as_mut().map_or(Trial::Passed, follow)
+    /// Whether the Qube has just moved as the profile that the guard goes by does not allow.
+    fn contradicts_profile(&mut self, device_time_us: u64) -> bool {
+        let Some(foresight) = &mut self.foresight else { return false };
+        foresight.is_contradicted(&self.estimates.guarded, device_time_us, &self.sent_v)
     }
 
     /// Whether the brake would still be good after this voltage, mV, for every Qube that this one may be.
@@ -323,13 +321,13 @@ impl<C: Controller> Motion for Tick<C> {
             return self.output();
         };
         self.estimates = self.estimator.update(measurement);
-        let predicted = self.predicted(measurement.device_time_us);
+        let unpredicted = self.contradicts_profile(measurement.device_time_us);
 
         // Guard: leave the phase where the state asks for it. A brake that has just begun may find
         // the arm at rest.
         for _ in 0..2 {
             let was = self.phase;
-            if let Some((event, reason)) = self.event(input, predicted)
+            if let Some((event, reason)) = self.event(input, unpredicted)
                 && self.take(event, reason)
             {
                 return self.off();

@@ -192,6 +192,7 @@ impl Belief {
     /// The particles of this belief, hardest first.
     #[must_use]
     pub fn particles(&self) -> Vec<Particle> {
+        let widths = unknown_widths();
         let share = |place: &[i8; NUMBERS]| place.map(|percent| f64::from(percent) / 100.0);
         let places = PLACES.iter().map(share).enumerate();
         let both = places.flat_map(|(row, place)| {
@@ -210,15 +211,15 @@ impl Belief {
                 ..State::default()
             };
             [
-                Particle { error, ..self.at(&place) },
-                Particle { error: mirrored_error, ..self.at(&mirrored(&place)) },
+                Particle { error, ..self.at(&place, &widths) },
+                Particle { error: mirrored_error, ..self.at(&mirrored(&place), &widths) },
             ]
         });
         both.collect()
     }
 
     /// The particle at a place.
-    fn at(&self, place: &[f64; NUMBERS]) -> Particle {
+    fn at(&self, place: &[f64; NUMBERS], widths: &Step) -> Particle {
         let between = |low: f64, high: f64, place: f64| 0.5 * (low + high + place * (high - low));
         let mut model = QubeModel { gap: Gap::default(), ..self.low };
         for (quantity, place) in Quantity::all().zip(place) {
@@ -226,7 +227,7 @@ impl Belief {
             model.set(quantity, between(low, high, *place));
         }
         for step in &self.steps {
-            go(&mut model, step, place);
+            go(&mut model, step, place, widths);
         }
         let [.., positive, negative] = *place;
         Particle {
@@ -247,24 +248,20 @@ fn possible(term: GapTerm, value: f64) -> f64 {
     value.clamp(least, if term == GapTerm::CommandDelay { LONGEST_DELAY_S } else { most })
 }
 
-/// How far a quantity of a Qube that is not known is from the middle of what it may be: of parameters the
-/// logarithm.
-fn unknown_width(quantity: Quantity) -> f64 {
-    match quantity {
-        Quantity::Parameter(_) => UNKNOWN_SHARE,
-        Quantity::Gap(_) => {
-            let Belief { low, high, .. } = Belief::of_any_qube(UNKNOWN_SHARE);
-            0.5 * (high.get(quantity) - low.get(quantity))
-        }
+/// How far each number of a Qube that is not known may be from the middle: of parameters the logarithm.
+fn unknown_widths() -> Step {
+    let Belief { low, high, .. } = Belief::of_any_qube(UNKNOWN_SHARE);
+    let mut widths = [UNKNOWN_SHARE; Quantity::COUNT];
+    for term in GapTerm::ALL {
+        widths[Quantity::Gap(term).index()] = 0.5 * (high.gap.get(term) - low.gap.get(term));
     }
+    widths
 }
 
 /// Moves a Qube by one step, the way on which the place lies.
-fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS]) {
-    let along: f64 = Quantity::all()
-        .zip(step.iter().zip(place))
-        .map(|(quantity, (step, place))| step / unknown_width(quantity) * place)
-        .sum();
+fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths: &Step) {
+    let parts = step.iter().zip(widths).zip(place);
+    let along: f64 = parts.map(|((step, width), place)| step / width * place).sum();
     for (quantity, step) in Quantity::all().zip(step) {
         let step = if along < 0.0 { -step } else { *step };
         let value = model.get(quantity);
@@ -284,7 +281,7 @@ fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS]) {
 fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
     let Some(correlations) = &profile.correlations else { return no_steps() };
     let quantities: Vec<Quantity> = Quantity::all().collect();
-    let model = profile.model();
+    let (model, widths) = (profile.model(), unknown_widths());
     // In units of what may be unknown of a Qube.
     let error = |quantity: Quantity| {
         let value = match quantity {
@@ -294,7 +291,7 @@ fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
         if value == 0.0 {
             return 0.0;
         }
-        profile.standard_error(quantity) / value / unknown_width(quantity)
+        profile.standard_error(quantity) / value / widths[quantity.index()]
     };
     let covariance = DMatrix::from_fn(quantities.len(), quantities.len(), |row, column| {
         let (one, other) = (quantities[row], quantities[column]);
@@ -307,8 +304,8 @@ fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
         let direction = eigen.eigenvectors.column(index);
         let longest = length * direction.amax();
         let shortened = if longest > 1.0 { length / longest } else { length };
-        for (quantity, step) in quantities.iter().zip(step) {
-            *step = shortened * direction[quantity.index()] * unknown_width(*quantity);
+        for (part, (step, width)) in direction.iter().zip(step.iter_mut().zip(&widths)) {
+            *step = shortened * part * width;
         }
     }
     steps

@@ -35,8 +35,8 @@ pub struct IdentifiedQube {
 }
 
 impl IdentifiedQube {
-    /// What a profile says of a Qube. A voltage is held for four periods: as many samples as a link may lose
-    /// in a row, and the one that is lost last.
+    /// What a profile says of a Qube. A voltage is held for four periods: its own, and those of the three samples
+    /// that a link may lose in a row.
     #[must_use]
     pub fn of(profile: &Profile) -> Self {
         Self { belief: Belief::of_profile(profile), held_periods: 4 }

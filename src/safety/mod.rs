@@ -31,5 +31,5 @@ pub use hardware_limits::{GuardConsent, HardwareLimits, TooWide};
 pub use motor_heat::{COOLED_LOAD, LARGEST_LOAD, MotorHeat, WARNING_LOAD};
 pub use particle::Particle;
 pub use safety_box::{Limit, SafetyBox};
-pub use trusted_foresight::{Trial, TrustedForesight};
+pub use trusted_foresight::TrustedForesight;
 pub use voltage_gate::{NotANumber, gate};

@@ -32,15 +32,6 @@ enum Trust {
     Lost,
 }
 
-/// What a sample says of the trust in a profile.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Trial {
-    /// Nothing has changed.
-    Passed,
-    /// The Qube has just moved as no particle of the profile that decides may.
-    Failed,
-}
-
 impl TrustedForesight {
     /// For any Qube, and for the identified one where it is.
     #[must_use]
@@ -56,23 +47,21 @@ impl TrustedForesight {
     }
 
     /// Takes the estimated state of a sample, its time by the device's clock, and the commands before it (V, newest
-    /// first).
+    /// first); whether the Qube has just moved as no particle of the profile that decides may.
     #[must_use]
-    pub fn follow(
+    pub fn is_contradicted(
         &mut self,
         state: &State,
         device_time_us: u64,
         sent_v: &[f32; MAX_HISTORY],
-    ) -> Trial {
-        let Some(Identified { prediction, trust, .. }) = &mut self.identified else {
-            return Trial::Passed;
-        };
+    ) -> bool {
+        let Some(Identified { prediction, trust, .. }) = &mut self.identified else { return false };
         if *trust == Trust::Lost || prediction.is_kept(state, device_time_us, sent_v) {
-            return Trial::Passed;
+            return false;
         }
         let decided = *trust == Trust::Earned;
         *trust = Trust::Lost;
-        if decided { Trial::Failed } else { Trial::Passed }
+        decided
     }
 
     /// The policy gets the motor: from now on what is believed of the identified Qube decides, if it has
@@ -105,26 +94,25 @@ impl TrustedForesight {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{ForesightSettings, IdentifiedQube};
     use super::*;
     use crate::qube::{
-        CONTROL_PERIOD_S, GapDynamics, Profile, QubeModel, quantised, runge_kutta_4,
+        CONTROL_PERIOD_S, Gap, GapDynamics, Profile, QubeModel, quantised, runge_kutta_4,
     };
+    use crate::safety::{ForesightSettings, IdentifiedQube};
 
-    /// Follows a Qube that is pushed to and fro, and what comes of the last sample; the share of the
-    /// voltage arrives.
-    fn follow(plant: &QubeModel, share: f64) -> (TrustedForesight, Trial) {
+    /// Follows a Qube that is pushed to and fro and whose motor gets this share of the voltage; whether it
+    /// contradicted the profile.
+    fn follow(plant: &QubeModel, share: f64) -> (TrustedForesight, bool) {
         let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap();
         let identified = Some(IdentifiedQube::of(&Profile::exact("lab", &lab.model())));
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };
         let mut foresight = settings.foresight(None);
         foresight.begin_policy();
-        let plant =
-            QubeModel { gap: crate::qube::Gap { command_delay_s: 0.01, ..plant.gap }, ..*plant };
+        let plant = QubeModel { gap: Gap { command_delay_s: 0.01, ..plant.gap }, ..*plant };
         let dynamics = GapDynamics::new(&plant);
         let (mut state, mut sent_v) = (State::default(), [0.0; MAX_HISTORY]);
         let mut before = state;
-        let mut worst = Trial::Passed;
+        let mut contradicted = false;
         for tick in 0..200_u64 {
             let seen = State {
                 theta: quantised(state.theta),
@@ -133,9 +121,7 @@ mod tests {
                 alpha_dot: (quantised(state.alpha) - quantised(before.alpha)) / CONTROL_PERIOD_S,
             };
             before = state;
-            if foresight.follow(&seen, 10_000 * tick, &sent_v) == Trial::Failed {
-                worst = Trial::Failed;
-            }
+            contradicted |= foresight.is_contradicted(&seen, 10_000 * tick, &sent_v);
             // What was sent a period ago arrives now.
             let arriving_v = share * f64::from(sent_v[0]);
             let voltage_v = if tick % 30 < 15 { 3.5 } else { -3.5 };
@@ -145,14 +131,14 @@ mod tests {
             sent_v.rotate_right(1);
             sent_v[0] = voltage_v;
         }
-        (foresight, worst)
+        (foresight, contradicted)
     }
 
     #[test]
     fn a_profile_is_trusted_while_it_predicts_and_no_longer() {
         let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap().model();
-        let (foresight, own) = follow(&lab, 1.0);
-        assert_eq!(own, Trial::Passed);
+        let (foresight, contradicted) = follow(&lab, 1.0);
+        assert!(!contradicted);
         assert_eq!(foresight.identified.unwrap().trust, Trust::Earned);
         let mut other_pendulum = lab;
         other_pendulum.parameters.pendulum_length_m *= 1.5;
@@ -163,8 +149,8 @@ mod tests {
             ("another arm", heavy_arm, 1.0),
             ("a weak supply", lab, 0.5),
         ] {
-            let (foresight, trial) = follow(&plant, share);
-            assert_eq!(trial, Trial::Failed, "{name}");
+            let (foresight, contradicted) = follow(&plant, share);
+            assert!(contradicted, "{name}");
             assert_eq!(foresight.identified.unwrap().trust, Trust::Lost, "{name}");
         }
     }
