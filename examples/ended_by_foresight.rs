@@ -157,7 +157,8 @@ fn main() {
                 let mut foresight = settings.foresight(None);
                 let mut ends = |ticks: &&Vec<Tick>| {
                     ticks.iter().any(|tick| {
-                        !foresight.look(&tick.state.cast(), &tick.sent_v, tick.voltage_v).holds
+                        let state = tick.state.cast();
+                        foresight.too_late_for(&state, &tick.sent_v, tick.voltage_v).is_some()
                     })
                 };
                 good.iter().filter(|ticks| ends(ticks)).count()
@@ -174,8 +175,9 @@ fn main() {
                 let end = (0_u64..).zip(ticks).find_map(|(index, tick)| {
                     let time_us = (index + 1) * 10_000;
                     let unpredicted = foresight.is_contradicted(&tick.state, time_us, &tick.sent_v);
+                    let (state, voltage_v) = (tick.state.cast(), tick.voltage_v);
                     let too_late =
-                        !foresight.look(&tick.state.cast(), &tick.sent_v, tick.voltage_v).holds;
+                        foresight.too_late_for(&state, &tick.sent_v, voltage_v).is_some();
                     (too_late || unpredicted).then_some(usize::from(!too_late))
                 });
                 if let Some(end) = end {

@@ -69,6 +69,37 @@ fn a_rollout_comes_out_again_bit_for_bit() {
     assert!(fs::read_to_string(plots.join("rollout-0.svg")).unwrap().starts_with("<svg"));
 }
 
+#[test]
+fn a_rollout_that_foresight_ended_says_for_which_qube() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().to_str().unwrap();
+    // Of a Qube of which nothing is known hardly any swing-up can be braked in time.
+    let run =
+        ["run", "--policy", "classical", "--clock", "virtual", "--unidentified", "--out", out];
+    let run = qube_hil(&run);
+    assert!(run.status.success(), "{run:?}");
+    let path = folder.path().join("rollout-0.mcap");
+    let mut recording = qube_hil::recording::read(&path).unwrap();
+    let outcome = recording.outcome.as_ref().unwrap();
+    assert_eq!(outcome.ending, Ending::LeftBox(Limit::Foresight));
+    let foreseen = outcome.foreseen.unwrap();
+    assert!(!foreseen.identified);
+    assert!(foreseen.particle < 64, "{foreseen:?}");
+    assert!(foreseen.beyond_rad.unwrap() >= 0.0, "{foreseen:?}");
+    let output = qube_hil(&["replay", "--json", path.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(json(&output)["recordings"][0]["foreseen"]["particle"], foreseen.particle);
+    let output = qube_hil(&["replay", path.to_str().unwrap()]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains(&format!("the arm of particle {}", foreseen.particle)), "{text}");
+
+    // With less of an error believed, the same decisions would have another reason or none.
+    let known = recording.header.settings.foresight.as_mut().unwrap();
+    known.margin_rad = 0.2;
+    let policy = Policy::from_bytes(&recording.policy).unwrap();
+    assert_ne!(rerun(&recording, policy).foreseen, Some(foreseen));
+}
+
 /// A recording of a program whose guard was the speed envelope, which its policy left. Its blocks were packed
 /// into one since, to be small, and its index left out; every message is as that program wrote it.
 #[test]

@@ -198,8 +198,8 @@ fn the_trial_of_the_brake_allocates_nothing() {
     let outward = State { theta: 1.9, theta_dot: 20.0, ..at_rest };
     IN_THE_LOOP.set(true);
     ALLOCATIONS.set(0);
-    let held = foresight.look(&at_rest, &[0.0; MAX_HISTORY], 5.0).holds;
-    let reached = !foresight.look(&outward, &[0.0; MAX_HISTORY], 5.0).holds;
+    let held = foresight.too_late_for(&at_rest, &[0.0; MAX_HISTORY], 5.0).is_none();
+    let reached = foresight.too_late_for(&outward, &[0.0; MAX_HISTORY], 5.0).is_some();
     IN_THE_LOOP.set(false);
     assert_eq!(ALLOCATIONS.get(), 0);
     assert!(held && reached);

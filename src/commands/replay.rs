@@ -13,8 +13,10 @@ use crate::policy::Policy;
 use crate::qube::QubeModel;
 use crate::recording::{Completeness, Recording, RecordingError, read};
 use crate::replay::{AngleError, MotionLog, Rerun, plot_svg, rerun, simulate_beside};
+use crate::safety::Foreseen;
 use crate::session::write_whole;
 use crate::storage::MachineDisk;
+use crate::telemetry::RolloutOutcome;
 
 /// Run recordings again: recompute the return, put the recorded measurements through the very tick
 /// that ran on the Qube, and compare every voltage bit for bit
@@ -58,6 +60,9 @@ struct Report {
     /// What is to be known of the comparison, if anything is.
     #[serde(skip_serializing_if = "Option::is_none")]
     note: Option<&'static str>,
+    /// Why foresight ended it again, if it did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    foreseen: Option<Foreseen>,
     /// What is wrong, if anything is.
     problem: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -193,6 +198,10 @@ fn rerun_recording(
         rerun.return_recomputed,
         rerun.actions_compared + rerun.not_compared,
     );
+    report.foreseen = rerun.foreseen;
+    if let Some(foreseen) = rerun.foreseen {
+        let _ = writeln!(text, "{path}: {}", foreseen_text(&foreseen));
+    }
     if rerun.ending_of_the_file {
         report.note = Some(ENDING_OF_THE_FILE);
         let _ = writeln!(text, "{path}: {ENDING_OF_THE_FILE}");
@@ -231,8 +240,29 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
             "it ended with {:?}, and comes out with {:?}",
             outcome.ending, rerun.ending
         )),
+        (_, Some(RolloutOutcome { foreseen: Some(recorded), .. }))
+            if rerun.foreseen != Some(*recorded) =>
+        {
+            Some(format!(
+                "foresight ended it for {recorded:?}, and comes out with {:?}",
+                rerun.foreseen
+            ))
+        }
         _ => None,
     }
+}
+
+/// Why foresight ended a rollout, for people.
+fn foreseen_text(foreseen: &Foreseen) -> String {
+    let Foreseen { identified, particle, beyond_rad } = foreseen;
+    let whose = if *identified { "its profile's Qubes" } else { "the Qubes that any may be" };
+    let reach = beyond_rad.map_or_else(
+        || "would have left all numbers".to_owned(),
+        |beyond_rad| format!("would have come {beyond_rad:.3} rad beyond its end"),
+    );
+    format!(
+        "foresight ended it: with a brake one tick later, the arm of particle {particle} of {whose} {reach}"
+    )
 }
 
 fn simulate_file(

@@ -159,6 +159,7 @@ pub fn drive_warm(
             missed_deadlines: turns.missed_deadlines,
             records_lost: turns.records_lost,
             times_astray: motion.times_astray(),
+            foreseen: motion.foreseen(),
             largest_motor_load: Some(largest_motor_load),
             lateness_us: lateness.summary(),
             sample_to_act_us: sample_to_act.summary(),

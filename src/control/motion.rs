@@ -1,5 +1,6 @@
 use super::ControlState;
 use crate::qube::{Measurement, State};
+use crate::safety::Foreseen;
 use crate::telemetry::{Ending, Phase};
 
 /// What one tick knows. All of it is recorded, so that a recording can be decided again.
@@ -57,6 +58,11 @@ pub trait Motion: Send {
     /// How often an observer had lost the Qube and started anew.
     fn times_astray(&self) -> u32 {
         0
+    }
+
+    /// Why foresight ended the motion, if it did.
+    fn foreseen(&self) -> Option<Foreseen> {
+        None
     }
 
     /// The voltage as the device's wiring wants it, mV.

@@ -8,7 +8,7 @@ use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, State};
-use crate::safety::{ForeseenBrake, Guard, Limit, TrustedForesight, brake_voltage, gate};
+use crate::safety::{Foreseen, ForeseenBrake, Guard, Limit, TrustedForesight, brake_voltage, gate};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
@@ -55,6 +55,8 @@ pub struct Tick<C = Policy> {
     stopped_ticks: u32,
     /// Tries the brake before each voltage leaves, where that is the guard.
     foresight: Option<TrustedForesight>,
+    /// Why foresight ended the policy, if it did.
+    foreseen: Option<Foreseen>,
     foreseen_brake: ForeseenBrake,
     /// Whether the brake goes by the arm's velocity alone, because its count is doubted.
     damps: bool,
@@ -99,6 +101,7 @@ impl<C: Controller> Tick<C> {
             stopped_ticks: 0,
             foresight: (settings.safety_box.guard == Guard::Foresight)
                 .then(|| settings.foresight.unwrap_or_default().foresight(settings.stops)),
+            foreseen: None,
             foreseen_brake: ForeseenBrake::default(),
             damps: false,
             sent_v: [0.0; MAX_HISTORY],
@@ -243,12 +246,11 @@ impl<C: Controller> Tick<C> {
         foresight.is_contradicted(&self.estimates.guarded, device_time_us, &self.sent_v)
     }
 
-    /// Whether the brake would still be good after this voltage, mV, for every Qube that this one may be.
-    fn brake_holds_after(&mut self, voltage_mv: i16) -> bool {
+    /// A Qube that this one may be and that the brake would stop too late after this voltage, mV.
+    fn too_late_for(&mut self, voltage_mv: i16) -> Option<Foreseen> {
         let state = self.estimates.guarded.cast();
         let voltage_v = f32::from(voltage_mv) * 1e-3;
-        let Some(foresight) = &mut self.foresight else { return true };
-        foresight.look(&state, &self.sent_v, voltage_v).holds
+        self.foresight.as_mut()?.too_late_for(&state, &self.sent_v, voltage_v)
     }
 
     /// Remembers what the motor was told for this and so many more periods.
@@ -350,8 +352,11 @@ impl<C: Controller> Motion for Tick<C> {
 
         // Try the brake, unless it works already. Where it would come too late it begins now; settling has
         // its voltage for this tick and goes on.
-        if self.phase != Phase::Braking && !self.brake_holds_after(self.voltage_mv) {
+        if self.phase != Phase::Braking
+            && let Some(foreseen) = self.too_late_for(self.voltage_mv)
+        {
             if self.phase == Phase::Running {
+                self.foreseen = Some(foreseen);
                 self.take(ControlEvent::LimitLeft, Ending::LeftBox(Limit::Foresight));
             }
             wanted_v = self.braking_voltage();
@@ -372,5 +377,9 @@ impl<C: Controller> Motion for Tick<C> {
 
     fn times_astray(&self) -> u32 {
         self.estimator.times_astray()
+    }
+
+    fn foreseen(&self) -> Option<Foreseen> {
+        self.foreseen
     }
 }

@@ -1,7 +1,7 @@
 use crate::control::{Motion, Tick, TickInput};
 use crate::policy::Policy;
 use crate::recording::{Recording, return_of};
-use crate::safety::Guard;
+use crate::safety::{Foreseen, Guard};
 use crate::telemetry::{Ending, Fault, Phase, TickRecord};
 
 /// What came of running a recording again.
@@ -21,6 +21,8 @@ pub struct Rerun {
     pub not_compared: usize,
     /// How the rollout ended again; none where it is cut off.
     pub ending: Option<Ending>,
+    /// Why foresight ended it again, if it did.
+    pub foreseen: Option<Foreseen>,
     /// Whether its guard is no more: what came from its first braking tick on was not compared, and how it
     /// ended is what the file says.
     pub ending_of_the_file: bool,
@@ -110,6 +112,7 @@ pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
         actions_different: differences.len(),
         first_difference: differences.first().copied(),
         not_compared: known - compared.len(),
+        foreseen: tick.foreseen(),
         ending: if ending_of_the_file { outcome_ending } else { ending },
         ending_of_the_file,
     }

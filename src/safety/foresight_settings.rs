@@ -155,7 +155,7 @@ mod tests {
         let stops = MeasuredStops { lowest_theta_rad: 3.0, highest_theta_rad: -1.0 };
         let mut foresight = ForesightSettings::default().foresight(Some(stops));
         let hanging = State { theta: 0.3, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
-        assert!(!foresight.look(&hanging, &[0.0; MAX_HISTORY], 0.0).holds);
+        assert!(foresight.too_late_for(&hanging, &[0.0; MAX_HISTORY], 0.0).is_some());
     }
 
     #[test]

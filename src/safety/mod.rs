@@ -10,6 +10,7 @@
 mod belief;
 mod brake_law;
 mod braking;
+mod foreseen;
 mod foresight;
 mod foresight_settings;
 mod guard;
@@ -24,6 +25,7 @@ mod voltage_gate;
 pub use belief::{Belief, BeliefError};
 pub use brake_law::{BrakeLaw, CentringBrake};
 pub use braking::{ForeseenBrake, brake_voltage};
+pub use foreseen::Foreseen;
 pub use foresight::{Ends, Foresight, Outlook, Prediction, Reach};
 pub use foresight_settings::{ForesightError, ForesightSettings, IdentifiedQube};
 pub use guard::Guard;

@@ -1,5 +1,6 @@
 use super::foresight::Prediction;
-use super::{CentringBrake, Foresight, Outlook};
+use super::{CentringBrake, Foreseen, Foresight};
+use crate::elementary::Level;
 use crate::qube::{MAX_HISTORY, State};
 
 /// Looks ahead with what is believed of an identified Qube for as long as the Qube moves as that says, and
@@ -46,6 +47,16 @@ impl TrustedForesight {
         Self { any, identified }
     }
 
+    /// The same, computed with this instruction set (for comparisons).
+    #[must_use]
+    pub fn at_level(self, level: Level) -> Self {
+        let identified = self.identified.map(|Identified { foresight, trust, .. }| {
+            let foresight = foresight.at_level(level);
+            Identified { prediction: Prediction::of(&foresight), foresight, trust }
+        });
+        Self { any: self.any.at_level(level), identified }
+    }
+
     /// Takes the estimated state of a sample, its time by the device's clock, and the commands before it (V, newest
     /// first); whether the Qube has just moved as no particle of the profile that decides may.
     #[must_use]
@@ -75,20 +86,23 @@ impl TrustedForesight {
         }
     }
 
-    /// What comes of this voltage, as [`Foresight::look`] says.
+    /// The Qube that the brake would stop too late after this voltage, if there is one among those that
+    /// decide; [`Foresight::look`] says what the arguments are.
     #[must_use]
-    pub fn look(
+    pub fn too_late_for(
         &mut self,
         state: &State<f32>,
         sent_v: &[f32; MAX_HISTORY],
         voltage_v: f32,
-    ) -> Outlook {
-        match &mut self.identified {
-            Some(Identified { foresight, trust: Trust::Earned, .. }) => {
-                foresight.look(state, sent_v, voltage_v)
-            }
-            _ => self.any.look(state, sent_v, voltage_v),
-        }
+    ) -> Option<Foreseen> {
+        let (foresight, identified) = match &mut self.identified {
+            Some(Identified { foresight, trust: Trust::Earned, .. }) => (foresight, true),
+            _ => (&mut self.any, false),
+        };
+        let outlook = foresight.look(state, sent_v, voltage_v);
+        let beyond_rad = Some(-outlook.room_rad).filter(|beyond| beyond.is_finite());
+        let particle = outlook.particle;
+        (!outlook.holds).then_some(Foreseen { identified, particle, beyond_rad })
     }
 }
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::{Fault, Phase, Preflight};
 use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::RewardWeights;
-use crate::safety::{ForesightSettings, Limit, MotorHeat, SafetyBox};
+use crate::safety::{Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
 
 /// Everything beside measurements and policy that decides what the tick does: with these three a
 /// recording can be run again.
@@ -128,6 +128,9 @@ pub struct RolloutOutcome {
     /// is of another Qube, or something hit this one.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub times_astray: u32,
+    /// Why foresight ended it, where it did; none in older recordings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub foreseen: Option<Foreseen>,
     /// The motor's largest load, 1 being what it stands continuously; none in older recordings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_motor_load: Option<f64>,
