@@ -30,9 +30,10 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         // A link that fails is a fault, and no bad usage.
         RigError::Device(_) if fault.is_some() => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
-        RigError::Emulator(_) | RigError::Thread(_) | RigError::Unfit { .. } => {
-            Failure::failed(error)
-        }
+        RigError::Emulator(_)
+        | RigError::Thread(_)
+        | RigError::TooSlow { .. }
+        | RigError::Unfit { .. } => Failure::failed(error),
         RigError::VirtualPort { .. }
         | RigError::OtherBoard { .. }
         | RigError::TooWide(_)

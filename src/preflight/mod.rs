@@ -10,8 +10,10 @@
 pub mod conformance;
 pub mod doctor;
 mod examination;
+mod foresight_time;
 mod latency_timer;
 
 pub use examination::{
     Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
 };
+pub use foresight_time::{SLOW_US, TOO_SLOW_US, foresight_time_us};

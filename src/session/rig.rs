@@ -16,7 +16,8 @@ use crate::device::{Device, DeviceError, Identity, SerialLink};
 use crate::estimation::{MeasuredRig, MeasuredStops};
 use crate::policy::Policy;
 use crate::preflight::{
-    Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
+    Examination, ExaminationSettings, TOO_SLOW_US, examine, foresight_time_us, homed,
+    homing_left_out, measure_link, not_homed,
 };
 use crate::qube::Profile;
 use crate::recording::Recorder;
@@ -195,6 +196,15 @@ impl RigSettings {
     }
 }
 
+/// Refuses a processor on which the guard's longest prediction takes too much of a tick.
+fn admit_processor(foresight_time_us: f64) -> Result<(), RigError> {
+    if foresight_time_us <= TOO_SLOW_US {
+        Ok(())
+    } else {
+        Err(RigError::TooSlow { foresight_time_us })
+    }
+}
+
 /// How far inside of the nearer stop the box ends at least, rad: as far as the thesis's does.
 const INSIDE_STOP_RAD: f64 = 0.09;
 
@@ -218,6 +228,8 @@ pub struct Rig {
     stop: Arc<AtomicBool>,
     link_patience_s: f64,
     memory: Option<DoubtMemory>,
+    /// The longest prediction of the guard on this processor, us; 0 where nothing real moves.
+    foresight_time_us: f64,
     /// What the guard believes of the Qube, until a rollout contradicts it.
     identified: Cell<Option<IdentifiedQube>>,
     /// The fault that ended the last motion, until the Qube is homed again.
@@ -299,6 +311,7 @@ impl Rig {
                 found: identity.serial,
             });
         }
+        let is_hardware = settings.is_hardware() || control.is_hardware();
         Ok(Self {
             control,
             identity,
@@ -311,6 +324,7 @@ impl Rig {
             stop: Arc::clone(stop),
             link_patience_s: settings.recovery.link_patience_s,
             memory: settings.recovery.memory.clone(),
+            foresight_time_us: if is_hardware { foresight_time_us() } else { 0.0 },
             identified: Cell::new(settings.identified()),
             last_fault: Cell::new(None),
             _emulator: emulator,
@@ -545,6 +559,9 @@ impl Rig {
         header.settings.safety_box.guard.check_driven()?;
         if self.is_hardware() {
             self.limits.admit(&header.settings.safety_box)?;
+            if header.settings.safety_box.guard == Guard::Foresight {
+                admit_processor(self.foresight_time_us)?;
+            }
         }
         let policy = Policy::from_bytes(policy_file)?;
         let settings = TickSettings {

@@ -9,6 +9,7 @@ use std::sync::atomic::AtomicBool;
 use serde::Serialize;
 
 use crate::clock::{CPU_DMA_LATENCY, RealtimeReport};
+use crate::preflight::foresight_time_us;
 
 /// One thing that was looked at.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -64,6 +65,7 @@ pub fn diagnose(
     let mut found = rights(&realtime);
     found.push(jitter);
     found.push(processor::governor());
+    found.push(processor::foresight(foresight_time_us()));
     found.extend(ports::look(ports));
     Ok(found)
 }

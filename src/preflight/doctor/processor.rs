@@ -3,8 +3,11 @@ use std::fs;
 use std::path::Path;
 
 use super::Diagnosis;
+use crate::preflight::{SLOW_US, TOO_SLOW_US};
 
 const NAME: &str = "processor";
+
+const FORESIGHT: &str = "foresight";
 
 /// Where Linux shows its processors.
 const PROCESSORS: &str = "/sys/devices/system/cpu";
@@ -12,6 +15,21 @@ const PROCESSORS: &str = "/sys/devices/system/cpu";
 /// A processor that saves power wakes up late.
 pub(super) fn governor() -> Diagnosis {
     judge(&governors(Path::new(PROCESSORS)))
+}
+
+/// A processor on which the guard's prediction takes so long, us, at most.
+pub(super) fn foresight(longest_us: f64) -> Diagnosis {
+    let value =
+        format!("the guard's longest prediction takes {longest_us:.0} us of a tick's 10 ms");
+    if longest_us <= SLOW_US {
+        return Diagnosis::well(FORESIGHT, value);
+    }
+    let cure = "a processor with AVX2 or AVX-512, and nothing else running on it";
+    if longest_us <= TOO_SLOW_US {
+        return Diagnosis::advice(FORESIGHT, value, cure);
+    }
+    let refused = format!("{value}: more than {TOO_SLOW_US:.0} us is refused on a real Qube");
+    Diagnosis::unfit(FORESIGHT, refused, cure)
 }
 
 fn governors(processors: &Path) -> BTreeSet<String> {
@@ -42,6 +60,18 @@ fn judge(governors: &BTreeSet<String>) -> Diagnosis {
 mod tests {
     use super::super::Fitness;
     use super::*;
+
+    #[test]
+    fn a_processor_that_predicts_slowly_is_named() {
+        for (longest_us, verdict) in
+            [(90.0, Fitness::Well), (900.0, Fitness::Advice), (2500.0, Fitness::Unfit)]
+        {
+            let diagnosis = foresight(longest_us);
+            assert_eq!(diagnosis.verdict, verdict);
+            assert!(diagnosis.value.contains(&format!("{longest_us:.0} us")));
+            assert_eq!(diagnosis.cure.is_none(), verdict == Fitness::Well);
+        }
+    }
 
     #[test]
     fn each_processor_counts() {

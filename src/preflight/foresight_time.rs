@@ -1,0 +1,31 @@
+use std::time::Instant;
+
+use crate::qube::{MAX_HISTORY, State};
+use crate::safety::ForesightSettings;
+
+/// How often the prediction is timed; the median counts.
+const TRIES: usize = 25;
+
+/// Above this much of a control period's 10 ms the processor is slow, us.
+pub const SLOW_US: f64 = 500.0;
+
+/// Above this the processor is too slow for hardware, us: a fifth of a control period in which the
+/// sample and the command have to pass the link too.
+pub const TOO_SLOW_US: f64 = 2000.0;
+
+/// Measures how long this processor needs for the longest prediction that a tick may ask for, us: that of
+/// a pendulum that stands upright, which every particle follows to the horizon.
+#[must_use]
+pub fn foresight_time_us() -> f64 {
+    let mut foresight = ForesightSettings::default().foresight(None);
+    let upright = State { alpha: std::f32::consts::PI, ..State::default() };
+    let mut times_us: Vec<f64> = (0..TRIES)
+        .map(|_| {
+            let begin = Instant::now();
+            std::hint::black_box(foresight.too_late_for(&upright, &[0.0; MAX_HISTORY], 0.0));
+            1e6 * begin.elapsed().as_secs_f64()
+        })
+        .collect();
+    times_us.sort_by(f64::total_cmp);
+    times_us[TRIES / 2]
+}
