@@ -107,6 +107,9 @@ fn main() -> anyhow::Result<()> {
     let mut records = read(&arguments.out)?;
     records.retain(|record| hunts.iter().any(|hunt| is_of(record, hunt)));
     print!("{}", summary(&records));
+    let promised = records.iter().filter(|record| record.scenario.mishap.is_promised());
+    let hits: u64 = promised.map(|record| record.hits).sum();
+    anyhow::ensure!(hits == 0, "{hits} episodes within the promise reached the stop");
     Ok(())
 }
 

@@ -216,6 +216,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             arguments.check,
         )
     };
+    if let Some(warning) = rig.identification_warning(first.safety_box.guard)
+        && !arguments.table
+    {
+        eprintln!("warning: {warning}");
+    }
     let all = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = arguments.threads.map_or(all, usize::from);
     let failed = |error| failures::experiment(error, &stop, &resume);
