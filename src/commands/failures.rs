@@ -32,7 +32,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::Recording(error) => recording(&error),
         RigError::Emulator(_)
         | RigError::Thread(_)
-        | RigError::TooSlow { .. }
+        | RigError::TooSlow(_)
         | RigError::Unfit { .. } => Failure::failed(error),
         RigError::VirtualPort { .. }
         | RigError::OtherBoard { .. }

@@ -1,5 +1,7 @@
 use std::time::Instant;
 
+use thiserror::Error;
+
 use crate::qube::{MAX_HISTORY, State};
 use crate::safety::ForesightSettings;
 
@@ -29,4 +31,41 @@ pub fn foresight_time_us() -> f64 {
         .collect();
     times_us.sort_by(f64::total_cmp);
     times_us[TRIES / 2]
+}
+
+/// A processor on which the guard would make ticks late.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+#[error(
+    "the guard's longest prediction takes {longest_us:.0} us on this processor, and {TOO_SLOW_US:.0} us is the most \
+     for a real Qube: use a processor with AVX2 or AVX-512, and see qube-hil doctor"
+)]
+pub struct TooSlow {
+    /// What [`foresight_time_us`] measured, us.
+    pub longest_us: f64,
+}
+
+/// Refuses a processor on which the longest prediction takes so long, us, for hardware under foresight.
+///
+/// # Errors
+/// It takes more than [`TOO_SLOW_US`].
+pub fn admit_processor(longest_us: f64) -> Result<(), TooSlow> {
+    if longest_us <= TOO_SLOW_US { Ok(()) } else { Err(TooSlow { longest_us }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_processor_that_predicts_too_slowly_is_refused() {
+        assert_eq!(admit_processor(TOO_SLOW_US), Ok(()));
+        let refused = admit_processor(2100.0).unwrap_err();
+        assert!(refused.to_string().contains("2100 us on this processor"), "{refused}");
+        assert!(admit_processor(f64::NAN).is_err());
+    }
+
+    #[test]
+    fn what_is_measured_is_a_time() {
+        assert!(foresight_time_us() > 1.0);
+    }
 }

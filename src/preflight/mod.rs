@@ -16,4 +16,4 @@ mod latency_timer;
 pub use examination::{
     Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
 };
-pub use foresight_time::{SLOW_US, TOO_SLOW_US, foresight_time_us};
+pub use foresight_time::{SLOW_US, TOO_SLOW_US, TooSlow, admit_processor, foresight_time_us};

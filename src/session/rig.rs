@@ -16,7 +16,7 @@ use crate::device::{Device, DeviceError, Identity, SerialLink};
 use crate::estimation::{MeasuredRig, MeasuredStops};
 use crate::policy::Policy;
 use crate::preflight::{
-    Examination, ExaminationSettings, TOO_SLOW_US, examine, foresight_time_us, homed,
+    Examination, ExaminationSettings, admit_processor, examine, foresight_time_us, homed,
     homing_left_out, measure_link, not_homed,
 };
 use crate::qube::Profile;
@@ -193,15 +193,6 @@ impl RigSettings {
     #[must_use]
     pub fn checks(&self) -> bool {
         !self.skip_check && self.is_hardware()
-    }
-}
-
-/// Refuses a processor on which the guard's longest prediction takes too much of a tick.
-fn admit_processor(foresight_time_us: f64) -> Result<(), RigError> {
-    if foresight_time_us <= TOO_SLOW_US {
-        Ok(())
-    } else {
-        Err(RigError::TooSlow { foresight_time_us })
     }
 }
 

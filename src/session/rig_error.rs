@@ -4,7 +4,7 @@ use super::Doubt;
 use crate::control::{ControlError, ThreadGone};
 use crate::device::{DeviceError, LinkFault};
 use crate::policy::PolicyFault;
-use crate::preflight::TOO_SLOW_US;
+use crate::preflight::TooSlow;
 use crate::recording::RecordingError;
 use crate::safety::TooWide;
 use crate::telemetry::{CheckResult, Consequence, Fault, TickRecord};
@@ -130,15 +130,8 @@ pub enum RigError {
     #[error("nothing was run: {0}")]
     TooWide(#[from] TooWide),
     /// A processor on which the guard would make ticks late.
-    #[error(
-        "nothing was run: the guard's longest prediction takes {foresight_time_us:.0} us on this processor, \
-         and {TOO_SLOW_US:.0} us is the most for a real Qube. Use a processor with AVX2 or AVX-512, and see \
-         qube-hil doctor"
-    )]
-    TooSlow {
-        /// The median of some such predictions, us.
-        foresight_time_us: f64,
-    },
+    #[error("nothing was run: {0}")]
+    TooSlow(#[from] TooSlow),
     /// The recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
