@@ -156,7 +156,7 @@ impl TrainSettings {
         Self {
             updates: 120,
             pendulums: 64,
-            voltage_change_weight: 0.06,
+            voltage_change_weight: 0.08,
             simulation: SimulationSettings::robust(),
             ..Self::quick()
         }

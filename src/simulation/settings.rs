@@ -40,11 +40,13 @@ impl SimulationSettings {
         self
     }
 
-    /// What the machine has, and the last two commands in the observation: for Qubes that have a delay
-    /// and are not quite known.
+    /// What the machine has, the last two commands in the observation, for Qubes that have a delay and are not
+    /// quite known, and a box whose arm goes no farther than 1.7 rad: foresight ends a swing-up that needs
+    /// more of the arm's travel than its brake could give back on each Qube that this one may be.
     #[must_use]
     pub fn robust() -> Self {
-        Self { history: 2, ..Self::machine() }
+        let safety_box = SafetyBox { theta: 1.7, ..SafetyBox::THESIS };
+        Self { history: 2, safety_box, ..Self::machine() }
     }
 
     /// What the machine has: encoders and their velocity filter.

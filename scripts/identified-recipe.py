@@ -1,0 +1,88 @@
+#!/usr/bin/env python3
+"""Trains policies around emulated Qubes that were identified from one chirp, and runs them under the guard:
+the recipe that docs/learning.md recommends. Prints the table of each plant. Needs Python 3.11 and a release build.
+
+usage: scripts/identified-recipe.py [--plants lab,gap,delay,drawn] [--policies N] [--seed S] [--out FOLDER]
+
+  lab     profiles/lab.toml, whose delay is 10 ms
+  gap     with 1.5 times lab's friction, dead zones, cable and delay
+  delay   with a delay of 16 ms
+  drawn   each number of lab within 10 %, another one for each policy
+
+Each plant is excited with one chirp, identified, and the profile is all that training and guard know of it. What
+is finished in FOLDER is not done again.
+"""
+import argparse
+import os
+import pathlib
+import random
+import subprocess
+import tomllib
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+PROGRAM = os.environ.get("QUBE_HIL", str(ROOT / "target/release/qube-hil"))
+LAB = tomllib.loads((ROOT / "profiles/lab.toml").read_text())
+
+
+def table(name, values):
+    return f"[{name}]\n" + "".join(f"{key} = {value!r}\n" for key, value in values.items())
+
+
+def plant(name, seed):
+    parameters, gap = dict(LAB["parameters"]), dict(LAB["gap"])
+    if name == "gap":
+        gap = {key: value if key == "cable_rest_rad" else 1.5 * value for key, value in gap.items()}
+    elif name == "delay":
+        gap["command_delay_s"] = 0.016
+    elif name == "drawn":
+        draw = random.Random(seed)
+        parameters = {key: value if key == "g" else value * draw.uniform(0.9, 1.1) for key, value in parameters.items()}
+        gap = {key: value * draw.uniform(0.9, 1.1) for key, value in gap.items()}
+    return f'name = "{name}"\n' + table("parameters", parameters) + table("gap", gap)
+
+
+def run(*arguments):
+    subprocess.run([PROGRAM, *map(str, arguments)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def compare(folder, name, seed, policies, threads):
+    folder.mkdir(parents=True, exist_ok=True)
+    truth, found, qube, recipe = (folder / file for file in ("plant.toml", "found.toml", "qube.toml", "recipe.toml"))
+    truth.write_text(plant(name, seed))
+    if not found.exists():
+        run("run", "--excite", "chirp", "--unidentified", "--profile", truth, "--clock", "virtual", "--seed", seed,
+            "--out", folder / "chirp")
+        run("identify", folder / "chirp/rollout-0.mcap", "--out", found)
+    qube.write_text('profile = "found.toml"\n')
+    profile = tomllib.loads(found.read_text())
+    recipe.write_text(f'name = "{name}"\nmodel = "profile"\n[settings.profile]\nspread = 0.1\n'
+                      + table("settings.profile.model.parameters", profile["parameters"])
+                      + table("settings.profile.model.gap", profile["gap"]))
+    out = folder / "experiment"
+    where = ["--resume", out] if out.exists() else [
+        "--out", out, "--recipe", recipe, "--preset", "robust", "--guard", "foresight", "--profile", truth, "--device",
+        "emulated", "--qube", qube, "--policies", policies, "--rollouts", 5, "--seed", seed]
+    run("experiment", *where, "--threads", threads)
+    told = subprocess.run([PROGRAM, "experiment", "--resume", str(out), "--table", "--csv", str(folder / "policies.csv")],
+                          check=True, capture_output=True, text=True)
+    return told.stdout
+
+
+def main():
+    parser = argparse.ArgumentParser(usage=__doc__)
+    parser.add_argument("--plants", default="lab,gap,delay,drawn")
+    parser.add_argument("--policies", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=2000)
+    parser.add_argument("--threads", type=int, default=os.cpu_count())
+    parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("identified-recipe"))
+    asked = parser.parse_args()
+    for name in asked.plants.split(","):
+        if name == "drawn":
+            for seed in range(asked.seed, asked.seed + asked.policies):
+                print(compare(asked.out / f"drawn-{seed}", name, seed, 1, asked.threads), flush=True)
+        else:
+            print(compare(asked.out / name, name, asked.seed, asked.policies, asked.threads), flush=True)
+
+
+if __name__ == "__main__":
+    main()
