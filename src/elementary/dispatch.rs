@@ -1,57 +1,58 @@
-//! One body of code, compiled for several instruction sets and chosen at run time.
+//! Compiles one body of code for several instruction sets and picks one at run time.
 //!
-//! Users install without target flags, so the compiler assumes a processor of 2003. A [`Kernel`] is
-//! compiled again inside a function for which AVX-512, or AVX2 with FMA, is switched on, and the
-//! best one that this processor has is called. On ARM the plain path is the right one: NEON and
-//! its fused multiply-add are part of every 64-bit ARM.
+//! Users install without target flags, so the compiler assumes an x86-64 processor of 2003. A [`Kernel`] is
+//! therefore compiled again inside functions that enable AVX-512, or AVX2 with FMA, and [`dispatch`] calls
+//! the best one that this processor supports. On 64-bit ARM the plain path suffices: NEON and its fused
+//! multiply-add belong to every such processor.
 //!
-//! All paths compute the same bits as long as a kernel sums in a fixed order: vector
-//! instructions round like scalar ones, and `mul_add` is correctly rounded everywhere. The price is
-//! paid by x86 processors without FMA (before 2013) alone, where `mul_add` is a slow library call: a
-//! kernel that need not repeat bit for bit there may look at [`InstructionSet::LEVEL`] and do
-//! without.
+//! All paths compute the same bits as long as a kernel sums in a fixed order: vector instructions round
+//! like scalar ones, and `mul_add` is correctly rounded everywhere. Only x86 processors without FMA (before
+//! 2013) pay for this, because `mul_add` is a slow library call there. A kernel that need not repeat bit
+//! for bit may look at [`InstructionSet::LEVEL`] and avoid it.
 //!
-//! Trap: everything that a kernel calls must be `#[inline(always)]` or small enough to be inlined.
-//! What is not is compiled without the instruction set, where `mul_add` is that library call.
+//! Trap: everything that a kernel calls must be `#[inline(always)]` or small enough to be inlined. A
+//! function that is not inlined is compiled without the instruction set, and its `mul_add` is that library
+//! call.
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
-/// A computation that is worth compiling for each instruction set. The struct holds its arguments.
+/// A computation that is compiled once for each instruction set; the implementing struct holds its
+/// arguments.
 pub trait Kernel {
-    /// What it computes.
+    /// Result of the computation.
     type Output;
 
-    /// The body. Implementations must be `#[inline(always)]`, or they run on the plain path.
+    /// Runs the computation. Implementations must be `#[inline(always)]`, or they run on the plain path.
     ///
-    /// `I` tells what it is compiled for, where that decides a tile's shape.
+    /// `I` names the instruction set, for kernels that choose the shape of a tile by it.
     fn run<I: InstructionSet>(self) -> Self::Output;
 }
 
-/// What a kernel may know about the instruction set that it is being compiled for.
+/// The instruction set for which a kernel is being compiled.
 pub trait InstructionSet {
-    /// Which one.
+    /// Identifies the instruction set.
     const LEVEL: Level;
 }
 
-/// The instruction sets that there is code for, best first.
+/// The instruction sets that code exists for, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Level {
     /// AVX-512 (F, VL, BW, DQ) with FMA.
     Avx512,
     /// AVX2 with FMA.
     Avx2,
-    /// What every processor of this architecture has: SSE2, or NEON.
+    /// The baseline of the architecture: SSE2 on x86-64, NEON on ARM.
     Plain,
 }
 
-/// The first of [`Level::ALL`] that may be used. It decides how fast things are computed, never what.
+/// Index in [`Level::ALL`] of the best level that may be used. It changes speed, never results.
 static FIRST_ALLOWED: AtomicU8 = AtomicU8::new(0);
 
 impl Level {
-    /// All of them, best first.
+    /// Every level, best first.
     pub const ALL: [Self; 3] = [Self::Avx512, Self::Avx2, Self::Plain];
 
-    /// The best that this processor has, among those that are allowed.
+    /// The best allowed level that this processor supports.
     #[must_use]
     #[inline]
     pub fn best() -> Self {
@@ -59,13 +60,12 @@ impl Level {
         allowed.iter().copied().find(|level| level.is_available()).unwrap_or(Self::Plain)
     }
 
-    /// From now on nothing better than this is used in this process: to see what another processor
-    /// would do.
+    /// Forbids every better level in this process from now on, to reproduce another processor's behaviour.
     pub fn forbid_better(self) {
         FIRST_ALLOWED.store(self as u8, Ordering::Relaxed);
     }
 
-    /// Whether this processor has it.
+    /// Whether this processor supports the level.
     #[must_use]
     #[inline]
     pub fn is_available(self) -> bool {
@@ -94,8 +94,8 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
     dispatch_at(Level::best(), kernel)
 }
 
-/// Runs a kernel with this instruction set, for comparisons; with the plain one when the processor
-/// does not have it.
+/// Runs a kernel with the given instruction set, for comparisons; falls back to the plain one when the
+/// processor does not support it.
 #[inline]
 pub fn dispatch_at<K: Kernel>(level: Level, kernel: K) -> K::Output {
     if !level.is_available() {

@@ -1,6 +1,6 @@
 use super::Scalar;
 
-/// `libm` is plain Rust: the same bits on every platform, which the system's own is not.
+/// `libm` is plain Rust and computes the same bits on every platform; the system's library does not.
 impl Scalar for f64 {
     #[inline(always)]
     fn from_f64(value: f64) -> Self {

@@ -1,10 +1,18 @@
-//! sin, cos, tanh, exp and 1 / sqrt written out once.
+//! Elementary functions with fixed bits: sin, cos, tanh, exp and 1 / sqrt.
 //!
-//! The standard library leaves the last bits to the platform; here they are fixed, so that a
-//! recording replays bit for bit on any processor, and branch-free, so that loops over many
-//! pendulums become vector code. Imports nothing.
+//! The standard library leaves the last bits to the platform. Here they are fixed, so that a recording
+//! replays bit for bit on any processor, and the code has no branches, so that loops over many pendulums
+//! become vector code. The room imports nothing.
 //!
 //! The `f32` functions are fast only inside a [`Kernel`] that [`dispatch`] runs.
+//!
+//! ```
+//! use qube_hil::elementary::{Scalar, tanh};
+//!
+//! assert!((tanh(0.5) - 0.5_f32.tanh()).abs() < 5e-7);
+//! let (sin, cos) = Scalar::sin_cos(0.3_f64);
+//! assert!((sin * sin + cos * cos - 1.0).abs() < 1e-15);
+//! ```
 
 mod dispatch;
 mod double;

@@ -1,5 +1,5 @@
-/// Asks the processor to have this in its cache soon. Changes no value; does nothing where there is
-/// no instruction for it.
+/// Asks the processor to load a value into its cache soon. Changes no value; does nothing on architectures
+/// without such an instruction.
 #[inline(always)]
 pub fn prefetch<T>(wanted: &T) {
     // SAFETY: a prefetch reads nothing and faults on no address, and SSE is part of x86-64.

@@ -1,7 +1,7 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// What the equations of motion need of a number, so that they are written once for the `f64` of
-/// the emulator and for the `f32` lanes of the simulation.
+/// The arithmetic that the equations of motion need, so that they are written once for the `f64` of the
+/// emulator and for the `f32` lanes of the simulation.
 pub trait Scalar:
     Copy
     + PartialOrd
@@ -17,16 +17,16 @@ pub trait Scalar:
     /// The magnitude.
     fn abs(self) -> Self;
 
-    /// `self * factor + summand`: rounded once for `f32`, whose kernels run where that is one fast
-    /// instruction; rounded twice for `f64`, which runs outside of them.
+    /// `self * factor + summand`. `f32` rounds once, because its kernels run where that is one fast
+    /// instruction; `f64` runs outside of kernels and rounds twice.
     fn mul_add(self, factor: Self, summand: Self) -> Self;
 
-    /// The largest integer that is not above.
+    /// The largest integer that is not above the value.
     fn floor(self) -> Self;
 
     /// Sine and cosine of an angle in radians.
     fn sin_cos(self) -> (Self, Self);
 
-    /// e to this power.
+    /// The exponential e^x.
     fn exp(self) -> Self;
 }

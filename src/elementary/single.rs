@@ -1,25 +1,24 @@
-//! The `f32` functions.
+//! Elementary functions for `f32`.
 //!
-//! Each is a polynomial (or a quotient of two) after a range reduction, built only from
-//! [`f32::mul_add`], division and bit operations, in a fixed order: every processor computes the
-//! same bits. Without a branch, so that a loop over a slice becomes vector code when it is compiled
-//! for vectors (see [`super::Kernel`]).
+//! Each is a polynomial (or a quotient of two) after a range reduction, built only from [`f32::mul_add`],
+//! division and bit operations in a fixed order, so every processor computes the same bits. None has a
+//! branch, so a loop over a slice becomes vector code when it is compiled for vectors (see
+//! [`super::Kernel`]).
 //!
-//! The coefficients are minimax fits of this project: iteratively reweighted least squares
-//! (Lawson's algorithm) in double precision on 4000 Chebyshev-spaced points, the quotient
-//! linearised with the denominator of the round before; then rounded, for cos one after the other
-//! with the rest fitted again. The error bounds in the
-//! documentation include `f32` rounding and are tested on dense grids.
+//! The coefficients are minimax fits of this project: iteratively reweighted least squares (Lawson's
+//! algorithm) in double precision on 4,000 Chebyshev-spaced points, the quotient linearised with the
+//! denominator of the previous round. They are then rounded; for cos one after the other, with the rest
+//! fitted again. The error bounds below include `f32` rounding and are tested on dense grids.
 
 use super::Scalar;
 
-/// Beyond this |x| the quotient for tanh is no longer needed: 1 - tanh(8) = 2.3e-7.
+/// Beyond this |x| tanh is constant: 1 - tanh(8) = 2.3e-7.
 const TANH_SATURATION: f32 = 8.0;
 
 /// Hyperbolic tangent; absolute error at most 5e-7, never beyond +-1. NaN stays NaN.
 ///
-/// x P4(x^2) / Q3(x^2) on [-8, 8], both constant terms 1, so that small x keep their relative
-/// accuracy too. (A quotient one degree smaller is off by 2.6e-6.)
+/// Computes x P4(x^2) / Q3(x^2) on [-8, 8]. Both constant terms are 1, so that small x keep their relative
+/// accuracy. (A quotient one degree smaller is off by 2.6e-6.)
 #[inline(always)]
 pub fn tanh(x: f32) -> f32 {
     let x = x.clamp(-TANH_SATURATION, TANH_SATURATION);
@@ -37,10 +36,11 @@ pub fn tanh(x: f32) -> f32 {
 /// Sine and cosine of an angle in radians; absolute error of each at most 2e-7 on +-17 and 1e-6 on
 /// +-1e4. NaN and infinities give NaN.
 ///
-/// The nearest multiple of pi is taken off in two parts, then degree 9 and 8 on [-pi/2, pi/2].
+/// Subtracts the nearest multiple of pi in two parts, then evaluates polynomials of degree 9 and 8 on
+/// [-pi/2, pi/2].
 #[inline(always)]
 pub fn sin_cos(x: f32) -> (f32, f32) {
-    /// 1.5 * 2^23: adding it rounds to an integer, which then stands in the low bits.
+    /// 1.5 * 2^23: adding it rounds to an integer, which the low bits then hold.
     const ROUND: f32 = 12_582_912.0;
     const PI_HIGH: f32 = std::f32::consts::PI;
     /// pi - PI_HIGH.
@@ -52,7 +52,7 @@ pub fn sin_cos(x: f32) -> (f32, f32) {
     // An odd number of half turns changes both signs.
     let sign = shifted.to_bits() << 31;
     let s = r * r;
-    // Halves of the polynomials apart: they do not wait for each other.
+    // The halves of each polynomial are independent, so the processor computes them in parallel.
     let s2 = s * s;
     let sin_high = 2.599_903_1e-6_f32.mul_add(s, -1.980_654_7e-4);
     let sin_low = 8.333_016e-3_f32.mul_add(s, -1.666_665_7e-1);
@@ -63,10 +63,10 @@ pub fn sin_cos(x: f32) -> (f32, f32) {
     (f32::from_bits(sin.to_bits() ^ sign), f32::from_bits(cos.to_bits() ^ sign))
 }
 
-/// e^x; relative error at most 2e-7 on [-87, 88]. Outside it stays at the ends' values (1.6e-38 and
-/// 1.7e38) instead of leaving the normal numbers. NaN stays NaN.
+/// e^x; relative error at most 2e-7 on [-87, 88]. Outside that range the result stays at the end's value
+/// (1.6e-38 or 1.7e38), so that it remains a normal number. NaN stays NaN.
 ///
-/// 2^n times degree 5 on +-ln 2 / 2.
+/// Multiplies 2^n by a polynomial of degree 5 on +-ln 2 / 2.
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
     const ROUND: f32 = 12_582_912.0;
@@ -84,17 +84,17 @@ pub fn exp(x: f32) -> f32 {
         .mul_add(r, 4.999_922_9e-1)
         .mul_add(r, 1.0)
         .mul_add(r, 1.0);
-    // The integer in the low bits moves into the exponent's place.
+    // Shifts the integer from the low bits into the exponent's place.
     let power_of_two = f32::from_bits((shifted.to_bits() << 23).wrapping_add(127 << 23));
     polynomial * power_of_two
 }
 
 /// 1 / sqrt(x) of a positive normal number; relative error at most 8e-7. Zero gives a large number.
 ///
-/// Halving the exponent in the bits themselves gives 3 %, and each of two Newton steps squares
-/// that. The integer and the constants beside 3/2 are those for which the largest error on either
-/// side is the same after each step. Neither a division nor a square root, which are slow, and none
-/// of the processor's approximations, which differ from one to another.
+/// Halving the exponent in the bits gives a first guess within 3 %; each of two Newton steps squares that
+/// error. The integer and the constants beside 3/2 balance the largest error on both sides after each step.
+/// Division and square root are avoided because they are slow, the processor's own approximations because
+/// they differ between processors.
 #[inline(always)]
 pub fn inverse_square_root(x: f32) -> f32 {
     let half = 0.5 * x;

@@ -2,24 +2,24 @@ use serde::{Deserialize, Serialize};
 
 use crate::qube::{Measurement, RAD_PER_COUNT};
 
-/// How one rig's counts become angles and volts: signs differ from rig to rig, zeros from day to day.
+/// The map from one rig's counts to angles and volts: signs differ between rigs, zeros between days.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
-    /// The arm encoder's count in the middle between the stops.
+    /// Count of the arm's encoder in the middle between the stops.
     pub theta_zero_counts: i32,
-    /// The pendulum encoder's count while it hangs.
+    /// Count of the pendulum's encoder while it hangs.
     pub alpha_zero_counts: i32,
-    /// The arm's encoder counts against the convention.
+    /// The arm's encoder counts opposite to the convention.
     pub theta_inverted: bool,
-    /// The pendulum's encoder counts against the convention.
+    /// The pendulum's encoder counts opposite to the convention.
     pub alpha_inverted: bool,
     /// A positive voltage turns the arm towards negative theta.
     pub voltage_inverted: bool,
 }
 
 impl Calibration {
-    /// Signs as the convention has them, zeros at zero.
+    /// The convention's signs, and zeros at count zero.
     pub const IDENTITY: Self = Self {
         theta_zero_counts: 0,
         alpha_zero_counts: 0,
@@ -52,7 +52,7 @@ impl Calibration {
         })
     }
 
-    /// The voltage to send for a wanted voltage.
+    /// The device voltage that produces a voltage in the convention's sign, mV.
     #[must_use]
     pub fn device_mv(&self, voltage_mv: i16) -> i16 {
         if self.voltage_inverted { voltage_mv.saturating_neg() } else { voltage_mv }

@@ -4,7 +4,7 @@ use super::observer::Observer;
 use super::{Calibration, EstimatorSettings, FilterGains, through_filters};
 use crate::qube::{COUNTS_PER_REVOLUTION, Measurement, RAD_PER_COUNT, State, wrap_angle};
 
-/// State from measurements, over the device's own time.
+/// Estimates the state from encoder samples over the device's clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimator {
     settings: EstimatorSettings,
@@ -13,13 +13,13 @@ pub struct Estimator {
     previous: Option<Previous>,
 }
 
-/// What is made of the samples so far.
+/// Estimates of the state after the samples so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimates {
-    /// What policy and reward see: by the filter or the observer of the settings.
+    /// State for policy and reward, by the filter or observer of the settings.
     pub seen: State,
-    /// What the guard judges, and what settles and brakes the arm: always by a filter, and never by
-    /// a slower one than [`super::GUARD_CORNER_RAD_S`]. No model can make it wrong.
+    /// State for the guard and for homing, settling and braking the arm. It comes always from a filter,
+    /// never from one slower than [`super::GUARD_CORNER_RAD_S`], so no model can falsify it.
     pub guarded: State,
 }
 
@@ -30,13 +30,13 @@ struct Previous {
 }
 
 impl Estimator {
-    /// An estimator that takes the first measurement as one at rest.
+    /// An estimator that treats the first measurement as one at rest.
     #[must_use]
     pub fn new(settings: EstimatorSettings, calibration: Calibration) -> Self {
         Self { settings, calibration, observer: None, previous: None }
     }
 
-    /// The estimates after one more measurement. A measurement no newer than the last changes
+    /// Takes one more measurement and returns the estimates. A measurement no newer than the last changes
     /// nothing.
     pub fn update(&mut self, measurement: &Measurement) -> Estimates {
         let (theta, alpha) = self.calibration.angles_rad(measurement);
@@ -68,15 +68,16 @@ impl Estimator {
         estimates
     }
 
-    /// Remembers what was sent in answer to the last measurement, V: an observer predicts by it.
+    /// Records the voltage that was sent in answer to the last measurement, V, for the observer's
+    /// prediction.
     pub fn send(&mut self, voltage_v: f64) {
         if let (Some(observer), Some(previous)) = (&mut self.observer, &self.previous) {
             observer.send(previous.device_time_us, voltage_v);
         }
     }
 
-    /// Counts the pendulum's whole turns from here on, so that alpha lies in (-pi, pi] now, and
-    /// returns the estimates as they read then. Velocities are kept.
+    /// Removes the pendulum's whole turns so that alpha lies in (-pi, pi], and returns the estimates after
+    /// the shift. Velocities are kept.
     pub fn forget_whole_turns(&mut self) -> Estimates {
         let Some(Previous { estimates, .. }) = &mut self.previous else {
             return Estimates::default();
@@ -86,7 +87,7 @@ impl Estimator {
         let turns_counts = turns as i32 * COUNTS_PER_REVOLUTION;
         let moved = if self.calibration.alpha_inverted { -turns_counts } else { turns_counts };
         self.calibration.alpha_zero_counts = self.calibration.alpha_zero_counts.wrapping_add(moved);
-        // The same count under the new zero, so that the next difference does not see a jump.
+        // The previous angle moves with the zero, so that the next difference has no jump.
         let by_rad = -f64::from(turns_counts) * RAD_PER_COUNT;
         estimates.guarded.alpha += by_rad;
         estimates.seen.alpha += by_rad;
@@ -96,8 +97,7 @@ impl Estimator {
         *estimates
     }
 
-    /// How often the observer had lost the Qube and started anew from encoders and filter; 0 where
-    /// there is none.
+    /// How often the observer lost the Qube and restarted from encoders and filter; 0 without an observer.
     #[must_use]
     pub fn times_astray(&self) -> u32 {
         self.observer.as_ref().map_or(0, Observer::times_astray)
@@ -166,7 +166,7 @@ mod tests {
         }
     }
 
-    /// What is left of the plant that a test moves: its state at the last sample.
+    /// The plant of a test, advanced to its last sample.
     struct Ride {
         sent: SentVoltages,
         state: State,
@@ -179,7 +179,7 @@ mod tests {
             Self { sent, state: State { theta: 0.2, alpha: 0.1, ..State::default() }, now_us: 0 }
         }
 
-        /// The state some time after the last sample, by much finer steps than the observer's.
+        /// The state some time after the last sample, integrated with much finer steps than the observer's.
         fn at(&self, model: &QubeModel, until_us: u64) -> State {
             let dynamics = GapDynamics::<f64>::new(model);
             let mut state = self.state;
@@ -214,15 +214,15 @@ mod tests {
         }
     }
 
-    /// Root mean square errors of both velocities over 3 s of swinging, against the true state at
-    /// the instant at which the command acts.
+    /// Root mean square errors of both velocities over 3 s of swinging, against the true state at the
+    /// instant at which the command acts.
     fn velocity_errors(settings: EstimatorSettings, ahead_us: u64) -> (f64, f64) {
         let model = real();
         let mut ride = Ride::new(&model);
         let mut estimator = Estimator::new(settings, Calibration::IDENTITY);
         let (mut theta, mut alpha) = (0.0, 0.0);
         for tick in 0..300_u64 {
-            // Each ninth sample is lost; its command with it.
+            // Every ninth sample is lost together with its command.
             if tick % 9 == 4 {
                 continue;
             }
@@ -295,10 +295,10 @@ mod tests {
             estimator.update(&at(tick, 0));
         }
         assert_eq!(estimator.times_astray(), 0);
-        // Somebody has turned the arm by a tenth of a turn.
+        // A hand has turned the arm by a tenth of a turn.
         let estimates = estimator.update(&at(20, 205));
         assert_eq!((estimates.seen, estimator.times_astray()), (estimates.guarded, 1));
-        // A silence that nothing predicts over.
+        // The link is silent for longer than the observer predicts over.
         for tick in 21..60 {
             estimator.update(&at(tick, 205));
         }

@@ -1,14 +1,14 @@
 use crate::elementary::Scalar;
 use crate::qube::RAD_PER_COUNT;
 
-/// What one angle's disagreement with its prediction corrects: the steady-state Kalman gains of one
-/// axis.
+/// Steady-state Kalman gains of one axis: the correction of angle and velocity for each rad of prediction
+/// error.
 ///
-/// The axis is taken as angle and velocity, which a constant acceleration that the model does not
-/// know of drives through one interval T; it is white from interval to interval with standard
-/// deviation `sigma_a`. The angle is measured with the noise of an encoder, a count's uniform
-/// distribution: `sigma_r` = (2 pi / 2048) / sqrt(12). The Riccati equation then has a closed
-/// solution in `Lambda = sigma_a T^2 / sigma_r` (the tracking index; P. R. Kalata, IEEE Trans. AES
+/// The axis is modelled as angle and velocity, driven by an unmodelled acceleration that is constant over
+/// one interval T and white from interval to interval with standard deviation `sigma_a`. The angle's noise
+/// is that of an encoder, uniform over one count: `sigma_r` = (2 pi / 2048) / sqrt(12). The Riccati
+/// equation then has a closed solution in the tracking index `Lambda = sigma_a T^2 / sigma_r` (P. R.
+/// Kalata, IEEE Trans. AES 20 (1984) 174):
 /// 20 (1984) 174):
 ///
 /// ```text
@@ -16,24 +16,24 @@ use crate::qube::RAD_PER_COUNT;
 /// angle gain = 1 - r^2,  velocity gain = 2 (1 - r)^2 / T
 /// ```
 ///
-/// How one axis pulls on the other is in the prediction, which is by the whole equations of motion,
-/// and not in the gains: those would have to change with every angle of the pendulum.
+/// The prediction uses the full equations of motion and so accounts for the coupling of the axes; the gains
+/// neglect it, because they would otherwise change with every angle of the pendulum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalmanGains<T = f64> {
-    /// Correction of the angle for each rad.
+    /// Correction of the angle for each rad of prediction error.
     pub angle: T,
-    /// Correction of the velocity for each rad, 1/s.
+    /// Correction of the velocity for each rad of prediction error, 1/s.
     pub velocity: T,
 }
 
 impl KalmanGains {
-    /// For an acceleration that is off by `noise_rad_s2` (standard deviation), over intervals of
+    /// The gains for an acceleration error of `noise_rad_s2` (standard deviation) over intervals of
     /// `interval_s`; both above 0.
     #[must_use]
     pub fn steady_state(noise_rad_s2: f64, interval_s: f64) -> Self {
         let quantisation_rad = RAD_PER_COUNT / 12.0_f64.sqrt();
         let index = noise_rad_s2 * interval_s * interval_s / quantisation_rad;
-        // (4 + index)^2 - (8 index + index^2) = 16: the same r without a difference of large numbers.
+        // (4 + index)^2 - (8 index + index^2) = 16: this form of r avoids a difference of large numbers.
         let r = 4.0 / (4.0 + index + (index * (8.0 + index)).sqrt());
         Self { angle: 1.0 - r * r, velocity: 2.0 * (1.0 - r) * (1.0 - r) / interval_s }
     }
@@ -49,7 +49,7 @@ impl KalmanGains {
 mod tests {
     use super::*;
 
-    /// The gains to which the Riccati recursion comes.
+    /// The gains to which the Riccati recursion converges.
     fn iterated(noise_rad_s2: f64, interval_s: f64) -> (f64, f64) {
         let (t, variance) = (interval_s, noise_rad_s2 * noise_rad_s2);
         let noise = RAD_PER_COUNT * RAD_PER_COUNT / 12.0;

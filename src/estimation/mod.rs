@@ -1,11 +1,11 @@
 //! Angles and velocities from encoder counts.
 //!
-//! One estimator serves simulation and machine, so that a policy trains on what it will see.
-//! [`Estimator`] gives two states: what the policy sees comes from the filter or the observer that
-//! the settings choose; what the guard judges comes from a filter that nobody can slow down and
-//! that knows no model. What each costs in lag and noise: docs/estimation.md.
+//! One estimator serves simulation and machine, so that a policy trains on the estimates that it will see.
+//! [`Estimator`] gives two states: the policy's comes from the filter or the observer that the settings
+//! choose; the guard's comes from a filter that no setting can slow down and that uses no model.
+//! docs/estimation.md measures the lag and noise of each.
 //!
-//! Pure: no randomness, no clock, no I/O. May import `qube` and `elementary`.
+//! The room is pure (no randomness, no clock, no I/O) and may import `qube` and `elementary`.
 
 mod calibration;
 mod estimator;

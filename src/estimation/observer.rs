@@ -2,16 +2,16 @@ use super::{KalmanGains, ObserverSettings, SentVoltages};
 use crate::elementary::Scalar;
 use crate::qube::{GapDynamics, State, runge_kutta_4};
 
-/// Longest integration step, us: 6e-6 rad off at the worst speeds of a swing-up, a five hundredth of
-/// an encoder count.
+/// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of an
+/// encoder count.
 const MAX_STEP_US: u64 = 5_000;
 
-/// Longest time between two samples that is predicted over, us. A link that is silent for as long
-/// has ended the rollout before.
+/// Longest interval between two samples that the observer predicts over, us. A link that is silent for as
+/// long has already ended the rollout.
 const MAX_INTERVAL_US: u64 = 100_000;
 
-/// No angle or velocity of a Qube comes near this, rad and rad/s: a prediction beyond it, or one
-/// that is not a number, is none.
+/// Bound on every entry of a state, rad and rad/s, far beyond any Qube's. A prediction beyond it, or one
+/// that is not a number, is discarded.
 const SENSELESS: f64 = 1e4;
 
 /// The observer's equations, for the one Qube of the machine and for the lanes of a simulation.
@@ -22,7 +22,7 @@ pub struct ObserverEquations<T = f64> {
 }
 
 impl<T: Scalar> ObserverEquations<T> {
-    /// For the Qube and the limit of these settings.
+    /// Equations with the model and the limit of these settings.
     #[must_use]
     pub fn new(settings: &ObserverSettings) -> Self {
         Self {
@@ -31,14 +31,15 @@ impl<T: Scalar> ObserverEquations<T> {
         }
     }
 
-    /// The state a time step later, under a voltage.
+    /// The state one time step later under a voltage.
     #[inline(always)]
     pub fn predict(&self, state: State<T>, voltage_v: T, step_s: T) -> State<T> {
         runge_kutta_4(&self.dynamics, state, voltage_v, step_s)
     }
 
-    /// The prediction corrected by the angles that the encoders show, which are those of `filtered`;
-    /// and whether it had gone astray: then `filtered` takes its place.
+    /// Corrects a prediction by the measured angles, which are those of `filtered`. Returns the state and
+    /// whether the observer was reset: when the prediction error exceeds the limit, `filtered` takes the
+    /// prediction's place.
     #[inline(always)]
     pub fn correct(
         &self,
@@ -55,22 +56,20 @@ impl<T: Scalar> ObserverEquations<T> {
             theta_dot: theta_gains.velocity.mul_add(theta_off, predicted.theta_dot),
             alpha_dot: alpha_gains.velocity.mul_add(alpha_off, predicted.alpha_dot),
         };
-        // What is not a number is not near.
+        // A comparison with NaN is false and therefore resets.
         let near = (theta_off.abs() < self.astray) & (alpha_off.abs() < self.astray);
         let kept = near & makes_sense(&corrected);
         (choose(kept, &corrected, filtered), !kept)
     }
 
-    /// What the policy is shown: the state that was predicted ahead, or `filtered` where that makes
-    /// no sense.
+    /// The state that the policy sees: the prediction ahead, or `filtered` where that is not plausible.
     #[inline(always)]
     pub fn shown(ahead: &State<T>, filtered: &State<T>) -> State<T> {
         choose(makes_sense(ahead), ahead, filtered)
     }
 }
 
-/// One of two states, number by number: so it becomes vector code, which a branch between states does
-/// not.
+/// Selects one of two states number by number, which becomes vector code; a branch between states does not.
 #[inline(always)]
 fn choose<T: Scalar>(first: bool, a: &State<T>, b: &State<T>) -> State<T> {
     State {
@@ -90,26 +89,26 @@ fn makes_sense<T: Scalar>(state: &State<T>) -> bool {
         & (state.alpha_dot.abs() < limit)
 }
 
-/// Steps that a time is integrated in, and the length of each, s.
+/// Number of integration steps for a duration, and the length of each, s.
 #[must_use]
 pub fn prediction_steps(duration_us: u64) -> (u64, f64) {
     let steps = duration_us.div_ceil(MAX_STEP_US).max(1);
     (steps, duration_us as f64 * 1e-6 / steps as f64)
 }
 
-/// The observer of one Qube, over the device's own time.
+/// The observer of one Qube over the device's clock.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Observer {
     settings: ObserverSettings,
     equations: ObserverEquations,
     sent: SentVoltages,
-    /// At the last sample's instant.
+    /// State at the instant of the last sample.
     estimate: State,
     times_astray: u32,
 }
 
 impl Observer {
-    /// Of a Qube that is in this state and got no voltage yet.
+    /// An observer of a Qube in this state to which no voltage was sent.
     pub(super) fn new(settings: &ObserverSettings, estimate: State) -> Self {
         Self {
             settings: *settings,
@@ -120,8 +119,8 @@ impl Observer {
         }
     }
 
-    /// Takes the sample of `now_us` after that of `before_us`, with what the guard's filter makes of
-    /// it; returns the state when the command that is now computed will act.
+    /// Takes the sample of `now_us`, which follows the one of `before_us`, with the guard's filtered state;
+    /// returns the state at the instant at which the command being computed will act.
     pub(super) fn update(&mut self, before_us: u64, now_us: u64, filtered: &State) -> State {
         let elapsed_us = now_us - before_us;
         let (estimate, astray) = if elapsed_us <= MAX_INTERVAL_US {
@@ -142,7 +141,7 @@ impl Observer {
         ObserverEquations::shown(&ahead, filtered)
     }
 
-    /// The estimate's state at one instant as the model moves it to another.
+    /// The estimate moved by the model from one instant to another.
     fn moved(&self, from_us: u64, until_us: u64) -> State {
         let mut state = self.estimate;
         for piece in self.sent.between(from_us, until_us) {
@@ -154,17 +153,17 @@ impl Observer {
         state
     }
 
-    /// Remembers what was sent in answer to the sample of this instant.
+    /// Records the voltage that was sent in answer to the sample of this instant.
     pub(super) fn send(&mut self, sample_us: u64, voltage_v: f64) {
         self.sent.send(sample_us, voltage_v);
     }
 
-    /// Counts the pendulum's angle from elsewhere.
+    /// Shifts the pendulum's angle by a change of its zero.
     pub(super) fn shift_alpha(&mut self, by_rad: f64) {
         self.estimate.alpha += by_rad;
     }
 
-    /// How often it had lost the Qube and started anew.
+    /// How often the observer lost the Qube and was reset.
     pub(super) fn times_astray(&self) -> u32 {
         self.times_astray
     }

@@ -1,15 +1,15 @@
-/// Commands that are remembered: longer than the longest delay, and the longest silence of a link
-/// before the rollout ends, together.
+/// Number of commands remembered: they span the longest delay together with the longest silence of a link
+/// before the rollout ends.
 const REMEMBERED: usize = 16;
 
-/// The voltages that were sent, and from when on each of them acts.
+/// The voltages that were sent and the instants from which each acts.
 ///
-/// Generic over what is sent, so that a simulation with a fixed period can ask once which of its
-/// last commands act when.
+/// The type is generic over the voltage, so that a simulation with a fixed period can find once which of
+/// its last commands act when.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SentVoltages<V = f64> {
     delay_us: u64,
-    /// Oldest first. The first acts since ever.
+    /// Oldest first. The first acts since the beginning.
     commands: [Command<V>; REMEMBERED],
     count: usize,
 }
@@ -20,17 +20,18 @@ struct Command<V> {
     voltage: V,
 }
 
-/// A voltage and how long it acts.
+/// A voltage and the time for which it acts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece<V = f64> {
-    /// The voltage.
+    /// Voltage, V.
     pub voltage: V,
-    /// For how long, us.
+    /// Duration, us.
     pub duration_us: u64,
 }
 
 impl<V: Copy> SentVoltages<V> {
-    /// Nothing but `voltage` was ever sent; what is sent acts `delay_s` after its sample's instant.
+    /// A history in which only `voltage` was ever sent; a command acts `delay_s` after the instant of its
+    /// sample.
     #[must_use]
     pub fn new(delay_s: f64, voltage: V) -> Self {
         Self {
@@ -40,13 +41,14 @@ impl<V: Copy> SentVoltages<V> {
         }
     }
 
-    /// From a sample's instant until what was computed from it acts, us.
+    /// Delay from the instant of a sample until the command computed from it acts, us.
     #[must_use]
     pub fn delay_us(&self) -> u64 {
         self.delay_us
     }
 
-    /// Remembers what was sent in answer to the sample of this instant; instants only grow.
+    /// Records the voltage that was sent in answer to the sample of this instant; instants must not
+    /// decrease.
     pub fn send(&mut self, sample_us: u64, voltage: V) {
         if self.count == REMEMBERED {
             self.commands.rotate_left(1);
@@ -57,7 +59,7 @@ impl<V: Copy> SentVoltages<V> {
         self.count += 1;
     }
 
-    /// What acts from one instant to another, in order.
+    /// The voltages that act between two instants, in order.
     pub fn between(&self, from_us: u64, until_us: u64) -> impl Iterator<Item = Piece<V>> {
         (0..self.count).filter_map(move |index| {
             let Command { acts_from_us, voltage } = self.commands[index];
@@ -84,7 +86,7 @@ mod tests {
         assert_eq!(pieces(&sent, 0, 10_000), [(0.0, 10_000)]);
         sent.send(0, 1.0);
         sent.send(10_000, 2.0);
-        // One sample was lost: what was sent before is held over.
+        // One sample is lost; the previous voltage is held.
         sent.send(30_000, 3.0);
         assert_eq!(pieces(&sent, 0, 10_000), [(0.0, 10_000)]);
         assert_eq!(pieces(&sent, 10_000, 30_000), [(0.0, 3_000), (1.0, 10_000), (2.0, 7_000)]);

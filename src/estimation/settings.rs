@@ -3,94 +3,93 @@ use thiserror::Error;
 
 use crate::qube::{Gap, ParameterError, QubeModel};
 
-/// The slowest corner of the filter that the guard is judged by, rad/s.
+/// Smallest corner of the guard's velocity filter, rad/s.
 pub const GUARD_CORNER_RAD_S: f64 = 200.0;
 
-/// How the state is estimated that the policy sees.
+/// Settings of the estimator whose state the policy sees.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EstimatorSettings {
-    /// Corner of the velocity filter in rad/s. 200 by default; 50 is the thesis's set-up, whose lag
-    /// alone makes a quarter of nominal policies fail.
+    /// Corner of the velocity filter, rad/s. The default is 200; the thesis uses 50, whose lag alone makes
+    /// a quarter of nominal policies fail.
     pub corner_rad_s: f64,
-    /// The observer that takes the filter's place; none is the filter, and that of every file which
-    /// names none.
+    /// Model observer that replaces the filter; `None`, also in files that do not name it, selects the
+    /// filter.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub observer: Option<ObserverSettings>,
 }
 
-/// An observer with a model of the Qube: it predicts by the equations of motion and the voltages
-/// that were sent, corrects by the encoders, and shows the state at the instant at which the command
-/// that is now computed will reach the motor.
+/// Settings of an observer with a model of the Qube. It predicts with the equations of motion and the
+/// voltages that were sent, corrects with the encoders, and returns the state at the instant at which the
+/// command being computed will reach the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ObserverSettings {
-    /// The Qube. The delay in its gap counts from the instant of a sample to the motor's having the
-    /// voltage that was computed from it.
+    /// Model of the Qube. Its delay counts from the instant of a sample until the voltage computed from it
+    /// acts at the motor.
     pub model: QubeModel,
-    /// How far off the model's acceleration of the arm is taken to be, rad/s^2.
+    /// Standard deviation of the model's error in the arm's acceleration, rad/s^2.
     pub theta_noise_rad_s2: f64,
-    /// The same for the pendulum.
+    /// Standard deviation of the model's error in the pendulum's acceleration, rad/s^2.
     pub alpha_noise_rad_s2: f64,
-    /// When an encoder is farther from the prediction than this, rad, the observer has lost the
-    /// Qube and starts anew from the encoders and the guard's filter.
+    /// Largest distance between encoder and prediction, rad. Beyond it the observer has lost the Qube and
+    /// restarts from the encoders and the guard's filter.
     pub astray_rad: f64,
 }
 
-/// Why settings make no estimator.
+/// The reason why estimator settings are invalid.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SettingsError {
-    /// A number that makes no sense.
+    /// A number is outside its range.
     #[error("{name} = {value}: give a number above 0 and up to {largest}")]
     OutOfRange {
-        /// Which entry.
+        /// Name of the entry.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// The most that makes sense.
+        /// Largest accepted value.
         largest: f64,
     },
-    /// A delay that no observer can predict over.
+    /// The delay is longer than an observer can predict over.
     #[error("observer.model.gap.command_delay_s = {0}: give a number from 0 to 0.1")]
     Delay(f64),
-    /// A Qube that cannot be.
+    /// A domain parameter is not physical.
     #[error("observer.model.parameters.{0}")]
     Parameter(#[from] ParameterError),
-    /// A gap that is no number.
+    /// A nonideality is not a finite number.
     #[error("observer.model.gap has an entry that is not a finite number")]
     Gap,
 }
 
 impl EstimatorSettings {
-    /// The velocity filter with this corner.
+    /// Selects the velocity filter with this corner, rad/s.
     #[must_use]
     pub fn filter(corner_rad_s: f64) -> Self {
         Self { corner_rad_s, observer: None }
     }
 
-    /// An observer.
+    /// Selects a model observer.
     #[must_use]
     pub fn observer(observer: ObserverSettings) -> Self {
         Self { observer: Some(observer), ..Self::default() }
     }
 
-    /// Corner of the filter that the guard is judged by, rad/s: the policy's own where that is
-    /// faster.
+    /// Corner of the guard's filter, rad/s: the policy's own where that is faster.
     #[must_use]
     pub fn guard_corner_rad_s(&self) -> f64 {
         self.corner_rad_s.max(GUARD_CORNER_RAD_S)
     }
 
-    /// Whether the policy sees what the guard sees.
+    /// Whether policy and guard see the same state.
     #[must_use]
     pub fn policy_sees_as_guard(&self) -> bool {
         self.observer.is_none() && self.corner_rad_s >= GUARD_CORNER_RAD_S
     }
 
-    /// Whether an estimator can be made of these.
+    /// Checks the settings.
     ///
     /// # Errors
-    /// The first entry that makes no sense.
+    /// Names the first entry that is out of range.
     pub fn check(&self) -> Result<(), SettingsError> {
         within("corner_rad_s", self.corner_rad_s, f64::MAX)?;
         let Some(observer) = &self.observer else {
@@ -132,13 +131,13 @@ impl Default for EstimatorSettings {
 }
 
 impl ObserverSettings {
-    /// An observer of this Qube.
+    /// Default settings with this model.
     #[must_use]
     pub fn of(model: QubeModel) -> Self {
         Self { model, ..Self::default() }
     }
 
-    /// The same with another delay, s.
+    /// The same settings with another delay, s.
     #[must_use]
     pub fn with_delay(self, command_delay_s: f64) -> Self {
         let gap = Gap { command_delay_s, ..self.model.gap };
@@ -147,8 +146,8 @@ impl ObserverSettings {
 }
 
 impl Default for ObserverSettings {
-    /// Of the nominal Qube. The noises are a few parts in ten of what the motor can do, as a model
-    /// is off whose parameters are those of the name plate (docs/estimation.md).
+    /// The default observes the nominal Qube. The noises are a few tenths of the acceleration that the
+    /// motor can produce, the error of a model with name-plate parameters (docs/estimation.md).
     fn default() -> Self {
         Self {
             model: QubeModel::NOMINAL,

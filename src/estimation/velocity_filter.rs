@@ -1,22 +1,22 @@
 use crate::elementary::Scalar;
 use crate::qube::State;
 
-/// Velocity from angles by the filter omega s / (s + omega), discretised exactly for an angle that
-/// moves in a straight line between samples:
+/// Estimates velocity from angles with the filter omega s / (s + omega), discretised exactly for an angle
+/// that moves linearly between samples:
 ///
 /// ```text
 /// v_k = e^(-omega T) v_(k-1) + (1 - e^(-omega T)) (x_k - x_(k-1)) / T
 /// ```
 ///
-/// Forward Euler rings from omega = 2/T on (pole at -1) and Tustin becomes a plain difference
-/// there; the exact pole e^(-omega T) does neither. Its lag is 1/omega plus half a period.
+/// Forward Euler rings from omega = 2/T on (pole at -1), and Tustin degenerates to a plain difference
+/// there; the exact pole e^(-omega T) avoids both. The lag is 1/omega plus half a period.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct VelocityFilter<T = f64> {
     angle: T,
     velocity: T,
 }
 
-/// The filter's two numbers for one period.
+/// The filter's two coefficients for one period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FilterGains<T = f64> {
     /// e^(-omega T).
@@ -26,7 +26,7 @@ pub struct FilterGains<T = f64> {
 }
 
 impl FilterGains<f64> {
-    /// For a corner of `corner_rad_s` and a period of `period_s` (both above 0).
+    /// The coefficients for a corner of `corner_rad_s` and a period of `period_s`; both above 0.
     #[must_use]
     pub fn new(corner_rad_s: f64, period_s: f64) -> Self {
         let exponent = -corner_rad_s * period_s;
@@ -47,7 +47,8 @@ impl<T: Scalar> VelocityFilter<T> {
         Self::at(angle, T::from_f64(0.0))
     }
 
-    /// A filter that has just seen this angle and given this velocity: nothing else is its state.
+    /// A filter whose last input was this angle and whose last output was this velocity; they are its whole
+    /// state.
     #[inline(always)]
     pub fn at(angle: T, velocity: T) -> Self {
         Self { angle, velocity }
@@ -62,7 +63,7 @@ impl<T: Scalar> VelocityFilter<T> {
     }
 }
 
-/// The state of these angles: both velocities by filters whose memory is the state before.
+/// The state at new angles: filters that remember the previous state give both velocities.
 #[inline(always)]
 pub fn through_filters<T: Scalar>(
     before: &State<T>,

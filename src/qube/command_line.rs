@@ -8,29 +8,29 @@ use super::{BLOCK, CONTROL_PERIOD_S, Lanes, MAX_HISTORY, MAX_VOLTAGE_V, SUBSTEPS
 /// Length of a substep, s.
 pub(super) const STEP_S: f32 = (CONTROL_PERIOD_S / SUBSTEPS as f64) as f32;
 
-/// Commands on their way to the motors of a block, each lane's with a delay of its own.
+/// The commands that are on their way to the motors of a block; each lane has its own delay.
 ///
-/// A delay of `n` periods and a part `f` of one means that the motor has command `k - n - 1` for the
-/// first `f` seconds of period `k` and command `k - n` after them. A period is integrated in
-/// `SUBSTEPS + 1` pieces: the substeps, with the one in which the voltage changes cut in two there.
-/// So the delay is exact, and each piece has the integrator's error for a step no longer than a
-/// substep. Without a delay the first piece is empty and the others are the substeps.
+/// A delay of `n` periods and a fraction `f` of one means that command `k - n - 1` acts at the motor for
+/// the first `f` seconds of period `k` and command `k - n` after them. A period is integrated in `SUBSTEPS
+/// + 1` pieces: the substeps, with the one in which the voltage changes cut in two there. The delay is
+/// therefore exact, and each piece has the integrator's error for a step no longer than a substep. Without
+/// a delay the first piece is empty and the others are the substeps.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CommandLine {
-    /// The last commands as they were let through, V, newest first.
+    /// Last commands after clipping, V, newest first.
     sent_v: [Lanes; MAX_HISTORY],
-    /// n.
+    /// n, whole periods of delay.
     whole_periods: Lanes,
-    /// f, s.
+    /// f, the instant in the period at which the voltage changes, s.
     change_s: Lanes,
-    /// At the motor before `change_s` in the period at hand, V.
+    /// Voltage at the motor before `change_s` in the current period, V.
     before_v: Lanes,
-    /// And after it, V.
+    /// Voltage at the motor after `change_s`, V.
     after_v: Lanes,
 }
 
 impl CommandLine {
-    /// Without delay, and nothing sent.
+    /// A command line without delay that has sent nothing.
     pub(super) const EMPTY: Self = Self {
         sent_v: [[0.0; BLOCK]; MAX_HISTORY],
         whole_periods: [0.0; BLOCK],
@@ -39,7 +39,7 @@ impl CommandLine {
         after_v: [0.0; BLOCK],
     };
 
-    /// A lane starts anew with this delay.
+    /// Restarts a lane with a new delay and no commands in its past.
     pub(super) fn restart(&mut self, lane: usize, delay_s: f64) {
         for sent_v in &mut self.sent_v {
             sent_v[lane] = 0.0;
@@ -49,13 +49,13 @@ impl CommandLine {
         self.change_s[lane] = (delay_s - whole * CONTROL_PERIOD_S).max(0.0) as f32;
     }
 
-    /// Other commands lie in the past of all lanes, V, newest first.
+    /// Replaces the past commands of all lanes, V, newest first.
     #[inline(always)]
     pub(super) fn resume(&mut self, sent_v: &[Lanes; MAX_HISTORY]) {
         self.sent_v = *sent_v;
     }
 
-    /// Whether a lane's commands arrive at once.
+    /// Whether a lane's commands act without delay.
     pub(super) fn is_immediate(&self, lane: usize) -> bool {
         self.whole_periods[lane] == 0.0 && self.change_s[lane] == 0.0
     }
@@ -66,7 +66,7 @@ impl CommandLine {
         &self.sent_v
     }
 
-    /// A period begins with these commands.
+    /// Begins a period with these commands.
     #[inline(always)]
     pub(super) fn begin_period(&mut self, commands_v: &Lanes) {
         for lane in 0..BLOCK {
@@ -79,20 +79,21 @@ impl CommandLine {
                 after_v = if arrives { newer_v } else { after_v };
                 newer_v = older_v;
             }
-            // The longest delay is a whole number of periods: there is nothing before the change.
+            // The longest delay is a whole number of periods: the voltage does not change within the
+            // period.
             let oldest = self.whole_periods[lane] == MAX_HISTORY as f32;
             self.before_v[lane] = if oldest { newer_v } else { before_v };
             self.after_v[lane] = if oldest { newer_v } else { after_v };
         }
     }
 
-    /// The voltages at the motors at the very beginning of the period at hand and just before it, V.
+    /// The voltages that act at the motors at the beginning of the current period, and just before it, V.
     #[inline(always)]
     pub(super) fn before_v(&self) -> &Lanes {
         &self.before_v
     }
 
-    /// Length of a piece of the period in all lanes, s, and the voltages at the motors, V.
+    /// Length of one piece of the period, s, and voltage at the motor, V, for every lane.
     #[inline(always)]
     pub(super) fn pieces(&self, piece: usize) -> (Lanes, Lanes) {
         let (mut steps_s, mut voltages_v) = ([0.0; BLOCK], [0.0; BLOCK]);
@@ -105,7 +106,7 @@ impl CommandLine {
     #[inline(always)]
     fn piece(&self, piece: usize, lane: usize) -> (f32, f32) {
         let change_s = self.change_s[lane];
-        // How much of a substep lies before the change.
+        // Part of a substep that lies before the change.
         let unchanged_s = |substep: usize| (change_s - substep as f32 * STEP_S).clamp(0.0, STEP_S);
         let rest_s = if piece == 0 { 0.0 } else { STEP_S - unchanged_s(piece - 1) };
         let begun_s = if piece == SUBSTEPS { 0.0 } else { unchanged_s(piece) };
@@ -113,7 +114,7 @@ impl CommandLine {
         (rest_s + begun_s, if changed { self.after_v[lane] } else { self.before_v[lane] })
     }
 
-    /// The period is over: its commands come before those of the periods before it.
+    /// Ends the period: its commands become the newest past ones.
     #[inline(always)]
     pub(super) fn end_period(&mut self, commands_v: &Lanes) {
         self.sent_v.rotate_right(1);
@@ -123,7 +124,7 @@ impl CommandLine {
     }
 }
 
-/// The voltage within the limits of what is ever commanded, V.
+/// Clips a voltage to +-[`MAX_VOLTAGE_V`](super::MAX_VOLTAGE_V).
 #[must_use]
 #[inline(always)]
 pub fn limited_voltage(voltage_v: f32) -> f32 {
@@ -134,7 +135,7 @@ pub fn limited_voltage(voltage_v: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// What lane 0 has at the motor in a period, as (duration, voltage), without what is empty.
+    /// The non-empty pieces of lane 0 in a period, as (duration, voltage).
     fn pieces(line: &CommandLine) -> Vec<(f32, f32)> {
         let all = (0..=SUBSTEPS).map(|piece| line.piece(piece, 0));
         all.filter(|(duration_s, _)| *duration_s > 1e-7).collect()

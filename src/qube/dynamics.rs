@@ -25,29 +25,29 @@ pub struct Dynamics<T = f64> {
     pub gravity_torque: T,
     /// k_m / R_m: torque per volt.
     pub torque_per_volt: T,
-    /// k_m^2 / R_m + D_r: everything that brakes the arm in proportion to its velocity.
+    /// k_m^2 / R_m + D_r: back EMF and friction, which both brake the arm in proportion to its velocity.
     pub arm_damping: T,
     /// D_p.
     pub pendulum_damping: T,
 }
 
-/// theta'' and alpha'' in rad/s^2.
+/// Angular accelerations theta'' and alpha'' in rad/s^2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Acceleration<T = f64> {
-    /// Of the arm.
+    /// Acceleration of the arm.
     pub theta: T,
-    /// Of the pendulum.
+    /// Acceleration of the pendulum.
     pub alpha: T,
 }
 
-/// What can be integrated: the thesis's Qube, or one with the gap between it and a real one.
+/// A model of a Qube that can be integrated: the thesis's equations, with or without nonidealities.
 pub trait EquationsOfMotion<T> {
-    /// The accelerations in a state, with the motor at `voltage_v`.
+    /// The accelerations in a state, with the voltage `voltage_v` at the motor.
     fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T>;
 }
 
 impl<T: Scalar> Dynamics<T> {
-    /// The products for these parameters, computed in `f64` and rounded once.
+    /// Computes the products of the parameters in `f64` and rounds each once.
     #[must_use]
     pub fn new(parameters: &DomainParameters) -> Self {
         let p = parameters;
@@ -74,7 +74,7 @@ impl<T: Scalar> Dynamics<T> {
         }
     }
 
-    /// Solves the two equations for the accelerations, with `arm_torque` (N m) on the arm beside
+    /// Solves the two equations for the accelerations; `arm_torque` (N m) acts on the arm in addition to
     /// its damping.
     #[inline(always)]
     pub(super) fn acceleration_under(&self, state: &State<T>, arm_torque: T) -> Acceleration<T> {
@@ -114,7 +114,7 @@ impl<T: Scalar> Dynamics<T> {
 
 impl Dynamics {
     /// The state after an inelastic impact of the arm at `theta`. The pendulum swings freely about its
-    /// bearing, so its own momentum m12 theta' + m22 alpha' is the same before and after.
+    /// bearing, so the impact conserves its momentum m12 theta' + m22 alpha'.
     #[must_use]
     pub fn with_arm_stopped(&self, state: State, theta: f64) -> State {
         let coupling = self.coupling * state.alpha.cos();
@@ -122,8 +122,8 @@ impl Dynamics {
         State { theta, theta_dot: 0.0, alpha_dot, ..state }
     }
 
-    /// The state after a hand has stopped the pendulum at `alpha`: the hand takes none of the momentum
-    /// about the arm's own axis, m11 theta' + m12 alpha'.
+    /// The state after a hand has stopped the pendulum at `alpha`. The hand takes none of the momentum
+    /// about the arm's axis, m11 theta' + m12 alpha'.
     #[must_use]
     pub fn with_pendulum_stopped(&self, state: State, alpha: f64) -> State {
         let (sin, cos) = state.alpha.sin_cos();

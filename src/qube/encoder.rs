@@ -2,25 +2,25 @@ use std::f64::consts::PI;
 
 use crate::elementary::Scalar;
 
-/// Counts of one revolution, on both axes: 512 lines, four edges each.
+/// Encoder counts in one revolution, on both axes: 512 lines, four edges each.
 pub const COUNTS_PER_REVOLUTION: i32 = 2048;
 
 /// The angle of one count in rad.
 pub const RAD_PER_COUNT: f64 = 2.0 * PI / COUNTS_PER_REVOLUTION as f64;
 
-/// What the encoder reads at an angle: the last edge passed, rounded towards minus infinity.
+/// The encoder's count at an angle: the index of the last edge passed, rounded towards minus infinity.
 #[must_use]
 pub fn counts(angle_rad: f64) -> i32 {
     (angle_rad / RAD_PER_COUNT).floor() as i32
 }
 
-/// The angle that stands for a count, in rad.
+/// The angle of a count's edge, in rad.
 #[must_use]
 pub fn angle_rad(counts: i32) -> f64 {
     f64::from(counts) * RAD_PER_COUNT
 }
 
-/// An angle as the encoder shows it, in rad: [`angle_rad`] of [`counts`], for any number type.
+/// An angle rounded down to its encoder count, in rad: [`angle_rad`] of [`counts`], for any number type.
 #[must_use]
 #[inline(always)]
 pub fn quantised<T: Scalar>(angle_rad: T) -> T {

@@ -3,34 +3,35 @@ use serde::{Deserialize, Serialize};
 use super::{Acceleration, DomainParameter, DomainParameters, Dynamics, EquationsOfMotion, State};
 use crate::elementary::Scalar;
 
-/// Velocity of the arm at which Coulomb friction has reached three quarters of its torque, rad/s.
-/// Friction that jumps at zero would need an integrator that finds the instant.
+/// Velocity of the arm at which Coulomb friction has reached three quarters of its torque, rad/s. A
+/// friction that jumps at zero velocity would need an integrator that locates the instant of reversal.
 const FRICTION_VELOCITY_RAD_S: f64 = 0.05;
 
-/// What a real Qube has and the thesis's equations do not: everything between the command and the
-/// torque, and what else acts on the arm. All zero is the thesis's Qube.
+/// The effects in a real Qube that the thesis's equations leave out: friction, dead zone, cable and delay.
+/// All zero gives the thesis's Qube.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Gap {
-    /// Friction of the arm that does not depend on how fast it turns, N m.
+    /// Friction torque on the arm that is independent of velocity, N m.
     pub coulomb_torque_n_m: f64,
-    /// What of a positive voltage is lost before the motor turns, V.
+    /// Part of a positive voltage that is lost before the motor turns, V.
     pub positive_dead_zone_v: f64,
-    /// What of a negative voltage is lost, V.
+    /// Part of a negative voltage that is lost before the motor turns, V.
     pub negative_dead_zone_v: f64,
-    /// The cable to the pendulum's encoder pulls the arm towards `cable_rest_rad`, N m/rad.
+    /// Stiffness with which the cable to the pendulum's encoder pulls the arm towards `cable_rest_rad`, N
+    /// m/rad.
     pub cable_stiffness_n_m_rad: f64,
-    /// Where the cable does not pull, rad.
+    /// Angle of the arm at which the cable does not pull, rad.
     pub cable_rest_rad: f64,
-    /// From a command until the motor has it, s.
+    /// Time from a command to its arrival at the motor, s.
     pub command_delay_s: f64,
-    /// How fast the place where the cable does not pull wanders, rad/min. The emulated Qube's does; the
-    /// equations know only where it is, and training draws that anew for each trajectory.
+    /// Drift of the cable's rest angle, rad/min. Only the emulated Qube drifts; the equations use the rest
+    /// angle itself, and training draws a new one for each trajectory.
     #[serde(skip_serializing_if = "is_zero")]
     pub cable_drift_rad_per_min: f64,
 }
 
-/// The fastest drift of the cable that makes sense, rad/min: across the arm's travel in four minutes.
+/// Largest accepted drift of the cable, rad/min: across the arm's travel in about four minutes.
 pub const MAX_CABLE_DRIFT_RAD_PER_MIN: f64 = 1.0;
 
 fn is_zero(value: &f64) -> bool {
@@ -38,20 +39,20 @@ fn is_zero(value: &f64) -> bool {
 }
 
 impl Gap {
-    /// Where the cable does not pull, rad, this long after the Qube was switched on.
+    /// The cable's rest angle this many seconds after the Qube was switched on, rad.
     #[must_use]
     pub fn cable_rest_after(&self, seconds: f64) -> f64 {
         self.cable_rest_rad + self.cable_drift_rad_per_min * (seconds / 60.0)
     }
 }
 
-/// A Qube: the thesis's parameters, and the gap between those equations and the machine.
+/// A Qube: the thesis's parameters and the nonidealities that the thesis leaves out.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct QubeModel {
-    /// The nine of the thesis.
+    /// The nine domain parameters of the thesis.
     pub parameters: DomainParameters,
-    /// What the thesis leaves out.
+    /// The effects that the thesis leaves out.
     pub gap: Gap,
 }
 
@@ -70,8 +71,8 @@ impl QubeModel {
         },
     };
 
-    /// The Qube on the straight line from the nominal one through this one, `factor` times as far
-    /// away: 0 is nominal, 1 is this one. Parameters move by their logarithms.
+    /// The Qube on the straight line from the nominal one through this one, `factor` times as far away: 0
+    /// gives the nominal Qube, 1 this one. Parameters move by their logarithms.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         let mut parameters = DomainParameters::NOMINAL;
@@ -91,7 +92,7 @@ impl QubeModel {
                 positive_dead_zone_v: factor * gap.positive_dead_zone_v,
                 negative_dead_zone_v: factor * gap.negative_dead_zone_v,
                 cable_stiffness_n_m_rad: factor * gap.cable_stiffness_n_m_rad,
-                // A place, not a strength: the cable's rest stays where it is.
+                // The rest angle is a place, not a strength, so it does not scale.
                 cable_rest_rad: gap.cable_rest_rad,
                 command_delay_s: factor * gap.command_delay_s,
                 cable_drift_rad_per_min: factor * gap.cable_drift_rad_per_min,
@@ -100,10 +101,10 @@ impl QubeModel {
     }
 }
 
-/// The equations of motion with the gap's forces.
+/// The equations of motion with the forces of the nonidealities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GapDynamics<T = f64> {
-    /// The Qube of the thesis.
+    /// The thesis's equations.
     pub ideal: Dynamics<T>,
     /// Coulomb friction, N m.
     pub coulomb_torque: T,
@@ -113,12 +114,12 @@ pub struct GapDynamics<T = f64> {
     pub negative_dead_zone: T,
     /// Stiffness of the cable, N m/rad.
     pub cable_stiffness: T,
-    /// Where the cable does not pull, rad.
+    /// The cable's rest angle, rad.
     pub cable_rest: T,
 }
 
 impl<T: Scalar> GapDynamics<T> {
-    /// The forces of this Qube. The delay of its commands is the business of whoever gives them.
+    /// The forces of this Qube. The command delay is not part of them; the caller applies it.
     #[must_use]
     pub fn new(model: &QubeModel) -> Self {
         let gap = &model.gap;
@@ -132,7 +133,7 @@ impl<T: Scalar> GapDynamics<T> {
         }
     }
 
-    /// What of a voltage reaches the motor, V.
+    /// The part of a voltage that drives the motor after the dead zone, V.
     #[inline(always)]
     fn effective_voltage(&self, voltage_v: T) -> T {
         let zero = T::from_f64(0.0);
@@ -143,8 +144,8 @@ impl<T: Scalar> GapDynamics<T> {
         push + pull
     }
 
-    /// Coulomb friction against this velocity of the arm, N m: odd, smooth, monotone, and within a
-    /// percent of the whole from 0.5 rad/s on.
+    /// Coulomb friction torque against a velocity of the arm, N m: odd, smooth, monotone, and within a few
+    /// percent of the full torque from 0.5 rad/s on.
     #[inline(always)]
     fn friction(&self, theta_dot: T) -> T {
         let x = theta_dot * T::from_f64(1.0 / FRICTION_VELOCITY_RAD_S);
@@ -153,7 +154,7 @@ impl<T: Scalar> GapDynamics<T> {
 }
 
 impl GapDynamics {
-    /// How steeply friction grows about rest, N m s: the stiffest term of the equations.
+    /// Slope of the friction torque at rest, N m s: the stiffest term of the equations.
     #[must_use]
     pub fn friction_slope(&self) -> f64 {
         3.0 * self.coulomb_torque / FRICTION_VELOCITY_RAD_S
@@ -222,7 +223,7 @@ mod tests {
             assert!(energy(&next) <= energy(&state) + 1e-12);
             state = next;
         }
-        // At rest where the cable's pull is no more than friction.
+        // The cable's pull is no more than friction here, so the arm stays at rest.
         let pull = gap.cable_stiffness_n_m_rad * (state.theta - gap.cable_rest_rad).abs();
         assert!(pull < gap.coulomb_torque_n_m, "{state:?}");
     }

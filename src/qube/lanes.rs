@@ -1,23 +1,23 @@
 use super::{Dynamics, GapDynamics, State};
 
-/// Qubes in a block: the widest vector's lanes.
+/// Number of Qubes in a block: the lanes of the widest vector register.
 pub const BLOCK: usize = 16;
 
 /// One quantity of the sixteen Qubes of a block.
 pub type Lanes = [f32; BLOCK];
 
-/// Many of something, each number of theirs beside that of the next.
+/// A structure of arrays: holds many items, each of their numbers in an array over the lanes.
 pub trait InLanes {
-    /// One of them.
+    /// The single item.
     type One;
 
-    /// As many of the same.
+    /// Fills every lane with the same item.
     fn all(one: &Self::One) -> Self;
 
-    /// The one in a lane.
+    /// Reads the item in one lane.
     fn lane(&self, lane: usize) -> Self::One;
 
-    /// Puts one into a lane.
+    /// Writes an item into one lane.
     fn set_lane(&mut self, lane: usize, one: &Self::One);
 }
 

@@ -1,16 +1,16 @@
-//! Numbers that belong to the machine and the task, not to a setting.
+//! Constants of the machine and the task, which no setting changes.
 
-/// Largest motor voltage that is ever commanded, in V.
+/// Largest motor voltage that is ever commanded, V.
 pub const MAX_VOLTAGE_V: f64 = 5.0;
 
-/// The control period in s: 100 Hz.
+/// Control period, s: 100 Hz.
 pub const CONTROL_PERIOD_S: f64 = 0.01;
 
-/// The control period in ns.
+/// Control period, ns.
 pub const CONTROL_PERIOD_NS: u64 = 10_000_000;
 
-/// Steps of a whole rollout: 6 s.
+/// Steps in a complete rollout of 6 s.
 pub const MAX_STEPS: usize = 600;
 
-/// The arm's hard stop in rad, on both sides (about 137 degrees, seen on a sister model).
+/// Angle of the arm's hard stop on either side, rad (about 137 degrees, measured on a sister model).
 pub const HARD_STOP_RAD: f64 = 2.39;

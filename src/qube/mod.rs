@@ -1,10 +1,21 @@
-//! What a Qube is: parameters with units, equations of motion, integrator, encoder, reward, limits.
+//! The physics of a Qube: parameters with units, equations of motion, integrator, encoder, reward, limits.
 //!
-//! One copy of the physics serves the simulation, the emulator and the tools; [`QubeLanes`] is the
-//! same for sixteen Qubes side by side. Pure: no randomness, no I/O. May import `elementary`.
+//! One copy of the physics serves the simulation, the emulator and the tools; [`QubeLanes`] computes it for
+//! sixteen Qubes side by side. The room is pure (no randomness, no I/O) and may import `elementary`.
 //!
-//! Conventions everywhere: theta is the rotary arm, alpha the pendulum, **alpha = 0 hangs,
-//! alpha = pi stands**, angles in rad, velocities in rad/s, the action is the motor voltage in V.
+//! Conventions everywhere: theta is the angle of the rotary arm, alpha that of the pendulum; **alpha = 0
+//! hangs down, alpha = pi is upright**. Angles are in rad, velocities in rad/s, and the action is the motor
+//! voltage in V.
+//!
+//! ```
+//! use qube_hil::qube::{Dynamics, DomainParameters, State, control_step};
+//!
+//! // A pendulum that is let go from the horizontal swings down: alpha decreases.
+//! let dynamics = Dynamics::<f64>::new(&DomainParameters::NOMINAL);
+//! let start = State { alpha: std::f64::consts::FRAC_PI_2, ..State::default() };
+//! let next = control_step(&dynamics, start, 0.0);
+//! assert!(next.alpha < start.alpha);
+//! ```
 
 mod command_line;
 mod dynamics;

@@ -1,89 +1,89 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// The nine quantities xi that a simulation may draw anew for each trajectory.
+/// The nine domain parameters xi that a simulation may draw anew for each trajectory.
 ///
-/// The inertias of the two poles follow from masses and lengths and are never drawn on their own.
+/// The inertias of the two poles follow from masses and lengths and are never drawn independently.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DomainParameters {
-    /// g, m/s^2.
+    /// Gravity g, m/s^2.
     #[serde(rename = "g")]
     pub gravity_m_s2: f64,
-    /// R_m, ohm.
+    /// Motor resistance R_m, ohm.
     #[serde(rename = "R_m")]
     pub motor_resistance_ohm: f64,
-    /// k_m, V s.
+    /// Back-EMF constant k_m of the motor, V s.
     #[serde(rename = "k_m")]
     pub motor_back_emf_v_s: f64,
-    /// D_r, N m s.
+    /// Viscous damping of the arm D_r, N m s.
     #[serde(rename = "D_r")]
     pub rotary_damping_n_m_s: f64,
-    /// D_p, N m s.
+    /// Viscous damping of the pendulum D_p, N m s.
     #[serde(rename = "D_p")]
     pub pendulum_damping_n_m_s: f64,
-    /// M_r, kg.
+    /// Mass of the arm M_r, kg.
     #[serde(rename = "M_r")]
     pub rotary_mass_kg: f64,
-    /// M_p, kg.
+    /// Mass of the pendulum M_p, kg.
     #[serde(rename = "M_p")]
     pub pendulum_mass_kg: f64,
-    /// L_r, m.
+    /// Length of the arm L_r, m.
     #[serde(rename = "L_r")]
     pub rotary_length_m: f64,
-    /// L_p, m.
+    /// Length of the pendulum L_p, m.
     #[serde(rename = "L_p")]
     pub pendulum_length_m: f64,
 }
 
-/// A name for each of the nine, in the order of the thesis's table 5.1.
+/// Names one of the nine domain parameters, in the order of the thesis's table 5.1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum DomainParameter {
-    /// g.
+    /// Gravity g.
     Gravity,
-    /// R_m.
+    /// Motor resistance R_m.
     MotorResistance,
-    /// k_m.
+    /// Back-EMF constant k_m.
     MotorBackEmf,
-    /// D_r.
+    /// Damping of the arm D_r.
     RotaryDamping,
-    /// D_p.
+    /// Damping of the pendulum D_p.
     PendulumDamping,
-    /// M_r.
+    /// Mass of the arm M_r.
     RotaryMass,
-    /// M_p.
+    /// Mass of the pendulum M_p.
     PendulumMass,
-    /// L_r.
+    /// Length of the arm L_r.
     RotaryLength,
-    /// L_p.
+    /// Length of the pendulum L_p.
     PendulumLength,
 }
 
-/// Why a set of domain parameters is no Qube.
+/// The reason why domain parameters are not physical.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ParameterError {
-    /// Gravity, resistance, a mass or a length that is not above zero.
+    /// Gravity, resistance, a mass or a length is not above zero.
     #[error("{symbol} = {value} is not physical: it must be above 0")]
     NotPositive {
         /// The parameter's symbol.
         symbol: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
     },
-    /// A damping or the motor constant below zero.
+    /// A damping or the motor constant is below zero.
     #[error("{symbol} = {value} is not physical: it must not be below 0")]
     Negative {
         /// The parameter's symbol.
         symbol: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
     },
-    /// Not a finite number.
+    /// The value is not a finite number.
     #[error("{symbol} = {value} is not a finite number")]
     NotFinite {
         /// The parameter's symbol.
         symbol: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
     },
 }
@@ -102,7 +102,7 @@ impl DomainParameter {
         Self::PendulumLength,
     ];
 
-    /// The symbol as files and tables write it: `g`, `R_m`, `k_m`, `D_r`, `D_p`, `M_r`, `M_p`, `L_r`, `L_p`.
+    /// The symbol that files and tables use: `g`, `R_m`, `k_m`, `D_r`, `D_p`, `M_r`, `M_p`, `L_r`, `L_p`.
     #[must_use]
     pub fn symbol(self) -> &'static str {
         ["g", "R_m", "k_m", "D_r", "D_p", "M_r", "M_p", "L_r", "L_p"][self as usize]
@@ -114,7 +114,7 @@ impl DomainParameter {
         Self::ALL.into_iter().find(|parameter| parameter.symbol() == symbol)
     }
 
-    /// Whether zero is allowed: a Qube without damping or motor exists on paper, one without mass does not.
+    /// Whether zero is allowed: a Qube may lack damping or motor torque on paper, but not mass.
     #[must_use]
     pub fn may_be_zero(self) -> bool {
         matches!(self, Self::MotorBackEmf | Self::RotaryDamping | Self::PendulumDamping)
@@ -166,10 +166,10 @@ impl DomainParameters {
         } = value;
     }
 
-    /// Says what is not physical about these values, if anything is.
+    /// Checks that the values are physical.
     ///
     /// # Errors
-    /// The first parameter that is not finite, not above zero, or below zero.
+    /// Names the first parameter that is not finite, not above zero, or below zero.
     pub fn check(&self) -> Result<(), ParameterError> {
         for parameter in DomainParameter::ALL {
             let (symbol, value) = (parameter.symbol(), self.get(parameter));

@@ -8,96 +8,97 @@ use super::{
     Quantity, QubeModel,
 };
 
-/// One Qube in a file: what it is, how sure that is, and where it comes from. `identify` writes it;
-/// whoever simulates or emulates reads it.
+/// One Qube in a file: its model, the uncertainty of its values, and their provenance. `identify` writes
+/// it; simulation and emulator read it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Profile {
-    /// What people call it.
+    /// Name that people give the Qube.
     pub name: String,
-    /// The nine of the thesis; those that the file does not name are nominal.
+    /// The nine domain parameters; a parameter that the file does not name is nominal.
     #[serde(default = "nominal", with = "named_parameters")]
     pub parameters: DomainParameters,
-    /// What the thesis leaves out; what the file does not name is 0.
+    /// The nonidealities; an entry that the file does not name is 0.
     #[serde(default)]
     pub gap: Gap,
-    /// Standard errors by name, each in the unit of its quantity.
+    /// Standard error by quantity name, each in the unit of its quantity.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub standard_errors: BTreeMap<String, f64>,
-    /// How these errors go together; none in files that older programs wrote.
+    /// Correlations of the errors; `None` in files of programs that did not write them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlations: Option<Correlations>,
-    /// Where it comes from.
+    /// Recordings and program that the profile was identified with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub provenance: Option<Provenance>,
 }
 
-/// How the errors of some quantities go together.
+/// Correlation matrix of the errors of some quantities.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Correlations {
-    /// The quantities, by name.
+    /// Names of the quantities.
     pub names: Vec<String>,
-    /// One row a quantity: with those before it in the list and with itself, -1 to 1.
+    /// Lower triangle, one row a quantity: its correlations with the quantities before it and with itself,
+    /// -1 to 1.
     pub rows: Vec<Vec<f64>>,
 }
 
-/// Where a profile comes from.
+/// The origin of a profile.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
-    /// The files it was fitted to.
+    /// Files that the profile was fitted to.
     pub recordings: Vec<String>,
-    /// The program that did.
+    /// Version of the program that fitted it.
     pub program_version: String,
-    /// Root mean square error of simulating the files it was *not* fitted to, for 10 s from a start
-    /// state that was estimated from the first 0.2 s: arm, pendulum, rad.
+    /// Root mean square error of simulating held-out recordings for 10 s, from a start state estimated from
+    /// their first 0.2 s: arm and pendulum, rad.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out_rms_rad: Option<[f64; 2]>,
-    /// Anything a reader should know.
+    /// Note for the reader.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
 
-/// Why a text is no profile.
+/// The reason why a text is not a profile.
 #[derive(Debug, Error)]
 pub enum ProfileError {
-    /// No TOML, a name that does not exist, or a value of another type.
+    /// The text is not TOML, or has an unknown name or a value of the wrong type.
     #[error("{}", .0.to_string().trim_end())]
     Invalid(#[from] Box<toml::de::Error>),
-    /// Errors of quantities that do not exist, or that go together as no errors do.
+    /// The correlations name unknown quantities or do not form a correlation matrix.
     #[error(
         "correlations: give each of some quantities one row, of numbers from -1 to 1 with those before it \
          and 1 with itself"
     )]
     Correlations,
-    /// A standard error that is none.
+    /// A standard error has an unknown name or is not a number from 0.
     #[error("standard_errors.{name} = {value}: give a quantity's name and a number from 0")]
     StandardError {
-        /// Which entry.
+        /// Name of the entry.
         name: String,
         /// Its value.
         value: f64,
     },
-    /// A parameter that no Qube has.
+    /// A domain parameter is not physical.
     #[error("parameters.{0}")]
     Parameter(#[from] ParameterError),
-    /// A gap that no Qube has.
+    /// A nonideality is outside its range.
     #[error("gap.{name} = {value}: give a number from {smallest} to {largest}")]
     Gap {
-        /// Which entry.
+        /// Name of the entry.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// The least that makes sense.
+        /// Smallest accepted value.
         smallest: f64,
-        /// The most.
+        /// Largest accepted value.
         largest: f64,
     },
 }
 
 impl Profile {
-    /// Of a Qube that is known exactly.
+    /// A profile of a Qube that is known exactly, without standard errors.
     #[must_use]
     pub fn exact(name: &str, model: &QubeModel) -> Self {
         Self {
@@ -113,7 +114,7 @@ impl Profile {
     /// Reads a profile from TOML.
     ///
     /// # Errors
-    /// The text is no profile, or one of a Qube that cannot be.
+    /// The text is not a profile, or its values are outside their ranges.
     pub fn parse(text: &str) -> Result<Self, ProfileError> {
         let profile: Self = toml::from_str(text).map_err(Box::new)?;
         profile.parameters.check()?;
@@ -139,13 +140,13 @@ impl Profile {
         Ok(profile)
     }
 
-    /// The standard error of a quantity, in its unit; 0 where the file tells none.
+    /// The standard error of a quantity in its unit; 0 where the file names none.
     #[must_use]
     pub fn standard_error(&self, quantity: Quantity) -> f64 {
         self.standard_errors.get(quantity.name()).copied().unwrap_or(0.0)
     }
 
-    /// The Qube that it describes.
+    /// The model of the Qube.
     #[must_use]
     pub fn model(&self) -> QubeModel {
         QubeModel { parameters: self.parameters, gap: self.gap }
@@ -153,16 +154,16 @@ impl Profile {
 }
 
 impl Correlations {
-    /// Those of these quantities, a full matrix given.
+    /// Builds the correlations from a full matrix.
     #[must_use]
     pub fn new(names: Vec<String>, matrix: &[Vec<f64>]) -> Self {
-        // As many digits as tell anything.
+        // Four decimals carry all the information.
         let rounded = |value: &f64| (value * 1e4).round() / 1e4;
         let row = |(index, row): (usize, &Vec<f64>)| row[..=index].iter().map(rounded).collect();
         Self { names, rows: matrix.iter().enumerate().map(row).collect() }
     }
 
-    /// Whether each name is a quantity's and each row has its length and range.
+    /// Whether every name is a known quantity and every row has the right length and range.
     fn are_some(&self) -> bool {
         let known = self.names.iter().all(|name| Quantity::from_name(name).is_some());
         let whole = |(index, row): (usize, &Vec<f64>)| {
@@ -173,7 +174,7 @@ impl Correlations {
         known && self.rows.len() == self.names.len() && self.rows.iter().enumerate().all(whole)
     }
 
-    /// That of two quantities; 1 of one with itself, 0 where the file tells none.
+    /// The correlation of two quantities: 1 of a quantity with itself, 0 where the file names none.
     #[must_use]
     pub fn of(&self, one: Quantity, other: Quantity) -> f64 {
         let place = |quantity: Quantity| self.names.iter().position(|name| name == quantity.name());
@@ -189,7 +190,7 @@ fn nominal() -> DomainParameters {
     DomainParameters::NOMINAL
 }
 
-/// Parameters of which a file may name some.
+/// (De)serialises parameters of which a file may name only some.
 mod named_parameters {
     use serde::de::Error;
     use serde::{Deserializer, Serializer};
@@ -246,7 +247,7 @@ mod tests {
         let short = Profile::parse("name = \"x\"\n[parameters]\nR_m = 9.1\n").unwrap();
         assert_eq!(short.parameters, profile.parameters);
         assert_eq!(short.gap, Gap::default());
-        // A Qube whose cable stays is written as it was before there was a drift.
+        // A profile without drift is written without the key.
         assert!(!text.contains("drift"), "{text}");
         let drifting = Profile::parse("name = \"x\"\n[gap]\ncable_drift_rad_per_min = 0.02\n");
         assert_eq!(drifting.unwrap().gap.cable_drift_rad_per_min, 0.02);

@@ -2,7 +2,7 @@ use std::ops::RangeInclusive;
 
 use super::{DomainParameter, Gap, QubeModel};
 
-/// A name for each term of the [`Gap`].
+/// Names one term of the [`Gap`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum GapTerm {
     /// Coulomb friction of the arm, N m.
@@ -13,9 +13,9 @@ pub enum GapTerm {
     NegativeDeadZone,
     /// Stiffness of the cable, N m/rad.
     CableStiffness,
-    /// Where the cable does not pull, rad.
+    /// The cable's rest angle, rad.
     CableRest,
-    /// From a command until the motor has it, s.
+    /// Time from a command to its arrival at the motor, s.
     CommandDelay,
 }
 
@@ -30,7 +30,7 @@ impl GapTerm {
         Self::CommandDelay,
     ];
 
-    /// The name as profiles write it, with its unit.
+    /// The name in profiles, with its unit.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -43,7 +43,7 @@ impl GapTerm {
         }
     }
 
-    /// The name beside parameters' symbols, as psi and its tables write it.
+    /// The symbol beside parameters' symbols in psi and its tables.
     #[must_use]
     pub fn symbol(self) -> &'static str {
         match self {
@@ -56,7 +56,7 @@ impl GapTerm {
         }
     }
 
-    /// What it may be at a Qube, in its unit. A place may be on either side; the others are strengths.
+    /// The accepted range in the term's unit. An angle may have either sign; the other terms are strengths.
     #[must_use]
     pub fn range(self) -> RangeInclusive<f64> {
         match self {
@@ -97,23 +97,23 @@ impl Gap {
 /// One number of a [`QubeModel`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Quantity {
-    /// One of the thesis's nine.
+    /// One of the nine domain parameters.
     Parameter(DomainParameter),
-    /// One of what the thesis leaves out.
+    /// One of the nonidealities.
     Gap(GapTerm),
 }
 
 impl Quantity {
-    /// How many there are.
+    /// Number of quantities.
     pub const COUNT: usize = DomainParameter::ALL.len() + GapTerm::ALL.len();
 
-    /// All of them: the nine, then the gap's.
+    /// All quantities: the nine parameters, then the nonidealities.
     pub fn all() -> impl Iterator<Item = Self> {
         let parameters = DomainParameter::ALL.into_iter().map(Self::Parameter);
         parameters.chain(GapTerm::ALL.into_iter().map(Self::Gap))
     }
 
-    /// Its place among all.
+    /// Index among [`Self::all`].
     #[must_use]
     pub fn index(self) -> usize {
         match self {
@@ -122,7 +122,7 @@ impl Quantity {
         }
     }
 
-    /// `M_p`, `delay` ...: as psi and its tables write it.
+    /// The symbol in psi and its tables, such as `M_p` or `delay`.
     #[must_use]
     pub fn symbol(self) -> &'static str {
         match self {
@@ -131,7 +131,7 @@ impl Quantity {
         }
     }
 
-    /// `M_p`, `command_delay_s` ...: as profiles write it.
+    /// The name in profiles, such as `M_p` or `command_delay_s`.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -140,7 +140,7 @@ impl Quantity {
         }
     }
 
-    /// The quantity that profiles write so.
+    /// The quantity with this name in profiles.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::all().find(|quantity| quantity.name() == name)

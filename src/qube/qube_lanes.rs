@@ -10,20 +10,21 @@ use super::{
 };
 use crate::elementary::{InstructionSet, Kernel};
 
-/// Sixteen Qubes side by side in `f32`, each with its own parameters, gap and delay; each quantity of
-/// theirs lies beside that of the next. Loops over the lanes have a fixed length and nothing that could
-/// overlap, so that they become plain vector code.
+/// Sixteen Qubes side by side in `f32`, each with its own parameters, nonidealities and delay, stored as a
+/// structure of arrays. Loops over the lanes have a fixed length and no aliasing, so that they become plain
+/// vector code.
 ///
-/// A lane's numbers depend on its own start and commands alone, and are the same bits on every
-/// instruction set. Fast inside a [`Kernel`] only.
+/// A lane's numbers depend on its own start and commands alone, and are the same bits on every instruction
+/// set. Fast only inside a [`Kernel`].
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct QubeLanes {
-    /// The true states.
+    /// True states of the Qubes.
     pub state: State<Lanes>,
     dynamics: GapDynamics<Lanes>,
     commands: CommandLine,
-    /// Which lanes are the thesis's Qube. A block of these alone takes a shorter way to the same bits.
+    /// Lanes that hold the thesis's ideal Qube. A block of these alone is integrated by a shorter path to
+    /// the same bits.
     ideal: [bool; BLOCK],
 }
 
@@ -40,11 +41,11 @@ impl QubeLanes {
         }
     }
 
-    /// Puts another Qube into a lane, to which nothing has been sent. Its delay is at most
-    /// [`MAX_HISTORY`] control periods.
+    /// Puts another Qube into a lane, with no commands in its past. Its delay is at most [`MAX_HISTORY`]
+    /// control periods.
     ///
     /// # Panics
-    /// If there is no such lane.
+    /// Panics if the lane does not exist.
     pub fn restart(&mut self, lane: usize, model: &QubeModel, state: &State<f32>) {
         self.state.set_lane(lane, state);
         let gap: GapDynamics<f32> = GapDynamics::new(model);
@@ -59,14 +60,14 @@ impl QubeLanes {
         self.ideal[lane] = forces == [0.0; 4] && self.commands.is_immediate(lane);
     }
 
-    /// All lanes go on from these states, these commands (V, newest first) in their past.
+    /// Continues all lanes from these states, with these commands (V, newest first) in their past.
     #[inline(always)]
     pub fn resume(&mut self, states: &State<Lanes>, sent_v: &[Lanes; MAX_HISTORY]) {
         self.state = *states;
         self.commands.resume(sent_v);
     }
 
-    /// What moves the lanes.
+    /// The equations of motion of all lanes.
     #[must_use]
     #[inline(always)]
     pub fn dynamics(&self) -> &GapDynamics<Lanes> {
@@ -80,15 +81,15 @@ impl QubeLanes {
         self.commands.all_sent_v()
     }
 
-    /// Whether all lanes are the thesis's Qube, so that [`Self::advance_ideal`] moves them.
+    /// Whether all lanes are the thesis's Qube, so that [`Self::advance_ideal`] integrates them.
     #[must_use]
     #[inline(always)]
     pub fn are_ideal(&self) -> bool {
         self.ideal == [true; BLOCK]
     }
 
-    /// One of [`SUBSTEPS`] steps in a control period of the thesis's Qubes, whose voltages are the
-    /// same for the whole period.
+    /// Integrates one of [`SUBSTEPS`] steps of a control period of ideal Qubes, whose voltages are constant
+    /// over the period.
     #[inline(always)]
     pub fn advance_ideal(&mut self, commands_v: &Lanes) {
         let Self { state, dynamics, .. } = self;
@@ -100,14 +101,14 @@ impl QubeLanes {
         }
     }
 
-    /// A control period of any Qubes begins with these commands.
+    /// Begins a control period with these commands, for Qubes of any kind.
     #[inline(always)]
     pub fn begin_period(&mut self, commands_v: &Lanes) {
         self.commands.begin_period(commands_v);
     }
 
-    /// The accelerations of arm and pendulum under the voltages that the motors had when the period
-    /// at hand began, rad/s^2.
+    /// The accelerations of arm and pendulum, rad/s^2, under the voltages that acted at the motors when the
+    /// current period began.
     #[must_use]
     #[inline(always)]
     pub fn accelerations_before(&self) -> (Lanes, Lanes) {
@@ -122,12 +123,13 @@ impl QubeLanes {
         (theta_dot_dot, alpha_dot_dot)
     }
 
-    /// One of the `SUBSTEPS + 1` pieces of a control period of any Qubes, the first being 0.
+    /// Integrates one of the `SUBSTEPS + 1` pieces of a control period, counted from 0, for Qubes of any
+    /// kind.
     #[inline(always)]
     pub fn advance(&mut self, piece: usize) {
         let Self { state, dynamics, commands, .. } = self;
-        // Apart from the integration: with both in one loop the compiler makes scalar code of it, which
-        // is eight times slower.
+        // The pieces are computed apart from the integration: with both in one loop the compiler emits
+        // scalar code, which is eight times slower.
         let (steps_s, voltages_v) = commands.pieces(piece);
         for lane in 0..BLOCK {
             let own = dynamics.lane(lane);
@@ -136,18 +138,18 @@ impl QubeLanes {
         }
     }
 
-    /// A control period is over: its commands come before those of the periods before it.
+    /// Ends a control period: its commands become the newest past ones.
     #[inline(always)]
     pub fn end_period(&mut self, commands_v: &Lanes) {
         self.commands.end_period(commands_v);
     }
 }
 
-/// One control period of some blocks of Qubes of any kind.
+/// Integrates one control period of several blocks of Qubes.
 pub struct ControlPeriod<'a> {
-    /// The blocks.
+    /// Blocks to integrate.
     pub qubes: &'a mut [QubeLanes],
-    /// Their commands, V.
+    /// Commands of each block, V.
     pub commands_v: &'a [Lanes],
 }
 
@@ -160,8 +162,8 @@ impl Kernel for ControlPeriod<'_> {
         for (qubes, commands_v) in qubes.iter_mut().zip(commands_v) {
             qubes.begin_period(commands_v);
         }
-        // One piece of every block before the next of any: neighbours do not wait for each other, so
-        // that the processor works on several at once.
+        // Each piece is computed for every block before the next piece: blocks are independent, so that the
+        // processor works on several at once.
         for piece in 0..=SUBSTEPS {
             for qubes in qubes.iter_mut() {
                 qubes.advance(piece);

@@ -4,12 +4,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::elementary::Scalar;
 
-/// Where the pendulum is: theta the arm, alpha the pendulum (0 hangs, pi stands).
+/// Angles and velocities of a Qube: theta of the arm, alpha of the pendulum (0 hangs down, pi is upright).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct State<T = f64> {
     /// Angle of the arm, rad.
     pub theta: T,
-    /// Angle of the pendulum, rad; 0 hangs, pi stands.
+    /// Angle of the pendulum, rad; 0 hangs down, pi is upright.
     pub alpha: T,
     /// Velocity of the arm, rad/s.
     pub theta_dot: T,
@@ -29,7 +29,7 @@ impl State {
         }
     }
 
-    /// Whether every entry is a number.
+    /// Whether every entry is a finite number.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         [self.theta, self.alpha, self.theta_dot, self.alpha_dot]
@@ -38,7 +38,7 @@ impl State {
     }
 }
 
-/// The same angle in (-pi, pi].
+/// The equivalent angle in (-pi, pi].
 #[must_use]
 #[inline(always)]
 pub fn wrap_angle<T: Scalar>(angle_rad: T) -> T {
