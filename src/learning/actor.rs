@@ -5,10 +5,10 @@ use crate::elementary::dispatch;
 use crate::qube::MAX_VOLTAGE_V;
 use crate::simulation::Actor;
 
-/// Volts for an output of 1. Outputs beyond +-1 are clipped by the motor's limit.
+/// Voltage for an output of 1, V. The motor's limit clips outputs beyond +-1.
 pub(super) const VOLTS_PER_OUTPUT: f32 = MAX_VOLTAGE_V as f32;
 
-/// A net that acts without exploring.
+/// A policy network that acts without exploration.
 pub(super) struct NetworkActor<'a>(pub &'a Network);
 
 impl Actor for NetworkActor<'_> {
@@ -20,7 +20,7 @@ impl Actor for NetworkActor<'_> {
     }
 }
 
-/// A net's outputs for `observations`, `[observation_size][lanes]`; the number of lanes is a
+/// Computes a network's outputs for `observations`, `[observation_size][lanes]`; the number of lanes is a
 /// multiple of 16.
 pub(super) fn outputs(network: &Network, observations: &[f32], outputs: &mut [f32]) {
     let lanes = outputs.len();

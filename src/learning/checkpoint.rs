@@ -13,28 +13,28 @@ use super::trainer::Trainer;
 use super::{TrainError, TrainSettings};
 use crate::storage::{Disk, MachineDisk, read_bounded};
 
-/// The largest checkpoint that is read. Those of the thesis's training have some 400 kB.
+/// Largest checkpoint that is read. The thesis's training writes about 400 kB.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
-/// Changes when the content of a checkpoint does.
+/// Version of the checkpoint's content; every change of the content increments it.
 const VERSION: &str = "3";
 
-/// Where a training keeps itself, so that it can go on after an interruption.
+/// File and interval of the checkpoints from which an interrupted training resumes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Checkpointing {
-    /// The file. When it exists, training goes on from it; when training is finished, it is removed.
+    /// Path of the checkpoint. Training resumes from an existing file and removes it when it finishes.
     pub path: PathBuf,
-    /// Updates between two writings.
+    /// Number of updates between checkpoints.
     pub every: u32,
 }
 
 impl Checkpointing {
-    /// Whether it is time to write after so many updates.
+    /// Whether a checkpoint is due after this many updates.
     pub(super) fn is_due(&self, updates: usize) -> bool {
         updates.is_multiple_of(self.every.max(1) as usize)
     }
 
-    /// Removes the file of a training that is finished.
+    /// Removes the file of a finished training.
     pub(super) fn remove(&self) -> Result<(), TrainError> {
         match fs::remove_file(&self.path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(self.file_error(error)),
@@ -42,14 +42,14 @@ impl Checkpointing {
         }
     }
 
-    /// Writes everything that the next update depends on. The file is replaced as a whole: after a
-    /// crash it is the old one or the new one.
+    /// Writes everything that the next update depends on. The file is replaced atomically: after a crash it
+    /// is either the old one or the new one.
     pub(super) fn write(&self, trainer: &Trainer<'_>) -> Result<(), TrainError> {
         let bytes = to_bytes(trainer).map_err(|error| self.damaged(error.to_string()))?;
         replace_file(&self.path, &bytes).map_err(|error| self.file_error(error))
     }
 
-    /// Puts a new trainer where the file left off; does nothing when there is no file.
+    /// Restores a new trainer from the file; does nothing when there is no file.
     pub(super) fn resume(&self, trainer: &mut Trainer<'_>) -> Result<(), TrainError> {
         let bytes = match read_bounded(&self.path, MAX_FILE_BYTES) {
             Ok(bytes) => bytes,
@@ -65,7 +65,7 @@ impl Checkpointing {
                 Some(_) => {
                     return Err(TrainError::CheckpointOfAnother { path: self.path.clone(), what });
                 }
-                None => return Err(self.damaged(format!("it does not tell its {what}"))),
+                None => return Err(self.damaged(format!("it does not name its {what}"))),
             }
         }
         let tensors = SafeTensors::deserialize(&bytes).map_err(damaged)?;
@@ -81,9 +81,9 @@ impl Checkpointing {
     }
 }
 
-/// What must be equal for a training to go on, by the name that a user knows it by.
+/// The properties that two trainings must share for one to resume the other, by the names that users know.
 fn identity(trainer: &Trainer<'_>) -> [(&'static str, String); 4] {
-    // The number of threads changes nothing.
+    // The number of threads does not change the result.
     let settings = TrainSettings { threads: 0, ..trainer.settings.clone() };
     [
         ("format version", VERSION.to_owned()),
@@ -93,7 +93,7 @@ fn identity(trainer: &Trainer<'_>) -> [(&'static str, String); 4] {
     ]
 }
 
-/// The nets and moments, by their names in the file.
+/// The networks and moments by their names in the file.
 fn networks<'a>(trainer: &'a Trainer<'_>) -> [(&'static str, &'a Network); 7] {
     let (policy, value) = (&trainer.policy, &trainer.value);
     [

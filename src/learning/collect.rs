@@ -13,14 +13,14 @@ use crate::elementary::{dispatch, exp};
 use crate::qube::MAX_STEPS;
 use crate::simulation::{DomainDistribution, Pendulums, Progress, Trajectory};
 
-/// The transitions of one update, lane after lane and each lane in order of time.
+/// The transitions of one update, lane by lane and each lane in order of time.
 pub(super) struct Batch {
     pub transitions: Vec<Transition>,
-    /// Trajectories begun.
+    /// Number of trajectories begun.
     pub trajectories: u32,
 }
 
-/// What is collected with.
+/// Collects the transitions of one update with the current networks.
 #[derive(Clone)]
 pub(super) struct Collector<'a> {
     pub policy: &'a Network,
@@ -32,7 +32,7 @@ pub(super) struct Collector<'a> {
 }
 
 impl Collector<'_> {
-    /// Collects with all lanes, spread over `threads`. The result does not depend on how many.
+    /// Collects in all lanes, spread over `threads`. The result does not depend on the number of threads.
     pub fn collect(&self, threads: usize) -> Batch {
         let lanes = usize::from(self.settings.pendulums);
         let share = lanes.div_ceil(threads.max(1)).next_multiple_of(16);
@@ -115,8 +115,8 @@ impl Collector<'_> {
         Batch { transitions, trajectories }
     }
 
-    /// Fills in values, advantages and returns. `cut` has, for each end that was a cut, its place
-    /// among the ends and what was observed after it.
+    /// Fills in values, advantages and returns. `cut` holds, for each end that cut a trajectory short, its
+    /// index among the ends and the observation after it.
     fn appraise(
         &self,
         transitions: &mut [Transition],
@@ -156,10 +156,10 @@ impl Collector<'_> {
     }
 }
 
-/// A trajectory and the noise that is added to its actions.
+/// A trajectory and the exploration noise on its actions.
 struct Explorer {
     trajectory: Trajectory,
-    /// How many were in this lane before, in this update.
+    /// Number of earlier trajectories in this lane and update.
     number: u16,
     generator: ChaCha8Rng,
     spare: Option<f32>,
@@ -188,8 +188,7 @@ fn observation(observations: &[f32], lane: usize, lanes: usize) -> Observation {
 mod tests {
     use super::*;
 
-    /// A batch of the update in which this weight is whole. What is seen and done in it does not depend
-    /// on what it earns.
+    /// A batch of an update with the full weight. The weight changes rewards, not observations or actions.
     fn batch(voltage_change_weight: f32) -> Vec<Transition> {
         let settings =
             TrainSettings { pendulums: 16, voltage_change_weight, ..TrainSettings::quick() };
@@ -223,7 +222,7 @@ mod tests {
         for index in 1..plain.len() {
             assert_eq!(plain[index].action, weighted[index].action);
             assert_eq!(plain[index].observation, weighted[index].observation);
-            // Either it goes on, or a trajectory begins here.
+            // A trajectory either continues or begins here.
             let goes_on = parts(index, voltage_v(&weighted[index - 1]));
             assert!(goes_on || parts(index, 0.0), "{index}");
             after_another += usize::from(goes_on);

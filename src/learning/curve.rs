@@ -1,38 +1,41 @@
 use serde::{Deserialize, Serialize};
 
-/// What is known of a training after one update: one point of its learning curve.
+/// The statistics of one update: a point of the learning curve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrainUpdate {
-    /// Counted from 0.
+    /// Number of the update, from 0.
     pub update: u32,
-    /// Mean return of the deterministic policy from the fixed starts, under its own distribution.
+    /// Mean return of the deterministic policy from the fixed starts, under the training's own
+    /// distribution.
     pub mean_return: f64,
     /// Smallest of those returns.
     pub worst_return: f64,
-    /// Rewards of the exploring policy in the batch as it learns from them, for 600 steps.
+    /// Mean reward in the batch times 600. The policy explores, and the reward includes the penalty on
+    /// voltage changes.
     pub training_return: f64,
-    /// Trajectories in the batch; more than pendulums where some left the safety box.
+    /// Trajectories in the batch; more than the number of pendulums when some left the safety box.
     pub trajectories: u32,
     /// Mean over minibatches of (r - 1) - ln r, r the ratio of new to old probability.
     pub approximate_kl: f64,
-    /// Largest of these.
+    /// Largest value over minibatches.
     pub largest_kl: f64,
-    /// Share of samples whose ratio was outside of the clip range.
+    /// Share of samples whose ratio was outside the clip range.
     pub clip_fraction: f64,
-    /// 1 - variance of (return - value) / variance of return, before the update.
+    /// Explained variance of the value network before the update: 1 - variance of (return - value) /
+    /// variance of return.
     pub explained_variance: f64,
     /// Logarithm of the policy's standard deviation, in units of its output.
     pub log_std: f64,
-    /// Adam's.
+    /// Learning rate of Adam in the update.
     pub learning_rate: f64,
-    /// Simulated control steps that were learned from so far.
+    /// Simulated control steps so far.
     pub steps: u64,
     /// Gradient steps of the policy so far.
     pub gradient_steps: u64,
 }
 
 impl TrainUpdate {
-    /// All fields in order; the whole numbers among them are exact up to 2^53.
+    /// The fields in order; whole numbers are exact up to 2^53.
     pub(super) fn to_array(self) -> [f64; 13] {
         [
             self.update.into(),
@@ -51,7 +54,7 @@ impl TrainUpdate {
         ]
     }
 
-    /// The point whose [`Self::to_array`] this is.
+    /// Restores a point from the output of [`Self::to_array`].
     pub(super) fn from_array(fields: &[f64; 13]) -> Self {
         let [
             update,
@@ -85,10 +88,10 @@ impl TrainUpdate {
         }
     }
 
-    /// The head of a table of points, comma separated.
+    /// Header line of the CSV table.
     pub const CSV_HEADER: &'static str = "update,mean_return,worst_return,training_return,trajectories,approximate_kl,largest_kl,clip_fraction,explained_variance,log_std,learning_rate,gradient_steps,steps";
 
-    /// One line of that table, without its end.
+    /// One line of the CSV table, without a line end.
     #[must_use]
     pub fn csv_line(&self) -> String {
         format!(
@@ -110,7 +113,7 @@ impl TrainUpdate {
     }
 }
 
-/// The whole curve as CSV.
+/// The learning curve as CSV.
 #[must_use]
 pub fn curve_csv(curve: &[TrainUpdate]) -> String {
     std::iter::once(TrainUpdate::CSV_HEADER.to_owned())

@@ -5,42 +5,42 @@ use thiserror::Error;
 use crate::estimation::SettingsError;
 use crate::policy::NetworkError;
 
-/// Why a training gave no policy.
+/// The reason why a training produced no policy.
 #[derive(Debug, Error)]
 pub enum TrainError {
     /// The stop flag was set.
     #[error("training was stopped before it was finished")]
     Stopped,
-    /// A setting that training cannot work with.
+    /// A setting is outside its range.
     #[error("training setting {name} = {value} cannot be used: it must be {bound}")]
     Setting {
-        /// The setting's name.
+        /// Name of the setting.
         name: &'static str,
-        /// What it was.
+        /// Value of the setting.
         value: String,
-        /// What it may be.
+        /// Range that the setting must lie in.
         bound: &'static str,
     },
-    /// The simulated estimator cannot be.
+    /// The settings of the simulated estimator are invalid.
     #[error("training setting simulation.sensors.estimator.{0}")]
     Estimator(#[from] SettingsError),
-    /// The best network is none.
+    /// The best network has weights that are not finite numbers.
     #[error("training diverged: {0}")]
     Diverged(#[from] NetworkError),
     /// A checkpoint could not be read or written.
     #[error("checkpoint {path}: {source}")]
     CheckpointFile {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The cause.
+        /// Cause of the failure.
         source: std::io::Error,
     },
-    /// A file that is no checkpoint, or a damaged one.
-    #[error("{path} is not a whole checkpoint: {reason}. Delete it to train from the start")]
+    /// The file is damaged or not a checkpoint.
+    #[error("{path} is not a complete checkpoint: {reason}. Delete it to train from the start")]
     CheckpointDamaged {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Defect found in the file.
         reason: String,
     },
     /// The checkpoint belongs to another training.
@@ -48,9 +48,9 @@ pub enum TrainError {
         "checkpoint {path} was written by a training with another {what}. Give the same again, or delete it to train from the start"
     )]
     CheckpointOfAnother {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What differs.
+        /// Name of the property that differs.
         what: &'static str,
     },
 }

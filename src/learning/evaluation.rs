@@ -1,8 +1,8 @@
 use crate::policy::Network;
 use crate::simulation::{DomainDistribution, Evaluation, SimulationSettings, evaluate};
 
-/// Evaluates a policy as it is deployed from starts that its training has not seen: for a return to
-/// publish, 1000 of them or more. (The evaluations during training flatter the best.)
+/// Evaluates a policy as it is deployed, from starts that its training has not seen. A published return
+/// needs 1,000 of them or more; the evaluations during training overestimate the best policy.
 #[must_use]
 pub fn evaluate_afresh(
     network: &Network,

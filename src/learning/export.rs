@@ -3,7 +3,7 @@ use super::actor::VOLTS_PER_OUTPUT;
 use super::network::{Network, OUTPUT_BIAS, WIDTH};
 use crate::policy::{self, LayerWeights};
 
-/// The net in the form that is deployed.
+/// Converts a network to the form that is deployed.
 pub(super) fn exported(network: &Network) -> Result<policy::Network, TrainError> {
     let observed = &network.first[..network.constant()];
     let first = LayerWeights {

@@ -3,11 +3,12 @@ use rand::Rng;
 use super::network::{LOG_STD, Network, Row, WIDTH};
 use super::random::normal_pair;
 
-/// Gain of the hidden layers, as is usual for PPO.
+/// Gain of the hidden layers that is usual for PPO.
 const HIDDEN_GAIN: f64 = std::f64::consts::SQRT_2;
 
 impl Network {
-    /// Orthogonal weights, zero biases. A small `output_gain` lets a policy start near 0 V.
+    /// A network with orthogonal weights and zero biases. A small `output_gain` lets a policy start near 0
+    /// V.
     pub fn orthogonal(
         observation_size: usize,
         generator: &mut impl Rng,
@@ -23,12 +24,12 @@ impl Network {
     }
 }
 
-/// Fills rows with orthogonal vectors of length `gain`: Gram and Schmidt on normal draws.
+/// Fills rows with orthogonal vectors of length `gain`, by Gram-Schmidt on normal draws.
 fn orthonormal_rows(generator: &mut impl Rng, gain: f64, rows: &mut [Row]) {
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(rows.len());
     for row in rows {
         let mut vector: Vec<f64> = (0..WIDTH / 2).flat_map(|_| normal_pair(generator)).collect();
-        // Twice, because once loses orthogonality where the remainder is short.
+        // Two passes, because one loses orthogonality where the remainder is short.
         for _ in 0..2 {
             for direction in &basis {
                 let along: f64 = vector.iter().zip(direction).map(|(a, b)| a * b).sum();

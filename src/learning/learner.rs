@@ -2,18 +2,18 @@ use super::kernels::{AdamStep, Gradient, Head, Minibatch, Moments, Workspace};
 use super::network::Network;
 use crate::elementary::{Level, dispatch_at};
 
-/// A net and the optimiser that trains it.
+/// A network and the optimiser that trains it.
 #[derive(Debug)]
 pub(super) struct Learner {
     pub network: Network,
     pub moments: Moments,
-    /// What its steps are computed with.
+    /// Instruction set of the gradient steps.
     pub level: Level,
     gradient: Network,
     workspace: Workspace,
 }
 
-/// What one gradient step needs besides the minibatch.
+/// The settings of a gradient step that all minibatches of an update share.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StepSettings {
     pub learning_rate: f32,
@@ -24,7 +24,7 @@ pub(super) struct StepSettings {
 }
 
 impl Learner {
-    /// A learner that has not yet learned.
+    /// A learner before its first step.
     pub fn new(network: Network) -> Box<Self> {
         Box::new(Self {
             moments: Moments::zero(network.observation_size),
@@ -35,7 +35,7 @@ impl Learner {
         })
     }
 
-    /// One step of Adam down the gradient of the head's loss over a minibatch.
+    /// Takes one step of Adam down the gradient of the head's loss over a minibatch.
     pub fn step<H: Head>(
         &mut self,
         minibatch: &Minibatch,

@@ -1,7 +1,23 @@
-//! PPO: collect, advantage, gradients, optimiser, trainer, curve.
+//! PPO: collects trajectories, estimates advantages, and improves policy and value network.
 //!
-//! May import `simulation`, `policy`, `estimation`, `safety`, `qube`, `elementary`; never `device`
-//! or `control`: training cannot move the motor.
+//! [`train`] is the whole algorithm; docs/learning.md explains its settings and why some differ from the
+//! thesis. The room may import `simulation`, `policy`, `estimation`, `safety`, `qube`, `elementary` and
+//! `storage`. It imports neither `device` nor `control`, so that training cannot move the motor.
+//!
+//! ```
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use qube_hil::learning::{TrainSettings, train};
+//! use qube_hil::simulation::DomainDistribution;
+//!
+//! // Far too small to learn a swing-up, but the whole algorithm.
+//! let settings = TrainSettings { updates: 1, epochs: 1, ..TrainSettings::quick() };
+//! let distribution = DomainDistribution::nominal();
+//! let never = AtomicBool::new(false);
+//! let trained = train(&distribution, &settings, 1, None, &never, |_| {})?;
+//! assert_eq!(trained.curve.len(), 1);
+//! # Ok::<(), qube_hil::learning::TrainError>(())
+//! ```
 
 mod actor;
 mod calm;

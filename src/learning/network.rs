@@ -1,29 +1,30 @@
 use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE};
 
-/// Neurons of each hidden layer, and samples of a minibatch: the width of every kernel.
+/// Neurons of each hidden layer and samples of a minibatch: the width of every kernel.
 pub(super) const WIDTH: usize = 64;
 
-/// Numbers of the longest observation.
+/// Length of the longest observation.
 pub(super) const MAX_OBSERVATION_SIZE: usize = OBSERVATION_SIZE + MAX_HISTORY;
 
-/// Rows that enter the first layer come in groups of as many, so that tiles divide them.
+/// Number of rows in a group; inputs of the first layer are padded to whole groups, so that tiles divide
+/// them.
 const ROW_GROUP: usize = 4;
 
-/// Rows that may enter the first layer: the observation, a constant 1 that carries the bias, and
-/// zeros that fill the last group.
+/// Largest number of input rows of the first layer: the observation, a constant 1 that carries the bias,
+/// and zeros that pad the last group.
 pub(super) const MAX_INPUTS: usize = (1 + MAX_OBSERVATION_SIZE).next_multiple_of(ROW_GROUP);
 
-/// Samples of a narrow block, for as many pendulums as do not fill a whole one.
+/// Samples of a narrow block, for pendulums that do not fill a whole block.
 pub(super) const NARROW: usize = 16;
 
 /// A row across neurons or across the samples of a minibatch.
 pub(super) type Row = [f32; WIDTH];
 
-/// What enters the first layer: `[input][sample]`.
+/// Inputs of the first layer: `[input][sample]`.
 pub(super) type Inputs<const SAMPLES: usize = WIDTH> = [[f32; SAMPLES]; MAX_INPUTS];
 
-/// One multilayer perceptron with tanh and the layers observation-64-64-1; also the shape of its
-/// gradient and moments.
+/// A multilayer perceptron with tanh and the layers observation-64-64-1. Its gradient and Adam's moments
+/// have the same type.
 ///
 /// ```text
 /// hidden_1 = tanh(first^T [observation, 1])
@@ -33,28 +34,30 @@ pub(super) type Inputs<const SAMPLES: usize = WIDTH> = [[f32; SAMPLES]; MAX_INPU
 #[derive(Clone, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Network {
-    /// `[input][neuron]`; row [`Self::constant`] is the bias, those after it stay zero.
+    /// Weights of the first layer, `[input][neuron]`; row [`Self::constant`] is the bias, later rows stay
+    /// zero.
     pub first: [Row; MAX_INPUTS],
-    /// `[neuron][neuron of the layer before]`.
+    /// Weights of the second layer, `[neuron][neuron of the first layer]`.
     pub second: [Row; WIDTH],
-    /// `[neuron]`.
+    /// Biases of the second layer, `[neuron]`.
     pub second_bias: Row,
-    /// `[neuron of the layer before]`.
+    /// Weights of the output, `[neuron of the second layer]`.
     pub last: Row,
-    /// [`OUTPUT_BIAS`], [`LOG_STD`], and zeros that fill the row.
+    /// Entries [`OUTPUT_BIAS`] and [`LOG_STD`], and zeros that pad the row.
     pub tail: Row,
-    /// Numbers that enter it, at most [`MAX_OBSERVATION_SIZE`].
+    /// Length of the observation, at most [`MAX_OBSERVATION_SIZE`].
     pub observation_size: usize,
 }
 
-/// Where `tail` keeps the bias of the output.
+/// Index in `tail` of the output's bias.
 pub(super) const OUTPUT_BIAS: usize = 0;
 
-/// Where `tail` of the policy keeps the logarithm of its standard deviation; zero in a value net.
+/// Index in the policy's `tail` of the logarithm of its standard deviation; the entry is zero in a value
+/// network.
 pub(super) const LOG_STD: usize = 1;
 
 impl Network {
-    /// All parameters zero.
+    /// A network whose parameters are all zero.
     pub const fn zero(observation_size: usize) -> Self {
         Self {
             first: [[0.0; WIDTH]; MAX_INPUTS],
@@ -66,19 +69,19 @@ impl Network {
         }
     }
 
-    /// The row of the constant 1, behind those of the observation.
+    /// Index of the row of the constant 1, which follows the observation.
     #[inline(always)]
     pub fn constant(&self) -> usize {
         self.observation_size
     }
 
-    /// Rows that enter the first layer.
+    /// Number of rows that enter the first layer.
     #[inline(always)]
     pub fn inputs(&self) -> usize {
         self.observation_size + 1
     }
 
-    /// Rows of the first layer that are in use, and the zeros that fill their last group.
+    /// Number of rows of the first layer including the zeros that pad the last group.
     #[inline(always)]
     pub fn padded_inputs(&self) -> usize {
         self.inputs().next_multiple_of(ROW_GROUP)
@@ -96,7 +99,7 @@ impl Network {
         ]
     }
 
-    /// As [`Self::slices`], to be written.
+    /// The same parameters as [`Self::slices`], mutable.
     #[inline(always)]
     pub fn slices_mut(&mut self) -> [&mut [f32]; 5] {
         let inputs = self.padded_inputs();

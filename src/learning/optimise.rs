@@ -10,21 +10,21 @@ use super::random::Stream;
 use super::transition::Transition;
 use crate::elementary::prefetch;
 
-/// What happened to the policy while it was optimised on one batch.
+/// Statistics of the policy's optimisation on one batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct PolicyProgress {
     /// Mean over the minibatches.
     pub approximate_kl: f64,
-    /// Largest of all minibatches.
+    /// Largest value over the minibatches.
     pub largest_kl: f64,
     /// Mean over the minibatches.
     pub clip_fraction: f64,
-    /// Gradient steps.
+    /// Number of gradient steps.
     pub steps: u32,
 }
 
-/// The minibatches of one update as indices of transitions: a permutation for every epoch, one
-/// after the other.
+/// The order of transitions in the minibatches of one update: one permutation of their indices for each
+/// epoch.
 pub(super) fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) -> Vec<u32> {
     let mut generator = Stream::Shuffle { update }.generator(seed);
     let mut permutation: Vec<u32> = (0..transitions as u32).collect();
@@ -38,7 +38,7 @@ pub(super) fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) 
     order
 }
 
-/// Gives the minibatches of an update one after the other, until `stop` is set.
+/// Calls `learn` with each minibatch of an update until `stop` is set.
 pub(super) fn for_each_minibatch(
     transitions: &[Transition],
     order: &[u32],
@@ -52,7 +52,8 @@ pub(super) fn for_each_minibatch(
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        // A minibatch is strewn over the batch, which is larger than the second-level cache.
+        // The transitions of a minibatch are scattered over the batch, which is larger than the
+        // second-level cache.
         for &index in minibatches.get(number + 1).into_iter().flatten() {
             prefetch(&transitions[index as usize]);
         }
@@ -61,7 +62,7 @@ pub(super) fn for_each_minibatch(
     }
 }
 
-/// Improves the policy, minibatch by minibatch, by PPO's clipped objective.
+/// Improves the policy by PPO's clipped objective, one minibatch at a time.
 pub(super) struct PolicyImprovement<'a> {
     policy: &'a mut Learner,
     head: PolicyHead,
@@ -85,7 +86,7 @@ impl<'a> PolicyImprovement<'a> {
         }
     }
 
-    /// One gradient step.
+    /// Takes one gradient step.
     pub fn step(&mut self, minibatch: &Minibatch) {
         let statistics = self.policy.step(minibatch, &self.head, &self.settings);
         let log_std = &mut self.policy.network.tail[LOG_STD];
@@ -98,7 +99,7 @@ impl<'a> PolicyImprovement<'a> {
         self.progress.steps += 1;
     }
 
-    /// What happened to the policy.
+    /// The statistics of the steps so far.
     pub fn progress(&self) -> PolicyProgress {
         let steps = f64::from(self.progress.steps.max(1));
         PolicyProgress {
@@ -109,7 +110,7 @@ impl<'a> PolicyImprovement<'a> {
     }
 }
 
-/// Fits the value net to the returns, minibatch by minibatch.
+/// Fits the value network to the returns, one minibatch at a time.
 pub(super) struct ValueFit<'a> {
     value: &'a mut Learner,
     settings: StepSettings,
@@ -120,14 +121,14 @@ impl<'a> ValueFit<'a> {
         Self { value, settings: StepSettings::new(settings, update) }
     }
 
-    /// One gradient step.
+    /// Takes one gradient step.
     pub fn step(&mut self, minibatch: &Minibatch) {
         self.value.step(minibatch, &ValueHead, &self.settings);
     }
 }
 
 impl StepSettings {
-    /// What the gradient steps of an update have in common.
+    /// The settings that all gradient steps of an update share.
     fn new(settings: &TrainSettings, update: u32) -> Self {
         Self {
             learning_rate: settings.learning_rate_at(update),

@@ -1,20 +1,20 @@
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// What a stream of random numbers is for. Each use has its own, so that the order in which
-/// threads draw does not matter.
+/// The use of a stream of random numbers. Each use has its own stream, so that results do not depend on the
+/// order in which threads draw.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Stream {
-    /// First weights of the nets.
+    /// Initial weights of the networks.
     Weights,
-    /// Order of the minibatches of one update.
+    /// Order of the transitions in the minibatches of one update.
     Shuffle { update: u32 },
     /// One trajectory: its start and Qube, or the noise on its actions.
     Trajectory { update: u32, lane: usize, number: u16, noise: bool },
 }
 
 impl Stream {
-    /// The number of the stream, another for each use.
+    /// The stream's number, different for each use.
     pub fn number(self) -> u64 {
         match self {
             Self::Weights => 0,
@@ -34,9 +34,9 @@ impl Stream {
     }
 }
 
-/// Two independent draws of the standard normal distribution (Box and Muller).
+/// Draws two independent numbers from N(0, 1) by the Box-Muller transform.
 pub(super) fn normal_pair(generator: &mut impl Rng) -> [f64; 2] {
-    // 1 - [0, 1) keeps zero away from the logarithm.
+    // 1 - [0, 1) excludes zero, whose logarithm is infinite.
     let radius = libm::sqrt(-2.0 * libm::log(1.0 - generator.random::<f64>()));
     let (sin, cos) = libm::sincos(std::f64::consts::TAU * generator.random::<f64>());
     [radius * cos, radius * sin]

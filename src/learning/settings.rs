@@ -7,63 +7,62 @@ use super::TrainError;
 use crate::qube::MAX_HISTORY;
 use crate::simulation::{SensorModel, SimulationSettings};
 
-/// How a policy is trained. The presets [`Self::thesis`] and [`Self::quick`] are the only place
-/// where these numbers are written down.
+/// The settings of a training. The presets [`Self::thesis`] and [`Self::quick`] alone define these numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainSettings {
-    /// Rounds of collecting and optimising.
+    /// Number of updates: rounds of collecting and optimising.
     pub updates: u32,
-    /// Pendulums simulated side by side in a round, each for 600 steps. One that leaves the safety
-    /// box starts a new trajectory with new domain parameters, so there are at least as many
+    /// Number of pendulums simulated in parallel, each for 600 steps in an update. A pendulum that leaves
+    /// the safety box starts a new trajectory with new domain parameters, so there are at least as many
     /// trajectories. A multiple of 16.
     pub pendulums: u16,
-    /// Passes over the transitions of a round.
+    /// Passes over the transitions of an update.
     pub epochs: u32,
     /// Adam's learning rate in the first update.
     pub learning_rate: f32,
-    /// And what it falls to, in a straight line over the updates.
+    /// Learning rate that Adam's rate falls to linearly over the updates.
     pub last_learning_rate: f32,
-    /// gamma.
+    /// Discount factor gamma.
     pub discount: f32,
-    /// lambda of generalised advantage estimation.
+    /// Lambda of generalised advantage estimation.
     pub trace_decay: f32,
-    /// epsilon of PPO's clipped objective.
+    /// Clip range epsilon of PPO's clipped objective.
     pub clip: f32,
     /// Weight of the entropy bonus.
     pub entropy_weight: f32,
-    /// Weight of a penalty on the divergence from the policy that collected.
+    /// Weight of a penalty on the divergence from the policy that collected the batch.
     pub kl_weight: f32,
-    /// The gradient of each net is shortened to this Euclidean norm.
+    /// Largest Euclidean norm of a network's gradient; a longer gradient is scaled down to it.
     pub largest_gradient_norm: f32,
     /// Adam's decay of the first moment.
     pub adam_beta_1: f32,
     /// Adam's decay of the second moment.
     pub adam_beta_2: f32,
-    /// Adam's epsilon; its square is added to the second moment, under the root.
+    /// Adam's epsilon; its square is added to the second moment under the square root.
     pub adam_epsilon: f32,
-    /// Logarithm of the policy's standard deviation at the start, in units of the net's output.
+    /// Initial logarithm of the policy's standard deviation, in units of the network's output.
     pub first_log_std: f32,
-    /// And the smallest that it may become. Without it the standard deviation shrinks until a
-    /// gradient step moves the mean by as much, and the policy collapses (docs/learning.md).
+    /// Lower bound of that logarithm. Without it the standard deviation shrinks until a single gradient
+    /// step moves the mean by as much, and the policy collapses (docs/learning.md).
     pub smallest_log_std: f32,
-    /// Weight of a change of the voltage in what is learned from, 1/V^2: a step whose voltage differs
-    /// by dV from the one before earns exp(-weight dV^2) times its reward. It grows over the first half
-    /// of the updates. Which policy is handed on goes by it too; returns that are told are plain.
+    /// Weight of a change of voltage in the training reward, 1/V^2: a step whose voltage differs by dV from
+    /// the one before earns exp(-weight dV^2) times its reward. The weight grows over the first half of the
+    /// updates. It also decides which policy is chosen; reported returns do not include it.
     pub voltage_change_weight: f32,
-    /// Fixed starts of the evaluation after each update.
+    /// Number of fixed starts in the evaluation after each update.
     pub evaluation_starts: u16,
-    /// Training ends early once an evaluation reaches this mean return.
+    /// Mean return of an evaluation at which training ends early.
     pub enough: Option<f64>,
     /// Sensors, reward and safety box of the simulation.
     pub simulation: SimulationSettings,
-    /// Processors to use, 1 or 2. The result is the same.
+    /// Number of threads to use, 1 or 2. The result does not depend on it.
     pub threads: usize,
 }
 
 impl TrainSettings {
-    /// The published budget (Eilers 2019, section 5): 100 updates of 48 000 transitions and 7500
-    /// gradient steps of each net.
+    /// The published budget (Eilers 2019, section 5): 100 updates of 48,000 transitions and 7,500 gradient
+    /// steps of each network.
     #[must_use]
     pub fn thesis() -> Self {
         Self {
@@ -91,10 +90,10 @@ impl TrainSettings {
         }
     }
 
-    /// Says what cannot be used about these settings, if anything.
+    /// Checks that every setting is in its range.
     ///
     /// # Errors
-    /// The first setting that is out of range.
+    /// Names the first setting that is out of range.
     pub fn check(&self) -> Result<(), TrainError> {
         fn bounded<T: PartialOrd + Display>(
             name: &'static str,
@@ -102,7 +101,7 @@ impl TrainSettings {
             range: impl RangeBounds<T>,
             bound: &'static str,
         ) -> Result<(), TrainError> {
-            // What is not a number is in no range.
+            // No range contains NaN.
             if range.contains(&value) {
                 Ok(())
             } else {
@@ -138,19 +137,18 @@ impl TrainSettings {
         bounded("threads", self.threads, 1..=1024, "at least 1")
     }
 
-    /// A policy in seconds: 60 updates of 9600 transitions, each of which may move the policy
-    /// farther. For trying things out and for searches that train many policies. The wider search
-    /// at the start makes up for the few pendulums: without it one policy in ten settles for a
-    /// slower swing-up.
+    /// A policy in seconds: 60 updates of 9,600 transitions, each of which may move the policy farther. For
+    /// trials and for searches that train many policies. The wider exploration at the start makes up for
+    /// the few pendulums: without it one policy in ten settles for a slower swing-up.
     #[must_use]
     pub fn quick() -> Self {
         Self { updates: 60, pendulums: 16, clip: 0.2, first_log_std: 0.4, ..Self::thesis() }
     }
 
-    /// A policy that the machine can run, in half a minute: in a simulation with the machine's sensors,
-    /// and with the last two commands beside the state for Qubes that have a delay and are not quite
-    /// known. There is more to learn than for [`Self::quick`], by four times the pendulums in twice the
-    /// updates. A change of the voltage costs reward: without that a policy that balances on a real Qube buzzes.
+    /// A policy for the machine in half a minute. The simulation has the machine's sensors, and the
+    /// observation contains the last two commands, for Qubes with a delay and uncertain parameters. There
+    /// is more to learn than for [`Self::quick`], so it has four times the pendulums in twice the updates.
+    /// A change of voltage costs reward: without that penalty a policy that balances a real Qube buzzes.
     #[must_use]
     pub fn robust() -> Self {
         Self {
@@ -162,15 +160,15 @@ impl TrainSettings {
         }
     }
 
-    /// Weight of a change of the voltage in an update: it grows in a straight line over the first half,
-    /// so that standing up is learned before standing quietly.
+    /// The weight of a change of voltage in an update. It grows linearly over the first half of the
+    /// updates, so that the policy learns to balance before it learns to be quiet.
     #[must_use]
     pub fn voltage_change_weight_at(&self, update: u32) -> f32 {
         let grown = 2.0 * update as f32 / self.updates.max(1) as f32;
         self.voltage_change_weight * grown.min(1.0)
     }
 
-    /// Learning rate of an update.
+    /// The learning rate of an update.
     #[must_use]
     pub fn learning_rate_at(&self, update: u32) -> f32 {
         let done = update as f32 / self.updates.max(1) as f32;

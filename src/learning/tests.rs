@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::*;
 use crate::simulation::{DomainDistribution, Family, SimulationSettings};
 
-/// Small enough for a test, large enough that each part of the trainer has something to do.
+/// Settings that are small enough for a test and large enough to exercise each part of the trainer.
 fn small() -> TrainSettings {
     TrainSettings {
         updates: 3,
@@ -14,7 +14,7 @@ fn small() -> TrainSettings {
     }
 }
 
-/// With the last two commands beside the state.
+/// The small settings with the last two commands in the observation.
 fn small_with_history() -> TrainSettings {
     let settings = small();
     let simulation = SimulationSettings { history: 2, ..settings.simulation };
@@ -146,8 +146,8 @@ fn a_weight_on_changes_of_the_voltage_grows_and_what_is_told_stays_plain() {
     let weighted = train_small(&settings, 5, None, u32::MAX).unwrap();
     let plain = train_small(&small_with_history(), 5, None, u32::MAX).unwrap();
     assert_ne!(weighted.network, plain.network);
-    // The first update, in which the weight is 0, learns the same, and its policy is told to earn the
-    // same.
+    // The weight is 0 in the first update, so that both trainings learn the same in it and report the same
+    // return.
     assert_eq!(weighted.curve[0].mean_return, plain.curve[0].mean_return);
     let told = |trained: &Trained| {
         trained.curve.iter().any(|update| update.mean_return == trained.best_return)

@@ -13,41 +13,41 @@ use crate::policy::{
 use crate::qube::COUNTS_PER_REVOLUTION;
 use crate::simulation::{DomainDistribution, SensorModel};
 
-/// What came of a training.
+/// The result of a training.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trained {
-    /// The network handed on: the best-evaluated one.
+    /// Network with the highest score in the evaluations.
     pub network: Network,
-    /// Its evaluation during training. A return to publish is a fresh one from more starts: the
-    /// best of many evaluations flatters.
+    /// Mean return of that network during training. The best of many evaluations is an overestimate; a
+    /// published return needs a fresh evaluation from more starts.
     pub best_return: f64,
-    /// The network after the last update.
+    /// Network after the last update.
     pub final_network: Network,
-    /// Its evaluation.
+    /// Mean return of the final network.
     pub final_return: f64,
-    /// One entry for each update done.
+    /// Learning curve, one entry for each update.
     pub curve: Vec<TrainUpdate>,
-    /// How the simulation showed the state.
+    /// Sensors of the simulation.
     pub sensors: SensorModel,
-    /// Weight of a change of the voltage in what was learned from, 1/V^2.
+    /// Weight of a change of voltage in the training reward, 1/V^2.
     pub voltage_change_weight: f32,
-    /// Everything random in it.
+    /// Seed of every random number in the training.
     pub seed: u64,
 }
 
-/// What a policy's file says of its origin, and training itself does not know.
+/// The origin of a policy, recorded in its file, that the training itself does not know.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Origin {
-    /// The model: `nominal`, `handcrafted`, `opt-nominal` ...
+    /// Name of the model: `nominal`, `handcrafted`, `opt-nominal` ...
     pub model: String,
-    /// Psi by name, for the models that have one.
+    /// Values of psi by name, for models that have one.
     pub psi: Option<BTreeMap<String, f64>>,
-    /// The preset of the settings: `thesis`, `quick` ...
+    /// Name of the settings' preset: `thesis`, `quick` ...
     pub preset: String,
 }
 
 impl Trained {
-    /// The network as a policy with its training record, ready to run and to save.
+    /// Converts the network to a policy with its training record, ready to run and to save.
     #[must_use]
     pub fn into_policy(self, origin: Origin) -> Policy {
         let last = self.curve.last();
@@ -87,13 +87,13 @@ impl Trained {
 
 /// Trains one policy by PPO in simulations drawn from `distribution` (Eilers 2019, Algorithm 1).
 ///
-/// The same arguments give the same policy, bit for bit, on processors with AVX2 or more, on any
-/// number of threads, and also when the training was interrupted and goes on from its checkpoint.
-/// `tell` hears of each update. `stop` is looked at before each gradient step.
+/// The same arguments give the same policy, bit for bit, on processors with AVX2 or more, on any number of
+/// threads, and also when the training is interrupted and resumes from its checkpoint. `tell` is called
+/// after each update. `stop` is read before each gradient step.
 ///
 /// # Errors
-/// A setting out of range; `stop` was set; a checkpoint that cannot be read or written, is damaged
-/// or belongs to another training; weights that are no longer numbers.
+/// A setting is out of range; `stop` was set; a checkpoint cannot be read or written, is damaged or belongs
+/// to another training; or weights are no longer finite.
 pub fn train(
     distribution: &DomainDistribution,
     settings: &TrainSettings,

@@ -14,15 +14,15 @@ use super::transition::Transition;
 use super::{TrainError, TrainSettings};
 use crate::simulation::{DomainDistribution, Evaluation, evaluate_and_tell};
 
-/// Gain of the policy's output layer at the start: near 0 V everywhere.
+/// Gain of the policy's output layer at the start; small, so that all voltages start near 0 V.
 const POLICY_GAIN: f64 = 0.01;
-/// Gain of the value net's output layer at the start.
+/// Gain of the value network's output layer at the start.
 const VALUE_GAIN: f64 = 1.0;
 
-/// Seed of the fixed starts (and Qubes) on which every policy is evaluated during training.
+/// Seed of the fixed starts and Qubes on which every policy is evaluated during training.
 const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 
-/// A training between two updates.
+/// The state of a training between two updates.
 pub(super) struct Trainer<'a> {
     pub distribution: &'a DomainDistribution,
     pub settings: &'a TrainSettings,
@@ -31,7 +31,7 @@ pub(super) struct Trainer<'a> {
     pub value: Box<Learner>,
     pub best: Network,
     pub best_return: f64,
-    /// What the best one was chosen by: its return, or its calm return.
+    /// Score of the best network: its mean return, or its mean return with the weight on voltage changes.
     pub best_score: f64,
     pub curve: Vec<TrainUpdate>,
 }
@@ -59,7 +59,7 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// One round of Algorithm 1 (Eilers 2019): collect, optimise, evaluate.
+    /// Performs one update of Algorithm 1 (Eilers 2019): collect, optimise, evaluate.
     pub fn update(&mut self, stop: &AtomicBool) -> Result<&TrainUpdate, TrainError> {
         let update = self.curve.len() as u32;
         let batch = self.collector().collect(self.settings.threads);
@@ -94,7 +94,7 @@ impl<'a> Trainer<'a> {
         Ok(&self.curve[update as usize])
     }
 
-    /// What collects the next update's batch.
+    /// The collector of the next update's batch.
     pub fn collector(&self) -> Collector<'_> {
         let update = self.curve.len() as u32;
         Collector {
@@ -107,8 +107,8 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// Runs the policy without exploration from the fixed starts. Beside what it earns stands its calm
-    /// return: the mean return with the weight of a change of the voltage.
+    /// Runs the policy without exploration from the fixed starts. Returns the evaluation and the mean
+    /// return with the weight on voltage changes.
     pub fn evaluate(&self) -> (Evaluation, f64) {
         let starts = usize::from(self.settings.evaluation_starts);
         let weight = self.settings.voltage_change_weight;
@@ -127,8 +127,8 @@ impl<'a> Trainer<'a> {
         (evaluation, calm_return / starts as f64)
     }
 
-    /// Both nets learn from the same minibatches but share nothing else, so that each can have a
-    /// processor of its own.
+    /// Policy and value network learn from the same minibatches but share nothing else, so that each can
+    /// run on its own processor.
     fn optimise(
         &mut self,
         transitions: &[Transition],
@@ -157,10 +157,10 @@ impl<'a> Trainer<'a> {
         policy.progress()
     }
 
-    /// What came of it.
+    /// The result of the training.
     ///
     /// # Errors
-    /// Weights that are not numbers.
+    /// The weights are not finite numbers.
     pub fn into_trained(self) -> Result<Trained, TrainError> {
         Ok(Trained {
             network: exported(&self.best)?,
@@ -174,7 +174,7 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// Whether there is nothing left to do.
+    /// Whether the training has reached its last update or its target return.
     pub fn is_finished(&self) -> bool {
         self.curve.len() >= self.settings.updates as usize
             || self.settings.enough.is_some_and(|enough| self.best_return >= enough)

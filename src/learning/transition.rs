@@ -1,20 +1,21 @@
 use super::kernels::Minibatch;
 use super::network::{Inputs, MAX_INPUTS, MAX_OBSERVATION_SIZE, WIDTH};
 
-/// What a policy saw; entries beyond the observation's size are zero.
+/// The observation of a transition; entries beyond the observation's size are zero.
 pub(super) type Observation = [f32; MAX_OBSERVATION_SIZE];
 
-/// One step of one simulated pendulum, in one line of cache: minibatches pick them at random.
+/// One step of one simulated pendulum. It fills one cache line, because minibatches pick transitions at
+/// random.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Transition {
     pub observation: Observation,
-    /// As drawn, in units of the net's output.
+    /// Sampled action, in units of the network's output.
     pub action: f32,
     /// Log probability density of the action.
     pub log_probability: f32,
     pub reward: f32,
-    /// The value net's estimate at this observation.
+    /// Estimate of the value network at this observation.
     pub value: f32,
     pub advantage: f32,
     pub return_: f32,
@@ -25,16 +26,16 @@ const _: () = assert!(size_of::<Transition>() == 64);
 /// The end of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct End {
-    /// The transition it ended with.
+    /// Index of the trajectory's last transition.
     pub index: usize,
-    /// What it would still have earned. Nothing where it left the safety box; where it was cut, by
-    /// the time limit or by the end of the batch, the value net's estimate at what came after.
+    /// Value of the state after the end: 0 where the trajectory left the safety box; the value network's
+    /// estimate where the time limit or the end of the batch cut it short.
     pub value_after: f32,
 }
 
-/// Fills `advantage` and `return_` of transitions, each trajectory in order of time, by generalised
-/// advantage estimation (Schulman 2016, equation 16). `ends` are in order of their indices, and the
-/// last transition is one.
+/// Fills `advantage` and `return_` by generalised advantage estimation (Schulman 2016, equation 16). Each
+/// trajectory's transitions are in order of time, `ends` are in order of their indices, and the last
+/// transition is an end.
 pub(super) fn estimate_advantages(
     transitions: &mut [Transition],
     ends: &[End],
@@ -56,14 +57,14 @@ pub(super) fn estimate_advantages(
     }
 }
 
-/// Inputs of the first layer with nothing observed yet, only the constant 1 that carries the bias.
+/// Inputs of the first layer before any observation: zeros, and the constant 1 that carries the bias.
 pub(super) fn constant_inputs<const SAMPLES: usize>(observation_size: usize) -> Inputs<SAMPLES> {
     let mut inputs = [[0.0; SAMPLES]; MAX_INPUTS];
     inputs[observation_size] = [1.0; SAMPLES];
     inputs
 }
 
-/// Observations of up to 64 samples as the first layer wants them; the rest stays zero.
+/// Arranges the observations of up to 64 samples as inputs of the first layer; other samples stay zero.
 pub(super) fn inputs<'a>(
     observation_size: usize,
     observations: impl Iterator<Item = &'a Observation>,
@@ -78,7 +79,7 @@ pub(super) fn inputs<'a>(
 }
 
 impl Minibatch {
-    /// With nothing in it yet.
+    /// A minibatch whose entries are all zero.
     pub fn empty(observation_size: usize) -> Self {
         let zero = [0.0; WIDTH];
         Self {
@@ -91,7 +92,7 @@ impl Minibatch {
         }
     }
 
-    /// Takes in the transitions with these indices.
+    /// Fills the minibatch with the transitions at these indices.
     pub fn gather(&mut self, transitions: &[Transition], indices: &[u32; WIDTH]) {
         let picked = indices.map(|index| &transitions[index as usize]);
         for (entry, row) in self.inputs[..self.observation_size].iter_mut().enumerate() {

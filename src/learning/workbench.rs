@@ -9,11 +9,11 @@ use super::{TrainError, TrainSettings};
 use crate::elementary::Level;
 use crate::simulation::DomainDistribution;
 
-/// The parts of a training one by one, for benchmarks and profiles.
+/// The parts of a training as separate calls, for benchmarks and profiles.
 pub struct Workbench<'a> {
     trainer: Trainer<'a>,
     batch: Batch,
-    /// Where in the batch the next minibatch starts.
+    /// Index in the batch at which the next minibatch starts.
     next: usize,
 }
 
@@ -21,7 +21,7 @@ impl<'a> Workbench<'a> {
     /// A training before its first update, with one batch collected.
     ///
     /// # Errors
-    /// A setting out of range.
+    /// A setting is out of range.
     pub fn new(
         distribution: &'a DomainDistribution,
         settings: &'a TrainSettings,
@@ -33,7 +33,7 @@ impl<'a> Workbench<'a> {
         Ok(Self { trainer, batch, next: 0 })
     }
 
-    /// The same, with gradient steps computed by this instruction set.
+    /// Selects the instruction set of the gradient steps.
     #[must_use]
     pub fn at_level(mut self, level: Level) -> Self {
         self.trainer.policy.level = level;
@@ -46,9 +46,9 @@ impl<'a> Workbench<'a> {
         self.batch = self.trainer.collector().collect(self.trainer.settings.threads);
     }
 
-    /// One gradient step of both nets on the next minibatch.
+    /// Takes one gradient step of both networks on the next minibatch.
     pub fn gradient_step(&mut self) {
-        // A stride that meets every transition, as far apart as shuffling would have them.
+        // The stride reaches every transition and spreads them as far apart as shuffling does.
         const STRIDE: usize = 7919;
         let count = self.batch.transitions.len();
         let start = self.next;
@@ -62,16 +62,16 @@ impl<'a> Workbench<'a> {
         PolicyImprovement::new(policy, settings, 0).step(&minibatch);
     }
 
-    /// One evaluation: the mean return.
+    /// Evaluates the policy and returns the mean return.
     #[must_use]
     pub fn evaluate(&self) -> f64 {
         self.trainer.evaluate().0.mean_return()
     }
 
-    /// One whole update.
+    /// Performs one complete update.
     ///
     /// # Errors
-    /// None unless training itself has one.
+    /// Training fails for one of its own reasons.
     pub fn update(&mut self) -> Result<(), TrainError> {
         self.trainer.update(&AtomicBool::new(false)).map(|_| ())
     }

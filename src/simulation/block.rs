@@ -13,14 +13,14 @@ use crate::qube::{
 };
 use crate::safety::SafetyBox;
 
-/// Sixteen Qubes, with what sensors and estimators make of them.
+/// Sixteen simulated Qubes with their sensors and estimators.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct Block {
     qubes: QubeLanes,
-    /// What sensors and estimator make of their states.
+    /// States as sensors and estimators show them.
     sight: SeenLanes,
-    /// Steps since the start.
+    /// Steps since the start of the trajectory.
     steps: [u32; BLOCK],
 }
 
@@ -39,7 +39,7 @@ impl Block {
         self.sight.seen.lane(lane)
     }
 
-    /// What a policy sees of a lane with the longest history.
+    /// The longest observation of a lane: the state, then all remembered commands.
     pub(super) fn observed(&self, lane: usize) -> [f32; OBSERVATION_SIZE + MAX_HISTORY] {
         let mut observed = [0.0; OBSERVATION_SIZE + MAX_HISTORY];
         let (state, commands) = observed.split_at_mut(OBSERVATION_SIZE);
@@ -62,27 +62,27 @@ impl Block {
     }
 }
 
-/// What surrounds the physics, in the lanes' number type.
+/// Everything of a simulation that surrounds the physics, in the lanes' number type.
 #[derive(Clone, Debug)]
 pub(super) struct Surroundings {
-    /// What policy and guard see of the states.
+    /// Sensors and estimators through which policy and guard see the states.
     pub(super) sensors: Sensors,
-    /// How many last commands are observed.
+    /// Number of last commands in an observation.
     pub(super) history: usize,
     pub(super) reward: RewardWeights<f32>,
     pub(super) safety_box: SafetyBox<f32>,
 }
 
-/// One control period of all blocks.
+/// Integrates one control period of all blocks.
 pub(super) struct Step<'a> {
     pub(super) blocks: &'a mut [Block],
-    /// What the policies' observers remember, block by block; empty where there are none.
+    /// Memory of the policies' observers, block by block; empty without observers.
     pub(super) observers: &'a mut [ObserverLanes],
     pub(super) surroundings: &'a Surroundings,
     pub(super) voltages_v: &'a [Lanes],
     pub(super) rewards: &'a mut [Lanes],
     pub(super) progress: &'a mut [[Progress; BLOCK]],
-    /// [6 + history][blocks][16].
+    /// Observations after the step, [6 + history][blocks][16].
     pub(super) observations: &'a mut [Lanes],
 }
 
@@ -97,8 +97,8 @@ impl Kernel for Step<'_> {
         for ((block, voltages_v), rewards) in earned {
             earn(block, &surroundings.reward, voltages_v, rewards);
         }
-        // One substep of every block before the next of any: neighbours do not wait for each other,
-        // so that the processor works on several at once.
+        // Each substep is computed for every block before the next substep: blocks are independent, so that
+        // the processor works on several at once.
         if blocks.iter().all(|block| block.qubes.are_ideal()) {
             for _ in 0..SUBSTEPS {
                 for (block, voltages_v) in blocks.iter_mut().zip(voltages_v) {
@@ -194,7 +194,7 @@ fn write_observations(
     }
 }
 
-/// A command as a policy sees it.
+/// A command as a fraction of the largest voltage, as a policy observes it.
 #[inline(always)]
 fn command_fraction(command_v: f32) -> f32 {
     command_v * (1.0 / MAX_VOLTAGE_V) as f32

@@ -5,76 +5,76 @@ use thiserror::Error;
 
 use crate::qube::{CONTROL_PERIOD_S, GapTerm, MAX_HISTORY, Quantity};
 
-/// A draw of a parameter is never farther from its mean than this part of it: between 0.1 and 1.9
-/// times the mean.
+/// Largest distance of a draw from its mean, as a fraction of the mean: draws lie between 0.1 and 1.9 times
+/// the mean.
 ///
-/// This is where draws that are not physical are made impossible: a parameter whose mean is above
-/// zero is above zero in every draw. A tenth rather than nothing, because the integrator's step
-/// still resolves an arm of a tenth of its length, and not one of a hundredth; symmetric, so that
-/// the mean of the draws is the mean asked for.
+/// The truncation guarantees physical draws: a parameter whose mean is above zero is above zero in every
+/// draw. The lower end is a tenth of the mean because the integrator's step still resolves an arm of a
+/// tenth of its length, but not one of a hundredth. The truncation is symmetric, so that the mean of the
+/// draws is the requested mean.
 pub const TRUNCATION: f64 = 0.9;
 
-/// The longest delay of a command that is simulated, s: what [`MAX_HISTORY`] last commands reach.
+/// Longest simulated command delay, s: the time that [`MAX_HISTORY`] commands span.
 pub const MAX_COMMAND_DELAY_S: f64 = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
 
-/// How one quantity of a Qube is drawn.
+/// The probability distribution of one quantity of a Qube.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Distribution {
-    /// Always the same.
+    /// Always the same value.
     Constant {
         /// The value.
         value: f64,
     },
-    /// Normal, drawn again while farther from the mean than the quantity may be (see [`reach`]).
+    /// A normal distribution, truncated at [`reach`] on either side of the mean.
     Normal {
-        /// Its mean.
+        /// Mean, in the unit of the quantity.
         mean: f64,
-        /// Standard deviation before that truncation.
+        /// Standard deviation before truncation.
         standard_deviation: f64,
     },
-    /// Uniform with this mean and standard deviation (a half-width of sqrt(3) standard deviations),
-    /// its half-width cut to what the quantity may be (see [`reach`]).
+    /// A uniform distribution with this mean and standard deviation: a half-width of sqrt(3) standard
+    /// deviations, limited to [`reach`].
     Uniform {
-        /// Its mean.
+        /// Mean, in the unit of the quantity.
         mean: f64,
-        /// Standard deviation before the cut.
+        /// Standard deviation before the limit.
         standard_deviation: f64,
     },
 }
 
-/// Why a quantity cannot be drawn so.
+/// The reason why a quantity cannot have a distribution.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum DistributionError {
-    /// The middle is not a value that the quantity may have.
+    /// The mean is not a physical value of the quantity.
     #[error("the mean of {symbol} is {mean}, which cannot be simulated: give a value {bound}")]
     Mean {
         /// The quantity's symbol.
         symbol: &'static str,
-        /// What was given.
+        /// Requested mean.
         mean: f64,
-        /// `above 0`, `not below 0`, or from where to where.
+        /// Bound that the mean must meet: `above 0`, `not below 0`, or a range.
         bound: String,
     },
-    /// The spread is negative, not finite, or wider than the mean is far from what cannot be.
+    /// The standard deviation is negative, not finite, or too large for the mean.
     #[error(
         "the standard deviation of {symbol} is {standard_deviation}: with the mean {mean} give a value from 0 to {largest}"
     )]
     StandardDeviation {
         /// The quantity's symbol.
         symbol: &'static str,
-        /// What was given.
+        /// Requested standard deviation.
         standard_deviation: f64,
-        /// The mean it was given with.
+        /// Mean of the distribution.
         mean: f64,
-        /// The largest that it may be.
+        /// Largest accepted standard deviation.
         largest: f64,
     },
 }
 
-/// How far from a mean a quantity is drawn at most, on either side: [`TRUNCATION`] times the mean of a
-/// parameter; for a term of the gap, as far as the nearer end of its range, which for friction, dead
-/// zone, cable and delay is zero, so that a uniform draw may begin there.
+/// The largest distance of a draw from a mean, on either side. For a parameter it is [`TRUNCATION`] times
+/// the mean; for a nonideality it is the distance to the nearer end of its range. The range of friction,
+/// dead zone, cable stiffness and delay begins at zero, so that a uniform draw may begin there.
 #[must_use]
 pub fn reach(quantity: Quantity, mean: f64) -> f64 {
     match quantity {
@@ -86,7 +86,7 @@ pub fn reach(quantity: Quantity, mean: f64) -> f64 {
     }
 }
 
-/// The largest standard deviation that a quantity may be drawn with around a mean.
+/// The largest standard deviation that a quantity may have around a mean.
 #[must_use]
 pub(super) fn largest_standard_deviation(quantity: Quantity, mean: f64) -> f64 {
     match quantity {
@@ -101,14 +101,14 @@ fn simulated_range(term: GapTerm) -> (f64, f64) {
 }
 
 impl Distribution {
-    /// Uniform from one value to another.
+    /// A uniform distribution between two values.
     #[must_use]
     pub fn between(lower: f64, upper: f64) -> Self {
         let (mean, half_width) = (0.5 * (lower + upper), 0.5 * (upper - lower));
         Self::Uniform { mean, standard_deviation: half_width / sqrt(3.0) }
     }
 
-    /// The middle: the value, or the mean of the draws.
+    /// The constant value, or the mean of the draws.
     #[must_use]
     pub fn mean(&self) -> f64 {
         match *self {
@@ -117,7 +117,7 @@ impl Distribution {
         }
     }
 
-    /// The spread asked for, before any truncation; 0 for a constant.
+    /// The standard deviation before truncation; 0 for a constant.
     #[must_use]
     pub fn standard_deviation(&self) -> f64 {
         match *self {
@@ -128,10 +128,10 @@ impl Distribution {
         }
     }
 
-    /// Says what is not physical about drawing this quantity so, if anything is.
+    /// Checks that every draw of this quantity is physical.
     ///
     /// # Errors
-    /// The mean or the standard deviation, with the quantity's name.
+    /// Names the quantity and the mean or standard deviation that is out of range.
     pub fn check(&self, quantity: impl Into<Quantity>) -> Result<(), DistributionError> {
         let quantity = quantity.into();
         let symbol = quantity.symbol();
@@ -158,8 +158,8 @@ impl Distribution {
         Ok(())
     }
 
-    /// One draw of this quantity. For a distribution that passes [`Self::check`] at least 63 % of the
-    /// normal draws lie within its [`reach`], so that this ends soon.
+    /// Draws one value of this quantity. At least 63 % of the normal draws lie within the [`reach`] of a
+    /// distribution that passes [`Self::check`], so the rejection loop ends soon.
     pub fn sample(&self, quantity: Quantity, rng: &mut impl rand::Rng) -> f64 {
         match *self {
             Self::Constant { value } => value,
@@ -183,7 +183,7 @@ impl Distribution {
     }
 }
 
-/// A draw from N(0, 1) by the transform of Box and Muller, with `libm` for the same bits everywhere.
+/// Draws from N(0, 1) by the Box-Muller transform, with `libm` for the same bits on every platform.
 fn standard_normal(rng: &mut impl rand::Rng) -> f64 {
     let above_zero = 1.0 - rng.random::<f64>();
     let angle = 2.0 * std::f64::consts::PI * rng.random::<f64>();

@@ -4,11 +4,11 @@ use super::distribution::largest_standard_deviation;
 use super::{Distribution, DistributionError, Psi, reach};
 use crate::qube::{DomainParameter, GapTerm, Quantity, QubeModel};
 
-/// Standard deviation of a handcrafted distribution as a part of the nominal value (thesis,
-/// section 5.2).
+/// Standard deviation of a handcrafted distribution as a fraction of the nominal value (thesis, section
+/// 5.2).
 const HANDCRAFTED_SPREAD: f64 = 0.2;
 
-/// Masses and lengths: what `nominal-handcrafted` draws, and the thesis's psi shapes.
+/// The masses and lengths, which `nominal-handcrafted` randomises and the thesis's psi shapes.
 const MASSES_AND_LENGTHS: [DomainParameter; 4] = [
     DomainParameter::RotaryMass,
     DomainParameter::PendulumMass,
@@ -16,14 +16,14 @@ const MASSES_AND_LENGTHS: [DomainParameter; 4] = [
     DomainParameter::PendulumLength,
 ];
 
-/// Which family psi's means and standard deviations belong to.
+/// The family of distributions to which psi's means and standard deviations belong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Family {
-    /// Normal: the thesis's choice.
+    /// Normal distributions, the thesis's choice.
     #[default]
     Normal,
-    /// Uniform: did worse there.
+    /// Uniform distributions, which scored lower in the thesis.
     Uniform,
 }
 
@@ -38,24 +38,24 @@ impl Family {
     }
 }
 
-/// p_psi(xi): how each of the nine domain parameters and of the gap's terms is drawn, independently,
-/// for a trajectory. The gap is zero where nothing is said of it.
+/// The distribution p_psi(xi) from which a trajectory's Qube is drawn: the nine domain parameters and the
+/// nonidealities, each independently. A nonideality without a distribution is zero.
 ///
-/// Checked when it is made: what it draws is always physical.
+/// Constructors check the distributions, so every draw is physical.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DomainDistribution {
-    /// In the order of [`Quantity::all`].
+    /// One distribution a quantity, in the order of [`Quantity::all`].
     distributions: [Distribution; Quantity::COUNT],
 }
 
 impl DomainDistribution {
-    /// The model `nominal`: no randomisation at all.
+    /// The model `nominal`: no randomisation.
     #[must_use]
     pub fn nominal() -> Self {
         Self::constant(&QubeModel::NOMINAL)
     }
 
-    /// Always this Qube, which the caller has checked.
+    /// A distribution that always draws this Qube. The caller has checked the model.
     #[must_use]
     pub fn constant(model: &QubeModel) -> Self {
         let mut distributions = [Distribution::Constant { value: 0.0 }; Quantity::COUNT];
@@ -65,20 +65,22 @@ impl DomainDistribution {
         Self { distributions }
     }
 
-    /// The model `handcrafted`: all nine normal around nominal, standard deviation a fifth of it.
+    /// The model `handcrafted`: all nine parameters normal around nominal, with a fifth of it as standard
+    /// deviation.
     #[must_use]
     pub fn handcrafted(family: Family) -> Self {
         Self::nominal().with_handcrafted(&DomainParameter::ALL, family)
     }
 
-    /// The model `nominal-handcrafted`: masses and lengths as in `handcrafted`, the rest nominal.
+    /// The model `nominal-handcrafted`: masses and lengths as in `handcrafted`, the other parameters
+    /// nominal.
     #[must_use]
     pub fn nominal_handcrafted(family: Family) -> Self {
         Self::nominal().with_handcrafted(&MASSES_AND_LENGTHS, family)
     }
 
-    /// The model `robust`, for a Qube that nobody has identified: what name plate, ruler and balance
-    /// leave open of the parameters, and a gap of any size that Qubes were found to have.
+    /// The model `robust`, for a Qube that nobody has identified: parameters within the uncertainty of name
+    /// plate, ruler and balance, and nonidealities of any size that was found in a Qube.
     #[must_use]
     pub fn robust() -> Self {
         let mut robust = Self::nominal();
@@ -110,11 +112,11 @@ impl DomainDistribution {
         robust
     }
 
-    /// Around an identified Qube: each quantity with its value as the mean and `spread` (from 0 to 1)
-    /// times that as the standard deviation.
+    /// A distribution around an identified Qube: each quantity has its value as the mean and `spread` (0 to
+    /// 1) times the value as the standard deviation.
     ///
     /// # Errors
-    /// It has what cannot be simulated, as too long a delay.
+    /// A value of the model cannot be simulated, such as a delay that is too long.
     pub fn around(
         model: &QubeModel,
         spread: f64,
@@ -123,28 +125,29 @@ impl DomainDistribution {
         let mut around = Self::constant(model);
         for quantity in Quantity::all() {
             let mean = model.get(quantity);
-            // Near the end of a range there is less room.
+            // The spread shrinks near the end of a quantity's range.
             let standard_deviation = (spread * mean.abs()).min(reach(quantity, mean));
             around = around.with(quantity, family.with_moments(mean, standard_deviation))?;
         }
         Ok(around)
     }
 
-    /// The model `opt-nominal`: what psi names by psi, the rest nominal.
+    /// The model `opt-nominal`: quantities that psi names follow psi, the others are nominal.
     #[must_use]
     pub fn opt_nominal(psi: &Psi, family: Family) -> Self {
         Self::nominal().shaped_by(psi, family)
     }
 
-    /// The model `opt-handcrafted`: what psi names by psi, the rest as in `handcrafted`.
+    /// The model `opt-handcrafted`: quantities that psi names follow psi, the others are as in
+    /// `handcrafted`.
     #[must_use]
     pub fn opt_handcrafted(psi: &Psi, family: Family) -> Self {
         Self::handcrafted(family).shaped_by(psi, family)
     }
 
-    /// The same with the quantities that psi names drawn from this family with psi's moments; where it
-    /// names one moment alone, the other stays. A standard deviation that is larger than the mean
-    /// allows is the largest that it allows.
+    /// Gives the quantities that psi names distributions of this family with psi's moments; a moment that
+    /// psi does not name stays. A standard deviation that is too large for its mean is reduced to the
+    /// largest accepted one.
     #[must_use]
     pub fn shaped_by(mut self, psi: &Psi, family: Family) -> Self {
         for quantity in Quantity::all() {
@@ -162,16 +165,16 @@ impl DomainDistribution {
         self
     }
 
-    /// How a quantity is drawn.
+    /// The distribution of a quantity.
     #[must_use]
     pub fn get(&self, quantity: impl Into<Quantity>) -> Distribution {
         self.distributions[quantity.into().index()]
     }
 
-    /// The same with one quantity drawn otherwise.
+    /// Replaces the distribution of one quantity.
     ///
     /// # Errors
-    /// The quantity cannot be drawn so: the draws would not be physical.
+    /// The distribution has draws that are not physical.
     pub fn with(
         mut self,
         quantity: impl Into<Quantity>,
@@ -183,7 +186,7 @@ impl DomainDistribution {
         Ok(self)
     }
 
-    /// One xi. What is constant takes nothing from the generator.
+    /// Draws one xi. A constant takes no number from the generator.
     pub fn sample(&self, rng: &mut impl rand::Rng) -> QubeModel {
         let mut model = QubeModel::NOMINAL;
         for quantity in Quantity::all() {
@@ -209,7 +212,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    /// The psi in the middle of its box.
+    /// The psi at the centre of its box.
     fn middle(space: &PsiSpace) -> Psi {
         let point = space.lower().into_iter().zip(space.upper()).map(|(a, b)| 0.5 * (a + b));
         space.psi(&point.collect::<Vec<_>>()).unwrap()

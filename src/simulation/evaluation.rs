@@ -1,10 +1,10 @@
 use super::{DomainDistribution, Pendulums, Progress, SimulationSettings, Trajectory};
 use crate::qube::MAX_STEPS;
 
-/// Whatever chooses voltages for many pendulums at once.
+/// A controller that chooses voltages for many pendulums at once.
 pub trait Actor {
-    /// Voltages in V for `observations`, `[observation_size][lanes]` (see
-    /// [`SimulationSettings::observation_size`]); `voltages_v` has `lanes` entries, a multiple of
+    /// Computes voltages in V from `observations`, `[observation_size][lanes]` (see
+    /// [`SimulationSettings::observation_size`]). `voltages_v` has `lanes` entries, a multiple of
     /// [`super::LANES_MULTIPLE`].
     fn act(&mut self, observations: &[f32], voltages_v: &mut [f32]);
 }
@@ -15,12 +15,12 @@ impl<F: FnMut(&[f32], &mut [f32])> Actor for F {
     }
 }
 
-/// What came of an evaluation, one entry for each trajectory.
+/// The results of an evaluation, one entry for each trajectory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evaluation {
-    /// Sums of rewards.
+    /// Returns: sums of rewards, at most 600.
     pub returns: Vec<f64>,
-    /// Steps taken; fewer than 600 when the safety box was left.
+    /// Steps taken; fewer than 600 when the trajectory left the safety box.
     pub steps: Vec<u32>,
 }
 
@@ -40,11 +40,11 @@ impl Evaluation {
     }
 }
 
-/// Runs an actor through the trajectories 0 to `starts` - 1 of a seed, each to its end, and adds up
-/// what they earn. The same seed gives the same plants and starts to every actor.
+/// Runs an actor through the trajectories 0 to `starts` - 1 of a seed, each to its end, and sums their
+/// rewards. The same seed gives the same Qubes and starts to every actor.
 ///
-/// 100 starts choose a policy during training; a figure to publish takes 1000 or more, of a fresh
-/// seed.
+/// 100 starts suffice to choose a policy during training; a published figure takes 1,000 or more, from a
+/// fresh seed.
 pub fn evaluate(
     actor: &mut impl Actor,
     distribution: &DomainDistribution,
@@ -55,8 +55,8 @@ pub fn evaluate(
     evaluate_and_tell(actor, distribution, settings, seed, starts, |_, _, _| {})
 }
 
-/// As [`evaluate`]; `tell` hears of each step of each trajectory: which, its reward, and its voltage
-/// before any limit, V.
+/// Evaluates like [`evaluate`] and calls `tell` after each step with the trajectory's number, its reward,
+/// and its voltage before clipping, V.
 pub fn evaluate_and_tell(
     actor: &mut impl Actor,
     distribution: &DomainDistribution,

@@ -8,22 +8,22 @@ use crate::estimation::{
 };
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, State, limited_voltage};
 
-/// Last commands of a lane that may still be on their way at the longest delay of an observer.
+/// Number of last commands remembered: they cover the longest delay of an observer.
 const REMEMBERED: usize = 12;
 
-/// Pieces of constant voltage in the longest prediction.
+/// Largest number of pieces of constant voltage in a prediction.
 const MAX_PIECES: usize = REMEMBERED;
 
-/// The observer of [`crate::estimation`] for the lanes of a simulation: with a fixed period, which
-/// command acts when is the same in each step.
+/// The observer of [`crate::estimation`] for the lanes of a simulation. The period is fixed, so the command
+/// that acts at a given time has the same age in every step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LaneObserver {
     equations: ObserverEquations<f32>,
     theta_gains: KalmanGains<f32>,
     alpha_gains: KalmanGains<f32>,
-    /// From the last sample to this one.
+    /// Voltage pieces from the last sample to the current one.
     since: Pieces,
-    /// From this one to the instant at which the next command acts.
+    /// Voltage pieces from the current sample to the instant at which the next command acts.
     ahead: Pieces,
 }
 
@@ -33,26 +33,26 @@ struct Pieces {
     count: usize,
 }
 
-/// Steps of integration under one command.
+/// Integration steps under one command.
 #[derive(Clone, Copy, Debug, Default)]
 struct LanePiece {
-    /// 0 is the newest command.
+    /// Age of the command in periods; 0 is the newest.
     age: usize,
     steps: u64,
     step_s: f32,
 }
 
-/// What the observers of a block remember.
+/// Memory of the observers of a block.
 #[derive(Clone, Debug)]
 pub(super) struct ObserverLanes {
-    /// At the last sample's instant.
+    /// State at the instant of the last sample.
     estimate: State<Lanes>,
-    /// V, newest first.
+    /// Last commands, V, newest first.
     commands_v: [Lanes; REMEMBERED],
 }
 
 impl ObserverLanes {
-    /// Of Qubes that hang at rest and got no voltage yet.
+    /// Observers of Qubes that hang at rest and to which no voltage was sent.
     pub(super) const HANGING: Self = Self {
         estimate: State {
             theta: [0.0; BLOCK],
@@ -63,7 +63,7 @@ impl ObserverLanes {
         commands_v: [[0.0; BLOCK]; REMEMBERED],
     };
 
-    /// A new Qube in a lane.
+    /// Restarts a lane with a new Qube.
     pub(super) fn restart(&mut self, lane: usize, estimate: &State<f32>) {
         self.estimate.set_lane(lane, estimate);
         for command_v in &mut self.commands_v {
@@ -75,7 +75,7 @@ impl ObserverLanes {
 impl LaneObserver {
     pub(super) fn new(settings: &ObserverSettings) -> Self {
         const PERIOD_US: u64 = (CONTROL_PERIOD_S * 1e6) as u64;
-        // Which command of a long row acts when, seen from its newest.
+        // Numbers the commands of a long sequence to find the age of the one that acts at each time.
         let newest = REMEMBERED as u64;
         let mut sent = SentVoltages::new(settings.model.gap.command_delay_s, 0);
         for command in 0..=newest {
@@ -102,8 +102,8 @@ impl LaneObserver {
         }
     }
 
-    /// One sample later: takes the commands of the period that is over and what the guard's filter
-    /// makes of the new sample; shows the states when the next commands will act.
+    /// Advances by one sample: takes the commands of the elapsed period and the guard's filtered states,
+    /// and returns the states at the instant at which the next commands will act.
     #[inline(always)]
     pub(super) fn update(
         &self,

@@ -1,7 +1,20 @@
-//! Randomised simulation: distributions over domain parameters, the names and box of psi, many
-//! pendulums at once.
+//! Randomised simulation: distributions over domain parameters, the names and search box of psi, and many
+//! pendulums in parallel.
 //!
-//! May import `qube`, `elementary`, `estimation`, `safety`.
+//! [`Pendulums`] advances all lanes with each step; [`evaluate`] runs a controller in it. A Qube's true
+//! state passes through the same estimator that the machine uses, so that a policy trains on the estimates
+//! it will see. The room may import `qube`, `elementary`, `estimation`, `safety` and `storage`.
+//!
+//! ```
+//! use qube_hil::simulation::{DomainDistribution, SimulationSettings, evaluate};
+//!
+//! // A motor without voltage lets the pendulum hang: the return stays far below the largest, 600.
+//! let mut idle = |_: &[f32], voltages_v: &mut [f32]| voltages_v.fill(0.0);
+//! let distribution = DomainDistribution::nominal();
+//! let evaluation = evaluate(&mut idle, &distribution, &SimulationSettings::default(), 1, 16);
+//! assert!(evaluation.mean_return() < 1.0);
+//! assert!(evaluation.steps.iter().all(|&steps| steps == 600));
+//! ```
 
 mod block;
 mod distribution;

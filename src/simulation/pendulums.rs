@@ -5,34 +5,35 @@ use super::{MAX_COMMAND_DELAY_S, SimulationSettings, Trajectory};
 use crate::elementary::{Level, Scalar, dispatch_at};
 use crate::qube::{BLOCK, MAX_HISTORY, State};
 
-/// The number of lanes is a multiple of this.
+/// Granularity of the number of lanes.
 pub const LANES_MULTIPLE: usize = BLOCK;
 
-/// How a lane's trajectory stands after a step.
+/// State of a lane's trajectory after a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Progress {
-    /// It goes on.
+    /// The trajectory continues.
     #[default]
     Running,
-    /// It has left the safety box: it earns nothing more, and its value is 0.
+    /// The state has left the safety box: the trajectory earns nothing more, and the value of its final
+    /// state is 0.
     LeftBox,
-    /// Its 600 steps are over: whoever learns from it bootstraps its value.
+    /// The trajectory has its 600 steps; a learner bootstraps the value of its final state.
     TimeUp,
 }
 
-/// Many pendulums at once, in lanes, in `f32`: each with its own parameters, gap and trajectory, all
-/// of them advancing one control period with each [`Self::step`].
+/// Many pendulums in parallel lanes, in `f32`. Each has its own parameters, nonidealities and trajectory;
+/// each [`Self::step`] advances all of them by one control period.
 ///
-/// Slices over lanes have length [`Self::lanes`]; observations are feature-major,
-/// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`. The features are
-/// those of [`crate::qube::observation`], then the last commands as fractions of 5 V, newest first,
-/// zeros at the start of a trajectory. A lane's numbers depend on its own trajectory and voltages
-/// alone, and are the same bits on every instruction set.
+/// Slices over lanes have length [`Self::lanes`]. Observations are feature-major,
+/// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`. The features are those of
+/// [`crate::qube::observation`], then the last commands as fractions of 5 V, newest first, zero at the
+/// start of a trajectory. A lane's numbers depend on its own trajectory and voltages alone, and are the
+/// same bits on every instruction set.
 #[derive(Clone, Debug)]
 pub struct Pendulums {
     blocks: Vec<Block>,
-    /// As many as blocks, or none.
+    /// Memory of the observers, one a block; empty without observers.
     observers: Vec<ObserverLanes>,
     surroundings: Surroundings,
     observation_size: usize,
@@ -40,11 +41,11 @@ pub struct Pendulums {
 }
 
 impl Pendulums {
-    /// At least `lanes` pendulums (rounded up to a multiple of [`LANES_MULTIPLE`]), nominal and
-    /// hanging at rest until they are [`restarted`](Self::restart).
+    /// At least `lanes` pendulums (rounded up to a multiple of [`LANES_MULTIPLE`]), nominal and hanging at
+    /// rest until they are [`restarted`](Self::restart).
     ///
     /// # Panics
-    /// If the history is longer than [`MAX_HISTORY`].
+    /// Panics if the history is longer than [`MAX_HISTORY`].
     #[must_use]
     pub fn new(lanes: usize, settings: &SimulationSettings) -> Self {
         assert!(settings.history <= MAX_HISTORY, "history: 0 to {MAX_HISTORY}");
@@ -64,34 +65,32 @@ impl Pendulums {
         }
     }
 
-    /// The same, computed with this instruction set (for comparisons; see
-    /// [`crate::elementary::dispatch_at`]).
+    /// Selects the instruction set, for comparisons (see [`crate::elementary::dispatch_at`]).
     #[must_use]
     pub fn at_level(mut self, level: Level) -> Self {
         self.level = level;
         self
     }
 
-    /// How many pendulums there are.
+    /// Number of pendulums.
     #[must_use]
     pub fn lanes(&self) -> usize {
         self.blocks.len() * BLOCK
     }
 
-    /// Numbers in an observation: those of a state, then the last commands.
+    /// Length of an observation: the features of a state, then the last commands.
     #[must_use]
     pub fn observation_size(&self) -> usize {
         self.observation_size
     }
 
-    /// Puts a new trajectory into a lane, at its step 0.
+    /// Starts a new trajectory in a lane at step 0.
     ///
-    /// The lane's entries in an array of observations are as they were; see [`Self::observe_lane`].
-    ///
-    /// A command may be delayed by [`super::MAX_COMMAND_DELAY_S`] at most.
+    /// Arrays of observations keep the lane's old entries until [`Self::observe_lane`] overwrites them. A
+    /// command may be delayed by at most [`super::MAX_COMMAND_DELAY_S`].
     ///
     /// # Panics
-    /// If there is no such lane, or the delay is longer.
+    /// Panics if the lane does not exist or the delay is longer.
     pub fn restart(&mut self, lane: usize, trajectory: &Trajectory) {
         let Trajectory { model, start } = trajectory;
         let delays = 0.0..=MAX_COMMAND_DELAY_S;
@@ -109,10 +108,10 @@ impl Pendulums {
         }
     }
 
-    /// Writes what is observed now in all lanes to `observations`, `[observation_size][lanes]`.
+    /// Writes the current observations of all lanes to `observations`, `[observation_size][lanes]`.
     ///
     /// # Panics
-    /// If the length is another.
+    /// Panics if the slice has another length.
     pub fn observe(&self, observations: &mut [f32]) {
         self.check_length_of(observations);
         let (observations, _) = observations.as_chunks_mut();
@@ -120,11 +119,11 @@ impl Pendulums {
         dispatch_at(self.level, Observe { blocks: &self.blocks, history, observations });
     }
 
-    /// Writes what is observed now in one lane to its entries of `observations`,
-    /// `[observation_size][lanes]`: after a restart.
+    /// Writes the current observation of one lane, for instance after a restart, to its entries of
+    /// `observations`, `[observation_size][lanes]`.
     ///
     /// # Panics
-    /// If there is no such lane or the length is another.
+    /// Panics if the lane does not exist or the slice has another length.
     pub fn observe_lane(&self, lane: usize, observations: &mut [f32]) {
         self.check_length_of(observations);
         let observed = self.blocks[lane / BLOCK].observed(lane % BLOCK);
@@ -133,17 +132,17 @@ impl Pendulums {
         }
     }
 
-    /// One control period of all lanes.
+    /// Advances all lanes by one control period.
     ///
-    /// `voltages_v` is limited to the motor's +-5 V. Written are: the `rewards` of the states before
-    /// the step with these voltages; how each trajectory stands now; and the `observations`,
-    /// `[observation_size][lanes]`, after the step, also of those that end with it.
+    /// `voltages_v` is clipped to the motor's +-5 V. The call writes the `rewards` of the states before the
+    /// step with these voltages, the `progress` of each trajectory, and the `observations` after the step,
+    /// `[observation_size][lanes]`, also of trajectories that end with it.
     ///
-    /// A lane that has ended runs on into the meaningless until it is restarted; nothing of it
-    /// reaches other lanes. A state that is not a number counts as outside of the box.
+    /// A lane whose trajectory has ended goes on with meaningless numbers until it is restarted; they do
+    /// not reach other lanes. A state that is not a number counts as outside the box.
     ///
     /// # Panics
-    /// If a slice has another length.
+    /// Panics if a slice has another length.
     pub fn step(
         &mut self,
         voltages_v: &[f32],
@@ -180,16 +179,16 @@ impl Pendulums {
     /// The true state in a lane.
     ///
     /// # Panics
-    /// If there is no such lane.
+    /// Panics if the lane does not exist.
     #[must_use]
     pub fn state(&self, lane: usize) -> State<f32> {
         self.blocks[lane / BLOCK].state(lane % BLOCK)
     }
 
-    /// What sensors and estimator make of the state in a lane.
+    /// The state in a lane as sensors and estimator show it to the policy.
     ///
     /// # Panics
-    /// If there is no such lane.
+    /// Panics if the lane does not exist.
     #[must_use]
     pub fn seen(&self, lane: usize) -> State<f32> {
         self.blocks[lane / BLOCK].seen(lane % BLOCK)

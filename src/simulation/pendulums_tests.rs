@@ -1,4 +1,4 @@
-//! The lanes against the `f64` equations, the scalar bits, and the estimator of the machine.
+//! Compares the lanes with the `f64` equations, the scalar bits, and the estimator of the machine.
 
 use super::{
     DomainDistribution, Family, Pendulums, Progress, SensorModel, SimulationSettings, Trajectory,
@@ -11,7 +11,7 @@ use crate::qube::{
 };
 use crate::safety::SafetyBox;
 
-/// Pendulums with their in- and outputs.
+/// Pendulums with their input and output arrays.
 struct Bench {
     pendulums: Pendulums,
     voltages_v: Vec<f32>,
@@ -43,8 +43,8 @@ impl Bench {
     }
 }
 
-/// A trajectory that starts anywhere in the given part of the box, with a drawn Qube; all
-/// numbers exact in `f32`.
+/// A trajectory with a drawn Qube that starts anywhere in the given part of the box; all numbers are exact
+/// in `f32`.
 fn anywhere(number: u64, reach: &State) -> Trajectory {
     let distribution = DomainDistribution::handcrafted(Family::Normal);
     let trajectory = Trajectory::draw(&distribution, 11, number);
@@ -68,7 +68,7 @@ fn voltage_v(lane: usize) -> f32 {
 #[test]
 fn a_step_is_within_a_microradian_of_the_same_step_in_f64() {
     let lanes = 8192;
-    // One turn either way: farther out the last bit of an f32 alone is that large.
+    // The test covers one turn either way: farther out, a last bit of `f32` is as large as the tolerance.
     let reach = State { theta: 2.3, alpha: 6.3, theta_dot: 20.0, alpha_dot: 21.0 };
     let mut bench = Bench::new(lanes, &SimulationSettings::default());
     let (mut worst_angle, mut worst_velocity) = (0.0_f64, 0.0_f64);
@@ -185,8 +185,8 @@ fn a_trajectory_ends_at_the_box_at_what_is_not_a_number_and_after_600_steps() {
     assert_eq!(bench.progress[0], Progress::Running);
 }
 
-/// Moves one lane for 3 s beside the estimator of the machine, which sees the same counts; returns
-/// the largest differences of what policies see: rad and rad/s.
+/// Moves one lane for 3 s beside the machine's estimator, which gets the same counts; returns the largest
+/// differences of the policies' states: rad and rad/s.
 fn beside_the_machine(estimator: EstimatorSettings, safety_box: SafetyBox) -> (f64, f64) {
     let settings = SimulationSettings {
         sensors: SensorModel::Encoders { estimator },
@@ -244,7 +244,7 @@ fn encoders_show_what_the_estimator_of_the_machine_makes_of_the_counts() {
 
 #[test]
 fn the_guard_of_the_lanes_goes_by_its_own_filter_as_that_of_the_machine() {
-    // So narrow that the velocities go in and out of it again and again.
+    // The box is so narrow that the velocities cross its limits again and again.
     let safety_box =
         SafetyBox { theta_dot: 5.0, alpha_dot: 5.0, theta: 100.0, ..SafetyBox::THESIS };
     let observer = ObserverSettings::default().with_delay(0.02);
@@ -311,7 +311,7 @@ fn last_commands_are_observed_newest_first_and_forgotten_at_a_restart() {
         };
         let mut expected = vec![0.0; history];
         for step in 0..10 {
-            // Beyond 5 V from step 6 on.
+            // The commands exceed 5 V from step 6 on.
             let command_v = 0.9 * step as f32;
             bench.voltages_v = vec![command_v; 32];
             bench.step();

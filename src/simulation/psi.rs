@@ -8,97 +8,97 @@ use super::{DistributionError, PsiTarget};
 use crate::qube::Quantity;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// The parameters of the distribution over simulations: what the search varies. A list of what is
-/// shaped and by which number, always physical; where it is searched is a [`super::PsiSpace`].
+/// A psi: the parameters of the distribution over simulations, which the search varies. Every value is
+/// physical; the searched box is a [`super::PsiSpace`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "BTreeMap<String, f64>", into = "BTreeMap<String, f64>")]
 pub struct Psi {
     values: Vec<(PsiTarget, f64)>,
 }
 
-/// Why numbers or a file are no psi.
+/// The reason why numbers or a file are not a psi.
 #[derive(Debug, Error)]
 pub enum PsiError {
-    /// A point of another space.
+    /// The point has another dimension than the search space.
     #[error("this psi has {entries} entries where {expected} are searched")]
     WrongLength {
-        /// Entries that it had.
+        /// Length of the point.
         entries: usize,
-        /// The names of those that it should have.
+        /// Names of the expected entries.
         expected: String,
     },
-    /// A value outside the box, or not a number.
+    /// A value is outside the box, or not a number.
     #[error("{name} = {value} is outside its range: give a value from {lower} to {upper}")]
     OutsideTheBox {
-        /// The dimension.
+        /// Name of the dimension.
         name: String,
-        /// What was given.
+        /// Value given.
         value: f64,
-        /// Lower end.
+        /// Lower end of its range.
         lower: f64,
-        /// Upper end.
+        /// Upper end of its range.
         upper: f64,
     },
-    /// A name that means nothing.
+    /// The name does not exist.
     #[error(
         "psi has no `{name}`: there are `filter`, and mean_ and std_ of {}, as in std_delay",
         symbols()
     )]
     UnknownName {
-        /// The name.
+        /// Unknown name.
         name: String,
     },
-    /// A value that is not physical.
-    #[error("{name} = {value} cannot be: {reason}")]
+    /// A value is not physical.
+    #[error("{name} = {value}  is not physical: {reason}")]
     Impossible {
-        /// The entry.
+        /// Name of the entry.
         name: String,
-        /// What was given.
+        /// Value given.
         value: f64,
-        /// What it may be.
+        /// Range that the value must lie in.
         reason: String,
     },
-    /// A range that ends before it begins.
+    /// The lower end of a range is not below the upper end.
     #[error(
         "the range of {name}, {lower} to {upper}, is empty: give a lower end below the upper one"
     )]
     EmptyRange {
-        /// The dimension.
+        /// Name of the dimension.
         name: String,
-        /// Lower end.
+        /// Lower end of its range.
         lower: f64,
-        /// Upper end.
+        /// Upper end of its range.
         upper: f64,
     },
-    /// The same entry more than once.
+    /// Psi names an entry more than once.
     #[error("psi names {name} twice: name it once")]
     Twice {
-        /// The entry.
+        /// Name of the entry.
         name: String,
     },
-    /// What psi does not shape cannot be drawn.
+    /// The base distribution, which psi modifies, cannot be drawn.
     #[error("the profile cannot be simulated: {0}")]
     Base(DistributionError),
-    /// The model is drawn around a Qube that is not given.
+    /// The model needs a profile, and none is given.
     #[error("the model `opt-profile` is drawn around a Qube: give it in [profile]")]
     NoProfile,
-    /// Nothing to search.
+    /// The search space has no dimension.
     #[error("psi has no entry: name at least one, as mean_M_p")]
     NoDimensions,
     /// The file cannot be read.
     #[error("{}: cannot be read: {source}", path.display())]
     Unreadable {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The cause.
+        /// Cause of the failure.
         source: std::io::Error,
     },
-    /// The file is no TOML, or names what is no psi.
+    /// The file is not TOML, or contains something other than a psi.
     #[error("{}: is no psi file, which has lines `name = value`: {}", path.display(), source.to_string().trim_end())]
     NotPsi {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The cause, with its line.
+        /// Cause with its line.
         source: Box<toml::de::Error>,
     },
 }
@@ -108,10 +108,10 @@ fn symbols() -> String {
 }
 
 impl Psi {
-    /// A psi of these values, in this order.
+    /// Checks the values and keeps them in this order.
     ///
     /// # Errors
-    /// A value that is not physical.
+    /// A value is not physical.
     pub fn new(values: Vec<(PsiTarget, f64)>) -> Result<Self, PsiError> {
         for (target, value) in &values {
             target.check(*value)?;
@@ -119,26 +119,26 @@ impl Psi {
         Ok(Self { values })
     }
 
-    /// Each name with its value.
+    /// The values by name.
     #[must_use]
     pub fn named_values(&self) -> BTreeMap<String, f64> {
         self.values.iter().map(|(target, value)| (target.to_string(), *value)).collect()
     }
 
-    /// The value of one entry; none if psi leaves it alone.
+    /// The value of one entry; `None` if psi does not name it.
     #[must_use]
     pub fn get(&self, target: PsiTarget) -> Option<f64> {
         self.values.iter().find(|(own, _)| *own == target).map(|(_, value)| *value)
     }
 
-    /// Mean and standard deviation that psi gives to a quantity's draws; none for what it leaves alone.
+    /// The mean and standard deviation that psi gives to a quantity; `None` for a moment it does not name.
     #[must_use]
     pub fn moments(&self, quantity: Quantity) -> (Option<f64>, Option<f64>) {
         let (mean, deviation) = (PsiTarget::Mean(quantity), PsiTarget::StandardDeviation(quantity));
         (self.get(mean), self.get(deviation))
     }
 
-    /// The corner of the simulated velocity filter, rad/s; none if psi leaves it alone.
+    /// The corner of the simulated velocity filter, rad/s; `None` if psi does not name it.
     #[must_use]
     pub fn filter_corner_rad_s(&self) -> Option<f64> {
         self.get(PsiTarget::Filter)
@@ -147,7 +147,7 @@ impl Psi {
     /// Reads a TOML file with one line `name = value` for each entry.
     ///
     /// # Errors
-    /// The file cannot be read, has a name that means nothing, or a value that is not physical.
+    /// The file cannot be read, has an unknown name, or a value that is not physical.
     pub fn load(path: &Path) -> Result<Self, PsiError> {
         let text = read_text(path, SETTINGS_BYTES)
             .map_err(|source| PsiError::Unreadable { path: path.to_owned(), source })?;
@@ -190,7 +190,7 @@ mod tests {
             std::fs::write(&path, text).unwrap();
             Psi::load(&path)
         };
-        // The thesis's eight, as earlier versions wrote them.
+        // The thesis's eight entries in the form that earlier versions wrote.
         let text = "mean_M_p = 0.02\nstd_M_p = 0.001\nmean_M_r = 0.09\nstd_M_r = 0.002\n\
                     mean_L_p = 0.12\nstd_L_p = 0.003\nmean_L_r = 0.08\nstd_L_r = 0.004\n";
         let psi = load(text).unwrap();

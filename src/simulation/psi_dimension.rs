@@ -5,13 +5,13 @@ use serde::{Deserialize, Serialize};
 use super::PsiError;
 use crate::qube::{DomainParameter, GapTerm, Quantity, QubeModel};
 
-/// What an entry of psi shapes.
+/// The part of the simulation that an entry of psi sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum PsiTarget {
-    /// The mean of a quantity's draws, in its SI unit: `mean_M_p`, `mean_delay` ...
+    /// The mean of a quantity in its SI unit: `mean_M_p`, `mean_delay` ...
     Mean(Quantity),
-    /// Their standard deviation: `std_M_p`, `std_delay` ... One that is larger than the mean allows is
-    /// the largest that it allows.
+    /// The standard deviation of a quantity: `std_M_p`, `std_delay` ... One that is too large for the mean
+    /// is reduced to the largest accepted one.
     StandardDeviation(Quantity),
     /// The corner of the simulated velocity filter, rad/s: `filter`.
     Filter,
@@ -21,7 +21,7 @@ impl PsiTarget {
     /// The target with this name.
     ///
     /// # Errors
-    /// There is none.
+    /// The name does not exist.
     pub fn from_name(name: &str) -> Result<Self, PsiError> {
         let quantity = |symbol: &str| Quantity::from_symbol(symbol);
         let target = match name.split_once('_') {
@@ -32,8 +32,8 @@ impl PsiTarget {
         target.ok_or_else(|| PsiError::UnknownName { name: name.to_owned() })
     }
 
-    /// The range that is searched when nobody says otherwise: that of the thesis's table 5.2 where it
-    /// has one; around nominal for other parameters; beyond what Qubes were found to have for the gap.
+    /// The range that a search covers by default: that of the thesis's table 5.2 where it has one, a range
+    /// around nominal for other parameters, and one that exceeds every measured Qube for the nonidealities.
     #[must_use]
     pub fn default_range(self) -> (f64, f64) {
         use DomainParameter as P;
@@ -72,7 +72,7 @@ impl PsiTarget {
         }
     }
 
-    /// Says whether it may have this value.
+    /// Checks that the target may have this value.
     ///
     /// # Errors
     /// The value is not physical.
@@ -91,7 +91,7 @@ impl PsiTarget {
     }
 }
 
-/// Its name, as files, tables and the ledger write it.
+/// Writes the name that files, tables and the ledger use.
 impl fmt::Display for PsiTarget {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -102,11 +102,11 @@ impl fmt::Display for PsiTarget {
     }
 }
 
-/// One dimension of psi: what it shapes, and the range that is searched, in the unit of what it shapes.
+/// One dimension of the search space: its target and the range that is searched, in the target's unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "DimensionTable", into = "DimensionTable")]
 pub struct PsiDimension {
-    /// What it shapes.
+    /// Part of the simulation that the dimension sets.
     pub target: PsiTarget,
     /// Lower end of the range.
     pub lower: f64,
@@ -118,7 +118,7 @@ impl PsiDimension {
     /// The dimension with this name and its default range.
     ///
     /// # Errors
-    /// There is none.
+    /// The name does not exist.
     pub fn named(name: &str) -> Result<Self, PsiError> {
         let target = PsiTarget::from_name(name)?;
         let (lower, upper) = target.default_range();
@@ -137,7 +137,7 @@ impl PsiDimension {
     }
 }
 
-/// A dimension as `session.toml` writes it; the ends may be left out.
+/// A dimension as `session.toml` writes it; a missing end takes its default.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DimensionTable {

@@ -8,7 +8,7 @@ use super::{Psi, PsiDimension, PsiError, PsiTarget};
 const THESIS: [&str; 8] =
     ["mean_M_p", "std_M_p", "mean_M_r", "std_M_r", "mean_L_p", "std_L_p", "mean_L_r", "std_L_r"];
 
-/// Which entries psi has in a search, in the order of its points, and the box of each.
+/// The search space of psi: its dimensions in the order of a point's entries, with the range of each.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<PsiDimension>", into = "Vec<PsiDimension>")]
 pub struct PsiSpace {
@@ -19,7 +19,7 @@ impl PsiSpace {
     /// A space of these dimensions.
     ///
     /// # Errors
-    /// There is none, or one twice.
+    /// The list is empty or names a dimension twice.
     pub fn new(dimensions: Vec<PsiDimension>) -> Result<Self, PsiError> {
         if dimensions.is_empty() {
             return Err(PsiError::NoDimensions);
@@ -35,16 +35,17 @@ impl PsiSpace {
     /// The dimensions with these names and their default ranges.
     ///
     /// # Errors
-    /// A name that does not exist, or one twice.
+    /// A name does not exist or occurs twice.
     pub fn named(names: &[&str]) -> Result<Self, PsiError> {
         let dimensions = names.iter().map(|name| PsiDimension::named(name));
         Self::new(dimensions.collect::<Result<_, _>>()?)
     }
 
-    /// The thesis's: mean and standard deviation of each mass and length, in the box of its table 5.2.
+    /// The thesis's space: mean and standard deviation of each mass and length, in the box of its table
+    /// 5.2.
     ///
     /// # Panics
-    /// Never.
+    /// Never panics.
     #[must_use]
     pub fn thesis() -> Self {
         Self::named(&THESIS).expect("names that exist, each once")
@@ -56,30 +57,30 @@ impl PsiSpace {
         &self.dimensions
     }
 
-    /// Their names, in order.
+    /// Names of the dimensions, in order.
     pub fn names(&self) -> impl Iterator<Item = String> {
         self.dimensions.iter().map(|dimension| dimension.target.to_string())
     }
 
-    /// Lower ends, in order.
+    /// Lower ends of the ranges, in order.
     #[must_use]
     pub fn lower(&self) -> Vec<f64> {
         self.dimensions.iter().map(|dimension| dimension.lower).collect()
     }
 
-    /// Upper ends, in order.
+    /// Upper ends of the ranges, in order.
     #[must_use]
     pub fn upper(&self) -> Vec<f64> {
         self.dimensions.iter().map(|dimension| dimension.upper).collect()
     }
 
-    /// Whether psi shapes this.
+    /// Whether the space has a dimension with this target.
     #[must_use]
     pub fn has(&self, target: PsiTarget) -> bool {
         self.dimensions.iter().any(|dimension| dimension.target == target)
     }
 
-    /// A point with its names.
+    /// The entries of a point by name.
     #[must_use]
     pub fn with_names(&self, point: &[f64]) -> BTreeMap<String, f64> {
         self.names().zip(point.iter().copied()).collect()
@@ -88,7 +89,7 @@ impl PsiSpace {
     /// The psi at a point.
     ///
     /// # Errors
-    /// A point of another space, or outside of the box.
+    /// The point has another dimension than the space, or lies outside the box.
     pub fn psi(&self, point: &[f64]) -> Result<Psi, PsiError> {
         if point.len() != self.dimensions.len() {
             return Err(PsiError::WrongLength {

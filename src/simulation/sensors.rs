@@ -8,33 +8,34 @@ use super::lane_observer::{LaneObserver, ObserverLanes};
 use crate::estimation::{FilterGains, through_filters};
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, State, quantised};
 
-/// What lies between the states of a block and what policy and guard see of them.
+/// The sensor and estimator chain between the true states of a block and the states that policy and guard
+/// see.
 #[derive(Clone, Debug)]
 pub(super) struct Sensors {
-    /// The guard's filter; none where both see the true state.
+    /// Gains of the guard's filter; `None` where policy and guard see the true state.
     guard: Option<FilterGains<f32>>,
-    /// The policy's filter where it is a slower one.
+    /// Gains of the policy's filter where that is slower than the guard's.
     slow: Option<FilterGains<f32>>,
-    /// The policy's observer.
+    /// Observer of the policy, if it has one.
     observer: Option<LaneObserver>,
 }
 
-/// What is made of the states of a block.
+/// The states of a block as sensors and estimators show them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SeenLanes {
-    /// By policy and reward.
+    /// States for policy and reward.
     pub(super) seen: State<Lanes>,
-    /// By the guard.
+    /// States for the guard.
     pub(super) guarded: State<Lanes>,
 }
 
 impl SeenLanes {
-    /// Both are these.
+    /// The same states for policy and guard, in all lanes.
     pub(super) fn both(state: &State<f32>) -> Self {
         Self { seen: State::all(state), guarded: State::all(state) }
     }
 
-    /// Both start anew in a lane.
+    /// Restarts one lane with the same state for policy and guard.
     pub(super) fn restart(&mut self, lane: usize, state: &State<f32>) {
         self.seen.set_lane(lane, state);
         self.guarded.set_lane(lane, state);
@@ -60,8 +61,8 @@ impl Sensors {
         self.observer.is_some()
     }
 
-    /// What is seen of a state at the start of a trajectory: the estimator takes the first
-    /// measurement as one at rest, here as on the machine.
+    /// The estimate at the start of a trajectory: as on the machine, the estimator treats the first
+    /// measurement as one at rest.
     pub(super) fn first(&self, state: &State<f32>) -> State<f32> {
         match self.guard {
             None => *state,
@@ -74,8 +75,8 @@ impl Sensors {
         }
     }
 
-    /// One sample later. `observers` is the memory of the block's observers where they need one,
-    /// `voltages_v` the commands of the period that is over.
+    /// Advances by one sample. `observers` is the memory of the block's observers where it has them,
+    /// `voltages_v` the commands of the elapsed period.
     #[inline(always)]
     pub(super) fn look(
         &self,
@@ -85,7 +86,8 @@ impl Sensors {
         voltages_v: &Lanes,
     ) {
         let Some(guard) = &self.guard else {
-            // Lane by lane: whole structures are copied by a call, which costs some per cent of a step.
+            // Copied lane by lane, because whole structures are copied by a call that costs a few percent
+            // of a step.
             for lane in 0..BLOCK {
                 let one = state.lane(lane);
                 lanes.seen.set_lane(lane, &one);

@@ -6,30 +6,31 @@ use crate::safety::SafetyBox;
 
 use super::Psi;
 
-/// What surrounds the physics: what is seen of it, what it earns, when it ends.
+/// Sensors, observation, reward and end of a simulated trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimulationSettings {
-    /// What observation and reward see of the state, and the guard through a filter of its own.
+    /// Sensors through which policy and reward see the state; the guard has its own filter.
     pub sensors: SensorModel,
-    /// How many last commands a policy sees beside the state, 0 to [`crate::qube::MAX_HISTORY`]. With
-    /// them it knows what is still on its way to the motor.
+    /// Number of last commands in an observation in addition to the state, 0 to
+    /// [`crate::qube::MAX_HISTORY`]. They tell the policy which voltages are still on their way to the
+    /// motor.
     pub history: usize,
-    /// What a step earns.
+    /// Weights of the reward.
     pub reward: RewardWeights,
-    /// What ends a trajectory early; simulations know no guard beside it.
+    /// Box that ends a trajectory when the state leaves it. Simulations have no guard besides it.
     pub safety_box: SafetyBox,
 }
 
 impl SimulationSettings {
-    /// Numbers in what a policy sees: those of a state, then the last commands.
+    /// Length of an observation: the features of a state, then the last commands.
     #[must_use]
     pub fn observation_size(&self) -> usize {
         OBSERVATION_SIZE + self.history
     }
 
-    /// The same with the velocity filter that psi asks for, where it names one; where the true state is
-    /// seen, there is none.
+    /// Applies the velocity filter's corner that psi names, if it names one. A simulation with true states
+    /// has no filter and stays as it is.
     #[must_use]
     pub fn shaped_by(mut self, psi: &Psi) -> Self {
         if let (SensorModel::Encoders { estimator }, Some(corner_rad_s)) =
@@ -40,16 +41,16 @@ impl SimulationSettings {
         self
     }
 
-    /// What the machine has, the last two commands in the observation, for Qubes that have a delay and are not
-    /// quite known, and a box whose arm goes no farther than 1.7 rad: foresight ends a swing-up that needs
-    /// more of the arm's travel than its brake could give back on each Qube that this one may be.
+    /// The machine's sensors, the last two commands in the observation, for Qubes with a delay and
+    /// uncertain parameters, and a box of 1.7 rad: foresight ends a swing-up that needs more of the
+    /// arm's travel than the brake can give back.
     #[must_use]
     pub fn robust() -> Self {
         let safety_box = SafetyBox { theta: 1.7, ..SafetyBox::THESIS };
         Self { history: 2, safety_box, ..Self::machine() }
     }
 
-    /// What the machine has: encoders and their velocity filter.
+    /// The machine's sensors: encoders and their velocity filter.
     #[must_use]
     pub fn machine() -> Self {
         Self {
@@ -60,7 +61,7 @@ impl SimulationSettings {
 }
 
 impl Default for SimulationSettings {
-    /// The thesis's: true states, its reward and its box.
+    /// The thesis's settings: true states, its reward and its box.
     fn default() -> Self {
         Self {
             sensors: SensorModel::TrueState,
@@ -71,17 +72,16 @@ impl Default for SimulationSettings {
     }
 }
 
-/// How the state is seen.
+/// The sensors of a simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 pub enum SensorModel {
-    /// As it is: angles and velocities without error.
+    /// True angles and velocities without error.
     #[default]
     TrueState,
-    /// As on the machine: encoder counts, and what the estimator of [`crate::estimation`] makes of
-    /// them, which the machine runs too.
+    /// Encoder counts, from which the machine's estimator of [`crate::estimation`] computes the state.
     Encoders {
-        /// The filter or the observer.
+        /// Velocity filter or observer.
         #[serde(default)]
         estimator: EstimatorSettings,
     },

@@ -1,4 +1,4 @@
-//! The gap in the lanes: against the emulator's own plant, the `f64` equations and the ideal lanes.
+//! Compares lanes with nonidealities with the emulator's plant, the `f64` equations and the ideal lanes.
 
 use super::{
     Distribution, DomainDistribution, Pendulums, Progress, SimulationSettings, Trajectory,
@@ -7,7 +7,7 @@ use crate::device::emulator::{EmulatorSettings, Plant};
 use crate::elementary::Level;
 use crate::qube::{Gap, GapDynamics, GapTerm, QubeModel, RAD_PER_COUNT, State, control_step};
 
-/// A Qube with all there is, different in each lane; delays from 0 to 40 ms.
+/// A Qube with all nonidealities, different in each lane; delays from 0 to 40 ms.
 fn gapped(lane: usize) -> QubeModel {
     let part = lane as f64 / 63.0;
     let gap = Gap {
@@ -22,12 +22,12 @@ fn gapped(lane: usize) -> QubeModel {
     QubeModel { gap, ..QubeModel::NOMINAL }
 }
 
-/// A square wave with flanks that differ from lane to lane.
+/// A square wave whose edges differ between lanes.
 fn command_v(lane: usize, step: usize) -> f32 {
     if (step / (6 + lane % 5)).is_multiple_of(2) { 1.2 } else { -1.3 }
 }
 
-/// The states of all lanes after these steps, in which every lane starts as its trajectory says.
+/// The states of all lanes after some steps from the starts of their trajectories.
 fn run(level: Level, trajectories: &[Trajectory], steps: usize) -> Vec<State<f32>> {
     let settings = SimulationSettings::default();
     let mut pendulums = Pendulums::new(trajectories.len(), &settings).at_level(level);
@@ -45,8 +45,8 @@ fn run(level: Level, trajectories: &[Trajectory], steps: usize) -> Vec<State<f32
     (0..trajectories.len()).map(|lane| pendulums.state(lane)).collect()
 }
 
-/// How far the lanes are from the emulator's plants at the end of 0.8 s, rad; each with its own
-/// delay, and with these parts of the gap.
+/// The largest distance between lanes and the emulator's plants after 0.8 s, rad. Each lane has its own
+/// delay and these nonidealities.
 fn farthest_from_plants(gapped: impl Fn(usize) -> QubeModel) -> f64 {
     let steps = 80;
     let plant = |lane: usize| {
@@ -68,7 +68,7 @@ fn farthest_from_plants(gapped: impl Fn(usize) -> QubeModel) -> f64 {
             plant.advance_to((step as u64 + 1) * 10_000);
             furthest_rad = furthest_rad.max(plant.state().theta.abs());
         }
-        // The plant has stops at its arm; a lane ends at the box before them.
+        // The plant has stops; a lane's trajectory ends at the box before it reaches them.
         if furthest_rad > 2.3 {
             continue;
         }
@@ -93,7 +93,7 @@ fn delay_dead_zone_and_cable_move_a_lane_as_they_move_the_plant() {
     assert!(worst < 3e-5, "{worst:e} rad");
 }
 
-/// Neither resolves the steep part of friction where the arm turns round: beside steps of 0.1 ms lanes
+/// Neither resolves the steep part of friction where the arm reverses: compared with steps of 0.1 ms, lanes
 /// are off by up to 7e-4 rad here, and the plant, whose steps are longer, by 2e-3.
 #[test]
 fn friction_moves_a_lane_as_the_plant_within_two_counts() {

@@ -4,22 +4,22 @@ use rand_chacha::ChaCha8Rng;
 use super::DomainDistribution;
 use crate::qube::{QubeModel, State};
 
-/// Start angles are uniform within this of hanging, in rad, at rest: in training and evaluation
-/// alike. (The thesis does not say.)
+/// Largest start angle from hanging, rad. Starts are at rest with uniform angles, in training and
+/// evaluation alike. (The thesis does not state its starts.)
 pub const START_REACH_RAD: f64 = 0.1;
 
-/// What is drawn for one trajectory: its Qube and where it starts.
+/// The random draw of one trajectory: its Qube and its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trajectory {
-    /// xi: the thesis's parameters, and what a real Qube adds to them.
+    /// Domain parameters xi and nonidealities.
     pub model: QubeModel,
-    /// The state at step 0.
+    /// State at step 0.
     pub start: State,
 }
 
 impl Trajectory {
-    /// The trajectory with this number under this seed. Each has a random stream of its own, so
-    /// that it is the same whatever was drawn before, and on however many threads.
+    /// Draws the trajectory with this number under this seed. Each has its own random stream, so that it
+    /// does not depend on earlier draws or on the number of threads.
     #[must_use]
     pub fn draw(distribution: &DomainDistribution, seed: u64, number: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);

@@ -3,17 +3,17 @@ use super::sum::sum;
 use crate::elementary::{InstructionSet, Kernel, inverse_square_root};
 use crate::learning::network::{Network, Row, WIDTH};
 
-/// What Adam remembers of the gradients (Kingma and Ba 2015).
+/// Adam's running moments of the gradients (Kingma and Ba 2015).
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::learning) struct Moments {
     pub first: Network,
     pub second: Network,
-    /// Steps taken.
+    /// Number of steps taken.
     pub steps: u64,
 }
 
 impl Moments {
-    /// Before the first step.
+    /// The moments before the first step.
     pub const fn zero(observation_size: usize) -> Self {
         Self {
             first: Network::zero(observation_size),
@@ -23,12 +23,12 @@ impl Moments {
     }
 }
 
-/// One step of Adam along a gradient that is first shortened to a largest norm. Gives the norm
-/// that the gradient had.
+/// Takes one step of Adam along a gradient that is first scaled down to a largest norm. Returns the norm
+/// before scaling.
 ///
-/// Epsilon stands under the square root, m / sqrt(v + epsilon^2), where the paper has it behind,
-/// m / (sqrt(v) + epsilon): the same where either part dominates, at most 1.41 times as long a step
-/// between, and one function instead of a root and a division, which are slow.
+/// Epsilon is under the square root, m / sqrt(v + epsilon^2), where the paper adds it to the root, m /
+/// (sqrt(v) + epsilon). Both agree where one term dominates; between, the step is at most 1.41 times as
+/// long. The form needs one inverse square root instead of a root and a division, which are slow.
 pub(in crate::learning) struct AdamStep<'a> {
     pub network: &'a mut Network,
     pub gradient: &'a Network,
@@ -38,7 +38,7 @@ pub(in crate::learning) struct AdamStep<'a> {
     pub beta_1: f32,
     /// Decay of the second moment.
     pub beta_2: f32,
-    /// Its square is added to the second moment, under the root.
+    /// Epsilon; its square is added to the second moment under the root.
     pub epsilon: f32,
     pub largest_norm: f32,
 }
@@ -81,9 +81,9 @@ impl Kernel for AdamStep<'_> {
     }
 }
 
-/// 1 - beta^steps, by which a moment that started at zero is too small.
+/// 1 - beta^steps, the factor by which a moment that started at zero is too small.
 fn bias_correction(beta: f32, steps: u64) -> f64 {
-    // beta^steps < e^-(steps (1 - beta)): from here on less than the last bit of 1.
+    // beta^steps < e^-(steps (1 - beta)), which is below the last bit of 1 from here on.
     const NEGLIGIBLE: f64 = 40.0;
     let (beta, steps) = (f64::from(beta), steps as f64);
     if steps * (1.0 - beta) > NEGLIGIBLE { 1.0 } else { 1.0 - libm::pow(beta, steps) }
@@ -102,7 +102,7 @@ fn norm<I: InstructionSet>(gradient: &Network) -> f32 {
     sum(&sums).sqrt()
 }
 
-/// Several rows at once: between them the sums stay in registers.
+/// Adds several rows at once, so that the sums stay in registers between them.
 #[inline(always)]
 fn add_squares<I: InstructionSet, const ROWS: usize>(rows: &[Row; ROWS], sums: &mut Row) {
     for (lane, sum) in sums.iter_mut().enumerate() {

@@ -7,13 +7,13 @@ use super::transpose::transpose;
 use crate::elementary::{InstructionSet, Kernel};
 use crate::learning::network::{LOG_STD, Network, OUTPUT_BIAS, Row, WIDTH};
 
-/// The gradient of a head's mean loss over one minibatch, by every parameter.
+/// Computes the gradient of a head's mean loss over one minibatch by every parameter.
 pub(in crate::learning) struct Gradient<'a, H> {
     pub network: &'a Network,
     pub minibatch: &'a Minibatch,
     pub head: &'a H,
     pub workspace: &'a mut Workspace,
-    /// The result; overwritten.
+    /// Gradient, overwritten by the call.
     pub gradient: &'a mut Network,
 }
 
@@ -21,17 +21,17 @@ pub(in crate::learning) struct Gradient<'a, H> {
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub(in crate::learning) struct Workspace {
-    /// `[neuron][sample]`; read by the second layer.
+    /// First hidden layer, `[neuron][sample]`; the second layer reads it.
     hidden_1: [Row; WIDTH],
-    /// `[sample][neuron]`; read by the weight gradient.
+    /// First hidden layer, `[sample][neuron]`; the weight gradient reads it.
     hidden_1_by_sample: [Row; WIDTH],
-    /// `[neuron][sample]`; from the second layer's product on, its loss derivative.
+    /// Second hidden layer, `[neuron][sample]`, later overwritten by the loss derivative by its sums.
     hidden_2: [Row; WIDTH],
     /// Loss derivative by the first layer's sums, `[sample][neuron]`.
     by_sum_1: [Row; WIDTH],
-    /// Loss derivative by the output's weights, `[neuron]`, in lanes yet to be summed.
+    /// Loss derivative by the output's weights, `[neuron]`, as 16 partial sums each.
     by_last: [[f32; LANES]; WIDTH],
-    /// By the second layer's biases, as well.
+    /// Loss derivative by the second layer's biases, `[neuron]`, as 16 partial sums each.
     by_second_bias: [[f32; LANES]; WIDTH],
 }
 
@@ -79,11 +79,11 @@ impl<H: Head> Kernel for Gradient<'_, H> {
     }
 }
 
-/// Turns the second hidden layer into the loss derivative by its sums, row by row, and takes the
-/// two gradients that are sums over samples on the way.
+/// Turns the second hidden layer into the loss derivative by its sums, row by row, and computes the two
+/// gradients that are sums over samples on the way.
 ///
-/// Four samples, 16 apart, go to one lane of a table, and the tables are summed up later: summing up
-/// each row at once would make every row wait for it.
+/// Four samples, 16 apart, are summed into one lane of a table, and the tables are summed later: reducing
+/// each row at once would make every row wait for the reduction.
 #[inline(always)]
 fn through_output<I: InstructionSet>(
     network: &Network,
@@ -109,7 +109,7 @@ fn through_output<I: InstructionSet>(
     }
 }
 
-/// From the derivative by tanh's values to that by its arguments: times 1 - tanh^2.
+/// Multiplies derivatives by tanh's values with 1 - tanh^2, which gives derivatives by its arguments.
 #[inline(always)]
 fn through_tanh<I: InstructionSet>(values: &[f32], derivatives: &mut [f32]) {
     for (derivative, &value) in derivatives.iter_mut().zip(values) {

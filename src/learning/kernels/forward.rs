@@ -3,7 +3,7 @@ use super::product::{Left, product};
 use crate::elementary::{InstructionSet, Kernel, tanh};
 use crate::learning::network::{Inputs, Network, OUTPUT_BIAS, WIDTH};
 
-/// The net's outputs for a block of samples, 64 or 16.
+/// Computes a network's outputs for a block of samples, 64 or 16.
 pub(in crate::learning) struct Forward<'a, const SAMPLES: usize> {
     pub network: &'a Network,
     pub inputs: &'a Inputs<SAMPLES>,
@@ -21,7 +21,7 @@ impl<const SAMPLES: usize> Kernel for Forward<'_, SAMPLES> {
     }
 }
 
-/// `[neuron][sample]` of the first hidden layer.
+/// Computes the first hidden layer, `[neuron][sample]`.
 #[inline(always)]
 pub(super) fn first_hidden<I: InstructionSet, const SAMPLES: usize>(
     network: &Network,
@@ -35,7 +35,7 @@ pub(super) fn first_hidden<I: InstructionSet, const SAMPLES: usize>(
     }
 }
 
-/// `[neuron][sample]` of the second hidden layer, and the output of each sample.
+/// Computes the second hidden layer, `[neuron][sample]`, and the output of each sample.
 #[inline(always)]
 pub(super) fn second_hidden_and_output<I: InstructionSet, const SAMPLES: usize>(
     network: &Network,

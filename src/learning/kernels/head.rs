@@ -2,29 +2,29 @@ use super::sum::sum;
 use crate::elementary::{InstructionSet, exp};
 use crate::learning::network::{Inputs, LOG_STD, Network, Row, WIDTH};
 
-/// 64 transitions, as the gradient wants them.
+/// 64 transitions in the layout of the gradient's kernels.
 #[derive(Clone, Debug)]
 pub(in crate::learning) struct Minibatch {
-    /// `[input][sample]`; rows beyond the observation are zero.
+    /// Inputs of the first layer, `[input][sample]`; rows beyond the observation are zero.
     pub inputs: Inputs,
-    /// Numbers in an observation.
+    /// Length of an observation.
     pub observation_size: usize,
-    /// The action as it was drawn, in units of the net's output (before scale and clipping).
+    /// Sampled actions, in units of the network's output (before scale and clipping).
     pub action: Row,
-    /// Its log probability under the policy that drew it.
+    /// Log probability of each action under the policy that sampled it.
     pub log_probability: Row,
-    /// Its advantage.
+    /// Advantage of each action.
     pub advantage: Row,
-    /// What the value net should say.
+    /// Target of the value network for each sample.
     pub return_: Row,
 }
 
-/// What a net is trained for: the loss, as a function of the net's output.
+/// The loss of a network as a function of its output.
 pub(in crate::learning) trait Head {
-    /// What it tells about the minibatch.
+    /// Statistics of a minibatch.
     type Statistics;
 
-    /// Writes the derivative of the mean loss by each output, and by the log std into `tail`.
+    /// Writes the derivative of the mean loss by each output and by the policy's log std.
     fn differentiate<I: InstructionSet>(
         &self,
         network: &Network,
@@ -35,23 +35,24 @@ pub(in crate::learning) trait Head {
     ) -> Self::Statistics;
 }
 
-/// PPO's clipped objective (Schulman 2017, equation 7) for a Gaussian whose mean is the output, with
-/// the advantages of the minibatch normalised.
+/// PPO's clipped objective (Schulman 2017, equation 7) for a Gaussian policy whose mean is the output; the
+/// minibatch's advantages are normalised.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::learning) struct PolicyHead {
-    /// The ratio stays within 1 +- this.
+    /// Clip range: the ratio stays within 1 +- this value.
     pub clip: f32,
     /// Weight of the entropy bonus.
     pub entropy_weight: f32,
-    /// Weight of a penalty on the divergence from the policy that collected; its gradient is the
-    /// mean of (r - 1) times that of ln r.
+    /// Weight of a penalty on the divergence from the policy that collected the batch; its gradient is the
+    /// mean of (r - 1) times the gradient of ln r.
     pub kl_weight: f32,
 }
 
-/// How far the policy is from the one that collected, over one minibatch.
+/// The divergence of the policy from the one that collected the batch, over one minibatch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::learning) struct PolicyStatistics {
-    /// Mean of (r - 1) - ln r, r the ratio of probabilities: an unbiased, nonnegative estimate.
+    /// Mean of (r - 1) - ln r, r the ratio of probabilities: an unbiased, nonnegative estimate of the
+    /// divergence.
     pub approximate_kl: f32,
     /// Share of samples outside the clip range.
     pub clip_fraction: f32,
@@ -70,7 +71,7 @@ impl Head for PolicyHead {
         by_log_std: &mut f32,
     ) -> PolicyStatistics {
         const MEAN: f32 = 1.0 / WIDTH as f32;
-        // A ratio beyond e^10 says no more than that the policy has left; e^88 would overflow.
+        // The limit avoids overflow at e^88; a ratio beyond e^10 carries no further information.
         const LARGEST_LOG_RATIO: f32 = 10.0;
         let log_std = network.tail[LOG_STD];
         let inverse_std = exp(-log_std);
@@ -84,7 +85,7 @@ impl Head for PolicyHead {
             let ratio = exp(log_ratio.min(LARGEST_LOG_RATIO));
             let advantage = advantages[i];
             let bounded = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
-            // Where the clipped term is the smaller one, the objective is flat.
+            // The objective is flat where the clipped term is the smaller one.
             let is_flat = bounded * advantage < ratio * advantage;
             let by_objective = if is_flat { 0.0 } else { -advantage * ratio };
             let by_log_probability = MEAN * (by_objective + self.kl_weight * (ratio - 1.0));
@@ -101,7 +102,7 @@ impl Head for PolicyHead {
     }
 }
 
-/// Shifted and scaled to mean 0 and standard deviation 1.
+/// Shifts and scales values to mean 0 and standard deviation 1.
 #[inline(always)]
 fn normalised(values: &Row) -> Row {
     const SHARE: f32 = 1.0 / WIDTH as f32;
@@ -112,7 +113,7 @@ fn normalised(values: &Row) -> Row {
     centred.map(|value| value * scale)
 }
 
-/// ln of the normal density at `z` standard deviations from the mean.
+/// Logarithm of the normal density at `z` standard deviations from the mean.
 #[inline(always)]
 pub(in crate::learning) fn gaussian_log_probability(z: f32, log_std: f32) -> f32 {
     /// ln(2 pi) / 2.
@@ -120,7 +121,7 @@ pub(in crate::learning) fn gaussian_log_probability(z: f32, log_std: f32) -> f32
     -0.5 * z * z - log_std - NORMALISATION
 }
 
-/// Half the mean squared error of the value.
+/// Half the mean squared error of the value network.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::learning) struct ValueHead;
 

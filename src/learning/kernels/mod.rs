@@ -1,12 +1,12 @@
-//! The arithmetic of learning: everything that runs 750 000 times for one policy.
+//! The arithmetic of learning, which runs 750,000 times for one policy.
 //!
-//! Activations lie feature by feature, `[feature][64 samples]`, hidden weights
-//! `[neuron][neuron before]`. Then one kernel ([`product`]) does every product without packing,
-//! and only the first hidden layer is needed a second time sample by sample ([`transpose`]).
+//! Activations are stored feature by feature, `[feature][64 samples]`, hidden weights as `[neuron][neuron
+//! before]`. With this layout one kernel ([`product`]) computes every product without packing, and only the
+//! first hidden layer is needed a second time sample by sample ([`transpose`]).
 //!
 //! Each file is plain loops over arrays of fixed size; `crate::elementary` compiles them for each
-//! instruction set. Sums run in one fixed order, so AVX-512 and AVX2 give the same bits. Processors
-//! without a fused multiply-add round once more and give others.
+//! instruction set. Sums run in one fixed order, so AVX-512 and AVX2 give the same bits. Processors without
+//! a fused multiply-add round once more and give other bits.
 
 mod adam;
 mod backward;
@@ -25,8 +25,8 @@ pub(super) use head::{Head, Minibatch, PolicyHead, ValueHead, gaussian_log_proba
 
 use crate::elementary::{InstructionSet, Level};
 
-/// `a b + c`, fused wherever the processor has such an instruction; elsewhere `mul_add` is a
-/// library call, and two roundings are the lesser evil.
+/// Computes `a b + c`, fused wherever the processor has such an instruction. Elsewhere `mul_add` would be a
+/// slow library call, so the result is rounded twice.
 #[inline(always)]
 fn multiply_add<I: InstructionSet>(a: f32, b: f32, c: f32) -> f32 {
     if matches!(I::LEVEL, Level::Plain) && !cfg!(target_arch = "aarch64") {

@@ -3,7 +3,7 @@ use crate::elementary::InstructionSet;
 use crate::elementary::Level;
 use crate::learning::network::{Row, WIDTH};
 
-/// The left factor of a product, as it lies in memory.
+/// The left factor of a product in its memory layout.
 #[derive(Clone, Copy)]
 pub(super) enum Left<'a> {
     /// `[row][term]`, 64 terms.
@@ -12,10 +12,10 @@ pub(super) enum Left<'a> {
     ByTerm(&'a [Row]),
 }
 
-/// `result[row][..] = sum over terms of left(row, term) right[term][..]`
+/// Computes `result[row][..] = sum over terms of left(row, term) right[term][..]`.
 ///
-/// The one kernel behind every product of the nets: rows of the right factor are vectors, entries
-/// of the left one are broadcast, so neither is packed or transposed. Each entry is summed in the
+/// This is the one kernel behind every product of the networks: rows of the right factor are vectors,
+/// entries of the left one are broadcast, so neither is packed or transposed. Each entry is summed in the
 /// order of the terms whatever the tile, so the tile does not change a bit. The number of rows is a
 /// multiple of four.
 #[inline(always)]
@@ -24,8 +24,8 @@ pub(super) fn product<I: InstructionSet, const COLUMNS: usize>(
     right: &[[f32; COLUMNS]],
     result: &mut [[f32; COLUMNS]],
 ) {
-    // The sums of a tile fill half of the registers, which hides the latency of four cycles. The
-    // shapes are those that the compiler unrolls into registers; 8 x 32 and 8 x 16 it does not.
+    // The sums of a tile fill half of the registers, which hides the latency of four cycles. The compiler
+    // unrolls these shapes into registers, but not 8 x 32 and 8 x 16.
     match (I::LEVEL, COLUMNS) {
         (Level::Avx512, WIDTH) => tiled::<I, 64, COLUMNS>(left, right, result),
         (Level::Avx512 | Level::Avx2, _) => tiled::<I, 16, COLUMNS>(left, right, result),
@@ -33,7 +33,7 @@ pub(super) fn product<I: InstructionSet, const COLUMNS: usize>(
     }
 }
 
-/// Rows of a tile.
+/// Number of rows in a tile.
 const TALL: usize = 4;
 
 #[inline(always)]

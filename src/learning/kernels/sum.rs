@@ -1,9 +1,9 @@
 use crate::learning::network::{Row, WIDTH};
 
-/// Lanes of the widest vector, in which sums are taken.
+/// Number of partial sums: the lanes of the widest vector.
 pub(super) const LANES: usize = 16;
 
-/// The sum of a row in one fixed order: four vectors of 16 into one, then halves onto halves.
+/// Sums a row in one fixed order: four vectors of 16 into one, then halves onto halves.
 #[inline(always)]
 pub(super) fn sum(row: &Row) -> f32 {
     let quarters = row.as_chunks::<16>().0;
@@ -14,7 +14,7 @@ pub(super) fn sum(row: &Row) -> f32 {
     sum_lanes(&lanes)
 }
 
-/// The sum of 16 lanes, halves onto halves.
+/// Sums 16 lanes, halves onto halves.
 #[inline(always)]
 pub(super) fn sum_lanes(lanes: &[f32; 16]) -> f32 {
     let eight: [f32; 8] = std::array::from_fn(|lane| lanes[lane] + lanes[lane + 8]);
@@ -22,7 +22,7 @@ pub(super) fn sum_lanes(lanes: &[f32; 16]) -> f32 {
     (four[0] + four[2]) + (four[1] + four[3])
 }
 
-/// The sum of each row of a table, neighbours onto neighbours, all rows side by side.
+/// Sums each row of a table, neighbours onto neighbours, all rows in parallel.
 #[inline(always)]
 pub(super) fn sum_each(table: &[[f32; LANES]; WIDTH]) -> Row {
     let mut eight = [0.0; 8 * WIDTH];

@@ -10,7 +10,8 @@ use crate::qube::OBSERVATION_SIZE;
 
 const POLICY: PolicyHead = PolicyHead { clip: 0.1, entropy_weight: 0.01, kl_weight: 0.3 };
 
-/// Without a history, with one that fills a group of rows and one that does not, and the longest.
+/// Observation sizes without a history, with one that fills a group of rows and one that does not, and with
+/// the longest.
 const OBSERVATION_SIZES: [usize; 4] =
     [OBSERVATION_SIZE, OBSERVATION_SIZE + 1, OBSERVATION_SIZE + 2, MAX_OBSERVATION_SIZE];
 
@@ -63,11 +64,11 @@ fn available() -> impl Iterator<Item = Level> {
     })
 }
 
-/// The nets and losses in `f64`, as the textbook writes them.
+/// The networks and losses in `f64`, as a textbook writes them.
 mod textbook {
     use super::*;
 
-    /// Outputs of the net whose parameters are `p`, in the order of [`Network::slices`].
+    /// Outputs of the network whose parameters are `p`, in the order of [`Network::slices`].
     fn outputs(p: &[f64], minibatch: &Minibatch) -> Vec<f64> {
         let inputs = p.len() / WIDTH - (WIDTH + 3);
         let second = inputs * WIDTH;
@@ -123,7 +124,7 @@ mod textbook {
     }
 }
 
-/// The gradients of every path beside central differences in `f64`, for each parameter in use.
+/// Compares the gradients of every path with central differences in `f64`, for each parameter in use.
 fn check_by_finite_differences(
     size: usize,
     gradients: &[(Level, Network)],
@@ -138,7 +139,7 @@ fn check_by_finite_differences(
         let largest = gradient.iter().fold(0.0_f32, |largest, g| largest.max(g.abs()));
         assert!(largest > 1e-2, "{level:?}: the example has no gradient to check");
     }
-    // All parameters outside of the big layer, and every 37th of it.
+    // Tests all parameters outside the large layer and every 37th in it.
     let inputs = network.padded_inputs();
     let big_layer = inputs * WIDTH..(inputs + WIDTH) * WIDTH;
     for index in (0..parameters.len()).filter(|i| !big_layer.contains(i) || i % 37 == 0) {
@@ -182,7 +183,7 @@ fn gradients_of_the_value_net_are_those_of_finite_differences_on_every_path() {
     }
 }
 
-/// Some steps of Adam along real gradients.
+/// A network after some steps of Adam along real gradients.
 fn trained_at(level: Level, size: usize) -> (Network, Vec<f32>) {
     let (mut network, minibatch) = example(size);
     let (mut gradient, mut moments) = (Network::zero(size), Moments::zero(size));

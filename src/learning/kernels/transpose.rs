@@ -1,10 +1,10 @@
 use crate::learning::network::{Row, WIDTH};
 
-/// Rows become columns. `scratch` is overwritten.
+/// Transposes a matrix; `scratch` is overwritten.
 ///
-/// Interleaving the four quarters of an array moves the upper two bits of each entry's index to the
-/// lower end. An index has twelve bits, six for the row and six for the column, so three times
-/// exchange them. Interleaving is what compilers make good vector code of.
+/// Interleaving the four quarters of an array moves the upper two bits of each entry's index to the lower
+/// end. An index has twelve bits, six for the row and six for the column, so three passes exchange them.
+/// Compilers vectorise interleaving well.
 #[inline(always)]
 pub(super) fn transpose(
     rows: &[Row; WIDTH],
