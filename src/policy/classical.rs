@@ -5,33 +5,34 @@ use serde::{Deserialize, Serialize};
 use crate::elementary::Scalar;
 use crate::qube::{DomainParameters, Dynamics, MAX_VOLTAGE_V, State, wrap_angle};
 
-/// What the classical controller can be tuned by.
+/// Tunable gains of the classical controller.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClassicalGains {
-    /// Swing-up: volts for each joule that the pendulum lacks.
+    /// Swing-up: pump voltage for each joule that the pendulum lacks.
     pub pump_v_per_j: f64,
-    /// Swing-up: most volts spent on pumping, so that the arm does not run away.
+    /// Swing-up: largest pump voltage, which keeps the arm from running away.
     pub pump_limit_v: f64,
-    /// Swing-up: r in theta + r sin(alpha), rad: where the arm is once the pendulum has given it all
-    /// its momentum. That is centred and damped, so that the pendulum's own swing costs no volts.
+    /// Swing-up: recoil r in theta + r sin(alpha), rad: the position of the arm once the pendulum has given
+    /// it all its momentum. The controller centres and damps this quantity, so that the pendulum's own
+    /// swing costs no voltage.
     #[serde(default)]
     pub recoil_rad: f64,
-    /// Swing-up: volts that pull the arm back for each rad off the middle.
+    /// Swing-up: voltage that pulls the arm back for each rad from the centre.
     pub centring_v_per_rad: f64,
-    /// Swing-up: volts against each rad/s of the arm.
+    /// Swing-up: voltage that opposes each rad/s of the arm.
     pub damping_v_s_per_rad: f64,
     /// State feedback upright, V = -k (s - [0, pi, 0, 0]), in V/rad, V/rad, V s/rad, V s/rad.
     pub balance: [f64; 4],
-    /// Balance starts when the pendulum is nearer to upright than this, rad.
+    /// Distance from upright below which balancing starts, rad.
     pub catch_rad: f64,
-    /// Balance gives up when the pendulum is farther from upright than this, rad.
+    /// Distance from upright beyond which balancing ends, rad.
     pub lose_rad: f64,
 }
 
 impl Default for ClassicalGains {
-    /// Balance: discrete LQR at 100 Hz on the nominal parameters linearised upright, Q = diag(1, 1,
-    /// 0.02, 0.005), R = 0.05. Swing-up: the best worst case of a random search over gains, with the
+    /// Balance: discrete LQR at 100 Hz on the nominal parameters linearised about upright, Q = diag(1, 1,
+    /// 0.02, 0.005), R = 0.05. Swing-up: the gains with the best worst case in a random search from the
     /// starts of the test below, among those under which the arm can always be braked.
     fn default() -> Self {
         Self {
@@ -47,8 +48,8 @@ impl Default for ClassicalGains {
     }
 }
 
-/// Energy swing-up (Astrom and Furuta 2000) until the pendulum is near upright, then state
-/// feedback: shows a swing-up on any Qube without any training.
+/// A controller that swings up by energy (Astrom and Furuta 2000) and balances by state feedback; it works
+/// on any Qube without training.
 #[derive(Clone, Copy, Debug)]
 pub struct ClassicalController {
     gains: ClassicalGains,
@@ -64,18 +65,18 @@ impl ClassicalController {
         Self { gains, dynamics, balancing: false }
     }
 
-    /// The gains it was made with.
+    /// The controller's gains.
     #[must_use]
     pub fn gains(&self) -> &ClassicalGains {
         &self.gains
     }
 
-    /// Forgets whether it was balancing.
+    /// Starts a rollout: resets the controller to its swing-up phase.
     pub fn start(&mut self) {
         self.balancing = false;
     }
 
-    /// The voltage for a state, V, limited to what the motor may get.
+    /// The voltage for a state, V, limited to the motor's range.
     #[must_use]
     pub fn voltage_v(&mut self, state: &State) -> f64 {
         let from_upright = wrap_angle(state.alpha - PI);
@@ -97,13 +98,13 @@ impl ClassicalController {
     fn swing_up(&self, state: &State) -> f64 {
         let (sin, cos) = Scalar::sin_cos(state.alpha);
         let (theta_dot, alpha_dot) = (state.theta_dot, state.alpha_dot);
-        // What the pendulum lacks to stand at rest. Its motion across the arm counts, also the part
-        // that the arm lends it; the arm's own energy does not.
+        // Energy that the pendulum lacks to be upright and at rest. It includes the coupling term of the
+        // arm's motion but not the arm's own energy.
         let lacking_j = self.dynamics.gravity_torque * (1.0 + cos)
             - 0.5 * self.dynamics.pendulum_inertia * alpha_dot * alpha_dot
             - self.dynamics.coupling * cos * theta_dot * alpha_dot;
-        // Accelerating the arm takes energy -coupling cos(alpha) theta'' alpha_dot into the pendulum.
-        // At rest neither direction is right: any will do to begin with.
+        // Accelerating the arm takes energy -coupling cos(alpha) theta'' alpha_dot into the pendulum. At
+        // rest both directions are equally good.
         let swing = alpha_dot * cos;
         let direction = if swing > 0.0 { -1.0 } else { 1.0 };
         let limit_v = self.gains.pump_limit_v;

@@ -5,34 +5,34 @@ use serde::{Deserialize, Serialize};
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, State};
 
-/// Steps of an excitation: 10 s.
+/// Length of an excitation in steps: 10 s.
 pub const EXCITATION_STEPS: u32 = 1000;
 
-/// Where a chirp begins and ends, Hz. Slower still, 1.5 V would carry the arm to the box.
+/// First and last frequency of a chirp, Hz. At lower frequencies 1.5 V would carry the arm to the box.
 const FREQUENCIES_HZ: [f64; 2] = [5.0, 1.0];
 
-/// A pull towards the middle, V/rad: neither the cable nor an uneven dead zone carries the arm to
-/// the box. It is a part of the voltage that is recorded, so that a fit knows of it.
+/// Centring voltage, V/rad: it keeps the cable and an uneven dead zone from carrying the arm to the box. It
+/// is part of the recorded voltage, so that a fit accounts for it.
 const CENTRING_V_PER_RAD: f64 = 0.5;
 
-/// Where the arm will be after this time decides whether steps drive it back, s.
+/// Time over which the arm's position is extrapolated to decide whether steps drive it back, s.
 const LOOK_AHEAD_S: f64 = 0.2;
 
-/// Steps drive an arm back that will be farther out than this, rad.
+/// Extrapolated angle beyond which steps drive the arm back, rad.
 const WAY_OUT_RAD: f64 = 0.6;
 
-/// What moves a Qube so that its recording tells what it is made of.
+/// The form of a voltage that excites a Qube for identification.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ExcitationShape {
     /// A cosine from 5 Hz down to 1 Hz.
     Chirp,
-    /// Whole and half voltages of both signs, each held for 0.05 to 0.2 s, in an order without a
-    /// pattern that is always the same; an arm that is on its way out is driven back.
+    /// Full and half voltages of both signs, each held for 0.05 to 0.2 s, in a pseudo-random order that is
+    /// always the same. Steps drive an arm back that moves too far out.
     Steps,
 }
 
-/// A voltage over time instead of a policy, within a limit.
+/// An open-loop voltage over time in place of a policy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excitation {
     shape: ExcitationShape,
@@ -42,36 +42,37 @@ pub struct Excitation {
 }
 
 impl Excitation {
-    /// It never asks for more than |`voltage_v`|; a negative one begins the other way.
+    /// An excitation within |`voltage_v`|; a negative value starts in the other direction.
     #[must_use]
     pub fn new(shape: ExcitationShape, voltage_v: f64) -> Self {
         Self { shape, voltage_v, tick: 0, step: StepSequence::START }
     }
 
-    /// That of one of several rollouts, from 0: each begins the other way than the one before.
+    /// The excitation of one of several rollouts, counted from 0; consecutive rollouts start in opposite
+    /// directions.
     #[must_use]
     pub fn of_rollout(shape: ExcitationShape, voltage_v: f64, rollout: u32) -> Self {
         Self::new(shape, if rollout.is_multiple_of(2) { voltage_v } else { -voltage_v })
     }
 
-    /// Its shape.
+    /// The form of the excitation.
     #[must_use]
     pub fn shape(&self) -> ExcitationShape {
         self.shape
     }
 
-    /// Its limit, V, with the sign that it begins with.
+    /// Voltage limit, V, with the sign of the first direction.
     #[must_use]
     pub fn limit_v(&self) -> f64 {
         self.voltage_v
     }
 
-    /// Begins again.
+    /// Starts the excitation from its beginning.
     pub fn start(&mut self) {
         *self = Self::new(self.shape, self.voltage_v);
     }
 
-    /// The next step's voltage, V.
+    /// The voltage of the next step, V.
     #[must_use]
     pub fn voltage_v(&mut self, state: &State) -> f64 {
         let part = match self.shape {
@@ -93,7 +94,7 @@ impl Excitation {
     }
 }
 
-/// From -1 to 1; still once its 10 s are over.
+/// The chirp's value, -1 to 1; 0 once its 10 s are over.
 fn chirp(tick: u32) -> f64 {
     if tick >= EXCITATION_STEPS {
         return 0.0;
@@ -105,7 +106,7 @@ fn chirp(tick: u32) -> f64 {
     Scalar::sin_cos(2.0 * PI * (turns - turns.floor())).1
 }
 
-/// Levels in an order without a pattern, by a shift register of 15 bits.
+/// Pseudo-random levels from a 15-bit linear-feedback shift register.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct StepSequence {
     register: u16,
@@ -116,7 +117,7 @@ struct StepSequence {
 impl StepSequence {
     const START: Self = Self { register: 0x5a5a, level: 0.0, ticks_left: 0 };
 
-    /// The next tick's level, of the other sign than `outward` where that is not 0.
+    /// The level of the next tick; its sign opposes `outward` where that is not 0.
     fn next(&mut self, outward: f64) -> f64 {
         if self.ticks_left == 0 || self.level * outward > 0.0 {
             let sign = if self.bit() == 0 { -1.0 } else { 1.0 };
@@ -128,7 +129,7 @@ impl StepSequence {
         self.level
     }
 
-    /// x^15 + x^14 + 1, which runs through all 32767 states.
+    /// The polynomial x^15 + x^14 + 1, which runs through all 32,767 nonzero states.
     fn bit(&mut self) -> u16 {
         let bit = (self.register >> 14 ^ self.register >> 13) & 1;
         self.register = (self.register << 1 | bit) & 0x7fff;
@@ -157,7 +158,7 @@ mod tests {
             let at =
                 |level: f64| voltages_v.iter().any(|voltage_v| (voltage_v - level).abs() < 0.01);
             assert!(at(1.5) && at(-1.5), "{shape:?}");
-            // No voltage on the average: a free arm goes nowhere.
+            // The mean voltage is zero, so that a free arm does not drift.
             let mean_v = voltages_v.iter().sum::<f64>() / 1000.0;
             assert!(mean_v.abs() < 0.2, "{shape:?}: {mean_v}");
             excitation.start();

@@ -1,7 +1,7 @@
-//! A policy as bytes: a safetensors file whose metadata has one entry, `policy`, a JSON document.
+//! The file format of a policy: safetensors whose metadata has one entry, `policy`, a JSON document.
 //!
-//! Nothing in it is executed, and everything in it is checked before it is believed. One entry,
-//! because safetensors writes several in no fixed order; so the same policy gives the same bytes.
+//! Nothing in a file is executed, and everything is checked before use. There is one entry because
+//! safetensors writes several in no fixed order; with one, the same policy always gives the same bytes.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -18,16 +18,16 @@ use super::{
 };
 use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
 
-/// Version of the format. Another one is refused.
+/// Version of the format; files of other versions are refused.
 pub const FORMAT_VERSION: u32 = 1;
 
-/// Largest file that is read, in bytes: ten times the largest network within the limits.
+/// Largest file that is read, bytes: ten times the largest network within the limits.
 pub const MAX_FILE_BYTES: u64 = 8 << 20;
 
 const METADATA_KEY: &str = "policy";
 
-/// What a network may see, in order: the state (see [`crate::qube::observation`]), then as many of
-/// the last commands as it was trained with.
+/// Entries that an observation may have, in order: the state (see [`crate::qube::observation`]), then as
+/// many of the last commands as the network was trained with.
 const OBSERVATION_LAYOUT: [&str; OBSERVATION_SIZE + MAX_HISTORY] = [
     "sin(theta)",
     "cos(theta)",
@@ -43,132 +43,132 @@ const OBSERVATION_LAYOUT: [&str; OBSERVATION_SIZE + MAX_HISTORY] = [
 
 const ACTIVATION: &str = "tanh";
 
-/// Why a policy cannot be had from a file, or put into one.
+/// The reason why a policy file cannot be read.
 #[derive(Debug, Error)]
 pub enum PolicyError {
     /// The file cannot be read.
     #[error("{}: cannot be read: {source}", path.display())]
     Unreadable {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The cause.
+        /// Cause of the failure.
         source: std::io::Error,
     },
-    /// The file is no policy.
+    /// The file is not a valid policy.
     #[error("{}: {fault}", path.display())]
     Bad {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Defect of the file.
         fault: PolicyFault,
     },
 }
 
-/// What is wrong with the bytes of a policy.
+/// A defect in the bytes of a policy.
 #[derive(Debug, Error)]
 pub enum PolicyFault {
-    /// Too large to be one.
+    /// The file is larger than any policy.
     #[error(
-        "is larger than {MAX_FILE_BYTES} bytes and so no policy. Give a file that `train` wrote"
+        "is larger than {MAX_FILE_BYTES}  bytes, more than any policy. Give a file that `train` wrote"
     )]
     TooLarge,
-    /// Not a safetensors file, or a damaged one.
-    #[error("is no safetensors file, or cut off ({source}). Give a file that `train` wrote")]
+    /// The file is not in the safetensors format, or damaged.
+    #[error(" is not a safetensors file, or is truncated ({source}). Give a file that `train` wrote")]
     NotSafetensors {
-        /// The cause.
+        /// Cause of the failure.
         source: SafeTensorError,
     },
-    /// Some other safetensors file.
+    /// The safetensors file is not a policy.
     #[error("has no metadata `{METADATA_KEY}`. Give a file that `train` wrote")]
     NoMetadata,
-    /// Metadata that cannot be understood.
+    /// The metadata cannot be parsed.
     #[error("has metadata that this program does not understand: {source}")]
     Metadata {
-        /// The cause, with its place.
+        /// Cause with its place.
         source: serde_json::Error,
     },
-    /// A format of another time.
+    /// The file has another version of the format.
     #[error(
         "has format version {version}, this program reads version {FORMAT_VERSION}. Train it again or use the program that wrote it"
     )]
     Version {
-        /// The file's version.
+        /// Version of the file.
         version: u32,
     },
-    /// The network sees something else.
+    /// The network expects another observation.
     #[error(
         "was trained for the observation {layout:?}; this program has the first 6 to 10 of {OBSERVATION_LAYOUT:?}. Train it again"
     )]
     Observation {
-        /// The file's layout.
+        /// Observation that the file names.
         layout: Vec<String>,
     },
-    /// The network has another number of inputs than the observation has entries.
+    /// The network's number of inputs differs from the number of entries of its observation.
     #[error(
         "names {entries} entries of the observation for a network of sizes {sizes:?}. Train it again"
     )]
     Inputs {
-        /// How many it names.
+        /// Number of entries that the file names.
         entries: usize,
-        /// The network's sizes.
+        /// Layer sizes of the network.
         sizes: Vec<usize>,
     },
-    /// The network's hidden layers are not of this kind.
+    /// The activation function is not supported.
     #[error("has the activation `{activation}`; this program has `{ACTIVATION}`. Train it again")]
     Activation {
-        /// The file's activation.
+        /// Activation function that the file names.
         activation: String,
     },
-    /// A tensor is not there.
+    /// A tensor is missing.
     #[error("has no tensor `{name}`")]
     MissingTensor {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
     },
-    /// A tensor that no policy has.
+    /// The file has a tensor that no policy has.
     #[error("has an unexpected tensor `{name}`")]
     UnexpectedTensor {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
     },
-    /// A tensor of another type or shape.
+    /// A tensor has another type or shape.
     #[error(
         "holds `{name}` as {dtype} {shape:?} where {expected_dtype} {expected_shape:?} is expected"
     )]
     Tensor {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// Its number type.
+        /// Number type of the tensor.
         dtype: Dtype,
-        /// Its shape.
+        /// Shape of the tensor.
         shape: Vec<usize>,
-        /// The number type expected.
+        /// Expected number type.
         expected_dtype: Dtype,
-        /// The shape expected.
+        /// Expected shape.
         expected_shape: Vec<usize>,
     },
-    /// Numbers that make no network.
-    #[error("holds no network that can run: {0}")]
+    /// The weights do not form a network.
+    #[error(" holds an invalid network: {0}")]
     Network(#[from] NetworkError),
-    /// An excitation beyond what the motor may get.
+    /// The excitation's voltage exceeds the motor's range.
     #[error("excites with {voltage_v} V: give at most {MAX_VOLTAGE_V} V of either sign")]
     ExcitationVoltage {
-        /// What is there.
+        /// Voltage in the file, V.
         voltage_v: f64,
     },
-    /// A gain that is not a number, or a limit below zero.
+    /// A gain is not a finite number, or a limit is below zero.
     #[error(
         "holds {value} for the gain `{name}`: it must be a finite number, and a limit not below 0"
     )]
     Gain {
-        /// The gain.
+        /// Name of the gain.
         name: &'static str,
-        /// What is there.
+        /// Value in the file.
         value: f64,
     },
 }
 
-/// Read before anything else, so that a future version is named as such.
+/// Parsed before the rest of the metadata, so that a file of a future version is reported as such.
 #[derive(Deserialize)]
 struct VersionOnly {
     format_version: u32,
@@ -277,7 +277,7 @@ pub(super) fn write(policy: &Policy) -> Vec<u8> {
     serialize(tensors, Some(metadata)).expect("tensors whose bytes follow from their shapes")
 }
 
-/// A tensor on its way into a file.
+/// A tensor ready for serialisation.
 struct Tensor {
     dtype: Dtype,
     shape: Vec<usize>,
@@ -335,7 +335,7 @@ fn read_layers(
     Ok(layers)
 }
 
-/// The gains by name, so that a file says what its numbers mean.
+/// The gains by the names that the file uses.
 fn named_gains(gains: &ClassicalGains) -> [(&'static str, &[f64]); 8] {
     use std::slice::from_ref;
     [
@@ -362,7 +362,7 @@ fn gain_tensors(gains: &ClassicalGains) -> Vec<(String, Tensor)> {
 
 fn read_gains(tensors: &SafeTensors<'_>) -> Result<ClassicalGains, PolicyFault> {
     let one = |name| read_f64::<1>(tensors, name).map(|[value]| value);
-    // Files from before there was one centre the arm alone.
+    // Files without this gain centre the arm alone.
     let has_recoil = tensors.names().contains(&"recoil_rad");
     let gains = ClassicalGains {
         pump_v_per_j: one("pump_v_per_j")?,
@@ -376,7 +376,7 @@ fn read_gains(tensors: &SafeTensors<'_>) -> Result<ClassicalGains, PolicyFault> 
     };
     let named = named_gains(&gains);
     for (name, values) in named {
-        // With a limit below zero there would be no voltage between its two ends.
+        // A limit below zero would leave no voltage between its two ends.
         let is_limit = name == "pump_limit_v";
         let is_bad = |value: &&f64| !value.is_finite() || (is_limit && **value < 0.0);
         if let Some(&value) = values.iter().find(is_bad) {
@@ -414,7 +414,7 @@ fn read_f64<const N: usize>(
     Ok(std::array::from_fn(|i| f64::from_le_bytes(values[i])))
 }
 
-/// The bytes of a tensor of exactly this type and shape; the format guarantees their number then.
+/// The bytes of a tensor of exactly this type and shape; safetensors guarantees their number.
 fn tensor_bytes<'data>(
     tensors: &SafeTensors<'data>,
     name: &str,

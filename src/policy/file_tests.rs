@@ -1,4 +1,4 @@
-//! What a policy file keeps, and that nothing that can be in a file is believed unchecked.
+//! Tests that a policy file keeps its content and that every value in it is checked.
 
 use std::collections::BTreeMap;
 
@@ -45,12 +45,12 @@ fn classical_policy() -> Policy {
     Policy::Classical(ClassicalController::new(ClassicalGains::default()))
 }
 
-/// The fault that these bytes have; a test fails when they have none.
+/// The fault of these bytes; the test fails when they have none.
 fn fault(bytes: &[u8]) -> String {
     Policy::from_bytes(bytes).expect_err("these bytes are no policy").to_string()
 }
 
-/// The file with one text in its header replaced by another of the same length.
+/// Replaces a text in the file's header by another of the same length.
 fn with_header_text(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
     assert_eq!(from.len(), to.len());
     let at = bytes.windows(from.len()).position(|window| window == from.as_bytes());
@@ -167,7 +167,7 @@ fn numbers_that_are_none_are_refused() {
 
 #[test]
 fn a_tensor_too_many_is_refused() {
-    // Two more layers in the tensors than in the sizes.
+    // The tensors have two layers more than the sizes.
     let bytes = network_policy().to_bytes();
     let fewer = with_header_text(&bytes, "layers.2.weight", "layers.9.weight");
     assert!(fault(&fewer).contains("no tensor `layers.2.weight`"));
@@ -201,7 +201,7 @@ proptest! {
             bytes[at] = byte;
         }
         if let Ok(Policy::Network(mut policy)) = Policy::from_bytes(&bytes) {
-            // Finite weights may still be large: but then the output is infinite, not a panic.
+            // Finite weights may still be large: the output is then infinite, but nothing panics.
             let _ = policy.network.voltage_v(&State::default());
             for layer in policy.network.layers() {
                 prop_assert!(layer.weight.iter().chain(&layer.bias).all(|value| value.is_finite()));

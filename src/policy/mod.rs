@@ -1,8 +1,19 @@
-//! An exported policy: observation, network, inference without allocation, file format; the
-//! classical controller (energy swing-up + balance), which needs no training; and excitations,
-//! whose recordings tell what a Qube is made of.
+//! Everything that decides a voltage: trained networks, the classical controller, and excitations for
+//! identification.
 //!
-//! May import `qube`, `elementary` and `storage` (to read a file); never `learning`: what is deployed runs without the trainer.
+//! A network runs without allocation and gives the same bits on any processor. The classical controller
+//! (energy swing-up and balance) needs no training. All kinds are stored in one file format
+//! ([`Policy::load`]). The room may import `qube`, `elementary` and `storage` (to read a file). It never
+//! imports `learning`, so that a deployed policy runs without the trainer.
+//!
+//! ```
+//! use qube_hil::policy::{ClassicalController, ClassicalGains, Controller};
+//! use qube_hil::qube::State;
+//!
+//! let mut controller = ClassicalController::new(ClassicalGains::default());
+//! let upright = State { alpha: std::f64::consts::PI, ..State::default() };
+//! assert_eq!(Controller::voltage_v(&mut controller, &upright), 0.0);
+//! ```
 
 mod classical;
 mod excitation;
@@ -23,8 +34,8 @@ pub use training_record::{SimulatedGuard, SimulatedObserver, SimulatedSensors, T
 use crate::qube::State;
 use crate::storage::read_bounded;
 
-/// What decides the voltage in a rollout. All kinds travel as the same sort of file, so that a
-/// rollout's recording holds whatever drove it.
+/// The controller of a rollout. All kinds share one file format, so that a recording always contains the
+/// controller that drove it.
 #[derive(Clone, Debug)]
 #[expect(
     clippy::large_enum_variant,
@@ -35,29 +46,31 @@ pub enum Policy {
     Network(NetworkPolicy),
     /// The classical controller.
     Classical(ClassicalController),
-    /// No policy at all, but a voltage over time.
+    /// A voltage over time without feedback from the pendulum.
     Excitation(Excitation),
 }
 
-/// A network and where it comes from.
+/// A network and its training record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkPolicy {
     /// The network.
     pub network: Network,
-    /// How it was trained.
+    /// Record of the training.
     pub training: TrainingRecord,
 }
 
-/// Whatever wants a voltage at each step of a rollout. A [`Policy`], or what a test puts in its place.
+/// Decides the voltage at each step of a rollout. [`Policy`] implements it; tests use implementations of
+/// their own.
 pub trait Controller: Send {
-    /// A rollout begins: what an earlier one left behind is forgotten.
+    /// Starts a rollout and resets state that an earlier one left.
     fn start(&mut self) {}
 
-    /// The motor was given this voltage, V, for one control period of the rollout: what was let through
-    /// of the last one asked for, once more for each period without a decision.
+    /// Reports the voltage that acted at the motor, V, for one control period: the permitted part of the
+    /// last request, reported again for each period without a decision.
     fn applied(&mut self, _voltage_v: f64) {}
 
-    /// The voltage for a state, V. It allocates nothing; the voltage gate of `safety` limits it.
+    /// The voltage for a state, V. Implementations do not allocate; the voltage gate of `safety` limits the
+    /// result.
     fn voltage_v(&mut self, state: &State) -> f64;
 }
 
@@ -100,22 +113,22 @@ impl Policy {
     /// Reads a policy file.
     ///
     /// # Errors
-    /// The file cannot be read or is no policy; the message says why and what to do.
+    /// The file cannot be read or is not a valid policy.
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
         let unreadable = |source| PolicyError::Unreadable { path: path.to_owned(), source };
         let bytes = read_bounded(path, MAX_FILE_BYTES).map_err(unreadable)?;
         Self::from_bytes(&bytes).map_err(|fault| PolicyError::Bad { path: path.to_owned(), fault })
     }
 
-    /// Reads the bytes of a policy file, as a recording has them attached.
+    /// Reads the bytes of a policy file, such as the attachment of a recording.
     ///
     /// # Errors
-    /// They are no policy.
+    /// The bytes are not a valid policy.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyFault> {
         file::read(bytes)
     }
 
-    /// The bytes of its file: the same for the same policy.
+    /// The bytes of the policy's file; equal policies give equal bytes.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         file::write(self)

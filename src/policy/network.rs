@@ -3,100 +3,100 @@ use thiserror::Error;
 use crate::elementary::{InstructionSet, Kernel, dispatch, tanh};
 use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State, observation};
 
-/// Most hidden layers. With [`MAX_WIDTH`] this bounds an inference to some tens of microseconds, a
-/// small part of the tick.
+/// Largest number of hidden layers. With [`MAX_WIDTH`] it bounds an inference to some tens of microseconds,
+/// a small part of the tick.
 pub const MAX_HIDDEN_LAYERS: usize = 4;
 
-/// Widest hidden layer.
+/// Largest width of a hidden layer.
 pub const MAX_WIDTH: usize = 256;
 
-/// Rows of weights are padded to a multiple of this: the widest vector's lanes.
+/// Rows of weights are padded to a multiple of this number: the lanes of the widest vector.
 const PADDING: usize = 16;
 
-/// Weights of one layer as files and training hold them.
+/// Weights of one layer in the layout of files and training.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerWeights {
-    /// `[outputs][inputs]`, row after row.
+    /// Weights, `[outputs][inputs]`, row by row.
     pub weight: Vec<f32>,
-    /// `[outputs]`.
+    /// Biases, `[outputs]`.
     pub bias: Vec<f32>,
 }
 
-/// Why numbers are no network.
+/// The reason why weights do not form a network.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum NetworkError {
-    /// Layer sizes that no policy has.
+    /// The layer sizes are outside the limits.
     #[error(
         "the network's sizes are {sizes:?}: they must be 6 to 10 inputs, 1 to {MAX_HIDDEN_LAYERS} hidden layers of 1 to {MAX_WIDTH}, and 1 output"
     )]
     Sizes {
-        /// What was given.
+        /// Sizes given.
         sizes: Vec<usize>,
     },
-    /// An array whose length does not follow from the sizes.
+    /// The length of an array does not match the sizes.
     #[error("{array} has {length} values where the network's sizes ask for {expected}")]
     Length {
-        /// The array, as `layers.0.weight`.
+        /// Name of the array, such as `layers.0.weight`.
         array: String,
         /// Its length.
         length: usize,
-        /// What the sizes ask for.
+        /// Length that the sizes require.
         expected: usize,
     },
-    /// A weight that is not a number.
+    /// A weight is not a finite number.
     #[error("{array} holds {value} at index {index}: train again, this network is broken")]
     NotFinite {
-        /// The array, as `layers.0.weight`.
+        /// Name of the array, such as `layers.0.weight`.
         array: String,
-        /// Where in it.
+        /// Index in the array.
         index: usize,
-        /// What is there.
+        /// Value at that index.
         value: f32,
     },
-    /// A scale that makes no voltage.
+    /// The action scale is outside its range.
     #[error("the action scale is {action_scale_v} V: it must be above 0 and at most 100")]
     ActionScale {
-        /// What was given.
+        /// Scale given, V.
         action_scale_v: f32,
     },
 }
 
-/// A multilayer perceptron: observation in, tanh in the hidden layers, one linear output, which
-/// times the action scale is the voltage.
+/// A multilayer perceptron: observation in, tanh in the hidden layers, one linear output, which times the
+/// action scale is the voltage.
 ///
-/// The observation is that of a state and, for networks with more inputs than it has numbers, the last
-/// commands as fractions of 5 V, newest first. The network keeps them from [`Self::start`] to the next
-/// one and learns of each by [`Self::applied`].
+/// The observation contains the state and, for networks with more inputs, the last commands as fractions of
+/// 5 V, newest first. The network remembers commands from [`Self::start`] to the next start;
+/// [`Self::applied`] reports each.
 ///
-/// Every output starts from its bias and takes its inputs in ascending order, each with one fused
-/// multiply-add: the same bits on any processor. An inference allocates nothing.
+/// Every output starts from its bias and adds its inputs in ascending order, each with one fused
+/// multiply-add, which gives the same bits on any processor. An inference allocates nothing.
 #[derive(Clone, Debug)]
 pub struct Network {
     sizes: Vec<usize>,
     action_scale_v: f32,
     layers: Vec<Layer>,
-    /// Inputs and outputs of the layer at work, each as wide as the widest.
+    /// Inputs and outputs of the current layer, each as wide as the widest layer.
     activations: [Vec<f32>; 2],
-    /// The last commands, newest first; of as many as are inputs.
+    /// Last commands as fractions of 5 V, newest first; the network uses as many as it has inputs for.
     commands: [f32; MAX_HISTORY],
 }
 
 /// One layer, transposed so that neighbouring outputs are neighbours in memory.
 #[derive(Clone, Debug, PartialEq)]
 struct Layer {
-    /// `[inputs][outputs, padded]`.
+    /// Weights, `[inputs][outputs, padded]`.
     weight: Vec<[f32; PADDING]>,
-    /// `[outputs, padded]`.
+    /// Biases, `[outputs, padded]`.
     bias: Vec<[f32; PADDING]>,
     inputs: usize,
     outputs: usize,
 }
 
 impl Network {
-    /// A network with these weights; `sizes` from the observation to the output, as 6, 64, 64, 1.
+    /// A network with these weights; `sizes` runs from the observation to the output, such as 6, 64, 64, 1.
     ///
     /// # Errors
-    /// Sizes beyond the limits, arrays of other lengths, numbers that are none.
+    /// Sizes exceed the limits, arrays have other lengths, or values are not finite.
     pub fn new(
         sizes: &[usize],
         layers: &[LayerWeights],
@@ -128,42 +128,42 @@ impl Network {
         })
     }
 
-    /// Numbers of inputs and outputs of the layers, from the observation to the output.
+    /// Layer sizes from the observation to the output.
     #[must_use]
     pub fn sizes(&self) -> &[usize] {
         &self.sizes
     }
 
-    /// How many last commands it sees beside the state.
+    /// Number of last commands in the observation.
     #[must_use]
     pub fn history(&self) -> usize {
         self.sizes[0] - OBSERVATION_SIZE
     }
 
-    /// Forgets the last commands: before them the motor was still.
+    /// Forgets the last commands: the motor is off before a rollout.
     pub fn start(&mut self) {
         self.commands = [0.0; MAX_HISTORY];
     }
 
-    /// The motor was given this voltage, V, for one control period.
+    /// Reports the voltage that acted at the motor for one control period, V.
     pub fn applied(&mut self, voltage_v: f64) {
         self.commands.rotate_right(1);
         self.commands[0] = (voltage_v / MAX_VOLTAGE_V) as f32;
     }
 
-    /// Volts for an output of 1.
+    /// Voltage for an output of 1, V.
     #[must_use]
     pub fn action_scale_v(&self) -> f32 {
         self.action_scale_v
     }
 
-    /// The weights, as they were given.
+    /// The weights in the layout of files.
     #[must_use]
     pub fn layers(&self) -> Vec<LayerWeights> {
         self.layers.iter().map(Layer::weights).collect()
     }
 
-    /// The voltage for a state, V; not limited.
+    /// The voltage for a state, V, without a limit.
     #[must_use]
     pub fn voltage_v(&mut self, state: &State) -> f64 {
         let state = State {
@@ -175,11 +175,11 @@ impl Network {
         f64::from(dispatch(Infer { network: self, input: Input::State(state) }))
     }
 
-    /// The voltage for a whole observation, V; not limited. The same bits as for its state and last
-    /// commands.
+    /// The voltage for a whole observation, V, without a limit. It has the same bits as [`Self::voltage_v`]
+    /// for the same state and last commands.
     ///
     /// # Panics
-    /// If the observation has another length than the network has inputs.
+    /// Panics if the observation's length differs from the network's number of inputs.
     #[must_use]
     pub fn voltage_of_observation_v(&mut self, observation: &[f32]) -> f32 {
         assert_eq!(observation.len(), self.sizes[0], "observation: [inputs]");
@@ -187,7 +187,7 @@ impl Network {
     }
 }
 
-/// Two networks are equal when they compute the same, whatever they computed last.
+/// Compares weights and scale; the remembered commands do not count.
 impl PartialEq for Network {
     fn eq(&self, other: &Self) -> bool {
         self.sizes == other.sizes
@@ -196,17 +196,17 @@ impl PartialEq for Network {
     }
 }
 
-/// The name that files and errors give to a layer's weights.
+/// The name of a layer's weights in files and errors.
 pub(super) fn weight_name(layer: usize) -> String {
     format!("layers.{layer}.weight")
 }
 
-/// The name that files and errors give to a layer's biases.
+/// The name of a layer's biases in files and errors.
 pub(super) fn bias_name(layer: usize) -> String {
     format!("layers.{layer}.bias")
 }
 
-/// Says whether these are sizes that a network may have.
+/// Checks that a network may have these sizes.
 pub(super) fn check_sizes(sizes: &[usize]) -> Result<(), NetworkError> {
     if let [inputs, hidden @ .., 1] = sizes
         && (OBSERVATION_SIZE..=OBSERVATION_SIZE + MAX_HISTORY).contains(inputs)
@@ -262,7 +262,7 @@ impl Layer {
         }
     }
 
-    /// Weights times `inputs` plus biases into `outputs`, which is padded.
+    /// Multiplies the weights with `inputs` and adds the biases; `outputs` is padded.
     #[inline(always)]
     fn apply(&self, inputs: &[f32], outputs: &mut [f32]) {
         let blocks = self.bias.len();
@@ -337,7 +337,7 @@ mod tests {
         Network::new(sizes, &layers, 5.0).unwrap()
     }
 
-    /// The same network in `f64`, written as the textbook does.
+    /// Computes the same network in `f64`, as a textbook writes it.
     fn textbook_voltage(network: &Network, state: &State, commands_v: &[f64]) -> f64 {
         let mut values = observation(state).to_vec();
         values.extend(commands_v.iter().map(|command_v| command_v / 5.0));

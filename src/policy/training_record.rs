@@ -4,34 +4,33 @@ use serde::{Deserialize, Serialize};
 
 use crate::qube::QubeModel;
 
-/// How a network was trained: kept in its file, shown to people, compared with the machine that it
-/// is about to run on.
+/// The record of a network's training. Its file contains it, commands show it, and `run` compares it with
+/// the machine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingRecord {
-    /// The model: `nominal`, `handcrafted`, `opt-nominal` ...
+    /// Name of the model: `nominal`, `handcrafted`, `opt-nominal` ...
     pub model: String,
-    /// Psi by name, for the models that have one.
+    /// Values of psi by name, for models that have one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psi: Option<BTreeMap<String, f64>>,
-    /// The seed.
+    /// Seed of the training.
     pub seed: u64,
-    /// The preset that set budget and settings: `thesis`, `quick` ...
+    /// Name of the preset of budget and settings: `thesis`, `quick` ...
     pub preset: String,
-    /// Control steps that were simulated to learn from.
+    /// Number of simulated control steps.
     pub steps: u64,
-    /// Gradient steps of each net.
+    /// Gradient steps of each network.
     pub gradient_steps: u64,
-    /// How the simulation showed the state.
+    /// Sensors of the simulation.
     pub sensors: SimulatedSensors,
-    /// What ended a simulated rollout early beside the safety box.
+    /// Guard that ended simulated rollouts besides the safety box.
     #[serde(default, skip_serializing_if = "SimulatedGuard::is_box")]
     pub guard: SimulatedGuard,
-    /// Weight of a change of the voltage in what was learned from, 1/V^2; files that name none were
-    /// trained without.
+    /// Weight of a change of voltage in the training reward, 1/V^2; 0 in files that do not name it.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub voltage_change_weight: f32,
-    /// Mean return of the deterministic evaluation by which this policy was chosen.
+    /// Mean return of the evaluation that selected this policy.
     pub best_return: Option<f64>,
     /// Version of the program that trained it.
     pub program_version: String,
@@ -41,19 +40,19 @@ fn is_zero(weight: &f32) -> bool {
     *weight == 0.0
 }
 
-/// The guard of a training, as a policy's file names it.
+/// The guard of a training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SimulatedGuard {
-    /// Nothing beside the box: all that simulations know, and that of files which name none.
+    /// The safety box alone, which all simulations use; the value of files that name none.
     #[default]
     Box,
-    /// That of trainings before foresight, which ended a simulated rollout sooner than the box.
+    /// A speed envelope, which ended simulated rollouts before the box; only older files name it.
     Envelope,
 }
 
 impl SimulatedGuard {
-    /// Whether files need not name it.
+    /// Whether files may omit the value.
     #[must_use]
     pub fn is_box(&self) -> bool {
         *self == Self::Box
@@ -66,28 +65,28 @@ impl SimulatedGuard {
 pub enum SimulatedSensors {
     /// True angles and velocities.
     TrueState,
-    /// Angles in encoder counts, velocities by the estimator's filter, or the state by its observer.
+    /// Encoder counts, from which the estimator's filter or observer computes the state.
     Encoders {
-        /// Corner of that filter, rad/s.
+        /// Corner of the velocity filter, rad/s.
         corner_rad_s: f64,
-        /// Counts of one revolution.
+        /// Encoder counts in one revolution.
         counts_per_revolution: i32,
-        /// The observer in the filter's place.
+        /// Observer that replaces the filter.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         observer: Option<SimulatedObserver>,
     },
 }
 
-/// The observer of a training: `estimation::ObserverSettings`, as a policy's file names it.
+/// The observer of a training: `estimation::ObserverSettings` in the form of the policy file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedObserver {
-    /// The Qube that it believed in, and the delay.
+    /// Model and delay of the observer.
     pub model: QubeModel,
-    /// How far off its acceleration of the arm was taken to be, rad/s^2.
+    /// Standard deviation of the model's error in the arm's acceleration, rad/s^2.
     pub theta_noise_rad_s2: f64,
-    /// The same for the pendulum.
+    /// Standard deviation of the model's error in the pendulum's acceleration, rad/s^2.
     pub alpha_noise_rad_s2: f64,
-    /// From how far off, rad, it started anew.
+    /// Prediction error beyond which the observer was reset, rad.
     pub astray_rad: f64,
 }

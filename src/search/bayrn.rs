@@ -8,11 +8,11 @@ use crate::surrogate::{
     MaximiserSettings, OnProcess, PosteriorMean, UpperConfidenceBound, maximise, noise_of_means,
 };
 
-/// Bayesian optimisation of the return over the box (BayRn: Eilers 2019, Muratore et al. 2021).
+/// Bayesian optimisation of the return over a box (BayRn: Eilers 2019, Muratore et al. 2021).
 ///
-/// The first points are drawn at random. From then on a Gaussian process is fitted to the mean
-/// returns and the next point maximises an acquisition function; the answer is the maximum of the
-/// posterior mean over the whole box, a point that may never have been tried.
+/// The first points are random. After them a Gaussian process is fitted to the mean returns, and each new
+/// point maximises an acquisition function. The recommendation is the maximum of the posterior mean over
+/// the whole box, a point that need not have been evaluated.
 #[derive(Clone, Debug)]
 pub struct BayRn {
     search_box: SearchBox,
@@ -21,10 +21,10 @@ pub struct BayRn {
 }
 
 impl BayRn {
-    /// In a box, with settings, from a seed.
+    /// A search in a box with settings and a seed.
     ///
     /// # Errors
-    /// No initial point, no start of the fit, a `beta` that is negative or not finite.
+    /// The settings have no initial point, no start of the fit, or a `beta` that is negative or not finite.
     pub fn new(
         search_box: SearchBox,
         settings: BayRnSettings,
@@ -34,10 +34,10 @@ impl BayRn {
         Ok(Self { search_box, settings, seed })
     }
 
-    /// The surrogate fitted to data: what the search believes.
+    /// Fits the surrogate to data.
     ///
     /// # Errors
-    /// No data, data that make no sense, or that cannot be fitted.
+    /// There is no data, or the data is invalid or cannot be fitted.
     pub fn surrogate(&self, data: &[Observation]) -> Result<GaussianProcess, SearchError> {
         check(&self.search_box, data)?;
         let points: Vec<Vec<f64>> = data.iter().map(|o| o.point.clone()).collect();
@@ -61,7 +61,7 @@ impl BayRn {
         }
     }
 
-    /// The next point, given what is believed; `index` is its place in the whole search.
+    /// The next point by the acquisition function; `index` counts all points of the search.
     fn acquire(
         &self,
         process: &GaussianProcess,
@@ -105,10 +105,10 @@ impl BayRn {
     }
 }
 
-/// Evaluated points near which the maximiser looks more closely.
+/// Number of evaluated points around which the maximiser samples more densely.
 const HINTS: usize = 5;
 
-/// Posterior means at the evaluated points with these points, the best first.
+/// Posterior means at the evaluated points with these points, best first.
 type Means = Vec<(f64, Vec<f64>)>;
 
 fn means_at_data(process: &GaussianProcess) -> Means {
@@ -128,9 +128,9 @@ fn on<C: Criterion>(process: &GaussianProcess, criterion: C) -> OnProcess<'_, C>
 }
 
 impl Strategy for BayRn {
-    /// Points after the initial ones are chosen one after the other; each is believed to return
-    /// what the surrogate expects of it before the next is chosen, which takes away the doubt
-    /// there and so drives the next one elsewhere ("kriging believer", Ginsbourger et al. 2010).
+    /// Points after the initial ones are chosen one after the other. Before each next choice the surrogate
+    /// is conditioned on its own mean at the chosen point ("kriging believer", Ginsbourger et al. 2010),
+    /// which removes the uncertainty there and drives the next point elsewhere.
     fn propose(
         &mut self,
         data: &[Observation],
@@ -200,7 +200,7 @@ mod tests {
         SearchBox::new(vec![0.0, -5.0], vec![2.0, 5.0]).unwrap()
     }
 
-    /// One hump of height 500 at (1.4, 1.0).
+    /// A single hump of height 500 at (1.4, 1.0).
     fn hump(point: &[f64]) -> f64 {
         500.0 * (-((point[0] - 1.4) / 0.8).powi(2) - ((point[1] - 1.0) / 4.0).powi(2)).exp()
     }
@@ -282,7 +282,7 @@ mod tests {
         let batch = search.propose(&data, 3).unwrap();
         assert_eq!(batch[0], search.initial_point(4));
         assert_eq!(batch.len(), 3);
-        // with nothing evaluated there is nothing to ask the surrogate
+        // Without data the surrogate cannot be fitted.
         assert_eq!(search.propose(&[], 8).unwrap()[7], search.initial_point(7));
     }
 

@@ -3,30 +3,29 @@ use serde::{Deserialize, Serialize};
 use super::SearchError;
 use crate::surrogate::FitSettings;
 
-/// What Bayesian optimisation can be told.
+/// The settings of Bayesian optimisation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BayRnSettings {
-    /// Points drawn before the surrogate is asked. Not read from files: a session knows it from
-    /// its extent.
+    /// Number of initial points. Files do not contain it: a session derives it from its extent.
     #[serde(skip)]
     pub initial_points: usize,
-    /// How these are drawn.
+    /// Sampling of the initial points.
     pub initial_design: InitialDesign,
-    /// What the next point maximises.
+    /// Acquisition function that the next point maximises.
     pub acquisition: AcquisitionKind,
-    /// Standard deviations above the mean, for `upper-confidence-bound`.
+    /// Weight of the standard deviation in `upper-confidence-bound`.
     pub beta: f64,
-    /// What improvement is measured against.
+    /// Reference value of an improvement.
     pub incumbent: Incumbent,
-    /// What the surrogate takes the noise of a mean return to be.
+    /// Noise model of mean returns.
     pub noise: NoiseModel,
-    /// The surrogate's form and how it is fitted. Its seed is mixed with the search's.
+    /// Form and fit of the surrogate. Its seed is combined with the search's.
     pub surrogate: FitSettings,
 }
 
 impl BayRnSettings {
-    /// As the thesis ran it: expected improvement over the luckiest mean return, one noise
+    /// The thesis's settings: expected improvement over the largest observed mean return, and one noise
     /// variance for all candidates.
     #[must_use]
     pub fn thesis() -> Self {
@@ -38,10 +37,10 @@ impl BayRnSettings {
         }
     }
 
-    /// Checks what a type cannot.
+    /// Checks the values.
     ///
     /// # Errors
-    /// No initial point, no start of the fit, a `beta` that is negative or not finite.
+    /// There is no initial point, no start of the fit, or `beta` is negative or not finite.
     pub fn check(&self) -> Result<(), SearchError> {
         let bad = |reason: &str| Err(SearchError::BadSettings { reason: reason.into() });
         if self.initial_points == 0 {
@@ -58,7 +57,7 @@ impl BayRnSettings {
 }
 
 impl Default for BayRnSettings {
-    /// The thesis's search, made honest about noise.
+    /// The thesis's search with a model of the noise and an acquisition function for noisy returns.
     fn default() -> Self {
         Self {
             initial_points: 15,
@@ -72,56 +71,56 @@ impl Default for BayRnSettings {
     }
 }
 
-/// How the first points are drawn.
+/// The sampling of the initial points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum InitialDesign {
     /// Uniformly at random, as in the thesis.
     #[default]
     Uniform,
-    /// By a scrambled Sobol sequence.
+    /// A scrambled Sobol sequence.
     Sobol,
 }
 
-/// The acquisition functions to choose from. All but UCB are maximised through their logarithm,
-/// which has the same maximiser.
+/// The acquisition functions. All but UCB are maximised through their logarithm, which has the same
+/// maximiser.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AcquisitionKind {
-    /// EI.
+    /// Expected improvement (EI).
     ExpectedImprovement,
-    /// PI.
+    /// Probability of improvement (PI).
     ProbabilityOfImprovement,
-    /// UCB.
+    /// Upper confidence bound (UCB).
     UpperConfidenceBound,
-    /// NEI: EI averaged over what the candidates' true values may be. Right for noisy returns; has
-    /// no incumbent.
+    /// Noisy expected improvement (NEI): EI averaged over the posterior of the candidates' true values.
+    /// Suits noisy returns and needs no incumbent.
     #[default]
     NoisyExpectedImprovement,
-    /// KG: by how much the best posterior mean is expected to rise. Right for noisy returns; has no
-    /// incumbent.
+    /// Knowledge gradient (KG): the expected rise of the largest posterior mean. Suits noisy returns and
+    /// needs no incumbent.
     KnowledgeGradient,
 }
 
-/// What an improvement is measured against.
+/// The incumbent: the value against which an improvement is measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Incumbent {
-    /// The largest mean return observed: as in the thesis, but with noise the luckiest one.
+    /// Largest observed mean return, as in the thesis; under noise it is that of the luckiest candidate.
     LargestObserved,
     /// The largest posterior mean among the candidates evaluated.
     #[default]
     BestPosteriorMean,
 }
 
-/// What the noise of a candidate's mean return is taken to be.
+/// The noise model of a candidate's mean return.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum NoiseModel {
-    /// One variance for all candidates, fitted.
+    /// One fitted variance for all candidates.
     Shared,
-    /// The fitted variance, and on top each candidate's own, estimated from the spread of its
-    /// returns ([`crate::surrogate::noise_of_means`]).
+    /// The fitted variance plus each candidate's own, estimated from the spread of its returns
+    /// ([`crate::surrogate::noise_of_means`]).
     #[default]
     PerCandidate,
 }

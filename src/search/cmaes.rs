@@ -5,11 +5,11 @@ use super::random::{best_evaluated, stream};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
 
-/// Covariance matrix adaptation (CMA-ES; Hansen 2016, "The CMA Evolution Strategy: A Tutorial",
-/// with its default settings, on the unit cube).
+/// Covariance matrix adaptation (CMA-ES; Hansen 2016, "The CMA Evolution Strategy: A Tutorial", with its
+/// default settings, on the unit cube).
 ///
-/// Draws outside the box are drawn again, and set onto its bound after some attempts; the update
-/// uses the points as they were evaluated.
+/// Samples outside the box are drawn again and, after some attempts, clamped to its bound; the update uses
+/// the points as they were evaluated.
 #[derive(Clone, Debug)]
 pub struct CmaEs {
     search_box: SearchBox,
@@ -21,7 +21,7 @@ pub struct CmaEs {
 #[derive(Clone, Debug)]
 struct Constants {
     population: usize,
-    /// Of the better half, falling, sum 1.
+    /// Recombination weights of the better half, decreasing, sum 1.
     weights: Vec<f64>,
     effective: f64,
     path_decay: f64,
@@ -33,7 +33,7 @@ struct Constants {
     expected_length: f64,
 }
 
-/// What the updates have made of the search distribution so far.
+/// The search distribution after the updates so far.
 struct Distribution {
     mean: DVector<f64>,
     step: f64,
@@ -43,9 +43,9 @@ struct Distribution {
     generations: usize,
 }
 
-/// The initial standard deviation, in widths of the box, as the tutorial advises.
+/// Initial standard deviation in widths of the box, as the tutorial advises.
 const INITIAL_STEP: f64 = 0.3;
-/// Draws outside the box before one is set onto its bound.
+/// Number of samples outside the box before one is clamped to its bound.
 const ATTEMPTS: usize = 20;
 
 impl Constants {
@@ -90,7 +90,7 @@ impl Distribution {
         }
     }
 
-    /// Moves to the better half of one generation: points on the unit cube, the best first.
+    /// Updates the distribution from one generation: points on the unit cube, best first.
     fn update(&mut self, ranked: &[DVector<f64>], c: &Constants) {
         let d = self.mean.len() as f64;
         self.generations += 1;
@@ -106,7 +106,7 @@ impl Distribution {
         let length = self.step_path.norm();
         let relative = length / c.expected_length;
         self.step *= (c.path_decay / c.path_damping * (relative - 1.0)).exp();
-        // beyond the box there is nothing to reach
+        // A larger step would only reach beyond the box.
         self.step = self.step.clamp(1e-10, 1.0);
 
         let settled = 1.0 - (1.0 - c.path_decay).powi(2 * self.generations as i32);
@@ -132,14 +132,14 @@ impl Distribution {
 }
 
 impl CmaEs {
-    /// In a box, from a seed.
+    /// A search in a box with a seed.
     #[must_use]
     pub fn new(search_box: SearchBox, seed: u64) -> Self {
         let constants = Constants::new(search_box.dimensions());
         Self { search_box, seed, constants }
     }
 
-    /// The distribution after all whole generations in the data.
+    /// The distribution after all complete generations in the data.
     fn distribution(&self, data: &[Observation]) -> Distribution {
         let mut distribution = Distribution::new(self.search_box.dimensions());
         for generation in data.chunks_exact(self.constants.population) {

@@ -3,9 +3,9 @@ use super::random::{best_evaluated, stream};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
 
-/// The cross-entropy method: a Gaussian with independent coordinates is drawn from, and moved to
-/// the best quarter of each generation (De Boer et al. 2005; used on distributions of simulation
-/// parameters by Vuong et al. 2019).
+/// The cross-entropy method: samples from a Gaussian with independent coordinates and moves it to the best
+/// quarter of each generation (De Boer et al. 2005; Vuong et al. 2019 use it on distributions of simulation
+/// parameters).
 ///
 /// The Gaussian is truncated to the box, coordinate by coordinate.
 #[derive(Clone, Debug)]
@@ -14,25 +14,25 @@ pub struct CrossEntropy {
     seed: u64,
 }
 
-/// Weight of the elite against the Gaussian before it.
+/// Weight of the elite against the previous Gaussian.
 const SMOOTHING: f64 = 0.8;
-/// Least standard deviation, in widths of the box: the search may narrow, but never stands still.
+/// Smallest standard deviation in widths of the box, which keeps the search moving.
 const LEAST_DEVIATION: f64 = 0.01;
 
-/// Where the next generation is drawn from, on the unit cube.
+/// The Gaussian of the next generation on the unit cube.
 struct Gaussian {
     mean: Vec<f64>,
     deviation: Vec<f64>,
 }
 
 impl CrossEntropy {
-    /// In a box, from a seed.
+    /// A search in a box with a seed.
     #[must_use]
     pub fn new(search_box: SearchBox, seed: u64) -> Self {
         Self { search_box, seed }
     }
 
-    /// Candidates in a generation: few enough that a budget of 25 sees several of them.
+    /// Candidates in a generation: few enough for several generations in a budget of 25.
     fn generation(&self) -> usize {
         4 + self.search_box.dimensions() / 2
     }
@@ -41,7 +41,7 @@ impl CrossEntropy {
         self.generation().div_ceil(4).max(2)
     }
 
-    /// The Gaussian after all whole generations in the data.
+    /// The Gaussian after all complete generations in the data.
     fn gaussian(&self, data: &[Observation]) -> Gaussian {
         let d = self.search_box.dimensions();
         let mut gaussian = Gaussian { mean: vec![0.5; d], deviation: vec![0.5; d] };
@@ -81,7 +81,7 @@ impl Strategy for CrossEntropy {
                     .zip(&gaussian.deviation)
                     .map(|(mean, deviation)| {
                         loop {
-                            // the mean is inside, so at least a fair part of the draws is
+                            // The mean lies inside the box, so a fair share of the draws does too.
                             let u = mean + deviation * normal::draw(&mut random);
                             if (0.0..=1.0).contains(&u) {
                                 break u;

@@ -2,46 +2,45 @@ use thiserror::Error;
 
 use crate::surrogate::SurrogateError;
 
-/// Why a strategy cannot say what to try next, or what is best.
+/// The reason why a strategy cannot propose or recommend a point.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SearchError {
-    /// A candidate without a single return.
+    /// A candidate has no return.
     #[error("candidate {index} has no return: leave it out until it was evaluated")]
     NoReturns {
-        /// Which candidate, from 0.
+        /// Index of the candidate, from 0.
         index: usize,
     },
-    /// A return that is NaN or infinite.
+    /// A return is NaN or infinite.
     #[error(
         "return {rollout} of candidate {index} is {value}: leave that rollout out or repeat it"
     )]
     ReturnNotFinite {
-        /// Which candidate, from 0.
+        /// Index of the candidate, from 0.
         index: usize,
-        /// Which of its returns, from 0.
+        /// Index of the return, from 0.
         rollout: usize,
         /// The value.
         value: f64,
     },
-    /// Asked for the best of nothing.
+    /// A recommendation needs at least one evaluated candidate.
     #[error("no candidate was evaluated yet, so there is no best one")]
     NothingEvaluated,
-    /// A name that is no strategy's.
+    /// No strategy has this name.
     #[error("there is no strategy {name:?}: choose one of {known}")]
     UnknownStrategy {
-        /// What was asked for.
+        /// Name given.
         name: String,
-        /// What there is.
+        /// Names of the strategies.
         known: String,
     },
-    /// A setting that makes no sense.
+    /// A setting is out of range.
     #[error("bad search settings: {reason}")]
     BadSettings {
-        /// What is wrong with it.
+        /// Reason why it is refused.
         reason: String,
     },
-    /// The surrogate said no: a point outside the box, bounds that are none, data that cannot be
-    /// fitted.
+    /// The surrogate refused the box or the data, or could not be fitted.
     #[error(transparent)]
     Surrogate(#[from] SurrogateError),
 }

@@ -1,7 +1,25 @@
-//! Strategies that propose psi and take returns: BayRn and its rivals behind one small trait.
+//! Strategies of the search for psi: each proposes points and takes returns, behind one trait.
 //!
-//! May import `surrogate`. A strategy keeps nothing between calls: what it proposes follows from
-//! its seed and the data, so that a session on disk is its whole state.
+//! BayRn is the method of this program; the others are its baselines. A strategy keeps no state between
+//! calls: its proposals follow from seed and data, so that a session on disk is its whole state. The room
+//! may import `surrogate`.
+//!
+//! ```
+//! use qube_hil::search::{BayRnSettings, Observation, StrategyKind};
+//! use qube_hil::surrogate::SearchBox;
+//!
+//! let search_box = SearchBox::new(vec![0.0], vec![2.0])?;
+//! let mut search = StrategyKind::Random.build(&search_box, &BayRnSettings::default(), 1)?;
+//! let mut data = Vec::new();
+//! for _ in 0..8 {
+//!     for point in search.propose(&data, 1)? {
+//!         let returns = vec![-(point[0] - 1.0).powi(2)];
+//!         data.push(Observation { point, returns });
+//!     }
+//! }
+//! assert!(search.best(&data)?.expected_return <= 0.0);
+//! # Ok::<(), qube_hil::search::SearchError>(())
+//! ```
 
 mod bayrn;
 mod bayrn_settings;

@@ -2,12 +2,12 @@ use serde::{Deserialize, Serialize};
 
 use super::{SearchBox, SearchError};
 
-/// One candidate and what it returned.
+/// A candidate and its returns.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Observation {
-    /// d coordinates, in the box's own units.
+    /// Coordinates of the point, in the box's units.
     pub point: Vec<f64>,
-    /// One return per rollout, at least one; all finite.
+    /// One return a rollout, at least one; all finite.
     pub returns: Vec<f64>,
 }
 
@@ -43,7 +43,7 @@ pub(super) fn check(search_box: &SearchBox, data: &[Observation]) -> Result<(), 
     Ok(())
 }
 
-/// The evaluated candidate with the highest mean return; the earlier one of equals.
+/// The index of the evaluated candidate with the highest mean return; of equals the earlier one.
 pub(super) fn highest_mean_return(data: &[Observation]) -> Result<usize, SearchError> {
     let means: Vec<f64> = data.iter().map(Observation::mean_return).collect();
     (0..data.len())

@@ -5,7 +5,7 @@ use super::observation::{check, highest_mean_return};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::sobol_point;
 
-/// Points drawn uniformly at random: what every other strategy must beat.
+/// Uniform random search, the baseline of every other strategy.
 #[derive(Clone, Debug)]
 pub struct RandomSearch {
     search_box: SearchBox,
@@ -13,7 +13,7 @@ pub struct RandomSearch {
 }
 
 impl RandomSearch {
-    /// In a box, from a seed.
+    /// A search in a box with a seed.
     #[must_use]
     pub fn new(search_box: SearchBox, seed: u64) -> Self {
         Self { search_box, seed }
@@ -40,7 +40,7 @@ impl Strategy for RandomSearch {
     }
 }
 
-/// A scrambled Sobol sequence: fills the box more evenly than chance does.
+/// Search along a scrambled Sobol sequence, which covers the box more evenly than random points.
 #[derive(Clone, Debug)]
 pub struct SobolSearch {
     search_box: SearchBox,
@@ -48,7 +48,7 @@ pub struct SobolSearch {
 }
 
 impl SobolSearch {
-    /// In a box, scrambled by a seed.
+    /// A search in a box, scrambled by a seed.
     #[must_use]
     pub fn new(search_box: SearchBox, seed: u64) -> Self {
         Self { search_box, seed }
@@ -75,8 +75,8 @@ impl Strategy for SobolSearch {
     }
 }
 
-/// The `index`-th point of a uniform random sequence; each has a stream of its own, so that it
-/// depends on nothing but seed and index.
+/// The `index`-th point of a uniform random sequence. Each point has its own random stream and depends on
+/// seed and index alone.
 pub(super) fn uniform_point(search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
     let mut random = stream(seed, index);
     let unit: Vec<f64> = (0..search_box.dimensions()).map(|_| random.random()).collect();
@@ -89,14 +89,14 @@ pub(super) fn quasi_random_point(search_box: &SearchBox, seed: u64, index: usize
     search_box.from_unit(&sobol_point(index, search_box.dimensions(), scramble))
 }
 
-/// Random numbers that belong to one candidate.
+/// The random stream of one candidate.
 pub(super) fn stream(seed: u64, index: usize) -> ChaCha8Rng {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(index as u64);
     random
 }
 
-/// The answer of a strategy without a model: the evaluated candidate with the best mean return.
+/// Recommends the evaluated candidate with the highest mean return, for strategies without a model.
 pub(super) fn best_evaluated(
     search_box: &SearchBox,
     data: &[Observation],

@@ -8,46 +8,45 @@ use super::{
     SobolSearch,
 };
 
-/// A way to look for the point with the highest return.
+/// A strategy that searches for the point with the highest return.
 ///
-/// What a strategy proposes depends on nothing but its settings, its seed and the data it is
-/// given: a session that was stopped and resumed goes on as if it had not been, and nothing but
-/// the data has to be kept. The data must come in the order in which the points were proposed.
+/// Its proposals depend on its settings, its seed and the data alone. A resumed session therefore continues
+/// as if it had not been interrupted, and only the data has to be stored. The data must be in the order in
+/// which the points were proposed.
 pub trait Strategy: Send {
-    /// `count` points to try next, in the box's own units, given what was evaluated so far.
+    /// Proposes `count` points to evaluate next, in the box's units.
     ///
     /// # Errors
-    /// Data that make no sense (a point outside the box, a return that is not finite), or that
-    /// cannot be fitted.
+    /// The data is invalid (a point outside the box, a return that is not finite) or cannot be fitted.
     fn propose(&mut self, data: &[Observation], count: usize)
     -> Result<Vec<Vec<f64>>, SearchError>;
 
-    /// The point believed best.
+    /// Recommends the best point.
     ///
     /// # Errors
-    /// As [`Strategy::propose`]; no data.
+    /// The data is empty, or [`Strategy::propose`] would fail on it.
     fn best(&self, data: &[Observation]) -> Result<Best, SearchError>;
 
-    /// The name by which it is chosen.
+    /// The name by which users choose the strategy.
     fn name(&self) -> &'static str;
 }
 
-/// What a strategy holds to be best.
+/// The recommendation of a strategy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Best {
-    /// The point, in the box's own units. It need not have been evaluated.
+    /// Recommended point in the box's units; it need not have been evaluated.
     pub point: Vec<f64>,
-    /// The return expected there.
+    /// Return expected at the point.
     pub expected_return: f64,
-    /// How far that expectation may be off (standard deviation); `None` where nothing is known.
+    /// Standard deviation of that expectation; `None` where it is unknown.
     pub standard_deviation: Option<f64>,
-    /// Which evaluated candidate is believed best, from 0.
+    /// Index of the evaluated candidate with the highest expected return, from 0.
     pub best_evaluated: usize,
-    /// The return expected of that candidate.
+    /// Return expected of that candidate.
     pub best_evaluated_return: f64,
 }
 
-/// The strategies there are.
+/// The available strategies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StrategyKind {
@@ -60,17 +59,17 @@ pub enum StrategyKind {
     /// Covariance matrix adaptation.
     #[serde(rename = "cmaes")]
     CmaEs,
-    /// Uniformly at random.
+    /// Uniform random points.
     Random,
     /// A scrambled Sobol sequence.
     Sobol,
 }
 
 impl StrategyKind {
-    /// All of them.
+    /// Every strategy.
     pub const ALL: [Self; 5] = [Self::BayRn, Self::Cem, Self::CmaEs, Self::Random, Self::Sobol];
 
-    /// The name by which it is chosen.
+    /// The name by which users choose the strategy.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -82,10 +81,10 @@ impl StrategyKind {
         }
     }
 
-    /// Sets the strategy up; `settings` are BayRn's, the others have none.
+    /// Builds the strategy. Only BayRn uses `settings`.
     ///
     /// # Errors
-    /// Settings that make no sense.
+    /// The settings are invalid.
     pub fn build(
         self,
         search_box: &SearchBox,
@@ -136,7 +135,7 @@ mod tests {
         kind.build(&search_box(), &settings, seed).unwrap()
     }
 
-    /// What `strategy` makes of a smooth hump when it proposes `batch` points at a time.
+    /// The data of a search on a smooth hump that proposes `batch` points at a time.
     fn searched(
         mut strategy: Box<dyn Strategy>,
         mut data: Vec<Observation>,

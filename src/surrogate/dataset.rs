@@ -2,16 +2,16 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{SearchBox, SurrogateError};
 
-/// Observations, checked, and scaled to what the priors are made for: inputs on the unit cube,
-/// outputs with mean 0 and (n-1) standard deviation 1.
+/// Checked observations, scaled to the priors' assumptions: inputs on the unit cube, outputs with mean 0
+/// and (n-1) standard deviation 1.
 #[derive(Clone, Debug)]
 pub struct Dataset {
     search_box: SearchBox,
-    /// n x d, on the unit cube; columns are dimensions, so that loops over points are contiguous.
+    /// Inputs on the unit cube, n x d; columns are dimensions, so that loops over points are contiguous.
     pub(super) inputs: DMatrix<f64>,
-    /// n standardised outputs.
+    /// Standardised outputs, n.
     pub(super) targets: DVector<f64>,
-    /// n variances of each point's own noise, standardised; what is common to all comes on top.
+    /// Variance of each point's own noise, standardised, n; the fitted noise variance is added to it.
     pub(super) own_noise: DVector<f64>,
     offset: f64,
     scale: f64,
@@ -20,15 +20,15 @@ pub struct Dataset {
 impl Dataset {
     /// Checks and scales `n` observations.
     ///
-    /// `points`: n x d in the box's own units; `values`: n; `noise_variances`: n variances of the
-    /// noise of each value, in squared units of the values, or `None` where nothing is known of it
-    /// (the fitted noise variance, common to all points, is added in both cases).
+    /// `points`: n x d in the box's units; `values`: n; `noise_variances`: n variances of the noise of each
+    /// value, in squared units of the values, or `None` where they are unknown. The fitted noise variance,
+    /// common to all points, is added in both cases.
     ///
-    /// Outputs that are all the same, or a single one, have no standard deviation: they are
-    /// centred and left at scale 1.
+    /// Outputs that are all equal, or a single output, have no standard deviation: they are centred and
+    /// keep scale 1.
     ///
     /// # Errors
-    /// No data, lists of different length, a point outside the box, a value or variance that is
+    /// There is no data, lists differ in length, a point lies outside the box, or a value or variance is
     /// not finite.
     pub fn new(
         search_box: &SearchBox,
@@ -104,13 +104,13 @@ impl Dataset {
         &self.search_box
     }
 
-    /// What was subtracted from the values, in their units.
+    /// Offset subtracted from the values, in their units.
     #[must_use]
     pub fn offset(&self) -> f64 {
         self.offset
     }
 
-    /// What the values were divided by, in their units.
+    /// Scale by which the values were divided, in their units.
     #[must_use]
     pub fn scale(&self) -> f64 {
         self.scale
@@ -134,7 +134,7 @@ impl Dataset {
         self.offset + self.scale * self.targets.max()
     }
 
-    /// Every `n / size`-th observation, without scaling anew.
+    /// Every `n / size`-th observation, with unchanged scaling.
     pub(super) fn thinned(&self, size: usize) -> Self {
         let chosen: Vec<usize> = (0..size).map(|k| k * self.len() / size).collect();
         Self {
@@ -145,12 +145,12 @@ impl Dataset {
         }
     }
 
-    /// With no noise of the points' own.
+    /// The data set without the points' own noise.
     pub(super) fn without_own_noise(&self) -> Self {
         Self { own_noise: DVector::zeros(self.len()), ..self.clone() }
     }
 
-    /// With one more standardised observation, without scaling anew.
+    /// The data set with one more standardised observation and unchanged scaling.
     pub(super) fn extended(&self, unit: &[f64], target: f64, own_noise: f64) -> Self {
         let n = self.len();
         let mut inputs = self.inputs.clone().insert_row(n, 0.0);
@@ -166,8 +166,7 @@ impl Dataset {
     }
 }
 
-/// Sample mean and (n-1) standard deviation; 1 in place of a deviation that does not exist or is
-/// lost in rounding.
+/// Sample mean and (n-1) standard deviation; 1 in place of a deviation that is undefined or below rounding.
 fn mean_and_scale(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;

@@ -1,12 +1,12 @@
 use thiserror::Error;
 
-/// Why a surrogate cannot be built or asked.
+/// The reason why a surrogate cannot be built or evaluated.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SurrogateError {
-    /// A search box without dimensions.
+    /// The search box has no dimension.
     #[error("the search box has no dimension: give at least one lower and one upper bound")]
     NoDimensions,
-    /// Two lists of bounds that do not match.
+    /// The lists of bounds differ in length.
     #[error(
         "the search box has {lower} lower but {upper} upper bounds: give one of each per dimension"
     )]
@@ -16,59 +16,59 @@ pub enum SurrogateError {
         /// Number of upper bounds.
         upper: usize,
     },
-    /// A bound that is NaN or infinite.
+    /// A bound is NaN or infinite.
     #[error("the bounds of dimension {dimension} are [{lower}, {upper}]: both must be finite")]
     BoundNotFinite {
-        /// Which dimension, from 0.
+        /// Index of the dimension, from 0.
         dimension: usize,
         /// Its lower bound.
         lower: f64,
         /// Its upper bound.
         upper: f64,
     },
-    /// An empty or inverted interval.
+    /// An interval is empty or inverted.
     #[error(
         "dimension {dimension} has lower bound {lower} >= upper bound {upper}: the lower must be smaller"
     )]
     LowerNotBelowUpper {
-        /// Which dimension, from 0.
+        /// Index of the dimension, from 0.
         dimension: usize,
         /// Its lower bound.
         lower: f64,
         /// Its upper bound.
         upper: f64,
     },
-    /// No observation at all.
+    /// There is no observation.
     #[error("there is no observation to fit the surrogate to: evaluate at least one point first")]
     NoData,
-    /// Lists that should be equally long are not.
+    /// Lists differ in length.
     #[error("{points} points but {values} {what}: give one per point")]
     LengthsDiffer {
         /// Number of points.
         points: usize,
-        /// Number of the others.
+        /// Length of the other list.
         values: usize,
-        /// What the others are.
+        /// Name of the other list.
         what: &'static str,
     },
-    /// A point with too few or too many coordinates.
+    /// A point has too few or too many coordinates.
     #[error("point {index} has {got} coordinates but the search box has {expected} dimensions")]
     WrongDimension {
-        /// Which point, from 0.
+        /// Index of the point, from 0.
         index: usize,
         /// Dimensions of the box.
         expected: usize,
         /// Coordinates of the point.
         got: usize,
     },
-    /// A point that is NaN or not inside its box.
+    /// A point is NaN or outside its box.
     #[error(
         "point {index} lies outside the search box: coordinate {dimension} is {value}, allowed is [{lower}, {upper}]"
     )]
     OutsideBox {
-        /// Which point, from 0.
+        /// Index of the point, from 0.
         index: usize,
-        /// Which coordinate, from 0.
+        /// Index of the coordinate, from 0.
         dimension: usize,
         /// Its value.
         value: f64,
@@ -77,28 +77,28 @@ pub enum SurrogateError {
         /// The upper bound there.
         upper: f64,
     },
-    /// An observed value that is NaN or infinite.
+    /// An observed value is NaN or infinite.
     #[error(
         "the value observed at point {index} is {value}: leave that observation out or repeat it"
     )]
     ValueNotFinite {
-        /// Which point, from 0.
+        /// Index of the point, from 0.
         index: usize,
         /// The value.
         value: f64,
     },
-    /// A noise variance that is none.
+    /// A noise variance is negative or not finite.
     #[error("the noise variance of point {index} is {value}: it must be finite and not negative")]
     BadNoise {
-        /// Which point, from 0.
+        /// Index of the point, from 0.
         index: usize,
         /// The value.
         value: f64,
     },
-    /// Hyperparameters of another dimension, or not positive.
+    /// Hyperparameters have another dimension or are not positive.
     #[error("bad hyperparameters: {reason}")]
     BadHyperparameters {
-        /// What is wrong with them.
+        /// Reason why they are refused.
         reason: String,
     },
     /// The covariance matrix cannot be factored even with jitter.

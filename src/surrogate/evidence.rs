@@ -38,8 +38,8 @@ pub fn log_marginal_likelihood(
     Ok(covariance.evidence(data, hyperparameters, &factor, hyperparameters.mean))
 }
 
-/// The same with the mean at its best for the other hyperparameters (generalised least squares:
-/// `m = 1^T K^-1 y / 1^T K^-1 1`), which is returned too.
+/// Maximises the likelihood over the mean for the other hyperparameters (generalised least squares: `m =
+/// 1^T K^-1 y / 1^T K^-1 1`) and returns that mean too.
 pub(super) fn profiled_over_mean(
     data: &Dataset,
     kernel: Kernel,
@@ -56,7 +56,7 @@ fn best_mean(factor: &Factor, data: &Dataset) -> f64 {
     ones.dot(&factor.whiten(data.targets.as_slice())) / ones.norm_squared()
 }
 
-/// `K` of the data, with what its derivatives need.
+/// The covariance matrix `K` of the data, with the terms of its derivatives.
 pub(super) struct Covariance {
     /// Lower triangle of `K`, noise included.
     matrix: DMatrix<f64>,
@@ -116,7 +116,7 @@ impl Covariance {
         let fit = residuals.dot(&weights);
         let value = -0.5 * (fit + factor.log_determinant() + n as f64 * (2.0 * PI).ln());
 
-        // (a a^T - K^-1), the lower triangle in place of the inverse
+        // The lower triangle of (a a^T - K^-1) overwrites the inverse.
         let mut pull = factor.inverse();
         for j in 0..n {
             let a = weights[j];
@@ -154,7 +154,7 @@ impl Covariance {
             value,
             d_mean: weights.sum(),
             d_log_lengthscales,
-            // tr((a a^T - K^-1) K) is known in closed form; only the noise is taken out of it
+            // tr((a a^T - K^-1) K) has a closed form; the noise is subtracted from it.
             d_log_signal_variance: 0.5 * (fit - n as f64 - noise_part),
             d_log_noise_variance: 0.5 * hyperparameters.noise_variance * d_noise,
         }

@@ -1,33 +1,33 @@
 use nalgebra::{DMatrix, DMatrixViewMut, DVector};
 
-/// `K = L L^T` together with `L^-1`: after it, every solve is a product.
+/// The Cholesky factorisation `K = L L^T` together with `L^-1`, with which every solve is a product.
 ///
-/// Recursive by halves, so that nearly all work is in large matrix products, which run several
-/// times faster than column-wise elimination; leaves are done column by column.
+/// It recurses by halves, so that nearly all work is in large matrix products, which run several times
+/// faster than column-wise elimination; leaves are eliminated column by column.
 #[derive(Clone, Debug)]
 pub(super) struct Factor {
     /// `L^-1`, n x n, lower triangular; zeros above.
     inverse: DMatrix<f64>,
     /// `log |K|`.
     log_determinant: f64,
-    /// What was added to the diagonal.
+    /// Jitter added to the diagonal.
     jitter: f64,
 }
 
 /// Size up to which a block is eliminated column by column.
 const LEAF: usize = 32;
-/// Rows of the inverse that are multiplied out at once.
+/// Number of rows of the inverse that are multiplied at once.
 const BLOCK: usize = 64;
-/// What is added to the diagonal, in this order, until the factorisation succeeds.
+/// Jitters that are tried in this order until the factorisation succeeds, as fractions of the scale.
 const JITTERS: [f64; 5] = [0.0, 1e-10, 1e-8, 1e-6, 1e-4];
 
-/// Size of the largest jitter, as a fraction of the scale.
+/// Largest jitter, as a fraction of the scale.
 pub(super) const LARGEST_JITTER: f64 = JITTERS[JITTERS.len() - 1];
 
 impl Factor {
-    /// Factors a symmetric matrix of which the lower triangle is given. A matrix that is not
-    /// positive definite gets up to [`LARGEST_JITTER`] times `scale` on its diagonal; `None` when
-    /// that does not help.
+    /// Factors a symmetric matrix given by its lower triangle. A matrix that is not positive definite gets
+    /// up to [`LARGEST_JITTER`] times `scale` on its diagonal; the result is `None` when that is not
+    /// enough.
     pub(super) fn new(matrix: &DMatrix<f64>, scale: f64) -> Option<Self> {
         JITTERS.iter().find_map(|jitter| Self::with_jitter(matrix, jitter * scale))
     }
@@ -82,7 +82,7 @@ impl Factor {
         self.whiten_transposed(self.whiten(v).as_slice())
     }
 
-    /// The lower triangle of `K^-1 = L^-T L^-1`; what is above it is not meant to be read.
+    /// The lower triangle of `K^-1 = L^-T L^-1`; entries above it are undefined.
     pub(super) fn inverse(&self) -> DMatrix<f64> {
         let n = self.inverse.nrows();
         let mut out = DMatrix::zeros(n, n);
@@ -142,7 +142,7 @@ fn factor_leaf(a: &mut DMatrixViewMut<f64>, inverse: &mut DMatrixViewMut<f64>) -
     for j in 0..n {
         let (column, later) = l[j * n..].split_at_mut(n);
         let pivot = column[j];
-        // a pivot that is NaN must fail too
+        // The comparison also rejects a pivot that is NaN.
         if !(pivot > 0.0 && pivot.is_finite()) {
             return false;
         }
@@ -176,7 +176,7 @@ fn factor_leaf(a: &mut DMatrixViewMut<f64>, inverse: &mut DMatrixViewMut<f64>) -
     true
 }
 
-/// Sum of products in eight lanes, which the compiler can keep in vector registers.
+/// Sums products in eight lanes, which the compiler can keep in vector registers.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a_chunks, b_chunks) = (a.chunks_exact(8), b.chunks_exact(8));
     let rest: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(a, b)| a * b).sum();

@@ -10,14 +10,14 @@ use super::{Dataset, Hyperparameters, Kernel, PriorSet, SurrogateError, log_marg
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MeanFunction {
-    /// 0 on standardised outputs: the sample mean.
+    /// Zero on standardised outputs: the sample mean.
     #[default]
     Zero,
-    /// A constant, fitted with the other hyperparameters; without prior.
+    /// A constant without prior, fitted with the other hyperparameters.
     Constant,
 }
 
-/// What form a surrogate has and how its hyperparameters are sought.
+/// The form of a surrogate and the search for its hyperparameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FitSettings {
@@ -27,7 +27,7 @@ pub struct FitSettings {
     pub mean: MeanFunction,
     /// Priors of the hyperparameters.
     pub priors: PriorSet,
-    /// Starts of the optimiser: the first at a fixed place, the others at random.
+    /// Number of starts of the optimiser: the first at a fixed place, the others random.
     pub starts: usize,
     /// Seed of the random starts.
     pub seed: u64,
@@ -45,23 +45,23 @@ impl Default for FitSettings {
     }
 }
 
-/// The maximum a posteriori hyperparameters and what they reach.
+/// The maximum a posteriori hyperparameters and their objective.
 #[derive(Clone, Debug)]
 pub struct Fit {
     /// The hyperparameters.
     pub hyperparameters: Hyperparameters,
-    /// Log marginal likelihood + sum of log priors there, in nats.
+    /// Log marginal likelihood plus log priors at the maximum, in nats.
     pub objective: f64,
 }
 
-/// Points up to which every start sees all data. Beyond, the starts compete on a thinned set of
-/// this size, and only the best one is polished on all: a start costs O(n^3) per step.
+/// Largest number of points with which every start uses all data. With more, the starts compete on a
+/// thinned set of this size, and only the best one is refined on all, because a start costs O(n^3) a step.
 const WHOLE: usize = 100;
 
-/// Maximises log marginal likelihood + log priors by L-BFGS on the logarithms, several starts.
+/// Maximises log marginal likelihood + log priors by L-BFGS on the logarithms, from several starts.
 ///
 /// # Errors
-/// The covariance cannot be factored wherever the optimiser starts.
+/// The covariance cannot be factored at any start.
 pub fn fit(data: &Dataset, settings: &FitSettings) -> Result<Fit, SurrogateError> {
     let search = Search { kernel: settings.kernel, mean: settings.mean, priors: settings.priors };
     let starts = search.starts(data.dimensions(), settings);
@@ -72,7 +72,7 @@ pub fn fit(data: &Dataset, settings: &FitSettings) -> Result<Fit, SurrogateError
     let arena = thinned.as_ref().unwrap_or(data);
     let mut minima: Vec<Minimum> =
         starts.iter().map(|start| search.minimise(arena, start, coarse)).collect();
-    // the earlier start wins a tie, so that the result does not depend on rounding more than it must
+    // The earlier start wins a tie, so that rounding affects the result as little as possible.
     minima.sort_by(|a, b| a.value.total_cmp(&b.value));
     let winner = &minima[0];
     let polished = search.minimise(data, &winner.point, fine);
@@ -101,7 +101,7 @@ impl Search {
     fn starts(&self, dimensions: usize, settings: &FitSettings) -> Vec<Vec<f64>> {
         let mut random = ChaCha8Rng::seed_from_u64(settings.seed);
         let signal_is_free = self.priors.signal_variance().is_some();
-        // the mode or median of the lengthscales' prior, and a tenth of noise
+        // The mode or median of the lengthscales' prior, and a noise variance of a tenth.
         let usual = match self.priors {
             PriorSet::Gamma => 0.5,
             PriorSet::Lognormal => (dimensions as f64).sqrt(),
@@ -151,7 +151,7 @@ impl Search {
         let Ok(evidence) = evidence else {
             return f64::NAN;
         };
-        // one entry per hyperparameter: slope of the evidence, log density of the prior and its slope
+        // One entry a hyperparameter: slope of the evidence, log density of the prior and its slope.
         let lengthscale = self.priors.lengthscale(d);
         let mut parts: Vec<(f64, (f64, f64))> = evidence
             .d_log_lengthscales
@@ -199,7 +199,7 @@ mod tests {
     use super::*;
     use crate::surrogate::SearchBox;
 
-    /// A wave along the first coordinate only.
+    /// A wave along the first coordinate alone.
     fn wave(n: usize) -> Dataset {
         let points: Vec<Vec<f64>> = (0..n)
             .map(|i| (0..2).map(|d| crate::surrogate::sobol_point(i, 2, 5)[d]).collect())

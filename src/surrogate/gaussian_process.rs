@@ -4,10 +4,10 @@ use super::evidence::{Covariance, scaled_inputs};
 use super::factor::{Factor, dot};
 use super::{Dataset, FitSettings, Hyperparameters, Kernel, PriorSet, SurrogateError, fit};
 
-/// A Gaussian process conditioned on data: what is believed of the function after seeing them.
+/// A Gaussian process conditioned on data: the posterior over the function.
 ///
-/// Points and values are in the data set's own units here; the unit cube and the standardised
-/// outputs stay inside.
+/// Points and values are in the data set's own units; the unit cube and the standardised outputs are
+/// internal.
 #[derive(Clone, Debug)]
 pub struct GaussianProcess {
     data: Dataset,
@@ -20,12 +20,12 @@ pub struct GaussianProcess {
     scaled: DMatrix<f64>,
 }
 
-/// Mean and variance of the function at one point, noise not included.
+/// Posterior mean and variance of the function at one point, without observation noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Posterior {
-    /// In the values' units.
+    /// Mean in the values' units.
     pub mean: f64,
-    /// In the values' units, squared. Never below the arithmetic's resolution.
+    /// Variance in the values' units, squared; never below the arithmetic's resolution.
     pub variance: f64,
 }
 
@@ -48,14 +48,14 @@ pub struct PosteriorSlope {
     pub d_variance: Vec<f64>,
 }
 
-/// Variance below which rounding rules, as a fraction of the signal variance.
+/// Variance below which rounding dominates, as a fraction of the signal variance.
 const RESOLUTION: f64 = 1e-14;
 
-/// Noise variance that stands for none, as a fraction of the signal variance: enough for the
-/// covariance of points close together to be factored.
+/// Noise variance used for noise-free data, as a fraction of the signal variance: large enough to factor
+/// the covariance of points close together.
 const NOISELESS: f64 = 1e-6;
 
-/// Covariances of one point with the data, and what its gradient is made of.
+/// Covariances of one point with the data, and the terms of their gradient.
 pub(super) struct Cross {
     /// The point divided by the lengthscales, d.
     scaled_point: Vec<f64>,
@@ -69,7 +69,7 @@ impl GaussianProcess {
     /// Conditions on data at given hyperparameters. Costs O(n^3).
     ///
     /// # Errors
-    /// Bad hyperparameters; a covariance that cannot be factored.
+    /// The hyperparameters are invalid, or the covariance cannot be factored.
     pub fn new(
         data: Dataset,
         kernel: Kernel,
@@ -92,11 +92,11 @@ impl GaussianProcess {
         Self::new(data, settings.kernel, found.hyperparameters)
     }
 
-    /// The same process after pretending to have seen `value` at `point` (own units) almost
-    /// without noise. Hyperparameters and scaling stay. Costs O(n^3).
+    /// Conditions on a fantasy observation: `value` at `point` (own units), almost without noise.
+    /// Hyperparameters and scaling stay. Costs O(n^3).
     ///
     /// # Errors
-    /// A point outside the box, a value that is not finite, a covariance that cannot be factored.
+    /// The point lies outside the box, the value is not finite, or the covariance cannot be factored.
     pub fn believing(&self, point: &[f64], value: f64) -> Result<Self, SurrogateError> {
         let search_box = self.data.search_box();
         search_box.check(self.data.len(), point)?;
@@ -105,7 +105,7 @@ impl GaussianProcess {
         }
         let unit = search_box.to_unit(point);
         let target = (value - self.data.offset()) / self.data.scale();
-        // the shared noise is added to every point; a negative own part takes it away here
+        // The shared noise is added to every point; a negative own part cancels it here.
         let own_noise = PriorSet::LEAST_NOISE_VARIANCE - self.hyperparameters.noise_variance;
         let data = self.data.extended(&unit, target, own_noise.min(0.0));
         Self::new(data, self.kernel, self.hyperparameters.clone())
@@ -240,8 +240,8 @@ impl GaussianProcess {
         self.data.targets.add_scalar(-self.hyperparameters.mean)
     }
 
-    /// The standardised variance that is left when so much of it is explained, and whether it is
-    /// only rounding.
+    /// The standardised variance that remains after `explained` is subtracted, and whether it is only
+    /// rounding.
     pub(super) fn variance_left(&self, explained: f64) -> (f64, bool) {
         let signal = self.hyperparameters.signal_variance;
         let least = signal * RESOLUTION;

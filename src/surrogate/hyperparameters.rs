@@ -2,8 +2,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{PriorSet, SurrogateError};
 
-/// The numbers that a Gaussian process is made of, for inputs on the unit cube and standardised
-/// outputs.
+/// The hyperparameters of a Gaussian process, for inputs on the unit cube and standardised outputs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hyperparameters {
     /// The constant prior mean.
@@ -12,15 +11,15 @@ pub struct Hyperparameters {
     pub lengthscales: Vec<f64>,
     /// The signal's variance (not its square root).
     pub signal_variance: f64,
-    /// Variance of the noise that all observations share; each one's own comes on top.
+    /// Variance of the noise that all observations share; each one's own is added to it.
     pub noise_variance: f64,
 }
 
 impl Hyperparameters {
-    /// Checks that there are `dimensions` positive lengthscales and the variances are possible.
+    /// Checks that there are `dimensions` positive lengthscales and that the variances are valid.
     ///
     /// # Errors
-    /// What is wrong, named.
+    /// Names the first invalid value.
     pub fn check(&self, dimensions: usize) -> Result<(), SurrogateError> {
         let bad = |reason: String| Err(SurrogateError::BadHyperparameters { reason });
         if self.lengthscales.len() != dimensions {

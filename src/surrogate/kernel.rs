@@ -8,17 +8,16 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kernel {
-    /// `(1 + s + s^2/3) exp(-s)` with `s = sqrt(5) r`: functions that can be derived twice.
+    /// `(1 + s + s^2/3) exp(-s)` with `s = sqrt(5) r`: twice differentiable functions.
     #[default]
     Matern52,
-    /// `exp(-r^2/2)`: functions that can be derived without end.
+    /// `exp(-r^2/2)`: infinitely differentiable functions.
     SquaredExponential,
 }
 
 impl Kernel {
-    /// The correlation at a squared scaled distance, and its slope `-2 d/d(r^2)` there, which is
-    /// what all gradients are made of:
-    /// `dk/dl_d = slope * delta_d^2 / l_d^3` and `dk/dx_d = -slope * delta_d / l_d^2`.
+    /// The correlation at a squared scaled distance and its slope `-2 d/d(r^2)`, from which all gradients
+    /// follow: `dk/dl_d = slope * delta_d^2 / l_d^3` and `dk/dx_d = -slope * delta_d / l_d^2`.
     #[inline]
     #[must_use]
     pub fn correlation_and_slope(self, squared_distance: f64) -> (f64, f64) {

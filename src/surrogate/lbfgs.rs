@@ -1,33 +1,33 @@
-/// When [`minimise`] stops.
+/// Stopping criteria of [`minimise`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tolerances {
     /// Largest entry of the projected gradient.
     pub gradient: f64,
     /// Decrease per iteration, relative to `1 + |value|`, twice in a row.
     pub decrease: f64,
-    /// Iterations.
+    /// Largest number of iterations.
     pub iterations: usize,
 }
 
-/// Where [`minimise`] ended.
+/// The result of [`minimise`].
 #[derive(Clone, Debug)]
 pub(super) struct Minimum {
     pub point: Vec<f64>,
     pub value: f64,
 }
 
-/// Pairs of steps and gradient changes that are remembered.
+/// Number of pairs of steps and gradient changes that are kept.
 const MEMORY: usize = 12;
-/// Armijo's fraction of the decrease that the gradient promises.
+/// Armijo's fraction of the decrease that the gradient predicts.
 const SUFFICIENT: f64 = 1e-4;
 
 /// Minimises a smooth function over a box by projected L-BFGS.
 ///
-/// Each iteration fixes the coordinates that sit on a bound and want out, takes the quasi-Newton
-/// step in the others (two-loop recursion, Nocedal and Wright 2006, algorithm 7.4), projects it
-/// onto the box and shortens it until Armijo's condition holds along the projected path (Bertsekas
-/// 1982). `function` writes the gradient and returns the value; a value that is not finite counts
-/// as a step too far.
+/// Each iteration fixes the coordinates at a bound whose descent direction points outwards, takes the
+/// quasi-Newton step in the others (two-loop recursion, Nocedal and Wright 2006, algorithm 7.4), projects
+/// it onto the box and shortens it until Armijo's condition holds along the projected path (Bertsekas
+/// 1982). `function` writes the gradient and returns the value; a value that is not finite counts as a step
+/// that is too long.
 pub(super) fn minimise(
     mut function: impl FnMut(&[f64], &mut [f64]) -> f64,
     start: &[f64],
@@ -61,7 +61,7 @@ pub(super) fn minimise(
             memory.clear();
             direction = quasi_newton_direction(&gradient, &free, &memory);
         }
-        // without curvature the length of the step is a guess: about a tenth of the unit scale
+        // Without curvature the step length is a guess: about a tenth of the unit scale.
         let mut step = if memory.is_empty() { (0.1 / steepest).min(1.0) } else { 1.0 };
 
         let mut accepted = None;
@@ -75,7 +75,7 @@ pub(super) fn minimise(
                 accepted = Some((trial, trial_value));
                 break;
             }
-            // the minimum of the parabola through what is known, within [0.1, 0.5] of the step
+            // The minimum of the parabola through the known values, within [0.1, 0.5] of the step.
             let curvature = trial_value - value - promised;
             let shrink = if curvature > 0.0 { -0.5 * promised / curvature } else { 0.5 };
             step *= if shrink.is_finite() { shrink.clamp(0.1, 0.5) } else { 0.1 };
@@ -133,7 +133,7 @@ fn quasi_newton_direction(gradient: &[f64], free: &[bool], memory: &[Pair]) -> V
         gradient.iter().zip(free).map(|(g, f)| if *f { *g } else { 0.0 }).collect();
     let mut kept = Vec::with_capacity(memory.len());
     for pair in memory.iter().rev() {
-        // a pair may lose its positive curvature when coordinates are fixed
+        // A pair may lose its positive curvature when coordinates are fixed.
         let curvature = masked_dot(&pair.step, &pair.change, free);
         let square = masked_dot(&pair.change, &pair.change, free);
         if curvature <= 1e-12 * square || square == 0.0 {
@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn stops_at_the_bounds() {
-        // with x <= 0.5 everywhere the gradient must push outwards at the bound
+        // With x <= 0.5 everywhere the gradient must push outwards at the bound.
         let minimum = minimise(rosenbrock, &[-1.2, 0.4], &[-2.0; 2], &[0.5, 2.0], TIGHT);
         assert_eq!(minimum.point[0], 0.5);
         assert!((minimum.point[1] - 0.25).abs() < 1e-8);

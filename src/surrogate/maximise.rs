@@ -4,12 +4,12 @@ use rand_chacha::ChaCha8Rng;
 use super::lbfgs::{Tolerances, minimise};
 use super::{Acquisition, SearchBox};
 
-/// How hard a maximum is sought.
+/// The effort of a maximisation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MaximiserSettings {
-    /// Quasi-random points at which the value alone is looked at.
+    /// Number of quasi-random points at which only the value is computed.
     pub raw: usize,
-    /// The best of these from which the gradient is followed.
+    /// Number of the best of these points from which the gradient is followed.
     pub starts: usize,
     /// Seed of the random points.
     pub seed: u64,
@@ -21,12 +21,12 @@ impl Default for MaximiserSettings {
     }
 }
 
-/// A maximum over a box.
+/// A maximum over a box and its position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Maximum {
-    /// Where, in the box's own units.
+    /// Position in the box's own units.
     pub point: Vec<f64>,
-    /// The value there.
+    /// Value at that position.
     pub value: f64,
 }
 
@@ -34,7 +34,7 @@ pub struct Maximum {
 const CLOUDS: [f64; 3] = [0.2, 0.05, 0.01];
 /// Points in each cloud.
 const CLOUD_POINTS: usize = 8;
-/// Starts are at least this far apart in some coordinate of the unit cube while others are left.
+/// Smallest distance between starts in some coordinate of the unit cube, while enough points remain.
 const APART: f64 = 0.03;
 
 /// Maximises an acquisition over the box: Owen-scrambled Sobol points and clouds around the
@@ -101,15 +101,15 @@ fn raw_points(
     points
 }
 
-/// The `index`-th point of an Owen-scrambled Sobol sequence on the unit cube (Burley 2020). There
-/// are 65536 of them; beyond, the scrambling changes.
+/// The `index`-th point of an Owen-scrambled Sobol sequence on the unit cube (Burley 2020). The sequence
+/// has 65,536 points; beyond them the scrambling changes.
 #[must_use]
 pub fn sobol_point(index: usize, dimensions: usize, seed: u32) -> Vec<f64> {
     let (round, index) = (index >> 16, index & 0xffff);
     let seed = seed.wrapping_add((round as u32).wrapping_mul(0x9e37_79b9));
     (0..dimensions)
         .map(|d| {
-            // the crate's direction numbers end at 256 dimensions
+            // The crate's direction numbers end at 256 dimensions.
             let (block, d) =
                 (d as u32 / sobol_burley::NUM_DIMENSIONS, d as u32 % sobol_burley::NUM_DIMENSIONS);
             f64::from(sobol_burley::sample(index as u32, d, seed.wrapping_add(block)))
@@ -117,7 +117,8 @@ pub fn sobol_point(index: usize, dimensions: usize, seed: u32) -> Vec<f64> {
         .collect()
 }
 
-/// The first `count` of a sorted list that keep apart, filled up with the first of the others.
+/// Chooses the first `count` points of a sorted list that keep their distance, filled up with the first of
+/// the others.
 fn spread_out(sorted: &[(f64, Vec<f64>)], count: usize) -> Vec<&[f64]> {
     let mut chosen: Vec<&[f64]> = Vec::with_capacity(count);
     let mut left = Vec::new();
@@ -141,7 +142,7 @@ fn spread_out(sorted: &[(f64, Vec<f64>)], count: usize) -> Vec<&[f64]> {
 mod tests {
     use super::*;
 
-    /// Many humps; the highest at (0.2, 3.0), one unit above the others.
+    /// A function with many humps; the highest, at (0.2, 3.0), is one unit above the others.
     struct Humps;
 
     impl Acquisition for Humps {
@@ -179,7 +180,7 @@ mod tests {
         }
     }
 
-    /// Rises towards a corner, and is nowhere finite beyond it.
+    /// A function that rises towards a corner and is not finite beyond it.
     struct Corner;
 
     impl Acquisition for Corner {

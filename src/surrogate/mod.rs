@@ -1,14 +1,25 @@
-//! Gaussian-process regression and acquisition functions: what is known of an expensive function,
-//! and where to look next.
+//! Gaussian-process regression and acquisition functions: a model of an expensive function, and the choice
+//! of the next point to evaluate.
 //!
-//! Knows vectors of `f64` and nothing of Qubes; imports no other room, and would serve as a crate
-//! of its own. The way through it: a [`SearchBox`] and observations make a [`Dataset`] (checked and
-//! scaled), [`GaussianProcess::fit`] finds the hyperparameters (maximum a posteriori) and
-//! conditions on the data, an [`Acquisition`] scores points, [`maximise`] finds the best one.
+//! The room knows vectors of `f64` and nothing of Qubes; it imports no other room and would serve as a
+//! crate of its own. A [`SearchBox`] and observations make a [`Dataset`] (checked and scaled),
+//! [`GaussianProcess::fit`] finds the hyperparameters (maximum a posteriori) and conditions on the data, an
+//! [`Acquisition`] scores points, and [`maximise`] finds the best one.
 //!
-//! What it costs: with n observations in d dimensions, one evaluation of the likelihood O(n^3),
-//! of a posterior O(n^2). The same call gives the same bytes on the same machine; another
-//! processor may round its matrix products differently in the last bits.
+//! ```
+//! use qube_hil::surrogate::{Dataset, FitSettings, GaussianProcess, SearchBox};
+//!
+//! let search_box = SearchBox::unit(1)?;
+//! let points = [vec![0.1], vec![0.5], vec![0.9]];
+//! let data = Dataset::new(&search_box, &points, &[0.0, 1.0, 0.0], None)?;
+//! let process = GaussianProcess::fit(data, &FitSettings::default())?;
+//! assert!(process.mean(&[0.5]) > process.mean(&[0.1]));
+//! # Ok::<(), qube_hil::surrogate::SurrogateError>(())
+//! ```
+//!
+//! With n observations, one evaluation of the likelihood costs O(n^3), of a posterior O(n^2). The same call
+//! gives the same bytes on the same machine; another processor may round its matrix products differently in
+//! the last bits.
 
 mod acquisition;
 mod dataset;

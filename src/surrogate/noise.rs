@@ -1,18 +1,16 @@
-/// Degrees of freedom that the pooled variance is worth against a point's own sample variance.
+/// Weight of the pooled variance against a point's own sample variance, in degrees of freedom.
 const PRIOR_DEGREES: f64 = 12.0;
 
-/// Variance of the noise of each point's mean, from the spread of its repeated values.
+/// Estimates the noise variance of each point's mean from the spread of its repeated values.
 ///
-/// A variance out of two or five values is itself mostly noise: among returns that are either 50
-/// or 500, five equal ones are common and would claim certainty. Each sample variance is therefore
-/// drawn towards the pooled one, as in a scaled inverse chi-squared prior (moderated variances,
-/// Smyth 2004): `s~_i^2 = (12 s_0^2 + (k_i - 1) s_i^2) / (12 + k_i - 1)` with the pooled
-/// `s_0^2 = sum (k_i - 1) s_i^2 / sum (k_i - 1)`; the mean of `k_i` values then has variance
-/// `s~_i^2 / k_i`.
+/// A variance of two or five values is itself mostly noise: among returns that are either 50 or 500, five
+/// equal ones are common and would suggest certainty. Each sample variance is therefore shrunk towards the
+/// pooled one, as under a scaled inverse chi-squared prior (moderated variances, Smyth 2004): `s~_i^2 = (12
+/// s_0^2 + (k_i - 1) s_i^2) / (12 + k_i - 1)` with the pooled `s_0^2 = sum (k_i - 1) s_i^2 / sum (k_i -
+/// 1)`; the mean of `k_i` values then has variance `s~_i^2 / k_i`.
 ///
-/// `None` where no point has two values: nothing is known of the spread then. What is common to
-/// all values of a point (such as one policy's seed) cannot show in its spread; that is what the
-/// fitted noise variance of the surrogate is for.
+/// Returns `None` where no point has two values. An error that all values of a point share (such as one
+/// policy's seed) does not show in their spread; the fitted noise variance of the surrogate covers it.
 #[must_use]
 pub fn noise_of_means(groups: &[&[f64]]) -> Option<Vec<f64>> {
     let degrees = |group: &[f64]| group.len().saturating_sub(1) as f64;

@@ -1,36 +1,36 @@
-//! The standard normal distribution, right far out in its tail.
+//! The standard normal distribution, accurate far into its tail.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// Density.
+/// The density.
 #[must_use]
 pub fn density(z: f64) -> f64 {
     log_density(z).exp()
 }
 
-/// One draw (Box and Muller 1958), by `libm`'s functions: the same bits on every platform.
+/// Draws one number (Box and Muller 1958) with `libm`'s functions: the same bits on every platform.
 pub fn draw(random: &mut ChaCha8Rng) -> f64 {
-    // (0, 1], so that the logarithm is finite
+    // The argument lies in (0, 1], so that the logarithm is finite.
     let radius = (-2.0 * libm::log(1.0 - random.random::<f64>())).sqrt();
     radius * libm::cos(2.0 * PI * random.random::<f64>())
 }
 
-/// Logarithm of the density.
+/// The logarithm of the density.
 #[must_use]
 pub fn log_density(z: f64) -> f64 {
     -0.5 * (z * z + (2.0 * PI).ln())
 }
 
-/// Distribution function.
+/// The distribution function.
 #[must_use]
 pub fn distribution(z: f64) -> f64 {
     0.5 * libm::erfc(-z * FRAC_1_SQRT_2)
 }
 
-/// Logarithm of the distribution function.
+/// The logarithm of the distribution function.
 #[must_use]
 pub fn log_distribution(z: f64) -> f64 {
     if z > -1.0 { distribution(z).ln() } else { log_density(z) + tail(z).mills.ln() }
@@ -54,8 +54,8 @@ pub(super) struct Tail {
     pub improvement: f64,
 }
 
-/// For z <= -1. The difference `1 - |z| mills` in `h` loses about `z^2` units in the last place;
-/// from |z| = 14 on it is taken from the asymptotic series instead (Abramowitz and Stegun 1964,
+/// Computes the tail for z <= -1. The difference `1 - |z| mills` in `h` loses about `z^2` units in the last
+/// place; from |z| = 14 on it comes from the asymptotic series instead (Abramowitz and Stegun 1964,
 /// 26.2.12), whose smallest term is then far below rounding.
 pub(super) fn tail(z: f64) -> Tail {
     let distance = -z;
@@ -80,7 +80,7 @@ fn scaled_complementary_error(x: f64) -> f64 {
     }
 }
 
-/// `first - first r(1) + first r(1) r(2) - ...`, until a term no longer matters.
+/// Sums `first - first r(1) + first r(1) r(2) - ...` until a term is negligible.
 fn alternating_series(first: f64, ratio: impl Fn(f64) -> f64) -> f64 {
     let (mut sum, mut term) = (first, first);
     for k in 1..40 {
@@ -136,7 +136,7 @@ mod tests {
             close(log_improvement(z), improvement);
             close(log_distribution(z), probability);
         }
-        // and beyond, where the density itself is zero in double precision
+        // Beyond these values the density itself is zero in double precision.
         assert!((log_improvement(-1e6) - (log_density(-1e6) - 2.0 * 1e6_f64.ln())).abs() < 1e-3);
     }
 }

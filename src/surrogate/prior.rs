@@ -13,7 +13,7 @@ pub enum Prior {
         /// Rate (inverse scale), > 0.
         rate: f64,
     },
-    /// The logarithm is normal with this mean and standard deviation.
+    /// Log-normal: the logarithm is normal with this mean and standard deviation.
     LogNormal {
         /// Mean of the logarithm.
         mu: f64,
@@ -25,8 +25,8 @@ pub enum Prior {
 impl Prior {
     /// Log density at `value` > 0, and its derivative with respect to `ln value`.
     ///
-    /// The density is that of the value itself, without a Jacobian term: the mode of the posterior
-    /// does not depend on the scale on which the optimiser walks.
+    /// The density is that of the value itself, without a Jacobian term, so that the posterior mode does
+    /// not depend on the optimiser's scale.
     #[must_use]
     pub fn log_density(self, value: f64) -> (f64, f64) {
         let log_value = value.ln();
@@ -43,17 +43,16 @@ impl Prior {
     }
 }
 
-/// The two sets of priors that BoTorch has used; all for inputs on the unit cube and
-/// standardised outputs.
+/// The two sets of priors that BoTorch has used, for inputs on the unit cube and standardised outputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PriorSet {
-    /// As at the thesis's time (BoTorch 0.1): lengthscales Gamma(3, 6), signal variance
-    /// Gamma(2, 0.15), noise variance Gamma(1.1, 0.05).
+    /// BoTorch 0.1, as at the thesis's time: lengthscales Gamma(3, 6), signal variance Gamma(2, 0.15),
+    /// noise variance Gamma(1.1, 0.05).
     #[default]
     Gamma,
-    /// As since BoTorch 0.12 (Hvarfner et al. 2024): lengthscales log-normal and growing with the
-    /// root of the dimension, signal variance fixed at 1, noise variance LogNormal(-4, 1).
+    /// BoTorch 0.12 and later (Hvarfner et al. 2024): lengthscales log-normal and growing with the root of
+    /// the dimension, signal variance fixed at 1, noise variance LogNormal(-4, 1).
     Lognormal,
 }
 
@@ -91,8 +90,8 @@ impl PriorSet {
         }
     }
 
-    /// The range in which lengthscales are searched. BoTorch has no upper bound, and for `gamma`
-    /// no lower one; these only keep the arithmetic finite.
+    /// The range in which lengthscales are fitted. BoTorch has no upper bound, and for `gamma` no lower
+    /// one; these bounds only keep the arithmetic finite.
     #[must_use]
     pub fn lengthscale_range(self) -> (f64, f64) {
         match self {
@@ -113,7 +112,7 @@ mod tests {
             Prior::Gamma { shape: 1.1, rate: 0.05 },
             Prior::LogNormal { mu: -4.0, sigma: 1.0 },
         ] {
-            // the integral over ln v, by the trapezoidal rule
+            // The integral over ln v, by the trapezoidal rule.
             let h = 0.01;
             let mass: f64 = (-3000..1500)
                 .map(|k| {

@@ -2,7 +2,7 @@ use serde::{Deserialize, Serialize};
 
 use super::SurrogateError;
 
-/// A box of finite, non-empty intervals; the space that is searched.
+/// A box of finite, non-empty intervals: the search space.
 ///
 /// Points are `d` coordinates in the box's own units; the surrogate works on the unit cube.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -12,7 +12,7 @@ pub struct SearchBox {
     upper: Vec<f64>,
 }
 
-/// The box as written in a file; becomes a [`SearchBox`] only when it is a valid one.
+/// The box as a file contains it, before validation.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Bounds {
@@ -24,7 +24,7 @@ impl SearchBox {
     /// A box from its `d` lower and `d` upper bounds.
     ///
     /// # Errors
-    /// No dimensions, lists of different length, a bound that is not finite, `lower >= upper`.
+    /// There is no dimension, lists differ in length, a bound is not finite, or `lower >= upper`.
     pub fn new(lower: Vec<f64>, upper: Vec<f64>) -> Result<Self, SurrogateError> {
         if lower.len() != upper.len() {
             return Err(SurrogateError::BoundsDiffer { lower: lower.len(), upper: upper.len() });
@@ -46,7 +46,7 @@ impl SearchBox {
     /// The unit cube of `dimensions` dimensions.
     ///
     /// # Errors
-    /// No dimensions.
+    /// There is no dimension.
     pub fn unit(dimensions: usize) -> Result<Self, SurrogateError> {
         Self::new(vec![0.0; dimensions], vec![1.0; dimensions])
     }
@@ -81,8 +81,8 @@ impl SearchBox {
         point.iter().enumerate().map(|(d, &x)| (x - self.lower[d]) / self.width(d)).collect()
     }
 
-    /// The point at coordinates of the unit cube, in the box's own units. Never outside the box,
-    /// whatever rounding does.
+    /// The point at coordinates of the unit cube, in the box's own units. Rounding never moves it outside
+    /// the box.
     #[must_use]
     pub fn from_unit(&self, unit: &[f64]) -> Vec<f64> {
         unit.iter()
@@ -94,7 +94,7 @@ impl SearchBox {
     /// Checks that a point has `d` coordinates and lies in the box, bounds included.
     ///
     /// # Errors
-    /// Another number of coordinates, or one that is NaN or outside; `index` names the point.
+    /// The number of coordinates differs, or a coordinate is NaN or outside; `index` names the point.
     pub fn check(&self, index: usize, point: &[f64]) -> Result<(), SurrogateError> {
         let expected = self.dimensions();
         if point.len() != expected {

@@ -1,4 +1,4 @@
-//! How good the strategies are, on functions whose answer is known.
+//! Measures the strategies on functions whose maximum is known.
 
 mod objective;
 mod regret;

@@ -5,35 +5,35 @@ use serde::Serialize;
 use crate::search::SearchBox;
 use crate::surrogate::SurrogateError;
 
-/// A synthetic function whose maximum is known.
+/// A synthetic function with a known maximum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Objective {
-    /// Branin in 2 dimensions, three equal maxima (negated).
+    /// Branin in 2 dimensions, with three equal maxima (negated).
     Branin,
-    /// Rosenbrock's bent valley in 4 dimensions, through the logarithm (negated).
+    /// Logarithm of Rosenbrock's bent valley in 4 dimensions (negated).
     Rosenbrock,
-    /// Hartmann in 6 dimensions: several peaks, one global.
+    /// Hartmann in 6 dimensions, with several peaks of which one is global.
     Hartmann,
-    /// One hump in 8 dimensions of very unequal weight, as high as a return: what the search over
-    /// psi may look like.
+    /// One hump in 8 dimensions of very unequal weight, as high as a return: a model of the search over
+    /// psi.
     Hump,
-    /// Levy in 12 dimensions: a bowl with ripples (negated).
+    /// Levy in 12 dimensions, a bowl with ripples (negated).
     Levy,
-    /// Ackley in 16 dimensions: a rippled funnel, off centre (negated).
+    /// Ackley in 16 dimensions, a rippled funnel off centre (negated).
     Ackley,
 }
 
-/// Weights of the hump's coordinates: some matter, some hardly.
+/// Weights of the hump's coordinates, some large, some negligible.
 pub(super) const HUMP_WEIGHTS: [f64; 8] = [3.0, 2.0, 2.5, 0.5, 1.0, 1.5, 0.1, 0.05];
 const HUMP_CENTRE: [f64; 8] = [0.3, 0.6, 0.5, 0.4, 0.7, 0.2, 0.5, 0.5];
 
 impl Objective {
-    /// All of them, by rising dimension.
+    /// Every objective, by rising dimension.
     pub const ALL: [Self; 6] =
         [Self::Branin, Self::Rosenbrock, Self::Hartmann, Self::Hump, Self::Levy, Self::Ackley];
 
-    /// Its name.
+    /// The objective's name.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -59,10 +59,10 @@ impl Objective {
         }
     }
 
-    /// Where it is searched.
+    /// The box that is searched.
     ///
     /// # Errors
-    /// Never: the bounds are constants.
+    /// Never fails: the bounds are constants.
     pub fn search_box(self) -> Result<SearchBox, SurrogateError> {
         let cube = |lower: f64, upper: f64| {
             SearchBox::new(vec![lower; self.dimensions()], vec![upper; self.dimensions()])
@@ -76,7 +76,7 @@ impl Objective {
         }
     }
 
-    /// The largest value.
+    /// The largest value in the box.
     #[must_use]
     pub fn maximum(self) -> f64 {
         match self {
@@ -87,8 +87,8 @@ impl Objective {
         }
     }
 
-    /// The value at a point of the box. Formulas: Surjanovic and Bingham, Virtual Library of
-    /// Simulation Experiments.
+    /// The value at a point of the box. Formulas: Surjanovic and Bingham, Virtual Library of Simulation
+    /// Experiments.
     #[must_use]
     pub fn value(self, x: &[f64]) -> f64 {
         match self {
@@ -102,7 +102,7 @@ impl Objective {
     }
 }
 
-/// `sum_d w_d (x_d - c_d)^2`.
+/// Computes `sum_d w_d (x_d - c_d)^2`.
 pub(super) fn bowl(x: &[f64], centre: &[f64], weights: &[f64]) -> f64 {
     x.iter().zip(centre).zip(weights).map(|((x, c), w)| w * (x - c) * (x - c)).sum()
 }

@@ -4,26 +4,26 @@ use super::Objective;
 use super::statistics::{Quartiles, quartiles};
 use crate::search::{BayRnSettings, Observation, SearchError, StrategyKind};
 
-/// How one strategy did on one objective: simple regret (the maximum minus the best value found so
-/// far) after each evaluation, over all repetitions.
+/// The simple regret of one strategy on one objective: the maximum minus the best value found so far, after
+/// each evaluation, over all repetitions.
 #[derive(Clone, Debug, Serialize)]
 pub struct RegretCurve {
-    /// What was searched.
+    /// Objective of the search.
     pub objective: Objective,
-    /// Its number of dimensions.
+    /// Number of dimensions of the objective.
     pub dimensions: usize,
-    /// Who searched.
+    /// Strategy of the search.
     pub strategy: StrategyKind,
     /// Number of repetitions.
     pub repetitions: usize,
-    /// Median and quartiles after 1, 2, 3 ... evaluations.
+    /// Quartiles of the regret after 1, 2, 3 ... evaluations.
     pub regret: Vec<Quartiles>,
 }
 
-/// One repetition: the simple regret after each of `evaluations` evaluations.
+/// Runs one repetition and returns the simple regret after each of `evaluations` evaluations.
 ///
 /// # Errors
-/// The strategy cannot be set up or cannot propose.
+/// The strategy cannot be built or cannot propose.
 pub fn simple_regret(
     objective: Objective,
     strategy: StrategyKind,
@@ -47,7 +47,7 @@ pub fn simple_regret(
 }
 
 impl RegretCurve {
-    /// Gathers the repetitions of one strategy on one objective.
+    /// Collects the repetitions of one strategy on one objective.
     #[must_use]
     pub fn new(objective: Objective, strategy: StrategyKind, repetitions: &[Vec<f64>]) -> Self {
         let evaluations = repetitions.first().map_or(0, Vec::len);

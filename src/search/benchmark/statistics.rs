@@ -1,13 +1,13 @@
 use serde::Serialize;
 
-/// The middle and the quarters of a sample.
+/// The quartiles of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Quartiles {
-    /// A quarter is below.
+    /// Lower quartile.
     pub lower: f64,
-    /// Half is below.
+    /// Median.
     pub median: f64,
-    /// Three quarters are below.
+    /// Upper quartile.
     pub upper: f64,
 }
 
@@ -29,9 +29,9 @@ pub fn quartiles(mut sample: Vec<f64>) -> Quartiles {
 /// A mean with the half width of its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interval {
-    /// The mean.
+    /// Mean of the sample.
     pub mean: f64,
-    /// 1.96 standard errors: right for the hundreds of repetitions it is used with.
+    /// Half width of 1.96 standard errors, which suits samples of hundreds of repetitions.
     pub half_width: f64,
 }
 

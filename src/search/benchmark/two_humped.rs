@@ -8,18 +8,17 @@ use crate::search::{
     AcquisitionKind, BayRn, BayRnSettings, Observation, SearchBox, SearchError, Strategy,
 };
 
-/// Searches on returns as the thesis found them: a rollout stands (500) or falls (50), and the
-/// candidate only decides how often. Where success is most likely differs from repetition to
-/// repetition.
+/// A search on returns that are distributed as in the thesis: a rollout either balances (500) or falls
+/// (50), and the candidate determines the probability. The optimum differs between repetitions.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct TwoHumped {
-    /// Dimensions of the box, 1 to 8. However many, the landscape is equally wide.
+    /// Dimensions of the box, 1 to 8. The landscape is equally wide in any number of them.
     pub dimensions: usize,
-    /// Candidates drawn before the surrogate is asked.
+    /// Number of initial points.
     pub initial_points: usize,
-    /// Candidates evaluated in a search, these included.
+    /// Number of candidates in a search, initial points included.
     pub candidates: usize,
-    /// Rollouts of each.
+    /// Number of rollouts of each candidate.
     pub rollouts: usize,
 }
 
@@ -27,36 +26,37 @@ impl TwoHumped {
     /// The thesis's extent: eight dimensions, 15 + 10 candidates, 5 rollouts each.
     pub const THESIS: Self =
         Self { dimensions: 8, initial_points: 15, candidates: 25, rollouts: 5 };
-    /// Fewer dimensions and rollouts, a longer search: here the noise decides.
+    /// An extent in which noise dominates: fewer dimensions and rollouts, a longer search.
     pub const NOISY: Self = Self { dimensions: 2, initial_points: 8, candidates: 40, rollouts: 2 };
 }
 
-/// Return of a rollout that stands, and of one that falls.
+/// Return of a rollout that balances, and of one that falls.
 const STANDS: f64 = 500.0;
 const FALLS: f64 = 50.0;
 /// Success probability at the optimum, and far from it.
 const MOST_LIKELY: f64 = 0.95;
 const LEAST_LIKELY: f64 = 0.02;
 
-/// The surrogates and acquisitions that are compared, all with the same number of rollouts.
+/// The combinations of noise model and acquisition function that are compared, all with the same number of
+/// rollouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Contender {
-    /// As the thesis: one noise variance, EI over the luckiest mean return; the answer is the
-    /// luckiest candidate.
+    /// The thesis's settings (one noise variance, EI over the largest mean return), recommending the
+    /// candidate with the largest mean return.
     PlainLuckiest,
-    /// As the thesis, and like there the answer is the maximum of the posterior mean.
+    /// The thesis's settings, recommending the maximum of the posterior mean as the thesis does.
     Plain,
-    /// Each candidate's own noise, EI over the best posterior mean.
+    /// Each candidate's own noise, and EI over the best posterior mean.
     OverPosteriorMean,
-    /// Each candidate's own noise, knowledge gradient.
+    /// Each candidate's own noise, and the knowledge gradient.
     KnowledgeGradient,
-    /// Each candidate's own noise, noisy EI: what is used unless told otherwise.
+    /// Each candidate's own noise, and noisy EI: the default of the program.
     NoisyExpectedImprovement,
 }
 
 impl Contender {
-    /// All of them.
+    /// Every method.
     pub const ALL: [Self; 5] = [
         Self::PlainLuckiest,
         Self::Plain,
@@ -65,7 +65,7 @@ impl Contender {
         Self::NoisyExpectedImprovement,
     ];
 
-    /// What it is, in words.
+    /// A description for tables.
     #[must_use]
     pub fn description(self) -> &'static str {
         match self {
@@ -92,7 +92,7 @@ impl Contender {
 }
 
 impl TwoHumped {
-    /// One search: the expected return of the point it ends with.
+    /// Runs one search and returns the expected return of the recommended point.
     ///
     /// # Errors
     /// The search cannot propose.
@@ -120,7 +120,7 @@ impl TwoHumped {
     }
 }
 
-/// Where success is likely in one repetition.
+/// The success probability over the box in one repetition.
 struct Landscape {
     centre: Vec<f64>,
     weights: Vec<f64>,
@@ -131,7 +131,7 @@ impl Landscape {
     fn new(dimensions: usize, seed: u64) -> Self {
         let mut random = stream(seed ^ 0x7477_6f68_756d_7073, 0);
         let centre = (0..dimensions).map(|_| 0.2 + 0.6 * random.random::<f64>()).collect();
-        // some coordinates matter, some hardly; all together as much in every dimension
+        // Coordinates have unequal weights, but their sum is the same in every number of dimensions.
         let chosen = &HUMP_WEIGHTS[..dimensions.min(HUMP_WEIGHTS.len())];
         let share = HUMP_WEIGHTS.iter().sum::<f64>() / chosen.iter().sum::<f64>();
         Self { centre, weights: chosen.iter().map(|w| w * share).collect(), seed }
@@ -146,7 +146,7 @@ impl Landscape {
         FALLS + (STANDS - FALLS) * self.success_probability(point)
     }
 
-    /// The luck of a candidate depends on its index alone, so that all contenders share it.
+    /// The random numbers of a candidate depend on its index alone, so that all methods share them.
     fn rollouts(&self, point: &[f64], count: usize, index: usize) -> Vec<f64> {
         let mut random = stream(self.seed ^ 0x726f_6c6c_6f75_7473, index);
         let probability = self.success_probability(point);
@@ -156,19 +156,19 @@ impl Landscape {
     }
 }
 
-/// How the contenders did, each also against plain EI, repetition by repetition.
+/// The result of one method, also relative to plain EI, repetition by repetition.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
-    /// Who searched.
+    /// Method of the search.
     pub contender: Contender,
-    /// Expected return of the point that was found, with its 95 % interval.
+    /// Expected return of the recommended point, with its 95 % interval.
     pub expected_return: Interval,
     /// Difference to [`Contender::Plain`] in the same repetitions, with its 95 % interval.
     pub gain_over_plain: Interval,
 }
 
 impl Comparison {
-    /// Of the expected returns of the points found, one list for each of [`Contender::ALL`], the
+    /// Builds the table from the expected returns of the recommended points: one list for each method,
     /// repetitions in the same order.
     #[must_use]
     pub fn table(found: &[Vec<f64>]) -> Vec<Self> {

@@ -5,7 +5,7 @@ use crate::surrogate::normal::{density, distribution, log_improvement};
 /// (Jones, Schonlau and Welch 1998).
 #[derive(Clone, Copy, Debug)]
 pub struct ExpectedImprovement {
-    /// What is to be improved on, in the values' units.
+    /// Value that is to be exceeded, in the values' units.
     pub incumbent: f64,
 }
 
@@ -13,7 +13,7 @@ impl Criterion for ExpectedImprovement {
     fn score(&self, mean: f64, deviation: f64) -> Score {
         let z = (mean - self.incumbent) / deviation;
         Score {
-            // through the logarithm, since the two terms cancel in the tail
+            // Computed through the logarithm, because the two terms cancel in the tail.
             value: deviation * log_improvement(z).exp(),
             d_mean: distribution(z),
             d_deviation: density(z),
@@ -31,10 +31,10 @@ mod tests {
         for mean in [-30.0, 0.0, 1.9, 2.5, 9.0] {
             super::super::check_derivatives(&criterion, mean, 0.8);
         }
-        // at the incumbent: sigma / sqrt(2 pi)
+        // At the incumbent EI is sigma / sqrt(2 pi).
         let at_incumbent = criterion.score(2.0, 0.8).value;
         assert!((at_incumbent - 0.8 / (2.0 * std::f64::consts::PI).sqrt()).abs() < 1e-15);
-        // far above: the difference of the means
+        // Far above the incumbent EI is the difference of the means.
         assert!((criterion.score(50.0, 0.8).value - 48.0).abs() < 1e-12);
     }
 }

@@ -1,10 +1,9 @@
-//! For the tests of acquisitions that look at the whole process: one to try them on, and whether
-//! their gradients are right.
+//! An example process for tests of acquisitions that use the whole process, and a check of their gradients.
 
 use super::Acquisition;
 use crate::surrogate::{Dataset, GaussianProcess, Hyperparameters, Kernel, SearchBox};
 
-/// A process over nine points in two dimensions, with a noise of each point's own if it is given.
+/// A process over nine points in two dimensions, optionally with a noise of each point's own.
 pub fn nine_points(noise_variance: f64, own_variances: Option<&[f64]>) -> GaussianProcess {
     let search_box = SearchBox::new(vec![-1.0, 10.0], vec![1.0, 30.0]).unwrap();
     let points: Vec<Vec<f64>> =

@@ -6,15 +6,15 @@ use crate::surrogate::GaussianProcess;
 use crate::surrogate::factor::dot;
 use crate::surrogate::normal::{log_density, log_distribution, log_improvement};
 
-/// The logarithm of the knowledge gradient: by how much one more *noisy* observation at a point
-/// is expected to raise the best posterior mean, over a set of alternatives: the points observed,
-/// further ones (the maximiser of the posterior mean belongs among them, since it is the answer
-/// that would be given now), and the point itself.
+/// The logarithm of the knowledge gradient: the expected rise of the largest posterior mean after one more
+/// *noisy* observation at a point. The maximum is taken over a set of alternatives: the observed points,
+/// further ones (the maximiser of the posterior mean belongs among them, since it is the current
+/// recommendation), and the point itself.
 ///
-/// It asks for what the search is judged by (the posterior mean's best), so a lucky sample earns
-/// nothing, and looking again at a doubtful point can be worth more than a new one. Scott, Frazier
-/// and Powell 2011 (KGCP); the expectation of the best of lines `a_i + b_i Z` is exact, by their
-/// upper envelope (Frazier, Powell and Dayanik 2009). Without noise it is the expected improvement
+/// The criterion is the quantity that the search is judged by (the largest posterior mean), so a lucky
+/// sample earns nothing, and a second observation of an uncertain point can be worth more than a new one.
+/// Scott, Frazier and Powell 2011 (KGCP); the expectation of the maximum of lines `a_i + b_i Z` is exact,
+/// by their upper envelope (Frazier, Powell and Dayanik 2009). Without noise it is the expected improvement
 /// over the best posterior mean.
 pub struct LogKnowledgeGradient<'a> {
     process: &'a GaussianProcess,
@@ -33,13 +33,13 @@ pub struct LogKnowledgeGradient<'a> {
 struct Line {
     height: f64,
     slope: f64,
-    /// Which observed point, then which further alternative, and last the new point.
+    /// Index of the line's point: observed points, then further alternatives, last the new point.
     index: usize,
 }
 
 impl<'a> LogKnowledgeGradient<'a> {
-    /// On a process, with further alternatives in the box's own units; the next observation is
-    /// taken to be as noisy as the median one. Costs O(n^2) for each alternative.
+    /// A knowledge gradient on a process, with further alternatives in the box's own units. The next
+    /// observation is assumed as noisy as the median one. Costs O(n^2) for each alternative.
     #[must_use]
     pub fn new(process: &'a GaussianProcess, further: &[Vec<f64>]) -> Self {
         let data = process.data();
@@ -66,8 +66,8 @@ impl<'a> LogKnowledgeGradient<'a> {
         let variance = posterior.variance / (scale * scale);
         let spread = (variance + self.next_noise).sqrt();
 
-        // covariances of f(x) with f at the alternatives, given the data. At an observed point it is
-        // noise_i (K^-1 k)_i, since K = k(X, X) + noise
+        // Covariances of f(x) with f at the alternatives, given the data. At an observed point they are
+        // noise_i (K^-1 k)_i, since K = k(X, X) + noise.
         let observed = (0..n).map(|i| self.noise[i] * solved[i]);
         let between: Vec<(f64, Vec<f64>)> = self
             .further
@@ -93,7 +93,7 @@ impl<'a> LogKnowledgeGradient<'a> {
         lines.push(Line { height, slope: variance / spread, index: new });
         let envelope = upper_envelope(lines);
 
-        // sum over neighbours of (b' - b) h(-|c|), c where they cross
+        // The sum over neighbours of (b' - b) h(-|c|), where c is their crossing.
         let crossing = |pair: &[Line]| {
             let rise = pair[1].slope - pair[0].slope;
             (rise, (pair[0].height - pair[1].height) / rise)
@@ -117,7 +117,7 @@ impl<'a> LogKnowledgeGradient<'a> {
             let slope_weight = (log_density(at) - log_sum).exp();
             by_slope[pair[1].index] += slope_weight;
             by_slope[pair[0].index] -= slope_weight;
-            // the upper line gains height, the lower one loses it
+            // The upper line gains height, the lower one loses it.
             let height_weight = (log_distribution(-at.abs()) - log_sum).exp() * at.signum();
             if pair[1].index == new {
                 by_height += height_weight;
@@ -132,7 +132,7 @@ impl<'a> LogKnowledgeGradient<'a> {
             .zip(&d_variance)
             .map(|(m, v)| by_height * m / scale + by_variance * v / (scale * scale))
             .collect();
-        // the covariances' own gradients, all those through k(X, x) pulled back at once
+        // The gradients of the covariances; those through k(X, x) are pulled back together.
         if by_slope[..new].iter().any(|g| *g != 0.0) {
             let pulled: Vec<f64> = by_slope.iter().zip(&self.noise).map(|(g, s)| g * s).collect();
             let mut through = self.process.solve(&pulled);
@@ -160,7 +160,7 @@ impl Acquisition for LogKnowledgeGradient<'_> {
     }
 }
 
-/// The lines that are the highest somewhere, by rising slope.
+/// The lines that are highest somewhere, by rising slope.
 fn upper_envelope(mut lines: Vec<Line>) -> Vec<Line> {
     lines.sort_by(|a, b| a.slope.total_cmp(&b.slope).then(a.height.total_cmp(&b.height)));
     let mut kept: Vec<Line> = Vec::with_capacity(lines.len());
@@ -185,7 +185,7 @@ mod tests {
     use super::*;
     use crate::surrogate::{Criterion, Kernel, LogExpectedImprovement};
 
-    /// Each point with a noise of its own.
+    /// A process whose points have their own noise.
     fn process(noise_variance: f64) -> GaussianProcess {
         let own: Vec<f64> = (0..9).map(|i| 20.0 * f64::from(i % 3) * noise_variance).collect();
         nine_points(noise_variance, Some(&own))
@@ -208,7 +208,7 @@ mod tests {
             let best = |process: &GaussianProcess| {
                 candidates.iter().map(|c| process.mean(c)).fold(f64::NEG_INFINITY, f64::max)
             };
-            // the integral over the next value, by the midpoint rule in the normal's quantity z
+            // The integral over the next value, by the midpoint rule in quantiles of z.
             let spread = (now.variance / data.scale().powi(2) + acquisition.next_noise).sqrt();
             let h = 0.005;
             let mut gain = 0.0;

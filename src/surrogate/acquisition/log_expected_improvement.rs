@@ -1,11 +1,11 @@
 use super::{Criterion, Score};
 use crate::surrogate::normal::{density, distribution, log_density, tail};
 
-/// The logarithm of the expected improvement, exact where EI itself underflows to a plain without
-/// slopes (Ament et al. 2023). It has the same maximiser.
+/// The logarithm of the expected improvement, exact where EI underflows to a plateau without gradient
+/// (Ament et al. 2023). It has the same maximiser.
 #[derive(Clone, Copy, Debug)]
 pub struct LogExpectedImprovement {
-    /// What is to be improved on, in the values' units.
+    /// Value that is to be exceeded, in the values' units.
     pub incumbent: f64,
 }
 
@@ -21,8 +21,8 @@ impl Criterion for LogExpectedImprovement {
     }
 }
 
-/// `ln h(z)` with `h = density + z distribution`, and `distribution / h` and `density / h`, which
-/// are its slopes in mean and deviation, times the deviation.
+/// Computes `ln h(z)` with `h = density + z distribution`, and the ratios `distribution / h` and `density /
+/// h`, which are its slopes in mean and deviation times the deviation.
 pub(super) fn logarithm_and_slopes(z: f64) -> (f64, f64, f64) {
     if z > -1.0 {
         let improvement = density(z) + z * distribution(z);

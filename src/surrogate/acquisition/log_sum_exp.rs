@@ -1,4 +1,4 @@
-/// `ln sum exp(t)`, without overflow; minus infinity for no terms.
+/// Computes `ln sum exp(t)` without overflow; minus infinity for no terms.
 pub(super) fn log_sum_exp(terms: &[f64]) -> f64 {
     let largest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     if largest.is_finite() {

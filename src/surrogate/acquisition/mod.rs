@@ -1,4 +1,5 @@
-//! How promising a point is, given what the surrogate believes. All are to be maximised.
+//! Acquisition functions: the value of evaluating a point next, given the surrogate. All are to be
+//! maximised.
 
 mod expected_improvement;
 #[cfg(test)]
@@ -22,7 +23,7 @@ pub use upper_confidence_bound::UpperConfidenceBound;
 
 use super::GaussianProcess;
 
-/// A function over the box that says where to look next.
+/// A function over the box whose maximum is the next point to evaluate.
 pub trait Acquisition {
     /// The value at a point in the box's own units.
     fn value(&self, point: &[f64]) -> f64;
@@ -31,7 +32,7 @@ pub trait Acquisition {
     fn value_and_gradient(&self, point: &[f64]) -> (f64, Vec<f64>);
 }
 
-/// An acquisition that looks at nothing but the posterior mean and standard deviation at the point.
+/// An acquisition that depends only on the posterior mean and standard deviation at the point.
 pub trait Criterion {
     /// The value at a mean and a standard deviation > 0, both in the observed values' units, and
     /// its two derivatives.
@@ -51,9 +52,9 @@ pub struct Score {
 
 /// A criterion applied to a process.
 pub struct OnProcess<'a, C> {
-    /// What is believed of the function.
+    /// Posterior over the function.
     pub process: &'a GaussianProcess,
-    /// What is made of it.
+    /// Criterion applied to the posterior.
     pub criterion: C,
 }
 

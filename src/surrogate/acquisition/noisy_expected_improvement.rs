@@ -9,14 +9,14 @@ use crate::surrogate::factor::{Factor, dot};
 use crate::surrogate::normal::draw;
 use crate::surrogate::{GaussianProcess, SurrogateError};
 
-/// The logarithm of the noisy expected improvement: the improvement over the best *true* value
-/// among the points observed, which nobody knows, averaged over what these values may be.
+/// The logarithm of the noisy expected improvement: the improvement over the best *true* value among the
+/// observed points, averaged over the posterior of these unknown values.
 ///
-/// Values at the n observed points are drawn from their joint posterior; given each draw, the
-/// function is known there without noise, and the expected improvement over the draw's best is
-/// exact (Letham et al. 2019, "Constrained Bayesian optimization with noisy experiments"). Unlike
-/// the best posterior mean, the incumbent keeps its own doubt, and unlike the best observation it
-/// is not the luckiest one. A point observed before is never worth a second look, however noisy.
+/// Values at the n observed points are drawn from their joint posterior. Given each draw, the function is
+/// known there without noise, and the expected improvement over the draw's best is exact (Letham et al.
+/// 2019, "Constrained Bayesian optimization with noisy experiments"). Unlike the best posterior mean, the
+/// incumbent keeps its own uncertainty, and unlike the best observation it is not biased by luck. The
+/// criterion never asks for a second observation of a point, however noisy.
 pub struct LogNoisyExpectedImprovement<'a> {
     process: &'a GaussianProcess,
     /// `k(X, X)` without noise.
@@ -25,11 +25,11 @@ pub struct LogNoisyExpectedImprovement<'a> {
     draws: Vec<(DVector<f64>, f64)>,
 }
 
-/// Pairs of opposite draws.
+/// Number of antithetic pairs of draws.
 const PAIRS: usize = 32;
 
 impl<'a> LogNoisyExpectedImprovement<'a> {
-    /// On a process, with draws from a seed. Costs O(n^3).
+    /// A noisy expected improvement on a process, with draws from a seed. Costs O(n^3).
     ///
     /// # Errors
     /// The covariance without noise cannot be factored.
@@ -67,7 +67,7 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
         if !with_gradient {
             return (value, Vec::new());
         }
-        // d ln sum = sum of share_s * (by_mean d mean_s + by_deviation d deviation) / deviation
+        // d ln sum = sum of share_s * (by_mean d mean_s + by_deviation d deviation) / deviation.
         let mut coefficients = DVector::zeros(white.len());
         let mut by_deviation = 0.0;
         for ((log, mean_slope, deviation_slope), (weights, _)) in each.iter().zip(&self.draws) {
@@ -76,7 +76,7 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
             by_deviation += share * deviation_slope;
         }
         if !at_rest {
-            // d deviation = d variance / (2 deviation) = -(K^-1 k)^T dk / deviation
+            // d deviation = d variance / (2 deviation) = -(K^-1 k)^T dk / deviation.
             let solved = self.noiseless.whiten_transposed(white.as_slice());
             coefficients.axpy(-by_deviation / deviation, &solved, 1.0);
         }
@@ -94,7 +94,7 @@ impl Acquisition for LogNoisyExpectedImprovement<'_> {
     }
 }
 
-/// Mean (above the prior mean) and root of the covariance of the function at the observed points,
+/// Mean (above the prior mean) and a root of the covariance of the function at the observed points,
 /// standardised.
 ///
 /// With the noise `S` and `K = k(X, X) + S`, the mean is `y - m - S K^-1 (y - m)` and the

@@ -1,6 +1,6 @@
 use super::{Criterion, Score};
 
-/// The mean alone: not a place to look next, but the answer when the search is over.
+/// The posterior mean: not a criterion for the next point, but for the recommendation.
 #[derive(Clone, Copy, Debug)]
 pub struct PosteriorMean;
 

@@ -4,7 +4,7 @@ use crate::surrogate::normal::{density, distribution, log_density, log_distribut
 /// `PI = Phi((mu - f) / sigma)` over an incumbent `f` (Kushner 1964).
 #[derive(Clone, Copy, Debug)]
 pub struct ProbabilityOfImprovement {
-    /// What is to be improved on, in the values' units.
+    /// Value that is to be exceeded, in the values' units.
     pub incumbent: f64,
 }
 
@@ -16,11 +16,11 @@ impl Criterion for ProbabilityOfImprovement {
     }
 }
 
-/// The logarithm of the probability of improvement; it has the same maximiser, and slopes where
-/// the probability itself is 0 or 1 in double precision.
+/// The logarithm of the probability of improvement. It has the same maximiser, and a gradient where the
+/// probability itself is 0 or 1 in double precision.
 #[derive(Clone, Copy, Debug)]
 pub struct LogProbabilityOfImprovement {
-    /// What is to be improved on, in the values' units.
+    /// Value that is to be exceeded, in the values' units.
     pub incumbent: f64,
 }
 

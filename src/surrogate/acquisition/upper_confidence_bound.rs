@@ -3,7 +3,7 @@ use super::{Criterion, Score};
 /// `UCB = mu + beta sigma` (Srinivas et al. 2010, who write the root of their beta).
 #[derive(Clone, Copy, Debug)]
 pub struct UpperConfidenceBound {
-    /// Standard deviations above the mean.
+    /// Weight of the standard deviation.
     pub beta: f64,
 }
 
