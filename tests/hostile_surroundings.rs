@@ -195,5 +195,5 @@ fn what_has_no_end_is_refused_at_once() {
     let output = qube_hil(directory.path(), &["session", "--resume", "resumed"]);
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{stderr}");
-    assert!(stderr.contains("no regular file"), "{stderr}");
+    assert!(stderr.contains("not a regular file"), "{stderr}");
 }

@@ -2,15 +2,15 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// The kernel's file for a latency that processors may not exceed; it holds while it is open
-/// (Linux, `Documentation/power/pm_qos_interface.rst`).
+/// The kernel's file for a bound on wake-up latency; the bound holds while the file is open (Linux,
+/// `Documentation/power/pm_qos_interface.rst`).
 pub const CPU_DMA_LATENCY: &str = "/dev/cpu_dma_latency";
 
-/// The longest time that a processor may take to wake up, us.
+/// Requested bound on the wake-up time of a processor, us.
 const WAKE_UP_US: i32 = 0;
 
-/// A request to the kernel that no processor goes to sleep, in force until it is dropped or the
-/// process ends. A processor that sleeps deeply between two ticks wakes up 0.1 ms late.
+/// A request to the kernel that keeps every processor awake, in force until it is dropped or the process
+/// ends. A processor that sleeps deeply between two ticks wakes up 0.1 ms late.
 #[derive(Debug)]
 #[must_use = "the processors may sleep again as soon as it is dropped"]
 pub struct AwakeProcessor {
@@ -21,7 +21,7 @@ impl AwakeProcessor {
     /// Makes the request through this file, normally [`CPU_DMA_LATENCY`].
     ///
     /// # Errors
-    /// The file is not there (no such kernel, or a container), or may not be written.
+    /// The file does not exist (another kernel, or a container) or is not writable.
     pub fn hold(file: &Path) -> io::Result<Self> {
         let mut request = OpenOptions::new().write(true).open(file)?;
         request.write_all(&WAKE_UP_US.to_ne_bytes())?;
@@ -33,7 +33,7 @@ impl AwakeProcessor {
 pub(crate) mod tests {
     use super::*;
 
-    /// How many descriptors of this process are open on a file.
+    /// Number of descriptors that this process has open on a file.
     pub(crate) fn openings_of(file: &Path) -> usize {
         let descriptors = std::fs::read_dir("/proc/self/fd").unwrap().flatten();
         descriptors

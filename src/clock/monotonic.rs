@@ -5,7 +5,7 @@ use super::{Clock, Nanoseconds};
 
 const NS_PER_S: u64 = 1_000_000_000;
 
-/// `CLOCK_MONOTONIC`, waited on by absolute deadline: errors of one wait do not add to the next.
+/// `CLOCK_MONOTONIC` with absolute deadlines, so that errors of one wait do not add to the next.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MonotonicClock;
 

@@ -2,15 +2,15 @@ use std::path::{Path, PathBuf};
 
 use super::{AwakeProcessor, CPU_DMA_LATENCY, Clock, MonotonicClock, Nanoseconds};
 
-/// Longest spin before a deadline, ns: 1 % of a control period. It covers what a woken thread waits
-/// for the processor in 99 of 100 ticks of a quiet computer (`scripts/on-time`).
+/// Longest spin before a deadline, ns: 1 % of a control period. It covers the wake-up delay in 99 of 100
+/// ticks of an idle computer (`scripts/on-time`).
 const SPIN_NS: Nanoseconds = 100_000;
 
 /// `CLOCK_MONOTONIC` for a thread that must not be late: it sleeps until shortly before the deadline
 /// and spins for the rest, and it can keep the processor awake.
 ///
-/// With a single processor it does not spin: the spin would take the time of the thread that the
-/// tick waits for.
+/// It does not spin on a single processor: the spin would take the time of the thread that the tick waits
+/// for.
 #[derive(Clone, Debug)]
 pub struct PunctualClock {
     sleeper: MonotonicClock,
@@ -30,13 +30,13 @@ impl PunctualClock {
         }
     }
 
-    /// The same clock with another spin, at most 100 us; 0 is none.
+    /// Limits the spin, at most 100 us; 0 disables it.
     #[must_use]
     pub fn with_spin_ns(self, spin_ns: Nanoseconds) -> Self {
         Self { spin_ns: spin_ns.min(SPIN_NS), ..self }
     }
 
-    /// The same clock with another file in place of `/dev/cpu_dma_latency`.
+    /// Replaces `/dev/cpu_dma_latency` by another file.
     #[must_use]
     pub fn with_latency_file(self, file: &Path) -> Self {
         Self { latency_file: file.to_owned(), ..self }
@@ -63,7 +63,7 @@ impl Clock for PunctualClock {
     }
 
     fn stay_awake(&self) -> Option<AwakeProcessor> {
-        // A refusal is told once, by the report of `enter_realtime`.
+        // `enter_realtime` reports a refusal once.
         AwakeProcessor::hold(&self.latency_file).ok()
     }
 }
@@ -81,7 +81,7 @@ mod tests {
                 clock.sleep_until(deadline_ns);
                 assert!(clock.now_ns() >= deadline_ns);
             }
-            // A deadline that has passed, however long ago.
+            // The deadline has passed, however long ago.
             clock.sleep_until(0);
         }
     }

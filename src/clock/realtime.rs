@@ -1,4 +1,4 @@
-//! Asking the operating system for real time. The one file of this room with `unsafe`.
+//! Real-time scheduling by the operating system. The only file of this room with `unsafe`.
 
 use std::num::NonZeroU64;
 use std::path::Path;
@@ -8,29 +8,30 @@ use rustix::thread::set_current_timer_slack;
 
 use super::{AwakeProcessor, CPU_DMA_LATENCY};
 
-/// Priority under SCHED_FIFO: above ordinary threads and below the kernel's own (which sit at 50
-/// by default on PREEMPT_RT only for interrupts; 40 leaves those alone).
+/// Priority under SCHED_FIFO: above ordinary threads and below the kernel's interrupt threads (priority 50
+/// by default on PREEMPT_RT).
 const FIFO_PRIORITY: i32 = 40;
 
-/// How much later than asked the kernel may wake a thread of ordinary priority, to wake several at
-/// once, ns; by default 50 us. Under SCHED_FIFO it is none.
+/// Timer slack of the thread, ns: the delay that the kernel may add to a wake-up of ordinary priority in
+/// order to wake several threads at once (default 50 us). Under SCHED_FIFO there is none.
 const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 
-/// Rights that the thread was refused, each as a sentence with its cure. None stops the program.
+/// The real-time rights that the operating system refused, each as a sentence with its cure. The program
+/// runs without them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RealtimeReport {
-    /// Why SCHED_FIFO was refused, if it was.
+    /// Reason why SCHED_FIFO was refused.
     pub scheduling: Option<String>,
-    /// Why memory could not be locked, if it could not.
+    /// Reason why memory could not be locked.
     pub memory: Option<String>,
-    /// Why the processors cannot be kept awake, if they cannot.
+    /// Reason why the processors cannot be kept awake.
     pub awake: Option<String>,
-    /// Why timers cannot be exact at ordinary priority, if they cannot.
+    /// Reason why timers are not exact at ordinary priority.
     pub timer_slack: Option<String>,
 }
 
 impl RealtimeReport {
-    /// The refusals, the gravest first.
+    /// The refusals, most serious first.
     pub fn refusals(&self) -> impl Iterator<Item = &str> {
         [&self.scheduling, &self.memory, &self.awake, &self.timer_slack]
             .into_iter()
@@ -38,9 +39,9 @@ impl RealtimeReport {
     }
 }
 
-/// Puts the calling thread under SCHED_FIFO, locks the process's memory and asks for exact timers,
-/// where that is allowed. Whether the processors can be kept awake is tried and reported; whoever
-/// drives keeps them awake by [`Clock::stay_awake`](super::Clock::stay_awake).
+/// Puts the calling thread under SCHED_FIFO, locks the process's memory and requests exact timers, where
+/// permitted. It only tests whether the processors can be kept awake;
+/// [`Clock::stay_awake`](super::Clock::stay_awake) does so while a device is driven.
 #[must_use]
 pub fn enter_realtime() -> RealtimeReport {
     let scheduling = schedule_fifo().err().map(|error| {
@@ -65,7 +66,7 @@ pub fn enter_realtime() -> RealtimeReport {
     RealtimeReport { scheduling, memory, awake: sleepy(Path::new(CPU_DMA_LATENCY)), timer_slack }
 }
 
-/// Why the processors cannot be kept awake through this file, if they cannot.
+/// The reason why the processors cannot be kept awake through this file, if they cannot.
 fn sleepy(file: &Path) -> Option<String> {
     let error = AwakeProcessor::hold(file).err()?;
     Some(format!(

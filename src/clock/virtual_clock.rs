@@ -3,9 +3,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::{Clock, Nanoseconds};
 
-/// Time that passes only when somebody waits for it. Clones share the same time.
+/// Time that passes only when a thread waits for it. Clones share the same time.
 ///
-/// Meant for one waiting thread; the atomic only makes the handle shareable.
+/// It is meant for one waiting thread; the atomic only makes the handle shareable.
 #[derive(Clone, Debug, Default)]
 pub struct VirtualClock {
     now_ns: Arc<AtomicU64>,

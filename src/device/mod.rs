@@ -1,8 +1,19 @@
-//! How a Qube is reached: the serial link, and apart from it the emulator, which speaks the wire
-//! from the other side.
+//! Access to a Qube: the serial link of the host, and separately the emulator, which speaks the protocol
+//! from the device's side.
 //!
-//! May import `clock`, `qube` and the crate `firmware_protocol`. The emulator never imports the
-//! host side of the link: shared code would hide faults of the protocol.
+//! The control thread sees a Qube only through the trait [`Device`]. The room may import `clock`, `qube`
+//! and the crate `firmware_protocol`. The emulator never imports the host's side of the link, because
+//! shared code would hide faults of the protocol.
+//!
+//! ```
+//! use qube_hil::clock::VirtualClock;
+//! use qube_hil::device::emulator::EmulatorSettings;
+//! use qube_hil::device::{Device, SerialLink};
+//!
+//! let mut qube = SerialLink::in_process(EmulatorSettings::default(), VirtualClock::default());
+//! assert_eq!(qube.hello()?.kind, "emulator");
+//! # Ok::<(), qube_hil::device::DeviceError>(())
+//! ```
 
 pub mod emulator;
 mod in_process;
@@ -25,151 +36,150 @@ use thiserror::Error;
 use crate::clock::Nanoseconds;
 use crate::qube::Measurement;
 
-/// The five calls by which the control thread sees a Qube.
+/// A Qube as the control thread sees it: five calls and their settings.
 ///
-/// `sample` and `act` are called in the tick: they do not allocate, and they wait no longer than
-/// they are told. The other three are called outside of it and may take up to a second.
+/// The tick calls `sample` and `act`: they do not allocate, and they wait no longer than they are told. The
+/// other three are called outside the tick and may take up to a second.
 pub trait Device: Send {
-    /// Asks who is there. Leaves the motor off, whatever state the device was in.
+    /// Greets the device and reads its identity. The motor is off afterwards, whatever state the device was
+    /// in.
     ///
     /// # Errors
-    /// No answer, an answer that is no Qube's, another protocol version.
+    /// The device does not answer, is not a Qube, or speaks another protocol version.
     fn hello(&mut self) -> Result<Identity, DeviceError>;
 
-    /// Lets the amplifier follow acts from now on, starting at 0 V. Needs a hello before it.
+    /// Arms the amplifier at 0 V; it then follows acts. A hello must precede it.
     ///
     /// # Errors
-    /// The device refused or did not answer.
+    /// The device refuses or does not answer.
     fn arm(&mut self) -> Result<(), DeviceError>;
 
-    /// Reads one sample, waiting until `deadline_ns` at the most.
+    /// Reads one sample and waits for it until `deadline_ns`.
     ///
     /// # Errors
-    /// No whole, valid answer to this very request by then.
+    /// No complete, valid answer to this request arrives in time.
     fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault>;
 
     /// Sends a voltage in mV that was decided from the sample of this [`Measurement::device_time_us`].
     /// It reaches the motor at once on receipt and feeds the watchdog.
     ///
     /// # Errors
-    /// The bytes could not be handed over without waiting. Nothing is sent when that sample is not the
-    /// last one that [`sample`](Self::sample) has returned since the last hello, or when it was asked
-    /// for more than 20 ms ago.
+    /// The bytes cannot be written without waiting. The link refuses to send when the sample is not the
+    /// last one that [`sample`](Self::sample) returned since the last hello, or was requested more than 20
+    /// ms ago.
     fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault>;
 
     /// Switches the amplifier off.
     ///
     /// # Errors
-    /// The device did not confirm. Its watchdog then does the same within 50 ms.
+    /// The device does not confirm. Its watchdog then switches the amplifier off within 50 ms.
     fn disarm(&mut self) -> Result<(), DeviceError>;
 
-    /// Opens the way to the device anew after its port was gone, under the name that stays with the
-    /// device. The next call is [`hello`](Self::hello), whose identity shows whether it
-    /// [is the same board](Identity::is_same_board). A backend with nothing to open does nothing.
+    /// Opens the connection again after its port was gone, under a name that stays with the device. The
+    /// caller then sends a [`hello`](Self::hello), whose identity shows whether it [is the same
+    /// board](Identity::is_same_board). A backend without a port does nothing.
     ///
     /// # Errors
-    /// The port is not there again yet, or may not be opened.
+    /// The port does not exist yet, or may not be opened.
     fn reopen(&mut self) -> Result<(), DeviceError> {
         Ok(())
     }
 
     /// Whether [`Measurement::device_time_us`] comes from a clock of the device. A backend without one
-    /// fills in the computer's time at which the sample was asked for, and says so here: nothing then
-    /// shows that a sample has been on its way for long.
+    /// fills in the computer's time of the request; a sample that was delayed in transit then goes
+    /// unnoticed.
     fn has_device_clock(&self) -> bool {
         true
     }
 
-    /// How long a tick waits for its sample, ns, where the link has been measured; None is as long as
-    /// any link is given.
+    /// Time that a tick waits for its sample, ns, if the link has been measured; `None` selects the largest
+    /// wait.
     fn sample_time_ns(&self) -> Option<Nanoseconds> {
         None
     }
 
-    /// Takes what the measured link needs. A backend that has no link to wait for ignores it.
+    /// Sets the time that a tick waits for its sample, ns. A backend without a link ignores it.
     fn set_sample_time_ns(&mut self, _sample_time_ns: Nanoseconds) {}
 
-    /// Whether there may be a motor behind it that hurts somebody. A backend that cannot tell, or has
-    /// not been told yet, is hardware.
+    /// Whether a real motor may be behind the backend. A backend that cannot tell counts as hardware.
     fn is_hardware(&self) -> bool {
         true
     }
 }
 
-/// Who answered the hello.
+/// The identity of a device that answered a hello.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// What kind of speaker: `emulator`, `atmega328p` ...
+    /// Kind of device: `emulator`, `atmega328p` ...
     pub kind: String,
-    /// Its serial number, 16 hexadecimal digits.
+    /// Serial number, 16 hexadecimal digits.
     pub serial: String,
-    /// Version of its firmware.
+    /// Version of the firmware.
     pub firmware_version: String,
-    /// Version of the protocol that both speak.
+    /// Version of the protocol.
     pub protocol_version: u16,
-    /// A number that differs after each start of the device, so that a restart is noticed at the
-    /// next hello.
+    /// Number that differs after each start of the device, so that the next hello reveals a restart.
     #[serde(default)]
     pub boot_id: u16,
-    /// The port as it was opened.
+    /// Port under which the device was opened.
     pub port: String,
 }
 
 impl Identity {
-    /// Whether it is the same board, perhaps after a restart, on whatever port.
+    /// Whether both are the same board, even after a restart or on another port.
     #[must_use]
     pub fn is_same_board(&self, other: &Self) -> bool {
         self.kind == other.kind && self.serial == other.serial
     }
 
-    /// Whether it is the same board and has not restarted: what was found out about its counts holds.
+    /// Whether both are the same board without a restart between, so that zeros of its counts still hold.
     #[must_use]
     pub fn is_same_start(&self, other: &Self) -> bool {
         self.is_same_board(other) && self.boot_id == other.boot_id
     }
 }
 
-/// What can go wrong with one exchange inside the tick. Small and `Copy`, so that it can be recorded.
+/// A failure of one exchange in the tick. Small and `Copy`, so that it can be recorded.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LinkFault {
-    /// Nothing valid came in time.
+    /// No valid answer arrived in time.
     #[error("no valid answer in time")]
     Timeout,
     /// The port is gone: unplugged, or the other end closed it.
     #[error("the port is gone (unplugged?)")]
     Gone,
-    /// The port took no more bytes.
+    /// The port accepts no more bytes.
     #[error("the port took no more bytes")]
     Full,
-    /// The device answered that it is not armed.
+    /// The device is not armed.
     #[error("the device is not armed")]
     NotArmed,
-    /// The device's watchdog has switched the amplifier off.
+    /// The watchdog of the device has switched the amplifier off.
     #[error("the device's watchdog switched the motor off")]
     WatchdogTripped,
-    /// The act answers no sample of the last 20 ms.
+    /// The act does not answer a sample of the last 20 ms.
     #[error("the command answers no sample of the last 20 ms")]
     StaleSample,
 }
 
-/// What can go wrong outside the tick. Each message says what, where and what to do.
+/// A failure outside the tick. Each message names cause, port and remedy.
 #[derive(Debug, Error)]
 pub enum DeviceError {
     /// The port does not exist.
     #[error("no such port: {port}. Is the Qube plugged in? Ports here: {available}")]
     NoSuchPort {
-        /// The port asked for.
+        /// Requested port.
         port: String,
-        /// Those that exist, or `none`.
+        /// Existing ports, or `none`.
         available: String,
     },
-    /// Another program has the port.
+    /// Another program has opened the port.
     #[error("{port} is in use by {holder}. Stop that program first")]
     Busy {
         /// The port.
         port: String,
-        /// `process 1234 (name)` where it can be found out, else `another program`.
+        /// `process 1234 (name)` if it can be found, otherwise `another program`.
         holder: String,
     },
     /// The user may not open the port.
@@ -178,15 +188,15 @@ pub enum DeviceError {
         /// The port.
         port: String,
     },
-    /// Something answers, or nothing, but no Qube.
+    /// The device at the port is not a Qube, or does not answer.
     #[error("{port} does not answer as a Qube does: {reason}. Is it the right port?")]
     NotAQube {
         /// The port.
         port: String,
-        /// What came instead.
+        /// Answer that came instead.
         reason: String,
     },
-    /// A device that has answered before does not answer any more.
+    /// A device that answered before no longer answers.
     #[error(
         "{port} answered until {silent_s:.1} s ago, then {since}. Switch the Qube off, then look at \
          the board's supply and its USB cable"
@@ -194,18 +204,18 @@ pub enum DeviceError {
     FellSilent {
         /// The port.
         port: String,
-        /// How long ago its last valid answer came, s.
+        /// Time since its last valid answer, s.
         silent_s: f64,
-        /// What came since.
+        /// Bytes that arrived since.
         since: String,
     },
-    /// It has started anew since its last hello.
+    /// The device has restarted since its last hello.
     #[error("the board at {port} has restarted (a loss of power?)")]
     Restarted {
         /// The port.
         port: String,
     },
-    /// A Qube that speaks another version.
+    /// The device speaks another protocol version.
     #[error(
         "{port} speaks protocol version {theirs}, this program {ours}. Flash the firmware of this release"
     )]
@@ -217,22 +227,22 @@ pub enum DeviceError {
         /// This program's version.
         ours: u16,
     },
-    /// The device said no.
+    /// The device refused a request.
     #[error("{port} refused to {action}: {reason}")]
     Refused {
         /// The port.
         port: String,
-        /// What was asked.
+        /// Name of the request.
         action: &'static str,
-        /// Its reason.
+        /// Reason that the device gave.
         reason: String,
     },
-    /// The link failed while talking.
+    /// The link failed during an exchange.
     #[error("{port}: {fault}")]
     Link {
         /// The port.
         port: String,
-        /// How.
+        /// Failure of the link.
         fault: LinkFault,
     },
     /// Any other failure of the operating system.

@@ -1,6 +1,6 @@
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 
-/// An open port that lends its file descriptor, which the owner's type only gives as a number.
+/// An open port that lends its file descriptor; the port's own type gives it only as a number.
 #[derive(Debug)]
 pub(super) struct PortFd<P>(P);
 
@@ -9,8 +9,8 @@ impl<P: AsRawFd> PortFd<P> {
         Self(port)
     }
 
-    /// Asks the driver to hand bytes over as they come: an FTDI adapter else holds them back for
-    /// up to 16 ms. Ports that know no such mode, ptys for one, are left as they are.
+    /// Sets the driver's low-latency mode: an FTDI adapter otherwise holds bytes back for up to 16 ms.
+    /// Ports without such a mode, such as ptys, stay as they are.
     pub(super) fn ask_for_low_latency(&self) {
         // struct serial_struct of <linux/serial.h>: 72 bytes at most, `flags` its fifth int.
         const FLAGS: usize = 4;

@@ -2,7 +2,7 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-/// Who has this port open, for a message: `process 1234 (name)`, or `another program` where the
+/// The process that has a port open, for messages: `process 1234 (name)`, or `another program` where the
 /// user may not see it.
 pub(super) fn holder_of(port: &str) -> String {
     let port = Path::new(port);
@@ -15,7 +15,7 @@ pub(super) fn holder_of(port: &str) -> String {
     }
 }
 
-/// The process whose file lock refused ours. Everybody may read that list.
+/// The process whose file lock refused ours. Every user may read the list of locks.
 fn find_locker(port: &Path) -> Option<u32> {
     let port = fs::metadata(port).ok()?;
     let (major, minor) = (rustix::fs::major(port.dev()), rustix::fs::minor(port.dev()));
@@ -32,7 +32,7 @@ fn locker(lock: &str, file: &str) -> Option<u32> {
     (words.next()? == file).then_some(pid)
 }
 
-/// A process that has the port open; only the user's own can be seen.
+/// A process that has the port open; the user sees only their own processes.
 fn find_opener(port: &Path) -> Option<u32> {
     let port = fs::canonicalize(port).ok()?;
     fs::read_dir("/proc").ok()?.flatten().find_map(|process| {

@@ -1,18 +1,17 @@
 use std::fs;
 use std::path::Path;
 
-/// Where Linux keeps links to serial ports that are named after the device and not after the order
-/// of plugging in.
+/// Folder in which Linux links serial ports by device name, independent of the order of plugging in.
 const BY_ID: &str = "/dev/serial/by-id";
 
-/// The serial ports that this computer has, by the names the kernel gave them.
+/// The serial ports of this computer by their kernel names.
 #[must_use]
 pub fn available_ports() -> Vec<String> {
     let ports = serialport::available_ports().unwrap_or_default();
     ports.into_iter().map(|port| port.port_name).collect()
 }
 
-/// A name for a port that stays: its link by id where it has one, else the name as it is.
+/// A name that stays with the device: the link by id if there is one, otherwise the given name.
 #[must_use]
 pub fn stable_port_name(port: &str) -> String {
     linked_name(Path::new(BY_ID), port).unwrap_or_else(|| port.to_owned())

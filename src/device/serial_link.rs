@@ -11,50 +11,49 @@ use crate::qube::{Measurement, Status};
 
 const MS: Nanoseconds = 1_000_000;
 
-/// A booting device hears nothing, so hellos are repeated at this interval.
+/// Interval between hellos, ns: a booting device misses some.
 const HELLO_INTERVAL_NS: Nanoseconds = 100 * MS;
 
-/// How long an arm or a disarm may stay without an answer before it is sent again.
+/// Time that an arm or disarm may stay unanswered before it is repeated, ns.
 const ANSWER_TIME_NS: Nanoseconds = 100 * MS;
 
-/// How often arm and disarm are tried: a frame may be lost on a healthy line.
+/// Number of attempts to arm or disarm: a healthy line may lose a frame.
 const ATTEMPTS: u32 = 3;
 
-/// An act whose sample was asked for longer ago than this is not sent: the device would refuse it,
-/// unless its clock is wrong.
+/// Largest age of the sample that an act answers, ns. The device refuses older ones, unless its clock is
+/// wrong.
 const MAX_SAMPLE_AGE_NS: Nanoseconds = MAX_SAMPLE_AGE_US as Nanoseconds * 1000;
 
-/// Several of the largest frame: what one read of the port may bring.
+/// Size of a read: several of the largest frame.
 const READ_BYTES: usize = 256;
 
 /// The host's end of the wire: a [`Device`] over any [`Transport`].
 ///
-/// A reply is taken only when it carries the sequence number of the request in hand; those that
-/// come late are dropped.
+/// It accepts only replies with the sequence number of the current request and drops late ones.
 pub struct SerialLink<T: Transport> {
     transport: T,
     clock: Arc<dyn Clock>,
     decoder: Decoder,
     sequence: u16,
-    /// For the next arm, while one is valid.
+    /// Nonce for the next arm, while one is valid.
     nonce: Option<u32>,
-    /// The last device that answered called itself an emulator.
+    /// Whether the last device that answered is an emulator.
     is_emulator: bool,
-    /// The start of the device that the last hello of a caller has told of.
+    /// Boot id that the caller's last hello returned.
     boot_id: Option<u16>,
-    /// It has started anew since then.
+    /// Whether the device has restarted since then.
     has_restarted: bool,
     motor: Motor,
     device_time: DeviceTime,
-    /// The last sample since the last hello: the only one that an act may answer.
+    /// Last sample since the last hello, the only one that an act may answer.
     last_sample: Option<LastSample>,
-    /// The last write was cut short: a delimiter must close the broken frame before the next.
+    /// Whether the last write was cut short; a delimiter must then end the broken frame.
     broken_frame: bool,
     heard: Heard,
     sample_time_ns: Option<Nanoseconds>,
 }
 
-/// What the device last said of its amplifier.
+/// The amplifier's state that the device last reported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Motor {
     Off,
@@ -62,25 +61,24 @@ enum Motor {
     Tripped,
 }
 
-/// What came in, to say what is wrong with a port that is no Qube's, or is none any more.
+/// The traffic since the last answer, from which an error message explains a silent or foreign device.
 #[derive(Clone, Copy, Debug, Default)]
 struct Heard {
-    /// When the last valid answer came.
+    /// Time of the last valid answer.
     answered_ns: Option<Nanoseconds>,
-    /// What came since then, or since the first hello.
+    /// Bytes received since then, or since the first hello.
     bytes: u64,
     requests: u64,
 }
 
-/// A sample that was given to the host.
+/// A sample that was returned to the caller.
 #[derive(Clone, Copy, Debug)]
 struct LastSample {
     device_time_us: u64,
     asked_ns: Nanoseconds,
 }
 
-/// The device's 32-bit clock made 64 bits wide. Right as long as two samples are less than 71
-/// minutes apart.
+/// Widens the device's 32-bit clock to 64 bits. Correct while two samples are less than 71 minutes apart.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeviceTime {
     time_us: Option<u64>,
@@ -98,7 +96,7 @@ impl DeviceTime {
 }
 
 impl<T: Transport> SerialLink<T> {
-    /// A link over an open wire. The clock is the one that the transport's deadlines mean.
+    /// A link over an open wire. The clock must be that of the transport's deadlines.
     #[must_use]
     pub fn new(transport: T, clock: Arc<dyn Clock>) -> Self {
         Self {
@@ -119,7 +117,7 @@ impl<T: Transport> SerialLink<T> {
         }
     }
 
-    /// The wire below.
+    /// The wire of the link.
     pub fn transport(&mut self) -> &mut T {
         &mut self.transport
     }
@@ -130,7 +128,7 @@ impl<T: Transport> SerialLink<T> {
         written
     }
 
-    /// Sends a request under a new sequence number, which it returns.
+    /// Sends a request with a new sequence number and returns the number.
     fn send(&mut self, request: Request) -> Result<u16, LinkFault> {
         if self.broken_frame {
             self.write(&[0])?;
@@ -140,8 +138,8 @@ impl<T: Transport> SerialLink<T> {
         Ok(self.sequence)
     }
 
-    /// Waits for the reply with this sequence number. Everything older is dropped, except that the
-    /// refusal of an act is taken note of.
+    /// Waits for the reply with this sequence number. Older replies are dropped, but the refusal of an act
+    /// is recorded.
     fn await_reply(&mut self, sequence: u16, deadline_ns: Nanoseconds) -> Result<Reply, LinkFault> {
         let mut buffer = [0; READ_BYTES];
         loop {
@@ -198,7 +196,7 @@ impl<T: Transport> SerialLink<T> {
 
     /// Repeats hellos until one is answered or the time is over.
     fn greet(&mut self) -> Result<HelloReply, DeviceError> {
-        // Any device may have restarted a moment ago, also one that has answered before.
+        // Any device may have restarted a moment ago, including one that has answered before.
         let wait_ns = self.transport.boot_time_ns();
         self.nonce = None;
         self.last_sample = None;
@@ -208,7 +206,7 @@ impl<T: Transport> SerialLink<T> {
         let end_ns = self.clock.now_ns() + wait_ns;
         let mut hellos = 0;
         while self.clock.now_ns() < end_ns {
-            // A delimiter first: what a terminal or a dead program left half sent ends here.
+            // A delimiter ends the partial frame that a terminal or a killed program may have left.
             self.broken_frame = true;
             let left_ns = end_ns - self.clock.now_ns();
             let hello = Request::Hello { protocol_version: PROTOCOL_VERSION };
@@ -216,7 +214,7 @@ impl<T: Transport> SerialLink<T> {
             match self.exchange(hello, HELLO_INTERVAL_NS.min(left_ns)) {
                 Ok(Reply::Hello(reply)) => return Ok(reply),
                 Ok(_) | Err(LinkFault::Timeout) => {}
-                // A port that takes no more bytes: nobody reads at its other end.
+                // The port accepts no more bytes because nobody reads at its other end.
                 Err(LinkFault::Full) => {
                     self.clock.sleep_until(self.clock.now_ns() + HELLO_INTERVAL_NS.min(left_ns));
                 }
@@ -226,7 +224,7 @@ impl<T: Transport> SerialLink<T> {
         Err(self.silence(hellos, wait_ns))
     }
 
-    /// Why there is no answer to a hello.
+    /// The error for unanswered hellos.
     fn silence(&self, hellos: u32, wait_ns: Nanoseconds) -> DeviceError {
         let Heard { answered_ns, bytes, requests } = self.heard;
         let nothing = format!("no answer to {hellos} hellos in {:.1} s", wait_ns as f64 * 1e-9);
@@ -267,8 +265,8 @@ impl<T: Transport> SerialLink<T> {
         DeviceError::Restarted { port: self.name() }
     }
 
-    /// Greets within an arm or a disarm. A device that has started anew meanwhile may count from
-    /// anywhere: only a caller's own hello leads on.
+    /// Greets within an arm or disarm. A device that has restarted in the meantime may count from any
+    /// value, so only a hello of the caller may continue.
     fn greet_same_start(&mut self) -> Result<(), DeviceError> {
         let reply = self.greet()?;
         let identity = self.accept(&reply)?;
@@ -346,7 +344,7 @@ impl<T: Transport> Device for SerialLink<T> {
         Ok(identity)
     }
 
-    /// Arms; when the answer is lost or a frame came twice, greets and arms anew.
+    /// Arms the device; when the answer is lost or a frame arrives twice, greets and arms again.
     fn arm(&mut self) -> Result<(), DeviceError> {
         let Some(mut nonce) = self.nonce.take() else {
             if self.has_restarted {
@@ -361,8 +359,8 @@ impl<T: Transport> Device for SerialLink<T> {
                     self.has_restarted = true;
                     return Err(self.restarted());
                 }
-                // A hello that came twice has made its first nonce worthless; an arm that came
-                // twice is refused the second time.
+                // A hello that arrives twice invalidates its first nonce; an arm that arrives twice is
+                // refused the second time.
                 Ok(Reply::Refusal { reason, .. })
                     if attempt == ATTEMPTS || !is_cured_by_greeting(reason) =>
                 {
@@ -385,7 +383,7 @@ impl<T: Transport> Device for SerialLink<T> {
         let sequence = self.send(Request::Sample)?;
         match self.await_reply(sequence, deadline_ns)? {
             Reply::Sample(sample) => Ok(self.measurement(&sample, asked_ns)),
-            // It restarted, so it knows of no hello.
+            // The device restarted and knows of no hello.
             Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => {
                 self.motor = Motor::Off;
                 Err(LinkFault::NotArmed)
@@ -408,7 +406,7 @@ impl<T: Transport> Device for SerialLink<T> {
         if !is_fresh {
             return Err(LinkFault::StaleSample);
         }
-        // The wire carries the lowest 32 bits, from which the 64 were made.
+        // The wire carries the lowest 32 bits, from which the 64 were widened.
         self.send(Request::Act { voltage_mv, sampled_at_us: sampled_at_us as u32 }).map(|_| ())
     }
 
@@ -427,8 +425,8 @@ impl<T: Transport> Device for SerialLink<T> {
             match self.exchange(Request::Disarm, ANSWER_TIME_NS) {
                 Ok(Reply::Disarm(reply)) => {
                     self.nonce = (reply.nonce != 0).then_some(reply.nonce);
-                    // While a lost disarm was waited for the watchdog did its work. That is no fault
-                    // that anybody would have to look at; a trip before it is, and stays latched.
+                    // The watchdog tripped while a lost disarm was awaited. That is not a fault; a trip
+                    // before it is, and stays latched.
                     if was_armed && attempt > 1 && reply.state == DeviceState::Tripped {
                         self.greet_same_start()?;
                     }
@@ -457,8 +455,8 @@ impl<T: Transport> Device for SerialLink<T> {
 }
 
 impl<T: Transport> Drop for SerialLink<T> {
-    /// Whoever drops an armed link, by a panic for instance, leaves the motor off at once and not
-    /// only when the watchdog says so.
+    /// Disarms at once when an armed link is dropped, for instance by a panic, rather than leave it to the
+    /// watchdog.
     fn drop(&mut self) {
         if self.motor == Motor::Armed {
             let _ = self.send(Request::Disarm);
@@ -466,7 +464,7 @@ impl<T: Transport> Drop for SerialLink<T> {
     }
 }
 
-/// Whether an arm that was refused for this is worth another try after a new hello.
+/// Whether a new hello may cure this refusal of an arm.
 fn is_cured_by_greeting(reason: RefusalReason) -> bool {
     matches!(reason, RefusalReason::WrongNonce | RefusalReason::AlreadyArmed)
 }

@@ -1,34 +1,33 @@
 use super::{DeviceError, LinkFault};
 use crate::clock::Nanoseconds;
 
-/// A wire that carries bytes: a serial port, or memory in its place.
+/// A wire that carries bytes: a serial port, or its substitute in memory.
 pub trait Transport: Send {
-    /// Takes what has arrived, waiting for the first byte until `deadline_ns` at the most; how many
-    /// bytes, 0 when none came. A deadline that has passed means: what is there.
+    /// Reads the bytes that have arrived and returns their number; waits for the first until `deadline_ns`.
+    /// Returns 0 when none came; with a deadline in the past it does not wait.
     ///
     /// # Errors
     /// [`LinkFault::Gone`] when the wire is gone.
     fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault>;
 
-    /// Hands over bytes without waiting: all of them, or an error.
+    /// Writes all bytes without waiting, or fails.
     ///
     /// # Errors
     /// [`LinkFault::Full`] when not all were taken (some may have been), [`LinkFault::Gone`] when
     /// the wire is gone.
     fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault>;
 
-    /// Opens the wire anew after it was gone. A wire in memory has nothing to open.
+    /// Opens the wire again after it was gone. A wire in memory does nothing.
     ///
     /// # Errors
-    /// It is not there again yet, or may not be opened.
+    /// The wire does not exist yet, or may not be opened.
     fn reopen(&mut self) -> Result<(), DeviceError> {
         Ok(())
     }
 
-    /// What users call this wire: the port's path.
+    /// The wire's name for users: the path of the port.
     fn name(&self) -> &str;
 
-    /// How long the device may take to answer its first hello, because opening the port may have
-    /// restarted it, ns.
+    /// Time that the device may take to answer its first hello, ns; opening the port may have restarted it.
     fn boot_time_ns(&self) -> Nanoseconds;
 }

@@ -12,27 +12,27 @@ use super::port_name::{available_ports, stable_port_name};
 use super::{DeviceError, LinkFault, SerialLink, Transport};
 use crate::clock::{Clock, Nanoseconds};
 
-/// An Uno or Mega restarts when its port is opened and its bootloader listens for up to two
-/// seconds before the program starts.
+/// Time that an Uno or Mega needs before it answers, ns: opening the port restarts it, and its boot loader
+/// listens for up to two seconds.
 const BOOT_TIME_NS: Nanoseconds = 3_000_000_000;
 
-/// A pty has no modem lines, so that opening it restarts nothing; but what is behind it may restart by
-/// itself, and PROTOCOL.md allows that this long.
+/// The same behind a pty, ns. A pty has no modem lines and restarts nothing, but the device behind it may
+/// restart by itself, and PROTOCOL.md allows it this time.
 const PTY_BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 
-/// A serial port of the operating system, exclusively open.
+/// A serial port of the operating system, opened exclusively.
 pub struct Tty {
-    /// None after the port was closed to be opened anew, and could not be.
+    /// `None` after a failed attempt to open the port again.
     fd: Option<PortFd<TTYPort>>,
     name: String,
-    /// The name under which the same device comes back when it is plugged in again.
+    /// Name under which the same device returns when it is plugged in again.
     stable_name: String,
     clock: Arc<dyn Clock>,
     has_modem_lines: bool,
 }
 
 impl Tty {
-    /// Opens a port at the protocol's rate and takes its low-latency mode where it has one.
+    /// Opens a port at the protocol's rate, with its low-latency mode if it has one.
     ///
     /// # Errors
     /// No such port, in use, not permitted, not a serial port.
@@ -42,7 +42,7 @@ impl Tty {
         Ok(Self { fd: Some(fd), name: port.to_owned(), stable_name, clock, has_modem_lines })
     }
 
-    /// How long to wait, none when the deadline has passed.
+    /// Time until the deadline; zero when it has passed.
     fn timeout(&self, deadline_ns: Nanoseconds) -> Timespec {
         let wait_ns = deadline_ns.saturating_sub(self.clock.now_ns());
         Timespec {
@@ -64,7 +64,7 @@ impl Transport for Tty {
                 Err(Errno::INTR) => continue,
                 Err(_) => return Err(LinkFault::Gone),
             }
-            // An unplugged port is readable without end: as 0 bytes or as an error.
+            // An unplugged port stays readable, with 0 bytes or an error.
             match rustix::io::read(fd, &mut *buffer) {
                 Ok(0) => return Err(LinkFault::Gone),
                 Ok(length) => return Ok(length),
@@ -87,7 +87,7 @@ impl Transport for Tty {
         }
     }
 
-    /// The old port is closed first: it would keep the new one from being opened exclusively.
+    /// The old port is closed first, because it would prevent opening the new one exclusively.
     fn reopen(&mut self) -> Result<(), DeviceError> {
         self.fd = None;
         let (fd, has_modem_lines) = open_port(&self.stable_name)?;
@@ -105,7 +105,7 @@ impl Transport for Tty {
 }
 
 impl SerialLink<Tty> {
-    /// Opens a serial port for a Qube. Nothing is said on it before the first hello.
+    /// Opens a serial port to a Qube. The link sends nothing before the first hello.
     ///
     /// # Errors
     /// No such port, in use, not permitted, not a serial port.
@@ -143,7 +143,7 @@ fn open_error(port: &str, error: serialport::Error) -> DeviceError {
     }
 }
 
-/// The library's error for a file or a folder is the operating system's "not a typewriter".
+/// Whether a file is not a terminal; the library reports that as "not a typewriter".
 fn is_no_terminal(port: &str) -> bool {
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
     rustix::fs::open(port, flags, Mode::empty()).is_ok_and(|file| !rustix::termios::isatty(file))

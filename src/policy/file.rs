@@ -73,7 +73,9 @@ pub enum PolicyFault {
     )]
     TooLarge,
     /// The file is not in the safetensors format, or damaged.
-    #[error(" is not a safetensors file, or is truncated ({source}). Give a file that `train` wrote")]
+    #[error(
+        " is not a safetensors file, or is truncated ({source}). Give a file that `train` wrote"
+    )]
     NotSafetensors {
         /// Cause of the failure.
         source: SafeTensorError,

@@ -119,7 +119,7 @@ fn a_policy_is_loaded_and_errors_name_the_file() {
 
     std::fs::write(&path, "no policy").unwrap();
     let message = Policy::load(&path).unwrap_err().to_string();
-    assert!(message.contains("policy.safetensors: is no safetensors file"), "{message}");
+    assert!(message.contains("policy.safetensors: is not a safetensors file"), "{message}");
     let nowhere = directory.path().join("nowhere").join("policy.safetensors");
     let message = Policy::load(&nowhere).unwrap_err().to_string();
     assert!(message.contains("nowhere") && message.contains("cannot be read"), "{message}");
@@ -132,9 +132,9 @@ fn each_kind_of_damage_is_named() {
     let damaged = |from, to| fault(&with_header_text(&bytes, from, to));
     for (message, expected) in [
         (fault(&vec![0; MAX_FILE_BYTES as usize + 1]), "larger than"),
-        (fault(&[]), "no safetensors file"),
-        (fault(&bytes[..bytes.len() - 1]), "no safetensors file"),
-        (fault(&[bytes.as_slice(), &[0]].concat()), "no safetensors file"),
+        (fault(&[]), "not a safetensors file"),
+        (fault(&bytes[..bytes.len() - 1]), "not a safetensors file"),
+        (fault(&[bytes.as_slice(), &[0]].concat()), "not a safetensors file"),
         (damaged("\"policy\"", "\"polizy\""), "no metadata `policy`"),
         (damaged("format_version\\\":1", "format_version\\\":7"), "format version 7"),
         (damaged("0.05 alpha_dot", "0.50 alpha_dot"), "0.50 alpha_dot"),

@@ -3,43 +3,42 @@ use std::io::{self, ErrorKind, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// The largest file that is read of those which people write: configurations, profiles, recipes. Ours
-/// have a few kB.
+/// Largest settings file that is read: configurations, profiles and recipes have a few kB.
 pub const SETTINGS_BYTES: u64 = 1 << 20;
 
-/// Opens a file to read it. What is no regular file is refused without being opened: a device may do
-/// something when it is, a pipe may make us wait for ever, and neither has an end.
+/// Opens a regular file for reading. It refuses anything else without opening it: opening a device may have
+/// effects, opening a pipe may block for ever, and neither has an end.
 ///
 /// # Errors
-/// There is none, or the operating system refused.
+/// The file does not exist, or the operating system refuses.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     check_regular(&fs::metadata(path)?)?;
-    // Somebody may have put another thing in its place meanwhile: opening that must not wait either.
+    // The path may have been replaced in the meantime; opening the replacement must not block either.
     let flags = libc::O_NONBLOCK | libc::O_NOCTTY;
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
     check_regular(&file.metadata()?)?;
     Ok(file)
 }
 
-/// The bytes of a regular file that has at most `limit` of them.
+/// Reads a regular file of at most `limit` bytes.
 ///
 /// # Errors
-/// As [`open_regular`]; it has more.
+/// [`open_regular`] fails, or the file is longer.
 pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    // One byte more than allowed is enough to see that there are more.
+    // One byte more than the limit shows that the file is longer.
     open_regular(path)?.take(limit.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit {
-        let reason = format!("it has more than {limit} bytes, too many for what it is to be");
+        let reason = format!("it has more than {limit} bytes, too many for this kind of file");
         return Err(io::Error::new(ErrorKind::InvalidData, reason));
     }
     Ok(bytes)
 }
 
-/// The same of a text file.
+/// Reads a text file of at most `limit` bytes.
 ///
 /// # Errors
-/// As [`read_bounded`]; it is no UTF-8.
+/// [`read_bounded`] fails, or the file is not UTF-8.
 pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
     String::from_utf8(read_bounded(path, limit)?)
         .map_err(|error| io::Error::new(ErrorKind::InvalidData, error.utf8_error()))
@@ -49,7 +48,7 @@ fn check_regular(metadata: &fs::Metadata) -> io::Result<()> {
     if metadata.is_file() {
         return Ok(());
     }
-    let reason = if metadata.is_dir() { "it is a folder" } else { "it is no regular file" };
+    let reason = if metadata.is_dir() { "it is a folder" } else { "it is not a regular file" };
     Err(io::Error::new(ErrorKind::InvalidInput, format!("{reason}: give a file")))
 }
 
@@ -67,7 +66,7 @@ mod tests {
         std::os::unix::fs::symlink("/dev/zero", &link).unwrap();
         for path in [Path::new("/dev/zero"), Path::new("/dev/full"), &pipe, &link] {
             let error = read_bounded(path, 100).unwrap_err().to_string();
-            assert!(error.contains("no regular file"), "{}: {error}", path.display());
+            assert!(error.contains("not a regular file"), "{}: {error}", path.display());
         }
         let error = read_bounded(directory.path(), 100).unwrap_err().to_string();
         assert!(error.contains("folder"), "{error}");

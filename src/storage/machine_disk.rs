@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::{Disk, DiskFile, Hold, open_regular, sync_name};
 
-/// The disk of this machine.
+/// The file system of this computer.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MachineDisk;
 
@@ -133,7 +133,7 @@ mod tests {
             MachineDisk.create(&path, true).unwrap().write_all(b"mine").unwrap();
             assert!(!MachineDisk.is_link(&path));
             fs::remove_file(&path).unwrap();
-            // Neither does another name of the same file.
+            // Another name of the same file leads nowhere either.
             fs::hard_link(&foreign, &path).unwrap();
             MachineDisk.create(&path, true).unwrap().write_all(b"mine").unwrap();
             fs::remove_file(&path).unwrap();

@@ -1,7 +1,7 @@
-//! Where files go. Everything that must survive a crash is written through a [`Disk`], so that a
-//! test can put one in its place that fails, stalls, or loses power at a chosen operation.
+//! The disk as an argument: everything that must survive a crash is written through a [`Disk`], so that a
+//! test can substitute one that fails, stalls, or loses power at a chosen operation.
 //!
-//! Imports nothing.
+//! Files of any origin are read up to a limit ([`read_bounded`]). The room imports nothing.
 
 mod bounded;
 mod machine_disk;
@@ -15,62 +15,62 @@ use std::fs::{File, TryLockError};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// What a session and a recording need of a disk.
+/// The disk operations of sessions and recordings.
 ///
-/// As on a real one, a file's bytes survive a loss of power once the file is synced, and its name
-/// once the folder that holds the name is.
+/// As on a real disk, a file's bytes survive a loss of power once the file is synced, and its name once its
+/// folder is synced.
 pub trait Disk: Send + Sync + fmt::Debug {
-    /// Makes a folder with all that is missing above it. The new names are durable on return.
+    /// Creates a folder and its missing parents. The new names are durable on return.
     ///
     /// # Errors
-    /// The operating system refused.
+    /// The operating system refuses.
     fn create_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Makes a new file; with `replace` an old one of that name goes first, without it that is an
-    /// error of the kind [`io::ErrorKind::AlreadyExists`]. A link of that name is never followed: what
-    /// it leads to is somebody else's.
+    /// Creates a file. With `replace` an existing file of that name is removed first; without it, that is
+    /// an error of the kind [`io::ErrorKind::AlreadyExists`]. A link of that name is never followed,
+    /// because its target may belong to another user.
     ///
     /// # Errors
+    /// The operating system refuses.
     /// The operating system refused.
     fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>>;
 
-    /// Opens a file to write behind its end, and makes it where there is none. A link is not followed.
+    /// Opens a file for writing at its end, and creates it if it does not exist. A link is not followed.
     ///
     /// # Errors
-    /// The operating system refused.
+    /// The operating system refuses.
     fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>>;
 
-    /// The bytes of a regular file. One that has more than `limit` gives `limit + 1` of them, which the
-    /// caller then refuses.
+    /// Reads a regular file. A file longer than `limit` gives `limit + 1` bytes, which the caller refuses.
     ///
     /// # Errors
-    /// The operating system refused.
+    /// The operating system refuses.
     fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>>;
 
-    /// Whether there is a file or folder of this name.
+    /// Whether a file or folder of this name exists.
     fn exists(&self, path: &Path) -> bool;
 
-    /// Whether this name is a symbolic link; a disk without such links has none.
+    /// Whether this name is a symbolic link; false on a disk without such links.
     fn is_link(&self, _path: &Path) -> bool {
         false
     }
 
-    /// The names in a folder, in no order.
+    /// The names in a folder, in no particular order.
     ///
     /// # Errors
-    /// There is no such folder, or the operating system refused.
+    /// The folder does not exist, or the operating system refuses.
     fn names(&self, folder: &Path) -> io::Result<Vec<OsString>>;
 
-    /// Gives a file another name; one that has that name already is replaced.
+    /// Renames a file; an existing file of the new name is replaced.
     ///
     /// # Errors
-    /// The operating system refused.
+    /// The operating system refuses.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
 
-    /// Takes a file away.
+    /// Removes a file.
     ///
     /// # Errors
-    /// There is no such file, or the operating system refused.
+    /// The file does not exist, or the operating system refuses.
     fn remove(&self, path: &Path) -> io::Result<()>;
 
     /// Makes the names in a folder durable.
@@ -79,44 +79,43 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The storage failed.
     fn sync_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Keeps other processes out of a folder as long as the hold lives.
+    /// Locks a folder against other processes for as long as the hold lives.
     ///
     /// # Errors
-    /// Another process holds it, or the operating system refused.
+    /// Another process holds it, or the operating system refuses.
     fn hold(&self, folder: &Path) -> Result<Hold, TryLockError>;
 }
 
 /// A file that is open for writing.
 pub trait DiskFile: Write + Send + fmt::Debug {
-    /// Returns when what was written would survive a loss of power.
+    /// Writes all data to the storage, so that it survives a loss of power.
     ///
     /// # Errors
     /// The storage failed.
     fn sync(&mut self) -> io::Result<()>;
 
-    /// Cuts the file off; what is written next follows there.
+    /// Truncates the file; the next write continues there.
     ///
     /// # Errors
     /// The storage failed.
     fn cut_to(&mut self, length: u64) -> io::Result<()>;
 }
 
-/// A folder that is held. The operating system takes the lock back when the process ends, however
-/// it ends.
+/// A lock on a folder. The operating system releases it when the process ends, however it ends.
 #[derive(Debug)]
 pub struct Hold {
     _lock: Option<File>,
 }
 
 impl Hold {
-    /// Of a disk that only this process can see.
+    /// A hold on a disk that only this process can see.
     #[must_use]
     pub fn unshared() -> Self {
         Self { _lock: None }
     }
 }
 
-/// Makes a name in its folder durable.
+/// Syncs the folder of a name, which makes the name durable.
 ///
 /// # Errors
 /// The storage failed.

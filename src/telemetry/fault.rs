@@ -1,27 +1,27 @@
-//! The one table of faults: for each its cause, what the operator does, and what the program does
-//! by itself. `docs/faults.md` shows it, and a test compares.
+//! The table of faults: the cause of each, the operator's step, and the program's reaction.
+//! `docs/faults.md` shows it, and a test compares.
 
 use serde::{Deserialize, Serialize};
 
-/// What the program does by itself after a fault. The motor is off in each case.
+/// The program's reaction to a fault. The motor is off in each case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Consequence {
-    /// Nothing is known against the Qube: a new hello, 1 s at rest, homing, and the next try, a
+    /// Nothing is known against the Qube: the program greets, waits for 1 s at rest, homes and repeats, a
     /// limited number of times.
     TryAgain,
-    /// The link is lost: the same port is opened again under the same identity for a limited time;
-    /// then as [`TryAgain`](Self::TryAgain), with a new zero.
+    /// The link is lost: the program opens the same port again under the same identity for a limited time,
+    /// then continues as with [`TryAgain`](Self::TryAgain), with a new zero.
     Reconnect,
-    /// A sensor or the motor is in doubt: the run or session ends. Nothing moves before an operator
-    /// has acknowledged the fault and an examination has found nothing.
+    /// A sensor or the motor is in doubt: the run or session ends. Nothing moves before an operator has
+    /// acknowledged the fault and an examination has passed.
     Examine,
-    /// The run or session ends: the same rollout would end the same way.
+    /// The run or session ends, because the same rollout would end the same way.
     End,
 }
 
 impl Consequence {
-    /// One sentence for the operator.
+    /// The reaction as a sentence for the operator.
     #[must_use]
     pub fn sentence(self) -> &'static str {
         match self {
@@ -39,7 +39,7 @@ impl Consequence {
     }
 }
 
-/// Makes the enum, its causes and the table of rows that look as the table reads.
+/// Generates the enum, its causes and the table from rows in the order of the table.
 macro_rules! faults {
     ($($(#[$attribute:meta])* $fault:ident: $consequence:ident, $cause:literal, $operator:literal;)+) => {
         /// The named faults. Each is latched: the motor is off and stays off.
@@ -55,10 +55,10 @@ macro_rules! faults {
         }
 
         impl Fault {
-            /// All of them, in the order of the table.
+            /// Every fault, in the order of the table.
             pub const ALL: &[Self] = &[$(Self::$fault),+];
 
-            /// What the program does by itself.
+            /// The program's reaction.
             #[must_use]
             pub fn consequence(self) -> Consequence {
                 match self {
@@ -66,7 +66,7 @@ macro_rules! faults {
                 }
             }
 
-            /// What the operator does, as a sentence.
+            /// The operator's step as a sentence.
             #[must_use]
             pub fn operator_step(self) -> &'static str {
                 match self {
@@ -77,7 +77,7 @@ macro_rules! faults {
     };
 }
 
-// Fault: consequence, cause, operator's step. The names are in recordings: they never change.
+// Columns: fault, consequence, cause, operator's step. Recordings contain the names, so they never change.
 faults! {
     NoSample: TryAgain,
         "no valid sample for more than 35 ms",
@@ -178,7 +178,7 @@ faults! {
 }
 
 impl Fault {
-    /// Its name in recordings and JSON.
+    /// The name in recordings and JSON.
     #[must_use]
     pub fn name(self) -> String {
         let mut name = String::new();
@@ -191,14 +191,14 @@ impl Fault {
         name
     }
 
-    /// Whether samples or commands came too late and nothing is known against the Qube itself: a
-    /// computer or a link that was busy for a moment.
+    /// Whether the fault is one of timing only: samples or commands came too late, and nothing is known
+    /// against the Qube.
     #[must_use]
     pub fn is_timing_fault(self) -> bool {
         self.consequence() == Consequence::TryAgain
     }
 
-    /// Whether the arm's count is doubted while nothing is known against link and motor.
+    /// Whether the fault puts the arm's count in doubt but neither link nor motor.
     #[must_use]
     pub fn doubts_count(self) -> bool {
         matches!(
@@ -207,14 +207,14 @@ impl Fault {
         )
     }
 
-    /// Whether it leaves a doubt about a sensor or the motor.
+    /// Whether the fault leaves a sensor or the motor in doubt.
     #[must_use]
     pub fn leaves_doubt(self) -> bool {
         self.consequence() == Consequence::Examine
     }
 }
 
-/// The table as Markdown: `docs/faults.md` shows it, and a test compares.
+/// The table as Markdown; `docs/faults.md` shows it, and a test compares.
 #[must_use]
 pub fn fault_table() -> String {
     let mut text = String::from(

@@ -7,136 +7,135 @@ use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::RewardWeights;
 use crate::safety::{Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
 
-/// Everything beside measurements and policy that decides what the tick does: with these three a
-/// recording can be run again.
+/// The settings that determine the tick besides measurements and policy; with the three a recording can be
+/// replayed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TickSettings {
-    /// Counts to angles, wanted to sent voltage.
+    /// Map from counts to angles and from wanted to sent voltage.
     pub calibration: Calibration,
-    /// How the state is estimated that the policy sees.
+    /// Estimator of the state that the policy sees.
     pub estimator: EstimatorSettings,
-    /// The box that ends the rollout.
+    /// Box that ends the rollout.
     pub safety_box: SafetyBox,
-    /// Steps that the policy has.
+    /// Number of steps of the policy.
     pub max_steps: u32,
-    /// Where the arm starts, rad.
+    /// Start angle of the arm, rad.
     pub start_theta_rad: f64,
-    /// Where the arm's stops are, where homing has touched them: the guard keeps off the nearer one.
+    /// Positions of the arm's stops, if homing has touched them; the guard keeps away from the nearer one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stops: Option<MeasuredStops>,
-    /// What the guard knew of the Qube and how it looked ahead, where foresight is the guard.
+    /// Model and settings of foresight, where foresight is the guard.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foresight: Option<ForesightSettings>,
-    /// By which of its rules the tick decided: recordings that name none ran by those of the first.
+    /// Rules of the tick; recordings that do not name them ran by the first ones.
     #[serde(default)]
     pub rules: TickRules,
 }
 
-/// The rules of settling, watching and braking that have changed since the first recordings.
+/// The versions of the tick's rules for settling, watching and braking.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TickRules {
-    /// Those that recordings ran by that name none.
+    /// The rules of recordings that name none.
     #[default]
     First,
     /// Arm and pendulum are watched against each other, settling is gentle, and a braked arm is at rest
-    /// wherever it is not near a stop.
+    /// anywhere that is not near a stop.
     Witnessed,
-    /// As before; besides, an arm whose count is doubted while a policy has the motor is damped before the
-    /// motor goes off.
+    /// As [`Witnessed`](Self::Witnessed); in addition, an arm whose count is in doubt under a policy is
+    /// damped before the motor goes off.
     Damped,
 }
 
 impl TickRules {
-    /// Those of this program.
+    /// The rules of this program.
     pub const NEWEST: Self = Self::Damped;
 }
 
-/// What is known of a rollout before it starts.
+/// The record that precedes a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RolloutHeader {
-    /// Version of this record.
+    /// Version of this record's format.
     pub format: u32,
-    /// The session's name, or `run`.
+    /// Name of the session, or `run`.
     pub session: String,
-    /// The candidate's number in its session.
+    /// Number of the candidate in its session.
     pub candidate: Option<u32>,
-    /// The rollout's number for its candidate.
+    /// Number of the rollout for its candidate.
     pub rollout: u32,
-    /// 0, or which repetition of a void rollout this is.
+    /// Number of the attempt: 0, or the count of repetitions after void rollouts.
     pub attempt: u32,
-    /// The candidate's psi by name; empty where there is none.
+    /// Psi of the candidate by name; empty without one.
     pub psi: BTreeMap<String, f64>,
-    /// The seed of the run.
+    /// Seed of the run.
     pub seed: u64,
-    /// Wall-clock start, ns since 1970; none under a virtual clock.
+    /// Wall-clock start, ns since 1970; `None` under a virtual clock.
     pub started_unix_ns: Option<u64>,
-    /// Version of this program.
+    /// Version of the program.
     pub program_version: String,
-    /// The revision it was built from, or `unknown`.
+    /// Revision that the program was built from, or `unknown`.
     pub git_revision: String,
-    /// The device, as it named itself: kind, serial, firmware version, protocol version, port.
+    /// Identity of the device: kind, serial, firmware version, protocol version, port.
     pub device: BTreeMap<String, String>,
-    /// The check of the device before it.
+    /// Check of the device before the rollout.
     #[serde(default)]
     pub preflight: Preflight,
-    /// How warm the motor was at the start; none in a recording that is older than the estimate of
-    /// it, which then plays no part.
+    /// Motor heat at the start; `None` in recordings older than its estimate, whose replay ignores it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motor_heat: Option<MotorHeat>,
-    /// The guard was off on hardware, because the operator had accepted on the command line
-    /// that the arm may reach its hard stop.
+    /// Whether the guard was off on hardware, because the operator accepted on the command line that the
+    /// arm may reach its hard stop.
     #[serde(default, skip_serializing_if = "is_false")]
     pub hard_stop_accepted: bool,
     /// Name of the policy.
     pub policy: String,
-    /// What decides the tick.
+    /// Settings of the tick.
     pub settings: TickSettings,
-    /// The weights of the reward that the return is computed with.
+    /// Weights of the reward from which the return is computed.
     pub reward: RewardWeights,
 }
 
-/// How a rollout ended. Only `Completed` and `LeftBox` are results; the others are void or stopped.
+/// The ending of a rollout. `Completed` and `LeftBox` are results; the others are void or stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind", content = "detail")]
 pub enum Ending {
-    /// All steps were taken.
+    /// The policy took all steps.
     Completed,
     /// The state left the safety box.
     LeftBox(Limit),
-    /// Somebody asked to stop.
+    /// The operator or the program asked to stop.
     Stopped,
-    /// A fault of timing, link or machine.
+    /// A fault of timing, link or machine ended it.
     Fault(Fault),
 }
 
-/// What is known of a rollout when it is over; the return is not here, it is computed from the ticks.
+/// The record that follows a rollout. The return is not part of it; it is computed from the ticks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RolloutOutcome {
-    /// How it ended.
+    /// Ending of the rollout.
     pub ending: Ending,
-    /// What the tick was doing then.
+    /// Phase of the tick at the end.
     pub phase: Phase,
-    /// Steps that the policy took.
+    /// Number of steps of the policy.
     pub steps: u32,
-    /// Ticks that were late by more than a whole period, or without a valid sample.
+    /// Number of ticks that were late by more than a whole period, or without a valid sample.
     pub missed_deadlines: u32,
-    /// Records that the recorder had no room for: above 0, the file has gaps.
+    /// Number of records for which the recorder had no room; above 0, the file has gaps.
     pub records_lost: u64,
-    /// How often the observer had lost the Qube and started anew from encoders and filter: its model
-    /// is of another Qube, or something hit this one.
+    /// How often the observer lost the Qube and was reset from encoders and filter: its model does not
+    /// match, or something hit the Qube.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub times_astray: u32,
-    /// Why foresight ended it, where it did; none in older recordings.
+    /// Prediction for which foresight ended the rollout; `None` for other endings and in older recordings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foreseen: Option<Foreseen>,
-    /// The motor's largest load, 1 being what it stands continuously; none in older recordings.
+    /// Largest load of the motor, 1 at its continuous rating; `None` in older recordings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_motor_load: Option<f64>,
-    /// Wake-up lateness, microseconds.
+    /// Lateness of wake-ups, microseconds.
     pub lateness_us: LatencySummary,
-    /// From sample to act by the device's clock, microseconds.
+    /// Time from sample to act by the device's clock, microseconds.
     pub sample_to_act_us: LatencySummary,
 }
 

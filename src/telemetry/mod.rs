@@ -1,6 +1,15 @@
-//! Plain records that leave the tick, and the header of a rollout.
+//! Plain records that leave the tick: the record of a tick, header and outcome of a rollout, and the table
+//! of faults.
 //!
-//! May import `qube`, `safety`, `estimation`.
+//! Their fields are the fields of recordings, so that names never change. The room may import `qube`,
+//! `safety` and `estimation`.
+//!
+//! ```
+//! use qube_hil::telemetry::{Consequence, Fault};
+//!
+//! assert_eq!(Fault::LinkGone.name(), "link_gone");
+//! assert_eq!(Fault::LinkGone.consequence(), Consequence::Reconnect);
+//! ```
 
 mod fault;
 mod header;

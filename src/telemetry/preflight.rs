@@ -2,55 +2,55 @@ use serde::{Deserialize, Serialize};
 
 use super::LatencySummary;
 
-/// What one check of a device came to.
+/// The result of one check of a device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CheckResult {
-    /// A name that stays.
+    /// Permanent name of the check.
     pub name: String,
-    /// Passed, failed, or not done.
+    /// Verdict: passed, failed, or skipped.
     pub verdict: CheckVerdict,
-    /// The figure or fact that was found, in words; why it was not done.
+    /// Figure or fact that was found, in words; the reason where the check was skipped.
     pub value: String,
-    /// What to do about a failure.
+    /// Remedy of a failure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cure: Option<String>,
 }
 
-/// Passed, failed, or not done.
+/// The verdict of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CheckVerdict {
-    /// As it should be.
+    /// The check passed.
     Pass,
-    /// Not as it should be.
+    /// The check failed.
     Fail,
-    /// Not done, because one before it failed or there is nothing to check.
+    /// The check was not done, because one before it failed or there is nothing to check.
     Skipped,
 }
 
-/// What was measured of a link, and what the control loop makes of it.
+/// The measured timing of a link, and the control loop's setting for it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeasuredLink {
-    /// From the request of a sample to its whole answer, microseconds.
+    /// Time from the request of a sample to its complete answer, microseconds.
     pub round_trip_us: LatencySummary,
-    /// Samples without an answer.
+    /// Number of samples without an answer.
     pub lost: u32,
-    /// How long a tick waits for its sample, microseconds.
+    /// Time that a tick waits for its sample, microseconds.
     pub sample_time_us: u32,
 }
 
-/// What is known about the check of the device before a rollout.
+/// The record of the device's check before a rollout.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind", content = "checks")]
 pub enum Preflight {
-    /// Nothing: the recording is older than the check.
+    /// The recording is older than the check.
     #[default]
     Unknown,
-    /// The embedded emulator needs none.
+    /// No check: the embedded emulator needs none.
     NotNeeded,
-    /// Somebody asked to leave it out.
+    /// No check: the operator left it out.
     SkippedByFlag,
-    /// It was done, with these results.
+    /// The check was done, with these results.
     Done(Vec<CheckResult>),
 }
 
@@ -60,7 +60,7 @@ impl CheckResult {
         Self { name: name.into(), verdict: CheckVerdict::Pass, value: value.into(), cure: None }
     }
 
-    /// A check that failed, and what to do about it.
+    /// A failed check with its remedy.
     pub fn fail(name: &str, value: impl Into<String>, cure: impl Into<String>) -> Self {
         Self {
             name: name.into(),
@@ -70,12 +70,12 @@ impl CheckResult {
         }
     }
 
-    /// A check that was not done, and why.
+    /// A check that was not done, with the reason.
     pub fn skipped(name: &str, why: impl Into<String>) -> Self {
         Self { name: name.into(), verdict: CheckVerdict::Skipped, value: why.into(), cure: None }
     }
 
-    /// Whether it failed.
+    /// Whether the check failed.
     #[must_use]
     pub fn failed(&self) -> bool {
         self.verdict == CheckVerdict::Fail

@@ -2,43 +2,43 @@ use serde::{Deserialize, Serialize};
 
 use crate::qube::{Measurement, State};
 
-/// What the tick is doing.
+/// The phase of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
-    /// Moving the arm to its starting point and the pendulum to rest.
+    /// The tick moves the arm to its start angle and waits for the pendulum to rest.
     #[default]
     Settling,
-    /// The policy has the motor; these ticks make the return.
+    /// The policy has the motor; these ticks make up the return.
     Running,
-    /// The rollout is over and the arm is being stopped.
+    /// The rollout is over and the tick stops the arm.
     Braking,
 }
 
-/// One tick, as it leaves the control thread: everything that is needed to run it again.
+/// The record of one tick: its inputs and outputs, from which it can be replayed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TickRecord {
     /// Number of the tick in its rollout, from 0.
     pub tick: u32,
-    /// What the tick was doing.
+    /// Phase of the rollout.
     pub phase: Phase,
-    /// When it was due, by the host's clock, ns.
+    /// Time at which the tick was due, by the host's clock, ns.
     pub deadline_ns: u64,
-    /// How long after that it woke, ns.
+    /// Lateness of the wake-up, ns.
     pub lateness_ns: u64,
-    /// Whole periods that were skipped before this tick because the one before ran late.
+    /// Whole periods skipped before this tick because the one before ran late.
     pub skipped_periods: u32,
-    /// Whether somebody had asked to stop by the time the tick woke.
+    /// Whether a stop was requested by the time the tick woke.
     pub stop_requested: bool,
-    /// The sample, or none when no valid one came in time and the last voltage was held over.
+    /// Sample; `None` when no valid one came in time and the last voltage was held.
     pub measurement: Option<Measurement>,
-    /// The estimated state that the policy sees, in the phases before and after it too. What judges,
-    /// settles and brakes goes by a filter of its own, which follows from the samples.
+    /// Estimated state that the policy sees, also in the other phases. Guard, settling and braking use
+    /// their own filter, which follows from the samples.
     pub state: State,
-    /// What the controller asked for, V, before any limit; none while held over.
+    /// Voltage that the controller asked for before any limit, V; `None` while the last one is held.
     pub wanted_v: Option<f64>,
-    /// What was sent, mV, by the convention's sign (positive turns the arm to positive theta).
+    /// Voltage sent, mV, in the convention's sign (positive turns the arm to positive theta).
     pub voltage_mv: i16,
-    /// Time from sending the sample request to handing over the act, by the host's clock, ns.
+    /// Time from sending the request of the sample to writing the act, by the host's clock, ns.
     pub turnaround_ns: u64,
 }

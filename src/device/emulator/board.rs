@@ -13,33 +13,33 @@ use super::{EmulatorFault, EmulatorSettings, Plant};
 
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
 
-/// Types from here on are replies; a device that hears one hears another device, or an echo.
+/// First message type of replies. A board that receives one hears another device, or an echo.
 const FIRST_REPLY_TYPE: u8 = 0x80;
 
-/// Keeps the nonces' random stream apart from the plant's.
+/// Random stream of the nonces, separate from the plant's.
 const NONCE_STREAM: u64 = 1;
 
-/// And that of the numbers which a start draws.
+/// Random stream of the numbers drawn at a start.
 const START_STREAM: u64 = 3;
 
-/// From a dip of the supply to the program's first frame: the chip's start-up time of 65 ms as Arduino
-/// sets its fuses, and what the program needs.
+/// Time from a dip of the supply to the program's first frame, us: the chip's start-up time of 65 ms with
+/// Arduino's fuses, and the program's own.
 const BROWN_OUT_DARK_US: u64 = 70_000;
 
-/// From a pulse at the reset pin to the program's first frame: the boot loader of the Uno listens for
+/// Time from a pulse at the reset pin to the program's first frame, us: the Uno's boot loader listens for
 /// about a second.
 const RESTART_DARK_US: u64 = 1_000_000;
 
-/// How long the emergency stop is pressed.
+/// Time for which the emergency stop is pressed, us.
 const STOP_PRESSED_US: u64 = 2_000_000;
 
-/// How far from the Qube's own counters a restarted board may begin to count: nothing in the protocol
-/// says that counts go on, and no host may rely on it.
+/// Largest difference between the counters of the Qube and of a restarted board: the protocol does not
+/// promise that counts continue, so no host may rely on it.
 const RESTART_COUNTS: i32 = 400;
 
 /// The microcontroller's program over an emulated Qube: bytes in, bytes out, its own clock.
 ///
-/// Does no I/O: whoever owns it moves its clock and hands it bytes at the time they arrive.
+/// It performs no I/O: its owner advances its clock and delivers bytes at their time of arrival.
 #[derive(Clone, Debug)]
 pub struct Board {
     settings: EmulatorSettings,
@@ -49,32 +49,31 @@ pub struct Board {
     starts: ChaCha8Rng,
     boot_id: u16,
     now_us: u64,
-    /// When the program started: its clock's zero.
+    /// Time at which the program started, the zero of its clock.
     booted_us: u64,
-    /// While it has no program running: until when, `u64::MAX` for ever. The Qube keeps its last motor
-    /// word.
+    /// Time until which no program runs, `u64::MAX` for ever. The Qube keeps its last motor command.
     dark_until_us: Option<u64>,
     state: DeviceState,
-    /// For the next arm; 0 is none.
+    /// Nonce for the next arm; 0 is none.
     nonce: u32,
     watchdog_tripped: bool,
     fault_began: bool,
     stall_error: bool,
     frozen_theta_counts: Option<i32>,
-    /// The emergency stop, latched.
+    /// Latched state of the emergency stop.
     emergency_stop: bool,
     frozen_alpha_counts: Option<i32>,
-    /// What a restart has added to the counts.
+    /// Offset that a restart added to the counts.
     theta_shift: i32,
     alpha_shift: i32,
     watchdog_fed_us: u64,
-    /// When it last left the armed state.
+    /// Time at which the board last left the armed state.
     switched_off_us: Option<u64>,
     motor_counts: i16,
     last_act_sequence: u16,
-    /// The last sample given, until an act answers it: for the time between the two.
+    /// Last sample sent, until an act answers it; it gives the time between the two.
     previous_sample_us: Option<u64>,
-    /// The last sample given since the last hello, by the device's clock: what an act must name.
+    /// Last sample sent since the last hello, by the device's clock, which an act must name.
     given_us: Option<u32>,
     sample_to_act_us: u16,
     dropped_frames: u16,
@@ -82,7 +81,7 @@ pub struct Board {
 }
 
 impl Board {
-    /// A board that has just started, its Qube at rest.
+    /// A board that has just started, with its Qube at rest.
     #[must_use]
     pub fn new(settings: EmulatorSettings) -> Self {
         let mut nonces = ChaCha8Rng::seed_from_u64(settings.seed);
@@ -123,7 +122,7 @@ impl Board {
         board
     }
 
-    /// Lets time pass. The watchdog and a fault strike at their own instants on the way.
+    /// Advances the clock. Watchdog and fault act at their own instants on the way.
     pub fn advance_to(&mut self, now_us: u64) {
         while let Some(event_us) = self.next_event_us().filter(|event_us| *event_us <= now_us) {
             self.now_us = self.now_us.max(event_us);
@@ -139,8 +138,7 @@ impl Board {
         self.now_us = self.now_us.max(now_us);
     }
 
-    /// When something happens next even if nobody says anything: the owner calls
-    /// [`advance_to`](Self::advance_to) then.
+    /// Time of the next event without any traffic; the owner then calls [`advance_to`](Self::advance_to).
     #[must_use]
     pub fn next_event_us(&self) -> Option<u64> {
         let fault_us =
@@ -153,7 +151,7 @@ impl Board {
         (self.state == DeviceState::Armed).then_some(self.watchdog_fed_us + WATCHDOG_US)
     }
 
-    /// Takes a byte that has arrived by now; the reply, if it makes one, starts at once.
+    /// Takes a byte that has arrived; the reply, if there is one, starts at once.
     pub fn receive(&mut self, byte: u8) -> Option<EncodedFrame> {
         if self.dark_until_us.is_some() {
             return None;
@@ -174,7 +172,7 @@ impl Board {
         Some(reply)
     }
 
-    /// Whether the port is gone: the cable has been pulled, or the board has no supply.
+    /// Whether the port is gone because the cable is pulled or the board has no supply.
     #[must_use]
     pub fn is_unplugged(&self) -> bool {
         let now_s = self.now_us as f64 * 1e-6;
@@ -185,7 +183,8 @@ impl Board {
         })
     }
 
-    /// When the cable is plugged in again, by its own clock; none where it is not pulled or stays out.
+    /// Time at which the cable is plugged in again, by the board's clock; `None` if it is not pulled or
+    /// stays out.
     #[must_use]
     pub fn plugged_in_us(&self) -> Option<u64> {
         match self.settings.fault {
@@ -196,7 +195,7 @@ impl Board {
         }
     }
 
-    /// Whether the wire flips a bit of the reply that was made last.
+    /// Whether the wire flips a bit of the last reply.
     #[must_use]
     pub fn garbles_reply(&self) -> bool {
         match self.settings.fault {
@@ -205,25 +204,25 @@ impl Board {
         }
     }
 
-    /// The Qube as it really is now; nobody on the other side of the wire can know.
+    /// The true state of the Qube, which the wire does not show.
     pub fn plant(&mut self) -> &Plant {
         self.plant.advance_to(self.now_us);
         &self.plant
     }
 
-    /// The state it is in.
+    /// The state of the protocol.
     #[must_use]
     pub fn state(&self) -> DeviceState {
         self.state
     }
 
-    /// When the last valid command came, an arm or an accepted act, by its own clock.
+    /// Time of the last valid command, an arm or an accepted act, by the board's clock.
     #[must_use]
     pub fn last_command_us(&self) -> u64 {
         self.watchdog_fed_us
     }
 
-    /// When the amplifier last went off, by its own clock; none where it never was on.
+    /// Time at which the amplifier last went off, by the board's clock; `None` if it never was on.
     #[must_use]
     pub fn switched_off_us(&self) -> Option<u64> {
         self.switched_off_us
@@ -392,7 +391,7 @@ impl Board {
         })
     }
 
-    /// Switches the motor off and takes another state.
+    /// Switches the motor off and enters another state.
     fn leave_armed(&mut self, next: DeviceState) {
         if self.state == DeviceState::Armed {
             self.switched_off_us = Some(self.now_us);
@@ -408,20 +407,20 @@ impl Board {
         self.plant.set_voltage(sense * f64::from(motor_voltage_mv(motor_counts)) * 1e-3);
     }
 
-    /// The program's clock, as the wire carries it.
+    /// The program's clock in the wire's format.
     fn device_time_us(&self) -> u32 {
         (self.now_us - self.booted_us) as u32
     }
 
-    /// The program stops where it is; the Qube is told nothing.
+    /// Stops the program; the Qube keeps its last command.
     fn go_dark(&mut self, until_us: u64) {
         self.dark_until_us = Some(until_us);
         self.state = DeviceState::Idle;
         self.decoder.reset();
     }
 
-    /// A start of the program: its first frame switches the motor off, and nothing is left of what it
-    /// knew but what the EEPROM keeps.
+    /// Starts the program: its first frame switches the motor off, and it forgets everything except the
+    /// EEPROM.
     fn boot(&mut self) {
         if self.motor_counts != 0 {
             self.switched_off_us = Some(self.now_us);
@@ -452,7 +451,7 @@ impl Board {
         }
     }
 
-    /// 1, or -1 for what is wired the other way round.
+    /// 1, or -1 for a reversed connection.
     fn sense(&self, flipped: EmulatorFault) -> i32 {
         let wiring = self.settings.wiring;
         let is_wired_so = match flipped {

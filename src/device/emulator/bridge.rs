@@ -3,26 +3,26 @@ use std::str::FromStr;
 
 use crate::clock::Nanoseconds;
 
-/// Interval of the timer by which the 16U2 of a genuine Uno or Mega hands received bytes to USB:
-/// timer 0 overflows after 256 x 256 clocks of 16 MHz (public source of its firmware).
+/// Interval of the timer by which the 16U2 of a genuine Uno or Mega passes received bytes to USB: timer 0
+/// overflows after 256 x 256 clocks of 16 MHz (public source of its firmware).
 const FLUSH_NS: Nanoseconds = 4_096_000;
 
-/// A frame of full-speed USB: in either direction bytes wait for the next one at the most.
+/// Length of a frame of full-speed USB; bytes in either direction wait for the next one at most.
 const FRAME_NS: Nanoseconds = 1_000_000;
 
-/// From the end of a frame until the computer's driver has handed its bytes over.
+/// Time from the end of a frame until the computer's driver delivers its bytes.
 const HAND_OVER_NS: Nanoseconds = 300_000;
 
-/// Where the two begin, as seen from the host's clock: nobody knows, so somewhere.
+/// Phases of timer and frame in the host's clock; they are unknown, so the values are arbitrary.
 const FLUSH_PHASE_NS: Nanoseconds = 1_234_000;
 const FRAME_PHASE_NS: Nanoseconds = 567_000;
 
-/// What sits between the board's serial line and the computer, where that is no plain line.
+/// The USB bridge between the board's serial line and the computer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UsbBridge {
     /// The second microcontroller of a genuine Uno or Mega.
     Atmega16u2,
-    /// One that flushes by a timer of 20 ms: too slow to control anything through.
+    /// A bridge that flushes by a timer of 20 ms, too slow for control.
     Slow,
 }
 
@@ -34,21 +34,21 @@ impl UsbBridge {
         }
     }
 
-    /// When the computer has a byte that the bridge got from the board at this time.
+    /// Time at which the computer receives a byte that the bridge got from the board at this time.
     #[must_use]
     pub fn reaches_host_ns(self, arrival_ns: Nanoseconds) -> Nanoseconds {
         let flushed_ns = next(arrival_ns, self.flush_ns(), FLUSH_PHASE_NS);
         next(flushed_ns, FRAME_NS, FRAME_PHASE_NS) + HAND_OVER_NS
     }
 
-    /// When the bridge begins to pass on what the computer wrote at this time.
+    /// Time at which the bridge begins to pass on bytes that the computer wrote at this time.
     #[must_use]
     pub fn leaves_bridge_ns(self, written_ns: Nanoseconds) -> Nanoseconds {
         next(written_ns, FRAME_NS, FRAME_PHASE_NS)
     }
 }
 
-/// The first instant of a clockwork from a time on.
+/// The first tick of a periodic timer at or after a time.
 fn next(time_ns: Nanoseconds, interval_ns: Nanoseconds, phase_ns: Nanoseconds) -> Nanoseconds {
     let offset_ns = phase_ns % interval_ns;
     (time_ns + interval_ns - offset_ns).div_ceil(interval_ns) * interval_ns + offset_ns

@@ -3,178 +3,177 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-/// By how many counts an encoder jumps unless somebody says another number.
+/// Default size of an encoder's jump, counts.
 const USUAL_JUMP_COUNTS: i32 = 300;
 
-/// Something that goes wrong with an emulated Qube; each is known to happen to real ones.
+/// A fault of an emulated Qube; each is known from real ones.
 ///
-/// Times are seconds of the device's clock. As text: `silent@2`, `garble@10`, `wrong-version` ...
+/// Times are seconds of the device's clock. In text form: `silent@2`, `garble@10`, `wrong-version` ...
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum EmulatorFault {
-    /// From then on its program answers nothing and does nothing but its watchdog.
+    /// The program stops answering; only its watchdog still works.
     Silent {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
     },
     /// One bit of each n-th reply arrives flipped.
     Garble {
-        /// The n.
+        /// Interval n, replies.
         every: u32,
     },
-    /// Its firmware is of the protocol version before this program's.
+    /// The firmware has the previous protocol version.
     WrongVersion,
-    /// The pendulum's encoder cable is loose: its count stays.
+    /// The pendulum's encoder cable is loose: its count freezes.
     FrozenAlpha {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// The arm's encoder cable is loose: its count stays, and its tachometer shows an arm at rest.
+    /// The arm's encoder cable is loose: its count freezes, and its tachometer shows an arm at rest.
     FrozenTheta {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
     },
     /// The motor's circuit is open: no current flows, and nothing brakes the arm but friction.
     DeadMotor {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// Something holds the arm. At up to 5 V the Qube's own stall detection says nothing.
+    /// The arm is blocked. At up to 5 V the Qube's own stall detection stays silent.
     BlockedArm {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// The Qube reports a fault of its amplifier, for good.
+    /// The Qube reports a permanent fault of its amplifier.
     AmplifierFault {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
     },
     /// The Qube reports a stall and switches its motor off; arming anew clears it.
     StallError {
-        /// When, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// The Qube does not answer the board any more.
+    /// The Qube no longer answers the board.
     QubeAbsent {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// The USB cable is pulled from a board that has another supply: the port is gone, but the board
-    /// lives, and its watchdog switches the motor off. A board that lives from USB dies with it:
+    /// The USB cable is pulled from a board with its own supply: the port is gone, but the board runs on,
+    /// and its watchdog switches the motor off. A board that is fed by USB loses its power instead:
     /// [`PowerLoss`](Self::PowerLoss).
     Unplugged {
-        /// When, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// The board loses its supply, as with the USB cable that feeds it: the port is gone, and the Qube
-    /// keeps the last motor word, because nothing is left to tell it another.
+    /// The board loses its supply, for instance with the USB cable that feeds it: the port is gone, and the
+    /// Qube keeps the last motor command, because nothing replaces it.
     PowerLoss {
-        /// When, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// The board's supply dips and its brown-out detector restarts it. Its pins float meanwhile, and
-    /// the chip-select pull-up keeps the Qube from hearing noise, so that the last motor word stays
-    /// until the program's first frame, 70 ms later.
+    /// The board's supply dips and its brown-out detector restarts it. Its pins float meanwhile, and the
+    /// chip-select pull-up keeps the Qube from reading noise, so that the last motor command stays until
+    /// the program's first frame, 70 ms later.
     BrownOut {
-        /// When, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// The board is restarted by its reset pin: its boot loader listens for 1 s, and the last motor
-    /// word stays until the program's first frame.
+    /// The reset pin restarts the board: its boot loader listens for 1 s, and the last motor command stays
+    /// until the program's first frame.
     BoardRestart {
-        /// When, s.
+        /// Onset, s.
         after_s: f64,
     },
     /// The emergency-stop switch is pressed, and released after 2 s.
     EmergencyStop {
-        /// When, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// The USB cable is pulled and plugged in again; the board has a supply of its own meanwhile.
+    /// The USB cable is pulled and plugged in again; the board has its own supply meanwhile.
     Replugged {
-        /// When it is pulled, s.
+        /// Time at which it is pulled, s.
         after_s: f64,
-        /// How long it is out, s.
+        /// Time for which it stays out, s.
         away_s: f64,
     },
-    /// The arm's encoder cable is loose: its count stays, and its tachometer goes on showing the last
-    /// velocity.
+    /// The arm's encoder cable is loose: its count freezes, and its tachometer keeps the last velocity.
     StuckTheta {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
     },
-    /// The arm's encoder cable is loose for a while; counts that pass meanwhile are lost.
+    /// The arm's encoder cable is loose for a while; counts in that time are lost.
     LapsingTheta {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
-        /// For how long, s.
+        /// Duration, s.
         lasts_s: f64,
     },
-    /// The pendulum's encoder cable is loose for a while; counts that pass meanwhile are lost.
+    /// The pendulum's encoder cable is loose for a while; counts in that time are lost.
     LapsingAlpha {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
-        /// For how long, s.
+        /// Duration, s.
         lasts_s: f64,
     },
-    /// The arm's count is suddenly another one.
+    /// The arm's count jumps.
     JumpTheta {
-        /// When, s.
+        /// Onset, s.
         after_s: f64,
-        /// By how much.
+        /// Size of the jump, counts.
         counts: i32,
     },
-    /// The pendulum's count is suddenly another one.
+    /// The pendulum's count jumps.
     JumpAlpha {
-        /// When, s.
+        /// Onset, s.
         after_s: f64,
-        /// By how much.
+        /// Size of the jump, counts.
         counts: i32,
     },
-    /// The motor has a bad contact: only this share of the current flows.
+    /// The motor has a bad contact: only a share of the current flows.
     WeakMotor {
-        /// The share, above 0 and at most 1.
+        /// Share of the current, above 0 and at most 1.
         share: f64,
     },
-    /// The amplifier drives in one direction only; asked for the other one it gives 0 V.
+    /// The amplifier drives in one direction only and gives 0 V in the other.
     OneSidedMotor {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
-        /// Whether it is the positive voltage that drives.
+        /// Whether the positive direction works.
         positive: bool,
     },
-    /// The arm's encoder counts more or fewer lines than a Qube's.
+    /// The arm's encoder has another number of lines than a Qube's.
     ScaledTheta {
-        /// How many times as many counts, above 0 and at most 10.
+        /// Ratio of its counts to a Qube's, above 0 and at most 10.
         factor: f64,
     },
     /// A hand pushes the arm.
     PushedArm {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
-        /// For how long, s.
+        /// Duration, s.
         lasts_s: f64,
-        /// How strongly, as the voltage that pushes as strongly, V.
+        /// Motor voltage that would push as strongly, V.
         like_v: f64,
     },
     /// A hand holds the pendulum.
     HeldPendulum {
-        /// From when on, s.
+        /// Onset, s.
         after_s: f64,
-        /// For how long, s.
+        /// Duration, s.
         lasts_s: f64,
     },
-    /// The arm's encoder is wired the other way round.
+    /// The arm's encoder is wired in reverse.
     FlippedTheta,
-    /// The pendulum's encoder is wired the other way round.
+    /// The pendulum's encoder is wired in reverse.
     FlippedAlpha,
-    /// The motor is wired the other way round.
+    /// The motor is wired in reverse.
     FlippedMotor,
 }
 
-/// A text that names no fault.
+/// The error for a text that names no fault.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
-    "{text} is no fault. There are: silent@S, garble@N, wrong-version, frozen-theta@S, frozen-alpha@S, \
+    "{text} is not a fault. The faults are: silent@S, garble@N, wrong-version, frozen-theta@S, frozen-alpha@S, \
      dead-motor@S, blocked-arm@S, amplifier@S, stall@S, qube-absent@S, unplug@S, unplug@S+T (plugged in again \
      after T seconds), power-loss@S, \
      brown-out@S, board-restart@S, emergency-stop@S, flipped-theta, flipped-alpha, flipped-motor, \
@@ -185,12 +184,12 @@ pub enum EmulatorFault {
      N each n-th reply)"
 )]
 pub struct UnknownFault {
-    /// The text.
+    /// Text given.
     pub text: String,
 }
 
 impl EmulatorFault {
-    /// When it begins, in microseconds of the device's clock.
+    /// The onset in microseconds of the device's clock; 0 for faults that are there from the start.
     #[must_use]
     pub fn onset_us(&self) -> u64 {
         match *self {
@@ -293,12 +292,12 @@ impl FromStr for EmulatorFault {
         let number = |value: &str| {
             value.parse::<f64>().ok().filter(|number| number.is_finite() && *number >= 0.0)
         };
-        // S+D: from S on, for D.
+        // The form S+D: from S on, for D.
         let lapse = || {
             let (after, lasts) = value?.split_once('+')?;
             Some((number(after)?, number(lasts)?))
         };
-        // S:N, or S for the usual jump.
+        // The form S:N, or S for the default jump.
         let jump = || {
             let (after, counts) = match value?.split_once(':') {
                 Some((after, counts)) => (after, counts.parse().ok()?),

@@ -1,26 +1,26 @@
-//! What is wrong with an emulated Qube's encoders and motor, by its own time.
+//! Faults of an emulated Qube's encoders and motor over its own time.
 
 use firmware_protocol::scaling::{TACHOMETER_NEGATIVE, TACHOMETER_STILL};
 
 use super::EmulatorFault;
 
-/// What the encoders' chip would give if nothing were wrong.
+/// The readings of intact encoders.
 #[derive(Clone, Copy, Debug)]
 pub struct TrueReadings {
-    /// Encoder of the arm.
+    /// Count of the arm's encoder.
     pub theta_counts: i32,
-    /// Encoder of the pendulum.
+    /// Count of the pendulum's encoder.
     pub alpha_counts: i32,
-    /// The tachometer's register.
+    /// Register of the tachometer.
     pub tachometer_raw: u32,
 }
 
-/// The state of a fault of encoders or motor.
+/// The progress of a fault of encoders or motor.
 #[derive(Clone, Copy, Debug)]
 pub struct Mishap {
     fault: Option<EmulatorFault>,
     stage: Stage,
-    /// What froze, as it was then.
+    /// Readings at the onset of the fault.
     held: TrueReadings,
     /// Counts that were lost, or that a jump added.
     theta_shift: i32,
@@ -35,13 +35,13 @@ enum Stage {
 }
 
 impl Mishap {
-    /// A fault that has not begun.
+    /// A fault before its onset.
     pub fn new(fault: Option<EmulatorFault>) -> Self {
         let held = TrueReadings { theta_counts: 0, alpha_counts: 0, tachometer_raw: 0 };
         Self { fault, stage: Stage::Before, held, theta_shift: 0, alpha_shift: 0 }
     }
 
-    /// When something changes next, us.
+    /// Time of the next change, us.
     pub fn next_us(&self) -> Option<u64> {
         let fault = self.fault?;
         let lasts_s = match fault {
@@ -58,8 +58,7 @@ impl Mishap {
         }
     }
 
-    /// Goes on to what comes next; gives the share of the current that the motor has from now on, where
-    /// that changes.
+    /// Enters the next stage; returns the motor's new share of the current if that changes.
     pub fn go_on(&mut self, truly: TrueReadings) -> Option<f64> {
         match (self.stage, self.fault?) {
             (Stage::Before, fault) => {
@@ -89,7 +88,7 @@ impl Mishap {
         None
     }
 
-    /// What the encoders' chip gives.
+    /// The readings of the encoders with the fault.
     pub fn readings(&self, truly: TrueReadings) -> TrueReadings {
         let mut seen = TrueReadings {
             theta_counts: truly.theta_counts.wrapping_add(self.theta_shift),
@@ -119,7 +118,7 @@ impl Mishap {
         seen
     }
 
-    /// What the motor gets where the amplifier was told this, V.
+    /// The voltage at the motor for a commanded voltage, V.
     pub fn driven_v(&self, voltage_v: f64) -> f64 {
         match self.fault {
             Some(EmulatorFault::OneSidedMotor { positive, .. }) if self.stage == Stage::During => {
@@ -133,7 +132,7 @@ impl Mishap {
         }
     }
 
-    /// What a hand pushes the arm by, as a voltage, V.
+    /// The push of a hand on the arm as an equivalent voltage, V.
     pub fn pushed_like_v(&self) -> f64 {
         match self.fault {
             Some(EmulatorFault::PushedArm { like_v, .. }) if self.stage == Stage::During => like_v,
@@ -148,7 +147,7 @@ impl Mishap {
     }
 }
 
-/// The tachometer's register where there are `factor` times as many edges.
+/// The tachometer's register for `factor` times as many edges.
 fn scaled_tachometer(raw: u32, factor: f64) -> u32 {
     if raw == TACHOMETER_STILL {
         return raw;

@@ -1,7 +1,7 @@
-//! An emulated Qube that speaks the wire from the device's side: plant, board, pty.
+//! An emulated Qube that speaks the protocol from the device's side: plant, board, pty.
 //!
-//! May import `clock`, `qube` and `firmware_protocol`; never the host's side of the link nor
-//! `control`, because shared code would hide faults of the protocol.
+//! It may import `clock`, `qube` and `firmware_protocol`; never the host's side of the link or `control`,
+//! because shared code would hide faults of the protocol.
 
 mod board;
 mod bridge;
@@ -19,32 +19,32 @@ pub use pty::EmulatedQube;
 
 use crate::qube::{HARD_STOP_RAD, QubeModel, State};
 
-/// What an emulated Qube is made of. The same settings give the same Qube.
+/// The settings of an emulated Qube. Equal settings give the same Qube.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EmulatorSettings {
-    /// Its physics.
+    /// Physics of the Qube.
     pub model: QubeModel,
-    /// By how much the delay of a command differs from the model's at most, s.
+    /// Largest deviation of a command's delay from the model's, s.
     pub command_jitter_s: f64,
-    /// Play between motor and arm, rad: the width of the gap in which one turns without the other.
+    /// Backlash between motor and arm, rad: the angle by which one turns without the other.
     pub play_rad: f64,
-    /// Which way round it is wired.
+    /// Signs of encoders and motor.
     pub wiring: Wiring,
-    /// What sits between its board and the computer; None is a plain line.
+    /// Bridge between board and computer; `None` is a plain serial line.
     pub bridge: Option<UsbBridge>,
-    /// Where arm and pendulum are at the start, and how fast; None where the seed decides, at rest.
+    /// Initial state; `None` gives a state at rest that the seed determines.
     pub start: Option<State>,
-    /// Somebody's finger at the arm.
+    /// Finger that pushes the arm during the test.
     pub finger: Option<Finger>,
-    /// Decides where it stands at the start, where its counters begin, and its nonces.
+    /// Seed of the initial position, the counters' start values and the nonces.
     pub seed: u64,
-    /// What is wrong with it, if anything.
+    /// Fault of the Qube.
     pub fault: Option<EmulatorFault>,
-    /// Where its arm's two hard stops are, the lower first, rad.
+    /// Positions of the arm's two hard stops, the lower first, rad.
     pub stops_rad: [f64; 2],
 }
 
-/// Where the stops of a Qube are that is built as the published ones are, rad.
+/// Positions of the stops of a Qube of the published design, rad.
 pub const NOMINAL_STOPS_RAD: [f64; 2] = [-HARD_STOP_RAD, HARD_STOP_RAD];
 
 impl Default for EmulatorSettings {
@@ -64,25 +64,23 @@ impl Default for EmulatorSettings {
     }
 }
 
-/// A hand that carries the arm to its positive stop, and then a finger that pushes it off there again
-/// and again.
+/// A hand that carries the arm to its positive stop, and a finger that then pushes it off again and again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Finger {
-    /// When the arm is carried to its stop, microseconds.
+    /// Time at which the arm is carried to its stop, us.
     pub from_us: u64,
-    /// How often it is pushed off from then on, microseconds.
+    /// Interval between pushes, us.
     pub every_us: u64,
-    /// How far, counts of the encoder.
+    /// Size of a push, encoder counts.
     pub counts: i32,
 }
 
-/// Which way round the encoders and the motor of an emulated Qube are wired: a real one may have any
-/// of the eight combinations.
+/// The signs of an emulated Qube's encoders and motor: a real one may have any of the eight combinations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Wiring {
-    /// The arm's encoder counts down where theta grows.
+    /// The arm's encoder counts down when theta grows.
     pub theta_inverted: bool,
-    /// The pendulum's encoder counts down where alpha grows.
+    /// The pendulum's encoder counts down when alpha grows.
     pub alpha_inverted: bool,
     /// A positive voltage turns the arm towards negative theta.
     pub motor_inverted: bool,

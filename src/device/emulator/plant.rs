@@ -14,36 +14,38 @@ use crate::qube::{
     GapDynamics, HARD_STOP_RAD, QubeModel, RAD_PER_COUNT, State, counts, runge_kutta_4,
 };
 
-/// Longest integration step: 6e-6 rad off at the worst speeds of a swing-up, a five hundredth of
-/// an encoder count.
+/// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of an
+/// encoder count.
 const MAX_STEP_US: u64 = 5_000;
 
-/// While the arm touches something each step ends in an impact: finer, so that it stays put.
+/// Longest step while the arm touches a stop, us: each such step ends in an impact, and finer steps keep
+/// the arm in place.
 const CONTACT_STEP_US: u64 = 500;
 
-/// Where the arm has play, motor and arm meet and part at instants that a step must not miss by much.
+/// Longest step of an arm with backlash, us: the instants at which motor and arm meet and part must be
+/// resolved.
 const PLAY_STEP_US: u64 = 250;
 
-/// Steps of Runge-Kutta are stable up to 2.78 time constants of what they damp; friction near rest is
-/// the stiffest here.
+/// Longest step in time constants of the damping: Runge-Kutta is stable up to 2.78, and friction near rest
+/// is the stiffest term.
 const LONGEST_STEP_IN_TIME_CONSTANTS: f64 = 2.5;
 
-/// How far from the middle the arm may stand at the start, rad.
+/// Largest distance of the arm from the centre at the start, rad.
 const START_RANGE_RAD: f64 = 1.0;
 
-/// Commands that may be on their way at once: a tenth of a second of acts, and some more.
+/// Capacity of the queue of commands in transit: more than a tenth of a second of acts.
 const COMMANDS_UNDER_WAY: usize = 64;
 
-/// Stream of the jitter: drawing it must not change where the Qube starts.
+/// Random stream of the jitter, separate so that it does not change the initial state.
 const JITTER_STREAM: u64 = 2;
 
-/// How far from zero the counters may start.
+/// Largest start value of the counters.
 const START_COUNTS: i32 = 10_000;
 
 /// The mechanics and electronics of a Qube: a voltage goes in, counts and readings come out.
 ///
-/// An amplifier that is off is taken as 0 V, that is, the motor brakes by its own back-EMF as at
-/// 0 V; what a real amplifier does there is not published.
+/// An amplifier that is off is modelled as 0 V: the motor brakes by its back EMF as at 0 V. The behaviour
+/// of a real amplifier is not published.
 #[derive(Clone, Debug)]
 pub struct Plant {
     model: QubeModel,
@@ -51,13 +53,13 @@ pub struct Plant {
     jitter: ChaCha8Rng,
     dynamics: GapDynamics,
     state: State,
-    /// The largest speed at which the arm has touched a stop.
+    /// Largest speed at which the arm has touched a stop, rad/s.
     hardest_touch_rad_s: f64,
     play: Option<Play>,
-    /// Longest step where the arm touches nothing, us.
+    /// Longest step while the arm touches nothing, us.
     longest_step_us: u64,
     voltage_v: f64,
-    /// When each voltage reaches the motor, in order.
+    /// Time at which each voltage reaches the motor, in order.
     under_way: VecDeque<(u64, f64)>,
     time_us: u64,
     theta_offset_counts: i32,
@@ -71,7 +73,7 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// A Qube at rest: pendulum hanging, arm and counters somewhere that the seed decides.
+    /// A Qube at rest: the pendulum hangs, and the seed determines the positions of arm and counters.
     #[must_use]
     pub fn new(settings: &EmulatorSettings) -> Self {
         let EmulatorSettings { model, command_jitter_s, seed, play_rad, start, finger, .. } =
@@ -116,7 +118,7 @@ impl Plant {
         }
     }
 
-    /// Lets time pass up to `time_us` since the start; time never goes back.
+    /// Advances the time to `time_us` since the start; time never goes back.
     pub fn advance_to(&mut self, time_us: u64) {
         while self.time_us < time_us {
             while let Some(&(arrives_us, voltage_v)) = self.under_way.front()
@@ -161,7 +163,7 @@ impl Plant {
         self.let_mishap_go_on();
     }
 
-    /// The stop that the arm would have passed there.
+    /// The stop that the arm would have passed at an angle.
     fn stop_beyond(&self, theta: f64) -> Option<f64> {
         let [lowest_rad, highest_rad] = self.stops_rad;
         if theta < lowest_rad {
@@ -171,7 +173,7 @@ impl Plant {
         }
     }
 
-    /// Moves an arm that stands at a stop when the finger's time has come.
+    /// Moves an arm at a stop when the finger's time has come.
     fn push_by_finger(&mut self) {
         let Some(finger) = self.finger.filter(|_| self.time_us >= self.next_finger_us) else {
             return;
@@ -200,7 +202,7 @@ impl Plant {
         }
     }
 
-    /// The motor's voltage from now on, V, or from when the gap's delay and jitter let it arrive.
+    /// Sets the motor's voltage, V, which takes effect after the delay and jitter.
     pub fn set_voltage(&mut self, voltage_v: f64) {
         let jitter_s = self.command_jitter_s;
         let late_s =
@@ -210,7 +212,7 @@ impl Plant {
             self.voltage_v = voltage_v;
             return;
         }
-        // One wire: no command overtakes another.
+        // Commands share one wire: none overtakes another.
         let last_us = self.under_way.back().map_or(0, |last| last.0);
         if self.under_way.len() == COMMANDS_UNDER_WAY {
             self.under_way.pop_front();
@@ -218,20 +220,20 @@ impl Plant {
         self.under_way.push_back(((self.time_us + delay_us).max(last_us), voltage_v));
     }
 
-    /// Holds the arm where it is from now on.
+    /// Holds the arm in its position from now on.
     pub fn block_arm(&mut self) {
         self.arm_blocked = true;
         self.stop_arm_at(self.state.theta);
     }
 
-    /// Opens the motor's circuit from now on: no current, and so neither torque nor back-EMF's brake.
+    /// Opens the motor's circuit from now on: no current, hence neither torque nor back-EMF braking.
     pub fn disconnect_motor(&mut self) {
         self.motor_is_open = true;
         self.dynamics.ideal.torque_per_volt = 0.0;
         self.dynamics.ideal.arm_damping = self.model.parameters.rotary_damping_n_m_s;
     }
 
-    /// Where it really is; nobody on the other side of the wire can know.
+    /// The true state, which the wire does not show.
     #[must_use]
     pub fn state(&self) -> State {
         self.state
@@ -243,13 +245,13 @@ impl Plant {
         self.hardest_touch_rad_s
     }
 
-    /// Encoder of the arm.
+    /// Count of the arm's encoder.
     #[must_use]
     pub fn theta_counts(&self) -> i32 {
         self.mishap.readings(self.true_readings()).theta_counts
     }
 
-    /// Encoder of the pendulum.
+    /// Count of the pendulum's encoder.
     #[must_use]
     pub fn alpha_counts(&self) -> i32 {
         self.mishap.readings(self.true_readings()).alpha_counts
@@ -261,7 +263,7 @@ impl Plant {
         self.mishap.readings(self.true_readings()).tachometer_raw
     }
 
-    /// What an encoders' chip gives that nothing is wrong with.
+    /// The readings of intact encoders.
     fn true_readings(&self) -> TrueReadings {
         TrueReadings {
             theta_counts: counts(self.state.theta).wrapping_add(self.theta_offset_counts),
@@ -296,7 +298,7 @@ fn tachometer_register(theta_dot: f64) -> u32 {
     direction | ticks.round().max(1.0) as u32
 }
 
-/// The longest step with which friction at rest does not make an arm tremble that stands still.
+/// The longest step with which friction at rest does not make a resting arm oscillate.
 fn stable_step_us(dynamics: &GapDynamics) -> u64 {
     let ideal = &dynamics.ideal;
     let arm_inertia = ideal.arm_inertia - ideal.coupling * ideal.coupling / ideal.pendulum_inertia;

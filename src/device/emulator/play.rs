@@ -1,43 +1,43 @@
-//! Play between the motor and the arm.
+//! Backlash between the motor and the arm.
 
 use crate::qube::{EquationsOfMotion, GapDynamics, State, runge_kutta_4};
 
-/// Inertia of the motor's rotor and hub, kg m^2 (data sheet of the QUBE-Servo 2: 4.0e-6 and 0.6e-6):
-/// the part of the arm's inertia that is on the motor's side of the play.
+/// Inertia of the motor's rotor and hub, kg m^2 (data sheet of the QUBE-Servo 2: 4.0e-6 and 0.6e-6): the
+/// share of the arm's inertia on the motor's side of the backlash.
 const ROTOR_INERTIA_KG_M2: f64 = 4.6e-6;
 
-/// An arm that is lighter than this multiple of the rotor keeps the larger part of its inertia.
+/// Largest share of a light arm's inertia that is assigned to the rotor.
 const LARGEST_ROTOR_SHARE: f64 = 0.2;
 
-/// A dead gap through which the motor turns the arm.
+/// Backlash through which the motor turns the arm.
 ///
-/// The motor's side has the rotor's inertia, the damping and the friction; the arm's side has the
-/// rest, the cable and the encoder with its tachometer. While the motor touches one side of the gap,
-/// both move as one, exactly as a Qube without play. Where they meet again the impact is inelastic.
-/// The encoder is taken to be at the arm: the control loop then sees the arm stand still while the
-/// motor crosses the gap, and move freely inside of it.
+/// The motor's side has the rotor's inertia, the damping and the friction; the arm's side has the remaining
+/// inertia, the cable, and the encoder with its tachometer. While the motor touches one side of the gap,
+/// both move together, exactly like a Qube without backlash. Contact begins with an inelastic impact. The
+/// encoder is assumed to be on the arm's side: the control loop then sees the arm at rest while the motor
+/// crosses the gap, and moving freely inside it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Play {
     half_gap_rad: f64,
     motor_rad: f64,
     motor_rad_s: f64,
-    /// The side on which the motor touches the arm: 1 where it pushes towards positive theta.
+    /// Side on which the motor touches the arm: 1 where it pushes towards positive theta.
     contact: Option<f64>,
 }
 
 impl Play {
-    /// A gap of this width with the motor in its middle, as fast as the arm.
+    /// Backlash of this width with the motor in its middle, at the arm's velocity.
     pub(super) fn new(gap_rad: f64, arm: &State) -> Self {
         let (motor_rad, motor_rad_s) = (arm.theta, arm.theta_dot);
         Self { half_gap_rad: 0.5 * gap_rad, motor_rad, motor_rad_s, contact: None }
     }
 
-    /// Velocity of the motor, rad/s: its back-EMF follows this one.
+    /// Velocity of the motor, rad/s, which determines its back EMF.
     pub(super) fn motor_rad_s(&self) -> f64 {
         self.motor_rad_s
     }
 
-    /// One step of both sides.
+    /// Integrates one step of both sides.
     pub(super) fn step(
         &mut self,
         whole: &GapDynamics,
@@ -48,7 +48,8 @@ impl Play {
         let rotor_inertia = ROTOR_INERTIA_KG_M2.min(LARGEST_ROTOR_SHARE * whole.ideal.arm_inertia);
         let arm = arm_alone(whole, rotor_inertia);
         if let Some(side) = self.contact {
-            // The gap pushes and cannot pull: together only while the arm alone would fall behind.
+            // The contact pushes and cannot pull: both move together only while the arm alone would fall
+            // behind.
             let together = whole.acceleration(&before, voltage_v).theta;
             if side * (together - arm.acceleration(&before, 0.0).theta) >= 0.0 {
                 let after = runge_kutta_4(whole, before, voltage_v, step_s);
@@ -62,7 +63,7 @@ impl Play {
         self.meet(&arm, rotor_inertia, after)
     }
 
-    /// Takes the motor along with an arm that it touches, after something else has moved the arm.
+    /// Moves the motor along with an arm that it touches, after something else has moved the arm.
     pub(super) fn follow(&mut self, state: &State) {
         if let Some(side) = self.contact {
             self.motor_rad = state.theta + side * self.half_gap_rad;
@@ -70,8 +71,8 @@ impl Play {
         }
     }
 
-    /// Moves the motor inside of the gap. Friction is taken last and never turns the velocity round:
-    /// against so little inertia an explicit step would.
+    /// Moves the motor inside the gap. Friction is applied last and never reverses the velocity; an
+    /// explicit step would, with so little inertia.
     fn turn_motor(&mut self, whole: &GapDynamics, rotor_inertia: f64, voltage_v: f64, step_s: f64) {
         let push_v = (voltage_v - whole.positive_dead_zone).max(0.0)
             + (voltage_v + whole.negative_dead_zone).min(0.0);
@@ -83,7 +84,7 @@ impl Play {
         self.motor_rad += step_s * self.motor_rad_s;
     }
 
-    /// The impact, where the motor has reached one side of the gap.
+    /// Applies the impact when the motor has reached one side of the gap.
     fn meet(&mut self, arm: &GapDynamics, rotor_inertia: f64, state: State) -> State {
         let ahead_rad = self.motor_rad - state.theta;
         if ahead_rad.abs() < self.half_gap_rad {
@@ -94,7 +95,8 @@ impl Play {
         let closing_rad_s = self.motor_rad_s - state.theta_dot;
         let mut after = state;
         if side * closing_rad_s > 0.0 {
-            // The pendulum swings freely about its bearing: m12 theta' + m22 alpha' stays.
+            // The impact conserves m12 theta' + m22 alpha', because the pendulum swings freely about its
+            // bearing.
             let coupling = arm.ideal.coupling * state.alpha.cos();
             let sin = state.alpha.sin();
             let arm_inertia = arm.ideal.arm_inertia + arm.ideal.quarter_inertia * sin * sin
@@ -157,7 +159,7 @@ mod tests {
         plant.set_voltage(0.0);
         plant.advance_to(8_000_000);
         let rests = plant.state().theta;
-        // So slow a push that nothing coasts: the motor crosses the gap, and takes the arm along then.
+        // The push is so slow that nothing coasts: the motor crosses the gap and then takes the arm along.
         plant.set_voltage(-0.104);
         let mut first_us = None;
         for time_us in (8_000_000..9_000_000).step_by(1_000) {

@@ -15,11 +15,11 @@ use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 use super::{Board, EmulatorSettings, UsbBridge};
 use crate::clock::{Clock, MonotonicClock, Nanoseconds, enter_realtime};
 
-/// How often an idle server looks after its port.
+/// Interval at which an idle server checks its port, us.
 const HOUSEKEEPING_US: u64 = 100_000;
 
-/// An emulated Qube behind a real pty, served by a thread of its own at wall-clock speed until it
-/// is dropped. Open [`port`](Self::port) as if it were a serial port.
+/// An emulated Qube behind a real pty, served by its own thread at wall-clock speed until it is dropped.
+/// Hosts open [`port`](Self::port) like a serial port.
 #[derive(Debug)]
 pub struct EmulatedQube {
     port: PathBuf,
@@ -28,7 +28,7 @@ pub struct EmulatedQube {
     server: Option<JoinHandle<io::Result<()>>>,
 }
 
-/// The port's second name, and what it leads to.
+/// The port's second name and its target.
 #[derive(Debug)]
 struct Link {
     path: Option<PathBuf>,
@@ -40,7 +40,7 @@ impl Link {
         link.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The port is gone: its second name goes with it, unless somebody else has taken the name.
+    /// Removes the second name when the port is gone, unless another process has taken the name.
     fn take_away(&self) {
         if let Some(path) = &self.path
             && std::fs::read_link(path).is_ok_and(|target| target == self.port)
@@ -49,7 +49,7 @@ impl Link {
         }
     }
 
-    /// The port has come back, perhaps as another one.
+    /// Points the second name to the port that has come back, possibly under another path.
     fn lead_to(&mut self, port: PathBuf) -> io::Result<()> {
         self.port = port;
         match &self.path {
@@ -62,10 +62,10 @@ impl Link {
 /// The two ends of a pty.
 struct Pty {
     master: OwnedFd,
-    /// The server's own opening of the port. It keeps the pty from hanging up while no host has it
-    /// open, and it can take back the exclusive mode that a killed host leaves behind: while the pty
-    /// lives the kernel does not, and nobody but root could open the port again. (Hosts still exclude
-    /// each other by their file locks, which end with them.)
+    /// The server's own descriptor of the port. It keeps the pty from hanging up while no host has it open,
+    /// and it can clear the exclusive mode that a killed host leaves: the kernel does not do so while the
+    /// pty lives, and only root could open the port again. (Hosts exclude each other by file locks, which
+    /// end with them.)
     port_side: OwnedFd,
     port: PathBuf,
 }
@@ -77,8 +77,7 @@ impl Pty {
         unlockpt(&master)?;
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let port_side = ioctl_tiocgptpeer(&master, flags)?;
-        // Raw from the start: until the host sets it so itself, an echo would send the board its
-        // own replies.
+        // Raw mode from the start: until the host sets it, an echo would send the board its own replies.
         let mut attributes = tcgetattr(&port_side)?;
         attributes.make_raw();
         tcsetattr(&port_side, OptionalActions::Now, &attributes)?;
@@ -101,8 +100,8 @@ impl EmulatedQube {
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let (stopped, linked) = (Arc::clone(&stop), Arc::clone(&link));
         let server = std::thread::Builder::new().name("emulated-qube".into()).spawn(move || {
-            // It stands for a microcontroller, which nothing keeps from its work. Where this is
-            // refused it serves at ordinary priority, and late ticks show it.
+            // The thread stands for a microcontroller, which nothing delays. Where real time is refused it
+            // serves at ordinary priority, and late ticks show it.
             let _ = enter_realtime();
             let mut server = Server::new(&stopped, settings);
             let mut pty = pty;
@@ -110,7 +109,7 @@ impl EmulatedQube {
                 if server.serve(&pty)? == Served::Stopped {
                     return Ok(());
                 }
-                // Pulled: the kernel hangs the port up when its last server's end is closed.
+                // The kernel hangs the port up when the server's last descriptor is closed.
                 drop(pty);
                 Link::lock(&linked).take_away();
                 if server.wait_for_plug()? == Served::Stopped {
@@ -123,17 +122,18 @@ impl EmulatedQube {
         Ok(Self { port, link, stop, server: Some(server) })
     }
 
-    /// The path of its first port. One that was pulled may come back under another; a
-    /// [second name](Self::link_as) leads there.
+    /// The path of the first port. A port that was pulled may return under another path; the [second
+    /// name](Self::link_as) then leads there.
     #[must_use]
     pub fn port(&self) -> &Path {
         &self.port
     }
 
-    /// Gives the port a second name, a symbolic link that goes when the Qube goes. An old symbolic
-    /// link is replaced, anything else is left alone.
+    /// Gives the port a second name, a symbolic link that is removed with the Qube. It replaces an old
+    /// symbolic link but no other file.
     ///
     /// # Errors
+    /// A file of that name exists, or the link cannot be created.
     /// There is a file of that name, or none may be made there.
     pub fn link_as(&mut self, path: &Path) -> io::Result<()> {
         match std::fs::symlink_metadata(path) {
@@ -141,7 +141,7 @@ impl EmulatedQube {
             Ok(_) => {
                 return Err(io::Error::new(
                     io::ErrorKind::AlreadyExists,
-                    format!("{} exists and is no symbolic link; choose another", path.display()),
+                    format!("{} exists and is not a symbolic link; choose another", path.display()),
                 ));
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
@@ -153,7 +153,7 @@ impl EmulatedQube {
         Ok(())
     }
 
-    /// Whether the Qube is gone of itself: unplugged by a fault, or its pty failed.
+    /// Whether the Qube has ended by itself: unplugged by a fault, or its pty failed.
     #[must_use]
     pub fn is_gone(&self) -> bool {
         self.server.as_ref().is_none_or(JoinHandle::is_finished)
@@ -162,7 +162,7 @@ impl EmulatedQube {
 
 impl Drop for EmulatedQube {
     fn drop(&mut self) {
-        // The counter cannot be full: this is its only write.
+        // The counter cannot be full, because this is its only write.
         let _ = rustix::io::write(&*self.stop, &1_u64.to_ne_bytes());
         if let Some(server) = self.server.take() {
             let _ = server.join();
@@ -171,10 +171,11 @@ impl Drop for EmulatedQube {
     }
 }
 
-/// A request and its reply on the board's serial line, us: what a pty leaves out and a bridge waits for.
+/// Time of a request and its reply on the board's serial line, us: the pty omits it and a bridge waits for
+/// it.
 const ON_THE_LINE_US: u64 = 1_000;
 
-/// Replies that a bridge holds back, each with the time at which the host gets it.
+/// Replies that a bridge holds back, each with its time of arrival at the host.
 #[derive(Debug, Default)]
 struct UnderWay {
     bridge: Option<UsbBridge>,
@@ -199,7 +200,7 @@ impl UnderWay {
     }
 }
 
-/// Hands bytes to the host; one that does not read loses them, as on a real line.
+/// Writes bytes to the host; a host that does not read loses them, as on a real line.
 fn write(master: &impl AsFd, bytes: &[u8]) -> io::Result<()> {
     match rustix::io::write(master, bytes) {
         Ok(_) | Err(Errno::AGAIN | Errno::INTR) => Ok(()),
@@ -207,7 +208,7 @@ fn write(master: &impl AsFd, bytes: &[u8]) -> io::Result<()> {
     }
 }
 
-/// Why serving a pty ended.
+/// The reason why serving a pty ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Served {
     /// The Qube is dropped, or its cable stays out.
@@ -237,7 +238,7 @@ impl<'a> Server<'a> {
         (MonotonicClock.now_ns() - self.start_ns) / 1000
     }
 
-    /// Until a time of the board's clock.
+    /// Time until a time of the board's clock.
     fn timeout(&self, wake_us: u64) -> Timespec {
         let wake_ns = self.start_ns.saturating_add(wake_us.saturating_mul(1000));
         let wait_ns = wake_ns.saturating_sub(MonotonicClock.now_ns());
@@ -278,8 +279,8 @@ impl<'a> Server<'a> {
         }
     }
 
-    /// Reads until nothing is left and answers. The board's time is read after the bytes, so that no
-    /// request is handled at a time before it came, however long this thread was kept waiting.
+    /// Reads all bytes and answers them. The board's time is read after the bytes, so that no request is
+    /// handled at a time before it came, however long this thread was delayed.
     fn exchange(&mut self, master: &impl AsFd) -> io::Result<()> {
         let mut buffer = [0; 256];
         loop {
@@ -289,7 +290,7 @@ impl<'a> Server<'a> {
                 Err(Errno::INTR) => continue,
                 Err(error) => return Err(error.into()),
             };
-            // The Qube moves by itself: what it takes to compute that is no time of the board's.
+            // The plant is advanced first, so that its computing time does not count as the board's.
             self.board.advance_to(self.now_us());
             self.board.plant();
             let now_us = self.now_us();
@@ -310,7 +311,7 @@ impl<'a> Server<'a> {
         }
     }
 
-    /// Lets the board live on without a port until the cable is plugged in again.
+    /// Lets the board run without a port until the cable is plugged in again.
     fn wait_for_plug(&mut self) -> io::Result<Served> {
         loop {
             self.board.advance_to(self.now_us());

@@ -44,7 +44,7 @@ fn acts_turn_the_arm_and_show_in_the_next_sample() {
         last = sample(&mut link, &clock);
         assert!(last.status.armed);
         assert_eq!(last.applied_mv, 1994);
-        // Turnaround 100 us, reply 640 us, act 260 us: what the line costs.
+        // The line takes a turnaround of 100 us, a reply of 640 us and an act of 260 us.
         assert_eq!(last.sample_to_act_us, Some(1000));
     }
     assert_eq!(last.device_time_us - start.device_time_us, 200_000 + 740 + 140);
@@ -244,7 +244,7 @@ fn a_restart_shows_in_the_next_hello() {
         assert!(before.is_same_start(&link.hello().unwrap()));
         clock.sleep_until(500 * MS);
         assert_eq!(link.sample(clock.now_ns() + 6 * MS), Err(LinkFault::Timeout));
-        // One hello call outwaits the boot.
+        // One call of hello waits through the boot.
         let after = link.hello().unwrap();
         assert!(clock.now_ns() >= (500 + dark_ms) * MS);
         assert!(before.is_same_board(&after) && !before.is_same_start(&after));

@@ -19,14 +19,14 @@ fn armed() -> Board {
     board
 }
 
-/// Samples, and acts on that sample.
+/// Takes a sample and sends an act that answers it.
 fn act(board: &mut Board, voltage_mv: i16, sequence: u16) {
     let Some(Reply::Sample(sample)) = send(board, Request::Sample, 1) else { panic!("no sample") };
     let sampled_at_us = sample.device_time_us;
     assert_eq!(send(board, Request::Act { voltage_mv, sampled_at_us }, sequence), None);
 }
 
-/// A board that drives its arm with 5 V when something happens to it after 0.1 s.
+/// A board that drives its arm with 5 V until a fault occurs after 0.1 s.
 fn driving(fault: EmulatorFault) -> Board {
     let mut board = armed();
     board.settings.fault = Some(fault);
@@ -38,7 +38,7 @@ fn driving(fault: EmulatorFault) -> Board {
     board
 }
 
-/// When the arm touches a stop, and the fastest that it was before, rad/s.
+/// The time at which the arm touches a stop, and its largest speed before, rad/s.
 fn slam(board: &mut Board, until_us: u64) -> Option<(u64, f64)> {
     let mut fastest_rad_s = 0.0_f64;
     for now_us in (100_000..until_us).step_by(500) {
@@ -143,7 +143,7 @@ fn the_watchdog_trips_at_its_instant_however_time_is_cut() {
         board.advance_to(60_000 - 1 + step_us);
         assert_eq!(board.state(), DeviceState::Tripped);
         board.advance_to(2_000_000);
-        // The motor has driven from 10 ms to 60 ms and not a moment longer.
+        // The motor drives from 10 ms to 60 ms and no longer.
         let mut reference = Plant::new(&EmulatorSettings::default());
         reference.advance_to(10_000);
         reference.set_voltage(3.003);
