@@ -1,7 +1,7 @@
 //! Compiles one body of code for several instruction sets and picks one at run time.
 //!
 //! Users install without target flags, so the compiler assumes an x86-64 processor of 2003. A [`Kernel`] is
-//! therefore compiled again inside functions that enable AVX-512, or AVX2 with FMA, and [`dispatch`] calls
+//! therefore compiled again inside functions that enable AVX-512, or AVX2 with FMA, and [`dispatch()`] calls
 //! the best one that this processor supports. On 64-bit ARM the plain path suffices: NEON and its fused
 //! multiply-add belong to every such processor.
 //!

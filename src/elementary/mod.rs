@@ -4,7 +4,7 @@
 //! replays bit for bit on any processor, and the code has no branches, so that loops over many pendulums
 //! become vector code. The room imports nothing.
 //!
-//! The `f32` functions are fast only inside a [`Kernel`] that [`dispatch`] runs.
+//! The `f32` functions are fast only inside a [`Kernel`] that [`dispatch()`] runs.
 //!
 //! ```
 //! use qube_hil::elementary::{Scalar, tanh};

@@ -69,12 +69,12 @@ pub enum PolicyError {
 pub enum PolicyFault {
     /// The file is larger than any policy.
     #[error(
-        "is larger than {MAX_FILE_BYTES}  bytes, more than any policy. Give a file that `train` wrote"
+        "is larger than {MAX_FILE_BYTES} bytes, more than any policy. Give a file that `train` wrote"
     )]
     TooLarge,
     /// The file is not in the safetensors format, or damaged.
     #[error(
-        " is not a safetensors file, or is truncated ({source}). Give a file that `train` wrote"
+        "is not a safetensors file, or is truncated ({source}). Give a file that `train` wrote"
     )]
     NotSafetensors {
         /// Cause of the failure.

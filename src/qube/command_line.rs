@@ -11,8 +11,8 @@ pub(super) const STEP_S: f32 = (CONTROL_PERIOD_S / SUBSTEPS as f64) as f32;
 /// The commands that are on their way to the motors of a block; each lane has its own delay.
 ///
 /// A delay of `n` periods and a fraction `f` of one means that command `k - n - 1` acts at the motor for
-/// the first `f` seconds of period `k` and command `k - n` after them. A period is integrated in `SUBSTEPS
-/// + 1` pieces: the substeps, with the one in which the voltage changes cut in two there. The delay is
+/// the first `f` seconds of period `k` and command `k - n` after them. A period is integrated in one piece
+/// more than `SUBSTEPS`: the substeps, with the one in which the voltage changes cut in two there. The delay is
 /// therefore exact, and each piece has the integrator's error for a step no longer than a substep. Without
 /// a delay the first piece is empty and the others are the substeps.
 #[derive(Clone, Copy, Debug)]
@@ -124,7 +124,7 @@ impl CommandLine {
     }
 }
 
-/// Clips a voltage to +-[`MAX_VOLTAGE_V`](super::MAX_VOLTAGE_V).
+/// Clips a voltage to +-[`MAX_VOLTAGE_V`].
 #[must_use]
 #[inline(always)]
 pub fn limited_voltage(voltage_v: f32) -> f32 {

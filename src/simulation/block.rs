@@ -82,7 +82,7 @@ pub(super) struct Step<'a> {
     pub(super) voltages_v: &'a [Lanes],
     pub(super) rewards: &'a mut [Lanes],
     pub(super) progress: &'a mut [[Progress; BLOCK]],
-    /// Observations after the step, [6 + history][blocks][16].
+    /// Observations after the step, `[6 + history][blocks][16]`.
     pub(super) observations: &'a mut [Lanes],
 }
 
@@ -129,7 +129,7 @@ impl Kernel for Step<'_> {
     }
 }
 
-/// Writes the observations of all blocks: [6 + history][blocks][16].
+/// Writes the observations of all blocks: `[6 + history][blocks][16]`.
 pub(super) struct Observe<'a> {
     pub(super) blocks: &'a [Block],
     pub(super) history: usize,

@@ -49,7 +49,7 @@ pub enum PsiError {
         name: String,
     },
     /// A value is not physical.
-    #[error("{name} = {value}  is not physical: {reason}")]
+    #[error("{name} = {value} is not physical: {reason}")]
     Impossible {
         /// Name of the entry.
         name: String,

@@ -4,7 +4,7 @@
 //! The room knows vectors of `f64` and nothing of Qubes; it imports no other room and would serve as a
 //! crate of its own. A [`SearchBox`] and observations make a [`Dataset`] (checked and scaled),
 //! [`GaussianProcess::fit`] finds the hyperparameters (maximum a posteriori) and conditions on the data, an
-//! [`Acquisition`] scores points, and [`maximise`] finds the best one.
+//! [`Acquisition`] scores points, and [`maximise()`] finds the best one.
 //!
 //! ```
 //! use qube_hil::surrogate::{Dataset, FitSettings, GaussianProcess, SearchBox};
