@@ -150,7 +150,7 @@ pub enum PolicyFault {
         expected_shape: Vec<usize>,
     },
     /// The weights do not form a network.
-    #[error(" holds an invalid network: {0}")]
+    #[error("holds an invalid network: {0}")]
     Network(#[from] NetworkError),
     /// The excitation's voltage exceeds the motor's range.
     #[error("excites with {voltage_v} V: give at most {MAX_VOLTAGE_V} V of either sign")]
