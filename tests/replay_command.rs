@@ -180,7 +180,7 @@ fn bad_input_is_named() {
     for (arguments, expected) in [
         (vec!["replay", table], "add --simulate"),
         (vec!["replay", "--simulate", table], "the column `alpha_rad` is missing"),
-        (vec!["replay", misspelt], "no MCAP file"),
+        (vec!["replay", misspelt], "not an MCAP file"),
         (vec!["replay", "nowhere.mcap"], "nowhere.mcap"),
         (vec!["replay", "--simulate", "--profile", misspelt, table], "there is no parameter M_q"),
         (vec!["recover", "nowhere.mcap"], "nowhere.mcap"),

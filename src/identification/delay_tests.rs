@@ -1,4 +1,4 @@
-//! Whether the standard error of the delay is what it says.
+//! Tests that the standard error of the delay equals its scatter over recordings.
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -7,8 +7,8 @@ use super::*;
 use crate::qube::{DomainParameter, Gap, GapTerm, QubeModel, State};
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
-/// A chirp of 4 s from 5 Hz down, sampled at 100 Hz on a clock that jitters by some microseconds as
-/// every real one does, its angles seen through noise of 1.6 mrad.
+/// A chirp of 4 s from 5 Hz down, sampled at 100 Hz on a clock that jitters by some microseconds, with
+/// angle noise of 1.6 mrad.
 fn chirp(truth: &QubeModel, seed: u64) -> MotionLog {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut uniform = |reach: f64| reach * (2.0 * rng.random::<f64>() - 1.0);
@@ -39,9 +39,9 @@ fn the_standard_error_of_the_delay_is_its_scatter_over_recordings() {
         GapTerm::CableStiffness.into(),
         GapTerm::CommandDelay.into(),
     ];
-    // Where the commands arrive beside the steps of integration of a nominal period, and within the
-    // jitter of the samples on either side of them: there the number of steps between arrivals and
-    // samples differs from one sample, and from one delay, to the next.
+    // The arrival of commands coincides with integration steps of a nominal period and lies within the
+    // jitter of the neighbouring samples, so that the number of steps between arrivals and samples differs
+    // from sample to sample and from delay to delay.
     for delay_s in [0.0033, 0.0067, 0.01] {
         let gap = Gap {
             coulomb_torque_n_m: 5e-4,

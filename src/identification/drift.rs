@@ -6,34 +6,34 @@ use super::{Unfit, Unknown};
 use crate::qube::{GapTerm, Quantity, QubeModel};
 use crate::replay::MotionLog;
 
-/// What changes from day to day while the machine stays the same: how long a command takes, and
-/// where the cable pulls the arm to, seen from the zero that homing has found.
+/// The quantities that change from day to day on an unchanged machine: the command delay, and the cable's
+/// rest angle relative to the zero that homing found.
 const CHANGING: [Unknown; 2] =
     [Unknown(Quantity::Gap(GapTerm::CommandDelay)), Unknown(Quantity::Gap(GapTerm::CableRest))];
 
-/// Length of the stretches that are fitted, s: short enough for a pendulum that stands, whose motion
-/// no model predicts for long.
+/// Length of the fitted stretches, s: short enough for a balancing pendulum, whose motion no model predicts
+/// for long.
 const STRETCH_S: f64 = 0.5;
 
-/// The shortest motion that is used, s: a swing-up that left the box is worth something.
+/// Shortest motion that is used, s: a swing-up that left the box still counts.
 const SHORTEST_S: f64 = 1.0;
 
-/// What changed since a profile was made.
+/// The changes of a Qube since its profile was made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriftEstimate {
-    /// From command to motor, s.
+    /// Delay from command to motor, s.
     pub command_delay: Estimate,
-    /// Where the cable does not pull, rad.
+    /// The cable's rest angle, rad.
     pub cable_rest: Estimate,
-    /// How many of the motions could be used.
+    /// Number of motions that could be used.
     pub motions: usize,
 }
 
-/// Estimates what changes from day to day, all else being as in `reference`; rollouts of a policy
-/// will do as motions. Those that cannot be fitted are left out.
+/// Estimates the quantities that change from day to day; all others are as in `reference`. Rollouts of a
+/// policy suffice as motions. Motions that cannot be fitted are left out.
 ///
 /// # Errors
-/// None can be fitted: why the last one cannot. [`Unfit::Short`] for no motion at all.
+/// No motion can be fitted: the reason of the last one, or [`Unfit::Short`] without any motion.
 pub fn drift(motions: &[MotionLog], reference: &QubeModel) -> Result<DriftEstimate, Unfit> {
     let mut unfit = Unfit::Short { duration_s: 0.0, shortest_s: SHORTEST_S };
     let mut usable = Vec::new();

@@ -7,34 +7,35 @@ use super::Unknown;
 use super::stretch::Stretch;
 use crate::qube::{QubeModel, State};
 
-/// Relative change of the cost below which a fit has arrived.
+/// Relative change of the cost below which a fit has converged.
 const ARRIVED: f64 = 1e-6;
 
-/// Most steps with one scale of the residuals.
+/// Largest number of steps with one scale of the residuals.
 const MAX_STEPS: usize = 30;
 
-/// How often a step is shortened before a fit is taken to have arrived.
+/// Number of times a step is shortened before the fit counts as converged.
 const MAX_SHORTENINGS: usize = 10;
 
-/// How often the scale of the residuals is estimated anew.
+/// Number of times the scale of the residuals is estimated.
 const SCALES: usize = 4;
 
-/// Finite differences: of an unknown, as a part of its prior standard deviation; of a start state.
+/// Step of a finite difference: for an unknown as a fraction of its prior standard deviation, and for each
+/// entry of a start state.
 const UNKNOWN_STEP: f64 = 1e-4;
 const START_STEPS: [f64; 4] = [1e-6, 1e-6, 1e-5, 1e-5];
 
 /// Standard deviations of the residuals of both angles, rad.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResidualScale {
-    /// Of the arm.
+    /// Standard deviation of the arm's residuals, rad.
     pub theta_rad: f64,
-    /// Of the pendulum.
+    /// Standard deviation of the pendulum's residuals, rad.
     pub alpha_rad: f64,
 }
 
-/// A model, and a start state for each stretch, that explain recordings best: the maximum of the
-/// posterior for independent normal residuals of an unknown scale, and the priors of
-/// [`Unknown::prior`].
+/// The model and start states that explain recordings best: the maximum of the posterior for independent
+/// normal residuals of unknown scale and the priors of [`Unknown::prior`]. Each stretch has its own start
+/// state.
 #[derive(Clone, Debug)]
 pub(super) struct Fit<'a> {
     pub unknowns: &'a [Unknown],
@@ -44,7 +45,8 @@ pub(super) struct Fit<'a> {
     pub scale: ResidualScale,
 }
 
-/// A stretch's blocks of J'J and J'r: for what all stretches share (g) and its own start (s).
+/// Blocks of J'J and J'r of one stretch: for the unknowns that all stretches share (g) and its own start
+/// state (s).
 struct Block {
     gg: DMatrix<f64>,
     gs: DMatrix<f64>,
@@ -54,14 +56,14 @@ struct Block {
 }
 
 impl<'a> Fit<'a> {
-    /// Begins at `model`, each stretch in its measured state.
+    /// A fit that starts at `model`, each stretch in its measured state.
     pub fn new(unknowns: &'a [Unknown], model: QubeModel, stretches: Vec<Stretch<'a>>) -> Self {
         let starts = stretches.iter().map(|stretch| stretch.samples()[0].state).collect();
         let scale = ResidualScale { theta_rad: 0.01, alpha_rad: 0.01 };
         Self { unknowns, model, stretches, starts, scale }
     }
 
-    /// Fits model, start states and scale in turn.
+    /// Fits model, start states and scale in turn until the scale settles.
     pub fn run(&mut self) {
         for _ in 0..SCALES {
             self.minimise();
@@ -69,8 +71,8 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Levenberg-Marquardt on all unknowns and all start states at once; the start states are
-    /// eliminated stretch by stretch (Schur complement).
+    /// Minimises the cost by Levenberg-Marquardt over all unknowns and all start states; the start states
+    /// are eliminated stretch by stretch (Schur complement).
     pub fn minimise(&mut self) {
         let mut damping = 1e-3;
         let mut cost = self.cost(&self.model, &self.starts);
@@ -98,7 +100,7 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Of all stretches, in their order: theta and alpha of each sample, rad.
+    /// The residuals of all stretches, in order: theta and alpha of each sample, rad.
     pub fn residuals_rad(&self) -> Vec<Vec<[f64; 2]>> {
         let of = |(stretch, start): (&Stretch<'_>, &State)| {
             let simulated = stretch.simulate(&self.model, *start);
@@ -113,14 +115,14 @@ impl<'a> Fit<'a> {
         let residuals: Vec<[f64; 2]> = self.residuals_rad().concat();
         let rms = |angle: usize| {
             let squares: f64 = residuals.iter().map(|residual| residual[angle].powi(2)).sum();
-            // An encoder's step is the least that a residual can be about.
+            // An encoder's resolution bounds the residuals from below.
             (squares / residuals.len() as f64).sqrt().max(1e-4)
         };
         ResidualScale { theta_rad: rms(0), alpha_rad: rms(1) }
     }
 
-    /// What the recordings say of the unknowns: J'J with the start states eliminated, in units of
-    /// movement and for residuals that are independent of each other. Without the priors.
+    /// The information matrix of the unknowns without the priors: J'J with the start states eliminated, in
+    /// the fit's units and for independent residuals.
     pub fn information(&self) -> DMatrix<f64> {
         let count = self.unknowns.len();
         let mut information = DMatrix::zeros(count, count);
@@ -144,7 +146,7 @@ impl<'a> Fit<'a> {
         DVector::from_iterator(2 * simulated.len(), scaled)
     }
 
-    /// Not a number when the motion diverges.
+    /// The cost; NaN when the motion diverges.
     fn cost(&self, model: &QubeModel, starts: &[State]) -> f64 {
         let data: f64 = self
             .stretches
@@ -159,7 +161,7 @@ impl<'a> Fit<'a> {
         data + self.unknowns.iter().map(surprise).sum::<f64>()
     }
 
-    /// One for each stretch, in their order, whatever the number of processors.
+    /// One block a stretch, in order, whatever the number of processors.
     fn blocks(&self) -> Vec<Block> {
         let work: Vec<_> = self.stretches.iter().zip(&self.starts).collect();
         let threads = thread::available_parallelism().map_or(1, NonZero::get);
@@ -207,7 +209,7 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// None when the normal equations have no solution at this damping.
+    /// The next step; `None` when the normal equations have no solution at this damping.
     fn step(&self, blocks: &[Block], damping: f64) -> Option<(QubeModel, Vec<State>)> {
         let count = self.unknowns.len();
         let mut matrix = DMatrix::<f64>::zeros(count, count);

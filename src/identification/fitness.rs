@@ -4,173 +4,172 @@ use super::stretch::duration_of;
 use crate::qube::{HARD_STOP_RAD, RAD_PER_COUNT, State};
 use crate::replay::{MotionLog, MotionSample};
 
-/// The shortest recording that is fitted, s.
+/// Shortest recording that is fitted, s.
 const SHORTEST_S: f64 = 2.0;
 
-/// The longest time between two samples, s: a control tick with one sample lost.
+/// Longest time between two samples, s: a control tick with one lost sample.
 const LONGEST_STEP_S: f64 = 0.021;
 
-/// What the motor must have got at least once, V, and how far both angles must have moved, rad.
+/// Smallest largest voltage of a recording, V, and smallest range of both angles, rad.
 const LEAST_VOLTAGE_V: f64 = 0.5;
 const LEAST_MOTION_RAD: f64 = 0.1;
 
-/// How near to the hard stop the arm may have come, rad.
+/// Smallest distance of the arm from its hard stop, rad.
 const STOP_MARGIN_RAD: f64 = 0.02;
 
-/// For how long a count may stand still while it should move, s.
+/// Longest time for which a count may stay constant while it should move, s.
 const LONGEST_STILL_S: f64 = 0.3;
 
-/// A voltage of one sign that turns any arm, V.
+/// Voltage of one sign that turns any arm, V.
 const TURNING_VOLTAGE_V: f64 = 1.0;
 
-/// How far the arm may go while the pendulum's count stands still, rad.
+/// Largest motion of the arm while the pendulum's count stays constant, rad.
 const ARM_ALONE_RAD: f64 = 0.3;
 
-/// How far the pendulum may go to and fro while the arm's count stands still, rad: its pull on the
-/// arm is then several times any friction.
+/// Largest swing of the pendulum while the arm's count stays constant, rad; its pull on the arm is then
+/// several times any friction.
 const PENDULUM_ALONE_RAD: f64 = 0.6;
 
-/// Faster than this nothing turns, rad/s.
+/// Largest velocity of a Qube, rad/s.
 const FASTEST_RAD_S: f64 = 80.0;
 
-/// Room for noise in a single step, rad.
+/// Tolerance for noise in a single step, rad.
 const STEP_ROOM_RAD: f64 = 0.1;
 
-/// An angle that comes in steps of this many counts and then stays at its extreme was
-/// cut off there: at a turning point it would slow down first.
+/// Smallest step, in counts, before an angle that then stays at its extreme counts as clipped: at a true
+/// turning point it slows down first.
 const CLIPPED_STEP_COUNTS: f64 = 4.5;
 
-/// For so many samples it must stay there.
+/// Number of samples for which a clipped angle stays at its extreme.
 const CLIPPED_SAMPLES: usize = 4;
 
-/// How many times as fast as its velocities say an angle may move. A filter makes velocities a
-/// little too small (1.02 to 1.10 in recordings of a real Qube through 50 s/(s+50)); what is outside
-/// of these bounds has wrong times: another rate is mostly off by 2 or more.
+/// Accepted ratio of an angle's motion to its integrated velocity. A velocity filter underestimates
+/// slightly (1.02 to 1.10 in recordings of a real Qube through 50 s/(s+50)); outside these bounds the times
+/// are wrong, since another sampling rate is mostly off by 2 or more.
 const RATE_FACTORS: std::ops::RangeInclusive<f64> = 0.8..=1.8;
 
-/// Velocities that are slower than this say nothing of the times, rad/s (root mean square).
+/// Velocity (root mean square) below which the ratio is not checked, rad/s.
 const RATE_SPEED_RAD_S: f64 = 0.5;
 
-/// Why a recording says nothing of the Qube that made it, or something wrong. Times count from the
-/// recording's start.
+/// The reason why a recording cannot be fitted. Times count from the recording's start.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum Unfit {
-    /// Too little of it.
+    /// The recording is too short.
     #[error("it lasts {duration_s:.2} s; give at least {shortest_s} s")]
     Short {
-        /// How long it is.
+        /// Duration of the recording, s.
         duration_s: f64,
-        /// How long it must be.
+        /// Smallest accepted duration, s.
         shortest_s: f64,
     },
-    /// Samples are missing, or it was recorded too slowly.
+    /// Samples are missing, or the sampling is too slow.
     #[error(
         "{step_s:.3} s without a sample at {at_s:.3} s; recordings need at least 50 samples a second \
          without gaps"
     )]
     Gap {
-        /// Since the start.
+        /// Time since the start, s.
         at_s: f64,
         /// The time between two samples.
         step_s: f64,
     },
-    /// The motor did nothing.
+    /// The motor was not excited.
     #[error("no excitation: the voltage never went beyond {LEAST_VOLTAGE_V} V")]
     NoVoltage,
-    /// Nothing moved.
+    /// An angle did not move.
     #[error(
         "no excitation: {angle} moved by {moved_rad:.3} rad; at least {LEAST_MOTION_RAD} rad are needed"
     )]
     NoMotion {
-        /// Which angle.
+        /// Name of the angle.
         angle: &'static str,
-        /// How far.
+        /// Range of its motion, rad.
         moved_rad: f64,
     },
-    /// The arm hit its stop, which no equation here describes.
+    /// The arm hit its stop, which the equations do not describe.
     #[error(
         "clipped: the arm came to {theta_rad:.2} rad at {at_s:.3} s, the hard stop is at {HARD_STOP_RAD} rad"
     )]
     AtStop {
-        /// Since the start.
+        /// Time since the start, s.
         at_s: f64,
-        /// Where the arm was.
+        /// Angle of the arm, rad.
         theta_rad: f64,
     },
-    /// An angle is somewhere else from one sample to the next.
+    /// An angle jumps between two samples.
     #[error(
         "{angle} jumps by {jump_rad:.2} rad at {at_s:.3} s: a loose encoder, or an angle that was \
          wrapped to one turn, which has to be unwrapped"
     )]
     Jump {
-        /// Which angle.
+        /// Name of the angle.
         angle: &'static str,
-        /// Since the start.
+        /// Time since the start, s.
         at_s: f64,
-        /// How far.
+        /// Size of the jump, rad.
         jump_rad: f64,
     },
-    /// An angle that stops dead at its largest or smallest value.
+    /// An angle stops abruptly at its largest or smallest value.
     #[error("clipped: {angle} is cut off at {value_rad:.2} rad at {at_s:.3} s")]
     Clipped {
-        /// Which angle.
+        /// Name of the angle.
         angle: &'static str,
-        /// Since the start.
+        /// Time since the start, s.
         at_s: f64,
-        /// Where.
+        /// Value at which it stops, rad.
         value_rad: f64,
     },
-    /// The velocities belong to other times.
+    /// The velocities do not match the sampling times.
     #[error(
         "its times are not those it was recorded at: {angle} moves {factor:.2} times as fast as its \
          velocities say. Was it recorded at another rate?"
     )]
     OtherRate {
-        /// Which angle.
+        /// Name of the angle.
         angle: &'static str,
-        /// The slope of the angle over the velocity.
+        /// Slope of the angle over the integrated velocity.
         factor: f64,
     },
-    /// The arm's count stood still under voltage.
+    /// The arm's count stays constant under voltage.
     #[error(
         "the arm's count stands still from {at_s:.3} s on under {voltage_v:.2} V: the arm was stalled \
          or its encoder unplugged"
     )]
     FrozenArm {
-        /// Since the start.
+        /// Time since the start, s.
         at_s: f64,
-        /// The voltage.
+        /// Voltage at the motor, V.
         voltage_v: f64,
     },
-    /// The arm's count stood still while the pendulum swung.
+    /// The arm's count stays constant while the pendulum swings.
     #[error(
         "the arm's count stands still from {at_s:.3} s on while the pendulum swings: the arm was held \
          or its encoder unplugged"
     )]
     FrozenArmUnderPendulum {
-        /// Since the start.
+        /// Time since the start, s.
         at_s: f64,
     },
-    /// The pendulum's count stood still while the arm swung.
+    /// The pendulum's count stays constant while the arm moves.
     #[error(
         "the pendulum's count stands still from {at_s:.3} s on while the arm turns: its encoder was \
          unplugged"
     )]
     FrozenPendulum {
-        /// Since the start.
+        /// Time since the start, s.
         at_s: f64,
     },
 }
 
-/// Whether a recording can be fitted.
+/// Checks that a recording can be fitted.
 ///
 /// # Errors
-/// The first reason why not.
+/// Names the first reason why it cannot.
 pub fn check_recording(log: &MotionLog) -> Result<(), Unfit> {
     check_motion(log, SHORTEST_S)
 }
 
-/// The same for a motion that lasts at least so long, s.
+/// Checks that a motion of at least `shortest_s` seconds can be fitted.
 pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit> {
     let samples = &log.samples;
     let duration_s = duration_of(samples);
@@ -221,7 +220,7 @@ const ANGLES: [Angle; 2] = [
     Angle { name: "alpha", of: |state| state.alpha, velocity_of: |state| state.alpha_dot },
 ];
 
-/// Looks for a step that nothing could have made.
+/// Looks for a step larger than any motion can make.
 fn jump(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
     for pair in samples.windows(2) {
         let step_s = pair[1].time_s - pair[0].time_s;
@@ -234,7 +233,7 @@ fn jump(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
     Ok(())
 }
 
-/// Looks for an angle that stops dead at its extreme and stays there.
+/// Looks for an angle that stops abruptly at its extreme and stays there.
 fn clipped(samples: &[MotionSample], values: &[f64], angle: Angle) -> Result<(), Unfit> {
     let lowest = values.iter().copied().fold(f64::INFINITY, f64::min);
     let highest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -251,8 +250,8 @@ fn clipped(samples: &[MotionSample], values: &[f64], angle: Angle) -> Result<(),
     Ok(())
 }
 
-/// Compares how far an angle goes in 50 ms with what its velocities add up to: a filter delays
-/// these and hardly changes their size. Recordings without velocities are not judged.
+/// Compares the motion of an angle in 50 ms with its integrated velocities, which a filter delays but
+/// hardly scales. Recordings without velocities are not checked.
 fn other_rate(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
     let (mut slopes, mut velocities, mut count) = (0.0, 0.0, 0);
     let mut first = 0;
@@ -283,9 +282,9 @@ fn other_rate(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
     }
 }
 
-/// Looks for a count that stands still for 0.3 s while something says that it should not.
+/// Looks for a count that stays constant for 0.3 s while voltage or the other angle should move it.
 fn frozen(samples: &[MotionSample], start_s: f64) -> Result<(), Unfit> {
-    // Where each angle stood still, and the voltage had one sign, since.
+    // Sample since which each angle has been constant, and since which the voltage has kept its sign.
     let (mut arm_since, mut pendulum_since, mut held_since) = (0, 0, 0);
     for (now, sample) in samples.iter().enumerate() {
         let of = |index: usize| &samples[index];

@@ -8,96 +8,96 @@ use super::uncertainty::{Blind, Estimate, Uncertainty, uncertainty};
 use crate::qube::{QubeModel, State};
 use crate::replay::MotionLog;
 
-/// Lengths of the stretches that are fitted before whole recordings are, s. Short ones find the
-/// neighbourhood, since their motion depends on the unknowns almost in a straight line; long ones
-/// tell small effects from noise.
+/// Lengths of the stretches that are fitted before whole recordings, s. Short ones find the neighbourhood,
+/// because their motion depends almost linearly on the unknowns; long ones separate small effects from
+/// noise.
 const STAGES_S: [f64; 2] = [0.5, 2.0];
 
-/// A fit that is farther off over the shortest stretches explains nothing, rad (root mean square).
-/// The real Qube's chirps come to 0.01.
+/// Largest residual over the shortest stretches, rad (root mean square), beyond which the fit explains
+/// nothing. The real Qube's chirps leave 0.01.
 const LARGEST_RESIDUAL_RAD: f64 = 0.1;
 
-/// A fit that leaves more than this share of the motion over whole recordings explains nothing. A wrong
-/// sign of the voltage leaves 0.93 to 1; a Qube that is one leaves some hundredths.
+/// Largest share of the motion that a fit may leave unexplained over whole recordings. A wrong sign of the
+/// voltage leaves 0.93 to 1, a correct model a few hundredths.
 const LARGEST_RESIDUAL_SHARE: f64 = 0.8;
 
-/// No quantity of a Qube is farther from what is likely, in standard deviations of its prior. The
-/// farthest of a real one is at 2.5.
+/// Largest distance of a quantity from its prior mean, in standard deviations. The largest of a real Qube
+/// is 2.5.
 const FARTHEST_STDS: f64 = 5.0;
 
-/// A Qube that was found.
+/// The result of an identification.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Identified {
-    /// The Qube.
+    /// Model of the Qube.
     pub model: QubeModel,
-    /// What is known of each unknown, in the order asked for.
+    /// Estimate of each unknown, in the order requested.
     pub estimates: Vec<Estimate>,
-    /// What the recordings cannot tell apart, the blindest first.
+    /// Combinations of unknowns that the recordings do not determine, the least determined first.
     pub blind: Vec<Blind>,
-    /// How the errors of the estimates go together, -1 to 1, in the same order.
+    /// Correlations of the errors of the estimates, -1 to 1, in the same order.
     pub correlations: Vec<Vec<f64>>,
-    /// What the model does not explain of whole recordings.
+    /// Residuals of the model over whole recordings.
     pub scale: ResidualScale,
 }
 
-/// Why nothing was identified.
+/// The reason why nothing was identified.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum IdentifyError {
-    /// A recording that says nothing, or something wrong.
+    /// A recording cannot be fitted.
     #[error("recording {index}: {why}")]
     Unfit {
-        /// Its place in the list, from 0.
+        /// Index of the recording, from 0.
         index: usize,
-        /// Why.
+        /// Reason why it cannot be fitted.
         why: Unfit,
     },
-    /// A fit that fits nothing.
+    /// The best fit explains nothing.
     #[error(
         "no Qube explains the recordings: over {STRETCH_S} s the best fit is off by {theta_rad:.2} rad \
-         (arm) and {alpha_rad:.2} rad (pendulum). Is a sign turned round, or the pendulum another one?",
+         (arm) and {alpha_rad:.2} rad (pendulum). Is a sign reversed, or the pendulum a different one?",
         STRETCH_S = STAGES_S[0]
     )]
     Unexplained {
-        /// Root mean square over stretches of half a second, arm.
+        /// Root mean square error of the arm over stretches of half a second, rad.
         theta_rad: f64,
-        /// And pendulum.
+        /// Root mean square error of the pendulum over stretches of half a second, rad.
         alpha_rad: f64,
     },
-    /// A fit that lies beside the motion as a Qube at rest does.
+    /// The best fit is as far off as a Qube that does not move.
     #[error(
         "no Qube explains the recordings: beside the whole of them the best fit is off by {theta_rad:.2} rad \
-         (arm) and {alpha_rad:.2} rad (pendulum), as much as they move. Is a sign turned round, or the \
-         pendulum another one?"
+         (arm) and {alpha_rad:.2} rad (pendulum), as much as they move. Is a sign reversed, or the \
+         pendulum a different one?"
     )]
     NothingExplained {
-        /// Root mean square over whole recordings, arm.
+        /// Root mean square error of the arm over whole recordings, rad.
         theta_rad: f64,
-        /// Root mean square over whole recordings, pendulum.
+        /// Root mean square error of the pendulum over whole recordings, rad.
         alpha_rad: f64,
     },
-    /// A fit that only a machine which is no Qube explains.
+    /// The best fit has a value that no Qube has.
     #[error(
         "no Qube explains the recordings: the best fit has {name} = {value:.3e}, where {likely:.3e} is \
-         likely. Is a sign turned round, or the pendulum another one?"
+         likely. Is a sign reversed, or the pendulum a different one?"
     )]
     Implausible {
-        /// The quantity that is farthest from what can be.
+        /// Name of the quantity that is farthest from its prior.
         name: &'static str,
-        /// Its value in SI units.
+        /// Value of the quantity in SI units.
         value: f64,
-        /// What is likely before there is data.
+        /// Most likely value before any data.
         likely: f64,
     },
-    /// An empty list.
+    /// The list of recordings is empty.
     #[error("there are no recordings")]
     NoRecordings,
 }
 
-/// Which Qube made these recordings? Moves `unknowns` away from `first_guess`, by maximum
-/// likelihood (with the weak priors of [`Unknown::prior`], which decide what the data leave open).
+/// Identifies the Qube that made recordings: moves `unknowns` away from `first_guess` by maximum
+/// likelihood, with the weak priors of [`Unknown::prior`] for what the data leave open.
 ///
 /// # Errors
-/// There is no recording, or one that cannot be fitted.
+/// There is no recording, a recording cannot be fitted, or no Qube explains them.
 pub fn identify(
     logs: &[MotionLog],
     unknowns: &[Unknown],
@@ -133,7 +133,7 @@ pub fn identify(
     Ok(Identified { model: fit.model, estimates, blind, correlations, scale: fit.scale })
 }
 
-/// How far an angle goes about its mean in each recording, root mean square, rad.
+/// Root mean square of an angle about its mean in each recording, rad.
 fn motion_rad(logs: &[MotionLog], angle: fn(&State) -> f64) -> f64 {
     let (mut squares, mut count) = (0.0, 0.0);
     for log in logs {
@@ -146,7 +146,7 @@ fn motion_rad(logs: &[MotionLog], angle: fn(&State) -> f64) -> f64 {
     (squares / count).sqrt()
 }
 
-/// Whether the fit is a Qube at all.
+/// Checks that every fitted quantity is one of a Qube.
 fn plausible(unknowns: &[Unknown], model: &QubeModel) -> Result<(), IdentifyError> {
     let stds = |unknown: &Unknown| {
         let prior = unknown.prior();

@@ -1,9 +1,9 @@
-//! Which Qube made these recordings?
+//! Identification of a Qube from its recordings.
 //!
-//! Parameters and gap of a machine from its recordings, by maximum likelihood, with what the
-//! recordings cannot tell. Pure computation over motions that were read before.
-//!
-//! May import `qube` and `replay`.
+//! [`identify`] estimates parameters and nonidealities by maximum likelihood, with standard errors and with
+//! the combinations that the recordings do not determine; [`drift()`] estimates what changes from day to
+//! day. The room is pure computation over motions that were read before, and may import `qube` and
+//! `replay`.
 
 #[cfg(test)]
 mod delay_tests;

@@ -3,32 +3,31 @@ use super::stretch::{Stretch, duration_of};
 use crate::qube::{QubeModel, State};
 use crate::replay::{AngleError, MotionLog};
 
-/// What of a recording may be used to find where a prediction starts, s.
+/// Time at the start of a recording from which a prediction's start state is estimated, s.
 pub const KNOWN_S: f64 = 0.2;
 
-/// From one prediction's start to the next, s.
+/// Interval between the starts of predictions, s.
 const EVERY_S: f64 = 0.1;
 
-/// How far a model's predictions are off this long after their start.
+/// The error of a model's predictions at a horizon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HorizonError {
-    /// The length of the predictions, s.
+    /// Length of the predictions, s.
     pub horizon_s: f64,
-    /// Root mean square over all samples of all predictions.
+    /// Root mean square error over all samples of all predictions.
     pub rms: AngleError,
-    /// How many predictions that were.
+    /// Number of predictions.
     pub predictions: usize,
 }
 
-/// The state at sample `first` that explains the 0.2 s from there on best.
+/// The state at the first sample that explains the first 0.2 s best.
 #[must_use]
 pub fn start_state(log: &MotionLog, model: &QubeModel) -> State {
     state_at(&Stretch::from(&log.samples, 0, KNOWN_S), model).0
 }
 
-/// Predicts each log again and again: a start state is estimated from 0.2 s of it, and from the end
-/// of these the model runs on its own for `horizon_s`. A log that is shorter is predicted as far as
-/// it goes, once.
+/// Predicts each log repeatedly: estimates a start state from 0.2 s of it, then runs the model on its own
+/// for `horizon_s`. A log that is too short is predicted once, to its end.
 #[must_use]
 pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> HorizonError {
     let (mut theta, mut alpha, mut count, mut predictions) = (0.0, 0.0, 0, 0);
@@ -65,7 +64,7 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
     }
 }
 
-/// The start of a stretch, and how many samples the stretch has.
+/// The start state of a stretch, and its number of samples.
 fn state_at(known: &Stretch<'_>, model: &QubeModel) -> (State, usize) {
     let mut fit = Fit::new(&[], *model, vec![*known]);
     fit.scale = ResidualScale { theta_rad: 1e-3, alpha_rad: 1e-3 };

@@ -1,26 +1,26 @@
 use crate::qube::{QubeModel, State};
 use crate::replay::{MotionSample, simulate_stretch};
 
-/// A stretch of a recording that is simulated from a start state of its own.
+/// A stretch of a recording with its own start state.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stretch<'a> {
-    /// The whole recording: commands from before the stretch may still be on their way.
+    /// Whole recording; commands from before the stretch may still be in transit.
     pub recording: &'a [MotionSample],
-    /// Its first sample.
+    /// Index of the first sample.
     pub first: usize,
-    /// One behind its last.
+    /// Index after the last sample.
     pub end: usize,
 }
 
 impl<'a> Stretch<'a> {
-    /// From a sample on for so many seconds, or until the recording ends.
+    /// The stretch from a sample on for a duration, or until the recording ends.
     pub fn from(recording: &'a [MotionSample], first: usize, duration_s: f64) -> Self {
         let last_s = recording[first].time_s + duration_s + 1e-9;
         let length = recording[first..].partition_point(|sample| sample.time_s <= last_s);
         Self { recording, first, end: first + length }
     }
 
-    /// Cuts a recording into stretches of about this many seconds; neighbours share a sample.
+    /// Cuts a recording into stretches of about this duration; neighbours share a sample.
     pub fn cut(recording: &'a [MotionSample], duration_s: f64) -> Vec<Self> {
         let pieces = (duration_of(recording) / duration_s).round().max(1.0) as usize;
         let edge = |piece: usize| (recording.len() - 1) * piece / pieces;
@@ -29,12 +29,12 @@ impl<'a> Stretch<'a> {
             .collect()
     }
 
-    /// Its samples.
+    /// The samples of the stretch.
     pub fn samples(&self) -> &'a [MotionSample] {
         &self.recording[self.first..self.end]
     }
 
-    /// The simulated state at each of its samples.
+    /// The simulated state at each sample of the stretch.
     pub fn simulate(&self, model: &QubeModel, start: State) -> Vec<State> {
         let mut states = Vec::with_capacity(self.end - self.first);
         simulate_stretch(self.recording, self.first..self.end, model, start, |state| {
@@ -44,7 +44,7 @@ impl<'a> Stretch<'a> {
     }
 }
 
-/// From the first sample to the last, s.
+/// Time from the first sample to the last, s.
 pub(super) fn duration_of(recording: &[MotionSample]) -> f64 {
     match recording {
         [first, .., last] => last.time_s - first.time_s,

@@ -27,7 +27,7 @@ fn chirp(truth: &QubeModel, sign: f64, seconds: f64) -> MotionLog {
     }
 }
 
-/// Not the nominal Qube in anything that matters.
+/// A Qube that differs from nominal in every quantity that matters.
 fn truth() -> QubeModel {
     let mut truth = QubeModel {
         gap: Gap {
@@ -72,7 +72,7 @@ fn a_qube_that_is_known_is_found_within_its_standard_errors() {
         estimate.is_some_and(Estimate::is_told)
     };
     assert!(told(GapTerm::CommandDelay) && told(GapTerm::CableStiffness));
-    // All forces and all inertias larger by the same factor make the same motion.
+    // Scaling all forces and all inertias by the same factor leaves the motion unchanged.
     let blind: Vec<Unknown> = found.blind.iter().flatten().map(|(unknown, _)| *unknown).collect();
     assert!(blind.contains(&DomainParameter::PendulumMass.into()), "{blind:?}");
 
@@ -135,7 +135,7 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
         }
     });
     assert!(matches!(unplugged, Unfit::FrozenPendulum { .. }), "{unplugged}");
-    // A sample that was lost on the wire is no gap.
+    // A sample that the wire lost is not a gap.
     let mut lost = good.clone();
     lost.samples.retain(|sample| (sample.time_s * 250.0).round() as u32 % 7 != 3);
     assert_eq!(check_recording(&lost), Ok(()));
@@ -149,12 +149,12 @@ fn recordings_with_wrong_times_or_cut_off_angles_are_named() {
         log.samples.iter_mut().enumerate().for_each(|(index, sample)| change(index, sample));
         check_recording(&log)
     };
-    // Recorded at 250 Hz, and written down as 100 or 500 Hz.
+    // The file was recorded at 250 Hz, and its times say 100 or 500 Hz.
     for rate_hz in [100.0, 500.0] {
         let unfit = changed(&|index, sample| sample.time_s = index as f64 / rate_hz);
         assert!(matches!(unfit, Err(Unfit::OtherRate { .. })), "{rate_hz}: {unfit:?}");
     }
-    // An angle that a program kept within bounds that the motion left.
+    // A program clamped the angle to bounds that the motion exceeded.
     for limit_rad in [0.3, 0.6] {
         let unfit = changed(&|_, sample| {
             sample.state.alpha = quantised(sample.state.alpha.clamp(-limit_rad, limit_rad));
@@ -164,14 +164,14 @@ fn recordings_with_wrong_times_or_cut_off_angles_are_named() {
         };
         assert!((value_rad.abs() - limit_rad).abs() < 0.01);
     }
-    // A pendulum that went over the top, with its angle kept within one turn.
+    // The pendulum went over the top, and its angle was wrapped to one turn.
     let unfit = changed(&|index, sample| {
         if index >= 600 {
             sample.state.alpha -= 2.0 * std::f64::consts::PI;
         }
     });
     assert!(matches!(unfit, Err(Unfit::Jump { angle: "alpha", .. })), "{unfit:?}");
-    // A loose contact.
+    // The encoder has a loose contact.
     let unfit = changed(&|index, sample| {
         if index == 600 {
             sample.state.theta += 1.0;
@@ -182,7 +182,7 @@ fn recordings_with_wrong_times_or_cut_off_angles_are_named() {
 
 #[test]
 fn a_recording_that_no_qube_makes_is_no_silent_fit() {
-    // The voltage's sign is the other one.
+    // The voltage has the wrong sign.
     for (sign, seconds) in [(1.0, 4.0), (-1.0, 4.0), (1.0, 5.0)] {
         let mut log = chirp(&truth(), sign, seconds);
         for sample in &mut log.samples {
@@ -198,7 +198,7 @@ fn a_recording_that_no_qube_makes_is_no_silent_fit() {
             "{sign}, {seconds} s: {refused:?}"
         );
     }
-    // The angles have nothing to do with each other.
+    // The angles do not belong together.
     let mut log = chirp(&truth(), 1.0, 4.0);
     let turned: Vec<f64> = log.samples.iter().rev().map(|sample| sample.state.alpha).collect();
     for (sample, alpha) in log.samples.iter_mut().zip(turned) {

@@ -3,57 +3,57 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use super::Unknown;
 use super::fit::Fit;
 
-/// The recordings tell an unknown when they take this much of its prior variance away.
+/// Share of its prior variance that the data must remove from an unknown before it counts as determined.
 const TOLD: f64 = 0.5;
 
-/// An entry of a direction that is worth naming.
+/// Smallest entry of a direction that is reported.
 const WORTH_NAMING: f64 = 0.25;
 
-/// What a fit says of one unknown.
+/// The estimate of one unknown.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
-    /// Which.
+    /// Unknown that is estimated.
     pub unknown: Unknown,
-    /// Its value, in its SI unit.
+    /// Value in its SI unit.
     pub value: f64,
-    /// How sure that is, in the same unit. The residuals' correlation in time is accounted for.
+    /// Standard error in the same unit; it accounts for the residuals' correlation in time.
     pub standard_error: f64,
-    /// How much of the prior's variance the recordings took away: near 0, the value is the prior's.
+    /// Share of the prior variance that the data removed; near 0, the value is the prior's.
     pub told_by_data: f64,
 }
 
 impl Estimate {
-    /// Whether the value comes from the recordings rather than from the prior.
+    /// Whether the data rather than the prior determine the value.
     #[must_use]
     pub fn is_told(&self) -> bool {
         self.told_by_data >= TOLD
     }
 }
 
-/// A combination of unknowns of which the recordings say nothing: each moved by this many of its
-/// prior standard deviations at once, the simulated motion stays as it is.
+/// A combination of unknowns that the recordings do not determine: moving each by this many of its prior
+/// standard deviations at once leaves the simulated motion unchanged.
 pub type Blind = Vec<(Unknown, f64)>;
 
-/// What a fit says of its unknowns, in their order.
+/// The uncertainty of a fit, in the order of its unknowns.
 pub(super) struct Uncertainty {
-    /// Each with its standard error.
+    /// Estimates with standard errors.
     pub estimates: Vec<Estimate>,
-    /// The directions in which the recordings are blind, the blindest first.
+    /// Combinations that are not determined, the least determined first.
     pub blind: Vec<Blind>,
-    /// How the errors of the estimates go together, -1 to 1.
+    /// Correlations of the errors, -1 to 1.
     pub correlations: Vec<Vec<f64>>,
 }
 
-/// The estimates, the directions in which the recordings are blind, and what errors go together.
+/// Computes estimates, undetermined combinations and correlations of a fit.
 ///
-/// The information matrix takes residuals for independent. They are not: a model's errors last.
-/// So it is divided by how many samples one independent sample is worth, the integrated
-/// autocorrelation time of the residuals.
+/// The information matrix assumes independent residuals, but a model's errors persist in time. It is
+/// therefore divided by the integrated autocorrelation time of the residuals: the number of samples worth
+/// one independent sample.
 pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
     let information = fit.information() / autocorrelation_time(fit);
     let stds =
         DVector::from_iterator(fit.unknowns.len(), fit.unknowns.iter().map(|u| u.prior().std));
-    // In units of prior standard deviations the prior's own information is the identity.
+    // In units of prior standard deviations the prior's information is the identity.
     let scaled = DMatrix::from_fn(stds.len(), stds.len(), |row, column| {
         information[(row, column)] * stds[row] * stds[column]
     });
@@ -94,8 +94,8 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
     }
 }
 
-/// Samples that one independent sample is worth: 1 + 2 (r1 + r2 + ...) up to the first r below
-/// zero, the mean over both angles and all stretches.
+/// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first negative r, averaged
+/// over both angles and all stretches.
 fn autocorrelation_time(fit: &Fit<'_>) -> f64 {
     let residuals = fit.residuals_rad();
     let of_angle = |angle: usize| {

@@ -1,35 +1,35 @@
 use crate::qube::{DomainParameter, DomainParameters, GapTerm, Quantity, QubeModel};
 
-/// One quantity that a fit may move: a parameter by its logarithm, a term of the gap as it is. Gravity
-/// is known, and is none.
+/// A quantity that a fit may move: a parameter by its logarithm, a nonideality linearly. Gravity is known
+/// and never moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unknown(pub Quantity);
 
-/// What is known of an unknown before there is data, in its own unit of movement.
+/// The prior of an unknown, in the fit's unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
-    /// Most likely value: the logarithm's for parameters.
+    /// Mean; that of the logarithm for parameters.
     pub mean: f64,
     /// Standard deviation.
     pub std: f64,
 }
 
 impl Unknown {
-    /// All of them, in the order of tables and files.
+    /// Every unknown, in the order of tables and files.
     pub fn all() -> impl Iterator<Item = Self> {
         let gravity = Quantity::Parameter(DomainParameter::Gravity);
         Quantity::all().filter(move |quantity| *quantity != gravity).map(Self)
     }
 
-    /// Its name in tables and files.
+    /// The name in tables and files.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.0.name()
     }
 
-    /// What can be said without a recording: a ruler and a balance know lengths to 3 % and masses
-    /// to 10 %; published values of resistance and motor constant differ by a third, those of
-    /// friction by a factor of 50 (Coulomb friction by as much as the motor's torque at 0.3 V).
+    /// The prior without any recording: ruler and balance measure lengths to 3 % and masses to 10 %;
+    /// published values of resistance and motor constant differ by a third, those of friction by a factor
+    /// of 50 (Coulomb friction by as much as the motor's torque at 0.3 V).
     #[must_use]
     pub fn prior(self) -> Prior {
         use DomainParameter as P;
@@ -59,28 +59,28 @@ impl Unknown {
         Prior { mean, std }
     }
 
-    /// Where a model stands in this unknown, in the unit of movement.
+    /// The value of a model in the fit's unit.
     #[must_use]
     pub fn of(self, model: &QubeModel) -> f64 {
         let value = model.get(self.0);
         if self.moves_by_logarithm() { value.ln() } else { value }
     }
 
-    /// Moves a model to this value, or as near as has a meaning.
+    /// Sets the value of a model in the fit's unit, clamped to its meaningful range.
     pub fn set(self, model: &mut QubeModel, moved: f64) {
-        // Of the gap's terms only a place may lie below zero.
+        // Of the nonidealities only an angle may be negative.
         let is_strength = matches!(self.0, Quantity::Gap(term) if term != GapTerm::CableRest);
         let moved = if is_strength { moved.max(0.0) } else { moved };
         model.set(self.0, self.quantity(moved));
     }
 
-    /// A value in the unit of movement as the quantity itself, in its SI unit.
+    /// Converts a value from the fit's unit to the SI unit of the quantity.
     #[must_use]
     pub fn quantity(self, moved: f64) -> f64 {
         if self.moves_by_logarithm() { moved.exp() } else { moved }
     }
 
-    /// A small deviation in the unit of movement as one of the quantity.
+    /// Converts a small deviation from the fit's unit to the SI unit of the quantity.
     #[must_use]
     pub fn deviation(self, moved: f64, deviation: f64) -> f64 {
         if self.moves_by_logarithm() { moved.exp() * deviation } else { deviation }

@@ -3,110 +3,110 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-/// What can go wrong with a recording as a file.
+/// A failure to write or read a recording.
 #[derive(Debug, Error)]
 pub enum RecordingError {
-    /// The file could not be made.
+    /// The file could not be created.
     #[error("{path}: no recording can be written there: {source}")]
     Create {
-        /// Where.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause of the failure.
         source: io::Error,
     },
-    /// The disk has no room left.
+    /// The disk is full.
     #[error(
         "{path}: the disk is full. What was written so far can be read; make room and repeat the rollout"
     )]
     DiskFull {
-        /// The recording that is cut off.
+        /// Path of the truncated recording.
         path: PathBuf,
     },
-    /// Writing failed in another way.
+    /// Writing failed for another reason.
     #[error("{path}: writing failed ({source}). What was written so far can be read")]
     Write {
-        /// The recording that is cut off.
+        /// Path of the truncated recording.
         path: PathBuf,
-        /// Why.
+        /// Cause of the failure.
         source: io::Error,
     },
-    /// Header or outcome hold a number that cannot be written.
+    /// Header or outcome hold a number that is not finite.
     #[error("{path}: the rollout's {record} holds a number that is not finite")]
     NotFinite {
-        /// The recording.
+        /// Path of the recording.
         path: PathBuf,
-        /// `rollout` or `outcome`.
+        /// Name of the record: `rollout` or `outcome`.
         record: &'static str,
     },
-    /// The thread that writes ended by itself.
+    /// The writer thread ended unexpectedly.
     #[error("{path}: the recorder stopped unexpectedly. What was written so far can be read")]
     Stopped {
-        /// The recording that is cut off.
+        /// Path of the truncated recording.
         path: PathBuf,
     },
     /// The file could not be read.
     #[error("{path}: {source}")]
     Read {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause of the failure.
         source: io::Error,
     },
-    /// The file's content is no recording that can be trusted.
+    /// The content is not a valid recording.
     #[error("{path}: {why}")]
     Unreadable {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Reason why it is refused.
         why: Unreadable,
     },
 }
 
-/// Why bytes are no recording.
+/// The reason why bytes are not a recording.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum Unreadable {
-    /// Not MCAP at all.
-    #[error("this is no MCAP file")]
+    /// The bytes are not MCAP.
+    #[error("this is not an MCAP file")]
     NotMcap,
-    /// Larger than any rollout.
+    /// The file is larger than any rollout.
     #[error("{bytes} bytes are more than a rollout's recording can have ({limit})")]
     TooLarge {
-        /// Its size.
+        /// Size of the file.
         bytes: u64,
-        /// The largest that is read.
+        /// Largest size that is read.
         limit: u64,
     },
-    /// An MCAP file of another program.
-    #[error("this MCAP file is no rollout of this program: {missing}")]
+    /// The MCAP file is from another program.
+    #[error("this MCAP file is not a rollout of this program: {missing}")]
     Foreign {
-        /// What is missing in it.
+        /// Part that is missing.
         missing: &'static str,
     },
-    /// A recording of another version.
+    /// The recording has another format version.
     #[error("this recording has format {found}; this program reads {expected}")]
     OtherFormat {
-        /// Its format.
+        /// Version of the file.
         found: String,
-        /// The format of this program.
+        /// Version that this program reads.
         expected: u32,
     },
-    /// Cut off before anything of the rollout was in it.
+    /// The file was truncated before it held anything of the rollout.
     #[error("this recording was cut off before its first tick; nothing of the rollout is in it")]
     CutOffAtStart,
-    /// A finished recording that is no longer what was written.
+    /// The recording was finished and then changed.
     #[error(
-        "this recording was changed or damaged at byte {offset}: {what}. `qube-hil recover` saves what is whole"
+        "this recording was changed or damaged at byte {offset}: {what}. `qube-hil recover` saves the intact part"
     )]
     Damaged {
-        /// Where the damaged record starts.
+        /// Offset at which the damaged record starts.
         offset: u64,
-        /// What does not fit.
+        /// Defect that was found.
         what: String,
     },
 }
 
 impl RecordingError {
-    /// Names a failed write: a full disk is the one that a user can cure.
+    /// Classifies a failed write: the user can cure a full disk.
     pub(super) fn write(path: &Path, source: io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {

@@ -10,14 +10,15 @@ use super::wire_format::CRC_32;
 pub(super) const HEADER: &str = "rollout";
 /// Name of the metadata record with the rollout's outcome.
 pub(super) const OUTCOME: &str = "outcome";
-/// Name of the metadata record of a file that was made whole.
+/// Name of the metadata record of a recovered file.
 pub(super) const RECOVERED: &str = "recovered";
 
-/// MCAP puts no checksum on metadata, and a cut-off file has none over its data section either.
+/// Key of the checksum over a metadata record. MCAP has no checksum on metadata, and a truncated file has
+/// none over its data section either.
 const CHECKSUM: &str = "crc32";
 
-/// One entry for each field of a struct, its value as JSON text, and a checksum over all of them.
-/// None if the value would not come back as it is (a number that is not finite).
+/// Converts a struct to a map with one JSON text a field and a checksum over all of them; `None` if the
+/// value would not read back unchanged (a number that is not finite).
 pub(super) fn to_map<T>(value: &T) -> Option<BTreeMap<String, String>>
 where
     T: Serialize + DeserializeOwned + PartialEq,
@@ -30,7 +31,7 @@ where
     (restored == *value).then_some(map)
 }
 
-/// The struct again.
+/// Restores the struct from its map.
 pub(super) fn from_map<T: DeserializeOwned>(map: &BTreeMap<String, String>) -> Result<T, String> {
     if map.get(CHECKSUM) != Some(&checksum(map)) {
         return Err("its checksum does not fit".to_owned());

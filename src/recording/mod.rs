@@ -1,16 +1,15 @@
 //! Rollouts as MCAP files: schemas, the writer thread, the reader, recovery after a crash.
 //!
-//! May import `telemetry`, `qube`, `storage`.
+//! One file holds one rollout: its origin and settings (metadata), the policy (an attachment), every tick
+//! (six channels of flat JSON), and its ending (metadata). A rollout can be replayed from its own file
+//! alone, and [`read`] returns bit for bit what was recorded.
 //!
-//! One file holds one rollout: who, when and how (metadata), the policy (an attachment), every tick
-//! (six channels of flat JSON), how it ended (metadata). A rollout can be run again with nothing
-//! but its own file, and what is read back is bit for bit what was recorded.
+//! Metadata and policy come first. Ticks follow in blocks of a tenth of a second, each compressed,
+//! checksummed and handed to the operating system as a whole: a killed process loses at most the last
+//! quarter of a second. A file that ended properly closes with its outcome, an index and checksums over
+//! every byte, so a truncated file is never taken for a complete one, and any changed byte is found.
 //!
-//! Metadata and policy come first and ticks follow in blocks of a tenth of a second, each
-//! compressed, checksummed and handed to the operating system as a whole: a process that is killed
-//! loses at most the last quarter of a second. A file that ended properly closes with its outcome,
-//! an index and checksums over every byte, so a cut-off file is never taken for a whole one and a
-//! changed byte is found.
+//! The room may import `telemetry`, `qube` and `storage`.
 
 mod error;
 mod metadata;
@@ -38,7 +37,7 @@ pub const FORMAT_VERSION: u32 = 1;
 /// Name of the attachment that holds the policy file.
 pub const POLICY_ATTACHMENT: &str = "policy.safetensors";
 
-/// Name of the attachment with the last second before a fault: one JSON object a line, a tick each.
+/// Name of the attachment with the last second before a fault: one JSON object, a tick, on each line.
 pub const LAST_TICKS_ATTACHMENT: &str = "last-ticks.jsonl";
 
 #[cfg(test)]

@@ -1,17 +1,17 @@
 use std::fmt::Write as _;
 
-/// Numbers that JSON cannot write (NaN of any kind, infinities), kept by name and bits in one text
+/// Numbers that JSON cannot represent (NaN of any kind, infinities), kept by name and bits in one text
 /// beside the fields: `wanted_v=7ff8000000000000 ...`.
 ///
-/// A string in the field itself would break the schema's `number` just in the tick that matters
-/// most, and `null` would not say which of them it was.
+/// A string in the field itself would violate the schema's `number` in the most important tick, and `null`
+/// would lose the kind of number.
 #[derive(Debug, Default)]
 pub(super) struct NotFinite {
     text: String,
 }
 
 impl NotFinite {
-    /// The value if JSON can write it; otherwise none, and its bits are kept.
+    /// Returns the value if JSON can represent it; otherwise stores its bits and returns `None`.
     pub(super) fn keep(&mut self, name: &str, value: f64) -> Option<f64> {
         if value.is_finite() {
             return Some(value);
@@ -27,18 +27,18 @@ impl NotFinite {
         let _ = write!(self.text, "{separator}{name}={bits:016x}");
     }
 
-    /// The text for the message, none while every number was finite.
+    /// The text for the message; `None` if every number was finite.
     pub(super) fn into_text(self) -> Option<String> {
         (!self.text.is_empty()).then_some(self.text)
     }
 }
 
-/// The number of a field that went through [`NotFinite::keep`]; none if it was never written.
+/// Restores a number that [`NotFinite::keep`] processed; `None` if it was never written.
 pub(super) fn restore(name: &str, finite: Option<f64>, not_finite: Option<&str>) -> Option<f64> {
     finite.or_else(|| restore_bits(name, not_finite).map(f64::from_bits))
 }
 
-/// The bits that went through [`NotFinite::keep_bits`].
+/// Restores the bits that [`NotFinite::keep_bits`] stored.
 pub(super) fn restore_bits(name: &str, not_finite: Option<&str>) -> Option<u64> {
     not_finite?.split(' ').find_map(|entry| {
         let bits = entry.strip_prefix(name)?.strip_prefix('=')?;

@@ -6,37 +6,37 @@ use super::{FORMAT_VERSION, RecordingError, Unreadable, metadata};
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
-/// The largest file that is read. A rollout of some 20 s has about half a megabyte.
+/// Largest file that is read, bytes. A rollout of 20 s has about half a megabyte.
 const MAX_FILE_BYTES: u64 = 1 << 28;
 
 /// A rollout as it was recorded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recording {
-    /// What was known before it started.
+    /// Header, written before the rollout.
     pub header: RolloutHeader,
-    /// The bytes of the policy file.
+    /// Bytes of the policy file.
     pub policy: Vec<u8>,
     /// Every tick, bit for bit.
     pub ticks: Vec<TickRecord>,
-    /// How it ended; none if the recording was cut off before.
+    /// Outcome; `None` if the recording was truncated before it.
     pub outcome: Option<RolloutOutcome>,
-    /// Whether the file is as it was finished.
+    /// Whether parts of the file are missing.
     pub completeness: Completeness,
 }
 
-/// Whether something of a recording is missing.
+/// The completeness of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Completeness {
-    /// Nothing is missing and every byte is as it was written.
+    /// Every byte is as it was written.
     Whole,
-    /// The file was cut off: its program was killed, the disk was full, the power went.
+    /// The file was truncated: its program was killed, the disk was full, or power failed.
     CutOff {
-        /// Bytes of the file that could not be used.
+        /// Number of bytes that could not be used.
         lost_bytes: u64,
-        /// Where and why reading stopped or left something out.
+        /// Position and reason of the first defect.
         reason: String,
     },
-    /// The file was made whole after it had been cut off.
+    /// The file was recovered after it had been truncated.
     Recovered,
 }
 
@@ -49,19 +49,19 @@ impl Recording {
     }
 }
 
-/// Reads a recording from this machine's disk and checks every byte of it. One that was cut off
-/// gives what is whole of it.
+/// Reads a recording from this computer's disk and checks every byte. A truncated recording gives its
+/// intact part.
 ///
 /// # Errors
-/// The file cannot be read; it is no recording; it was finished and then changed or damaged.
+/// The file cannot be read, is not a recording, or was changed after it was finished.
 pub fn read(path: &Path) -> Result<Recording, RecordingError> {
     read_on(&MachineDisk, path)
 }
 
-/// As [`read`], from any disk.
+/// Reads a recording like [`read`], from any disk.
 ///
 /// # Errors
-/// As [`read`].
+/// [`read`] would fail.
 pub fn read_on(disk: &dyn Disk, path: &Path) -> Result<Recording, RecordingError> {
     let bytes = read_bytes(disk, path)?;
     parse(&bytes).map_err(|why| RecordingError::Unreadable { path: path.to_owned(), why })
@@ -72,11 +72,11 @@ pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, Record
         .map_err(|source| RecordingError::Read { path: path.to_owned(), source })
 }
 
-/// As [`read`], from memory. Safe for bytes of any origin: memory stays within a few times the
-/// limit of a file, and nothing is executed.
+/// Reads a recording like [`read`], from memory. It is safe for bytes of any origin: memory stays within a
+/// few times the limit of a file, and nothing is executed.
 ///
 /// # Errors
-/// As [`read`].
+/// [`read`] would fail.
 pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     let scan = checked_scan(bytes)?;
     if let Some(damage) = &scan.damage
@@ -88,7 +88,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     recording(scan)
 }
 
-/// Whether the bytes end as a finished recording does.
+/// Whether the bytes end like a finished recording.
 fn is_finished(bytes: &[u8]) -> bool {
     bytes.len() > MAGIC.len() && bytes.ends_with(MAGIC)
 }
@@ -104,7 +104,7 @@ pub(super) fn checked_scan(bytes: &[u8]) -> Result<Scan, Unreadable> {
     Ok(scan(bytes))
 }
 
-/// The recording that a scan found, whatever it had to leave out.
+/// The recording of a scan, without the parts that the scan left out.
 pub(super) fn recording(mut scan: Scan) -> Result<Recording, Unreadable> {
     let missing = |missing| {
         if scan.closed { Unreadable::Foreign { missing } } else { Unreadable::CutOffAtStart }

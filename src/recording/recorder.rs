@@ -11,20 +11,20 @@ use super::{RecordingError, RolloutWriter};
 use crate::storage::Disk;
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
-/// How often the ring is emptied.
+/// Interval at which the ring is emptied.
 const POLL: Duration = Duration::from_millis(10);
 
-/// The longest that a tick waits for its block to be full. With [`POLL`] and the writing itself
+/// Longest time that a tick waits for its block to fill. Together with [`POLL`] and the writing it stays
 /// well below the promised 250 ms.
 const OLDEST_UNFLUSHED: Duration = Duration::from_millis(120);
 
 /// The thread that takes ticks from the control thread's ring and writes them.
 ///
-/// The control thread never waits for it: while the disk stalls, ticks wait in the ring; when
-/// writing fails, the recorder goes on emptying the ring and reports at the end.
+/// The control thread never waits for it: while the disk stalls, ticks wait in the ring; when writing
+/// fails, the recorder keeps emptying the ring and reports the failure at the end.
 ///
-/// Dropped without [`finish`](Self::finish), it leaves a cut-off recording with every tick that it
-/// was given.
+/// A recorder that is dropped without [`finish`](Self::finish) leaves a truncated recording with every tick
+/// it received.
 #[derive(Debug)]
 pub struct Recorder {
     path: PathBuf,
@@ -34,11 +34,11 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Makes the file, writes header and policy and starts the thread. `ticks` is the end of the
+    /// Creates the file, writes header and policy, and starts the thread. `ticks` is the consumer of the
     /// control thread's ring.
     ///
     /// # Errors
-    /// As [`RolloutWriter::create`]; no thread can be started.
+    /// [`RolloutWriter::create`] fails, or the thread cannot be started.
     pub fn start(
         disk: &dyn Disk,
         path: &Path,
@@ -73,35 +73,35 @@ impl Recorder {
         Ok(Self { path: path.to_owned(), outcome: Some(sender), failed, thread: Some(thread) })
     }
 
-    /// Whether writing has failed: the rollout can go on, but its recording is cut off.
+    /// Whether writing has failed: the rollout may continue, but its recording is truncated.
     #[must_use]
     pub fn has_failed(&self) -> bool {
         self.failed.load(Ordering::Relaxed)
     }
 
-    /// Writes what is still in the ring, the outcome and the last second before a fault (none where
-    /// there was no fault), closes the file, and returns its path when
-    /// it would survive a loss of power. Nothing may be put into the ring any more.
+    /// Writes the remaining ticks of the ring, the outcome and the last second before a fault (empty
+    /// without a fault), closes the file, and returns its path once it would survive a loss of power. The
+    /// ring must receive no more ticks.
     ///
     /// # Errors
-    /// What went wrong while writing, at whatever tick: a full disk, any other failure.
+    /// A write failed, at any tick.
     pub fn finish(
         mut self,
         outcome: RolloutOutcome,
         last_ticks: Vec<TickRecord>,
     ) -> Result<PathBuf, RecordingError> {
         if let Some(sender) = self.outcome.take() {
-            // A thread that has gone says why when it is joined.
+            // A thread that has ended gives its reason when it is joined.
             let _ = sender.send((outcome, last_ticks));
         }
         self.join()?;
         Ok(self.path.clone())
     }
 
-    /// Closes the recording of a rollout that never began, and takes its file away.
+    /// Closes the recording of a rollout that never began, and removes its file.
     pub fn discard(mut self, disk: &dyn Disk) {
         self.outcome = None;
-        // Whatever it could not write is not wanted any more.
+        // Errors of a discarded recording do not matter.
         let _ = self.join();
         if let Err(error) = disk.remove(&self.path) {
             tracing::warn!("{} could not be removed: {error}", self.path.display());
@@ -127,11 +127,11 @@ impl Drop for Recorder {
     }
 }
 
-/// How a rollout ended, and its last ticks if that was a fault.
+/// The outcome of a rollout, and its last ticks after a fault.
 type Closing = (RolloutOutcome, Vec<TickRecord>);
 
 struct Worker<W: Sink> {
-    /// None after a failure.
+    /// `None` after a failure.
     writer: Option<RolloutWriter<W>>,
     ticks: rtrb::Consumer<TickRecord>,
     outcome: Receiver<Closing>,
@@ -148,7 +148,7 @@ impl<W: Sink> Worker<W> {
             let written = self.write_waiting(&mut block_opened);
             if let Err(error) = written {
                 self.failed.store(true, Ordering::Relaxed);
-                // Dropped, so that what the disk has taken is closed and synced now.
+                // Dropped, so that the bytes that the disk accepted are closed and synced now.
                 self.writer = None;
                 result = Err(error);
             }
@@ -169,7 +169,7 @@ impl<W: Sink> Worker<W> {
         }
     }
 
-    /// Writes what is in the ring, and the open block once it is old.
+    /// Writes the ticks in the ring, and flushes the open block when it is old.
     fn write_waiting(&mut self, block_opened: &mut Option<Instant>) -> Result<(), RecordingError> {
         while let Ok(tick) = self.ticks.pop() {
             if let Some(writer) = &mut self.writer {
@@ -177,7 +177,7 @@ impl<W: Sink> Worker<W> {
             }
         }
         let Some(writer) = &mut self.writer else { return Ok(()) };
-        // Simulated time has no such limit: its blocks depend on ticks alone.
+        // Under simulated time there is no such limit: blocks depend on ticks alone.
         if !self.in_real_time || !writer.has_open_block() {
             *block_opened = None;
             return Ok(());
@@ -197,7 +197,7 @@ mod tests {
     use super::super::samples::{POLICY, header, outcome, tick};
     use super::*;
 
-    /// A disk that takes the header and then nothing more.
+    /// A disk that takes the header and then no more.
     struct FullDisk {
         writes_left: u32,
     }

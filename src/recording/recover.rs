@@ -5,28 +5,27 @@ use super::reader::{checked_scan, read_bytes, recording};
 use super::{RecordingError, RolloutWriter};
 use crate::storage::MachineDisk;
 
-/// What became of a cut-off recording.
+/// The result of a recovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Recovered {
-    /// It was whole; nothing was written.
+    /// The recording was complete; nothing was written.
     WasWhole,
-    /// What could be saved is in the new file.
+    /// The intact part is in the new file.
     Saved {
-        /// Ticks that were saved.
+        /// Number of ticks saved.
         ticks: usize,
-        /// Bytes of the old file that could not be used.
+        /// Number of bytes of the old file that could not be used.
         lost_bytes: u64,
-        /// Whether how the rollout ended is among what was saved.
+        /// Whether the outcome was saved.
         has_outcome: bool,
     },
 }
 
-/// Writes a whole recording with everything that can be saved of `damaged` to the new file
-/// `saved`. The old file stays as it is.
+/// Writes the intact part of `damaged` as a complete recording to the new file `saved`. The old file stays
+/// unchanged.
 ///
 /// # Errors
-/// The old file cannot be read or nothing can be saved of it; the new one exists already or cannot
-/// be written.
+/// The old file cannot be read or has no intact part; the new one exists or cannot be written.
 pub fn recover(damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(&MachineDisk, damaged)?;

@@ -1,11 +1,10 @@
 use crate::qube::RewardWeights;
 use crate::telemetry::{Phase, TickRecord};
 
-/// The return of a rollout: the reward of each tick in which the policy had the motor, from the
-/// estimated state and the voltage that was sent.
+/// The return of a rollout: the sum of rewards over the ticks in which the policy had the motor, from the
+/// estimated state and the voltage sent.
 ///
-/// A tick whose sample did not come counts with the state that was held over; a period that was
-/// skipped earns nothing.
+/// A tick without a sample counts with the held state; a skipped period earns nothing.
 #[must_use]
 pub fn return_of(ticks: &[TickRecord], weights: &RewardWeights) -> f64 {
     ticks

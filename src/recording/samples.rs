@@ -1,4 +1,4 @@
-//! Rollouts for the tests of this room and of those who read recordings.
+//! Example rollouts for tests of this room and of rooms that read recordings.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -64,7 +64,7 @@ pub(crate) fn outcome() -> RolloutOutcome {
     }
 }
 
-/// A tick with something in every field.
+/// A tick with a value in every field.
 pub(super) fn tick(number: u32) -> TickRecord {
     let time_s = f64::from(number) * 0.01;
     let held_over = number % 7 == 3;

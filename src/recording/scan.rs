@@ -9,45 +9,45 @@ use super::writer::topic;
 use super::{POLICY_ATTACHMENT, metadata};
 use crate::telemetry::TickRecord;
 
-/// Most bytes that one block may have uncompressed; ours have some 20 kB. Keeps a hostile file from
-/// taking the memory.
+/// Largest uncompressed size of a block, which keeps a hostile file from exhausting memory. Blocks of this
+/// program have about 20 kB.
 const MAX_BLOCK_BYTES: u64 = 1 << 22;
 
-/// Most ticks of one rollout: three hours. For the same reason.
+/// Largest number of ticks in a rollout, three hours, for the same reason.
 const MAX_TICKS: usize = 1_080_000;
 
-/// Most bytes of a metadata record, of which a recording has three with some 2 kB each.
+/// Largest size of a metadata record; a recording has three of about 2 kB each.
 const MAX_METADATA_BYTES: usize = 1 << 20;
 
-/// Most bytes of an attachment: as much as a policy file may have.
+/// Largest size of an attachment, that of a policy file.
 const MAX_ATTACHMENT_BYTES: usize = 1 << 24;
 
-/// Everything that could be read of a file, and everything that could not.
+/// The intact records of a file and its first defect.
 #[derive(Default)]
 pub(super) struct Scan {
     /// Metadata records by name.
     pub(super) metadata: HashMap<String, BTreeMap<String, String>>,
     pub(super) policy: Option<Vec<u8>>,
     pub(super) ticks: Vec<TickRecord>,
-    /// The first thing that does not fit. The others are not kept: a hostile file has millions.
+    /// First defect. Later ones are not kept: a hostile file has millions.
     pub(super) damage: Option<Damage>,
-    /// Bytes of the file that gave nothing.
+    /// Number of bytes that could not be used.
     pub(super) lost_bytes: u64,
-    /// Whether the file goes on to its proper end.
+    /// Whether the file reaches its proper end.
     pub(super) closed: bool,
     channels: HashMap<u16, Topic>,
 }
 
-/// A record that is not what was written.
+/// A record that does not match what was written.
 #[derive(Clone, Debug)]
 pub(super) struct Damage {
     pub(super) offset: usize,
     pub(super) what: String,
 }
 
-/// Reads all that is whole. `bytes` start with the magic.
+/// Reads every intact record. `bytes` start with the magic.
 ///
-/// Blocks stand for themselves: one that is damaged is left out and reading goes on behind it.
+/// Blocks are independent: a damaged one is left out and reading continues after it.
 pub(super) fn scan(bytes: &[u8]) -> Scan {
     let mut scan = Scan::default();
     let mut offset = MAGIC.len();
@@ -69,7 +69,7 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
                 scan.footer(bytes, &record, summary_start);
                 return scan;
             }
-            // What follows the data is an index of it under a checksum of its own.
+            // An index with its own checksum follows the data.
             _ if summary_start.is_some() => {}
             0 => {
                 scan.lose(offset, bytes.len() - offset, "no record starts with a zero");
@@ -87,7 +87,7 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
 }
 
 impl Scan {
-    /// Where and why the file is not as it was finished; none if it is.
+    /// Position and reason of the first defect; `None` if the file is as it was finished.
     pub(super) fn first_damage(&self) -> Option<String> {
         match &self.damage {
             Some(damage) => Some(format!("at byte {}: {}", damage.offset, damage.what)),
@@ -141,7 +141,7 @@ impl Scan {
                 }
                 Ok(())
             }
-            // The indexes of a block repeat what the block says; nothing is read from them.
+            // The indexes of a block repeat its content and are not read.
             opcode::HEADER | opcode::MESSAGE_INDEX => Ok(()),
             other => Err(format!("a record of unknown kind {other:#04x}")),
         }
@@ -222,7 +222,7 @@ impl Scan {
     }
 }
 
-/// What a channel carries. Its name itself is not kept: a file of kilobytes could hold names of
+/// The content of a channel. The channel's name is not kept: a file of kilobytes could hold names of
 /// gigabytes.
 #[derive(Clone, Copy, Debug)]
 enum Topic {
@@ -231,7 +231,7 @@ enum Topic {
     Command,
     Safety,
     Timing,
-    /// Pictures for viewers, and whatever else.
+    /// Poses for viewers, and unknown topics.
     Other,
 }
 
@@ -254,7 +254,7 @@ struct Message<'a> {
 }
 
 impl Message<'_> {
-    /// Puts the message to the others of its tick; the last one of a tick comes back.
+    /// Adds the message to the others of its tick; the last message of a tick is returned.
     fn take_into(&self, messages: &mut TickMessages) -> Result<Option<TimingMessage>, String> {
         match self.topic {
             Topic::Measurement => {
@@ -275,7 +275,7 @@ impl Message<'_> {
     }
 }
 
-/// The records of a chunk.
+/// Decompresses the records of a chunk.
 fn decompress(body: &[u8]) -> Result<Vec<u8>, String> {
     let mut fields = Fields(body);
     let (Some(_start), Some(_end), Some(size), Some(checksum), Some(compression), Some(length)) =

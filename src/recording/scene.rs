@@ -3,18 +3,18 @@ use serde::Serialize;
 
 use crate::qube::{DomainParameters, State};
 
-// What Foxglove's 3-D panel needs: a tree of frames for each tick, and once the bodies that hang in
-// them. Field names and schema names are Foxglove's (foxglove.FrameTransforms, foxglove.SceneUpdate).
+// The data of Foxglove's 3-D panel: a tree of frames for each tick, and once the bodies in them. Field
+// names and schema names are Foxglove's (foxglove.FrameTransforms, foxglove.SceneUpdate).
 //
-// Frames: `qube` stands on the table, z up, x where theta = 0 points. `arm` turns by theta about z.
-// `pendulum` sits at the arm's tip and turns by alpha about the arm's axis x; its z points away
-// from the tip's lower end, so that alpha = 0 hangs and positive alpha swings towards positive theta.
+// Frames: `qube` is fixed to the table, z up, x along the arm at theta = 0. `arm` turns by theta about z.
+// `pendulum` is at the arm's tip and turns by alpha about the arm's axis x; its z points from the
+// pendulum's free end to the tip, so that alpha = 0 hangs and positive alpha swings towards positive theta.
 
 const BASE: &str = "qube";
 const ARM: &str = "arm";
 const PENDULUM: &str = "pendulum";
 
-/// Height of the arm above the table, m: for the picture only.
+/// Height of the arm above the table, m, for the picture only.
 const ARM_HEIGHT_M: f64 = 0.2;
 
 #[derive(Clone, Copy, Serialize, JsonSchema)]
@@ -105,7 +105,7 @@ fn time(time_ns: u64) -> Time {
 const UPRIGHT: Quaternion = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
 
 impl FrameTransforms {
-    /// The frames of one state. A state that is no number is drawn at zero: JSON has no NaN.
+    /// The frames of one state. An angle that is not finite is drawn at zero, because JSON has no NaN.
     pub(super) fn new(state: &State, log_time_ns: u64) -> Self {
         let half = |angle: f64| if angle.is_finite() { 0.5 * angle } else { 0.0 };
         let (half_theta, half_alpha) = (half(state.theta), half(state.alpha));
@@ -141,7 +141,7 @@ impl FrameTransforms {
 }
 
 impl SceneUpdate {
-    /// Boxes of the nominal lengths.
+    /// Boxes with the nominal lengths.
     pub(super) fn new(log_time_ns: u64) -> Self {
         let nominal = DomainParameters::NOMINAL;
         let (arm, pendulum) = (nominal.rotary_length_m, nominal.pendulum_length_m);
@@ -197,7 +197,7 @@ mod tests {
         [v[0] + q.w * t[0] + u[0], v[1] + q.w * t[1] + u[1], v[2] + q.w * t[2] + u[2]]
     }
 
-    /// The pendulum's free end in the base frame.
+    /// Position of the pendulum's free end in the base frame.
     fn tip(theta: f64, alpha: f64) -> [f64; 3] {
         let state = State { theta, alpha, ..State::default() };
         let [arm, pendulum] = FrameTransforms::new(&state, 0).transforms;

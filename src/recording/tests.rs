@@ -11,7 +11,7 @@ use crate::qube::{Measurement, State, Status};
 use crate::storage::MachineDisk;
 use crate::telemetry::{Phase, TickRecord};
 
-/// Every number by its bits: NaN is not equal to itself, and -0 is equal to 0.
+/// Compares every number by its bits: NaN is not equal to itself, and -0 is equal to 0.
 fn bits(tick: &TickRecord) -> (String, Vec<u64>) {
     let State { theta, alpha, theta_dot, alpha_dot } = tick.state;
     let mut numbers: Vec<u64> = [theta, alpha, theta_dot, alpha_dot].map(f64::to_bits).to_vec();
@@ -248,7 +248,7 @@ fn other_files_are_named() {
     assert!(matches!(parse(&bytes), Err(Unreadable::OtherFormat { .. })));
 }
 
-/// A block that claims, or that unpacks to, more than any block has.
+/// Tests blocks that claim or unpack to more bytes than any block has.
 #[test]
 fn a_block_that_unpacks_to_gigabytes_is_refused() {
     let packed = {
@@ -279,7 +279,7 @@ fn a_block_that_unpacks_to_gigabytes_is_refused() {
     }
 }
 
-/// The readers of others must find what we wrote: all checksums, index, schemas, attachment.
+/// Tests that other readers find all checksums, the index, the schemas and the attachment.
 #[test]
 fn it_is_an_mcap_file_for_others() {
     let ticks = ticks(25);
@@ -321,7 +321,7 @@ fn it_is_an_mcap_file_for_others() {
     assert_eq!(endings, 1);
 }
 
-/// Whether a value fits a schema that uses only what viewers understand: one plain type each.
+/// Checks a value against a schema that uses only what viewers understand: one plain type a field.
 fn assert_fits(value: &serde_json::Value, schema: &serde_json::Value) {
     let kind = schema["type"].as_str().unwrap_or_else(|| panic!("no plain type in {schema}"));
     match kind {
@@ -346,7 +346,7 @@ fn assert_fits(value: &serde_json::Value, schema: &serde_json::Value) {
     }
 }
 
-/// A disk with room for so many bytes. What it took stays visible after the writer has gone.
+/// A disk with limited room. Its content stays visible after the writer is dropped.
 #[derive(Clone)]
 struct SmallDisk {
     taken: Arc<Mutex<Vec<u8>>>,

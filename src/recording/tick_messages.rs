@@ -5,9 +5,9 @@ use super::not_finite::{NotFinite, restore, restore_bits};
 use crate::qube::{Measurement, State, Status};
 use crate::telemetry::{Phase, RolloutHeader, TickRecord};
 
-// Viewers read schemas narrowly: Foxglove refuses unions (what schemars writes for an Option or an
-// enum with explained variants) and references. So every field has one plain type, and a value that
-// is not there is left out.
+// Viewers accept few schemas: Foxglove refuses unions (which schemars writes for an Option or an enum with
+// documented variants) and references. Every field therefore has one plain type, and an absent value is
+// left out. The doc comments below are part of the schemas, hence of every recording's bytes.
 
 /// One sample of the device: raw counts, and what they mean by the rollout's calibration.
 #[derive(Serialize, Deserialize, JsonSchema)]
@@ -152,7 +152,7 @@ impl MeasurementMessage {
             current_a: if current_a.is_finite() {
                 Some(current_a)
             } else {
-                // The f32's own 32 bits: a cast of NaN to f64 may lose them.
+                // The 32 bits of the f32: a cast of NaN to f64 may lose them.
                 not_finite.keep_bits("current_a", u64::from(current_a.to_bits()));
                 None
             },
@@ -252,7 +252,7 @@ impl TimingMessage {
     }
 }
 
-/// The messages of one tick as they are read back.
+/// The messages of one tick as they are read.
 #[derive(Default)]
 pub(super) struct TickMessages {
     pub(super) measurement: Option<MeasurementMessage>,
@@ -262,7 +262,7 @@ pub(super) struct TickMessages {
 }
 
 impl TickMessages {
-    /// The tick, once its last message has come; none if a message or number is missing.
+    /// The record of the tick, once its last message has arrived; `None` if a message or number is missing.
     pub(super) fn into_record(self, tick: u32, timing: &TimingMessage) -> Option<TickRecord> {
         let (state, command, safety) = (self.state?, self.command?, self.safety?);
         let measurement = match &self.measurement {

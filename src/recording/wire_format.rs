@@ -2,16 +2,16 @@ use std::collections::BTreeMap;
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
-/// The checksum that MCAP uses everywhere.
+/// MCAP's checksum.
 pub(super) const CRC_32: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
 /// First and last bytes of every MCAP file.
 pub(super) const MAGIC: &[u8] = mcap::MAGIC;
 
-/// Opcode and length in front of each record.
+/// Bytes of opcode and length before each record.
 pub(super) const FRAME_BYTES: usize = 9;
 
-/// Opcodes of the records that a recording consists of (MCAP specification, "Records").
+/// Opcodes of the records in a recording (MCAP specification, "Records").
 pub(super) mod opcode {
     pub(crate) use mcap::records::op::{
         ATTACHMENT, CHANNEL, CHUNK, DATA_END, FOOTER, HEADER, MESSAGE, MESSAGE_INDEX, METADATA,
@@ -19,7 +19,7 @@ pub(super) mod opcode {
     };
 }
 
-/// One record: `offset` is where its opcode stands.
+/// One record; `offset` is the position of its opcode.
 #[derive(Clone, Copy)]
 pub(super) struct Frame<'a> {
     pub(super) offset: usize,
@@ -28,13 +28,13 @@ pub(super) struct Frame<'a> {
 }
 
 impl Frame<'_> {
-    /// The offset behind the record.
+    /// The offset after the record.
     pub(super) fn end(&self) -> usize {
         self.offset + FRAME_BYTES + self.body.len()
     }
 }
 
-/// The record at `offset`, none where the bytes end within it.
+/// The record at `offset`; `None` if the bytes end within it.
 pub(super) fn frame(bytes: &[u8], offset: usize) -> Option<Frame<'_>> {
     let (&opcode, rest) = bytes.get(offset..)?.split_first()?;
     let (length, rest) = rest.split_first_chunk()?;
@@ -42,10 +42,10 @@ pub(super) fn frame(bytes: &[u8], offset: usize) -> Option<Frame<'_>> {
     Some(Frame { offset, opcode, body: rest.get(..length)? })
 }
 
-/// Reads the fields of a record one after the other; each is none where the bytes end.
+/// Reads the fields of a record one after the other; a field is `None` where the bytes end.
 ///
-/// The readers of the `mcap` crate trust lengths in places (they allocate or index by them); this
-/// one is for files of any origin.
+/// The readers of the `mcap` crate trust lengths in places (they allocate or index by them); this one
+/// accepts files of any origin.
 pub(super) struct Fields<'a>(pub(super) &'a [u8]);
 
 impl<'a> Fields<'a> {

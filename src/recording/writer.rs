@@ -17,13 +17,13 @@ use super::{LAST_TICKS_ATTACHMENT, POLICY_ATTACHMENT, RecordingError, metadata};
 use crate::storage::{Disk, DiskFile, sync_name};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
 
-/// Ticks in one block: a tenth of a second. By ticks and not by the clock, so that the bytes of a
-/// simulated rollout do not depend on how fast it was simulated.
+/// Ticks in one block: a tenth of a second. The count does not depend on the clock, so that the bytes of a
+/// simulated rollout do not depend on the speed of the simulation.
 const TICKS_PER_BLOCK: u32 = 10;
 
-/// Where a recording goes.
+/// The destination of a recording.
 pub trait Sink: Write {
-    /// Returns when what was written would survive a loss of power.
+    /// Returns once the written bytes would survive a loss of power.
     ///
     /// # Errors
     /// The storage failed.
@@ -46,11 +46,11 @@ type Mcap<W> = mcap::Writer<NoSeek<BufWriter<W>>>;
 
 /// Writes one rollout, block by block.
 ///
-/// The same header, policy, ticks and outcome give the same bytes. Dropped without
-/// [`finish`](Self::finish), it leaves a cut-off recording with every tick that it was given.
+/// The same header, policy, ticks and outcome give the same bytes. A writer that is dropped without
+/// [`finish`](Self::finish) leaves a truncated recording with every tick it received.
 pub struct RolloutWriter<W: Sink> {
     path: PathBuf,
-    /// None only once finished: the drop of an `mcap::Writer` would close the file as if it were whole.
+    /// `None` only once finished: dropping an `mcap::Writer` would close the file as if it were complete.
     mcap: Option<Mcap<W>>,
     channels: Channels,
     header: RolloutHeader,
@@ -79,16 +79,16 @@ pub(super) mod topic {
     pub(crate) const SAFETY: &str = "/safety";
     pub(crate) const TRANSFORMS: &str = "/tf";
     pub(crate) const SCENE: &str = "/scene";
-    /// The last of each tick: with it the tick is whole.
+    /// The last message of each tick, which completes it.
     pub(crate) const TIMING: &str = "/timing";
 }
 
 impl RolloutWriter<Box<dyn DiskFile>> {
-    /// Makes the file and writes header and policy, so that even a rollout that is killed in its
-    /// first tick says what it was. `policy` are the bytes of the policy file.
+    /// Creates the file and writes header and policy, so that even a rollout that is killed in its first
+    /// tick is identifiable. `policy` are the bytes of the policy file.
     ///
     /// # Errors
-    /// The file exists already or cannot be written; the header holds a number that is not finite.
+    /// The file exists or cannot be written, or the header holds a number that is not finite.
     pub fn create(
         disk: &dyn Disk,
         path: &Path,
@@ -99,17 +99,17 @@ impl RolloutWriter<Box<dyn DiskFile>> {
             .create(path, false)
             .map_err(|source| RecordingError::Create { path: path.to_owned(), source })?;
         let writer = Self::begin(file, path, header, policy)?;
-        // The name itself has to survive too.
+        // The file's name must survive too.
         sync_name(disk, path).map_err(|source| RecordingError::write(path, source))?;
         Ok(writer)
     }
 }
 
 impl<W: Sink> RolloutWriter<W> {
-    /// As [`create`](RolloutWriter::create), into any sink; `path` is only named in errors.
+    /// Writes like [`create`](RolloutWriter::create) into any sink; `path` only appears in errors.
     ///
     /// # Errors
-    /// The sink failed; the header holds a number that is not finite.
+    /// The sink fails, or the header holds a number that is not finite.
     pub fn begin(
         sink: W,
         path: &Path,
@@ -131,8 +131,8 @@ impl<W: Sink> RolloutWriter<W> {
         fields: BTreeMap<String, String>,
         policy: &[u8],
     ) -> Result<Self, McapError> {
-        // A chunk's header would be written before its content and corrected by seeking back: a
-        // kill in between leaves nonsense. Without seeking, each block is handed over as a whole.
+        // A seeking writer corrects a chunk's header after its content, so that a kill in between leaves an
+        // invalid file. Without seeking, each block is written as a whole.
         let mut mcap = WriteOptions::new()
             .compression(Some(Compression::Lz4))
             .chunk_size(None)
@@ -174,10 +174,10 @@ impl<W: Sink> RolloutWriter<W> {
         Ok(writer)
     }
 
-    /// Adds one tick. It reaches the operating system when its block is full or flushed.
+    /// Adds one tick, which reaches the operating system when its block is full or flushed.
     ///
     /// # Errors
-    /// The sink failed; nothing more can be written then.
+    /// The sink fails; nothing more can be written then.
     pub fn write(&mut self, tick: &TickRecord) -> Result<(), RecordingError> {
         self.try_write(tick).map_err(|error| RecordingError::write(&self.path, io_error(error)))
     }
@@ -204,24 +204,25 @@ impl<W: Sink> RolloutWriter<W> {
         Ok(())
     }
 
-    /// Hands everything written so far to the operating system, where a kill cannot reach it.
+    /// Hands everything written so far to the operating system, so that it survives a kill of the process.
     ///
     /// # Errors
-    /// The sink failed.
+    /// The sink fails.
     pub fn flush(&mut self) -> Result<(), RecordingError> {
         self.close_block().map_err(|error| RecordingError::write(&self.path, io_error(error)))
     }
 
-    /// Whether ticks wait for their block to be full.
+    /// Whether ticks wait for their block to fill.
     #[must_use]
     pub fn has_open_block(&self) -> bool {
         self.ticks_in_block > 0
     }
 
-    /// Attaches the last ticks before a fault, whatever the recorder had room for; nothing for none.
+    /// Attaches the last ticks before a fault, including those for which the recorder had no room; does
+    /// nothing for an empty slice.
     ///
     /// # Errors
-    /// The sink failed.
+    /// The sink fails.
     pub fn attach_last_ticks(&mut self, ticks: &[TickRecord]) -> Result<(), RecordingError> {
         if ticks.is_empty() {
             return Ok(());
@@ -246,18 +247,16 @@ impl<W: Sink> RolloutWriter<W> {
         })
     }
 
-    /// Closes the recording with its outcome, index and checksums, waits until it would survive a
-    /// loss of power, and gives the sink back.
+    /// Closes the recording with its outcome, index and checksums, waits until it would survive a loss of
+    /// power, and returns the sink.
     ///
     /// # Errors
-    /// The sink failed, or the outcome holds a number that is not finite: the recording is then
-    /// cut off and says so when it is read.
+    /// The sink fails, or the outcome holds a number that is not finite; the recording is then truncated.
     pub fn finish(self, outcome: &RolloutOutcome) -> Result<W, RecordingError> {
         self.close(Some(outcome), None)
     }
 
-    /// Closes a recording that was cut off: with the outcome if there is one, and a record of what
-    /// was lost.
+    /// Closes a recovered recording with its outcome, if there is one, and a record of the losses.
     pub(super) fn finish_recovered(
         self,
         outcome: Option<&RolloutOutcome>,
@@ -329,7 +328,7 @@ impl<W: Sink> RolloutWriter<W> {
 impl<W: Sink> Drop for RolloutWriter<W> {
     fn drop(&mut self) {
         if let Some(mut mcap) = self.mcap.take() {
-            // Nobody is left to hear of an error; a recording without its end says so itself.
+            // The error has no recipient; a recording without its end is recognised as truncated.
             let _ = mcap.flush();
             if let Ok(mut sink) = mcap.into_inner().into_inner().into_inner() {
                 let _ = sink.sync();

@@ -3,69 +3,69 @@ use thiserror::Error;
 use super::MotionSample;
 use crate::qube::State;
 
-/// The columns that a motion needs, in the order of [`MotionSample`]'s numbers.
+/// Required columns, in the order of [`MotionSample`]'s numbers.
 const COLUMNS: [&str; 6] =
     ["time_s", "theta_rad", "alpha_rad", "theta_dot_rad_s", "alpha_dot_rad_s", "voltage_v"];
 
-/// The longest time between two rows, s. Over a longer one nothing is known of the voltage.
+/// Longest time between two rows, s; the voltage over a longer one is unknown.
 const MAX_GAP_S: f64 = 1.0;
 
-/// Why a text is no table of a motion. Lines count from 1, the header's.
+/// The reason why a text is not a table of a motion. Lines count from 1, the header's.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CsvError {
-    /// A column that is needed is not there.
+    /// A required column is missing.
     #[error("the column `{column}` is missing; the header has: {found}")]
     MissingColumn {
-        /// Its name.
+        /// Name of the column.
         column: &'static str,
-        /// The header.
+        /// Header of the file.
         found: String,
     },
-    /// Something that is not a finite number.
+    /// A field is not a finite number.
     #[error("line {line}: `{text}` in column `{column}` is not a number")]
     BadNumber {
-        /// Where.
+        /// Number of the line.
         line: usize,
-        /// The column's name.
+        /// Name of the column.
         column: &'static str,
-        /// What stands there.
+        /// Text of the field.
         text: String,
     },
-    /// A row that ends before its last column.
+    /// A row ends before its last column.
     #[error("line {line} ends before column `{column}`")]
     ShortRow {
-        /// Where.
+        /// Number of the line.
         line: usize,
-        /// The first column that is missing.
+        /// First missing column.
         column: &'static str,
     },
-    /// A header with less than two rows.
+    /// The table has fewer than two rows.
     #[error("there are {rows} rows of numbers; a motion needs two")]
     TooFewRows {
-        /// How many there are.
+        /// Number of rows.
         rows: usize,
     },
-    /// Time that does not grow.
+    /// Time does not increase.
     #[error("line {line}: time goes from {before_s} s to {time_s} s; it has to grow")]
     TimeBackwards {
-        /// Where.
+        /// Number of the line.
         line: usize,
-        /// The row before.
+        /// Time of the row before, s.
         before_s: f64,
-        /// This row.
+        /// Time of this row, s.
         time_s: f64,
     },
     /// Rows are missing.
     #[error("line {line}: nothing is known for {gap_s} s before it; cut the file there")]
     Gap {
-        /// Where.
+        /// Number of the line.
         line: usize,
-        /// How long.
+        /// Length of the gap, s.
         gap_s: f64,
     },
 }
 
-/// Reads a table with a header. The last row's voltage may be empty: nothing follows it.
+/// Reads a table with a header. The last row's voltage may be empty, because nothing follows it.
 pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     // Some programs start a text with a byte-order mark.
     let text = text.trim_start_matches('\u{feff}');

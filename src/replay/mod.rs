@@ -1,12 +1,11 @@
-//! A recording through the same tick again, and beside the simulator.
+//! Replays a recording through the same tick, and compares it with the simulator.
 //!
-//! May import `recording`, `control`, `policy`, `safety`, `estimation`, `simulation`, `telemetry`,
-//! `qube`, `elementary`.
+//! [`rerun()`] verifies a rollout: the recorded measurements go through the tick that ran on the machine,
+//! and every voltage must come out again, bit for bit. [`simulate_beside`] measures the model: it gives the
+//! simulator the recorded voltages alone and compares the motions.
 //!
-//! [`rerun`] proves that a rollout was what its file says: the recorded measurements go through the
-//! very tick that ran on the machine, and every voltage must come out again, bit for bit.
-//! [`simulate_beside`] asks another question: how far is the physics from the machine? It gives the
-//! simulator the recorded voltages and nothing else.
+//! The room may import `recording`, `control`, `policy`, `safety`, `estimation`, `simulation`, `telemetry`,
+//! `qube`, `elementary` and `storage`.
 
 mod csv;
 mod motion_log;

@@ -10,55 +10,55 @@ use crate::recording::{self, Recording, RecordingError};
 use crate::storage::{open_regular, read_text};
 use crate::telemetry::Phase;
 
-/// The largest text file that is read.
+/// Largest text file that is read, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 28;
 
 /// One sample of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSample {
-    /// Since the first sample of the log's own time, s.
+    /// Time since the first sample, by the log's own clock, s.
     pub time_s: f64,
-    /// Angles and velocities as they were measured.
+    /// Measured angles and velocities.
     pub state: State,
-    /// The motor voltage from this sample to the next, V.
+    /// Motor voltage from this sample to the next, V.
     pub voltage_v: f64,
 }
 
-/// A motion of a Qube with the voltages that made it, from one of our recordings or from a CSV file.
+/// A motion of a Qube with its voltages, from a recording of this program or a CSV file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotionLog {
-    /// At least two samples, their times growing.
+    /// At least two samples with increasing times.
     pub samples: Vec<MotionSample>,
 }
 
-/// Why a file gives no motion.
+/// The reason why a file gives no motion.
 #[derive(Debug, Error)]
 pub enum MotionLogError {
     /// The file could not be read.
     #[error("{path}: {source}")]
     Read {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause of the failure.
         source: std::io::Error,
     },
-    /// An MCAP file that is no recording.
+    /// The MCAP file is not a recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// A recording in which the policy never had the motor.
+    /// The policy never had the motor in the recording.
     #[error(
-        "{path}: the policy never had the motor in this rollout; there is no motion to lay beside the simulator"
+        "{path}: the policy never had the motor in this rollout; there is no motion to compare with the simulator"
     )]
     NeverRan {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// A text file that is no table of a motion.
+    /// The text file is not a table of a motion.
     #[error("{path}: {why}")]
     Csv {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Reason why it is refused.
         why: CsvError,
     },
 }
@@ -81,12 +81,11 @@ impl MotionLog {
         Ok(Self { samples })
     }
 
-    /// The motion while the policy had the motor, by the device's own time. None if there are not
-    /// two samples of it. Angles are those that the encoders showed: what the policy saw may be a
-    /// prediction.
+    /// The motion while the policy had the motor, by the device's clock; `None` with fewer than two
+    /// samples. Angles are those of the encoders, because the policy's may be predictions.
     ///
-    /// A tick whose sample did not come gives none: the voltage before it was held over, so the
-    /// sample before it says what the motor got.
+    /// A tick without a sample is left out: the previous voltage was held, so the previous sample describes
+    /// it.
     #[must_use]
     pub fn of_recording(recording: &Recording) -> Option<Self> {
         let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
@@ -111,7 +110,7 @@ impl MotionLog {
     }
 }
 
-/// Whether a file starts as MCAP files do.
+/// Whether a file starts like an MCAP file.
 ///
 /// # Errors
 /// The file cannot be read.

@@ -5,36 +5,36 @@ use thiserror::Error;
 use super::{MotionLog, MotionSample};
 use crate::qube::{CONTROL_PERIOD_S, GapDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
 
-/// What the simulator did with the voltages of a log.
+/// The simulation of a log's voltages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OpenLoop {
-    /// Its state at each sample of the log, the first one the log's own.
+    /// State of the simulator at each sample of the log; the first is the log's own.
     pub simulated: Vec<State>,
-    /// How far it was off.
+    /// Error of the simulation.
     pub rmse: AngleError,
 }
 
-/// Root mean square of the angles' errors over all samples; whole turns count.
+/// Root mean square errors of the angles over all samples, whole turns included.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngleError {
-    /// Of the arm, rad.
+    /// Error of the arm, rad.
     pub theta_rad: f64,
-    /// Of the pendulum, rad.
+    /// Error of the pendulum, rad.
     pub alpha_rad: f64,
 }
 
-/// The simulated motion left the numbers.
+/// The error of a simulated motion that diverges.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error(
     "the simulated motion diverges after {time_s} s: are the voltages volts, the velocities rad/s?"
 )]
 pub struct Diverged {
-    /// When.
+    /// Time of divergence, s.
     pub time_s: f64,
 }
 
-/// Starts the simulator in the log's first state and gives it the log's voltages: open loop, so
-/// that every error of the model adds up.
+/// Simulates a log's voltages from its first state in open loop, so that every error of the model
+/// accumulates.
 ///
 /// # Errors
 /// The motion diverges.
@@ -43,7 +43,7 @@ pub fn simulate_beside(log: &MotionLog, model: &QubeModel) -> Result<OpenLoop, D
     simulate_from(log, model, start)
 }
 
-/// The same from a start state of one's own.
+/// Simulates a log's voltages from a given start state.
 ///
 /// # Errors
 /// The motion diverges.
@@ -71,13 +71,13 @@ pub fn simulate_from(
     Ok(OpenLoop { simulated, rmse })
 }
 
-/// Simulates a stretch of a recording in open loop and hands out the state at each of its samples,
-/// the first being `start`. Commands of before the stretch that are still on their way arrive in it.
+/// Simulates a stretch of a recording in open loop and passes the state at each of its samples to `each`,
+/// the first being `start`. Commands from before the stretch that are still in transit arrive in it.
 ///
-/// The steps of integration depend on the samples' times alone; where a command arrives within a step,
-/// that one is cut in two, as in the lanes of a simulation. So the states are continuous in the delay:
-/// with steps between the arrivals their number would jump with it, and the error of integration with
-/// their number, by more than the states change over the difference by which a fit takes the slope.
+/// The integration steps depend on the samples' times alone; a step in which a command arrives is cut in
+/// two, as in the lanes of a simulation. The states are therefore continuous in the delay. If steps ran
+/// between arrivals, their number would jump with the delay, and the integration error with it, by more
+/// than the states change over the finite difference of a fit.
 pub fn simulate_stretch(
     samples: &[MotionSample],
     stretch: Range<usize>,
@@ -89,7 +89,7 @@ pub fn simulate_stretch(
     let dynamics = GapDynamics::<f64>::new(model);
     let arrival_s = |command: &MotionSample| command.time_s + model.gap.command_delay_s;
     let (mut state, mut time_s) = (start, first.time_s);
-    // The command that the motor has at the start; before the first there was none other.
+    // The command that acts at the start; none precedes the first.
     let mut command = stretch.start;
     while command > 0 && arrival_s(&samples[command]) > time_s {
         command -= 1;
@@ -102,7 +102,7 @@ pub fn simulate_stretch(
             let begin_s = time_s + f64::from(step) * step_s;
             let mut done_s = 0.0;
             while done_s < step_s {
-                // One that arrives with the sample belongs to the next interval, however the sum of
+                // A command that arrives with the sample belongs to the next interval, however the sum of
                 // the steps is rounded.
                 let next_s = match samples.get(command + 1).map(arrival_s) {
                     Some(next_s) if next_s < sample.time_s => next_s - begin_s,
@@ -123,10 +123,10 @@ pub fn simulate_stretch(
     }
 }
 
-/// How many steps no longer than those of the simulation there are in a duration.
+/// Number of steps, no longer than the simulation's, in a duration.
 fn steps_over(duration_s: f64) -> u32 {
     let longest_s = CONTROL_PERIOD_S / SUBSTEPS as f64;
-    // A little slack: 0.004 s is written as 0.0040000001 often enough.
+    // A small tolerance, because 0.004 s is often written as 0.0040000001.
     (duration_s / longest_s - 1e-6).ceil().max(1.0) as u32
 }
 
@@ -179,13 +179,13 @@ mod tests {
 
     #[test]
     fn the_motion_is_smooth_in_the_delay() {
-        // The slope over the difference by which a fit takes it is the one over a wide difference,
-        // wherever the commands arrive between samples and steps.
+        // The slope over a fit's finite difference equals the slope over a wide one, wherever commands
+        // arrive between samples and steps.
         let with_delay = |command_delay_s| QubeModel {
             gap: Gap { coulomb_torque_n_m: 5e-4, command_delay_s, ..Gap::default() },
             ..QubeModel::NOMINAL
         };
-        // Of a clock that jitters by 10 us.
+        // The clock jitters by 10 us.
         let sample = |index: u32| MotionSample {
             time_s: f64::from(index) * 0.01 + 1e-5 * f64::from(index * index % 7),
             state: State::default(),
@@ -228,7 +228,7 @@ mod tests {
             gap: Gap { command_delay_s, ..Gap::default() },
             ..QubeModel::NOMINAL
         };
-        // Samples every 10 ms with the voltage on from the second one.
+        // Samples every 10 ms; the voltage is on from the second one.
         let sample = |index| MotionSample {
             time_s: f64::from(index) * 0.01,
             state: State::default(),
@@ -246,10 +246,10 @@ mod tests {
         for index in 3..40 {
             assert!((later[index].theta - now[index - 2].theta).abs() < 1e-9);
         }
-        // Half a period later: between the two neighbours.
+        // Half a period later the command arrives between two samples.
         let half = run(0..40, 0.015, State::default());
         assert!(half[10].theta < now[9].theta && half[10].theta > now[8].theta);
-        // A stretch that starts while the first command is under way.
+        // The stretch starts while the first command is in transit.
         let part = run(2..40, 0.02, later[2]);
         assert_eq!(part[..], later[2..]);
     }

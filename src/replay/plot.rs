@@ -10,7 +10,7 @@ type PlotError = DrawingAreaErrorKind<std::io::Error>;
 const RECORDED: RGBColor = RGBColor(31, 119, 180);
 const SIMULATED: RGBColor = RGBColor(214, 39, 40);
 
-/// A picture of a log with the simulator beside it, as SVG: theta above, alpha below.
+/// Draws a log and its simulation as SVG: theta above, alpha below.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -4,41 +4,41 @@ use crate::recording::{Recording, return_of};
 use crate::safety::{Foreseen, Guard};
 use crate::telemetry::{Ending, Fault, Phase, TickRecord};
 
-/// What came of running a recording again.
+/// The result of a replay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rerun {
-    /// The return from the recorded states and voltages.
+    /// Return from the recorded states and voltages.
     pub return_recorded: f64,
-    /// The return from the states and voltages that came out again.
+    /// Return from the recomputed states and voltages.
     pub return_recomputed: f64,
-    /// Ticks whose decision was compared.
+    /// Number of ticks whose decision was compared.
     pub actions_compared: usize,
-    /// Ticks that decided otherwise: another voltage wanted or sent, another phase or state.
+    /// Number of ticks that decided differently: another voltage wanted or sent, another phase or state.
     pub actions_different: usize,
-    /// The first of them.
+    /// First tick that decided differently.
     pub first_difference: Option<Difference>,
-    /// Ticks that could not be compared, because some before them are missing.
+    /// Number of ticks that could not be compared because earlier ones are missing.
     pub not_compared: usize,
-    /// How the rollout ended again; none where it is cut off.
+    /// Recomputed ending; `None` for a truncated recording.
     pub ending: Option<Ending>,
-    /// Why foresight ended it again, if it did.
+    /// Recomputed prediction for which foresight ended the rollout, if it did.
     pub foreseen: Option<Foreseen>,
-    /// Whether its guard is no more: what came from its first braking tick on was not compared, and how it
-    /// ended is what the file says.
+    /// Whether the recorded guard no longer exists: ticks from its first braking tick on are not compared,
+    /// and the ending is the file's.
     pub ending_of_the_file: bool,
 }
 
-/// One tick that decided otherwise.
+/// One tick that decided differently.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
-    /// As it was recorded.
+    /// Record in the file.
     pub recorded: TickRecord,
-    /// As it came out again.
+    /// Recomputed record.
     pub recomputed: TickRecord,
 }
 
 impl Rerun {
-    /// Whether everything came out again, bit for bit.
+    /// Whether every decision and the return came out again, bit for bit.
     #[must_use]
     pub fn agrees(&self) -> bool {
         self.actions_different == 0
@@ -47,12 +47,12 @@ impl Rerun {
     }
 }
 
-/// Gives the recorded measurements and times to the tick that ran on the machine, and compares what
-/// it decides. `policy` is the one attached to the recording.
+/// Feeds the recorded measurements and times to the tick that ran on the machine and compares its
+/// decisions. `policy` is the one attached to the recording.
 ///
-/// Where ticks are missing (the recorder had no room, a block is damaged) comparing ends: the
-/// filters' memory is lost with them. It ends too where a rollout under [`Guard::Envelope`] brakes: that
-/// guard and its brake are no more.
+/// Comparison ends where ticks are missing (the recorder had no room, or a block is damaged), because the
+/// filters' memory is lost with them. It also ends where a rollout under [`Guard::Envelope`] brakes,
+/// because that guard and its brake no longer exist.
 #[must_use]
 pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
     let mut tick = Tick::new(&recording.header.settings, policy);
@@ -78,7 +78,7 @@ pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
             skipped_periods: recorded.skipped_periods,
             stop_requested: recorded.stop_requested,
             measurement: recorded.measurement,
-            // No fields of their own: the port is gone, or the board has restarted, only in the tick
+            // These have no recorded fields: the port is gone, or the board has restarted, only in the tick
             // that ends for it.
             link_gone: is_last && ended_by(Fault::LinkGone),
             board_restarted: is_last && ended_by(Fault::BoardRestarted),
@@ -127,8 +127,8 @@ fn same_decision(a: &TickRecord, b: &TickRecord) -> bool {
     bits(a) == bits(b)
 }
 
-/// Bits of a number. Which of the many NaN an operation gives is left to the processor, and it does
-/// not matter: none of them is sent.
+/// The bits of a number, with one value for all NaN: the processor chooses which NaN an operation gives,
+/// and none is ever sent.
 fn number_bits(number: f64) -> u64 {
     if number.is_nan() { f64::NAN.to_bits() } else { number.to_bits() }
 }
@@ -172,7 +172,7 @@ mod tests {
         }
     }
 
-    /// A rollout on an ideal plant, as it comes back from its file. Each 13th sample is lost.
+    /// A rollout on an ideal plant as it is read from its file. Every 13th sample is lost.
     fn recorded_rollout(policy: Policy, link_breaks_at: Option<u32>) -> Recording {
         recorded_with(EstimatorSettings::default(), policy, link_breaks_at)
     }
@@ -185,7 +185,7 @@ mod tests {
         recorded_warm(MotorHeat::default(), 0.0, estimator, policy, link_breaks_at)
     }
 
-    /// The same on a warm motor that draws so many times the current of a nominal one.
+    /// The same rollout on a warm motor with a multiple of the nominal current.
     fn recorded_warm(
         mut heat: MotorHeat,
         current_factor: f64,
@@ -270,7 +270,7 @@ mod tests {
         };
         let policy = |newest: f32| {
             let mut layers = [weights(9, 5), weights(5, 1)];
-            // Of the second neuron; the output does not look at the first.
+            // The change is in the second neuron, which the output ignores.
             layers[0].weight[9 + 6] = newest;
             let network = Network::new(&[9, 5, 1], &layers, 0.05).unwrap();
             Policy::Network(NetworkPolicy { network, training: training_record() })
@@ -300,7 +300,7 @@ mod tests {
             let rerun = rerun(&recording, classical(ClassicalGains::default()));
             assert!(rerun.agrees(), "{rerun:?}");
             assert!(rerun.actions_compared > 300);
-            // The policy did see something else.
+            // The policy saw a different state.
             let differs = |pair: (&TickRecord, &TickRecord)| pair.0.state != pair.1.state;
             assert!(recording.ticks.iter().zip(&fast.ticks).any(differs));
         }
@@ -316,7 +316,7 @@ mod tests {
         assert_eq!(rerun.ending, Some(outcome.ending));
     }
 
-    /// Full voltage, the other way in each tick: the first neuron sees the last command.
+    /// A policy with full voltage of alternating sign: the first neuron sees the last command.
     fn trembling() -> Policy {
         let mut layers = [
             LayerWeights { weight: vec![0.0; 45], bias: vec![0.0; 5] },
@@ -339,7 +339,7 @@ mod tests {
         let again = rerun(&recording, trembling());
         assert!(again.agrees(), "{again:?}");
         assert_eq!(again.ending, by_heat);
-        // A recording that is older than the estimate has no heat, and none plays a part.
+        // A recording older than the estimate has no heat, and the replay ignores it.
         let mut older = recording;
         older.header.motor_heat = None;
         let other = rerun(&older, trembling());
