@@ -188,7 +188,7 @@ fn folders_that_cannot_be() {
     // What a kill leaves of a session that had not begun yet.
     std::fs::create_dir_all(directory.path().join("left/candidates")).unwrap();
     let resume = ["session", "--clock", "virtual", "--resume", "left"];
-    refused(directory.path(), &resume, 2, &["nothing to go on with", "--out left"]);
+    refused(directory.path(), &resume, 2, &["nothing to resume", "--out left"]);
     let port = ["session", "--clock", "virtual", "--device", "/dev/ttyUSB0", "--out", "new"];
     refused(directory.path(), &port, 2, &["--clock virtual", "/dev/ttyUSB0"]);
 }

@@ -5,63 +5,63 @@ use thiserror::Error;
 use crate::learning::TrainError;
 use crate::session::{ConfigurationError, RigError, SessionError};
 
-/// Why an experiment ended early. What was finished until then is on disk.
+/// The reason why an experiment ended early. Finished work is on disk.
 #[derive(Debug, Error)]
 pub enum ExperimentError {
-    /// Nothing to resume.
+    /// The folder to resume is not an experiment.
     #[error(
-        "{path} is no experiment: it has no experiment.toml. Give the folder of one to --resume"
+        "{path} is not an experiment: it has no experiment.toml. Give the folder of one to --resume"
     )]
     NotAnExperiment {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
     },
-    /// A file of settings that cannot be used.
+    /// A settings file is invalid.
     #[error("{path}: {reason}")]
     Settings {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Reason why it is refused.
         reason: String,
     },
-    /// A recipe that cannot be used.
-    #[error("{path} is no recipe: {reason}")]
+    /// A recipe is invalid.
+    #[error("{path} is not a recipe: {reason}")]
     Recipe {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Reason why it is refused.
         reason: String,
     },
-    /// Settings of a session within a recipe.
+    /// The session settings of a recipe are invalid.
     #[error(transparent)]
     Configuration(#[from] ConfigurationError),
-    /// Something that cannot be written as TOML.
+    /// The settings cannot be written as TOML.
     #[error("the experiment's settings cannot be written: {0}")]
     Unwritable(#[from] toml::ser::Error),
     /// The drawing library failed.
     #[error("the figure could not be drawn: {reason}")]
     Drawing {
-        /// Why.
+        /// Cause of the failure.
         reason: String,
     },
     /// A worker thread panicked.
-    #[error("a worker of the experiment has ended unexpectedly; --resume goes on")]
+    #[error("a worker of the experiment has ended unexpectedly; --resume continues it")]
     WorkerGone,
-    /// The search of a psi.
+    /// The search for a psi ended early.
     #[error("the search of {name}: {source}")]
     Search {
-        /// Whose psi.
+        /// Name of the search.
         name: String,
-        /// Why it ended.
+        /// Cause of the end.
         source: Box<SessionError>,
     },
-    /// Whatever can end a session too: a stop, training, the Qube, a file.
+    /// Any failure that also ends a session: a stop, training, the Qube, a file.
     #[error(transparent)]
     Session(SessionError),
 }
 
 impl ExperimentError {
-    /// Whether nothing went wrong but that somebody asked to stop.
+    /// Whether the experiment ended because a stop was requested.
     #[must_use]
     pub fn is_stop(&self) -> bool {
         let error = match self {
@@ -78,7 +78,7 @@ impl ExperimentError {
     }
 }
 
-/// All that a session can meet.
+/// Converts every failure of a session.
 impl<E> From<E> for ExperimentError
 where
     SessionError: From<E>,

@@ -1,4 +1,4 @@
-//! The thesis's figures 5.2 and 5.3 of an experiment, as SVG.
+//! The thesis's figures 5.2 and 5.3 for an experiment, as SVG.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -11,7 +11,7 @@ use crate::simulation::{Distribution, DomainDistribution};
 type Panel<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(super) type PlotError = DrawingAreaErrorKind<std::io::Error>;
 
-/// Masses and lengths, as figure 5.2 has them.
+/// Masses and lengths, the parameters of figure 5.2.
 const SHOWN: [DomainParameter; 4] = [
     DomainParameter::RotaryMass,
     DomainParameter::PendulumMass,
@@ -19,16 +19,17 @@ const SHOWN: [DomainParameter; 4] = [
     DomainParameter::PendulumLength,
 ];
 
-/// Points of a density.
+/// Number of points of a density.
 const POINTS: usize = 300;
 
-/// What a search has tried: the returns of each candidate's rollouts, in the order of candidates.
+/// The returns of each candidate's rollouts in a search, in the order of candidates.
 type Searched = Vec<Vec<f64>>;
 
-/// Figure 5.2: the densities of masses and lengths of every recipe whose psi is known; a dashed line
+/// Draws figure 5.2: the densities of masses and lengths for every recipe whose psi is known; a dashed line
 /// marks the nominal value.
 ///
 /// # Errors
+/// A search cannot be read, or the drawing library fails.
 /// A search cannot be read; the drawing library failed.
 pub fn densities_svg(experiment: &Experiment) -> Result<String, ExperimentError> {
     let mut drawn = Vec::new();
@@ -42,11 +43,11 @@ pub fn densities_svg(experiment: &Experiment) -> Result<String, ExperimentError>
     Ok(svg)
 }
 
-/// Figure 5.3: for each optimised recipe the return of each candidate in turn, and of the best so
+/// Draws figure 5.3: for each optimised recipe the return of each candidate in turn, and of the best so
 /// far; dots are single rollouts.
 ///
 /// # Errors
-/// A search cannot be read; the drawing library failed.
+/// A search cannot be read, or the drawing library fails.
 pub fn searches_svg(experiment: &Experiment) -> Result<String, ExperimentError> {
     let is_optimised = |recipe: &&Recipe| recipe.model.is_optimised();
     let mut drawn = Vec::new();
@@ -88,7 +89,7 @@ fn density_panel(
             (0..POINTS).map(|index| (at(index), density(&drawn, at(index)) * nominal)).collect()
         })
         .collect();
-    // One narrow density must not flatten the others.
+    // A single narrow density must not flatten the others.
     let highest = |curve: &Vec<(f64, f64)>| curve.iter().map(|point| point.1).fold(0.0, f64::max);
     let top = curves.iter().map(highest).fold(1.0, f64::max).min(12.0) * 1.1;
     let mut chart = ChartBuilder::on(panel)
@@ -126,7 +127,7 @@ fn density_panel(
         .draw()
 }
 
-/// Zero for a value that is always the same: it has no density.
+/// The density at a value; zero for a constant, which has no density.
 fn density(distribution: &Distribution, value: f64) -> f64 {
     let (mean, deviation) = (distribution.mean(), distribution.standard_deviation());
     if deviation == 0.0 {

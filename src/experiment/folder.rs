@@ -5,8 +5,8 @@ use super::ExperimentError;
 use crate::session::{FolderError, write_whole};
 use crate::storage::{Disk, Hold, MachineDisk};
 
-/// The folder of an experiment, held by one process at a time. What is there and whole is finished;
-/// nothing else says so.
+/// The folder of an experiment, which one process holds at a time. The files in it are the only record of
+/// finished work.
 ///
 /// ```text
 /// experiment.toml                                 the resolved settings
@@ -26,10 +26,10 @@ pub struct ExperimentFolder {
 }
 
 impl ExperimentFolder {
-    /// Makes a new folder with the experiment's settings in it.
+    /// Creates a new folder with the experiment's settings.
     ///
     /// # Errors
-    /// It exists, or cannot be made.
+    /// The folder exists, or cannot be created.
     pub fn create(root: &Path, settings: &str) -> Result<Self, ExperimentError> {
         if MachineDisk.exists(root) {
             return Err(FolderError::Exists { path: root.to_owned() }.into());
@@ -43,7 +43,7 @@ impl ExperimentFolder {
     /// Opens the folder of an experiment that has begun.
     ///
     /// # Errors
-    /// It is no experiment, or another process has it.
+    /// The folder is not an experiment, or another process holds it.
     pub fn open(root: &Path) -> Result<Self, ExperimentError> {
         if !MachineDisk.exists(&root.join("experiment.toml")) {
             return Err(ExperimentError::NotAnExperiment { path: root.to_owned() });
@@ -60,80 +60,80 @@ impl ExperimentFolder {
         }
     }
 
-    /// The folder itself.
+    /// Path of the folder.
     #[must_use]
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// The resolved settings.
+    /// Path of the resolved settings.
     #[must_use]
     pub fn settings(&self) -> PathBuf {
         self.root.join("experiment.toml")
     }
 
-    /// The session that looks for a recipe's psi.
+    /// Folder of the session that searches for a recipe's psi.
     #[must_use]
     pub fn search(&self, recipe: &str) -> PathBuf {
         self.root.join("searches").join(recipe)
     }
 
-    /// The policies of a recipe.
+    /// Folders of a recipe's policies.
     #[must_use]
     pub fn policies(&self, recipe: &str) -> PolicyFolders {
         PolicyFolders(self.root.join("policies").join(recipe))
     }
 
-    /// One repetition of a search that is compared with others.
+    /// Folder of one repetition of a method in a comparison of strategies.
     #[must_use]
     pub fn repetition(&self, strategy: &str, repetition: u32) -> PathBuf {
         self.root.join("strategies").join(strategy).join(format!("{repetition:03}"))
     }
 }
 
-/// The folders of policies that were made alike, by their numbers.
+/// The folders of policies of one kind, by policy number.
 #[derive(Clone, Debug)]
 pub struct PolicyFolders(PathBuf);
 
 impl PolicyFolders {
-    /// Within this folder.
+    /// Policy folders within this folder.
     #[must_use]
     pub fn within(folder: PathBuf) -> Self {
         Self(folder)
     }
 
-    /// A policy's folder.
+    /// Folder of a policy.
     #[must_use]
     pub fn folder(&self, policy: u32) -> PathBuf {
         self.0.join(format!("{policy:03}"))
     }
 
-    /// A policy.
+    /// Path of a policy file.
     #[must_use]
     pub fn policy(&self, policy: u32) -> PathBuf {
         self.folder(policy).join("policy.safetensors")
     }
 
-    /// A policy's training curve.
+    /// Path of a policy's training curve.
     #[must_use]
     pub fn curve(&self, policy: u32) -> PathBuf {
         self.folder(policy).join("curve.csv")
     }
 
-    /// Where a policy's recordings on a plant are.
+    /// Folder of a policy's recordings on a plant.
     #[must_use]
     pub fn rollouts(&self, policy: u32, plant: &str) -> PathBuf {
         self.folder(policy).join(plant)
     }
 }
 
-/// The recording of one try of one rollout, in its folder.
+/// Path of the recording of one attempt of one rollout.
 #[must_use]
 pub(super) fn recording(rollouts: &Path, rollout: u32, attempt: u32) -> PathBuf {
     rollouts.join(format!("rollout-{rollout}-attempt-{attempt}.mcap"))
 }
 
-/// Makes a folder where there is none.
+/// Creates a folder if it does not exist.
 pub(super) fn make(path: &Path) -> Result<(), FolderError> {
     let io = |source| FolderError::Io { path: path.to_owned(), source };
     MachineDisk.create_folder(path).map_err(io)

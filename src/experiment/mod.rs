@@ -1,16 +1,17 @@
-//! Which recipe makes policies that work on this Qube? Recipes × seeds × rollouts, to a table.
+//! Experiments: recipes × seeds × rollouts, to a table that shows which recipe makes policies that work on
+//! a Qube.
 //!
-//! A [`Recipe`] is a named set of simulations, training, estimator and guard; an experiment trains
-//! so many policies by each, evaluates them afresh in their own simulations, and runs each so many
-//! times on one or more plants (emulated, in virtual time, on all cores) or on a device. For the
-//! optimised recipes a session looks for psi first.
+//! A [`Recipe`] names simulations, training, estimator and guard. An experiment trains several policies
+//! with each recipe, evaluates them from fresh starts in their own simulations, and runs each several times
+//! on one or more plants (emulated, in virtual time, on all cores) or on a device. For optimised recipes a
+//! session first searches for psi.
 //!
-//! [`StrategySettings`] ask something else of one of them: how many real rollouts it takes until the answer
-//! of a search succeeds.
+//! [`StrategySettings`] select another experiment: the number of real rollouts until a search's
+//! recommendation succeeds.
 //!
-//! May import `session` and what that assembles. Reading order: [`ExperimentSettings`],
-//! [`Experiment`] does the work and can be stopped and gone on with, [`Results`] reads what it came
-//! to from policies and recordings, which are all that is stored.
+//! The room may import `session` and the rooms that it assembles. Reading order: [`ExperimentSettings`],
+//! then [`Experiment`], which does the work and can be interrupted and resumed, then [`Results`], which are
+//! computed from policies and recordings; nothing else is stored.
 
 mod behaviour;
 mod error;

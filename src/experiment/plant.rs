@@ -5,22 +5,22 @@ use serde::{Deserialize, Serialize};
 use crate::qube::{DomainParameter, QubeModel};
 use crate::session::{EmulatedQubeSettings, SeedFor, derived_seed};
 
-/// An emulated Qube that policies are run on, or one drawn around it for each policy.
+/// An emulated Qube on which policies run, or one drawn around it for each policy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plant {
-    /// Its name in tables, and its folder's.
+    /// Name of the plant in tables and of its folder.
     pub name: String,
-    /// What it is like.
+    /// Settings of the emulated Qube.
     pub emulated: EmulatedQubeSettings,
-    /// Each policy's own Qube has every parameter and every strength of the gap within this part of
-    /// its value, uniformly; 0: it is the same for all.
+    /// Relative width of each policy's own Qube: every parameter and every strength among the nonidealities
+    /// is uniform within this part of its value; 0 gives the same Qube to all.
     #[serde(default)]
     pub vary: f64,
 }
 
 impl Plant {
-    /// The Qube that the policy of this number runs on: the same for each recipe.
+    /// The Qube of the policy with this number; the same for each recipe.
     #[must_use]
     pub fn for_policy(&self, seed: u64, policy: u32) -> EmulatedQubeSettings {
         if self.vary == 0.0 {
@@ -32,7 +32,7 @@ impl Plant {
         for parameter in DomainParameter::ALL {
             parameters.set(parameter, varied(parameters.get(parameter)));
         }
-        // Where the cable rests is a place and no strength; it stays.
+        // The cable's rest angle is a place, not a strength, so it stays.
         for strength in [
             &mut gap.coulomb_torque_n_m,
             &mut gap.positive_dead_zone_v,

@@ -5,7 +5,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use super::ExperimentError;
 use crate::session::SessionError;
 
-/// Work for some threads, some of which makes more work when it is done.
+/// A work queue for several threads; a finished job may add further jobs.
 pub(super) struct Queue<'a, Job> {
     state: Mutex<State<Job>>,
     changed: Condvar,
@@ -19,17 +19,17 @@ struct State<Job> {
 }
 
 impl<'a, Job: Send> Queue<'a, Job> {
-    /// With these jobs, first come, first served.
+    /// A queue of these jobs, first come, first served.
     pub fn new(jobs: impl IntoIterator<Item = Job>, stop: &'a AtomicBool) -> Self {
         let state = State { waiting: jobs.into_iter().collect(), under_way: 0, failure: None };
         Self { state: Mutex::new(state), changed: Condvar::new(), stop }
     }
 
-    /// Does all of it on so many threads. `work` does one job and returns what is to be done after
-    /// it. After the first failure, or when somebody asks to stop, no other job is begun.
+    /// Processes all jobs on several threads. `work` does one job and returns the jobs that follow from it.
+    /// After the first failure or a stop request no further job begins.
     ///
     /// # Errors
-    /// The first failure; a stop.
+    /// A job failed, or a stop was requested.
     pub fn run(
         self,
         threads: usize,
@@ -53,7 +53,7 @@ impl<'a, Job: Send> Queue<'a, Job> {
 
     fn labour(&self, work: &(impl Fn(Job) -> Result<Vec<Job>, ExperimentError> + Sync)) {
         while let Some(job) = self.next() {
-            // Whoever waits must hear of it also when the work panics.
+            // Waiting threads must be notified even if the work panics.
             let _done = Done(self);
             let outcome = work(job);
             let mut state = self.lock();
@@ -66,7 +66,7 @@ impl<'a, Job: Send> Queue<'a, Job> {
         }
     }
 
-    /// The next job; none when there is nothing more to come.
+    /// The next job; `None` when no job is left or can follow.
     fn next(&self) -> Option<Job> {
         let mut state = self.lock();
         loop {

@@ -9,32 +9,32 @@ use crate::session::{Model, SessionSettings};
 use crate::simulation::{DomainDistribution, PsiError, SimulationSettings};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// What a recipe's simulations are drawn from (the thesis's section 5.2).
+/// The distribution from which a recipe's simulations are drawn (the thesis's section 5.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RecipeModel {
-    /// The name plate's values, always the same.
+    /// The nominal values, always the same.
     Nominal,
-    /// All nine parameters with a fifth of the nominal as standard deviation.
+    /// All nine parameters, with a fifth of nominal as standard deviation.
     Handcrafted,
-    /// Masses and lengths so, the other five nominal.
+    /// Masses and lengths as in `handcrafted`, the other five parameters nominal.
     NominalHandcrafted,
-    /// By a psi that a session finds, what it does not shape as in `handcrafted`.
+    /// A psi that a session searches; quantities that it does not shape are as in `handcrafted`.
     OptHandcrafted,
-    /// By a psi that a session finds, what it does not shape nominal.
+    /// A psi that a session searches; quantities that it does not shape are nominal.
     OptNominal,
-    /// Parameters and gap as for a Qube that nobody has identified.
+    /// Parameters and nonidealities of a Qube that is not identified.
     Robust,
-    /// Parameters and gap around the identified Qube of `settings.profile`.
+    /// Parameters and nonidealities around the identified Qube of `settings.profile`.
     Profile,
-    /// By a psi that a session finds, what it does not shape as in `robust`.
+    /// A psi that a session searches; quantities that it does not shape are as in `robust`.
     OptRobust,
-    /// By a psi that a session finds, what it does not shape as in `profile`.
+    /// A psi that a session searches; quantities that it does not shape are as in `profile`.
     OptProfile,
 }
 
 impl RecipeModel {
-    /// All of them: the thesis's in the order of its table 5.3, then those with a gap.
+    /// Every model: the thesis's in the order of its table 5.3, then those with nonidealities.
     pub const ALL: [Self; 9] = [
         Self::Nominal,
         Self::Handcrafted,
@@ -47,7 +47,7 @@ impl RecipeModel {
         Self::OptProfile,
     ];
 
-    /// The thesis's five.
+    /// The thesis's five models.
     pub const THESIS: [Self; 5] = [
         Self::Nominal,
         Self::Handcrafted,
@@ -56,7 +56,7 @@ impl RecipeModel {
         Self::OptNominal,
     ];
 
-    /// Its name.
+    /// The model's name.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -71,7 +71,7 @@ impl RecipeModel {
         }
     }
 
-    /// What it is, for people.
+    /// A description for people.
     #[must_use]
     pub fn description(self) -> &'static str {
         match self {
@@ -89,19 +89,19 @@ impl RecipeModel {
         }
     }
 
-    /// Whether it is nothing without the Qube of `settings.profile`.
+    /// Whether the model needs the Qube of `settings.profile`.
     #[must_use]
     pub fn needs_profile(self) -> bool {
         self.base() == Model::OptProfile
     }
 
-    /// Whether a session looks for its psi first.
+    /// Whether a session searches for psi first.
     #[must_use]
     pub fn is_optimised(self) -> bool {
         matches!(self, Self::OptHandcrafted | Self::OptNominal | Self::OptRobust | Self::OptProfile)
     }
 
-    /// The model of the session that finds its psi, or that draws as it does.
+    /// The session's model for the search of psi, or with the same base distribution.
     fn base(self) -> Model {
         match self {
             Self::OptHandcrafted | Self::Handcrafted => Model::OptHandcrafted,
@@ -112,23 +112,22 @@ impl RecipeModel {
     }
 }
 
-/// One way to make policies for a Qube and to run them on it: what they are trained on and how, how
-/// velocities are estimated and what guards them on the machine, and for the optimised ones how psi
-/// is searched.
+/// A way to make policies for a Qube and to run them on it: distribution and settings of the training,
+/// estimator and guard on the machine, and for optimised models the settings of the search for psi.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recipe {
-    /// Its name in tables, and its folder's.
+    /// Name of the recipe in tables and of its folder.
     pub name: String,
-    /// What its simulations are drawn from.
+    /// Distribution of its simulations.
     pub model: RecipeModel,
-    /// All else, as in a `session.toml`. Name, seed and emulated Qube are the experiment's; the
-    /// extent is that of the search of psi.
+    /// All other settings, as in a `session.toml`. Name, seed and emulated Qube come from the experiment;
+    /// the extent is that of the search for psi.
     #[serde(default)]
     pub settings: SessionSettings,
 }
 
-/// A recipe as people write it: what it does not name is as in the base.
+/// A recipe as a file contains it; settings that it does not name are those of the base.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RecipeFile {
@@ -139,7 +138,7 @@ struct RecipeFile {
 }
 
 impl Recipe {
-    /// A model under its own name. Where there is a delay, policies see their last commands.
+    /// A recipe with a model's name. Where the model has a delay, policies observe their last commands.
     #[must_use]
     pub fn of(model: RecipeModel, base: &SessionSettings) -> Self {
         let mut settings = base.clone();
@@ -150,11 +149,11 @@ impl Recipe {
         Self::new(model.name().to_owned(), model, settings)
     }
 
-    /// Reads a recipe from a TOML file: `name`, `model`, and in `[settings]` whatever differs from
-    /// the base, by the names of a `session.toml`.
+    /// Reads a recipe from a TOML file: `name`, `model`, and in `[settings]` the differences from the base,
+    /// by the names of a `session.toml`.
     ///
     /// # Errors
-    /// The file cannot be read or is no recipe.
+    /// The file cannot be read or is not a recipe.
     pub fn load(path: &Path, base: &SessionSettings) -> Result<Self, ExperimentError> {
         let unreadable = |reason: String| ExperimentError::Recipe { path: path.to_owned(), reason };
         let text =
@@ -170,16 +169,16 @@ impl Recipe {
 
     fn new(name: String, model: RecipeModel, mut settings: SessionSettings) -> Self {
         settings.model = model.base();
-        // What is looked for is psi; policies are run afterwards.
+        // The session only searches for psi; the experiment runs the policies afterwards.
         settings.extent.verifies_incumbent = false;
         Self { name, model, settings }
     }
 
-    /// The simulations that its policies are trained and evaluated in; `psi` is what the search has
-    /// found, for the optimised ones.
+    /// The distribution in which the recipe's policies are trained and evaluated; `psi` is the result of
+    /// the search, for optimised models.
     ///
     /// # Errors
-    /// The psi is none.
+    /// The psi is invalid.
     pub fn distribution(&self, psi: &[f64]) -> Result<DomainDistribution, PsiError> {
         let family = self.settings.family;
         Ok(match self.model {
@@ -194,10 +193,10 @@ impl Recipe {
         })
     }
 
-    /// What surrounds the physics in them.
+    /// The simulation settings besides the distribution.
     ///
     /// # Errors
-    /// The psi is none.
+    /// The psi is invalid.
     pub fn simulation(&self, psi: &[f64]) -> Result<SimulationSettings, PsiError> {
         if self.model.is_optimised() {
             self.settings.simulation(psi)
@@ -206,7 +205,7 @@ impl Recipe {
         }
     }
 
-    /// What a policy's file says of where it comes from.
+    /// The origin that a policy's file records.
     #[must_use]
     pub fn origin(&self, psi: &[f64]) -> Origin {
         Origin {

@@ -13,61 +13,61 @@ use crate::session::Quietness;
 use crate::simulation::{DomainDistribution, SimulationSettings};
 use crate::storage::{Disk, MachineDisk};
 
-/// A rollout of at least this return succeeds.
+/// Smallest return of a successful rollout.
 const SUCCESS_RETURN: f64 = 400.0;
 
-/// A policy succeeds when at least this share of its rollouts does: four of five.
+/// Smallest share of successful rollouts of a successful policy: four of five.
 const SUCCESS_SHARE: f64 = 0.8;
 
-/// Seed of the fresh starts in simulation: the same for every policy.
+/// Seed of the fresh starts in simulation, the same for every policy.
 const FRESH_SEED: u64 = 1_000_003;
 
-/// What an experiment has come to so far, computed from its policies and recordings.
+/// The results of an experiment so far, computed from its policies and recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Results {
-    /// Each recipe on each plant, in the order of the settings.
+    /// Results of each recipe on each plant, in the order of the settings.
     pub recipes: Vec<RecipeResult>,
 }
 
-/// A recipe on a plant.
+/// The results of a recipe on a plant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecipeResult {
-    /// The recipe.
+    /// Name of the recipe.
     pub recipe: String,
-    /// The plant.
+    /// Name of the plant.
     pub plant: String,
-    /// The psi that was found for it, by name; empty where it has none.
+    /// Psi of the recipe by name; empty without one.
     pub psi: BTreeMap<String, f64>,
-    /// The policies that have done all their rollouts there, in order.
+    /// Policies that have completed all their rollouts on the plant, in order.
     pub policies: Vec<PolicyResult>,
 }
 
-/// A policy on a plant.
+/// The results of a policy on a plant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicyResult {
-    /// Its number.
+    /// Number of the policy.
     pub number: u32,
     /// Mean return in its own simulations, from fresh starts.
     pub simulated_return: f64,
-    /// Its rollouts, in order.
+    /// Results of its rollouts, in order.
     pub rollouts: Vec<RolloutResult>,
 }
 
 impl PolicyResult {
-    /// The mean of its returns; none where faults ended every rollout.
+    /// The mean of its returns; `None` where faults ended every rollout.
     #[must_use]
     pub fn mean_return(&self) -> Option<f64> {
         let returns: Vec<f64> = self.rollouts.iter().filter_map(|it| it.return_).collect();
         (!returns.is_empty()).then(|| mean(&returns))
     }
 
-    /// How many of its rollouts did this.
+    /// Number of rollouts with this behaviour.
     #[must_use]
     pub fn count(&self, behaviour: Behaviour) -> usize {
         self.rollouts.iter().filter(|it| it.behaviour == behaviour).count()
     }
 
-    /// How quietly it balanced in all of them.
+    /// Quietness of balancing over all rollouts.
     #[must_use]
     pub fn quietness(&self) -> Quietness {
         let mut all = Quietness::NONE;
@@ -75,7 +75,7 @@ impl PolicyResult {
         all
     }
 
-    /// Whether its mean return is at least 400 and at least four of five of its rollouts succeed.
+    /// Whether the mean return is at least 400 and at least four of five rollouts succeed.
     #[must_use]
     pub fn succeeds(&self) -> bool {
         let stood = self.count(Behaviour::Stood) as f64;
@@ -85,13 +85,13 @@ impl PolicyResult {
 }
 
 impl RecipeResult {
-    /// The returns in simulation, a policy each.
+    /// Returns in simulation, one a policy.
     #[must_use]
     pub fn simulated_returns(&self) -> Vec<f64> {
         self.policies.iter().map(|policy| policy.simulated_return).collect()
     }
 
-    /// The mean returns on the plant, a policy each, without those of which faults ended everything.
+    /// Mean returns on the plant, one a policy, without policies whose rollouts all ended by faults.
     #[must_use]
     pub fn returns(&self) -> Vec<f64> {
         self.policies.iter().filter_map(PolicyResult::mean_return).collect()
@@ -111,31 +111,31 @@ impl RecipeResult {
         (mean(&returns), standard_deviation(&returns))
     }
 
-    /// 95 % interval of the mean return on the plant: bootstrap over policies.
+    /// The 95 % interval of the mean return on the plant, by bootstrap over policies.
     #[must_use]
     pub fn return_interval(&self) -> Interval {
         bootstrap_interval(&self.returns())
     }
 
-    /// How many policies succeed.
+    /// Number of successful policies.
     #[must_use]
     pub fn successes(&self) -> usize {
         self.policies.iter().filter(|policy| policy.succeeds()).count()
     }
 
-    /// Their share; NaN of no policy.
+    /// Share of successful policies; NaN without any policy.
     #[must_use]
     pub fn success_rate(&self) -> f64 {
         self.successes() as f64 / self.policies.len() as f64
     }
 
-    /// Its 95 % interval by Wilson.
+    /// The 95 % interval of that share, by Wilson.
     #[must_use]
     pub fn success_interval(&self) -> Interval {
         wilson_interval(self.successes(), self.policies.len())
     }
 
-    /// How quietly its policies balanced.
+    /// Quietness of balancing over its policies.
     #[must_use]
     pub fn quietness(&self) -> Quietness {
         let mut all = Quietness::NONE;
@@ -143,7 +143,7 @@ impl RecipeResult {
         all
     }
 
-    /// The share of all rollouts that did this; NaN of none.
+    /// Share of all rollouts with this behaviour; NaN without any rollout.
     #[must_use]
     pub fn share(&self, behaviour: Behaviour) -> f64 {
         let count: usize = self.policies.iter().map(|policy| policy.count(behaviour)).sum();
@@ -153,10 +153,10 @@ impl RecipeResult {
 }
 
 impl Results {
-    /// Reads what is finished, on as many threads as the experiment has.
+    /// Reads all finished work, on as many threads as the experiment has.
     ///
     /// # Errors
-    /// A policy or recording that is there and cannot be read.
+    /// An existing policy or recording cannot be read.
     pub fn read(experiment: &Experiment) -> Result<Self, ExperimentError> {
         let settings = experiment.settings();
         let mut recipes = Vec::new();
@@ -184,7 +184,7 @@ impl Results {
         }
         let plants = settings.plants.len();
         let recipes = Mutex::new(recipes);
-        // Whoever asks for results wants them also after a stop.
+        // Results are needed after a stop request too.
         let never = AtomicBool::new(false);
         Queue::new(jobs, &never).run(experiment.threads(), |(index, number)| {
             let Some((distribution, simulation)) = &all_simulations[index] else {
@@ -213,7 +213,7 @@ impl Results {
 }
 
 impl Experiment {
-    /// A policy's rollouts on each plant; none where some are still to come.
+    /// The results of a policy's rollouts on each plant; `None` where some are missing.
     fn ran(
         &self,
         recipe: &Recipe,

@@ -10,36 +10,36 @@ use crate::session::{
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
 
-/// What came of a rollout, computed from its recording each time it is asked for.
+/// The result of a rollout, computed from its recording each time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RolloutResult {
-    /// The sum of the rewards; none where a fault ended every try.
+    /// Return, the sum of the rewards; `None` where a fault ended every attempt.
     pub return_: Option<f64>,
-    /// What it did.
+    /// Class of its behaviour.
     pub behaviour: Behaviour,
-    /// How quietly it balanced, where it did.
+    /// Quietness of balancing, if it balanced.
     pub quietness: Quietness,
 }
 
 impl RolloutResult {
-    /// A rollout that a fault ended as often as it may: it counts as a failure.
+    /// A rollout whose attempts were all ended by faults; it counts as a failure.
     const FAULT: Self =
         Self { return_: None, behaviour: Behaviour::Fault, quietness: Quietness::NONE };
 }
 
-/// Where a rollout stands by the recordings in its folder.
+/// The state of a rollout according to the recordings in its folder.
 enum Standing {
-    /// It is over.
+    /// The rollout has a result.
     Finished(RolloutResult),
-    /// This try of it is due.
+    /// An attempt is due.
     Due {
-        /// Which.
+        /// Number of the attempt.
         attempt: u32,
     },
 }
 
-/// Where a rollout stands that may be tried `1 + repetitions` times. A recording without an end,
-/// or that a crash has left unreadable, was nobody's fault: its try is due again.
+/// The state of a rollout that may be attempted `1 + repetitions` times. A recording that is unfinished, or
+/// unreadable after a crash, does not count: its attempt is due again.
 fn standing(rollouts: &Path, rollout: u32, repetitions: u32) -> Result<Standing, ExperimentError> {
     for attempt in 0..=repetitions {
         let path = recording(rollouts, rollout, attempt);
@@ -64,7 +64,7 @@ fn standing(rollouts: &Path, rollout: u32, repetitions: u32) -> Result<Standing,
     Ok(Standing::Finished(RolloutResult::FAULT))
 }
 
-/// What came of so many rollouts in a folder; none where some are still to come.
+/// The results of several rollouts in a folder; `None` where some are missing.
 pub(super) fn all_of(
     folder: &Path,
     rollouts: u32,
@@ -80,17 +80,17 @@ pub(super) fn all_of(
         .collect()
 }
 
-/// One rollout, as often as it takes.
+/// A rollout with the repetitions that faults make necessary.
 pub(super) struct Repeated<'a> {
-    /// The folder of its recordings.
+    /// Folder of its recordings.
     pub folder: &'a Path,
-    /// What it is; the try is filled in.
+    /// Plan of the rollout; the attempt is filled in.
     pub plan: RolloutPlan,
-    /// The policy's file.
+    /// Bytes of the policy file.
     pub policy: &'a [u8],
-    /// How often a fault may end it before it counts as one.
+    /// Number of repetitions after faults before the rollout counts as failed.
     pub repetitions: u32,
-    /// Somebody asks to stop.
+    /// Flag that requests a stop.
     pub stop: &'a AtomicBool,
 }
 
@@ -98,11 +98,11 @@ pub(super) struct Repeated<'a> {
 pub(super) type Record<'a> = dyn FnMut(&Rig) -> Result<Ending, ExperimentError> + 'a;
 
 impl Repeated<'_> {
-    /// Does it until it has a result, or a fault has ended it as often as it may. `with_rig` gives the
-    /// rig for a try.
+    /// Attempts the rollout until it has a result, or faults have ended it as often as allowed. `with_rig`
+    /// provides the rig for an attempt.
     ///
     /// # Errors
-    /// Whatever ends it early, a stop among that.
+    /// The work ends early, for instance by a stop request.
     pub fn perform(
         &self,
         mut with_rig: impl FnMut(u32, &mut Record<'_>) -> Result<(), ExperimentError>,

@@ -10,13 +10,13 @@ use crate::session::{
 };
 use crate::storage::{Disk, MachineDisk};
 
-/// The largest ledger that is read.
+/// Largest ledger that is read, bytes.
 const MAX_LEDGER_BYTES: u64 = 64 << 20;
 
-/// A session in its own folder that looks for a psi, or goes on with it.
+/// Opens or resumes a session in its own folder that searches for a psi.
 ///
 /// # Errors
-/// The folder or what is in it cannot be used.
+/// The folder or its content is invalid.
 pub(super) fn open_search(
     folder: &Path,
     settings: SessionSettings,
@@ -33,10 +33,10 @@ pub(super) fn open_search(
     Ok(Session::open(session_folder, settings, rig, Arc::clone(stop))?)
 }
 
-/// The psi that a search has come to; none while it has not.
+/// The psi that a search recommends; `None` while the search is unfinished.
 ///
 /// # Errors
-/// Its ledger cannot be read or is damaged.
+/// The ledger cannot be read or is damaged.
 pub(super) fn found_psi(
     folder: &Path,
     extent: &Extent,
@@ -49,9 +49,8 @@ pub(super) fn found_psi(
     Ok(answer.map(|candidate| candidate.psi))
 }
 
-/// What a search has tried, in the order of candidates: each with the returns of its rollouts so far,
-/// which are none for the last ones. Without the answer, whose rollouts verify it. The first `skip`
-/// are left out.
+/// The searched candidates in order, each with the returns of its rollouts so far. The recommendation is
+/// left out, because its rollouts verify it, and so are the first `skip` candidates.
 ///
 /// # Errors
 /// The ledger or a recording cannot be read.
@@ -72,7 +71,7 @@ pub(super) fn searched(folder: &Path, skip: usize) -> Result<Vec<Observation>, E
         .collect()
 }
 
-/// What a search has decided and finished; nothing where it has not begun.
+/// The ledger of a search; empty where it has not begun.
 fn ledger(folder: &Path) -> Result<Vec<Entry>, ExperimentError> {
     let path = folder.join("ledger.jsonl");
     if !MachineDisk.exists(&path) {

@@ -13,33 +13,33 @@ use crate::session::{
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
 
-/// Policies by one recipe and one psi: each is trained with a seed of its own and run on plants.
-/// What is on disk and whole is not done again.
+/// The policies of one recipe and one psi: each is trained with its own seed and run on plants. Work that
+/// is complete on disk is not repeated.
 pub(super) struct Series<'a> {
-    /// The experiment's name.
+    /// Name of the experiment.
     pub experiment: &'a str,
-    /// What makes the policies.
+    /// Recipe of the policies.
     pub recipe: &'a Recipe,
-    /// The psi of an optimised recipe; empty for the others.
+    /// Psi of an optimised recipe; empty for others.
     pub psi: &'a [f64],
-    /// Everything random follows from it and from a policy's number.
+    /// Seed from which, with a policy's number, every random number follows.
     pub seed: u64,
-    /// Where the policies and their recordings are.
+    /// Folders of the policies and their recordings.
     pub folders: PolicyFolders,
-    /// Where the Qube is.
+    /// Settings of the rig.
     pub rig: &'a RigSettings,
-    /// Somebody asks to stop.
+    /// Flag that requests a stop.
     pub stop: &'a Arc<AtomicBool>,
 }
 
 impl Series<'_> {
-    /// Trains a policy on one core; its best return in training, none where it was trained before.
+    /// Trains a policy on one core; returns its best return in training, `None` if it was trained before.
     ///
     /// # Errors
-    /// It cannot be trained or stored.
+    /// The training fails, or the policy cannot be stored.
     pub fn train(&self, policy: u32) -> Result<Option<f64>, ExperimentError> {
         let path = self.folders.policy(policy);
-        // Policy files appear whole or not at all.
+        // Policy files appear atomically.
         if MachineDisk.exists(&path) {
             return Ok(None);
         }
@@ -58,12 +58,11 @@ impl Series<'_> {
         Ok(Some(best_return))
     }
 
-    /// Runs a policy on an emulated plant: each rollout on a Qube of its own that follows from the
-    /// seed alone, so that an experiment that was stopped repeats byte for byte, whatever thread
-    /// goes on with it.
+    /// Runs a policy on an emulated plant. The Qube of each rollout follows from the seed alone, so that a
+    /// resumed experiment repeats byte for byte, whichever thread continues it.
     ///
     /// # Errors
-    /// Whatever ends it early.
+    /// The work ends early.
     pub fn run_in_virtual_time(
         &self,
         policy: u32,
@@ -79,10 +78,10 @@ impl Series<'_> {
         })
     }
 
-    /// Runs a policy on one Qube, rollout after rollout; the rig is opened on its first use.
+    /// Runs a policy on one Qube, one rollout after the other; the rig is opened on its first use.
     ///
     /// # Errors
-    /// Whatever ends it early.
+    /// The work ends early.
     pub fn run_on_device(
         &self,
         rig: &mut Option<Rig>,
@@ -158,7 +157,7 @@ impl Series<'_> {
     }
 }
 
-/// An emulated Qube of this seed, homed.
+/// An emulated Qube with this seed, homed.
 pub(super) fn virtual_rig(
     rig: &RigSettings,
     emulated: &EmulatedQubeSettings,

@@ -7,48 +7,48 @@ use super::{ExperimentError, Plant, Recipe, RecipeModel, StrategySettings};
 use crate::session::{Retired, take_retired};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// Everything that decides an experiment, as `experiment.toml` holds it.
+/// The settings of an experiment, as `experiment.toml` contains them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExperimentSettings {
-    /// The experiment's name.
+    /// Name of the experiment.
     pub name: String,
-    /// Everything random follows from it.
+    /// Seed from which every random number follows.
     pub seed: u64,
-    /// Policies of each recipe, each trained with a seed of its own.
+    /// Number of policies for each recipe, each trained with its own seed.
     pub policies: u32,
-    /// Rollouts of each policy on each plant.
+    /// Number of rollouts of each policy on each plant.
     pub rollouts: u32,
-    /// Fresh starts from which a policy's return in simulation is evaluated.
+    /// Number of fresh starts from which a policy's return in simulation is evaluated.
     pub simulated_starts: u32,
-    /// What the policies are run on; psi is searched on the first. On a serial port there is one,
-    /// which is not emulated.
+    /// Plants on which policies run; psi is searched on the first. A device on a serial port is the only
+    /// plant, and not emulated.
     pub plants: Vec<Plant>,
-    /// What is compared.
+    /// Recipes that are compared.
     pub recipes: Vec<Recipe>,
-    /// Instead of recipes, ways to search the psi of one recipe are compared: on one plant, which is
-    /// emulated, `policies` and `rollouts` are those that judge an answer.
+    /// Methods that are compared instead of recipes: they search the psi of one recipe on one emulated
+    /// plant, and `policies` and `rollouts` score a recommendation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub strategies: Option<StrategySettings>,
 }
 
 impl ExperimentSettings {
-    /// Reads `experiment.toml`, of whatever time, to look at what is finished.
+    /// Reads an `experiment.toml` of any version, to show finished work.
     ///
     /// # Errors
-    /// The file cannot be read or is no experiment.
+    /// The file cannot be read or is not an experiment.
     pub fn load(path: &Path) -> Result<Self, ExperimentError> {
         Self::loaded(path).map(|(settings, _)| settings)
     }
 
-    /// Reads `experiment.toml` to go on by it.
+    /// Reads an `experiment.toml` to resume the experiment.
     ///
     /// # Errors
-    /// The file cannot be read, is no experiment, or asks for what is no more.
+    /// The file cannot be read, is not an experiment, or has a setting that no longer exists.
     pub fn load_to_resume(path: &Path) -> Result<Self, ExperimentError> {
         let (settings, retired) = Self::loaded(path)?;
         let retired = retired.iter().find(|entry| entry.changed_something()).map(|entry| {
-            format!("{entry}: an experiment goes on with the settings that it began with")
+            format!("{entry}: an experiment continues with the settings that it began with")
         });
         let gone = settings.recipes.iter().find_map(|recipe| {
             let gone = recipe.settings.check_resumable().err()?;
@@ -63,7 +63,7 @@ impl ExperimentSettings {
         }
     }
 
-    /// The settings, and what was read that is no setting any more.
+    /// The settings, and the entries of the file that are no longer settings.
     fn loaded(path: &Path) -> Result<(Self, Vec<Retired>), ExperimentError> {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
@@ -86,18 +86,18 @@ impl ExperimentSettings {
         Ok((settings, retired))
     }
 
-    /// The whole as TOML.
+    /// The settings as TOML.
     ///
     /// # Errors
-    /// A number that TOML cannot hold.
+    /// A number has no TOML form.
     pub fn to_toml(&self) -> Result<String, ExperimentError> {
         Ok(toml::to_string_pretty(self)?)
     }
 
-    /// Says in words what cannot be, if anything cannot.
+    /// Checks the settings.
     ///
     /// # Errors
-    /// The first thing that cannot be.
+    /// Describes the first invalid setting.
     pub fn check(&self) -> Result<(), String> {
         for (name, value, most) in [
             ("policies", self.policies, 1000),
@@ -160,14 +160,14 @@ fn distinct(what: &str, names: &[&str]) -> Result<(), String> {
     Ok(())
 }
 
-/// A name is a folder's too.
+/// Checks a name, which is also the name of a folder.
 pub(super) fn check_name(what: &str, name: &str) -> Result<(), String> {
     let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_.+%".contains(letter);
     if !name.is_empty() && name.len() <= 60 && !name.starts_with('.') && name.chars().all(allowed) {
         return Ok(());
     }
     Err(format!(
-        "{what}: {name:?} is no name: use letters, digits, and - _ . + %, at most 60 of them"
+        "{what}: {name:?} is not a valid name: use letters, digits, and - _ . + %, at most 60 of them"
     ))
 }
 

@@ -1,4 +1,4 @@
-//! What few policies say of many: mean, spread, and intervals that hold what is not known.
+//! Statistics of small samples: mean, spread and confidence intervals.
 
 use rand::{RngExt as _, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -7,14 +7,14 @@ use serde::Serialize;
 /// The quantile of the normal distribution that leaves 2.5 % above it.
 const NORMAL_975: f64 = 1.959_963_984_540_054;
 
-/// Resamples of a bootstrap. With 10 000 the ends of an interval repeat within a hundredth of its
-/// width, whatever the seed.
+/// Number of resamples of a bootstrap. With 10,000 the ends of an interval are reproducible within a
+/// hundredth of its width, whatever the seed.
 const RESAMPLES: usize = 10_000;
 
-/// Everything that is drawn here: the same samples give the same interval.
+/// Seed of the resampling: the same sample gives the same interval.
 const SEED: u64 = 0x626f_6f74_7374_7261;
 
-/// The ends of a 95 % confidence interval.
+/// The 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interval {
     /// Lower end.
@@ -23,13 +23,13 @@ pub struct Interval {
     pub upper: f64,
 }
 
-/// The mean; NaN of nothing.
+/// The mean; NaN of an empty sample.
 #[must_use]
 pub fn mean(sample: &[f64]) -> f64 {
     sample.iter().sum::<f64>() / sample.len() as f64
 }
 
-/// The standard deviation that a sample estimates (divided by n - 1); NaN of less than two.
+/// The sample standard deviation (divided by n - 1); NaN of fewer than two values.
 #[must_use]
 pub fn standard_deviation(sample: &[f64]) -> f64 {
     let centre = mean(sample);
@@ -37,7 +37,7 @@ pub fn standard_deviation(sample: &[f64]) -> f64 {
     (squares / (sample.len() as f64 - 1.0)).sqrt()
 }
 
-/// The middle of a sample, between its two middle values where their number is even; NaN of nothing.
+/// The median, the mean of the two middle values where their number is even; NaN of an empty sample.
 #[must_use]
 pub fn median(sample: &[f64]) -> f64 {
     let mut sorted = sample.to_vec();
@@ -49,7 +49,7 @@ pub fn median(sample: &[f64]) -> f64 {
     }
 }
 
-/// Wilson's score interval (1927) of a probability, 95 %, after `successes` of `trials`: unlike the
+/// Wilson's score interval (1927) of a probability, 95 %, after `successes` of `trials`. Unlike the
 /// textbook's p +- 2 sqrt(p (1 - p) / n) it stays within 0 to 1 and has a width at 0 and at 1.
 #[must_use]
 pub fn wilson_interval(successes: usize, trials: usize) -> Interval {
@@ -61,14 +61,14 @@ pub fn wilson_interval(successes: usize, trials: usize) -> Interval {
     let centre = (share + z2 / (2.0 * n)) / (1.0 + z2 / n);
     let variance = share * (1.0 - share) / n + z2 / (4.0 * n * n);
     let half_width = NORMAL_975 * variance.sqrt() / (1.0 + z2 / n);
-    // Rounding alone leaves them a little beyond 0 and 1 at no and at all successes.
+    // Rounding would leave the ends slightly outside 0 and 1.
     let lower = if successes == 0 { 0.0 } else { centre - half_width };
     let upper = if successes == trials { 1.0 } else { centre + half_width };
     Interval { lower, upper }
 }
 
-/// The percentile bootstrap's interval (Efron 1979) of a sample's mean, 95 %: right also for
-/// returns with two humps, of which no formula for normal ones holds. NaN of nothing.
+/// The percentile bootstrap interval (Efron 1979) of a sample's mean, 95 %. It also holds for bimodal
+/// returns, for which no formula of the normal distribution does. NaN of an empty sample.
 #[must_use]
 pub fn bootstrap_interval(sample: &[f64]) -> Interval {
     if sample.is_empty() {
@@ -105,7 +105,7 @@ mod tests {
         assert!(mean(&[]).is_nan() && median(&[]).is_nan() && standard_deviation(&[1.0]).is_nan());
     }
 
-    /// Values that R gives: `prop.test(x, n, correct = FALSE)$conf.int`.
+    /// Reference values from R: `prop.test(x, n, correct = FALSE)$conf.int`.
     #[test]
     fn wilson_intervals_are_those_of_the_literature() {
         near(wilson_interval(10, 20), 0.299_298_0, 0.700_702_0, 1e-6);
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn a_bootstrap_of_many_is_what_the_formula_for_normal_means_says() {
-        // Evenly spread, so that the standard deviation is known.
+        // The values are evenly spread, so that the standard deviation is known.
         let sample: Vec<f64> = (0..200).map(f64::from).collect();
         let standard_error = standard_deviation(&sample) / 200.0_f64.sqrt();
         let found = bootstrap_interval(&sample);

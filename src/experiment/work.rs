@@ -13,51 +13,51 @@ use crate::session::{
     ClockChoice, Progress, Rig, RigSettings, SeedFor, SessionSettings, derived_seed,
 };
 
-/// What an experiment tells while it runs, from whichever thread.
+/// An event of a running experiment, from any thread.
 pub enum News<'a> {
-    /// From a search of psi.
+    /// Progress of a search for psi.
     Search {
-        /// Whose: a recipe's, or a strategy's and repetition's.
+        /// Name of the search: a recipe's, or a method's and repetition's.
         name: &'a str,
-        /// What the session tells.
+        /// Event of the session.
         progress: &'a Progress<'a>,
     },
     /// A policy is on disk.
     Trained {
-        /// The recipe.
+        /// Name of the recipe.
         recipe: &'a str,
-        /// The policy's number.
+        /// Number of the policy.
         policy: u32,
-        /// Its best return in training; none where an earlier run had trained it.
+        /// Best return in training; `None` if an earlier run trained it.
         best_return: Option<f64>,
     },
-    /// A policy has done all its rollouts on a plant.
+    /// A policy has completed all its rollouts on a plant.
     Ran {
-        /// The recipe.
+        /// Name of the recipe.
         recipe: &'a str,
-        /// The policy's number.
+        /// Number of the policy.
         policy: u32,
-        /// The plant.
+        /// Name of the plant.
         plant: &'a str,
-        /// What came of them.
+        /// Results of the rollouts.
         results: &'a [RolloutResult],
     },
-    /// The answer that a search would give so far is judged, or a recording cannot be used.
+    /// A recommendation has been scored, or a recording was refused.
     Judged {
-        /// Whose answer.
+        /// Repetition of the method.
         repetition: &'a Repetition,
-        /// What came of it.
+        /// Result of the scoring.
         answer: &'a AnswerResult,
     },
-    /// One repetition of a search has come to its end.
+    /// A repetition of a method has ended.
     Over {
-        /// With all its answers.
+        /// Repetition with all its recommendations.
         repetition: &'a Repetition,
     },
 }
 
-/// An experiment in its folder. What is finished is on disk and whole; what is done next follows
-/// from that alone.
+/// An experiment in its folder. Finished work is complete on disk, and the next work follows from the files
+/// alone.
 pub struct Experiment {
     folder: ExperimentFolder,
     settings: ExperimentSettings,
@@ -66,35 +66,35 @@ pub struct Experiment {
     stop: Arc<AtomicBool>,
 }
 
-/// One thing to do.
+/// A unit of work.
 enum Job {
-    /// Look for a recipe's psi.
+    /// Search for a recipe's psi.
     Search {
-        /// The recipe's place in the list.
+        /// Index of the recipe.
         recipe: usize,
     },
     /// Train a policy and, where the Qube is emulated, run it.
     Policy {
-        /// The recipe's place in the list.
+        /// Index of the recipe.
         recipe: usize,
-        /// The policy's number.
+        /// Number of the policy.
         policy: u32,
     },
-    /// Follow one repetition of a strategy.
+    /// Run one repetition of a method.
     Repetition {
-        /// The strategy.
+        /// Method of the comparison.
         contender: Contender,
-        /// Which repetition.
+        /// Number of the repetition.
         repetition: u32,
     },
 }
 
-/// Who hears the news.
+/// Receives the events of an experiment.
 pub(super) type Tell<'a> = dyn Fn(News) + Sync + 'a;
 
 impl Experiment {
-    /// Takes up an experiment where its folder ends. `rig` says where the Qube is; an emulated one
-    /// is each plant in turn, in virtual time.
+    /// Continues an experiment from its folder. `rig` selects the Qube; an emulated one is each plant in
+    /// turn, in virtual time.
     #[must_use]
     pub fn new(
         folder: ExperimentFolder,
@@ -112,37 +112,37 @@ impl Experiment {
         &self.folder
     }
 
-    /// What decides it.
+    /// The experiment's settings.
     #[must_use]
     pub fn settings(&self) -> &ExperimentSettings {
         &self.settings
     }
 
-    /// On how many threads it works.
+    /// Number of threads.
     pub(super) fn threads(&self) -> usize {
         self.threads
     }
 
-    /// Where the Qube is.
+    /// Settings of the rig.
     pub(super) fn rig(&self) -> &RigSettings {
         &self.rig
     }
 
-    /// What somebody sets who asks to stop.
+    /// Flag that requests a stop.
     pub(super) fn stop(&self) -> &Arc<AtomicBool> {
         &self.stop
     }
 
-    /// Whether many Qubes can be had at once.
+    /// Whether rollouts run on many emulated Qubes at once.
     fn is_virtual(&self) -> bool {
         self.rig.clock == ClockChoice::Virtual
     }
 
-    /// Goes on until everything is done: on all threads where the Qube is emulated; with a real one
-    /// policies are trained on all threads, and searches and rollouts come one after another.
+    /// Completes all work: on all threads where the Qube is emulated. With a real one, all threads train
+    /// policies, while searches and rollouts run one after the other.
     ///
     /// # Errors
-    /// Whatever ends it early. What was finished until then is on disk.
+    /// The work ends early; finished work is on disk.
     pub fn run(&self, tell: &Tell) -> Result<(), ExperimentError> {
         let mut jobs = self.jobs();
         let searches = jobs.iter().filter(|job| matches!(job, Job::Search { .. })).count();
@@ -167,7 +167,7 @@ impl Experiment {
         let mut jobs = Vec::new();
         for (recipe, it) in self.settings.recipes.iter().enumerate() {
             if it.model.is_optimised() {
-                // First: everything of such a recipe waits for it.
+                // The search comes first, because everything of its recipe waits for it.
                 jobs.insert(0, Job::Search { recipe });
             } else {
                 jobs.extend(self.policies(recipe));
@@ -180,7 +180,7 @@ impl Experiment {
         (0..self.settings.policies).map(move |policy| Job::Policy { recipe, policy })
     }
 
-    /// Does one job; what is to be done after it.
+    /// Does one job and returns the jobs that follow from it.
     fn work(&self, job: Job, cores: usize, tell: &Tell) -> Result<Vec<Job>, ExperimentError> {
         match job {
             Job::Search { recipe } => {
@@ -224,7 +224,7 @@ impl Experiment {
         session.on_cores(cores).run(tell).map_err(failed)
     }
 
-    /// The psi of an optimised recipe, empty for the others; none while it is not found.
+    /// The psi of an optimised recipe, empty for others; `None` while it is not found.
     pub(super) fn psi(&self, recipe: &Recipe) -> Result<Option<Vec<f64>>, ExperimentError> {
         if recipe.model.is_optimised() {
             found_psi(&self.folder.search(&recipe.name), &recipe.settings.extent)
@@ -265,7 +265,7 @@ impl Experiment {
         Ok(())
     }
 
-    /// Every rollout on one Qube, one after another.
+    /// Runs all rollouts on one Qube, one after the other.
     fn run_on_device(&self, tell: &Tell) -> Result<(), ExperimentError> {
         let mut rig: Option<Rig> = None;
         let plant = &self.settings.plants[0];

@@ -1,4 +1,4 @@
-//! `session.toml`: read with every misspelt key named, and laid over a preset.
+//! Reads `session.toml` over a preset and reports every misspelt key.
 
 use std::path::{Path, PathBuf};
 
@@ -12,34 +12,34 @@ use crate::safety::{Guard, SafetyBox};
 use crate::simulation::{PsiTarget, SensorModel};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// What is wrong with a configuration.
+/// An error in a configuration.
 #[derive(Debug, Error)]
 pub enum ConfigurationError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("{path} cannot be read: {source}")]
     Unreadable {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause of the failure.
         source: std::io::Error,
     },
-    /// It is no TOML, has a key that does not exist, or a value of another type.
+    /// The file is not TOML, has an unknown key, or a value of the wrong type.
     #[error("{path}: {}", source.to_string().trim_end())]
     Invalid {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What and in which line.
+        /// Cause with its line.
         source: Box<toml::de::Error>,
     },
-    /// A value that cannot be.
+    /// A value is out of range.
     #[error("{path}: {reason}")]
     OutOfRange {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Which value, and what it may be.
+        /// Name of the value and its range.
         reason: String,
     },
-    /// It cannot be written as TOML.
+    /// The settings cannot be written as TOML.
     #[error("the configuration cannot be written: {0}")]
     Unwritable(#[from] toml::ser::Error),
     /// The file could not be written.
@@ -48,11 +48,11 @@ pub enum ConfigurationError {
 }
 
 impl SessionSettings {
-    /// Reads a whole configuration, to go on by it. One that names no guard is older than any and means
-    /// the box alone.
+    /// Reads a complete configuration to resume its session. A file that names no guard is older than any
+    /// guard and selects the box alone.
     ///
     /// # Errors
-    /// It cannot be read, is no configuration, or asks for what is no more.
+    /// The file cannot be read, is not a configuration, or has a setting that no longer exists.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
         let mut text = read(path)?;
         let mut table: Table = parsed(&text, path)?;
@@ -70,20 +70,20 @@ impl SessionSettings {
         Ok(settings)
     }
 
-    /// These settings with the entries of a file instead of their own.
+    /// Overrides these settings with the entries of a file.
     ///
     /// # Errors
-    /// The file cannot be read, or holds something that is no setting.
+    /// The file cannot be read, or holds an unknown setting.
     pub fn overridden_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         self.overridden_by_text(&read(path)?, path)
     }
 
-    /// As [`overridden_by`](Self::overridden_by), for a new session: where the file names an estimator
-    /// for the machine alone or for simulations alone, it is that of both, because a policy should be
-    /// trained on what it will see.
+    /// Configures a new session like [`overridden_by`](Self::overridden_by). An estimator that the file
+    /// names for the machine alone or for simulations alone applies to both, because a policy should train
+    /// on the states that it will see.
     ///
     /// # Errors
-    /// The file cannot be read, or holds something that is no setting.
+    /// The file cannot be read, or holds an unknown setting.
     pub fn configured_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         let settings = self.overridden_by_text(&text, path)?;
@@ -99,11 +99,11 @@ impl SessionSettings {
         settings.checked(path)
     }
 
-    /// As [`overridden_by`](Self::overridden_by), with the text of the file at hand; `path` is only
-    /// named in errors. Safe for text of any origin.
+    /// Overrides these settings with the text of a file; `path` only appears in errors. Safe for text of
+    /// any origin.
     ///
     /// # Errors
-    /// The text holds something that is no setting, or asks for what is no more.
+    /// The text holds an unknown setting, or one that no longer exists.
     pub fn overridden_by_text(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
         let out_of_range =
             |reason| ConfigurationError::OutOfRange { path: path.to_owned(), reason };
@@ -120,7 +120,7 @@ impl SessionSettings {
             path: path.to_owned(),
             source: Box::new(source),
         };
-        // First on its own: an error then names the file's own line.
+        // Parsed alone first, so that an error names the file's own line.
         toml::from_str::<Self>(text).map_err(invalid)?;
         let mut table: Table = Table::try_from(self)?;
         lay_over(&mut table, toml::from_str(text).map_err(invalid)?);
@@ -138,12 +138,12 @@ impl SessionSettings {
     /// The whole configuration as TOML.
     ///
     /// # Errors
-    /// A number that TOML cannot hold.
+    /// A number has no TOML form.
     pub fn to_toml(&self) -> Result<String, ConfigurationError> {
         Ok(toml::to_string_pretty(self)?)
     }
 
-    /// Says in words what cannot be, if anything cannot.
+    /// Checks the settings; describes the first invalid one.
     fn check(&self) -> Result<(), String> {
         self.check_limits()?;
         self.estimator.check().map_err(|error| format!("estimator.{error}"))?;
@@ -175,11 +175,11 @@ impl SessionSettings {
 }
 
 impl SessionSettings {
-    /// Says in words which limit is none, or wider than the task's: no file may widen one, on whatever
-    /// Qube it is used.
+    /// Checks that no limit is invalid or wider than the task's; no file may widen a limit, whatever Qube
+    /// it is used with.
     ///
     /// # Errors
-    /// The first that is not as it may be.
+    /// Describes the first invalid limit.
     pub fn check_limits(&self) -> Result<(), String> {
         let of_the_task = SafetyBox::GUARDED;
         self.safety_box.check_within(&of_the_task).map_err(|error| error.to_string())?;
@@ -197,10 +197,10 @@ impl SessionSettings {
         self.homing.estimator.check().map_err(|error| format!("homing.estimator.{error}"))
     }
 
-    /// Says in words why what ran with these settings cannot be gone on with, if it cannot.
+    /// Checks that a session with these settings can be resumed.
     ///
     /// # Errors
-    /// It ran under a guard that is no more.
+    /// The session ran under a guard that no longer exists.
     pub fn check_resumable(&self) -> Result<(), String> {
         let simulated = self.training.simulation.safety_box.guard;
         for (key, guard) in
@@ -213,7 +213,7 @@ impl SessionSettings {
         Ok(())
     }
 
-    /// Says in words why nothing can begin with these settings, if it cannot.
+    /// Checks that a new session may begin with these settings; describes the reason why not.
     fn check_begun(&self) -> Result<(), String> {
         if !self.training.simulation.safety_box.guard.is_box() {
             return Err(
@@ -227,10 +227,10 @@ impl SessionSettings {
     }
 }
 
-/// What to do about settings of the past that something is to go on by.
-const BEGIN_ANEW: &str = "it goes on with the settings that it began with, so begin a new one";
+/// Advice for settings of an earlier version in a session to resume.
+const BEGIN_ANEW: &str = "it continues with the settings that it began with, so begin a new one";
 
-/// The text of a configuration.
+/// Reads the text of a configuration.
 pub(super) fn read(path: &Path) -> Result<String, ConfigurationError> {
     read_text(path, SETTINGS_BYTES)
         .map_err(|source| ConfigurationError::Unreadable { path: path.to_owned(), source })
@@ -340,7 +340,7 @@ mod tests {
             (observed.estimator, observed.training.simulation.sensors),
             (observer, simulated)
         );
-        // What a session has written is gone on with as it is.
+        // A session resumes its own file unchanged.
         assert_eq!(configured(&observed.to_toml().unwrap()), observed);
     }
 

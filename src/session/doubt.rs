@@ -7,15 +7,15 @@ use super::folder::write_whole;
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Fault;
 
-/// A doubt about a sensor or the motor of a Qube, which lasts until an operator has acknowledged it
-/// and an examination has found nothing.
+/// A doubt about a sensor or the motor of a Qube. It lasts until an operator has acknowledged it and an
+/// examination has passed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Doubt {
-    /// The fault that left it; none where its record cannot be read.
+    /// Fault that caused the doubt; `None` where its record cannot be read.
     pub fault: Option<Fault>,
-    /// The serial number of the board.
+    /// Serial number of the board.
     pub board: String,
-    /// When, seconds since 1970; none under a virtual clock.
+    /// Time of the fault, seconds since 1970; `None` under a virtual clock.
     pub unix_s: Option<u64>,
 }
 
@@ -38,24 +38,24 @@ impl fmt::Display for Doubt {
     }
 }
 
-/// Doubts that outlive the program: a file for each board in one folder.
+/// A store for doubts that outlive the program: one folder with a file for each board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DoubtMemory {
     folder: PathBuf,
 }
 
-/// The largest file that is read.
+/// Largest file that is read, bytes.
 const MAX_FILE_BYTES: u64 = 4096;
 
 impl DoubtMemory {
-    /// In this folder, which is made when there is a doubt to keep.
+    /// A store in this folder, which is created with the first doubt.
     #[must_use]
     pub fn new(folder: PathBuf) -> Self {
         Self { folder }
     }
 
-    /// The doubt about a board, if there is one. A file that cannot be read is a doubt too; one about a
-    /// fault that leaves none by this release's table is not.
+    /// The doubt about a board, if there is one. An unreadable file is a doubt too; a file about a fault
+    /// that leaves no doubt by this release's table is not.
     #[must_use]
     pub fn recall(&self, board: &str) -> Option<Doubt> {
         let path = self.path(board);
@@ -69,7 +69,7 @@ impl DoubtMemory {
         doubt.fault.is_none_or(Fault::leaves_doubt).then_some(doubt)
     }
 
-    /// Keeps a doubt. Where that fails, it lasts as long as the program.
+    /// Stores a doubt. If that fails, the doubt lasts until the program ends.
     pub fn keep(&self, doubt: &Doubt) {
         let path = self.path(&doubt.board);
         let bytes = serde_json::to_vec(doubt).unwrap_or_default();
@@ -82,7 +82,7 @@ impl DoubtMemory {
         }
     }
 
-    /// Ends the doubt about a board.
+    /// Removes the doubt about a board.
     pub fn forget(&self, board: &str) {
         let path = self.path(board);
         if MachineDisk.exists(&path)
@@ -93,7 +93,7 @@ impl DoubtMemory {
     }
 
     fn path(&self, board: &str) -> PathBuf {
-        // A serial number comes from the device: it must not name another folder.
+        // The device supplies the serial number, which must not name another folder.
         let name: String = board.chars().filter(char::is_ascii_alphanumeric).collect();
         self.folder.join(format!("doubt-{name}.json"))
     }

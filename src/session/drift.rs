@@ -8,48 +8,48 @@ use crate::recording::Recording;
 use crate::replay::MotionLog;
 use crate::telemetry::Phase;
 
-/// Rollouts that a day's drift is estimated from.
+/// Number of rollouts from which a day's drift is estimated.
 pub const DRIFT_ROLLOUTS: usize = 3;
 
-/// A delay that differs by less is the same, s.
+/// Smallest change of the delay that counts, s.
 const DELAY_TOLERANCE_S: f64 = 0.002;
 
-/// A rest of the cable that differs by less is the same, rad.
+/// Smallest change of the cable's rest angle that counts, rad.
 const REST_TOLERANCE_RAD: f64 = 0.1;
 
-/// A hanging pendulum's angle that differs by less is the same, rad: five counts.
+/// Smallest change of the hanging pendulum's angle that counts, rad: five counts.
 const ALPHA_TOLERANCE_RAD: f64 = 5.0 * crate::qube::RAD_PER_COUNT;
 
-/// A difference must also be this many standard errors.
+/// Smallest change in standard errors.
 const STANDARD_ERRORS: f64 = 3.0;
 
-/// Settled ticks at the end of settling over which the pendulum's angle is averaged.
+/// Number of final ticks of settling over which the pendulum's angle is averaged.
 const SETTLED_TICKS: usize = 20;
 
-/// How a rig is today beside its profile, from the first rollouts.
+/// The drift of a rig from its profile, estimated from the first rollouts of a day.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Drift {
-    /// From command to motor, s.
+    /// Delay from command to motor, s.
     pub command_delay_s: Compared,
-    /// Where the cable does not pull, rad from the arm's zero: what homing finds and how the cable
-    /// lies both move it.
+    /// The cable's rest angle from the arm's zero, rad; the zero that homing finds and the cable's position
+    /// both change it.
     pub cable_rest_rad: Compared,
-    /// The pendulum's angle where it hangs at rest, rad.
+    /// Angle of the hanging pendulum at rest, rad.
     pub alpha_zero_rad: Compared,
-    /// Rollouts that it was estimated from.
+    /// Number of rollouts used.
     pub rollouts: usize,
 }
 
 /// A quantity today and in the profile.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Compared {
-    /// Today.
+    /// Value today.
     pub today: f64,
-    /// How sure that is.
+    /// Standard error of today's value.
     pub standard_error: f64,
-    /// In the profile.
+    /// Value in the profile.
     pub profile: f64,
-    /// Whether they differ by more than chance and by enough to matter.
+    /// Whether the change is significant and large enough to matter.
     pub moved: bool,
 }
 
@@ -64,7 +64,7 @@ impl Drift {
     /// Compares the first rollouts of a day with the profile.
     ///
     /// # Errors
-    /// The rollouts say nothing: why.
+    /// The rollouts cannot be fitted.
     pub fn of(recordings: &[Recording], profile: &QubeModel) -> Result<Self, Unfit> {
         let motions: Vec<MotionLog> =
             recordings.iter().filter_map(MotionLog::of_recording).collect();
@@ -76,7 +76,7 @@ impl Drift {
         let compared = |estimate: &crate::identification::Estimate, profile, tolerance| {
             let mut compared =
                 Compared::new(estimate.value, estimate.standard_error, profile, tolerance);
-            // Of a cable that does not pull nothing can be said.
+            // A cable without stiffness has no measurable rest angle.
             compared.moved &= estimate.is_told();
             compared
         };
@@ -88,7 +88,7 @@ impl Drift {
         })
     }
 
-    /// Whether the rig has moved away from its profile.
+    /// Whether the rig has drifted from its profile.
     #[must_use]
     pub fn has_moved(&self) -> bool {
         self.command_delay_s.moved || self.cable_rest_rad.moved || self.alpha_zero_rad.moved
@@ -121,7 +121,7 @@ impl fmt::Display for Drift {
         if self.has_moved() {
             write!(
                 f,
-                "\nthe rig has moved away from its profile: see to cable and homing, or make a new \
+                "\nthe rig has moved away from its profile: check cable and homing, or make a new \
                  profile with run --excite and identify"
             )?;
         }

@@ -8,80 +8,80 @@ use crate::search::SearchError;
 use crate::simulation::PsiError;
 use crate::telemetry::Fault;
 
-/// Why a session ended early. What was finished until then is on disk.
+/// The reason why a session ended early. Finished work is on disk.
 #[derive(Debug, Error)]
 pub enum SessionError {
-    /// Somebody asked to stop.
+    /// A stop was requested.
     #[error("stopped")]
     Stopped,
-    /// A rollout failed as often as it may.
+    /// A rollout failed as often as allowed.
     #[error(
         "rollout {rollout} of candidate {candidate} was ended by a fault {tries} times, last: {reason}. \
          The motor is off; look at the Qube, then --resume"
     )]
     GivenUp {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
-        /// Its rollout.
+        /// Number of the rollout.
         rollout: u32,
-        /// How often it was tried.
+        /// Number of attempts.
         tries: u32,
-        /// The last fault.
+        /// Last fault.
         reason: String,
     },
-    /// A fault ended a rollout, and the Qube could not be started again after it.
+    /// A fault ended a rollout, and the Qube could not be restarted.
     #[error(
         "a fault ended rollout {rollout} of candidate {candidate} ({fault}), and the Qube cannot be \
          started again: {source}. Then go on with --resume"
     )]
     NotStartedAgain {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
-        /// Its rollout.
+        /// Number of the rollout.
         rollout: u32,
-        /// What ended it.
+        /// Fault that ended the rollout.
         fault: String,
-        /// Why it cannot go on.
+        /// Reason why the restart failed.
         source: Box<RigError>,
     },
     /// A fault ended a rollout and left a doubt about a sensor or the motor.
     #[error("rollout {rollout} of candidate {candidate} is void: {doubt}")]
     InDoubt {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
-        /// Its rollout.
+        /// Number of the rollout.
         rollout: u32,
-        /// Which.
+        /// Doubt about the Qube.
         doubt: Box<Doubt>,
     },
-    /// The ledger.
+    /// The ledger failed.
     #[error(transparent)]
     Ledger(#[from] LedgerError),
-    /// The folder.
+    /// The folder failed.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// The Qube.
+    /// The rig failed.
     #[error(transparent)]
     Rig(#[from] RigError),
-    /// A recording.
+    /// A recording failed.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// A policy.
+    /// A policy is invalid.
     #[error(transparent)]
     Policy(#[from] PolicyError),
-    /// A psi.
+    /// A psi is invalid.
     #[error(transparent)]
     Psi(#[from] PsiError),
-    /// The search.
+    /// The search failed.
     #[error(transparent)]
     Search(#[from] SearchError),
-    /// Training.
+    /// The training failed.
     #[error(transparent)]
     Training(#[from] TrainError),
 }
 
 impl SessionError {
-    /// The fault of the table that this error stands for, if any.
+    /// The fault in the table that corresponds to this error, if any.
     #[must_use]
     pub fn fault(&self) -> Option<Fault> {
         match self {
@@ -92,7 +92,7 @@ impl SessionError {
         }
     }
 
-    /// Whether it waits for an operator's word.
+    /// The doubt that an operator must acknowledge, if any.
     #[must_use]
     pub fn doubt(&self) -> Option<&Doubt> {
         match self {

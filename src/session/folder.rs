@@ -7,52 +7,52 @@ use thiserror::Error;
 
 use crate::storage::{Disk, Hold, MachineDisk, sync_name};
 
-/// What is wrong with a session's folder.
+/// An error of a session's folder.
 #[derive(Debug, Error)]
 pub enum FolderError {
-    /// A new session was to be put where something is.
+    /// A new session needs an empty folder.
     #[error(
         "{path} exists already and is not empty. Choose another --out, or, if it is a session, go \
          on with it by --resume {path}"
     )]
     Exists {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
     },
-    /// Nothing to resume.
+    /// The folder to resume is not a session.
     #[error(
-        "{path} is no session: it has no session.toml. Give the folder of a session to --resume"
+        "{path} is not a session: it has no session.toml. Give the folder of a session to --resume"
     )]
     NotASession {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
     },
-    /// What was to be resumed ended before it had its session.toml.
+    /// The session to resume ended before it had its session.toml.
     #[error(
-        "{path} has nothing to go on with: it is empty, or its session was ended before it began. \
+        "{path} has nothing to resume: it is empty, or its session was ended before it began. \
          Begin it with --out {path}"
     )]
     NotBegun {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
     },
-    /// Another process works on it.
+    /// Another process holds the folder.
     #[error("{path} is in use by another process: wait for it to end, or stop it")]
     InUse {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
     },
-    /// The operating system refused.
+    /// The operating system refused an operation.
     #[error("{path}: {source}")]
     Io {
-        /// What was touched.
+        /// Path of the operation.
         path: PathBuf,
-        /// Why.
+        /// Cause of the failure.
         source: std::io::Error,
     },
 }
 
-/// The folder of a session: where each of its files is. Held by one process at a time.
+/// The folder of a session and the paths of its files. One process holds it at a time.
 ///
 /// ```text
 /// session.toml                            the resolved configuration
@@ -69,19 +69,19 @@ pub struct SessionFolder {
 }
 
 impl SessionFolder {
-    /// Makes a new folder on this machine's disk with the session's configuration in it. One that is
-    /// there will do, if it is empty or holds no more than a kill leaves of a session's first moment.
+    /// Creates a new folder on this computer's disk with the session's configuration. An existing folder is
+    /// accepted if it is empty or holds only the leftovers of a session that was killed at its start.
     ///
     /// # Errors
-    /// Something is in it, or it cannot be made.
+    /// The folder has other content, or cannot be created.
     pub fn create(root: &Path, configuration: &str) -> Result<Self, FolderError> {
         Self::create_on(Arc::new(MachineDisk), root, configuration)
     }
 
-    /// As [`create`](Self::create), on any disk.
+    /// Creates a new folder like [`create`](Self::create), on any disk.
     ///
     /// # Errors
-    /// Something is in it, or it cannot be made.
+    /// The folder has other content, or cannot be created.
     pub fn create_on(
         disk: Arc<dyn Disk>,
         root: &Path,
@@ -92,7 +92,7 @@ impl SessionFolder {
         }
         disk.create_folder(&root.join("candidates")).map_err(io(root))?;
         let folder = Self::hold(disk, root)?;
-        // Another process may have begun there before this one held it.
+        // Another process may have begun there before this one held the folder.
         if folder.disk().exists(&folder.configuration()) {
             return Err(FolderError::Exists { path: root.to_owned() });
         }
@@ -100,18 +100,18 @@ impl SessionFolder {
         Ok(folder)
     }
 
-    /// Opens the folder of a session that has begun on this machine's disk.
+    /// Opens the folder of an existing session on this computer's disk.
     ///
     /// # Errors
-    /// It is no session, or another process has it.
+    /// The folder is not a session, or another process holds it.
     pub fn open(root: &Path) -> Result<Self, FolderError> {
         Self::open_on(Arc::new(MachineDisk), root)
     }
 
-    /// As [`open`](Self::open), on any disk.
+    /// Opens the folder of an existing session like [`open`](Self::open), on any disk.
     ///
     /// # Errors
-    /// It is no session, or another process has it.
+    /// The folder is not a session, or another process holds it.
     pub fn open_on(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, FolderError> {
         if !disk.exists(&root.join("session.toml")) {
             let path = root.to_owned();
@@ -134,57 +134,57 @@ impl SessionFolder {
         }
     }
 
-    /// The disk that it is on.
+    /// The disk of the folder.
     #[must_use]
     pub fn disk(&self) -> &dyn Disk {
         self.disk.as_ref()
     }
 
-    /// The same for whoever keeps it longer than a borrow.
+    /// The disk of the folder, shared.
     pub(super) fn shared_disk(&self) -> Arc<dyn Disk> {
         Arc::clone(&self.disk)
     }
 
-    /// The folder itself.
+    /// Path of the folder.
     #[must_use]
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// The resolved configuration.
+    /// Path of the resolved configuration.
     #[must_use]
     pub fn configuration(&self) -> PathBuf {
         self.root.join("session.toml")
     }
 
-    /// The ledger.
+    /// Path of the ledger.
     #[must_use]
     pub fn ledger(&self) -> PathBuf {
         self.root.join("ledger.jsonl")
     }
 
-    /// A candidate's policy.
+    /// Path of a candidate's policy.
     #[must_use]
     pub fn policy(&self, candidate: u32) -> PathBuf {
         self.candidate(candidate).join("policy.safetensors")
     }
 
-    /// A candidate's training curve.
+    /// Path of a candidate's training curve.
     #[must_use]
     pub fn curve(&self, candidate: u32) -> PathBuf {
         self.candidate(candidate).join("curve.csv")
     }
 
-    /// The recording of one try of one rollout.
+    /// Path of the recording of one attempt of one rollout.
     #[must_use]
     pub fn rollout(&self, candidate: u32, rollout: u32, attempt: u32) -> PathBuf {
         self.candidate(candidate).join(format!("rollout-{rollout}-attempt-{attempt}.mcap"))
     }
 
-    /// Makes a candidate's folder where there is none.
+    /// Creates a candidate's folder if it does not exist.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The folder cannot be created.
     pub fn make_candidate(&self, candidate: u32) -> Result<(), FolderError> {
         let path = self.candidate(candidate);
         self.disk.create_folder(&path).map_err(io(&path))
@@ -195,8 +195,8 @@ impl SessionFolder {
     }
 }
 
-/// Whether a folder holds nothing but what is left of a session that was killed before it had its
-/// configuration: a folder for candidates with none in it, and the configuration half written.
+/// Whether a folder holds only the leftovers of a session that was killed before it had its configuration:
+/// an empty folder for candidates, and a partial configuration.
 fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
     let names = match disk.names(root) {
         Err(error) if error.kind() == ErrorKind::NotADirectory => return Ok(false),
@@ -219,21 +219,21 @@ fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
     Ok(true)
 }
 
-/// Gives a recording that never came to an end another name, so that the rollout can be done again
-/// under its own. It is kept: what a crash leaves may say why.
+/// Renames an unfinished recording, so that the rollout can be repeated under its own name. The file is
+/// kept because it may show the cause of a crash.
 ///
 /// # Errors
-/// It cannot be renamed.
+/// The file cannot be renamed.
 pub fn put_aside(disk: &dyn Disk, recording: &Path) -> Result<(), FolderError> {
     let free = (1..).map(|number| recording.with_extension(format!("unfinished-{number}.mcap")));
     let aside = free.into_iter().find(|path| !disk.exists(path)).unwrap_or_default();
     disk.rename(recording, &aside).map_err(io(recording))
 }
 
-/// Writes a file so that it is there whole or not at all, also after a loss of power.
+/// Writes a file atomically: after a loss of power it is complete or absent.
 ///
 /// # Errors
-/// The disk is full or failing; no file of that name has appeared then.
+/// The disk is full or failing; no file of that name appears.
 pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
     let unfinished = path.with_extension("unfinished");
     let mut file = disk.create(&unfinished, true).map_err(io(&unfinished))?;
@@ -268,7 +268,7 @@ mod tests {
     fn a_session_begins_where_an_earlier_one_was_killed_before_it_had() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("killed");
-        // Each moment of such a kill, in order, and the session that then begins there.
+        // The moments of such a kill in order, each followed by a session that begins there.
         let leave: [fn(&Path); 3] = [
             |_| (),
             |root| std::fs::create_dir(root.join("candidates")).unwrap(),

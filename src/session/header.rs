@@ -7,33 +7,33 @@ use crate::recording::FORMAT_VERSION;
 use crate::safety::SafetyBox;
 use crate::telemetry::{Preflight, RolloutHeader, TickRules, TickSettings};
 
-/// What a rollout is: its place among the others, its policy, the rules it runs under.
+/// The plan of a rollout: its place among the others, its policy, and its rules.
 #[derive(Clone, Debug)]
 pub struct RolloutPlan {
-    /// The session's name, or `run`.
+    /// Name of the session, or `run`.
     pub session: String,
-    /// The candidate in its session.
+    /// Number of the candidate in its session.
     pub candidate: Option<u32>,
-    /// The rollout of this candidate.
+    /// Number of the rollout for this candidate.
     pub rollout: u32,
-    /// Which try.
+    /// Number of the attempt.
     pub attempt: u32,
-    /// The candidate's psi by name.
+    /// Psi of the candidate by name.
     pub psi: BTreeMap<String, f64>,
-    /// The seed of the session; the start of each rollout follows from it.
+    /// Seed of the session, which determines the start of each rollout.
     pub seed: u64,
     /// Name of the policy.
     pub policy: String,
-    /// How velocities are estimated.
+    /// Estimator of the state.
     pub estimator: EstimatorSettings,
-    /// The box that ends the rollout.
+    /// Box that ends the rollout.
     pub safety_box: SafetyBox,
-    /// Steps that the policy has.
+    /// Number of steps of the policy.
     pub steps: u32,
 }
 
 impl RolloutPlan {
-    /// A whole rollout that belongs to no search, under the usual guard and estimator; from seed 0.
+    /// A complete rollout outside any search, with the default guard and estimator and seed 0.
     #[must_use]
     pub fn single(session: &str, policy: &str) -> Self {
         Self {
@@ -50,7 +50,7 @@ impl RolloutPlan {
         }
     }
 
-    /// The header as far as it is known before a rig fills in device, check, calibration and time.
+    /// The header before a rig fills in device, check, calibration and time.
     #[must_use]
     pub fn header(&self) -> RolloutHeader {
         RolloutHeader {

@@ -1,7 +1,7 @@
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::telemetry::{LatencySummary, TickRecord};
 
-/// The timing of many ticks, of one rollout or of a whole session.
+/// The timing of many ticks, of one rollout or of a session.
 #[derive(Clone, Debug, Default)]
 pub struct Latencies {
     lateness_us: Vec<f64>,
@@ -22,32 +22,32 @@ impl Latencies {
         }
     }
 
-    /// Ticks that were skipped, late by more than a period, or without a valid sample.
+    /// Number of ticks that were skipped, late by more than a period, or without a valid sample.
     #[must_use]
     pub fn missed_deadlines(&self) -> u64 {
         self.missed_deadlines
     }
 
-    /// Ticks counted.
+    /// Number of ticks counted.
     #[must_use]
     pub fn ticks(&self) -> usize {
         self.lateness_us.len()
     }
 
-    /// How late ticks woke, microseconds.
+    /// Lateness of wake-ups, microseconds.
     #[must_use]
     pub fn lateness_us(&self) -> LatencySummary {
         summary(&self.lateness_us)
     }
 
-    /// From sample to act by the device's clock, microseconds.
+    /// Time from sample to act by the device's clock, microseconds.
     #[must_use]
     pub fn sample_to_act_us(&self) -> LatencySummary {
         summary(&self.sample_to_act_us)
     }
 }
 
-/// Percentiles by nearest rank; zeros where there is nothing.
+/// Percentiles by nearest rank; zeros without values.
 fn summary(values: &[f64]) -> LatencySummary {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -8,106 +8,106 @@ use crate::storage::{Disk, DiskFile, sync_name};
 
 const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// What a session has decided or finished. Nothing here can be computed from anything else on
-/// disk: returns, for one, are read from the recordings.
+/// A decision or a finished piece of work of a session. No entry can be computed from other files; returns,
+/// for example, are read from the recordings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "event", deny_unknown_fields)]
 pub enum Entry {
     /// A psi was chosen. Candidates are numbered from 0 in the order of these entries.
     Proposed {
-        /// The candidate's number.
+        /// Number of the candidate.
         candidate: u32,
-        /// Why: an initial point, one of the search, or what is to be verified.
+        /// Reason of the proposal.
         purpose: Purpose,
-        /// Its psi in the units and order of the search box.
+        /// Psi in the units and order of the search box.
         psi: Vec<f64>,
     },
-    /// The candidate's policy is on disk, whole.
+    /// The candidate's policy is complete on disk.
     Trained {
-        /// The candidate's number.
+        /// Number of the candidate.
         candidate: u32,
     },
-    /// A rollout has come to a result; its recording is on disk, whole.
+    /// A rollout has a result, and its recording is complete on disk.
     RolloutFinished {
-        /// The candidate's number.
+        /// Number of the candidate.
         candidate: u32,
-        /// The rollout's number for this candidate.
+        /// Number of the rollout for this candidate.
         rollout: u32,
-        /// Which try it was.
+        /// Number of the attempt.
         attempt: u32,
     },
     /// A fault ended a rollout. Its recording is kept.
     RolloutVoid {
-        /// The candidate's number.
+        /// Number of the candidate.
         candidate: u32,
-        /// The rollout's number for this candidate.
+        /// Number of the rollout for this candidate.
         rollout: u32,
-        /// Which try it was.
+        /// Number of the attempt.
         attempt: u32,
     },
 }
 
-/// Why a candidate was proposed.
+/// The reason of a candidate's proposal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Purpose {
-    /// One of the points the search starts from.
+    /// An initial point of the search.
     Initial,
-    /// Proposed by the search.
+    /// A proposal of the search.
     Search,
-    /// The search's answer, trained and run to verify it.
+    /// The search's recommendation, trained and run to verify it.
     Verification,
-    /// The best of the points that were searched: its own policy, run once more beside the answer's.
-    /// What all rollouts of one policy share is how its training went, and that of the answer may have
-    /// gone worse.
+    /// The best searched candidate: its existing policy is verified beside the recommendation's. All
+    /// rollouts of a policy share the luck of its training, and the recommendation's training may have gone
+    /// worse.
     Incumbent,
 }
 
 impl Purpose {
-    /// Whether its rollouts tell the search something; the others verify what came of it.
+    /// Whether its rollouts inform the search; the other rollouts verify the result.
     #[must_use]
     pub fn is_searched(self) -> bool {
         matches!(self, Self::Initial | Self::Search)
     }
 }
 
-/// Why a ledger cannot be used.
+/// The reason why a ledger cannot be used.
 #[derive(Debug, Error)]
 pub enum LedgerError {
-    /// The operating system refused.
+    /// The operating system refused an operation.
     #[error("{path}: {source}")]
     Io {
-        /// The ledger.
+        /// Path of the ledger.
         path: PathBuf,
         /// The cause.
         source: std::io::Error,
     },
-    /// A line in the middle does not match its checksum: that is no crash, something changed the file.
+    /// A line in the middle fails its checksum. A crash cannot cause that; the file was changed.
     #[error(
         "{path}, line {line}: {reason}. The ledger was changed or its disk is failing; restore it from a backup"
     )]
     Damaged {
-        /// The ledger.
+        /// Path of the ledger.
         path: PathBuf,
-        /// The line, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// Defect of the line.
         reason: String,
     },
 }
 
-/// The largest ledger that is read; the longest session's has less than 10 MB.
+/// Largest ledger that is read, bytes; the longest session's has less than 10 MB.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
-/// The append-only record of a session, `ledger.jsonl`: one entry a line, each line with its
-/// checksum and synced before anything goes on. A torn last line is what a crash leaves; it is cut.
+/// The append-only record of a session, `ledger.jsonl`: one entry a line, each with a checksum and synced
+/// before work continues. A crash leaves at most a torn last line, which is cut.
 #[derive(Debug)]
 pub struct Ledger {
     path: PathBuf,
     file: Box<dyn DiskFile>,
-    /// Bytes of whole lines.
+    /// Length of the complete lines in bytes.
     length: u64,
-    /// What a failed append left behind the whole lines could not be cut yet.
+    /// Whether a failed append left bytes after the complete lines that could not be cut yet.
     torn: bool,
     entries: Vec<Entry>,
 }
@@ -120,10 +120,10 @@ struct Line<'a> {
 }
 
 impl Ledger {
-    /// Opens a ledger, or begins one.
+    /// Opens a ledger, or creates it.
     ///
     /// # Errors
-    /// No access, or a damaged line that is not the last.
+    /// The file is not accessible, or a line other than the last is damaged.
     pub fn open(disk: &dyn Disk, path: &Path) -> Result<Self, LedgerError> {
         let io = |source| LedgerError::Io { path: path.to_owned(), source };
         let bytes = if disk.exists(path) {
@@ -138,23 +138,23 @@ impl Ledger {
         if whole_bytes < bytes.len() {
             file.cut_to(whole_bytes as u64).and_then(|()| file.sync()).map_err(io)?;
         }
-        // Its name has to survive a loss of power too, whether it was made now or just before one.
+        // The file's name must survive a loss of power too.
         sync_name(disk, path).map_err(io)?;
         let length = whole_bytes as u64;
         Ok(Self { path: path.to_owned(), file, length, torn: false, entries })
     }
 
-    /// Everything that was recorded, in order.
+    /// The entries in order.
     #[must_use]
     pub fn entries(&self) -> &[Entry] {
         &self.entries
     }
 
-    /// Adds one entry; it is on disk when this returns.
+    /// Adds one entry; it is on disk when the call returns.
     ///
     /// # Errors
-    /// The disk is full or failing. The entry is then not recorded here. On disk it may be: whether
-    /// a sync that failed has written is not known.
+    /// The disk is full or failing. The entry is then not recorded here, but may be on disk: the effect of
+    /// a failed sync is unknown.
     pub fn append(&mut self, entry: Entry) -> Result<(), LedgerError> {
         let line = encode(&entry).map_err(|error| self.failed(error.into()))?;
         if self.torn {
@@ -162,7 +162,7 @@ impl Ledger {
             self.torn = false;
         }
         if let Err(source) = self.file.write_all(line.as_bytes()).and_then(|()| self.file.sync()) {
-            // A half-written line would be cut on the next open; cutting it now lets this run go on.
+            // A partial line would be cut on the next open; cutting it now lets this run continue.
             self.torn = self.file.cut_to(self.length).is_err();
             return Err(self.failed(source));
         }
@@ -192,32 +192,32 @@ fn decode(line: &str) -> Result<Entry, String> {
     serde_json::from_str(line.entry.get()).map_err(|error| error.to_string())
 }
 
-/// What the bytes of a ledger hold.
+/// The content of a ledger's bytes.
 #[derive(Debug, Default)]
 pub struct Parsed {
-    /// Its entries, in order.
+    /// Entries in order.
     pub entries: Vec<Entry>,
-    /// How many bytes the whole lines have; what is behind them a crash has left.
+    /// Length of the complete lines in bytes; later bytes are the remains of a crash.
     pub whole_bytes: usize,
 }
 
-/// A line that no crash leaves.
+/// A defect that no crash causes.
 #[derive(Debug, PartialEq, Eq)]
 pub struct DamagedLine {
-    /// Its number, from 1.
+    /// Number of the line, from 1.
     pub line: usize,
-    /// What is wrong with it.
+    /// Defect of the line.
     pub reason: String,
 }
 
 /// Reads the bytes of a ledger. Safe for bytes of any origin.
 ///
-/// Only the last line may be broken: cut off before its newline, as lines are written in one piece,
-/// newline last; or with zeros in it, as which a file system shows what a loss of power kept from
+/// Only the last line may be broken: cut off before its newline, because lines are written in one piece
+/// with the newline last; or with zeros, which a file system shows for data that a loss of power kept from
 /// being written.
 ///
 /// # Errors
-/// Another line is broken, its checksum does not match, or it cannot follow those before it.
+/// Another line is broken, its checksum does not match, or it cannot follow the lines before it.
 pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
     let mut parsed = Parsed::default();
     let mut story = Story::default();
@@ -236,7 +236,7 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
     Ok(parsed)
 }
 
-/// What may come next in a ledger: the rest of the program counts on this order.
+/// The order of a ledger's entries, on which the rest of the program relies.
 #[derive(Default)]
 struct Story {
     candidates: Vec<Standing>,
@@ -317,7 +317,7 @@ mod tests {
             let mut ledger = Ledger::open(&MachineDisk, &path).unwrap();
             assert_eq!(ledger.entries(), &sample()[..whole]);
             assert_eq!(std::fs::read(&path).unwrap().last().copied().unwrap_or(b'\n'), b'\n');
-            // Each append waits for the disk; some of the cuts are enough.
+            // Each append waits for the disk, so only some of the cuts are tested.
             if length % 16 == 0 {
                 for entry in &sample()[whole..] {
                     ledger.append(entry.clone()).unwrap();
@@ -363,7 +363,7 @@ mod tests {
             (vec![proposed(0), finished(0, 0)], 2),
             (vec![proposed(0), trained.clone(), finished(1, 0)], 3),
             (vec![proposed(0), trained.clone(), finished(0, 1)], 3),
-            // A rollout that is counted twice.
+            // The rollout is counted twice.
             (vec![proposed(0), trained, finished(0, 0), finished(0, 0)], 4),
         ] {
             let damaged = parse(lines(&entries).as_bytes()).unwrap_err();

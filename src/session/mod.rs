@@ -1,7 +1,7 @@
-//! The orchestrator: the algorithm, the ledger on disk, resume, executors.
+//! Sessions: the method's algorithm, its ledger on disk, and resuming after a crash.
 //!
-//! May import every room but `commands`. Reading order: [`next_step`] says what comes next,
-//! [`Session`] does it, [`Rig`] is the Qube it is done on, [`judge`] says what a recording is worth.
+//! The room may import every room but `commands`. Reading order: [`next_step`] computes the next step from
+//! the ledger, [`Session`] performs it, [`Rig`] is the Qube, and [`judge`] scores a recording.
 
 mod configuration;
 mod doubt;

@@ -19,43 +19,43 @@ use crate::recording::{Recording, RecordingError, read_on};
 use crate::search::{Observation, SearchError};
 use crate::telemetry::Ending;
 
-/// What a session tells while it runs.
+/// An event of a running session.
 pub enum Progress<'a> {
     /// A psi was chosen.
     Proposed {
-        /// The candidate's number.
+        /// Number of the candidate.
         candidate: u32,
-        /// Why.
+        /// Reason of the proposal.
         purpose: Purpose,
     },
-    /// One more update of a candidate's training.
+    /// A candidate's training has completed one more update.
     Training {
-        /// The candidate's number.
+        /// Number of the candidate.
         candidate: u32,
-        /// How it went.
+        /// Statistics of the update.
         update: &'a TrainUpdate,
     },
     /// A candidate's policy is on disk.
     Trained {
-        /// The candidate's number.
+        /// Number of the candidate.
         candidate: u32,
-        /// Its return in simulation; none where an earlier run had trained it.
+        /// Return in simulation; `None` if an earlier run trained the policy.
         best_return: Option<f64>,
     },
-    /// The device is opened and homed.
+    /// The device is open and homed.
     Connected(&'a Rig),
     /// A rollout has ended.
     Rollout {
-        /// The candidate's number.
+        /// Number of the candidate.
         candidate: u32,
-        /// The rollout's number.
+        /// Number of the rollout.
         rollout: u32,
-        /// Which try.
+        /// Number of the attempt.
         attempt: u32,
-        /// What it is worth.
+        /// Verdict on the rollout.
         verdict: &'a Verdict,
     },
-    /// How the rig is today beside its profile, or why that cannot be said.
+    /// Drift of the rig from its profile, or the reason why it cannot be estimated.
     Drift(&'a Result<Drift, Unfit>),
 }
 
@@ -69,16 +69,16 @@ pub struct Session {
     verdicts: HashMap<(u32, u32, u32), Verdict>,
     stop: Arc<AtomicBool>,
     cores: usize,
-    /// What the rig was when its profile was made, until today's drift is known.
+    /// Model in the rig's profile, until today's drift is known.
     profile: Option<QubeModel>,
-    /// Today's rollouts, until there are enough for that.
+    /// Today's recordings, until there are enough for the drift.
     today: Vec<Recording>,
-    /// How often in a row a rollout could not begin.
+    /// Number of consecutive rollouts that could not begin.
     not_begun: u32,
 }
 
 impl Session {
-    /// Takes up a session where its ledger ends; an empty ledger is a new one.
+    /// Continues a session where its ledger ends; an empty ledger starts a new one.
     ///
     /// # Errors
     /// The ledger is damaged or cannot be opened.
@@ -109,33 +109,33 @@ impl Session {
         })
     }
 
-    /// Compares the rig with its profile after the first rollouts from now on, and tells.
+    /// Compares the rig with its profile after the first rollouts and reports the drift.
     #[must_use]
     pub fn beside(mut self, profile: Option<QubeModel>) -> Self {
         self.profile = profile;
         self
     }
 
-    /// Trains on no more than so many cores; without this on all of them. The policies are the same.
+    /// Limits training to a number of cores; the policies do not depend on it.
     #[must_use]
     pub fn on_cores(mut self, cores: usize) -> Self {
         self.cores = cores.max(1);
         self
     }
 
-    /// Goes on until what came of the search is verified, a fault stops it, or somebody does.
+    /// Runs until the best policy is verified, a fault ends the session, or the operator stops it.
     ///
     /// # Errors
-    /// Whatever ends a session early. What was finished until then is on disk.
+    /// The session ends early; finished work is on disk.
     pub fn run(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), SessionError> {
         self.run_while(|_| true, tell)
     }
 
-    /// Goes on until so many candidates of the search have all their rollouts; what comes after them
-    /// is left to be gone on with.
+    /// Runs until this many candidates of the search have all their rollouts; the session can be resumed
+    /// afterwards.
     ///
     /// # Errors
-    /// As [`run`](Self::run).
+    /// [`run`](Self::run) would fail.
     pub fn run_to(
         &mut self,
         evaluated: u32,
@@ -175,14 +175,14 @@ impl Session {
         Ok(())
     }
 
-    /// Ends the session's doubt by the operator's word: the Qube is examined when it is next opened.
+    /// Acknowledges the session's doubt for the operator: the Qube is examined when it is next opened.
     pub fn acknowledge(&mut self) {
         self.rig = None;
         self.rig_settings.recovery.acknowledged = true;
     }
 
-    /// A ledger that ends with a doubt needs the operator's word before anything moves, also on another
-    /// computer than that of the doubt.
+    /// Passes a doubt at the end of the ledger to the rig, so that nothing moves without the operator's
+    /// acknowledgement, also on another computer.
     fn heed_doubt(&mut self) -> Result<(), SessionError> {
         let Some(&Entry::RolloutVoid { candidate, rollout, attempt }) =
             self.ledger.entries().last()
@@ -190,7 +190,7 @@ impl Session {
             return Ok(());
         };
         let path = self.folder.rollout(candidate, rollout, attempt);
-        // What is not there any more leaves no doubt that could be named; a port has its own memory.
+        // A missing recording leaves no doubt that could be named; the port's memory holds its own.
         let Some(recording) = read_on(self.folder.disk(), &path).ok() else { return Ok(()) };
         let Some(doubt) = doubt_of(&recording) else { return Ok(()) };
         if !self.rig_settings.recovery.acknowledged {
@@ -200,8 +200,8 @@ impl Session {
         Ok(())
     }
 
-    /// A real Qube is checked and homed before anything is trained for it: what is wrong with it
-    /// should not show after hours.
+    /// Connects, checks and homes a real Qube before any training, so that its defects do not show after
+    /// hours.
     fn connect_early(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), SessionError> {
         let is_over = next_step(self.ledger.entries(), &self.settings.extent) == Step::Done;
         if !is_over && self.rig_settings.is_hardware() {
@@ -217,19 +217,19 @@ impl Session {
         &self.folder
     }
 
-    /// What it was configured with.
+    /// The session's settings.
     #[must_use]
     pub fn settings(&self) -> &SessionSettings {
         &self.settings
     }
 
-    /// What was decided and finished so far.
+    /// The ledger's entries so far.
     #[must_use]
     pub fn entries(&self) -> &[Entry] {
         self.ledger.entries()
     }
 
-    /// The candidates so far, each with what its rollouts earned.
+    /// The candidates so far, each with the verdicts on its rollouts.
     ///
     /// # Errors
     /// A recording cannot be read.
@@ -254,7 +254,8 @@ impl Session {
         let mut strategy = self.settings.search()?;
         let chosen = match purpose {
             Purpose::Initial => {
-                // All of them each time, so that a crash between two of them changes nothing.
+                // All initial points are computed each time, so that a crash between two of them changes
+                // nothing.
                 let all = self.settings.extent.initial_candidates;
                 let points = strategy.propose(&[], all as usize)?;
                 points.into_iter().skip((all - count) as usize).collect()
@@ -271,7 +272,7 @@ impl Session {
         Ok(())
     }
 
-    /// The surrogate's data set: computed from ledger and recordings, stored nowhere.
+    /// The surrogate's data set, computed from ledger and recordings and stored nowhere.
     fn observations(&mut self) -> Result<Vec<Observation>, SessionError> {
         let returns = |verdicts: Vec<Verdict>| {
             verdicts.iter().filter_map(Verdict::return_).collect::<Vec<f64>>()
@@ -287,7 +288,7 @@ impl Session {
             .collect())
     }
 
-    /// The searched candidate whose rollouts earned the most on average.
+    /// The searched candidate with the highest mean return.
     fn incumbent(&mut self) -> Result<Candidate, SessionError> {
         let valued = self.valued_candidates()?;
         let searched = valued.into_iter().filter(|(candidate, _)| candidate.purpose.is_searched());
@@ -307,7 +308,7 @@ impl Session {
         let mut jobs = Vec::new();
         for &number in numbers {
             self.folder.make_candidate(number)?;
-            // Policy files appear whole or not at all: one that is there was trained before a crash.
+            // Policy files appear atomically: an existing file was trained before a crash.
             if !self.folder.disk().exists(&self.folder.policy(number)) {
                 let candidate = &all[number as usize];
                 if candidate.purpose == Purpose::Incumbent {
@@ -348,7 +349,7 @@ impl Session {
         if let Some(error) = failed {
             return Err(error);
         }
-        // In the order of their numbers, whichever was trained first.
+        // The entries are in the order of the candidates' numbers, whichever was trained first.
         for &candidate in numbers {
             self.ledger.append(Entry::Trained { candidate })?;
         }
@@ -363,9 +364,9 @@ impl Session {
         tell: &mut dyn FnMut(Progress),
     ) -> Result<(), SessionError> {
         let path = self.folder.rollout(candidate, rollout, attempt);
-        // A recording that is there already was made before a crash or a stop. A whole one is taken
-        // over. What has no end, or cannot be read because a crash cut it off in its first bytes or
-        // a loss of power kept them from the disk, is put aside: nothing counts on it yet.
+        // An existing recording was made before a crash or a stop. A complete one is taken over. An
+        // unfinished or unreadable one, which a crash or a loss of power cut off, is put aside, because
+        // nothing refers to it yet.
         if self.folder.disk().exists(&path) {
             match judge(self.folder.disk(), &path) {
                 Ok(Verdict::Unfinished) | Err(RecordingError::Unreadable { .. }) => {
@@ -403,7 +404,7 @@ impl Session {
                 }
                 self.start_again(candidate, rollout, reason)?;
             }
-            // The stop is still set and ends the session; --resume does the rollout again.
+            // The stop request is still set and ends the session; --resume repeats the rollout.
             Verdict::Unfinished => {}
         }
         if matches!(verdict, Verdict::Result { .. }) {
@@ -413,7 +414,7 @@ impl Session {
         Ok(())
     }
 
-    /// A rollout that could not begin has left nothing behind, and is the next step again.
+    /// Repeats a rollout that could not begin; it left nothing on disk and is the next step again.
     fn try_again(
         &mut self,
         candidate: u32,
@@ -442,7 +443,7 @@ impl Session {
         })
     }
 
-    /// Once there are enough of today's rollouts, says where the rig stands beside its profile.
+    /// Estimates the rig's drift from its profile once enough of today's rollouts exist.
     fn watch_drift(&mut self, recording: Recording, tell: &mut dyn FnMut(Progress)) {
         let Some(profile) = self.profile else { return };
         self.today.push(recording);
@@ -494,8 +495,8 @@ impl Session {
         Ok(policy.to_bytes())
     }
 
-    /// The rig, opened on its first use. Under virtual time each rollout has a new one that follows
-    /// from the seed alone, so that a session that was resumed repeats byte for byte.
+    /// The rig, opened on first use. Under virtual time each rollout has a new one that follows from the
+    /// seed alone, so that a resumed session repeats byte for byte.
     fn ready_rig(
         &mut self,
         emulator: SeedFor,
@@ -509,7 +510,7 @@ impl Session {
             Some(rig) => rig,
             None => {
                 let rig = Rig::open(&self.rig_settings, &self.stop)?;
-                // An acknowledgement is for the doubt that it was given for.
+                // An acknowledgement holds for one doubt only.
                 self.rig_settings.recovery.acknowledged = false;
                 self.rig_settings.recovery.doubt = None;
                 tell(Progress::Connected(&rig));
@@ -545,7 +546,7 @@ impl Session {
     }
 }
 
-/// The doubt that the end of a recorded rollout leaves.
+/// The doubt that the ending of a recorded rollout leaves.
 fn doubt_of(recording: &Recording) -> Option<Doubt> {
     let Ending::Fault(fault) = recording.outcome.as_ref()?.ending else { return None };
     let board = recording.header.device.get("serial").cloned().unwrap_or_default();

@@ -1,34 +1,34 @@
-//! What comes next, computed from the ledger alone: a session that was killed at any instant goes
-//! on exactly where it was.
+//! Computes the next step from the ledger alone: a session that was killed at any instant continues exactly
+//! where it was.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Entry, Purpose};
 use crate::qube::MAX_STEPS;
 
-/// How much a session does.
+/// The extent of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Extent {
-    /// Points that the search starts from.
+    /// Number of initial points of the search.
     pub initial_candidates: u32,
-    /// Points that the search proposes after those.
+    /// Number of points that the search proposes after them.
     pub iterations: u32,
-    /// Rollouts that value one candidate.
+    /// Number of rollouts of each candidate.
     pub rollouts: u32,
-    /// Rollouts that verify the answer.
+    /// Number of rollouts that verify the recommendation.
     pub verification_rollouts: u32,
-    /// Whether the best candidate's own policy is verified too, by as many.
+    /// Whether as many rollouts verify the best candidate's existing policy.
     #[serde(default)]
     pub verifies_incumbent: bool,
-    /// Steps of a rollout; the thesis's are 600, which is 6 s.
+    /// Steps of a rollout; the thesis uses 600, which is 6 s.
     pub steps: u32,
-    /// How often a rollout that ended by a fault is tried again before the session stops.
+    /// Number of repetitions of a rollout after faults before the session stops.
     pub repetitions: u32,
 }
 
 impl Extent {
-    /// A session of minutes.
+    /// The extent of a session that takes minutes.
     pub const QUICK: Self = Self {
         initial_candidates: 6,
         iterations: 4,
@@ -39,7 +39,7 @@ impl Extent {
         repetitions: 3,
     };
 
-    /// The thesis's: 15 points and 10 iterations, five rollouts each.
+    /// The thesis's extent: 15 points and 10 iterations, five rollouts each.
     pub const THESIS: Self =
         Self { initial_candidates: 15, iterations: 10, rollouts: 5, ..Self::QUICK };
 }
@@ -50,55 +50,55 @@ impl Default for Extent {
     }
 }
 
-/// One step of the session.
+/// A step of the session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Choose this many psi.
+    /// Choose psi.
     Propose {
-        /// How many.
+        /// Number of psi.
         count: u32,
-        /// Why.
+        /// Reason of the proposal.
         purpose: Purpose,
     },
-    /// Train these candidates' policies; they do not depend on each other.
+    /// Train the policies of these candidates, which do not depend on each other.
     Train {
-        /// Their numbers.
+        /// Numbers of the candidates.
         candidates: Vec<u32>,
     },
     /// Run one rollout.
     Rollout {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
-        /// Its rollout.
+        /// Number of the rollout.
         rollout: u32,
-        /// Which try.
+        /// Number of the attempt.
         attempt: u32,
     },
-    /// The rollout has failed as often as it may.
+    /// The rollout has failed as often as allowed.
     GiveUp {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
-        /// Its rollout.
+        /// Number of the rollout.
         rollout: u32,
     },
-    /// What came of the search is verified.
+    /// The best policy is verified, and nothing is left to do.
     Done,
 }
 
-/// What the ledger says of one candidate.
+/// A candidate according to the ledger.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
-    /// Its number.
+    /// Number of the candidate.
     pub number: u32,
-    /// Why it was proposed.
+    /// Reason of its proposal.
     pub purpose: Purpose,
-    /// Its psi.
+    /// Psi of the candidate.
     pub psi: Vec<f64>,
     /// Whether its policy is on disk.
     pub trained: bool,
-    /// The rollouts that have come to a result: number and attempt, in order.
+    /// Finished rollouts in order: number and attempt.
     pub finished: Vec<(u32, u32)>,
-    /// Tries of the current rollout that a fault ended.
+    /// Number of attempts of the current rollout that a fault ended.
     void: u32,
 }
 
@@ -194,7 +194,7 @@ mod tests {
         repetitions: 3,
     };
 
-    /// Does what is asked, with a fault now and then, and returns the ledger.
+    /// Performs each step, with a fault now and then, and returns the ledger.
     fn session(fault_every: u32) -> Vec<Entry> {
         let mut entries: Vec<Entry> = Vec::new();
         let mut tries = 0;

@@ -1,25 +1,25 @@
 use serde::{Deserialize, Serialize};
 
-/// What a rig's owner has found out about the motor when its board loses power; `[power]` in
-/// `qube.toml`.
+/// The result of a power test by the rig's owner: the motor's behaviour when its board loses power;
+/// `[power]` in `qube.toml`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PowerTest {
-    /// What the motor did.
+    /// Behaviour of the motor.
     pub usb_lost: UsbLost,
-    /// When that was found out, as year-month-day.
+    /// Date of the test, as year-month-day.
     pub date: String,
-    /// The serial number of the board with which it was.
+    /// Serial number of the board in the test.
     pub board: String,
 }
 
-/// What the motor does when the board loses the USB power that it lives from.
+/// The motor's behaviour when the board loses the USB power that feeds it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum UsbLost {
-    /// The Qube switches it off.
+    /// The Qube switches the motor off.
     #[serde(rename = "motor off")]
     MotorOff,
-    /// It goes on with its last voltage.
+    /// The motor keeps its last voltage.
     #[serde(rename = "motor keeps its word")]
     KeepsItsWord,
     /// The operator could not tell.
@@ -28,7 +28,7 @@ pub enum UsbLost {
 }
 
 impl PowerTest {
-    /// The finding, for people.
+    /// The finding as a sentence.
     #[must_use]
     pub fn sentence(&self) -> &'static str {
         match self.usb_lost {
@@ -44,8 +44,8 @@ impl PowerTest {
     }
 }
 
-/// What is to be said before a real Qube is driven, by what is known of it; nothing where its motor
-/// goes off by itself.
+/// The warning before a real Qube is driven, by the result of its power test; `None` where its motor goes
+/// off by itself.
 #[must_use]
 pub fn power_warning(power: Option<&PowerTest>) -> Option<&'static str> {
     match power.map(|power| power.usb_lost) {

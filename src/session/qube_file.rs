@@ -1,5 +1,5 @@
-//! `qube.toml`: what is particular about one Qube. Written by `check --write`, read wherever that
-//! Qube is driven.
+//! The file `qube.toml` with the properties of one Qube. `check --write` writes it, and every command that
+//! drives the Qube reads it.
 
 use std::path::{Path, PathBuf};
 
@@ -15,82 +15,82 @@ use crate::qube::MotorRating;
 use crate::safety::SafetyBox;
 use crate::storage::MachineDisk;
 
-/// The name under which the file is looked for in the working directory.
+/// Name of the file in the working directory.
 pub const QUBE_FILE: &str = "qube.toml";
 
-/// Zero further from the middle than this is a mistake: the box would reach beyond a stop.
+/// Largest offset of the zero, rad; with a larger one the box would reach beyond a stop.
 pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
-/// Everything that differs from rig to rig.
+/// The properties that differ from rig to rig.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct QubeFile {
-    /// Its serial port, best by id: such a name stays when other devices are plugged in.
+    /// Serial port, best by id: such a name stays when other devices are plugged in.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub port: Option<String>,
-    /// The serial number of its board: the signs of another rig would be dangerous.
+    /// Serial number of the board; the signs of another rig would be dangerous.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub board: Option<String>,
-    /// What it is made of, as `identify` found it: the first rollouts of each day are compared with
-    /// this profile. Relative to the folder of this file.
+    /// Profile that `identify` wrote, relative to the folder of this file. The first rollouts of each day
+    /// are compared with it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<PathBuf>,
-    /// Which way round things are wired.
+    /// Signs of encoders and motor.
     pub signs: Signs,
-    /// How the arm's zero is found.
+    /// Method and zero of homing.
     pub homing: RigHoming,
-    /// Where a rollout ends.
+    /// Limits at which a rollout ends.
     pub limits: RigLimits,
-    /// What its motor does without its board, where `check --power-test` found that out.
+    /// Result of `check --power-test`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<PowerTest>,
-    /// What its motor stands: no more than the nominal one.
+    /// Thermal rating of the motor, no higher than the nominal one.
     #[serde(deserialize_with = "motor_rating", skip_serializing_if = "is_nominal")]
     pub motor: MotorRating,
 }
 
-/// Which way round things are wired. One of the three may be chosen freely: turning all of them
-/// round describes the same machine in a mirror.
+/// The signs of encoders and motor. One of the three may be chosen freely, because inverting all of them
+/// describes the same machine in a mirror.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Signs {
-    /// The arm's encoder counts down where theta grows.
+    /// The arm's encoder counts down when theta grows.
     pub theta_inverted: bool,
-    /// The pendulum's encoder counts down where alpha grows.
+    /// The pendulum's encoder counts down when alpha grows.
     pub alpha_inverted: bool,
     /// A positive voltage turns the arm towards negative theta.
     pub voltage_inverted: bool,
 }
 
-/// How the arm's zero is found.
+/// The homing of a rig.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RigHoming {
-    /// `stops` or `hand`.
+    /// Method: `stops` or `hand`.
     pub method: HomingMethod,
-    /// Where zero lies, seen from the middle that homing finds, rad.
+    /// Zero of the arm relative to the middle that homing finds, rad.
     #[serde(deserialize_with = "offset")]
     pub theta_offset_rad: f64,
-    /// How far apart this rig's stops are, rad, where an operator has accepted that they are not as far
-    /// apart as a Qube's.
+    /// Distance between this rig's stops, rad, where an operator has accepted that it differs from a
+    /// Qube's.
     #[serde(deserialize_with = "travel", skip_serializing_if = "Option::is_none")]
     pub travel_rad: Option<f64>,
 }
 
-/// Where a rollout ends. A rig may be given narrower limits than the task's, never wider ones.
+/// The limits of a rollout. A rig may have narrower limits than the task's, never wider ones.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RigLimits {
-    /// Of the arm's angle.
+    /// Limit of the arm's angle, rad.
     #[serde(deserialize_with = "theta_limit")]
     pub theta_rad: f64,
-    /// Of the pendulum's angle.
+    /// Limit of the pendulum's angle, rad.
     #[serde(deserialize_with = "alpha_limit")]
     pub alpha_rad: f64,
-    /// Of the arm's velocity.
+    /// Limit of the arm's velocity, rad/s.
     #[serde(deserialize_with = "theta_dot_limit")]
     pub theta_dot_rad_s: f64,
-    /// Of the pendulum's velocity.
+    /// Limit of the pendulum's velocity, rad/s.
     #[serde(deserialize_with = "alpha_dot_limit")]
     pub alpha_dot_rad_s: f64,
 }
@@ -132,7 +132,7 @@ impl QubeFile {
     /// Reads a file.
     ///
     /// # Errors
-    /// It cannot be read; a key does not exist or a value cannot be, each named with its line.
+    /// The file cannot be read, or has an unknown key or an invalid value, each reported with its line.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         toml::from_str(&text).map_err(|source| ConfigurationError::Invalid {
@@ -141,10 +141,10 @@ impl QubeFile {
         })
     }
 
-    /// Writes the file, whole or not at all.
+    /// Writes the file atomically.
     ///
     /// # Errors
-    /// The disk is full or failing, or the folder may not be written to.
+    /// The disk is full or failing, or the folder is not writable.
     pub fn save(&self, path: &Path) -> Result<(), ConfigurationError> {
         let text = format!(
             "# Written by qube-hil check --write. Signs were found by pushing the arm; change the\n\
@@ -154,7 +154,7 @@ impl QubeFile {
         write_whole(&MachineDisk, path, text.as_bytes()).map_err(ConfigurationError::NotWritten)
     }
 
-    /// How this Qube is homed.
+    /// The homing settings of this Qube.
     #[must_use]
     pub fn homing(&self, estimator: EstimatorSettings) -> HomingSettings {
         HomingSettings {
@@ -167,7 +167,7 @@ impl QubeFile {
         }
     }
 
-    /// A box that is no wider than this Qube allows.
+    /// Narrows a box to the limits of this Qube.
     #[must_use]
     pub fn within_limits(&self, of_the_task: &SafetyBox) -> SafetyBox {
         SafetyBox {
@@ -180,7 +180,7 @@ impl QubeFile {
     }
 }
 
-// Values are checked while they are read, so that an error knows its line.
+// Values are checked while they are parsed, so that an error knows its line.
 
 fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     let value = f64::deserialize(deserializer)?;
@@ -200,7 +200,7 @@ fn motor_rating<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MotorRatin
         return Ok(rating);
     }
     Err(D::Error::custom(format!(
-        "no rating that a Qube's motor may have: give continuous_a above 0, at most {continuous_a}, and \
+        "not a rating of a Qube's motor: give continuous_a above 0, at most {continuous_a}, and \
          time_constant_s above 0, at most {time_constant_s}"
     )))
 }
@@ -209,7 +209,7 @@ fn is_nominal(rating: &MotorRating) -> bool {
     *rating == MotorRating::NOMINAL
 }
 
-/// What an operator may say of the travel of a rig, rad: a quarter less than a Qube's, or more.
+/// Accepted travel of a rig, rad: from a quarter less than a Qube's.
 const TRAVELS_RAD: std::ops::RangeInclusive<f64> = 3.6..=6.0;
 
 fn travel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
@@ -219,7 +219,7 @@ fn travel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::
     } else {
         let (least, most) = (TRAVELS_RAD.start(), TRAVELS_RAD.end());
         Err(D::Error::custom(format!(
-            "{value} is no travel from stop to stop: give {least} to {most} rad"
+            "{value} is not a valid travel from stop to stop: give {least} to {most} rad"
         )))
     }
 }
@@ -230,7 +230,7 @@ fn limit<'de, D: Deserializer<'de>>(deserializer: D, widest: f64) -> Result<f64,
         Ok(value)
     } else {
         Err(D::Error::custom(format!(
-            "{value} is no limit: give a number above 0, at most {widest}"
+            "{value} is not a valid limit: give a number above 0, at most {widest}"
         )))
     }
 }

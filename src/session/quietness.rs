@@ -5,18 +5,18 @@ use serde::Serialize;
 use crate::qube::{CONTROL_PERIOD_S, DomainParameters, wrap_angle};
 use crate::telemetry::{Phase, TickRecord};
 
-/// A pendulum within this of upright is about up, rad: 30 degrees.
+/// Angle from upright within which a pendulum is nearly upright, rad: 30 degrees.
 pub const ABOUT_UPRIGHT_RAD: f64 = 0.5;
 
-/// A policy balances once the pendulum has been about up for this many ticks: after half a second the
-/// swing-up and its catch are over.
+/// Number of ticks nearly upright before balancing begins: half a second, after which swing-up and catch
+/// are over.
 const CATCH_TICKS: usize = 50;
 
-/// How quietly policies balance, over the recorded ticks of any number of rollouts: how far and how
-/// often the voltage jumps, and what it costs.
+/// The quietness of balancing over the recorded ticks of any number of rollouts: size and frequency of
+/// voltage changes, and their cost.
 ///
-/// A tick counts when the policy has the motor and the pendulum has been within
-/// [`ABOUT_UPRIGHT_RAD`] of upright for half a second before it.
+/// A tick counts when the policy has the motor and the pendulum has been within [`ABOUT_UPRIGHT_RAD`] of
+/// upright for half a second before it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quietness {
     ticks: u64,
@@ -29,11 +29,11 @@ pub struct Quietness {
 /// The figures of a [`Quietness`], for scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct QuietnessFigures {
-    /// Mean change of the voltage from one tick to the next, without its sign, V.
+    /// Mean absolute change of the voltage between ticks, V.
     pub change_v: f64,
-    /// Changes of the voltage's sign in a second.
+    /// Sign changes of the voltage per second.
     pub sign_changes_per_s: f64,
-    /// Root of the mean square of the voltage, V.
+    /// Root mean square voltage, V.
     pub rms_v: f64,
     /// Mean heat in the motor's winding, W.
     pub copper_loss_w: f64,
@@ -46,7 +46,7 @@ impl Default for Quietness {
 }
 
 impl Quietness {
-    /// Nothing has balanced.
+    /// The quietness of no ticks.
     pub const NONE: Self =
         Self { ticks: 0, changes_v: 0.0, sign_changes: 0, squares_v2: 0.0, losses_w: 0.0 };
 
@@ -79,7 +79,7 @@ impl Quietness {
         }
     }
 
-    /// Adds one tick and what changed since the one before.
+    /// Adds one tick and its change since the one before.
     fn add_tick(&mut self, before: &TickRecord, tick: &TickRecord) {
         let (last_mv, now_mv) = (before.voltage_mv, tick.voltage_mv);
         let voltage_v = volts(now_mv);
@@ -90,7 +90,7 @@ impl Quietness {
         self.losses_w += copper_loss_w(voltage_v, tick.state.theta_dot);
     }
 
-    /// Adds what another has counted.
+    /// Adds the counts of another quietness.
     pub fn merge(&mut self, other: &Self) {
         self.ticks += other.ticks;
         self.changes_v += other.changes_v;
@@ -99,7 +99,7 @@ impl Quietness {
         self.losses_w += other.losses_w;
     }
 
-    /// What it comes to; none where nothing balanced.
+    /// The figures; `None` without balancing ticks.
     #[must_use]
     pub fn figures(&self) -> Option<QuietnessFigures> {
         if self.ticks == 0 {
@@ -119,8 +119,9 @@ fn volts(millivolts: i16) -> f64 {
     f64::from(millivolts) / 1000.0
 }
 
-/// I^2 R of the nominal winding, its current from voltage and speed as in [`crate::safety::MotorHeat`],
-/// W. The current that the board measures is left out: at rest its zero error would be all of it.
+/// Copper loss I^2 R of the nominal winding, W, with the current computed from voltage and speed as in
+/// [`crate::safety::MotorHeat`]. The measured current is not used, because at rest it is mostly the
+/// sensor's zero error.
 fn copper_loss_w(voltage_v: f64, theta_dot_rad_s: f64) -> f64 {
     let nominal = DomainParameters::NOMINAL;
     let across_winding_v = voltage_v - nominal.motor_back_emf_v_s * theta_dot_rad_s;
@@ -132,7 +133,7 @@ mod tests {
     use super::*;
     use crate::qube::State;
 
-    /// Running ticks with these angles of the pendulum and voltages.
+    /// Running ticks with these pendulum angles and voltages.
     fn rollout(
         ticks: u32,
         alpha: impl Fn(u32) -> f64,
@@ -150,13 +151,13 @@ mod tests {
 
     #[test]
     fn a_square_wave_has_the_figures_that_can_be_counted() {
-        // +1, +1, -1, -1 V and so on: a change of 2 V and of sign each other tick.
+        // The voltage is +1, +1, -1, -1 V and so on: every other tick changes by 2 V and in sign.
         let wave = |tick: u32| if tick % 4 < 2 { 1000 } else { -1000 };
         let figures = Quietness::of(&rollout(451, |_| -PI, wave)).figures().unwrap();
         assert!((figures.change_v - 1.0).abs() < 1e-12, "{figures:?}");
         assert!((figures.sign_changes_per_s - 50.0).abs() < 1e-9, "{figures:?}");
         assert!((figures.rms_v - 1.0).abs() < 1e-12, "{figures:?}");
-        // 0.42 V of back EMF at 10 rad/s, 8.4 ohm.
+        // The back EMF is 0.42 V at 10 rad/s; the resistance is 8.4 ohm.
         let loss_w = (0.58 * 0.58 + 1.42 * 1.42) / 2.0 / 8.4;
         assert!((figures.copper_loss_w - loss_w).abs() < 1e-12, "{figures:?}");
     }
@@ -165,7 +166,7 @@ mod tests {
     fn swing_up_catch_other_phases_and_what_falls_do_not_count() {
         let loud = |tick: u32| if tick.is_multiple_of(2) { 5000 } else { -5000 };
         assert_eq!(Quietness::of(&rollout(600, |_| 0.5, loud)).figures(), None);
-        // Up at tick 100: counted from tick 150 on.
+        // The pendulum is up at tick 100 and counts from tick 150 on.
         let alpha = |tick| if tick < 100 { 2.0 } else { PI + 0.4 };
         let quiet = |tick| if tick < 149 { loud(tick) } else { 200 };
         let mut ticks = rollout(600, alpha, quiet);

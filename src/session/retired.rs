@@ -1,14 +1,14 @@
-//! What settings files of the past say that is no setting any more.
+//! Entries of earlier settings files that are no longer settings.
 
 use std::fmt::{self, Display};
 
 use toml::{Table, Value};
 
-/// The tables that hold such entries, by their path within a session's settings, with the entries' names.
+/// Retired entries: the path of their table within a session's settings, and their name.
 const RETIRED: [(&[&str], &str); 2] =
     [(&["training"], "widening"), (&["training", "simulation"], "envelope_room_rad")];
 
-/// An entry of a settings file that is no setting any more.
+/// An entry of a settings file that is no longer a setting.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Retired {
     key: String,
@@ -16,7 +16,7 @@ pub struct Retired {
 }
 
 impl Retired {
-    /// Whether what ran with it ran otherwise than without.
+    /// Whether the entry had an effect on the run.
     #[must_use]
     pub fn changed_something(&self) -> bool {
         !matches!(self.value, Value::Float(0.0) | Value::Integer(0))
@@ -25,11 +25,11 @@ impl Retired {
 
 impl Display for Retired {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{} = {} is no setting any more", self.key, self.value)
+        write!(formatter, "{} = {} is no longer a setting", self.key, self.value)
     }
 }
 
-/// Takes out of a session's settings what is no setting any more.
+/// Removes retired entries from a session's settings and returns them.
 #[must_use]
 pub fn take_retired(settings: &mut Table) -> Vec<Retired> {
     let mut taken = Vec::new();

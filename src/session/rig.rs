@@ -30,30 +30,29 @@ use crate::telemetry::{
     RolloutOutcome, TickSettings,
 };
 
-/// Pauses before the second and the third try of homing, ns: a link or a computer that is late for
-/// two seconds must not use them all up.
+/// Pauses before the second and third attempt at homing, ns, so that a link or computer that is late for
+/// two seconds does not use up all attempts.
 const HOMING_PAUSES_NS: [u64; 2] = [1_000_000_000, 2_000_000_000];
 
-/// How long a lost link is tried again, s.
+/// Time for which a lost link is retried, s.
 pub const LINK_PATIENCE_S: f64 = 30.0;
 
-/// How often in a row a rollout may fail to begin because of the link or of counts that moved.
+/// Largest number of consecutive rollouts that fail to begin because of the link or of moved counts.
 pub const MAX_NOT_BEGUN: u32 = 3;
 
-/// Where the Qube is.
+/// The connection to a Qube.
 #[derive(Clone, Debug)]
 pub enum DeviceChoice {
     /// The embedded emulator.
     Emulated,
-    /// A serial port.
+    /// A serial port by its name.
     Port(String),
-    /// Whatever this connects to, with its own time.
+    /// A device of another kind, with its own time.
     Other(Arc<dyn Connect>),
 }
 
 impl DeviceChoice {
-    /// Whether it counts as hardware before anybody has answered there. A port does, whatever may
-    /// answer.
+    /// Whether the device counts as hardware before it has answered. A port always does.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         match self {
@@ -64,68 +63,70 @@ impl DeviceChoice {
     }
 }
 
-/// A way to a Qube that this program does not know: an emulator with a wire that fails, for one.
+/// A connection to a Qube of a kind that this program does not have, such as an emulator with a failing
+/// wire.
 pub trait Connect: Send + Sync + std::fmt::Debug {
-    /// A device, and the clock that its deadlines mean. Called each time a rig is opened.
+    /// Connects; returns a device and the clock of its deadlines. Each opening of a rig calls it.
     ///
     /// # Errors
-    /// There is none.
+    /// The device does not exist.
     fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError>;
 
-    /// Whether there may be a real motor at its end, which nobody may take back by saying nothing.
+    /// Whether a real motor may be behind the connection; the default is the safe answer.
     fn is_hardware(&self) -> bool {
         true
     }
 }
 
-/// A device, and the clock that its deadlines mean.
+/// A device and the clock of its deadlines.
 pub type TimedDevice = (Box<dyn Device>, Arc<dyn Clock>);
 
-/// Which time passes.
+/// The clock of a rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockChoice {
-    /// The wall clock; the emulator sits behind a real pty.
+    /// The wall clock; the emulator is behind a real pty.
     Wall,
-    /// Virtual time; the emulator sits in this process.
+    /// Virtual time; the emulator is in this process.
     Virtual,
 }
 
-/// What a rig is opened with.
+/// The settings with which a rig is opened.
 #[derive(Clone, Debug)]
 pub struct RigSettings {
-    /// Where the Qube is.
+    /// Connection to the Qube.
     pub device: DeviceChoice,
-    /// Which time passes.
+    /// Clock of the rig.
     pub clock: ClockChoice,
-    /// What the emulator is made of, where it is used.
+    /// Settings of the emulator, if it is used.
     pub emulator: EmulatorSettings,
-    /// How homing is done, and the signs of the rig.
+    /// Homing and signs of the rig.
     pub homing: HomingSettings,
-    /// Leave out the check that precedes the first motion of a real Qube.
+    /// Skips the check before the first motion of a real Qube.
     pub skip_check: bool,
-    /// The serial number of the board that the signs belong to, where it is known.
+    /// Serial number of the board to which the signs belong, if known.
     pub board: Option<String>,
-    /// What the Qube was found to be, where it is identified.
+    /// Profile of the Qube, if it is identified.
     pub profile: Option<Profile>,
-    /// Guard an emulated Qube as one of which nothing is known; without a profile it is known to be about what
-    /// it is made of.
+    /// Guards an emulated Qube like one that is not identified. Otherwise an emulated Qube without a
+    /// profile counts as identified by its own model.
     pub unidentified: bool,
-    /// The widest box of a rollout where the Qube is hardware; an emulated one has no such limits.
+    /// Widest box of a rollout on hardware; an emulated Qube has no such limit.
     pub limits: HardwareLimits,
-    /// What is done after a fault.
+    /// Reaction to faults.
     pub recovery: Recovery,
 }
 
-/// What is done after a fault.
+/// The settings of the reaction to faults.
 #[derive(Clone, Debug)]
 pub struct Recovery {
-    /// The operator has acknowledged the last doubt: the Qube is examined and then driven again.
+    /// Whether the operator has acknowledged the last doubt; the Qube is examined before it is driven
+    /// again.
     pub acknowledged: bool,
-    /// How long a lost link is tried again, s.
+    /// Time for which a lost link is retried, s.
     pub link_patience_s: f64,
-    /// Where doubts outlive the program; none where the device does not outlive it.
+    /// Store of doubts that outlive the program; `None` where the device does not outlive it.
     pub memory: Option<DoubtMemory>,
-    /// A doubt that is known before the device is opened: a session's ledger ends with it.
+    /// Doubt that is known before the device is opened, from the end of a session's ledger.
     pub doubt: Option<Doubt>,
 }
 
@@ -136,7 +137,7 @@ impl Default for Recovery {
 }
 
 impl RigSettings {
-    /// What is at this place, in virtual time, and nothing else out of the ordinary.
+    /// A device in virtual time, with defaults otherwise.
     #[must_use]
     pub fn in_virtual_time(device: DeviceChoice) -> Self {
         Self {
@@ -153,19 +154,19 @@ impl RigSettings {
         }
     }
 
-    /// The embedded emulated Qube, made so, in virtual time.
+    /// An embedded emulated Qube with these settings, in virtual time.
     #[must_use]
     pub fn emulated(emulator: EmulatorSettings) -> Self {
         Self { emulator, ..Self::in_virtual_time(DeviceChoice::Emulated) }
     }
 
-    /// Whether it counts as hardware before anybody has answered there.
+    /// Whether the device counts as hardware before it has answered.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         self.device.is_hardware()
     }
 
-    /// What the guard may believe of the Qube: a real one's profile counts for its own board alone.
+    /// The model that the guard may use. A real Qube's profile counts for its own board only.
     #[must_use]
     pub fn identified(&self) -> Option<IdentifiedQube> {
         match &self.profile {
@@ -179,7 +180,7 @@ impl RigSettings {
         }
     }
 
-    /// What is to be said before a Qube is driven that is not identified; none where it is, or where nothing
+    /// The warning before a Qube that is not identified is driven; `None` if it is identified or no guard
     /// looks ahead.
     #[must_use]
     pub fn identification_warning(&self, guard: Guard) -> Option<&'static str> {
@@ -196,63 +197,62 @@ impl RigSettings {
     }
 }
 
-/// How far inside of the nearer stop the box ends at least, rad: as far as the thesis's does.
+/// Smallest distance between the box and the nearer stop, rad: that of the thesis.
 const INSIDE_STOP_RAD: f64 = 0.09;
 
-/// The task's box, no wider than the rig's own stops allow.
+/// Narrows the task's box to the rig's own stops.
 fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> SafetyBox {
     let widest_rad = stops.map_or(f64::INFINITY, |stops| stops.nearer_rad() - INSIDE_STOP_RAD);
     SafetyBox { theta: of_the_task.theta.min(widest_rad), ..*of_the_task }
 }
 
-/// A Qube that has said hello and is homed, with the thread that drives it.
+/// A Qube that has answered a hello and is homed, with the thread that drives it.
 pub struct Rig {
     control: ControlThread,
     identity: Identity,
     measured: MeasuredRig,
     homing: HomingSettings,
     preflight: Preflight,
-    /// The link, where it was measured: any but the embedded emulator's plain line.
+    /// Measured link, except for the embedded emulator's plain line.
     link: Option<MeasuredLink>,
     clock: ClockChoice,
     limits: HardwareLimits,
     stop: Arc<AtomicBool>,
     link_patience_s: f64,
     memory: Option<DoubtMemory>,
-    /// The longest prediction of the guard on this processor, us; 0 where nothing real moves.
+    /// Longest prediction of the guard on this processor, us; 0 where nothing real moves.
     foresight_time_us: f64,
-    /// What the guard believes of the Qube, until a rollout contradicts it.
+    /// Model that the guard uses, until a rollout contradicts it.
     identified: Cell<Option<IdentifiedQube>>,
-    /// The fault that ended the last motion, until the Qube is homed again.
+    /// Fault that ended the last motion, until the Qube is homed again.
     last_fault: Cell<Option<Fault>>,
-    /// Served until the rig is closed; dropped after the control thread.
+    /// Emulator, served until the rig is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
 }
 
-/// What came of pressing the arm against its stop.
+/// The result of pressing the arm against its stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pressed {
-    /// How it ended.
+    /// Ending of the motion.
     pub ending: Ending,
-    /// What the arm did.
+    /// Motion of the arm.
     pub outcome: PressOutcome,
 }
 
-/// What came of one rollout: its recording is whole and on disk.
+/// A rollout whose recording is complete on disk.
 #[derive(Debug)]
 pub struct Recorded {
-    /// The recording.
+    /// Path of the recording.
     pub path: PathBuf,
-    /// How it ended.
+    /// Outcome of the rollout.
     pub outcome: RolloutOutcome,
 }
 
 impl Rig {
-    /// Opens the device, asks who it is, checks it where it is a real one or in doubt, and homes it.
+    /// Opens the device, reads its identity, checks it if it is real or in doubt, and homes it.
     ///
     /// # Errors
-    /// A doubt that nobody has acknowledged, and each step has its own; the motor is off after any of
-    /// them.
+    /// A doubt is not acknowledged, or a step fails; the motor is off after any error.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let mut rig = Self::connect(settings, stop)?;
         let remembered = rig.memory.as_ref().and_then(|memory| memory.recall(&rig.identity.serial));
@@ -261,7 +261,7 @@ impl Rig {
             return Err(RigError::InDoubt(Box::new(doubt)));
         }
         let is_hardware = settings.is_hardware() || rig.is_hardware();
-        // After a doubt no flag leaves the examination out.
+        // After a doubt no flag skips the examination.
         if doubt.is_some() || (is_hardware && !settings.skip_check) {
             let mut results = rig.examine(false)?.results;
             if results.iter().any(CheckResult::failed) {
@@ -284,10 +284,10 @@ impl Rig {
         Ok(rig)
     }
 
-    /// Opens the device and asks who it is. Nothing has moved.
+    /// Opens the device and reads its identity without any motion.
     ///
     /// # Errors
-    /// No such device, another board than the settings are for.
+    /// The device does not exist, or is another board than the settings are for.
     pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let (device, clock, emulator) = connect(settings)?;
         let realtime = settings.clock == ClockChoice::Wall;
@@ -322,12 +322,11 @@ impl Rig {
         })
     }
 
-    /// Checks the Qube and, if nothing failed, homes it, which is the last check. With `learn_signs`
-    /// the signs that are found are taken on.
+    /// Checks the Qube and, if no check failed, homes it, which is the last check. With `learn_signs` the
+    /// rig adopts the signs that are found.
     ///
     /// # Errors
-    /// The device does not answer any more, or somebody asked to stop. A check that failed is no
-    /// error here.
+    /// The device no longer answers, or a stop was requested. A failed check is not an error here.
     pub fn check(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
         let mut examination = self.examine(learn_signs)?;
         examination.results.push(if examination.passed() {
@@ -343,7 +342,7 @@ impl Rig {
         Ok(examination)
     }
 
-    /// Measures the link where no check does: ticks wait for their samples as long as it needs.
+    /// Measures the link where no check does, which sets the time that ticks wait for their samples.
     fn measure_link(&mut self) -> Result<(), RigError> {
         let port = self.identity.port.clone();
         let link = self
@@ -353,13 +352,13 @@ impl Rig {
         Ok(())
     }
 
-    /// The link as it was measured; None for the embedded emulator's plain line.
+    /// The measured link; `None` for the embedded emulator's plain line.
     #[must_use]
     pub fn link(&self) -> Option<&MeasuredLink> {
         self.link.as_ref()
     }
 
-    /// Presses the arm outward against the stop at which it stands, for at most so many ticks.
+    /// Presses the arm outward against the stop that it touches, for a limited number of ticks.
     ///
     /// # Errors
     /// The device could not be armed, or the Qube is not homed.
@@ -380,12 +379,12 @@ impl Rig {
     /// Whether the Qube still answers a hello.
     ///
     /// # Errors
-    /// The control thread has died.
+    /// The control thread has ended.
     pub fn answers(&self) -> Result<bool, RigError> {
         Ok(self.control.hello()?.is_ok())
     }
 
-    /// All checks but homing.
+    /// Performs all checks except homing.
     fn examine(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
         let settings = ExaminationSettings {
             signs: self.homing.signs,
@@ -402,12 +401,11 @@ impl Rig {
         Ok(examination)
     }
 
-    /// Does after a fault what the table of faults says that the program does by itself: a new hello,
-    /// which opens a lost port again and clears the device's latch, and homing from the start.
+    /// Performs the program's reaction to the last fault by the table of faults: a new hello, which reopens
+    /// a lost port and clears the device's latch, and homing.
     ///
     /// # Errors
-    /// The fault leaves a doubt, or another try would end the same way; the device does not answer;
-    /// another board does; homing fails.
+    /// The fault leaves a doubt, or another attempt would end the same way; the device does not answer; another board answers; or homing fails.
     pub fn start_again(&mut self) -> Result<(), RigError> {
         if let Some(fault) = self.last_fault.get() {
             match fault.consequence() {
@@ -451,7 +449,7 @@ impl Rig {
         Ok(())
     }
 
-    /// A doubt after this fault.
+    /// The doubt about this Qube after a fault.
     fn doubt(&self, fault: Fault) -> Doubt {
         Doubt {
             fault: Some(fault),
@@ -460,7 +458,7 @@ impl Rig {
         }
     }
 
-    /// Latches the fault that ended a motion; a doubt outlives the program where it can.
+    /// Latches the fault that ended a motion; a doubt is stored where it can outlive the program.
     fn latch(&self, ending: Ending) {
         let Ending::Fault(fault) = ending else { return };
         self.last_fault.set(Some(fault));
@@ -469,8 +467,8 @@ impl Rig {
         }
     }
 
-    /// Homes the arm; again when only the link or the computer failed meanwhile, which says nothing
-    /// against the Qube.
+    /// Homes the arm; repeats it when only the link or the computer failed, which says nothing about the
+    /// Qube.
     fn home(&mut self) -> Result<(), RigError> {
         for pause_ns in HOMING_PAUSES_NS {
             match self.home_once() {
@@ -491,7 +489,7 @@ impl Rig {
             (_, Some(measured)) => {
                 self.measured = measured;
                 let calibration = measured.calibration;
-                // From now on the middle is known, wherever a fault may leave the arm.
+                // The middle is known from now on, wherever a fault may leave the arm.
                 let middle_rad = -self.homing.theta_offset_rad;
                 self.homing.hand_counts = Some(calibration.theta_counts_at(middle_rad));
                 self.last_fault.set(None);
@@ -508,38 +506,35 @@ impl Rig {
         }
     }
 
-    /// Who answered.
+    /// The identity of the device.
     #[must_use]
     pub fn identity(&self) -> &Identity {
         &self.identity
     }
 
-    /// What the check before its first motion said.
+    /// The result of the check before the first motion.
     #[must_use]
     pub fn preflight(&self) -> &Preflight {
         &self.preflight
     }
 
-    /// Whether what answered may have a real motor: known from its hello on, and not by the port alone.
+    /// Whether the device may have a real motor; known from its hello, not from the port alone.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         self.control.is_hardware()
     }
 
-    /// What the operating system granted the control thread.
+    /// The real-time rights of the control thread.
     #[must_use]
     pub fn realtime(&self) -> &RealtimeReport {
         self.control.realtime()
     }
 
-    /// Runs one rollout and records it to `path`. What the rig knows (device, calibration, time) is
-    /// filled into the header.
+    /// Runs one rollout and records it to `path`. The rig fills device, calibration and time into the
+    /// header.
     ///
     /// # Errors
-    /// The box is wider than a rig that is hardware may have, whoever asks for it, or its guard is no more;
-    /// the device could not
-    /// be armed, the policy is none, the recording could not be written. A
-    /// rollout that ended by a fault is no error here: its outcome says so.
+    /// The box is wider than hardware may have, or its guard no longer exists; the device could not be armed; the policy is invalid; or the recording could not be written. A rollout that a fault ended is not an error here: its outcome names the fault.
     pub fn rollout(
         &self,
         disk: &dyn Disk,
@@ -623,8 +618,8 @@ impl Rig {
     fn device_by_name(&self) -> std::collections::BTreeMap<String, String> {
         let identity = &self.identity;
         let link = self.link.as_ref();
-        // What a tick waits decides which samples it sees, and these are recorded: a replay needs
-        // neither figure, a reader may.
+        // The recorded samples reflect the time that a tick waits; a replay needs neither figure, but a
+        // reader may.
         let link = link.into_iter().flat_map(|link| {
             [
                 ("link_p50_us", format!("{:.0}", link.round_trip_us.p50)),
@@ -637,7 +632,7 @@ impl Rig {
             ("serial", identity.serial.clone()),
             ("firmware_version", identity.firmware_version.clone()),
             ("protocol_version", identity.protocol_version.to_string()),
-            // A pty has another name each time; under virtual time nothing may differ.
+            // A pty has a different name each time, and under virtual time nothing may differ.
             ("port", identity.port.clone()),
         ];
         itself.into_iter().chain(link).map(|(name, value)| (name.to_owned(), value)).collect()

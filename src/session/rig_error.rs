@@ -9,41 +9,41 @@ use crate::recording::RecordingError;
 use crate::safety::TooWide;
 use crate::telemetry::{CheckResult, Consequence, Fault, TickRecord};
 
-/// What can stop a rig from working.
+/// An error of a rig.
 #[derive(Debug, Error)]
 pub enum RigError {
-    /// A real device cannot be hurried.
+    /// Virtual time needs the emulated Qube.
     #[error(
         "--clock virtual works with the emulated Qube only, not with {port}: leave one of the two out"
     )]
     VirtualPort {
-        /// The port asked for.
+        /// Requested port.
         port: String,
     },
     /// The emulator could not be started.
     #[error("the emulated Qube could not be started: {0}")]
     Emulator(std::io::Error),
-    /// No thread could be started.
+    /// The control thread could not be started.
     #[error("the control thread could not be started: {0}")]
     Thread(std::io::Error),
-    /// The device.
+    /// The device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// Control refused: no hello, or no homing.
+    /// Control refused the motion: no hello, or no homing.
     #[error("{0}")]
     Refused(ControlError),
-    /// The control thread has died.
+    /// The control thread has ended.
     #[error(transparent)]
     ThreadGone(#[from] ThreadGone),
-    /// Homing ended by a fault.
+    /// A fault ended homing.
     #[error("homing failed: {fault}. The motor is off. {}", fault.operator_step())]
     Homing {
-        /// Which.
+        /// Fault that ended homing.
         fault: Fault,
-        /// The last second before it: homing has no recording.
+        /// Last second before it, because homing has no recording.
         last_ticks: Vec<TickRecord>,
     },
-    /// The stops are not where they should be.
+    /// The distance between the stops is wrong.
     #[error(
         "the arm's stops are {travel_rad:.2} rad apart, and should be {expected_rad:.2}: something is in \
          its way (a cable, a hand, a screw), or this rig's stops are elsewhere. The motor is off. Clear \
@@ -51,91 +51,91 @@ pub enum RigError {
          travel_rad = {travel_rad:.2} under [homing]"
     )]
     Travel {
-        /// What homing found.
+        /// Measured distance, rad.
         travel_rad: f64,
-        /// What it should be.
+        /// Expected distance, rad.
         expected_rad: f64,
     },
-    /// The link failed before a rollout could begin, or the zeros are old ones; nothing has moved.
+    /// The link failed before a rollout could begin, or its zeros are out of date; nothing has moved.
     #[error("the rollout could not begin: {source}. The motor is off. {}", fault.operator_step())]
     NotBegun {
-        /// The fault that this is.
+        /// Corresponding fault.
         fault: Fault,
-        /// What the device or its counts said.
+        /// Cause reported by the device or its counts.
         source: ControlError,
     },
-    /// A lost link did not come back.
+    /// A lost link did not return.
     #[error(
         "the link to the Qube is lost and did not come back within {patience_s} s: {source}. {}",
         Fault::LinkGone.operator_step()
     )]
     LinkLost {
-        /// For how long it was tried.
+        /// Time for which it was retried, s.
         patience_s: f64,
-        /// The last try.
+        /// Error of the last attempt.
         source: DeviceError,
-        /// The last second of homing, where that was what the link was lost in.
+        /// Last second of homing, if the link was lost in it.
         last_ticks: Vec<TickRecord>,
     },
-    /// After a fault another board answers at the same port.
+    /// Another board answers at the same port after a fault.
     #[error("{port} was board {expected}, and now board {found} answers there. Nothing has moved")]
     AnotherBoard {
-        /// The port.
+        /// Name of the port.
         port: String,
-        /// The board before.
+        /// Serial number of the previous board.
         expected: String,
-        /// The board that answers.
+        /// Serial number of the board that answers.
         found: String,
     },
     /// The last motion left a doubt about a sensor or the motor.
     #[error("{0}")]
     InDoubt(Box<Doubt>),
-    /// A fault that the next try would meet again.
+    /// The next attempt would end with the same fault.
     #[error("{fault}. {}", fault.operator_step())]
     Ended {
-        /// Which.
+        /// Fault that ended the motion.
         fault: Fault,
     },
-    /// Somebody asked to stop.
+    /// A stop was requested.
     #[error("{during} was stopped")]
     Stopped {
-        /// In the middle of it.
+        /// Work that was stopped.
         during: &'static str,
     },
-    /// The check found something.
+    /// The check failed.
     #[error(
         "the Qube did not pass its check, so nothing was run.{}\nSee the whole table with qube-hil \
          check; --skip-check goes on all the same",
         listed(results)
     )]
     Unfit {
-        /// All results; at least one failed.
+        /// Results of all checks; at least one failed.
         results: Vec<CheckResult>,
     },
-    /// The settings are those of another board.
+    /// The settings are for another board.
     #[error(
         "{port} is board {found}, but the settings in qube.toml are for board {expected}: wrong signs \
          would drive the arm into its stops. Use that board's port, or write a file for this one \
          with qube-hil check --write"
     )]
     OtherBoard {
-        /// The port.
+        /// Name of the port.
         port: String,
-        /// The serial number in the file.
+        /// Serial number in the file.
         expected: String,
-        /// The one that answered.
+        /// Serial number of the board that answered.
         found: String,
     },
-    /// A rollout on hardware whose box is wider than it may be.
+    /// The box of a rollout on hardware is too wide.
     #[error("nothing was run: {0}")]
     TooWide(#[from] TooWide),
-    /// A processor on which the guard would make ticks late.
+    /// The processor is so slow that the guard would make ticks late.
     #[error("nothing was run: {0}")]
     TooSlow(#[from] TooSlow),
-    /// The recording.
+    /// The recording failed.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The bytes are no policy.
+    /// The bytes are not a valid policy.
     #[error("the policy cannot be run: {0}")]
     Policy(#[from] PolicyFault),
 }
@@ -152,7 +152,7 @@ impl From<ControlError> for RigError {
     }
 }
 
-/// The failed checks and their cures, a line each.
+/// The failed checks and their remedies, one a line.
 fn listed(results: &[CheckResult]) -> String {
     let line = |result: &CheckResult| {
         let cure = result.cure.as_deref().unwrap_or_default();
@@ -162,7 +162,7 @@ fn listed(results: &[CheckResult]) -> String {
 }
 
 impl RigError {
-    /// The fault of the table that this error stands for, if any.
+    /// The fault in the table that corresponds to this error, if any.
     #[must_use]
     pub fn fault(&self) -> Option<Fault> {
         match self {
@@ -177,7 +177,7 @@ impl RigError {
         }
     }
 
-    /// Gives a lost link the last second of the homing that it ended.
+    /// Adds the last second of the homing that ended with the loss of the link.
     pub(super) fn with_ticks_of(self, homing: Self) -> Self {
         match (self, homing) {
             (Self::LinkLost { patience_s, source, .. }, Self::Homing { last_ticks, .. }) => {
@@ -187,7 +187,7 @@ impl RigError {
         }
     }
 
-    /// The fault, where the program may try again by itself.
+    /// The fault, if the program may repeat the motion by itself.
     pub(super) fn passing_fault(&self) -> Option<Fault> {
         let may_pass = |fault: &Fault| {
             matches!(fault.consequence(), Consequence::TryAgain | Consequence::Reconnect)
@@ -201,7 +201,8 @@ impl RigError {
     }
 }
 
-/// The fault that a failed link or a restarted board is; none for what no waiting cures.
+/// The fault that a failed link or a restarted board corresponds to; `None` for errors that waiting does
+/// not cure.
 pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
     match error {
         DeviceError::Link { fault: LinkFault::Gone, .. } => Some(Fault::LinkGone),

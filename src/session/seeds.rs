@@ -1,51 +1,51 @@
-//! Every random choice of a session follows from its one seed and from what the choice is for,
-//! never from what was drawn before: a session that is resumed draws the same.
+//! Derives every random number of a session from its seed and from the purpose of the draw, never from
+//! earlier draws, so that a resumed session draws the same.
 
 use rand::{RngExt as _, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Where the arm may start, rad: as in training.
+/// Largest start angle of the arm, rad, as in training.
 const START_REACH_RAD: f64 = 0.1;
 
-/// What a random stream is for.
+/// The purpose of a random stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// Where the arm starts in a rollout of a candidate.
+    /// Start angle of the arm in a rollout of a candidate.
     Start {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
-        /// Its rollout.
+        /// Number of the rollout.
         rollout: u32,
     },
-    /// The training of a candidate.
+    /// Training of a candidate.
     Training {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
     },
-    /// The emulated Qube of one try of one rollout, under virtual time.
+    /// Emulated Qube of one attempt of one rollout, under virtual time.
     Emulator {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
-        /// Its rollout.
+        /// Number of the rollout.
         rollout: u32,
-        /// Which try.
+        /// Number of the attempt.
         attempt: u32,
     },
-    /// A session within an experiment: its candidates are others than the experiment's policies.
+    /// Session within an experiment, whose candidates are separate from the experiment's policies.
     Search,
-    /// What the Qube of a policy is like, where each policy has its own.
+    /// Properties of a policy's Qube, where each policy has its own.
     Qube {
-        /// The policy.
+        /// Number of the policy.
         policy: u32,
     },
-    /// One of several repetitions of the same.
+    /// One of several repetitions.
     Repetition {
-        /// Which.
+        /// Number of the repetition.
         repetition: u32,
     },
 }
 
-/// The stream's number: the kind in the highest byte, then candidate, rollout and try.
+/// The stream's number: the kind in the highest byte, then candidate, rollout and attempt.
 fn stream(purpose: Purpose) -> u64 {
     let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
         kind << 56
@@ -69,13 +69,13 @@ fn random(session_seed: u64, purpose: Purpose) -> ChaCha8Rng {
     random
 }
 
-/// A seed of its own for this purpose.
+/// Derives a separate seed for a purpose.
 #[must_use]
 pub fn derived_seed(session_seed: u64, purpose: Purpose) -> u64 {
     random(session_seed, purpose).random()
 }
 
-/// Where the arm starts, rad: the same for each try of a rollout.
+/// Start angle of the arm, rad, the same for each attempt of a rollout.
 #[must_use]
 pub fn start_theta_rad(session_seed: u64, candidate: u32, rollout: u32) -> f64 {
     random(session_seed, Purpose::Start { candidate, rollout })

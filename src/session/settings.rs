@@ -13,24 +13,24 @@ use crate::simulation::{
 };
 use crate::surrogate::SearchBox;
 
-/// What the quantities are drawn from that psi does not shape; in the thesis's sessions these are g,
-/// R_m, k_m, D_r and D_p.
+/// Base distribution that the search varies: it draws the quantities that psi does not shape, in the
+/// thesis's sessions g, R_m, k_m, D_r and D_p.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
-    /// Nominal: `opt-nominal` in the thesis's table 5.3.
+    /// Nominal values: `opt-nominal` in the thesis's table 5.3.
     #[default]
     OptNominal,
-    /// Normal with a fifth of the nominal as standard deviation: `opt-handcrafted`.
+    /// Normal distributions with a fifth of nominal as standard deviation: `opt-handcrafted`.
     OptHandcrafted,
-    /// As for a Qube that nobody has identified, with its gap.
+    /// Distributions for a Qube that is not identified, with nonidealities.
     OptRobust,
-    /// Around an identified Qube, with its gap.
+    /// Distributions around an identified Qube, with its nonidealities.
     OptProfile,
 }
 
 impl Model {
-    /// Its name, as a policy's file gives it.
+    /// The name in a policy's file.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -42,25 +42,25 @@ impl Model {
     }
 }
 
-/// An identified Qube, and how far simulations are drawn around it.
+/// An identified Qube, and the spread of the simulations around it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProfileSettings {
-    /// The Qube.
+    /// Model of the Qube.
     pub model: QubeModel,
-    /// Standard deviations, as a part of each of its values.
+    /// Standard deviations as a part of each value.
     pub spread: f64,
 }
 
-/// What the emulated Qube is like.
+/// The settings of the emulated Qube of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedQubeSettings {
-    /// Its physics.
+    /// Physics of the Qube.
     pub model: QubeModel,
-    /// By how much the delay of a command differs from the model's at most, s.
+    /// Largest deviation of a command's delay from the model's, s.
     pub command_jitter_s: f64,
-    /// Play between motor and arm, rad.
+    /// Backlash between motor and arm, rad.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub play_rad: f64,
 }
@@ -70,7 +70,7 @@ fn is_zero(value: &f64) -> bool {
 }
 
 impl EmulatedQubeSettings {
-    /// A well one that starts as this seed says.
+    /// An emulator without faults whose start follows from this seed.
     #[must_use]
     pub fn emulator(&self, seed: u64) -> EmulatorSettings {
         EmulatorSettings {
@@ -89,45 +89,45 @@ impl Default for EmulatedQubeSettings {
     }
 }
 
-/// Everything that decides a session, as `session.toml` holds it.
+/// The settings of a session, as `session.toml` contains them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SessionSettings {
-    /// The session's name.
+    /// Name of the session.
     pub name: String,
-    /// Everything random follows from it.
+    /// Seed from which every random number follows.
     pub seed: u64,
-    /// What psi does not shape.
+    /// Base distribution that the search varies.
     pub model: Model,
-    /// The Qube of the model `opt-profile`.
+    /// Qube of the model `opt-profile`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<ProfileSettings>,
-    /// What psi shapes, and the box of the search.
+    /// Search space: quantities that psi shapes, and their box.
     pub psi: PsiSpace,
-    /// Shape of the distributions that psi gives mean and standard deviation of.
+    /// Family of the distributions to which psi gives mean and standard deviation.
     pub family: Family,
-    /// How much is done.
+    /// Number of candidates and rollouts.
     pub extent: Extent,
-    /// How velocities are estimated on the Qube.
+    /// Estimator of the state on the Qube.
     pub estimator: EstimatorSettings,
-    /// The box that ends a rollout.
+    /// Box that ends a rollout.
     pub safety_box: SafetyBox,
-    /// How the arm's middle is found.
+    /// Homing of the arm.
     pub homing: HomingSettings,
-    /// What the emulated Qube is like, where it is used.
+    /// Settings of the emulated Qube, if it is used.
     pub emulated: EmulatedQubeSettings,
-    /// How psi is searched.
+    /// Strategy of the search for psi.
     pub strategy: StrategyKind,
-    /// How BayRn does it.
+    /// Settings of BayRn.
     pub bayrn: BayRnSettings,
-    /// How policies are trained.
+    /// Settings of the training.
     pub training: TrainSettings,
 }
 
 impl SessionSettings {
-    /// A session of minutes: fewer points, two rollouts each, a training of seconds. What psi does not
-    /// shape is drawn as for a Qube that nobody has identified, friction, cable and delay too, and
-    /// policies see their last two commands: what crosses over to the machine best (docs/learning.md).
+    /// A session of minutes: fewer points, two rollouts each, a training of seconds. The base distribution
+    /// is that of a Qube that is not identified, with friction, cable and delay, and policies observe their
+    /// last two commands, which transfers best to the machine (docs/learning.md).
     #[must_use]
     pub fn quick() -> Self {
         Self {
@@ -148,8 +148,8 @@ impl SessionSettings {
         }
     }
 
-    /// The thesis's own model, extent and training budget. Simulations have the machine's sensors: what
-    /// is trained on true states fails on the machine (docs/learning.md).
+    /// The thesis's model, extent and training budget. Simulations have the machine's sensors, because a
+    /// policy trained on true states fails on the machine (docs/learning.md).
     #[must_use]
     pub fn thesis() -> Self {
         let training =
@@ -157,15 +157,14 @@ impl SessionSettings {
         Self { model: Model::OptNominal, extent: Extent::THESIS, training, ..Self::quick() }
     }
 
-    /// Puts rollouts under this guard.
+    /// Selects the guard of rollouts.
     #[must_use]
     pub fn under(mut self, guard: Guard) -> Self {
         self.safety_box.guard = guard;
         self
     }
 
-    /// Lets machine and simulations alike be seen through this estimator; simulations that show true
-    /// states go on to.
+    /// Selects the estimator of machine and simulations; simulations with true states keep them.
     #[must_use]
     pub fn seen_through(mut self, estimator: EstimatorSettings) -> Self {
         self.estimator = estimator;
@@ -180,7 +179,7 @@ impl SessionSettings {
     /// The strategy that chooses psi.
     ///
     /// # Errors
-    /// The settings make no strategy.
+    /// The settings are invalid for the strategy.
     pub fn search(&self) -> Result<Box<dyn Strategy>, SearchError> {
         let search_box = SearchBox::new(self.psi.lower(), self.psi.upper())?;
         let initial_points = self.extent.initial_candidates as usize;
@@ -188,7 +187,7 @@ impl SessionSettings {
         self.strategy.build(&search_box, &bayrn, self.seed)
     }
 
-    /// The simulations of one psi.
+    /// The distribution of simulations for one psi.
     ///
     /// # Errors
     /// The psi is outside its box.
@@ -197,7 +196,7 @@ impl SessionSettings {
         Ok(base.shaped_by(&self.psi.psi(psi)?, self.family))
     }
 
-    /// What one psi's simulations surround the physics with.
+    /// The simulation settings besides the distribution for one psi.
     ///
     /// # Errors
     /// The psi is outside its box.
@@ -205,10 +204,10 @@ impl SessionSettings {
         Ok(self.training.simulation.shaped_by(&self.psi.psi(psi)?))
     }
 
-    /// What is drawn where psi says nothing.
+    /// The base distribution that the search varies.
     ///
     /// # Errors
-    /// There is no profile where one is needed, or it has what cannot be simulated.
+    /// A needed profile is missing, or it cannot be simulated.
     pub fn base_distribution(&self) -> Result<DomainDistribution, PsiError> {
         match (self.model, &self.profile) {
             (Model::OptHandcrafted, _) => Ok(DomainDistribution::handcrafted(self.family)),
@@ -221,10 +220,10 @@ impl SessionSettings {
         }
     }
 
-    /// What a policy's file says of where it comes from.
+    /// The origin that a policy's file records.
     #[must_use]
     pub fn origin(&self, psi: &[f64]) -> Origin {
-        // Sensors are named in the policy's record beside the preset.
+        // The policy's record names the sensors beside the preset.
         let same_budget = |preset: TrainSettings| {
             let simulation = self.training.simulation;
             self.training == TrainSettings { simulation, ..preset }

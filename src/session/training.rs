@@ -5,39 +5,39 @@ use crossbeam_channel::unbounded;
 use crate::learning::{TrainError, TrainSettings, TrainUpdate, Trained, train};
 use crate::simulation::{DomainDistribution, SimulationSettings};
 
-/// One policy to be trained.
+/// A policy to be trained.
 #[derive(Clone, Debug)]
 pub struct Job {
-    /// The candidate it is for.
+    /// Number of the candidate.
     pub candidate: u32,
-    /// The simulations it is trained over.
+    /// Distribution of the simulations.
     pub distribution: DomainDistribution,
-    /// Their sensors, reward and box.
+    /// Sensors, reward and box of the simulations.
     pub simulation: SimulationSettings,
-    /// Everything random in it.
+    /// Seed of the training.
     pub seed: u64,
 }
 
-/// What the workers tell while they train.
+/// An event of the training workers.
 pub enum News {
-    /// One more update of a candidate.
+    /// A candidate's training has completed one more update.
     Update {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
-        /// How it went.
+        /// Statistics of the update.
         update: TrainUpdate,
     },
-    /// A candidate is trained, or could not be.
+    /// A candidate's training has ended, with or without success.
     Finished {
-        /// The candidate.
+        /// Number of the candidate.
         candidate: u32,
-        /// Its policy and curve.
+        /// Policy and learning curve, or the reason of the failure.
         result: Result<Box<Trained>, TrainError>,
     },
 }
 
-/// Trains policies side by side, each in its own simulations, one on each of so many cores; a policy's bytes do not depend on how
-/// many. Returns when all have ended; a set `stop` ends them soon.
+/// Trains policies in parallel, each in its own simulations, one on each of several cores. A policy's bytes
+/// do not depend on the number of cores. Returns when all have ended; setting `stop` ends them soon.
 pub fn train_all(
     jobs: &[Job],
     settings: &TrainSettings,

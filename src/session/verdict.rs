@@ -6,40 +6,40 @@ use crate::recording::{Completeness, Recording, RecordingError, read_on, return_
 use crate::storage::Disk;
 use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
 
-/// A return below this is no success (method of the thesis, section 5.2).
+/// Smallest return of a successful rollout (method of the thesis, section 5.2).
 const SUCCESS_RETURN: f64 = 400.0;
 
-/// The pendulum must be within this of upright, rad.
+/// Largest distance from upright of a balancing pendulum, rad.
 const UPRIGHT_RAD: f64 = 0.2;
 
-/// Last steps in each of which it must be.
+/// Number of final steps in each of which the pendulum must balance.
 const UPRIGHT_STEPS: usize = 100;
 
-/// What a recording is worth; computed from its ticks each time it is asked for.
+/// The verdict on a recording, computed from its ticks each time.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
-    /// A rollout that came to a result, good or bad.
+    /// A rollout with a result, good or bad.
     Result {
-        /// Sum of the rewards.
+        /// Return, the sum of the rewards.
         return_: f64,
-        /// It did not end early, stood for its last second, and earned enough.
+        /// Whether the rollout did not end early, balanced for its last second, and earned enough.
         success: bool,
-        /// How it ended, with its latencies.
+        /// Outcome with its latencies.
         outcome: RolloutOutcome,
     },
-    /// A fault ended it, or the recording has gaps: kept, not given to the surrogate, repeated a
-    /// limited number of times.
+    /// A fault ended it, or the recording has gaps: the recording is kept but not given to the surrogate,
+    /// and the rollout is repeated a limited number of times.
     Void {
-        /// Why, in words.
+        /// Reason in words.
         reason: String,
     },
-    /// It never came to an end: the program was killed, or somebody stopped it. Nobody's fault;
-    /// it is done again as if it had not begun.
+    /// The program was killed or stopped before the rollout ended; the rollout is repeated as if it had not
+    /// begun.
     Unfinished,
 }
 
 impl Verdict {
-    /// What the rollout earned; none where it has no result.
+    /// The return; `None` without a result.
     #[must_use]
     pub fn return_(&self) -> Option<f64> {
         match self {
@@ -49,22 +49,22 @@ impl Verdict {
     }
 }
 
-/// Mean of what rollouts earned; none where none has a result.
+/// Mean of the returns; `None` without any result.
 #[must_use]
 pub fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
     let returns: Vec<f64> = verdicts.iter().filter_map(Verdict::return_).collect();
     (!returns.is_empty()).then(|| returns.iter().sum::<f64>() / returns.len() as f64)
 }
 
-/// Reads a recording and judges it.
+/// Reads a recording and computes the verdict.
 ///
 /// # Errors
-/// The file cannot be read at all, or a byte of it has changed.
+/// The file cannot be read, or one of its bytes has changed.
 pub fn judge(disk: &dyn Disk, path: &Path) -> Result<Verdict, RecordingError> {
     Ok(judge_recording(&read_on(disk, path)?))
 }
 
-/// Judges a recording that has been read.
+/// Computes the verdict on a recording.
 #[must_use]
 pub fn judge_recording(recording: &Recording) -> Verdict {
     let (Some(outcome), Completeness::Whole) = (&recording.outcome, &recording.completeness) else {
@@ -84,7 +84,7 @@ pub fn judge_recording(recording: &Recording) -> Verdict {
     }
 }
 
-/// Whether the pendulum stood in each of the last steps.
+/// Whether the pendulum balanced in each of the last steps.
 fn stands(ticks: &[TickRecord]) -> bool {
     let last: Vec<_> = ticks
         .iter()

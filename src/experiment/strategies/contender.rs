@@ -5,24 +5,24 @@ use serde::{Deserialize, Serialize};
 
 use crate::search::StrategyKind;
 
-/// A way to come from real rollouts to policies.
+/// A method that turns real rollouts into policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Contender {
-    /// Psi is searched.
+    /// Searches for psi with a strategy.
     Search(StrategyKind),
-    /// Nothing is searched: the Qube is identified from recordings under an excitation, and policies
-    /// are trained around what was found.
+    /// Identifies the Qube from recordings under an excitation and trains policies around the result,
+    /// without a search.
     Identify,
 }
 
 impl Contender {
-    /// All of them.
+    /// Every method.
     pub fn all() -> impl Iterator<Item = Self> {
         StrategyKind::ALL.into_iter().map(Self::Search).chain([Self::Identify])
     }
 
-    /// Its name.
+    /// The method's name.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

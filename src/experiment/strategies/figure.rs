@@ -4,10 +4,11 @@ use super::{StrategyResult, StrategyResults};
 use crate::experiment::ExperimentError;
 use crate::experiment::figures::{PlotError, drawing_failed};
 
-/// The share of repetitions whose answer has succeeded, against real rollouts: a step line for each
-/// strategy. A line that does not come up to 1 has repetitions that never succeed.
+/// Draws the share of repetitions whose recommendation has succeeded against real rollouts, a step line for
+/// each method. A line below 1 at its end has repetitions that never succeed.
 ///
 /// # Errors
+/// The drawing library fails.
 /// The drawing library failed.
 pub fn strategies_svg(results: &StrategyResults) -> Result<String, ExperimentError> {
     let mut svg = String::new();
@@ -18,7 +19,7 @@ pub fn strategies_svg(results: &StrategyResults) -> Result<String, ExperimentErr
 fn draw(svg: &mut String, results: &StrategyResults) -> Result<(), PlotError> {
     let root = SVGBackend::with_string(svg, (1000, 450)).into_drawing_area();
     root.fill(&WHITE)?;
-    // Lines end anywhere at the right; names stand beside them.
+    // Lines end anywhere at the right; their names are beside them.
     let (lines, names) = root.split_horizontally(880);
     let budgets = results.strategies.iter().filter_map(StrategyResult::budget);
     let last = f64::from(budgets.max().unwrap_or(1).max(2));
@@ -28,7 +29,7 @@ fn draw(svg: &mut String, results: &StrategyResults) -> Result<(), PlotError> {
         .caption(title, ("sans-serif", 18))
         .x_label_area_size(35)
         .y_label_area_size(45)
-        // A recording or two beside a hundred rollouts: only a logarithm shows both.
+        // A logarithmic axis shows one or two recordings as well as a hundred rollouts.
         .build_cartesian_2d((1.0..last).log_scale(), 0.0..1.05)?;
     chart
         .configure_mesh()
@@ -48,7 +49,7 @@ fn draw(svg: &mut String, results: &StrategyResults) -> Result<(), PlotError> {
     root.present()
 }
 
-/// The corners of a strategy's line, from 1 rollout to the end of its budget.
+/// The corners of a method's line, from 1 rollout to the end of its budget.
 fn steps(strategy: &StrategyResult) -> Vec<(f64, f64)> {
     let Some(budget) = strategy.budget() else { return Vec::new() };
     let share = |count: usize| count as f64 / strategy.repetitions.len() as f64;

@@ -10,40 +10,40 @@ use crate::experiment::work::Tell;
 use crate::experiment::{Experiment, ExperimentError, News, Plant, Recipe};
 use crate::session::{SeedFor, derived_seed};
 
-/// One repetition of a contender, as far as it has come.
+/// One repetition of a method, as far as it has come.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Repetition {
-    /// Who.
+    /// Method of the repetition.
     pub contender: Contender,
-    /// Which, from 0.
+    /// Number of the repetition, from 0.
     pub number: u32,
-    /// The answers that were judged, in order. One that is as it was before is not judged again.
+    /// Scored recommendations in order. An unchanged recommendation is not scored again.
     pub answers: Vec<AnswerResult>,
-    /// Whether an answer succeeds, or there are no more.
+    /// Whether a recommendation has succeeded or none is left.
     pub is_over: bool,
-    /// Real rollouts that it may use.
+    /// Largest number of real rollouts.
     pub budget: u32,
 }
 
-/// One answer of a contender.
+/// The result of one recommendation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnswerResult {
-    /// Real rollouts that it was given after; a recording counts as one.
+    /// Number of real rollouts before it; a recording counts as one.
     pub real_rollouts: u32,
-    /// What its judges found; why there is no answer, where the recordings were refused.
+    /// Score of its policies, or the reason why there is no recommendation.
     pub judgement: Result<Judgement, String>,
-    /// Whether it succeeds.
+    /// Whether the recommendation succeeds.
     pub succeeds: bool,
 }
 
 impl Repetition {
-    /// The real rollouts after which its answer succeeds first; none where it has not.
+    /// Number of real rollouts before the first successful recommendation; `None` without one.
     #[must_use]
     pub fn succeeded_after(&self) -> Option<u32> {
         self.answers.iter().find(|answer| answer.succeeds).map(|answer| answer.real_rollouts)
     }
 
-    /// `bayrn 3`.
+    /// Name such as `bayrn 3`.
     #[must_use]
     pub fn name(&self) -> String {
         name(self.contender, self.number)
@@ -54,55 +54,55 @@ fn name(contender: Contender, number: u32) -> String {
     format!("{contender} {number}")
 }
 
-/// What policies are to be made by.
+/// A recommendation: recipe and psi of the policies to be made.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Answer {
-    /// The recipe.
+    /// Recipe of the policies.
     pub recipe: Recipe,
-    /// Its psi; empty where it has none.
+    /// Psi of the recipe; empty without one.
     pub psi: Vec<f64>,
 }
 
-/// A contender's answers one after another, as often as it is asked.
+/// The sequence of recommendations of a method.
 pub(super) trait Answers {
-    /// How many there are at most.
+    /// Largest number of recommendations.
     fn count(&self) -> u32;
 
-    /// Real rollouts before each.
+    /// Number of real rollouts before each recommendation.
     fn rollouts_each(&self) -> u32;
 
-    /// The answer after so many candidates or recordings, from 1 on, or why there is none. None where
-    /// nothing works and something is missing.
+    /// The recommendation after `steps` candidates or recordings, from 1 on, or the reason why there is
+    /// none. `Ok(None)`: the run is read-only, and the result is not on disk.
     ///
     /// # Errors
-    /// Whatever ends the work early; what is there cannot be read.
+    /// The work ends early, or a file cannot be read.
     fn after(&mut self, steps: u32) -> Result<Option<Result<Answer, String>>, ExperimentError>;
 }
 
-/// One repetition of a contender in its folder.
+/// One repetition of a method in its folder.
 pub(super) struct Course<'a> {
-    /// The experiment it is part of.
+    /// Experiment that it belongs to.
     pub experiment: &'a Experiment,
-    /// What is said of it.
+    /// Name for messages.
     pub name: String,
-    /// What psi is searched for.
+    /// Recipe whose psi is searched.
     pub recipe: &'a Recipe,
-    /// Everything random follows from it.
+    /// Seed from which every random number follows.
     pub seed: u64,
-    /// The Qube of this repetition.
+    /// Qube of this repetition.
     pub plant: Plant,
-    /// Where everything is.
+    /// Folder of the repetition.
     pub folder: PathBuf,
-    /// Who hears of the work; without it nothing is done that is not on disk.
+    /// Receiver of events; `None` makes the run read-only.
     pub work: Option<&'a Tell<'a>>,
 }
 
 impl Experiment {
-    /// Goes through one repetition of a contender until an answer succeeds or there are no more. With
-    /// `work` what is missing is done; else it ends where something is.
+    /// Runs one repetition of a method until a recommendation succeeds or none is left. Without `work` the
+    /// run is read-only and ends at the first missing result.
     ///
     /// # Errors
-    /// Whatever ends it early; what is there cannot be read.
+    /// The work ends early, or a file cannot be read.
     pub(in crate::experiment) fn follow(
         &self,
         strategies: &StrategySettings,

@@ -15,21 +15,22 @@ use crate::session::{
 };
 use crate::storage::{Disk, MachineDisk};
 
-/// Most volts of the excitation: what `run --excite` has by default.
+/// Voltage of the excitation, V: the default of `run --excite`.
 const EXCITATION_V: f64 = 1.5;
 
-/// The largest file about a fit that is read.
+/// Largest file about a fit that is read, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
-/// The answers of who identifies: after each recording the distribution around the Qube that all so
-/// far show. Policies see their last commands, as that Qube has a delay.
+/// The recommendations of the method `identify`: after each recording, the distribution around the Qube
+/// that all recordings so far identify. Policies observe their last commands, because that Qube has a
+/// delay.
 pub(super) struct FromRecordings<'a> {
     course: &'a Course<'a>,
     settings: &'a StrategySettings,
 }
 
 impl<'a> FromRecordings<'a> {
-    /// In a course's folder.
+    /// Recommendations in the folder of a method's run.
     pub fn new(course: &'a Course<'a>, settings: &'a StrategySettings) -> Self {
         Self { course, settings }
     }
@@ -38,17 +39,17 @@ impl<'a> FromRecordings<'a> {
         self.course.folder.join("recordings")
     }
 
-    /// How often a fault may end a recording.
+    /// Number of repetitions of a recording after faults.
     fn repetitions(&self) -> u32 {
         self.course.recipe.settings.extent.repetitions
     }
 
-    /// Makes the recording of this number where there is none.
+    /// Makes the recording of this number if it does not exist.
     fn record(&self, number: u32) -> Result<(), ExperimentError> {
         let (course, experiment) = (self.course, self.course.experiment);
         let settings = &course.recipe.settings;
         let excitation = Excitation::of_rollout(ExcitationShape::Chirp, EXCITATION_V, number);
-        // Apart from the judges, who have the course's.
+        // A separate seed, because scoring uses the run's own.
         let seed = derived_seed(course.seed, SeedFor::Search);
         let repeated = Repeated {
             folder: &self.recordings(),
@@ -77,11 +78,12 @@ impl<'a> FromRecordings<'a> {
         Ok(())
     }
 
-    /// What so many recordings show, as a profile's text, or why they show nothing.
+    /// Identifies the Qube from several recordings; returns the profile as text, or the reason of the
+    /// failure.
     fn fitted(&self, recordings: u32) -> Result<Result<String, String>, ExperimentError> {
         let mut logs = Vec::new();
         for number in 0..recordings {
-            // The last try is the one that counts.
+            // The last attempt counts.
             let tries = (0..=self.repetitions()).rev();
             let mut paths = tries.map(|attempt| recording(&self.recordings(), number, attempt));
             let Some(path) = paths.find(|path| MachineDisk.exists(path)) else {
@@ -103,7 +105,8 @@ impl<'a> FromRecordings<'a> {
         Ok(Ok(toml::to_string_pretty(&profile)?))
     }
 
-    /// What so many recordings show. It is kept on disk, as a fit takes longer than a training.
+    /// The profile from several recordings. It is stored on disk, because a fit takes longer than a
+    /// training.
     fn profile(&self, recordings: u32) -> Result<Option<Result<Profile, String>>, ExperimentError> {
         let named = |what: &str| self.course.folder.join(format!("{what}-{recordings}"));
         let (found, refused) =
@@ -120,7 +123,7 @@ impl<'a> FromRecordings<'a> {
         if MachineDisk.exists(&refused) {
             return Ok(Some(Err(read(refused)?)));
         }
-        // A fit may find what no Qube has.
+        // A fit may find a value that no Qube has.
         Ok(Some(Profile::parse(&read(found)?).map_err(|error| error.to_string())))
     }
 }
@@ -147,7 +150,7 @@ impl Answers for FromRecordings<'_> {
             let recipe = Recipe::of(RecipeModel::Profile, &self.course.recipe.settings);
             let around = ProfileSettings { model: profile.model(), spread: self.settings.spread };
             let settings = SessionSettings { profile: Some(around), ..recipe.settings };
-            // What cannot be simulated is no answer either.
+            // A profile that cannot be simulated is not a recommendation either.
             settings.base_distribution().map_err(|error| error.to_string())?;
             Ok(Answer { recipe: Recipe { settings, ..recipe }, psi: Vec::new() })
         })))

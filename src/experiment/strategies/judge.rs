@@ -2,23 +2,23 @@ use crate::experiment::rollouts::all_of;
 use crate::experiment::series::Series;
 use crate::experiment::{Behaviour, ExperimentError, Plant, RolloutResult};
 
-/// An answer succeeds when at least this share of its judges' rollouts do: of all of them, whichever
-/// policy they are of, as nobody who trains one more policy knows which it will be.
+/// Smallest share of successful rollouts of a successful recommendation, over all its policies: the next
+/// policy that somebody trains with it is a random one of them.
 const SUCCESS_SHARE: f64 = 0.9;
 
-/// What came of judging an answer, as far as it had to go.
+/// The score of a recommendation, as far as it was needed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Judgement {
-    /// Rollouts that succeeded.
+    /// Number of successful rollouts.
     pub stood: u32,
-    /// Rollouts that were run.
+    /// Number of rollouts run.
     pub ran: u32,
 }
 
 impl Judgement {
-    /// Whether the answer succeeds that is to have `rollouts` rollouts; none while that is open.
+    /// Whether the recommendation succeeds over `rollouts` rollouts; `None` while that is open.
     fn decided(self, rollouts: u32) -> Option<bool> {
-        // Rounding must not make ten of ten out of nine of ten.
+        // Rounding must not turn nine of ten into ten of ten.
         let needed = (SUCCESS_SHARE * f64::from(rollouts) - 1e-9).ceil() as u32;
         let failed = self.ran - self.stood;
         if self.stood >= needed {
@@ -37,12 +37,11 @@ impl Judgement {
     }
 }
 
-/// Judges an answer by so many policies that are trained by it and run so many times each; no more of
-/// them than it takes to know. With `works` what is missing is done, else none is returned where
-/// something is.
+/// Evaluates up to `policies` × `rollouts`; stops once the verdict cannot change. Without `works` the run
+/// is read-only and returns `Ok(None)` where a result is missing.
 ///
 /// # Errors
-/// Whatever ends it early; what is there cannot be read.
+/// The work ends early, or a file cannot be read.
 pub(super) fn judge(
     series: &Series,
     plant: &Plant,

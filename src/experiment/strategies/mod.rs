@@ -1,12 +1,13 @@
-//! How many real rollouts until a search's answer succeeds? Strategies × repetitions, to a table.
+//! Comparison of methods: strategies × repetitions, to a table of the real rollouts until a recommendation
+//! succeeds.
 //!
-//! A [`Contender`] is a strategy that looks for psi, or `identify`, which takes recordings instead
-//! and trains around the Qube that they show. After each candidate, or recording, it has an answer:
-//! what it would say if it were stopped there. Answers are judged apart from the search, by policies
-//! of their own whose rollouts count for nothing, until one succeeds.
+//! A [`Contender`] is a strategy that searches for psi, or `identify`, which takes recordings instead and
+//! trains around the Qube that they identify. After each candidate or recording it has a recommendation:
+//! its result if it were stopped there. Recommendations are scored apart from the search, by separate
+//! policies whose rollouts do not count, until one succeeds.
 //!
-//! Reading order: [`StrategySettings`], `follow` goes through one [`Repetition`], `search` and
-//! `identified` give its answers, `judge` judges them, [`StrategyResults`] sums up.
+//! Reading order: [`StrategySettings`]; `follow` runs one [`Repetition`]; `search` and `identified` give
+//! its recommendations; `judge` scores them; [`StrategyResults`] summarises.
 
 mod contender;
 mod figure;

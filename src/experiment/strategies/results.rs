@@ -6,29 +6,29 @@ use crate::experiment::queue::Queue;
 use crate::experiment::statistics::{Interval, wilson_interval};
 use crate::experiment::{Experiment, ExperimentError};
 
-/// What a comparison of strategies has come to so far, computed from sessions and recordings.
+/// The results of a comparison so far, computed from sessions and recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StrategyResults {
-    /// The recipe whose psi is searched.
+    /// Recipe whose psi is searched.
     pub recipe: String,
-    /// The plant.
+    /// Name of the plant.
     pub plant: String,
-    /// Each contender, in the order of the settings.
+    /// Results of each method, in the order of the settings.
     pub strategies: Vec<StrategyResult>,
 }
 
-/// What one contender has come to.
+/// The results of one method.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StrategyResult {
-    /// Who.
+    /// Method of the comparison.
     pub contender: Contender,
-    /// The first repetitions, up to one that is not over: of all that are over those that succeed
-    /// early would be too many.
+    /// First repetitions, up to one that is not over. All finished ones would overrepresent those that
+    /// succeed early.
     pub repetitions: Vec<Repetition>,
 }
 
 impl StrategyResult {
-    /// The repetitions of which an answer succeeds.
+    /// Number of repetitions with a successful recommendation.
     #[must_use]
     pub fn reached(&self) -> usize {
         self.rollouts_needed().len()
@@ -40,7 +40,7 @@ impl StrategyResult {
         wilson_interval(self.reached(), self.repetitions.len())
     }
 
-    /// The real rollouts of each repetition of which an answer succeeds, the fewest first.
+    /// Real rollouts of each successful repetition, fewest first.
     #[must_use]
     pub fn rollouts_needed(&self) -> Vec<u32> {
         let needed = self.repetitions.iter().filter_map(Repetition::succeeded_after);
@@ -49,22 +49,22 @@ impl StrategyResult {
         needed
     }
 
-    /// The fewest real rollouts within which at least this share of the repetitions has come to an
-    /// answer that succeeds; none where not so many have. Of 1/2 this is the median, those that
-    /// never succeed counting as beyond any number.
+    /// The smallest number of real rollouts within which at least this share of the repetitions succeeds;
+    /// `None` where fewer do. A share of 1/2 gives the median, where repetitions that never succeed count
+    /// as infinite.
     #[must_use]
     pub fn rollouts_within_which(&self, share: f64) -> Option<u32> {
         let rank = (share * self.repetitions.len() as f64 - 1e-9).ceil().max(1.0) as usize;
         self.rollouts_needed().get(rank - 1).copied()
     }
 
-    /// Real rollouts that a repetition may use; none before one is over.
+    /// Largest number of real rollouts of a repetition; `None` before one is over.
     #[must_use]
     pub fn budget(&self) -> Option<u32> {
         self.repetitions.first().map(|it| it.budget)
     }
 
-    /// Answers that were judged: each is one more chance to succeed by luck.
+    /// Number of scored recommendations; each is one more chance to succeed by luck.
     #[must_use]
     pub fn judged(&self) -> usize {
         let is_judged = |repetition: &Repetition| {
@@ -75,16 +75,16 @@ impl StrategyResult {
 }
 
 impl StrategyResults {
-    /// Reads what is finished, on as many threads as the experiment has; none where the experiment
-    /// compares no strategies.
+    /// Reads all finished work, on as many threads as the experiment has; `None` where the experiment
+    /// compares no methods.
     ///
     /// # Errors
-    /// A session or recording that is there and cannot be read.
+    /// An existing session or recording cannot be read.
     pub fn read(experiment: &Experiment) -> Result<Option<Self>, ExperimentError> {
         let settings = experiment.settings();
         let Some(strategies) = &settings.strategies else { return Ok(None) };
         let read = Mutex::new(Vec::new());
-        // Whoever asks for results wants them also after a stop.
+        // Results are needed after a stop request too.
         let never = AtomicBool::new(false);
         Queue::new(strategies.repetitions(), &never).run(experiment.threads(), |job| {
             let repetition = experiment.follow(strategies, job, None)?;
@@ -112,7 +112,7 @@ pub(super) mod tests {
     use crate::experiment::{AnswerResult, Judgement};
     use crate::search::StrategyKind;
 
-    /// A strategy whose repetitions succeed after so many rollouts, or never.
+    /// A method whose repetitions succeed after these numbers of rollouts, or never.
     pub fn result(needed: &[Option<u32>]) -> StrategyResult {
         let contender = Contender::Search(StrategyKind::Cem);
         let answer = |real_rollouts, succeeds| AnswerResult {

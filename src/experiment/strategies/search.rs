@@ -5,26 +5,26 @@ use crate::experiment::{ExperimentError, News};
 use crate::search::{Observation, Strategy, StrategyKind};
 use crate::session::{Progress, SeedFor, Session, SessionSettings, derived_seed};
 
-/// The answers of a search: after each candidate what the strategy holds to be best. The session is
-/// asked for no more candidates than are needed, so that nothing is searched beyond a success.
+/// The recommendations of a search: after each candidate the best point of the strategy. The session runs
+/// no more candidates than needed, so that nothing is searched after a success.
 pub(super) struct FromSearch<'a> {
     course: &'a Course<'a>,
     settings: SessionSettings,
     strategy: Box<dyn Strategy>,
     session: Option<Session>,
-    /// The candidates that have all their rollouts.
+    /// Candidates with all their rollouts.
     evaluated: Vec<Observation>,
 }
 
 impl<'a> FromSearch<'a> {
-    /// In a course's folder.
+    /// Recommendations in the folder of a method's run.
     ///
     /// # Errors
-    /// The settings make no strategy.
+    /// The settings are invalid for the strategy.
     pub fn new(course: &'a Course<'a>, kind: StrategyKind) -> Result<Self, ExperimentError> {
         let settings = SessionSettings {
             name: format!("{} of {}", course.name, course.experiment.settings().name),
-            // Apart from the judges, who have the course's.
+            // A separate seed, because scoring uses the run's own.
             seed: derived_seed(course.seed, SeedFor::Search),
             emulated: course.plant.emulated,
             strategy: kind,
@@ -34,7 +34,7 @@ impl<'a> FromSearch<'a> {
         Ok(Self { course, settings, strategy, session: None, evaluated: Vec::new() })
     }
 
-    /// Goes on with the search until so many candidates are evaluated.
+    /// Continues the search until this many candidates are evaluated.
     fn search_to(&mut self, candidates: u32) -> Result<(), ExperimentError> {
         let Some(tell) = self.course.work else { return Ok(()) };
         let folder = self.course.folder.join("search");

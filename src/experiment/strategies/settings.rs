@@ -2,33 +2,32 @@ use serde::{Deserialize, Serialize};
 
 use super::Contender;
 
-/// What is compared, and how often.
+/// The settings of a comparison of methods.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StrategySettings {
-    /// Who competes.
+    /// Methods that are compared.
     pub contenders: Vec<Contender>,
-    /// How often each begins anew. All of one repetition have the same seed, and so the same luck
-    /// where they do the same.
+    /// Number of repetitions of each method. Methods share the seed of a repetition, and with it the random
+    /// numbers where they do the same.
     pub repetitions: u32,
-    /// Most recordings that `identify` takes, each 10 s under a chirp.
+    /// Largest number of recordings for `identify`, each 10 s under a chirp.
     pub recordings: u32,
-    /// Policies are trained around an identified Qube with this part of each of its values as
-    /// standard deviation.
+    /// Standard deviation of the training distribution around an identified Qube, as a part of each value.
     pub spread: f64,
 }
 
 impl StrategySettings {
-    /// Every repetition of every contender, the first ones first.
+    /// Every repetition of every method, first repetitions first.
     pub(in crate::experiment) fn repetitions(&self) -> impl Iterator<Item = (Contender, u32)> {
         (0..self.repetitions)
             .flat_map(|repetition| self.contenders.iter().map(move |&it| (it, repetition)))
     }
 
-    /// Says in words what cannot be, if anything cannot.
+    /// Checks the settings.
     ///
     /// # Errors
-    /// The first thing that cannot be.
+    /// Describes the first invalid setting.
     pub(in crate::experiment) fn check(&self) -> Result<(), String> {
         if self.contenders.is_empty() {
             return Err("a comparison of strategies needs at least one".into());
