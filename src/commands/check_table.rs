@@ -4,22 +4,22 @@ use serde_json::{Value, json};
 
 use crate::telemetry::{CheckResult, CheckVerdict};
 
-/// What a terminal shows without wrapping.
+/// Width of a terminal line.
 const COLUMNS: usize = 80;
 
-/// Where the line with the cure begins.
+/// Indentation of the line with the remedy.
 const REMEDY_INDENT: usize = 4;
 
-/// One line of a table: name, a word, what was found, and what to do about it.
+/// A row of a table: name, verdict, finding, and remedy.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// What was looked at.
+    /// Name of the check.
     pub name: String,
-    /// `pass`, `FAIL` ...
+    /// Verdict: `pass`, `FAIL` ...
     pub word: &'static str,
-    /// What was found.
+    /// Finding.
     pub value: String,
-    /// What to do, after a word that introduces it.
+    /// Remedy, with a word that introduces it.
     pub remedy: Option<(&'static str, String)>,
 }
 
@@ -39,7 +39,7 @@ impl From<&CheckResult> for Row {
     }
 }
 
-/// The rows below each other, wrapped so that 80 columns hold them.
+/// Renders the rows as a table of 80 columns.
 pub fn table(rows: &[Row]) -> String {
     let name_width = rows.iter().map(|row| row.name.chars().count()).max().unwrap_or(0);
     let word_width = rows.iter().map(|row| row.word.chars().count()).max().unwrap_or(0);
@@ -49,7 +49,7 @@ pub fn table(rows: &[Row]) -> String {
         let head = format!("{:name_width$}  {:word_width$}  ", row.name, row.word);
         push_wrapped(&mut text, &head, &row.value, indent);
         if let Some((introduction, remedy)) = &row.remedy {
-            // Nearly the whole width: a command that is to be pasted should stay on one line.
+            // The remedy uses nearly the whole width, so that a command to be pasted stays on one line.
             let margin = " ".repeat(REMEDY_INDENT);
             push_wrapped(&mut text, &margin, &format!("{introduction} {remedy}"), REMEDY_INDENT);
         }
@@ -57,8 +57,8 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-/// Adds one paragraph after its head, with its other lines indented; words are never cut, so that
-/// a command stays whole where it can.
+/// Appends a paragraph after a head and indents its other lines. Words are never cut, so that a command
+/// stays whole where possible.
 fn push_wrapped(text: &mut String, head: &str, paragraph: &str, indent: usize) {
     let mut line = head.to_owned();
     let mut is_empty = true;
@@ -79,7 +79,7 @@ fn push_wrapped(text: &mut String, head: &str, paragraph: &str, indent: usize) {
     text.push('\n');
 }
 
-/// The results as `--json` has them; `pass` is null where a check was not done.
+/// The results for `--json`; `pass` is null for a check that was not done.
 pub fn checks_json(results: &[CheckResult]) -> Value {
     let pass = |verdict| match verdict {
         CheckVerdict::Pass => Some(true),
@@ -100,7 +100,7 @@ pub fn checks_json(results: &[CheckResult]) -> Value {
     Value::Array(checks)
 }
 
-/// Names of the checks that failed, for the sentence that ends a command.
+/// Names of the failed checks, for a command's last sentence.
 pub fn failed_names(results: &[CheckResult]) -> String {
     let names: Vec<&str> = results
         .iter()

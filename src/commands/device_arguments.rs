@@ -16,22 +16,22 @@ use crate::session::{
     RigSettings, power_warning,
 };
 
-/// The name by which the embedded emulator is asked for.
+/// Name of the embedded emulator in `--device`.
 const EMULATED: &str = "emulated";
 
-/// Which Qube, and which time.
+/// The arguments that select a Qube and a clock.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Which Qube")]
 pub struct DeviceArguments {
     #[command(flatten)]
     qube: QubeArguments,
 
-    /// By which clock: `virtual` runs the emulated Qube as fast as the processor can
+    /// Clock: `virtual` runs the emulated Qube as fast as the processor can
     #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
     clock: ClockArgument,
 }
 
-/// Which Qube.
+/// The arguments that select a Qube.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Which Qube")]
 pub struct QubeArguments {
@@ -39,60 +39,60 @@ pub struct QubeArguments {
     #[arg(long, value_name = "emulated|PORT")]
     device: Option<String>,
 
-    /// What is particular about this Qube: signs, port, limits, as `check --write` writes it
-    /// [default with a PORT: qube.toml, where there is one]
+    /// File with this Qube's properties (signs, port, limits), as `check --write` writes it [default with a
+    /// PORT: qube.toml, if it exists]
     #[arg(long, value_name = "FILE")]
     qube: Option<PathBuf>,
 
-    /// How the arm's middle is found: between its stops, or where it was put by hand [default: as the
-    /// --qube file says, else stops]
+    /// How the arm's middle is found: between its stops, or where the operator put it by hand [default: as
+    /// the --qube file says, else stops]
     #[arg(long, value_enum)]
     home: Option<HomeArgument>,
 
-    /// Guard the emulated Qube as one of which nothing is known [default: it is known within 10 %, as one that
-    /// was identified]
+    /// Guard the emulated Qube like one that is not identified [default: it counts as identified, known
+    /// within 10 %]
     #[arg(long, conflicts_with = "qube")]
     unidentified: bool,
 }
 
-/// The two clocks by name.
+/// The clocks by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum ClockArgument {
     /// Real time
     Wall,
-    /// Computed time, for the emulated Qube alone; the same seed gives the same bytes
+    /// Computed time, for the emulated Qube only; the same seed gives the same bytes
     Virtual,
 }
 
-/// The two ways of homing by name.
+/// The methods of homing by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum HomeArgument {
     /// Half-way between the hard stops, which the arm touches slowly
     Stops,
-    /// Where the arm is now: put it into the middle before
+    /// The arm's present position: put it into the middle before
     Hand,
 }
 
-/// A Qube that the arguments have led to.
+/// The Qube that the arguments select.
 #[derive(Clone, Debug)]
 pub struct ChosenDevice {
-    /// Where it is.
+    /// Connection to the Qube.
     pub choice: DeviceChoice,
-    /// Which time passes.
+    /// Clock of the Qube.
     pub clock: ClockChoice,
-    /// What is particular about it, where a file says so.
+    /// Properties of the Qube, if a file describes it.
     pub file: Option<QubeFile>,
-    /// That file.
+    /// Path of that file.
     pub path: Option<PathBuf>,
     home: Option<HomingMethod>,
-    /// What the Qube was when its profile was made, where the file names one.
+    /// Profile that the file names, if any.
     pub profile: Option<Profile>,
-    /// Whether nothing is to be known of the embedded emulated Qube.
+    /// Whether the embedded emulated Qube counts as not identified.
     unidentified: bool,
 }
 
 impl DeviceArguments {
-    /// As [`QubeArguments::choose`], with the clock that was asked for.
+    /// Selects the Qube like [`QubeArguments::choose`], with the requested clock.
     pub fn choose(&self) -> Result<ChosenDevice, Failure> {
         let clock = match self.clock {
             ClockArgument::Wall => ClockChoice::Wall,
@@ -103,11 +103,11 @@ impl DeviceArguments {
 }
 
 impl QubeArguments {
-    /// Reads the file about the Qube, where there is one, and finds out which Qube is meant. An
-    /// emulated one is in virtual time.
+    /// Reads the file with the Qube's properties, if there is one, and selects the Qube. An emulated one is
+    /// in virtual time.
     ///
-    /// The file in the working directory counts only with a port: without `--device` and `--qube`
-    /// nothing but the emulated Qube moves, whatever lies around.
+    /// The file in the working directory counts only with a port: without `--device` and `--qube` nothing
+    /// but the emulated Qube moves, whatever files are there.
     pub fn choose(&self) -> Result<ChosenDevice, Failure> {
         let path = match (&self.qube, self.device.as_deref()) {
             (Some(path), _) => Some(path.as_path()),
@@ -149,19 +149,19 @@ impl QubeArguments {
 }
 
 impl ChosenDevice {
-    /// How it is homed: as the arguments say, else its file, else `default`.
+    /// Homing as the arguments say, else as the file says, else `default`.
     pub fn homing(&self, default: HomingSettings) -> HomingSettings {
         let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
         HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
     }
 
-    /// A box no wider than its file allows.
+    /// Narrows a box to the limits of the file.
     pub fn safety_box(&self, of_the_task: SafetyBox) -> SafetyBox {
         self.file.as_ref().map_or(of_the_task, |file| file.within_limits(&of_the_task))
     }
 
-    /// What a rig may do that is opened here, and of what `origin` asks for. Only hardware has limits: an
-    /// emulated Qube has no stop that could break.
+    /// The limits of a rig with this device, and a check that the request of `origin` keeps them. Only
+    /// hardware has limits, because an emulated Qube has no stop that could break.
     pub fn limits(
         &self,
         origin: &str,
@@ -176,19 +176,18 @@ impl ChosenDevice {
             .map_err(|error| Failure::usage(format!("{origin}: {error}")))
     }
 
-    /// What is to be said before a real Qube is driven of which it is not known that its motor goes off
-    /// without its board.
+    /// The warning before a real Qube is driven whose motor is not known to go off without its board.
     pub fn power_warning(&self) -> Option<&'static str> {
         let power = self.file.as_ref().and_then(|file| file.power.as_ref());
         power_warning(power).filter(|_| self.choice.is_hardware())
     }
 
-    /// What the motor stands: the nominal rating where no file says less.
+    /// Thermal rating of the motor: nominal unless a file gives a lower one.
     fn motor(&self) -> MotorRating {
         self.file.as_ref().map_or(MotorRating::NOMINAL, |file| file.motor)
     }
 
-    /// What a rig is opened with.
+    /// The settings with which a rig is opened.
     pub fn rig_settings(
         &self,
         emulator: EmulatorSettings,
@@ -210,27 +209,27 @@ impl ChosenDevice {
     }
 }
 
-/// What precedes the first motion of a Qube, and what follows a fault.
+/// The arguments for the check before the first motion and for the reaction to faults.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
 #[command(next_help_heading = "Which Qube")]
 pub struct CheckArguments {
-    /// Leave out the check of a real Qube before its first motion; the recordings say so
+    /// Skip the check of a real Qube before its first motion; the recordings say so
     #[arg(long)]
     pub skip_check: bool,
 
-    /// You have looked at the Qube after a fault that left its sensors or motor in doubt: it is
-    /// examined and then driven again
+    /// Confirm that you have looked at the Qube after a fault that left its sensors or motor in doubt: it
+    /// is examined and then driven again
     #[arg(long)]
     pub acknowledge: bool,
 
-    /// How long a lost link is tried again, s [default: 30]
+    /// Time for which a lost link is retried, s [default: 30]
     #[arg(long, value_name = "S", value_parser = patience)]
     pub link_patience: Option<f64>,
 }
 
 impl CheckArguments {
     fn recovery(self, device: &DeviceChoice) -> Recovery {
-        // Only what is there after this program can still be in doubt then.
+        // Only a device that outlives this program can still be in doubt later.
         let outlives = matches!(device, DeviceChoice::Port(_));
         let memory = doubts_folder().filter(|_| outlives).map(DoubtMemory::new);
         if outlives && memory.is_none() {
@@ -252,7 +251,7 @@ fn patience(text: &str) -> Result<f64, String> {
     between(text, 0.0, 3600.0)
 }
 
-/// Where doubts about boards are kept: of the service's state, else of the user's.
+/// Folder for doubts about boards: within the service's state, else the user's.
 fn doubts_folder() -> Option<PathBuf> {
     let folder = |name: &str| {
         let value = std::env::var_os(name).filter(|value| !value.is_empty())?;

@@ -6,25 +6,25 @@ use super::output::Output;
 use super::stop::Stop;
 use crate::preflight::doctor::{Diagnosis, Fitness, diagnose};
 
-/// Is this computer fit: rights to real time, serial ports, FTDI timers, and how well it keeps time
+/// Check this computer: rights to real time, serial ports, FTDI timers, and timing accuracy
 ///
-/// Nothing is changed and nothing moves. Exit code 0 when all is well or there is only advice, 1
-/// when something will not work so.
+/// Nothing is changed and nothing moves. Exit code 0 when all is well or there is only advice, 1 when
+/// something must be cured first.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil doctor\n  \
     qube-hil doctor --seconds 60 --device /dev/ttyUSB0")]
 pub struct Arguments {
-    /// How long to watch the timer
+    /// Time for which the timer is watched, s
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=3600))]
     seconds: u32,
 
-    /// A port to look at (may be given again) [default: all ports of USB]
+    /// Port to check (may be repeated) [default: all USB ports]
     #[arg(long, value_name = "PORT")]
     device: Vec<String>,
 }
 
-/// Looks and prints what was found.
+/// Performs the checks and prints the findings.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     eprintln!("watching the timer for {} s", arguments.seconds);

@@ -9,10 +9,10 @@ use super::output::Output;
 use super::stop::Stop;
 use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, UsbBridge, Wiring};
 
-/// Be a Qube: serve an emulated one on a pty that any program can open as a serial port
+/// Serve an emulated Qube on a pty that any program can open like a serial port
 ///
-/// It has the nominal parameters unless --profile says otherwise, quantised encoders that start at unknown counts, hard stops, and
-/// the latched watchdog of the real firmware. It runs until it is stopped.
+/// It has the nominal parameters unless --profile says otherwise, quantised encoders that start at unknown
+/// counts, hard stops, and the latched watchdog of the real firmware. It runs until it is stopped.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil emulate --link /tmp/qube &\n  \
@@ -20,32 +20,32 @@ use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Usb
     qube-hil emulate --profile lab --gap 1.5 # half again as far from the nominal Qube as a real one\n  \
     qube-hil emulate --fault silent@10s      # stops answering after 10 s")]
 pub struct Arguments {
-    /// A symbolic link to make to the pty, so that its name is known beforehand
+    /// Symbolic link to create to the pty, so that its name is known beforehand
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
 
-    /// Decides where the arm stands at the start and where the counters begin
+    /// Seed of the arm's start angle and the counters' start values
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
     #[command(flatten)]
     emulated: EmulatedArguments,
 
-    /// What is wired the other way round: theta, alpha, motor, or several with commas between
+    /// Connections wired in reverse: theta, alpha, motor, or several separated by commas
     #[arg(long, value_name = "theta,alpha,motor", value_delimiter = ',')]
     inverted: Vec<Wire>,
 
-    /// What sits between the board and the computer: `16u2`, the second microcontroller of a genuine
-    /// Uno or Mega, or `slow`, one through which nothing can be controlled
+    /// Bridge between the board and the computer: `16u2`, the second microcontroller of a genuine Uno or
+    /// Mega, or `slow`, which is too slow for control
     #[arg(long, value_name = "16u2|slow")]
     bridge: Option<UsbBridge>,
 
-    /// Something to go wrong
+    /// Fault of the emulated Qube
     #[arg(long, value_name = "FAULT")]
     fault: Option<EmulatorFault>,
 }
 
-/// What of an emulated Qube can be wired either way round.
+/// A connection of an emulated Qube that may be wired in reverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Wire {
     /// The arm's encoder
@@ -56,7 +56,7 @@ enum Wire {
     Motor,
 }
 
-/// Serves until a signal comes or the pty is gone.
+/// Serves the Qube until a signal arrives or the pty is gone.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let emulated = arguments.emulated.settings()?.unwrap_or_default();

@@ -7,7 +7,7 @@ use super::profile;
 use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN};
 use crate::session::EmulatedQubeSettings;
 
-/// What the emulated Qube is like.
+/// The arguments of the emulated Qube.
 #[derive(Clone, Debug, Default, clap::Args)]
 #[command(next_help_heading = "The emulated Qube")]
 pub struct EmulatedArguments {
@@ -16,8 +16,8 @@ pub struct EmulatedArguments {
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<String>,
 
-    /// How far from the nominal Qube, as a multiple of the profile's own distance: 0 is nominal, 2
-    /// twice as far as the profile [default: 1]
+    /// Distance from the nominal Qube, as a multiple of the profile's: 0 is nominal, 2 is twice as far as
+    /// the profile [default: 1]
     #[arg(long, value_name = "FACTOR", value_parser = factor)]
     gap: Option<f64>,
 
@@ -25,31 +25,31 @@ pub struct EmulatedArguments {
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     delay_ms: Option<f64>,
 
-    /// By how much the delay of single commands differs from that, at most [default: 0]
+    /// Largest deviation of a single command's delay, ms [default: 0]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     jitter_ms: Option<f64>,
 
-    /// How fast the place to which the cable pulls the arm wanders while the Qube is on; needs a
-    /// profile with a cable, as `lab` [default: the profile's cable_drift_rad_per_min, mostly 0]
+    /// Drift of the cable's rest angle while the Qube is on; needs a profile with a cable, such as `lab`
+    /// [default: the profile's cable_drift_rad_per_min, mostly 0]
     #[arg(long, value_name = "RAD/MIN", value_parser = drift, allow_negative_numbers = true)]
     cable_drift: Option<f64>,
 
-    /// Play between motor and arm: the gap in which one turns without the other; the encoder is at the
-    /// arm [default: 0]
+    /// Backlash between motor and arm: the angle in which one turns without the other; the encoder is on
+    /// the arm's side [default: 0]
     #[arg(long, value_name = "DEGREES", value_parser = play)]
     play_deg: Option<f64>,
 
-    /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g), as M_p=1.1; may be given
-    /// several times
+    /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g), for instance M_p=1.1; may be
+    /// repeated
     #[arg(long, value_name = "NAME=FACTOR", value_parser = scaling)]
     scale: Vec<(DomainParameter, f64)>,
 }
 
 impl EmulatedArguments {
-    /// The same from a file's entries, by the rules of the command line.
+    /// The arguments from a file's entries, checked by the rules of the command line.
     ///
     /// # Errors
-    /// What cannot be, in words.
+    /// Describes the first invalid entry.
     pub fn checked(
         profile: Option<String>,
         gap: Option<f64>,
@@ -77,7 +77,7 @@ impl EmulatedArguments {
         })
     }
 
-    /// A name for what they ask for, which a folder can have: `lab+gap1.5+10ms`.
+    /// A name for these settings that a folder may have: `lab+gap1.5+10ms`.
     pub fn name(&self) -> String {
         let profile = self.profile.as_deref().unwrap_or("ideal");
         let stem = Path::new(profile).file_stem().unwrap_or_default().to_string_lossy();
@@ -105,7 +105,7 @@ impl EmulatedArguments {
         name
     }
 
-    /// What they ask for; None when they ask for nothing.
+    /// The settings; `None` without any argument.
     pub fn settings(&self) -> Result<Option<EmulatedQubeSettings>, Failure> {
         let asked = self.profile.is_some()
             || self.gap.is_some()

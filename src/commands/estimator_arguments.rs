@@ -5,17 +5,17 @@ use super::number_arguments::{between, positive};
 use super::profile;
 use crate::estimation::{EstimatorSettings, ObserverSettings};
 
-/// How the state is estimated that the policy sees.
+/// The arguments of the estimator whose state the policy sees.
 #[derive(Clone, Debug, Default, clap::Args)]
 #[command(next_help_heading = "What the policy sees")]
 pub struct EstimatorArguments {
-    /// Velocities by a filter, or the whole state by an observer that knows a model, what was sent and
-    /// the delay [default: filter, or what a --config says]
+    /// Estimator: `filter` for the velocities, or `observer` for the whole state from a model, the voltages
+    /// sent and the delay [default: filter, or as --config says]
     #[arg(long, value_enum)]
     estimator: Option<EstimatorArgument>,
 
-    /// Corner of the velocity filter, rad/s (50 is the thesis's set-up) [default: 200; `experiment`
-    /// without --preset robust: 50]
+    /// Corner of the velocity filter, rad/s (the thesis uses 50) [default: 200; `experiment` without
+    /// --preset robust: 50]
     #[arg(long, value_name = "CORNER", value_parser = positive)]
     filter: Option<f64>,
 
@@ -24,23 +24,23 @@ pub struct EstimatorArguments {
     #[arg(long, value_name = "ideal|lab|FILE")]
     estimator_profile: Option<String>,
 
-    /// The delay that the observer predicts over: from a sample until the motor has the voltage that
-    /// answers it [default: that of --estimator-profile]
+    /// Delay that the observer predicts over: from a sample until the voltage that answers it acts at the
+    /// motor [default: that of --estimator-profile]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     estimator_delay_ms: Option<f64>,
 }
 
-/// The two estimators by name.
+/// The estimators by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum EstimatorArgument {
-    /// Angles as the encoders show them, velocities by a filter
+    /// Angles of the encoders, velocities by a filter
     Filter,
-    /// The state at the instant at which the command will act, predicted by a model
+    /// State at the instant at which the command acts, predicted by a model
     Observer,
 }
 
 impl EstimatorArguments {
-    /// What they ask for; None when they ask for nothing.
+    /// The settings; `None` without any argument.
     pub fn settings(&self) -> Result<Option<EstimatorSettings>, Failure> {
         let observes = self.estimator == Some(EstimatorArgument::Observer);
         if observes && self.filter.is_some() {

@@ -31,18 +31,18 @@ use crate::session::{Extent, FolderError, RigSettings, SessionSettings, write_wh
 use crate::simulation::{Family, SensorModel};
 use crate::storage::{Disk, MachineDisk};
 
-/// Compare recipes: train some policies by each, run them all on the Qube, print the table
+/// Compare recipes: train several policies with each, run them all on the Qube, print the table
 ///
-/// A recipe is a model of the thesis (its table 5.3) or a file of your own. For the optimised
-/// models a session looks for psi first. On the emulated Qube everything is in virtual time and on
-/// all processors. Whatever ends it, --resume goes on without losing or repeating what is finished;
-/// of an experiment that is finished it prints the table again. With --strategies it is searches that
-/// are compared, by the real rollouts they need. A policy succeeds when its mean
-/// return is at least 400 and at least 4 of 5 of its rollouts stand to the end.
+/// A recipe is a model of the thesis (its table 5.3) or a file of your own. For optimised models a session
+/// searches for psi first. On the emulated Qube all work runs in virtual time and on all processors.
+/// --resume continues an interrupted experiment without losing or repeating finished work; for a finished
+/// experiment it prints the table again. --strategies compares searches instead, by the real rollouts they
+/// need. A policy succeeds when its mean return is at least 400 (of at most 600) and at least 4 of 5 of its
+/// rollouts balance to the end.
 ///
-/// Without other flags everything is as published: true states in training, the plain box, a
-/// velocity filter of 50 rad/s on the machine. --preset robust has what the machine has, in training
-/// too, its guard, and the filter of 200 rad/s.
+/// Without other flags everything is as published: true states in training, the plain box, a velocity
+/// filter of 50 rad/s on the machine. --preset robust trains with the machine's sensors, selects its guard,
+/// and uses a filter of 200 rad/s.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil experiment --profile lab              # the thesis's table, on a real gap\n  \
@@ -57,7 +57,7 @@ use crate::storage::{Disk, MachineDisk};
     [settings.estimator]       # what differs from the flags, as in session.toml\n  \
     corner_rad_s = 20.0")]
 pub struct Arguments {
-    /// Models, with commas between [default: the thesis's five, or none beside --recipe]
+    /// Models, separated by commas [default: the thesis's five, or none with --recipe]
     #[arg(
         long,
         value_name = "NAMES",
@@ -67,15 +67,16 @@ pub struct Arguments {
     )]
     models: Vec<RecipeModel>,
 
-    /// A recipe of your own; may be given several times
+    /// Recipe file; may be repeated
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     recipe: Vec<PathBuf>,
 
-    /// Shape of all distributions
+    /// Family of all distributions
     #[arg(long, value_enum, default_value_t = FamilyArgument::Normal, conflicts_with = "resume")]
     family: FamilyArgument,
 
-    /// Policies of each recipe, or that judge each answer [default: 20, with --strategies 10]
+    /// Policies of each recipe, or policies that score each recommendation [default: 20, with --strategies
+    /// 10]
     #[arg(long, conflicts_with = "resume")]
     policies: Option<u32>,
 
@@ -83,7 +84,7 @@ pub struct Arguments {
     #[arg(long, conflicts_with = "resume")]
     rollouts: Option<u32>,
 
-    /// Training budget, and what of the machine training knows: `quick` and `thesis` nothing, as
+    /// Training budget and simulation: `quick` and `thesis` train without the machine's sensors, as
     /// published
     #[arg(
         long,
@@ -101,12 +102,12 @@ pub struct Arguments {
     #[command(flatten)]
     consent: ConsentArgument,
 
-    /// What simulations show of the state: as it is, or through encoders and the machine's filter
-    /// [default: as it is; with --preset robust encoders]
+    /// Sensors of the simulations: true states, or encoders with the machine's filter [default: true
+    /// states; with --preset robust encoders]
     #[arg(long, value_enum, conflicts_with = "resume")]
     sensors: Option<Sensors>,
 
-    /// Everything random follows from it
+    /// Seed from which every random number follows
     #[arg(long, default_value_t = 0, conflicts_with = "resume")]
     seed: u64,
 
@@ -114,23 +115,23 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
 
-    /// Go on with an experiment from its folder
+    /// Resume the experiment in this folder
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
-    /// Run nothing: print the table of what is finished
+    /// Only print the table of finished work
     #[arg(long, requires = "resume")]
     table: bool,
 
-    /// Processors to use [default: all]; the results are the same
+    /// Threads to use [default: all processors]; the results are the same
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 
-    /// Also write a line for each policy, or answer, to this file
+    /// Also write a CSV file with a line for each policy, or recommendation
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 
-    /// Also draw the thesis's figures 5.2 and 5.3, or the strategies' lines, into this folder
+    /// Also draw the thesis's figures 5.2 and 5.3, or the lines of the strategies, into this folder
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
 
@@ -150,25 +151,25 @@ pub struct Arguments {
     check: CheckArguments,
 }
 
-/// The two shapes by name.
+/// The families by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FamilyArgument {
     Normal,
     Uniform,
 }
 
-/// How much training, in what simulation.
+/// Budget and simulation of the training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Preset {
-    /// A second or two a policy, on true states in the thesis's box
+    /// A second or two for each policy, on true states in the thesis's box
     Quick,
-    /// Half a minute a policy, with the machine's encoders and velocity filter
+    /// Half a minute for each policy, with the machine's encoders and velocity filter
     Robust,
     /// The published budget, on true states in the thesis's box
     Thesis,
 }
 
-/// What the simulation shows.
+/// Sensors of the simulations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Sensors {
     /// Angles and velocities without error
@@ -177,7 +178,7 @@ enum Sensors {
     Encoders,
 }
 
-/// The models by name; those around an identified Qube need a recipe that says which.
+/// The parser of model names; models around an identified Qube need a recipe that names it.
 fn model_parser() -> impl TypedValueParser<Value = RecipeModel> {
     let offered = || RecipeModel::ALL.into_iter().filter(|model| !model.needs_profile());
     let values = offered().map(|model| PossibleValue::new(model.name()).help(model.description()));
@@ -189,7 +190,7 @@ fn model_parser() -> impl TypedValueParser<Value = RecipeModel> {
 /// Corner of the thesis's velocity filter, rad/s.
 const PUBLISHED_CORNER_RAD_S: f64 = 50.0;
 
-/// Fresh starts of the evaluation in simulation.
+/// Number of fresh starts of the evaluation in simulation.
 const SIMULATED_STARTS: u32 = 1000;
 
 /// Runs or resumes an experiment and prints its table.
@@ -241,7 +242,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     });
     let (strategies, summary) = match finished {
         Ok(finished) => finished,
-        // Why it ended says more than why its results cannot be read.
+        // The reason why the experiment ended matters more than the reason why its results cannot be read.
         Err(error) => return Err(ended.err().unwrap_or_else(|| failed(error))),
     };
     let directory = experiment.folder().root().display().to_string();
@@ -265,7 +266,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What an experiment has come to: for people, for scripts, and line by line.
+/// The results of an experiment: as a table, as JSON, and as CSV.
 struct Summary {
     table: String,
     value: Value,
@@ -308,7 +309,7 @@ fn draw(
     Ok(())
 }
 
-/// Puts the recipes' boxes within the Qube's own limits, and says what a rig may do with all of them.
+/// Narrows the recipes' boxes to the Qube's own limits, and returns the limits of a rig for all of them.
 fn narrowed(
     settings: &mut ExperimentSettings,
     consent: Option<GuardConsent>,
@@ -346,8 +347,8 @@ fn begun(
         true => arguments.plants.plants()?,
         false => vec![Plant { name: "device".into(), emulated: Default::default(), vary: 0.0 }],
     };
-    // What one policy does says more of its training than of what it was trained by: an answer is
-    // judged by more policies rather than by more rollouts.
+    // A single policy reflects the luck of its training more than its recipe, so a recommendation is scored
+    // by more policies rather than by more rollouts.
     let (policies, rollouts) = if strategies.is_some() { (10, 2) } else { (20, 5) };
     let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("experiment"));
     let mut settings = ExperimentSettings {
@@ -369,7 +370,7 @@ fn begun(
     Ok((folder, settings))
 }
 
-/// What the flags ask for, to which each recipe adds its model.
+/// The settings of the flags, to which each recipe adds its model.
 fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let is_emulated = !device.choice.is_hardware();
     let knows_the_machine = arguments.preset == Preset::Robust;

@@ -6,14 +6,14 @@ use super::printable::printable;
 use crate::experiment::{AnswerResult, Behaviour, ExperimentSettings, Judgement, News, Repetition};
 use crate::session::Progress;
 
-/// What the operator sees on stderr while an experiment runs: a line for each thing that is
-/// finished, and a bar over policies or searches.
+/// The display on stderr of a running experiment: a line for each finished piece of work, and a bar over
+/// policies or searches.
 pub struct ExperimentProgress {
     bar: ProgressBar,
 }
 
 impl ExperimentProgress {
-    /// For an experiment of this extent.
+    /// A display for an experiment of this extent.
     pub fn new(settings: &ExperimentSettings) -> Self {
         let (count, what) = match &settings.strategies {
             Some(it) => (it.contenders.len() as u64 * u64::from(it.repetitions), "searches"),
@@ -31,7 +31,7 @@ impl ExperimentProgress {
         Self { bar }
     }
 
-    /// Shows one piece of news.
+    /// Shows one event.
     pub fn tell(&self, news: &News) {
         match news {
             News::Search { name, progress } => self.searching(name, progress),
@@ -93,7 +93,7 @@ impl ExperimentProgress {
     }
 
     fn line(&self, text: String) {
-        // Without a terminal the bar is hidden and would swallow the line.
+        // A bar without a terminal is hidden and would swallow the line.
         let text = printable(&text);
         if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
     }

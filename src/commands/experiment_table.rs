@@ -5,10 +5,10 @@ use serde_json::{Map, Value, json};
 use crate::experiment::{Behaviour, RecipeResult, Results};
 use crate::session::Quietness;
 
-/// Columns of a name.
+/// Width of the column of names.
 const NAME: usize = 20;
 
-/// For people, 80 columns wide: a block for each plant.
+/// The table for people, 80 columns wide: a block for each plant.
 pub fn table(results: &Results) -> String {
     let mut text = String::new();
     let mut plants: Vec<&str> = Vec::new();
@@ -63,7 +63,7 @@ pub fn table(results: &Results) -> String {
     text
 }
 
-/// How quietly a recipe's policies balance, in the columns of the table.
+/// The quietness of a recipe's policies, in the columns of the table.
 fn quietness_columns(quietness: &Quietness) -> String {
     let columns = match quietness.figures() {
         None => ["-"; 4].map(String::from),
@@ -104,7 +104,7 @@ fn short(name: &str) -> &str {
     name.get(..NAME).unwrap_or(name)
 }
 
-/// For scripts.
+/// The results as JSON, for scripts.
 pub fn value(results: &Results) -> Value {
     let models: Vec<Value> = results.recipes.iter().map(model).collect();
     json!({ "models": models })
@@ -133,7 +133,7 @@ fn model(recipe: &RecipeResult) -> Value {
     })
 }
 
-/// A line for each policy on each plant.
+/// The results as CSV, with a line for each policy on each plant.
 pub fn csv(results: &Results) -> String {
     let mut text = String::from("recipe,plant,policy,simulated_return,mean_return,succeeds");
     for behaviour in Behaviour::ALL {

@@ -1,4 +1,4 @@
-//! Which exit code each of the library's errors stands for.
+//! Maps each error of the library to an exit code.
 
 use std::fs::File;
 use std::io::Write;
@@ -12,7 +12,7 @@ use crate::policy::PolicyError;
 use crate::recording::RecordingError;
 use crate::session::{FolderError, RigError, SessionError};
 
-/// Of a rig.
+/// The failure for an error of a rig.
 pub fn rig(error: RigError, stop: &Stop) -> Failure {
     let fault = error.fault();
     let failure = match error {
@@ -27,7 +27,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         | RigError::InDoubt(_)
         | RigError::AnotherBoard { .. }
         | RigError::Ended { .. } => Failure::fault(error),
-        // A link that fails is a fault, and no bad usage.
+        // A failing link is a fault, not bad usage.
         RigError::Device(_) if fault.is_some() => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
         RigError::Emulator(_)
@@ -43,8 +43,8 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
     failure.of(fault)
 }
 
-/// Homing has no recording, so the second before its fault gets a file of its own, one tick a line.
-/// Says where, to be put behind the error; nothing for other errors.
+/// Writes the second before a fault of homing, which has no recording, to a file with one tick a line.
+/// Returns a sentence with its path for the error message; empty for other errors.
 pub fn with_last_ticks(error: &RigError) -> String {
     let last_ticks = match error {
         RigError::Homing { last_ticks, .. } | RigError::LinkLost { last_ticks, .. } => last_ticks,
@@ -65,7 +65,7 @@ pub fn with_last_ticks(error: &RigError) -> String {
     }
 }
 
-/// Of a recording.
+/// The failure for an error of a recording.
 pub fn recording(error: &RecordingError) -> Failure {
     match error {
         RecordingError::DiskFull { .. } | RecordingError::Write { .. } => Failure::failed(error),
@@ -74,12 +74,12 @@ pub fn recording(error: &RecordingError) -> Failure {
     }
 }
 
-/// Of a policy's file, which may be anybody's.
+/// The failure for an error of a policy file, which may come from anybody.
 pub fn policy(error: &PolicyError) -> Failure {
     Failure::usage(one_line(&error.to_string()))
 }
 
-/// Of a session's folder.
+/// The failure for an error of a session's folder.
 pub fn folder(error: &FolderError) -> Failure {
     match error {
         FolderError::Io { .. } => Failure::failed(error),
@@ -87,7 +87,7 @@ pub fn folder(error: &FolderError) -> Failure {
     }
 }
 
-/// Of a session.
+/// The failure for an error of a session.
 pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     let fault = error.fault();
     let failure = match error {
@@ -110,7 +110,7 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     failure.of(fault)
 }
 
-/// Of an experiment.
+/// The failure for an error of an experiment.
 pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure {
     match error {
         _ if error.is_stop() => stop.failure(format!("stopped; go on with {resume}")),

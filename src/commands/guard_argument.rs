@@ -5,13 +5,13 @@ use super::exit::Failure;
 use super::words_gone::names_but;
 use crate::safety::{Guard, GuardConsent};
 
-/// `--guard`, as the command line spells it.
+/// The guard in the spelling of the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum GuardArgument {
-    /// The safety box of the thesis and nothing more: to compare with published figures
+    /// The thesis's safety box only, to compare with published figures
     Box,
-    /// Foresight too: before each voltage leaves, the brake is tried for many Qubes that this one may be,
-    /// and the arm is braked before it could come too late
+    /// Foresight in addition: before each voltage is sent, the brake is simulated for many Qubes that this
+    /// one may be, and the arm is braked before that would be too late
     Foresight,
 }
 
@@ -29,17 +29,17 @@ impl From<GuardArgument> for Guard {
     }
 }
 
-/// The second of the two words that switch the guard off on a real Qube.
+/// The second of the two arguments that switch the guard off on a real Qube.
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "Which Qube")]
 pub struct ConsentArgument {
-    /// With --guard box on a real Qube: the arm may reach its hard stop; the recordings say so
+    /// With --guard box on a real Qube: accept that the arm may reach its hard stop; the recordings say so
     #[arg(long)]
     accept_hard_stop: bool,
 }
 
 impl ConsentArgument {
-    /// The operator's consent, where both words are on this command line.
+    /// The operator's consent, if both arguments are on this command line.
     pub fn beside(self, guard: Option<GuardArgument>) -> Result<Option<GuardConsent>, Failure> {
         if self.accept_hard_stop && guard != Some(GuardArgument::Box) {
             return Err(Failure::usage(

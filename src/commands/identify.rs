@@ -18,15 +18,15 @@ use crate::replay::{MotionLog, plot_svg, simulate_from};
 use crate::session::write_whole;
 use crate::storage::MachineDisk;
 
-/// Horizons of the predictions that are shown, s.
+/// Horizons of the predictions in the table, s.
 const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 
-/// Find out which Qube made recordings: its parameters, friction, dead zone, cable and delay
+/// Identify the Qube that made recordings: parameters, friction, dead zone, cable and delay
 ///
 /// `run --excite chirp` makes such recordings. The result is a profile: `train`, `run`, `session`,
-/// `emulate` and `replay` read it as --profile. Judge it by recordings that it was not fitted to
-/// (--holdout): for each, the start state is estimated from 0.2 s, and from there on the model gets
-/// the voltages and nothing else.
+/// `emulate` and `replay` read it with --profile. Verify it with recordings that it was not fitted to
+/// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then gets the
+/// voltages only.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil identify chirp-[12].mcap --holdout chirp-3.mcap --out mine.toml\n  \
@@ -37,32 +37,32 @@ pub struct Arguments {
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
 
-    /// Recordings to judge the fit by; they are not fitted to
+    /// Recordings to verify the fit with; they are not fitted
     #[arg(long, value_name = "FILE", num_args = 1..)]
     holdout: Vec<PathBuf>,
 
-    /// Where the profile goes
+    /// File for the profile
     #[arg(long, value_name = "FILE", default_value = "profile.toml")]
     out: PathBuf,
 
-    /// What the profile calls the Qube
+    /// Name of the Qube in the profile
     #[arg(long, default_value = "identified")]
     name: String,
 
-    /// A profile whose values the fit begins at, and which --fix keeps [default: the nominal Qube]
+    /// Profile whose values start the fit, and which --fix keeps [default: the nominal Qube]
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
 
-    /// Do not move this quantity (R_m, L_p, cable_rest_rad ...); may be given several times
+    /// Keep this quantity fixed (R_m, L_p, cable_rest_rad ...); may be repeated
     #[arg(long, value_name = "NAME")]
     fix: Vec<String>,
 
-    /// Also draw each recording with the model beside it, as SVG, into this folder
+    /// Also draw each recording with the model's simulation, as SVG, into this folder
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
 }
 
-/// Fits, judges, and writes the profile.
+/// Fits, verifies, and writes the profile.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
     let first_guess = match &arguments.from {
@@ -131,7 +131,7 @@ fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
     Ok(Unknown::all().filter(moves).collect())
 }
 
-/// Reads recordings and refuses those that say nothing or something wrong.
+/// Reads recordings and refuses those that cannot be fitted.
 fn read(files: &[PathBuf]) -> Result<Vec<MotionLog>, Failure> {
     let read_one = |path: &PathBuf| {
         let log = MotionLog::read(path).map_err(Failure::usage)?;
@@ -180,7 +180,7 @@ fn table(identified: &Identified) -> String {
     text
 }
 
-/// `+0.71 R_m -0.70 k_m`
+/// A combination such as `+0.71 R_m -0.70 k_m`.
 fn combination(direction: &Blind) -> String {
     let term = |(unknown, weight): &(Unknown, f64)| format!("{weight:+.2} {}", unknown.name());
     direction.iter().map(term).collect::<Vec<_>>().join(" ")

@@ -1,4 +1,4 @@
-//! The keys of an operator at a terminal: the space bar stops softly, and a doubt is acknowledged.
+//! The keys of an operator at a terminal: the space bar requests a stop, and `a` acknowledges a doubt.
 
 use std::os::fd::OwnedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,16 +17,16 @@ use signal_hook::consts::SIGTSTP;
 use super::stop::Stop;
 use crate::session::Doubt;
 
-/// How the terminal was before keys were read one by one; none while it is so.
+/// Terminal settings before keys were read singly; `None` while they are in force.
 static COOKED: Mutex<Option<Termios>> = Mutex::new(None);
 
-/// How long the terminal waits for a key before it looks after job control.
+/// Time for which the terminal waits for a key before it checks job control.
 const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
-/// Reads single keys from the terminal until it is dropped, which gives the terminal back.
+/// Reads single keys from the terminal until it is dropped, which restores the terminal.
 ///
-/// Ctrl-C and Ctrl-Z stay signals. In the background, and where stdin is no terminal, nothing is read
-/// and nothing is set.
+/// Ctrl-C and Ctrl-Z remain signals. In the background, and where stdin is not a terminal, it reads and
+/// changes nothing.
 #[derive(Debug)]
 pub struct Keyboard {
     watched: Option<Watched>,
@@ -42,7 +42,7 @@ struct Watched {
 #[derive(Debug)]
 struct Shared {
     stop: Arc<AtomicBool>,
-    /// Somebody waits for a key: it is an answer and no order to stop.
+    /// Whether a question waits for a key, which then is its answer rather than a stop request.
     asking: AtomicBool,
     suspended: Arc<AtomicBool>,
     ended: AtomicBool,
@@ -50,19 +50,19 @@ struct Shared {
 }
 
 impl Keyboard {
-    /// Watches the terminal; the space bar sets the request to stop.
+    /// Watches the terminal; the space bar requests a stop.
     pub fn watch(stop: &Stop) -> Self {
         let watched = if isatty(stdin()) { Watched::start(stop) } else { None };
         Self { watched }
     }
 
-    /// No terminal.
+    /// A keyboard without a terminal.
     #[cfg(test)]
     pub fn none() -> Self {
         Self { watched: None }
     }
 
-    /// What the operator must know before anything moves.
+    /// The sentence on keys that the operator needs before anything moves.
     pub fn hint(&self) -> &'static str {
         match self.watched {
             Some(_) => "space bar or Ctrl-C: the arm is braked and the state is kept",
@@ -70,8 +70,8 @@ impl Keyboard {
         }
     }
 
-    /// Asks at a terminal whether somebody has looked at the Qube. No without a terminal, and when
-    /// somebody asks to stop meanwhile.
+    /// Asks at a terminal whether the operator has looked at the Qube; false without a terminal or after a
+    /// stop request.
     pub fn acknowledges(&self, doubt: &Doubt, stop: &Stop) -> bool {
         let Some(Watched { shared, keys, .. }) = &self.watched else { return false };
         eprintln!(
@@ -106,7 +106,7 @@ impl Watched {
         });
         let (sender, keys) = bounded(16);
         let watched = Arc::clone(&shared);
-        // Here and not in the thread, so that no key is lost or echoed from the first line on.
+        // Set here rather than in the thread, so that no key is lost or echoed from the first line on.
         set_single_keys();
         let spawned = std::thread::Builder::new()
             .name("keyboard".into())
@@ -124,7 +124,7 @@ impl Watched {
 impl Drop for Watched {
     fn drop(&mut self) {
         self.shared.ended.store(true, Ordering::Relaxed);
-        // The counter cannot be full: this is its only write.
+        // The counter cannot be full, because this is its only write.
         let _ = rustix::io::write(&self.shared.wake, &1_u64.to_ne_bytes());
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -133,7 +133,7 @@ impl Drop for Watched {
     }
 }
 
-/// Gives the terminal back as it was. For the ways out that drop nothing, too.
+/// Restores the terminal, also for exits that drop nothing.
 pub fn give_back() {
     let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(cooked) = cooked.take() {
@@ -141,8 +141,8 @@ pub fn give_back() {
     }
 }
 
-/// Lets keys come one by one and without an echo. Ctrl-\\ would end the program with the terminal
-/// still so, and has no meaning meanwhile.
+/// Sets the terminal to single keys without echo. Ctrl-\\ is disabled meanwhile, because it would end the
+/// program without restoring the terminal.
 fn set_single_keys() {
     let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
     if cooked.is_some() || !is_foreground() {
@@ -159,7 +159,7 @@ fn set_single_keys() {
     }
 }
 
-/// Whether the terminal is this program's to read: another's would stop it.
+/// Whether the terminal belongs to this process group; reading another's terminal would stop the program.
 fn is_foreground() -> bool {
     tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
 }
@@ -171,7 +171,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
         }
         if shared.suspended.swap(false, Ordering::Relaxed) {
             give_back();
-            // Stops here, and goes on when somebody wants it back.
+            // Stops here, and continues when the shell resumes the program.
             let _ = signal_hook::low_level::emulate_default_handler(SIGTSTP);
         }
         set_single_keys();
@@ -190,7 +190,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
             continue;
         }
         let mut buffer = [0; 16];
-        // A terminal that is gone is the end of its keys; SIGHUP says the rest.
+        // A closed terminal ends the keys; SIGHUP does the rest.
         let Ok(length @ 1..) = rustix::io::read(terminal, &mut buffer) else { return };
         for &key in &buffer[..length] {
             if shared.asking.load(Ordering::Relaxed) {

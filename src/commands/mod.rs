@@ -1,6 +1,6 @@
-//! One file per subcommand: arguments, a call into the library, printing.
+//! The command line: one file a subcommand, with its arguments, a call into the library, and printing.
 //!
-//! May import everything; nobody imports it.
+//! The room may import every other room; no room imports it.
 
 mod benchmark;
 mod check;
@@ -52,11 +52,10 @@ use crate::safety::{LARGEST_LOAD, WARNING_LOAD};
 use crate::session::{Latencies, Quietness};
 use crate::telemetry::LatencySummary;
 
-/// Hardware-in-the-loop for the Quanser Qube: policies are trained over a distribution of
-/// simulations, run on the pendulum, and Bayesian optimisation adapts the distribution to the returns
-/// that the machine measured.
+/// Hardware-in-the-loop for the Quanser Qube: train policies over a distribution of simulations, run them
+/// on the pendulum, and adapt the distribution to the measured returns by Bayesian optimisation.
 ///
-/// Without a command nothing moves. `qube-hil session` does the whole method on an emulated Qube.
+/// Without a command nothing moves. `qube-hil session` runs the whole method on an emulated Qube.
 #[derive(Debug, Parser)]
 #[command(
     name = "qube-hil",
@@ -74,7 +73,7 @@ struct CommandLine {
     #[arg(long, global = true)]
     json: bool,
 
-    /// Say more on stderr (twice: say everything)
+    /// Log more on stderr (twice: log everything)
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
 }
@@ -96,7 +95,7 @@ enum Command {
     Soak(soak::Arguments),
 }
 
-/// Reads the command line, does what it says, and turns the outcome into the exit code.
+/// Parses the command line, runs the command, and returns the exit code.
 #[must_use]
 pub fn main() -> ExitCode {
     let command_line = CommandLine::parse();
@@ -135,20 +134,20 @@ fn log_to_stderr(verbose: u8) {
         .init();
 }
 
-/// A folder under `logs/` that is named after a command and the time.
+/// A folder in `logs/` named after a command and the time.
 fn dated_folder(command: &str) -> PathBuf {
     let now = jiff::Timestamp::now().strftime("%Y%m%d-%H%M%S");
     PathBuf::from("logs").join(format!("{command}-{now}"))
 }
 
-/// Says what the control thread was refused, each with its cure.
+/// Prints the real-time rights that were refused, each with its cure.
 fn warn_without_realtime(realtime: &RealtimeReport) {
     for refusal in realtime.refusals() {
         printable::tell(&format!("warning: {refusal}"));
     }
 }
 
-/// How often the observer had lost the Qube, as a line for people; nothing where it never had.
+/// The number of observer resets as a line for people; empty without a reset.
 fn astray_line(times_astray: u64) -> String {
     match times_astray {
         0 => String::new(),
@@ -158,8 +157,7 @@ fn astray_line(times_astray: u64) -> String {
     }
 }
 
-/// The motor's largest load as a line for people, with a warning where it was large; nothing where it
-/// is not known.
+/// The motor's largest load as a line for people, with a warning if it was high; empty if it is unknown.
 fn heat_line(largest_motor_load: Option<f64>) -> String {
     let Some(load) = largest_motor_load else { return String::new() };
     let percent = |load: f64| 100.0 * load;
@@ -170,7 +168,7 @@ fn heat_line(largest_motor_load: Option<f64>) -> String {
     format!("{line}: it is getting hot, and at {:.0} % the arm is braked\n", percent(LARGEST_LOAD))
 }
 
-/// How quietly policies balanced, as a line for people; nothing where none did.
+/// The quietness of balancing as a line for people; empty if nothing balanced.
 fn quietness_line(quietness: &Quietness) -> String {
     let Some(figures) = quietness.figures() else { return String::new() };
     format!(
@@ -179,7 +177,7 @@ fn quietness_line(quietness: &Quietness) -> String {
     )
 }
 
-/// The timing of all ticks, as lines for people.
+/// The timing of all ticks as lines for people.
 fn timing_lines(latencies: &Latencies) -> String {
     let line = |name: &str, summary: LatencySummary| {
         format!(

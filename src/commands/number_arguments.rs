@@ -1,6 +1,6 @@
-//! Numbers on the command line that must lie in a range.
+//! Parsers of numbers on the command line.
 
-/// A finite number above 0.
+/// Parses a finite number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
@@ -8,7 +8,7 @@ pub fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A number from `smallest` to `largest`.
+/// Parses a number from `smallest` to `largest`.
 pub fn between(text: &str, smallest: f64, largest: f64) -> Result<f64, String> {
     match text.parse() {
         Ok(value) if (smallest..=largest).contains(&value) => Ok(value),

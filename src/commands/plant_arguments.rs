@@ -8,17 +8,17 @@ use super::exit::Failure;
 use super::number_arguments::between;
 use crate::experiment::Plant;
 
-/// The emulated Qubes that policies are run on.
+/// The arguments of the emulated Qubes on which policies run.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PlantArguments {
     #[command(flatten)]
     emulated: EmulatedArguments,
 
-    /// Each policy has its own Qube, every parameter uniformly within this part of its value
+    /// Draw each policy's own Qube, with every parameter uniform within this part of its value
     #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = part)]
     vary: f64,
 
-    /// Several Qubes: a TOML file with one [[plants]] for each: name, profile, gap, delay_ms,
+    /// Several Qubes: a TOML file with one table `[[plants]]` for each: name, profile, gap, delay_ms,
     /// jitter_ms, cable_drift_rad_per_min, scale = { M_p = 1.1 }, vary; psi is searched on the first
     #[arg(long, value_name = "FILE",
           conflicts_with_all = ["profile", "gap", "delay_ms", "jitter_ms", "cable_drift", "scale",
@@ -48,7 +48,7 @@ struct PlantEntry {
 }
 
 impl PlantArguments {
-    /// What they ask for: at least one.
+    /// The plants, at least one.
     pub fn plants(&self) -> Result<Vec<Plant>, Failure> {
         let Some(path) = &self.plants else {
             let emulated = self.emulated.settings()?.unwrap_or_default();

@@ -1,21 +1,22 @@
-//! What a terminal is shown of text that others wrote: file names, names in policies and recordings,
-//! what a device says of itself.
+//! Makes foreign text safe for a terminal: file names, names in policies and recordings, and a device's
+//! description of itself.
 
 use std::borrow::Cow;
 
-/// The text with everything escaped that a terminal would obey instead of showing it: control
-/// characters (but line ends and tabs, which our own tables have), and those that turn the direction of
-/// writing or have no width.
+/// Escapes everything that a terminal would obey instead of showing: control characters (except line ends
+/// and tabs, which the program's own tables contain), and characters that change the direction of writing
+/// or have no width.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escaped(text, |letter| !matches!(letter, '\n' | '\t') && is_obeyed(letter))
 }
 
-/// The same as one line: what others wrote into a sentence of ours begins no line of its own.
+/// Escapes text and keeps it on one line, so that foreign text in a sentence cannot start a line of its
+/// own.
 pub fn one_line(text: &str) -> Cow<'_, str> {
     escaped(text, is_obeyed)
 }
 
-/// The same for JSON on one line, whose own escapes stand for the rest already.
+/// Escapes JSON on one line, whose own escapes cover the rest.
 pub fn printable_json(line: &str) -> Cow<'_, str> {
     if !line.contains(is_obeyed) {
         return Cow::Borrowed(line);
@@ -34,7 +35,7 @@ pub fn printable_json(line: &str) -> Cow<'_, str> {
     Cow::Owned(whole)
 }
 
-/// Says something to the user beside the result.
+/// Prints a message to the user on stderr.
 pub fn tell(text: &str) {
     eprintln!("{}", printable(text.trim_end()));
 }
@@ -54,8 +55,8 @@ fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(whole)
 }
 
-/// Unicode's control characters, C1 among them; its line and paragraph separators; all that changes
-/// the direction of writing (UAX 9); what has no width; tags.
+/// Whether a terminal obeys the character: Unicode's control characters including C1; line and paragraph
+/// separators; characters that change the direction of writing (UAX 9); characters without width; tags.
 fn is_obeyed(letter: char) -> bool {
     letter.is_control()
         || matches!(
@@ -75,8 +76,8 @@ fn is_obeyed(letter: char) -> bool {
 mod tests {
     use super::*;
 
-    /// ESC, CSI of one and of two characters, OSC, a bell, a backspace, DEL, bidi overrides and
-    /// isolates, a line separator, a tag.
+    /// A text with ESC, CSI in one and in two characters, OSC, a bell, a backspace, DEL, bidi overrides and
+    /// isolates, a line separator, and a tag.
     const HOSTILE: &str = "a\u{1b}[2Jb\u{9b}31mc\u{1b}]0;title\u{7}d\u{8}e\u{7f}f\u{202e}g\u{2066}h\
                            \u{2028}i\u{e0041}j\r";
 

@@ -4,13 +4,13 @@ use super::exit::Failure;
 use crate::qube::{Profile, QubeModel};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// The name of the thesis's Qube.
+/// Name of the thesis's Qube.
 pub const IDEAL: &str = "ideal";
 
-/// The profile that comes with the program: a real Qube of which recordings are published.
+/// Profile that comes with the program: a real Qube of which recordings are published.
 const LAB: &str = include_str!("../../profiles/lab.toml");
 
-/// The Qube of this name: `ideal`, `lab`, or a file that describes one.
+/// The Qube with this name: `ideal`, `lab`, or a profile file.
 pub fn named(name: &str) -> Result<QubeModel, Failure> {
     Ok(match name {
         IDEAL => QubeModel::NOMINAL,
@@ -21,7 +21,7 @@ pub fn named(name: &str) -> Result<QubeModel, Failure> {
     })
 }
 
-/// Reads the file that describes a Qube.
+/// Reads a profile file.
 pub fn load(path: &Path) -> Result<Profile, Failure> {
     let text = read_text(path, SETTINGS_BYTES)
         .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;

@@ -7,25 +7,24 @@ use super::output::Output;
 use super::replay::recording_failure;
 use crate::recording::{Recovered, recover};
 
-/// Make a cut-off recording whole: save every tick of it into a new file
+/// Recover a truncated recording: save every intact tick into a new file
 ///
-/// The old file stays as it is. Exit code 0 when it was whole already, 3 when something of the
-/// rollout is lost.
+/// The old file stays unchanged. Exit code 0 when it was complete, 3 when a part of the rollout is lost.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil recover logs/monday/rollout-3.mcap\n  \
     qube-hil recover rollout-3.mcap --out saved.mcap && qube-hil replay saved.mcap")]
 pub struct Arguments {
-    /// The recording that was cut off or damaged
+    /// Truncated or damaged recording
     #[arg(value_name = "FILE")]
     file: PathBuf,
 
-    /// The new file [default: FILE with `.recovered.mcap` at its end]
+    /// New file [default: FILE with the ending `.recovered.mcap`]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
 
-/// Saves what is whole and says what is not.
+/// Saves the intact part and reports the losses.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let out = arguments.out.clone().unwrap_or_else(|| recovered_name(&arguments.file));
     let recovered = recover(&arguments.file, &out).map_err(|error| recording_failure(&error))?;

@@ -18,14 +18,14 @@ use crate::session::write_whole;
 use crate::storage::MachineDisk;
 use crate::telemetry::RolloutOutcome;
 
-/// Run recordings again: recompute the return, put the recorded measurements through the very tick
-/// that ran on the Qube, and compare every voltage bit for bit
+/// Replay recordings: recompute the return, feed the recorded measurements to the tick that ran on the
+/// Qube, and compare every voltage bit for bit
 ///
-/// With --simulate, the simulator gets the recorded voltages and is laid beside the recorded
-/// motion. That also takes CSV files with the columns time_s, theta_rad, alpha_rad,
+/// With --simulate, the simulator also gets the recorded voltages, and its motion is compared with the
+/// recorded one. That accepts CSV files too, with the columns time_s, theta_rad, alpha_rad,
 /// theta_dot_rad_s, alpha_dot_rad_s, voltage_v.
 ///
-/// Exit code 3 when a recording was cut off or something came out differently.
+/// Exit code 3 when a recording was truncated or a decision differs.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil replay logs/monday/*.mcap\n  \
@@ -36,20 +36,20 @@ pub struct Arguments {
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
 
-    /// Lay the simulator beside each recording, in open loop
+    /// Simulate each recording's voltages in open loop and compare the motions
     #[arg(long)]
     simulate: bool,
 
-    /// The Qube to simulate, as `identify` writes it; without it the nominal one
+    /// Profile of the Qube to simulate, as `identify` writes it [default: the nominal Qube]
     #[arg(long, value_name = "FILE", requires = "simulate")]
     profile: Option<PathBuf>,
 
-    /// A folder for one picture (.svg) of each recording with the simulator beside it
+    /// Folder for one picture (.svg) of each recording with its simulation
     #[arg(long, value_name = "DIR", requires = "simulate")]
     plot: Option<PathBuf>,
 }
 
-/// What is said of one file.
+/// The report on one file.
 #[derive(Default, Serialize)]
 struct Report {
     path: PathBuf,
@@ -57,23 +57,23 @@ struct Report {
     return_recomputed: Option<f64>,
     actions_compared: usize,
     actions_different: usize,
-    /// What is to be known of the comparison, if anything is.
+    /// Note on the comparison, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     note: Option<&'static str>,
-    /// Why foresight ended it again, if it did.
+    /// Recomputed prediction for which foresight ended the rollout, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     foreseen: Option<Foreseen>,
-    /// What is wrong, if anything is.
+    /// Defect that was found, if any.
     problem: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rmse: Option<Rmse>,
 }
 
-/// Said of a recording whose guard is no more.
+/// Note on a recording whose guard no longer exists.
 const ENDING_OF_THE_FILE: &str = "this rollout ran under the speed envelope, which is no more: it is \
      compared up to its first braking tick, and its end is taken from the file";
 
-/// What is wrong with one file, and what that makes of the command.
+/// A defect of one file, and the failure that it causes.
 struct Problem {
     failure: fn(String) -> Failure,
     what: String,
@@ -99,8 +99,7 @@ struct Rmse {
     alpha_rad: f64,
 }
 
-/// Replays every file and prints what came of each; the first thing that is wrong decides the exit
-/// code.
+/// Replays every file and prints the results; the first defect decides the exit code.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let model = match &arguments.profile {
         Some(path) => profile::load(path)?.model(),
@@ -164,7 +163,8 @@ fn replay_file(
         problem = rerun_recording(&recording, report, text)?.err();
         match MotionLog::of_recording(&recording) {
             Some(log) => log,
-            // Nothing to simulate: settling failed, or it was cut off before.
+            // There is nothing to simulate: settling failed, or the file was truncated before the policy
+            // started.
             None => return problem.map_or(Ok(()), Err),
         }
     };
@@ -174,8 +174,8 @@ fn replay_file(
     problem.map_or(Ok(()), Err)
 }
 
-/// Runs the tick again. The outer error is that it cannot be run, the inner one that it differs or
-/// that something is missing.
+/// Replays the tick. The outer error means that it cannot be replayed, the inner one that it differs or
+/// that parts are missing.
 fn rerun_recording(
     recording: &Recording,
     report: &mut Report,
@@ -210,7 +210,7 @@ fn rerun_recording(
         .map_or(Ok(()), |what| Err(Problem::data_lost(one_line(&format!("{path}: {what}"))))))
 }
 
-/// What is wrong with a recording, if anything is.
+/// Describes the defects of a recording, if any.
 fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
     if let Some(difference) = &rerun.first_difference {
         let (recorded, recomputed) = (&difference.recorded, &difference.recomputed);
@@ -252,7 +252,7 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
     }
 }
 
-/// Why foresight ended a rollout, for people.
+/// The prediction for which foresight ended a rollout, for people.
 fn foreseen_text(foreseen: &Foreseen) -> String {
     let Foreseen { identified, particle, beyond_rad } = foreseen;
     let whose = if *identified { "its profile's Qubes" } else { "the Qubes that any may be" };
@@ -288,7 +288,7 @@ fn simulate_file(
     Ok(())
 }
 
-/// The file's own name; with its number in front where several files have the same name.
+/// The name of a file's picture, with a number in front where several files share a name.
 fn picture_name(files: &[PathBuf], path: &Path) -> String {
     let name = path.file_stem().unwrap_or_default();
     let is_unique = files.iter().filter(|file| file.file_stem() == Some(name)).count() == 1;
@@ -305,7 +305,7 @@ fn rmse_text(rmse: Rmse) -> String {
     )
 }
 
-/// Over several recordings, each counting alike.
+/// The error over several recordings with equal weights.
 fn overall(errors: &[Rmse]) -> Option<Rmse> {
     let mean = |angle: fn(&Rmse) -> f64| {
         let squares: f64 = errors.iter().map(|rmse| angle(rmse).powi(2)).sum();
@@ -322,13 +322,13 @@ fn recording_problem(error: &RecordingError) -> Problem {
     if bad_input { Problem::usage(one_line(&error)) } else { Problem::failed(one_line(&error)) }
 }
 
-/// The exit code of what went wrong with a recording.
+/// The failure for an error of a recording.
 pub fn recording_failure(error: &RecordingError) -> Failure {
     let (bad_input, error) = (is_bad_input(error), error.to_string());
     if bad_input { Failure::usage(one_line(&error)) } else { Failure::failed(one_line(&error)) }
 }
 
-/// A bad file is bad input; a disk that fails is a failure.
+/// Whether the error lies in the file; a failing disk is not bad input.
 fn is_bad_input(error: &RecordingError) -> bool {
     match error {
         RecordingError::Create { .. }

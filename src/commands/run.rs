@@ -34,11 +34,11 @@ use crate::session::{
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
 
-/// Run a policy on the Qube and log it: homing, then for each rollout settling, six seconds of
-/// policy, braking; or excite it for `identify`
+/// Run a policy on the Qube and record it: homing, then for each rollout settling, six seconds of policy,
+/// braking; or excite the Qube for `identify`
 ///
-/// Exit code 0 also when a rollout left the safety box: that is a result. 4 when a fault ended the
-/// last one.
+/// Exit code 0 also when a rollout left the safety box, which is a result; 4 when a fault ended the last
+/// rollout.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil run --policy classical              # a swing-up without any training\n  \
@@ -48,21 +48,21 @@ use crate::telemetry::{Ending, Fault};
     qube-hil run --excite chirp --rollouts 4 --out logs/chirps      # for identify\n  \
     qube-hil run --policy classical --qube qube.toml     # from check --write")]
 pub struct Arguments {
-    /// What drives the Qube: a policy file, or `classical` for the built-in energy swing-up with
-    /// balance; this or --excite is needed
+    /// Policy file, or `classical` for the built-in energy swing-up with balance; this or --excite is
+    /// required
     #[arg(long, value_name = "FILE|classical", required_unless_present = "excite")]
     policy: Option<String>,
 
-    /// No policy but a voltage for 10 s that makes a recording for `identify`, each rollout
-    /// beginning with the other sign; the box and the guard hold as for a policy
+    /// Instead of a policy, apply a voltage for 10 s that makes a recording for `identify`; consecutive
+    /// rollouts start in opposite directions. Box and guard apply as for a policy
     #[arg(long, value_enum, conflicts_with = "policy")]
     excite: Option<ExciteArgument>,
 
-    /// The largest voltage of the excitation, 0.1 to 3
+    /// Largest voltage of the excitation, 0.1 to 3
     #[arg(long, value_name = "V", default_value_t = 1.5, value_parser = volts, requires = "excite")]
     volts: f64,
 
-    /// How many rollouts, one after the other
+    /// Number of rollouts
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
 
@@ -70,11 +70,11 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 
-    /// Decides where the arm starts and what the emulated Qube is like
+    /// Seed of the arm's start angles and of the emulated Qube
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
-    /// What ends a rollout: foresight of the brake too, or the box alone
+    /// Guard that may end a rollout: foresight of the brake, or the box only
     #[arg(long, value_parser = guard_parser(), default_value = "foresight")]
     guard: GuardArgument,
 
@@ -99,7 +99,7 @@ pub struct Arguments {
 enum ExciteArgument {
     /// A cosine from 5 Hz down to 1 Hz
     Chirp,
-    /// Voltages held for 0.05 to 0.2 s, up and down without a pattern
+    /// Voltages held for 0.05 to 0.2 s in a pseudo-random order
     Steps,
 }
 
@@ -112,7 +112,7 @@ impl From<ExciteArgument> for ExcitationShape {
     }
 }
 
-/// What drives the motor: named for the header, and for each rollout the bytes of its file.
+/// The controller of the rollouts: its name for the header, and the bytes of its file for each rollout.
 struct Driver {
     name: String,
     files: Vec<Vec<u8>>,
@@ -141,7 +141,7 @@ impl Driver {
     }
 }
 
-/// Runs the rollouts and prints what they earned, whatever ends them.
+/// Runs the rollouts and prints their returns, whatever ends them.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let driver = Driver::chosen(&arguments)?;
     let stop = Stop::on_signals()?;
@@ -199,7 +199,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     ended
 }
 
-/// Rollouts of one policy, one after the other.
+/// Several rollouts of one policy.
 struct Series<'a> {
     settings: RigSettings,
     plan: RolloutPlan,
@@ -238,7 +238,7 @@ impl Series<'_> {
         }
     }
 
-    /// Opens the rig. A doubt that is remembered can be acknowledged at a terminal.
+    /// Opens the rig. The operator may acknowledge a remembered doubt at a terminal.
     fn open(&mut self) -> Result<Rig, Failure> {
         let opened = match Rig::open(&self.settings, &self.stop.flag) {
             Err(RigError::InDoubt(doubt)) if self.keyboard.acknowledges(&doubt, self.stop) => {
@@ -268,7 +268,7 @@ impl Series<'_> {
         }
     }
 
-    /// A rig that runs again after a fault, where the fault or the operator allows it.
+    /// Restarts the rig after a fault, where the fault or the operator allows it.
     fn after_fault(&mut self, mut rig: Rig, fault: Fault) -> Result<Rig, Failure> {
         match rig.start_again() {
             Ok(()) => Ok(rig),
@@ -291,7 +291,7 @@ impl Series<'_> {
     }
 }
 
-/// A fault that ended the last rollout, with what follows from it.
+/// The message for a fault that ended the last rollout, with the operator's step.
 fn told(fault: Fault) -> String {
     let then = if fault.leaves_doubt() {
         ". Then start again with --acknowledge: the Qube is examined first"
@@ -312,7 +312,7 @@ fn policy_file(name: &str) -> Result<Vec<u8>, Failure> {
         .map(|policy| policy.to_bytes())
 }
 
-/// What `identify` would make of the recording of an excitation.
+/// Whether `identify` can use the recording of an excitation, as a sentence.
 fn fitness(recording: &Recording) -> String {
     let Some(log) = MotionLog::of_recording(recording) else {
         return "no motion: `identify` cannot use it".into();
@@ -328,31 +328,31 @@ fn volts(text: &str) -> Result<f64, String> {
     between(text, 0.1, 3.0)
 }
 
-/// What the rollouts came to, read back from their recordings.
+/// The results of the rollouts, read from their recordings.
 #[derive(Debug, Default)]
 struct Results {
     lines: String,
-    /// No policy drove: what counts is whether `identify` can use it.
+    /// Whether an excitation drove the Qube, so that `identify`'s use of it is reported.
     excited: bool,
-    /// None where a rollout came to no result.
+    /// Returns; `None` for a rollout without a result.
     returns: Vec<Option<f64>>,
     ended_early: Vec<Option<String>>,
     success: Vec<bool>,
     recordings: Vec<PathBuf>,
     latencies: Latencies,
-    /// How quietly the policy balanced, where it did.
+    /// Quietness of balancing, if the policy balanced.
     quietness: Quietness,
-    /// How often the observer had lost the Qube.
+    /// Number of observer resets.
     times_astray: u64,
-    /// The motor's largest load; none where no recording tells it.
+    /// Largest load of the motor; `None` if no recording has it.
     largest_motor_load: Option<f64>,
-    /// The fault that ended the last rollout, if one did.
+    /// Fault that ended the last rollout, if one did.
     fault: Option<Fault>,
-    /// Why the last rollout is void without one.
+    /// Reason why the last rollout is void without a fault.
     void: Option<String>,
-    /// The first rollouts that came to a result.
+    /// Recordings of the first rollouts with a result.
     first: Vec<Recording>,
-    /// The rig beside its profile, or why that cannot be said.
+    /// Drift of the rig from its profile, or the reason why it cannot be estimated.
     drift: Option<Result<Drift, Unfit>>,
 }
 
@@ -363,7 +363,7 @@ impl Results {
         self.quietness.add(&recording.ticks);
         let outcome = recording.outcome.as_ref();
         self.times_astray += outcome.map_or(0, |outcome| u64::from(outcome.times_astray));
-        // None is less than any number.
+        // `None` is less than any number.
         let load = outcome.and_then(|outcome| outcome.largest_motor_load);
         if self.largest_motor_load < load {
             self.largest_motor_load = load;
@@ -380,7 +380,7 @@ impl Results {
                     _ if self.excited => fitness(&recording),
                     Some(reason) => format!("{reason} after {} steps", outcome.steps),
                     None if success => "success".into(),
-                    None => "not standing at the end".into(),
+                    None => "not balancing at the end".into(),
                 };
                 self.returns.push(Some(return_));
                 self.ended_early.push(ended_early);
@@ -407,7 +407,7 @@ impl Results {
         Ok(())
     }
 
-    /// Whether the last rollout is void though no fault ended it.
+    /// Checks that the last rollout is not void without a fault.
     fn gaps(&self) -> Result<(), Failure> {
         match &self.void {
             Some(reason) => Err(Failure::fault(format!("the last rollout is void: {reason}"))),
@@ -415,7 +415,7 @@ impl Results {
         }
     }
 
-    /// Compares the first rollouts with what the Qube was when its profile was made.
+    /// Compares the first rollouts with the profile.
     fn compare(&mut self, profile: &QubeModel) {
         self.drift = Some(Drift::of(&self.first, profile));
     }

@@ -24,14 +24,14 @@ use crate::safety::{Guard, GuardConsent};
 use crate::session::{Session, SessionError, SessionFolder, SessionSettings};
 use crate::simulation::SensorModel;
 
-/// Do the whole method: search the distribution of simulations whose policies earn most on the Qube
+/// Run the whole method: search for the distribution of simulations whose policies earn most on the Qube
 ///
-/// A candidate is one psi: means and standard deviations from which the simulations' masses and
-/// lengths are drawn (--config can choose others). For each a policy is trained and run on the Qube at
-/// 100 Hz, every rollout is logged, and a surrogate of the return over psi proposes the next. Last, the
-/// psi that it believes best is trained and run, and the best candidate's policy is run again: the
-/// better of the two is handed on. Without arguments this happens on an emulated Qube and takes some
-/// minutes. Whatever ends it, --resume goes on without losing or repeating a finished rollout.
+/// A candidate is one psi: means and standard deviations from which the simulations' masses and lengths are
+/// drawn (--config can choose other quantities). For each, a policy is trained and run on the Qube at 100
+/// Hz, every rollout is recorded, and a surrogate of the return over psi proposes the next. Finally the
+/// recommended psi is trained and run, and the best candidate's policy is run again; the better of the two
+/// is the result. Without arguments this runs on an emulated Qube and takes some minutes. --resume
+/// continues an interrupted session without losing or repeating a finished rollout.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil session                               # on the emulated Qube\n  \
@@ -39,16 +39,16 @@ use crate::simulation::SensorModel;
     qube-hil session --resume logs/monday          # after Ctrl-C, crash or fault\n  \
     qube-hil session --clock virtual --seed 3      # as fast as the processor can")]
 pub struct Arguments {
-    /// How much is done: `quick` takes minutes, `thesis` is the published extent and budget
+    /// Extent: `quick` takes minutes, `thesis` is the published extent and budget
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
     preset: Preset,
 
-    /// A TOML file whose entries replace the preset's; the session.toml in a session's folder shows all
-    /// there are
+    /// TOML file whose entries override the preset; the session.toml in a session's folder shows every
+    /// entry
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     config: Option<PathBuf>,
 
-    /// Everything random follows from it [default: 0, or what --config says]
+    /// Seed from which every random number follows [default: 0, or as --config says]
     #[arg(long, conflicts_with = "resume")]
     seed: Option<u64>,
 
@@ -56,11 +56,11 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
 
-    /// Go on with the session in this folder, with its settings
+    /// Resume the session in this folder, with its settings
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
-    /// What ends a rollout: foresight of the brake too, or the box alone [default: foresight, or what
+    /// Guard that may end a rollout: foresight of the brake, or the box only [default: foresight, or as
     /// --config says]; with --resume that of the session
     #[arg(long, value_parser = guard_parser())]
     guard: Option<GuardArgument>,
@@ -81,10 +81,10 @@ pub struct Arguments {
     check: CheckArguments,
 }
 
-/// How much a session does.
+/// The extent of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Preset {
-    /// 6 initial candidates, 4 by the search, 2 rollouts each, trainings of half a minute
+    /// 6 initial candidates, 4 by the search, 2 rollouts each, training of half a minute
     Quick,
     /// 15 initial candidates, 10 by the search, 5 rollouts each, the published training budget
     Thesis,
@@ -161,7 +161,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     service_manager::stopping();
     progress.finish();
     drop(keyboard);
-    // What is finished can be seen, whatever ended the session.
+    // Finished work is shown, whatever ended the session.
     if let Err(failure) = &ended
         && failure.is_usage()
         && session.entries().is_empty()
@@ -180,7 +180,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
 }
 
-/// What policies are trained on beside what they will see, where that is not the same.
+/// A note where policies train on other states than they will see.
 fn estimators_differ(settings: &SessionSettings) -> Option<String> {
     let trained_on = match settings.training.simulation.sensors {
         SensorModel::Encoders { estimator } if estimator == settings.estimator => return None,
@@ -256,7 +256,7 @@ fn resumed(
     Ok((folder, on_this_qube(settings, device)))
 }
 
-/// Signs, homing and limits of the rig: its own file knows them better than the session does.
+/// Applies signs, homing and limits of the rig's own file, which take precedence over the session's.
 fn on_this_qube(settings: SessionSettings, device: &ChosenDevice) -> SessionSettings {
     SessionSettings {
         homing: device.homing(settings.homing),
