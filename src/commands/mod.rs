@@ -152,7 +152,7 @@ fn astray_line(times_astray: u64) -> String {
     match times_astray {
         0 => String::new(),
         times => format!(
-            "the observer had lost the Qube {times} times: its model or its delay is of another\n"
+            "observer diverged {times} times: its model or delay does not match this Qube\n"
         ),
     }
 }

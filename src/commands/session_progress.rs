@@ -8,8 +8,8 @@ use super::warn_without_realtime;
 use crate::session::{Progress, Purpose, SessionSettings, Verdict};
 use crate::telemetry::Ending;
 
-/// What the operator sees on stderr while a session runs: a line for each thing that is finished,
-/// and one live line for training.
+/// The display on stderr of a running session: a line for each finished piece of work, and one live line
+/// for training.
 pub struct SessionProgress {
     bar: ProgressBar,
     last_candidate: u32,
@@ -19,7 +19,7 @@ pub struct SessionProgress {
 }
 
 impl SessionProgress {
-    /// For a session of this extent.
+    /// A display for a session of this extent.
     pub fn new(settings: &SessionSettings) -> Self {
         let bar = ProgressBar::new_spinner();
         if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
@@ -32,14 +32,14 @@ impl SessionProgress {
         Self { bar, last_candidate, training: BTreeMap::new(), connected: false }
     }
 
-    /// Shows one piece of news.
+    /// Shows one event.
     pub fn tell(&mut self, news: &Progress) {
         match news {
             Progress::Proposed { candidate, purpose } => {
                 let why = match purpose {
                     Purpose::Initial => "an initial point",
                     Purpose::Search => "proposed by the search",
-                    Purpose::Verification => "the search's answer, to be verified",
+                    Purpose::Verification => "the search's recommendation, to be verified",
                     Purpose::Incumbent => "the best candidate's policy, to be verified too",
                 };
                 self.line(format!("candidate {candidate} of {}: {why}", self.last_candidate));
@@ -94,7 +94,7 @@ impl SessionProgress {
     }
 
     fn line(&self, text: String) {
-        // Without a terminal the bar is hidden and would swallow the line.
+        // A bar without a terminal is hidden and would swallow the line.
         let text = printable(&text);
         if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
     }
@@ -109,8 +109,8 @@ fn describe(verdict: &Verdict) -> String {
             Ending::LeftBox(limit) => {
                 format!("{return_:.0}, left the box by {limit} after {} steps", outcome.steps)
             }
-            _ if *success => format!("{return_:.0}, stands"),
-            _ => format!("{return_:.0}, does not stand"),
+            _ if *success => format!("{return_:.0}, balances"),
+            _ => format!("{return_:.0}, does not balance"),
         },
     }
 }

@@ -9,24 +9,24 @@ use crate::session::{
 };
 use crate::simulation::PsiSpace;
 
-/// The end of a session: its candidates and what was verified, read from its folder.
+/// The table of a session: its candidates and the verified policies, read from its folder.
 pub struct SessionTable {
     psi: PsiSpace,
     candidates: Vec<(Candidate, Vec<Verdict>)>,
     latencies: Latencies,
-    /// Rollouts that a fault ended and that were done again.
+    /// Number of rollouts that a fault ended and that were repeated.
     void_rollouts: u64,
-    /// How often the observer had lost the Qube.
+    /// Number of observer resets.
     times_astray: u64,
     directory: String,
-    /// The policy to use: of what was verified, the one that earned the most.
+    /// Policy to use: the verified one with the highest mean return.
     best: Option<Best>,
 }
 
 struct Best {
     candidate: usize,
     policy: String,
-    /// How quietly it balanced.
+    /// Quietness of its balancing.
     quietness: Quietness,
 }
 
@@ -61,7 +61,7 @@ impl SessionTable {
         Ok(Self { psi, candidates, latencies, void_rollouts, times_astray, directory, best })
     }
 
-    /// For people, 80 columns wide.
+    /// The table for people, 80 columns wide.
     pub fn text(&self) -> String {
         let mut text =
             String::from("\n   #  purpose   mean return  rollouts  psi in its box, 0 to 9\n");
@@ -90,7 +90,7 @@ impl SessionTable {
             let (candidate, verdicts) = &self.candidates[*candidate];
             let whose = match candidate.purpose {
                 Purpose::Incumbent => format!("that of candidate {}", self.incumbent(candidate)),
-                _ => "that of the search's answer".into(),
+                _ => "that of the search's recommendation".into(),
             };
             let stood = verdicts.iter().filter(|verdict| succeeded(verdict)).count();
             let _ = writeln!(
@@ -117,14 +117,14 @@ impl SessionTable {
         text
     }
 
-    /// The searched candidate whose policy this one runs again: they share their psi.
+    /// The searched candidate whose policy this one runs again; they share their psi.
     fn incumbent(&self, again: &Candidate) -> u32 {
         let is_same = |it: &&Candidate| it.purpose.is_searched() && it.psi == again.psi;
         let mut candidates = self.candidates.iter().map(|(candidate, _)| candidate);
         candidates.find(is_same).unwrap_or(again).number
     }
 
-    /// For scripts; the caller adds how long it took.
+    /// The table as JSON, for scripts; the caller adds the elapsed time.
     pub fn json(&self) -> Value {
         let all = |purposes: &dyn Fn(Purpose) -> bool| {
             let chosen = self.candidates.iter().filter(|(it, _)| purposes(it.purpose));
@@ -166,7 +166,7 @@ fn valued(psi: &PsiSpace, candidate: &Candidate, verdicts: &[Verdict]) -> Value 
     })
 }
 
-/// Of what was verified, what earned the most: the answer where there is nothing between them.
+/// The verified candidate with the highest mean return; the recommendation in a tie.
 fn best(candidates: &[(Candidate, Vec<Verdict>)]) -> Option<usize> {
     let mut best: Option<(usize, f64)> = None;
     for (index, (candidate, verdicts)) in candidates.iter().enumerate() {
@@ -184,7 +184,7 @@ fn succeeded(verdict: &Verdict) -> bool {
     matches!(verdict, Verdict::Result { success: true, .. })
 }
 
-/// Where each entry of psi lies between the ends of its box, as a digit.
+/// Position of each entry of psi within its box, as a digit.
 fn digits(space: &PsiSpace, psi: &[f64]) -> String {
     space
         .dimensions()
@@ -217,6 +217,6 @@ mod tests {
         assert!(!text.contains("void") && !text.contains("observer"), "{text}");
         let text = SessionTable { void_rollouts: 3, times_astray: 7, ..quiet }.text();
         assert!(text.contains("were repeated: 3\n"), "{text}");
-        assert!(text.contains("lost the Qube 7 times"), "{text}");
+        assert!(text.contains("observer diverged 7 times"), "{text}");
     }
 }

@@ -19,17 +19,17 @@ use crate::session::{MAX_NOT_BEGUN, Rig, RigError, RolloutPlan, Verdict, judge_r
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
 
-/// Most memory that the program may have gained over a soak.
+/// Largest growth of the program's memory over a soak, bytes.
 const MAX_GROWTH_BYTES: i64 = 5_000_000;
 
-/// Rollouts after which everything is as large as it gets: buffers, threads' stacks, caches.
+/// Number of rollouts after which everything has its final size: buffers, stacks, caches.
 const WARM_UP_ROLLOUTS: u64 = 20;
 
-/// Run for hours: rollout after rollout by the classical controller, each recorded, read back and
-/// checked; no tick may be dropped and the memory may not grow
+/// Run for hours: rollout after rollout by the classical controller, each recorded, read back and checked;
+/// no tick may be lost and the memory may not grow
 ///
-/// With `--clock virtual` a day takes minutes. Exit code 3 when a tick was lost, 4 when a fault ended
-/// a rollout, 1 when the memory grew by more than 5 MB.
+/// With `--clock virtual` a day takes minutes. Exit code 3 when a tick was lost, 4 when a fault ended a
+/// rollout, 1 when the memory grew by more than 5 MB.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil soak --clock virtual                # 24 hours of ticks\n  \
@@ -40,11 +40,11 @@ pub struct Arguments {
     #[arg(long, default_value_t = 24.0, value_parser = positive)]
     hours: f64,
 
-    /// Decides where the arm starts and what the emulated Qube is like
+    /// Seed of the arm's start angles and of the emulated Qube
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
-    /// Keep the recordings in this folder; without it each is deleted once it is checked
+    /// Folder in which the recordings are kept; without it each is deleted once it is checked
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
 
@@ -55,7 +55,7 @@ pub struct Arguments {
     check: CheckArguments,
 }
 
-/// Runs until the hours are over and says what came of it.
+/// Runs until the hours are over and prints the summary.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let folder = Folder::new(arguments.keep.clone())?;
@@ -78,7 +78,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     ended.and_then(|()| soaked.judge())
 }
 
-/// Where the recordings go.
+/// Folder of the recordings.
 struct Folder {
     path: PathBuf,
     keeps: bool,
@@ -89,7 +89,7 @@ impl Folder {
         let keeps = keep.is_some();
         let name = format!("qube-hil-soak-{}", std::process::id());
         let path = keep.unwrap_or_else(|| std::env::temp_dir().join(name));
-        // What it deletes in the end, it has made: others may put folders there too.
+        // Others may create folders there too, so the soak removes in the end only a folder of its own.
         let made = if keeps { std::fs::create_dir_all(&path) } else { std::fs::create_dir(&path) };
         made.map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
         Ok(Self { path, keeps })
@@ -112,12 +112,12 @@ impl Drop for Folder {
     }
 }
 
-/// What was seen so far; does not grow with it.
+/// The statistics so far, of constant size.
 #[derive(Debug, Default)]
 struct Soaked {
     rollouts: u64,
     ticks: u64,
-    /// Ticks that the recordings lack.
+    /// Number of ticks missing in the recordings.
     lost: u64,
     missed_deadlines: u64,
     void: u64,
@@ -129,7 +129,7 @@ struct Soaked {
 }
 
 impl Soaked {
-    /// Rollout after rollout until the hours are over or somebody asks to stop.
+    /// Runs rollouts until the hours are over or a stop is requested.
     fn soak(
         &mut self,
         arguments: &Arguments,
@@ -198,7 +198,7 @@ impl Soaked {
             }
             Verdict::Result { .. } => false,
             Verdict::Unfinished => {
-                // A recording without its end, though nobody asked to stop.
+                // The recording has no end, although no stop was requested.
                 self.lost += u64::from(!stopped);
                 false
             }
@@ -213,7 +213,7 @@ impl Soaked {
         (self.ticks * CONTROL_PERIOD_NS) as f64 / 3600e9
     }
 
-    /// None of a soak that was over before it had warmed up.
+    /// `None` for a soak that ended before it had warmed up.
     fn growth_bytes(&self) -> Option<i64> {
         self.memory_at_start_bytes.map(|start| self.memory_bytes - start)
     }
@@ -267,7 +267,7 @@ impl Soaked {
     }
 }
 
-/// Memory of this process that is in use now: `VmRSS:  1234 kB` in /proc/self/status.
+/// Memory of this process in use: `VmRSS:  1234 kB` in /proc/self/status.
 fn resident_bytes() -> i64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));

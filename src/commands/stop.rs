@@ -1,4 +1,5 @@
-//! Ctrl-C, SIGTERM, SIGHUP and the space bar: the motor is braked, the state is kept, and the exit code says which.
+//! Stop requests by Ctrl-C, SIGTERM, SIGHUP and the space bar: the motor is braked, the state is kept, and
+//! the exit code names the signal.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -11,14 +12,14 @@ use super::keyboard;
 /// A request to stop, set by a signal or a key.
 #[derive(Clone, Debug, Default)]
 pub struct Stop {
-    /// Watched by the control thread and by training.
+    /// Flag that the control thread and the training watch.
     pub flag: Arc<AtomicBool>,
     signal: Arc<AtomicUsize>,
 }
 
 impl Stop {
-    /// Takes over the signals. A second Ctrl-C ends the program at once; the device's watchdog then
-    /// switches the motor off.
+    /// Handles the signals. A second Ctrl-C ends the program at once; the device's watchdog then switches
+    /// the motor off.
     pub fn on_signals() -> Result<Self, Failure> {
         let flag = Arc::new(AtomicBool::new(false));
         let signal = Arc::new(AtomicUsize::new(0));
@@ -44,7 +45,7 @@ impl Stop {
         Ok(Self { flag, signal })
     }
 
-    /// Whether somebody asked to stop.
+    /// Whether a stop was requested.
     pub fn requested(&self) -> bool {
         self.flag.load(Ordering::Relaxed)
     }

@@ -3,31 +3,31 @@ use super::exit::Failure;
 use crate::experiment::{Contender, StrategySettings};
 use crate::session::DeviceChoice;
 
-/// Spread of the simulations around an identified Qube: what `train --profile` has by default.
+/// Spread of the simulations around an identified Qube, the default of `train --profile`.
 const SPREAD: f64 = 0.1;
 
-/// Ways to search psi that are compared instead of recipes.
+/// The arguments that compare methods of finding a policy instead of recipes.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Searches compared by the real rollouts they need")]
 pub struct StrategyArguments {
-    /// Compare searches of one model's psi [default: opt-nominal's] instead of recipes: bayrn, cem,
-    /// cmaes, random, sobol; `identify` takes recordings instead and trains around the Qube they show.
-    /// How many real rollouts until the answer succeeds in 90 % of the rollouts of --policies x
-    /// --rollouts that judge it?
+    /// Compare methods of finding one model's psi [default: opt-nominal's] instead of recipes: bayrn, cem,
+    /// cmaes, random, sobol; `identify` takes recordings instead and trains around the identified Qube. The
+    /// result is the number of real rollouts until the recommendation succeeds in 90 % of --policies x
+    /// --rollouts separate rollouts
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "resume")]
     pub strategies: Vec<Contender>,
 
-    /// How often each begins anew
+    /// Repetitions of each method, each with its own seed
     #[arg(long, default_value_t = 10, requires = "strategies")]
     repetitions: u32,
 
-    /// Most recordings that `identify` takes
+    /// Largest number of recordings for `identify`
     #[arg(long, default_value_t = 6, requires = "strategies")]
     recordings: u32,
 }
 
 impl StrategyArguments {
-    /// What they ask for; None where no strategies are compared.
+    /// The settings; `None` where no methods are compared.
     pub fn settings(&self) -> Option<StrategySettings> {
         (!self.strategies.is_empty()).then(|| StrategySettings {
             contenders: self.strategies.clone(),
@@ -38,7 +38,7 @@ impl StrategyArguments {
     }
 }
 
-/// Strategies are compared on emulated Qubes alone.
+/// Refuses a device: methods are compared on emulated Qubes only.
 pub fn check_device(
     strategies: Option<&StrategySettings>,
     device: &ChosenDevice,

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::experiment::{AnswerResult, Repetition, StrategyResult, StrategyResults};
 
-/// For people, 80 columns wide: a line for each strategy.
+/// The table for people, 80 columns wide: a line for each method.
 pub fn table(results: &StrategyResults) -> String {
     let mut text = format!(
         "\nreal rollouts until the answer succeeds, {} on {}\n\n{:10} {:>8} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
@@ -57,7 +57,7 @@ fn line(strategy: &StrategyResult) -> String {
     )
 }
 
-/// For scripts.
+/// The results as JSON, for scripts.
 pub fn value(results: &StrategyResults) -> Value {
     let strategy = |strategy: &StrategyResult| {
         let needed = strategy.repetitions.iter().map(Repetition::succeeded_after);
@@ -81,7 +81,7 @@ pub fn value(results: &StrategyResults) -> Value {
     })
 }
 
-/// A line for each answer.
+/// The results as CSV, with a line for each recommendation.
 pub fn csv(results: &StrategyResults) -> String {
     let mut text = String::from(
         "strategy,repetition,budget,real_rollouts,judges_stood,judges_ran,succeeds,refused\n",

@@ -36,7 +36,7 @@ use crate::storage::MachineDisk;
     qube-hil train --model psi --psi psi.toml   # a distribution of your own\n  \
     qube-hil train --preset thesis --checkpoint half.safetensors    # can go on")]
 pub struct Arguments {
-    /// What the simulations' parameters are drawn from
+    /// Distribution of the simulations' parameters
     #[arg(long, value_enum, default_value_t = Model::Nominal)]
     model: Model,
 
@@ -48,17 +48,17 @@ pub struct Arguments {
     #[arg(long, value_name = "PART", default_value_t = 0.1, requires = "profile", value_parser = spread)]
     spread: f64,
 
-    /// Delay of the simulated commands, or the range from which each trajectory draws its own [default:
-    /// the model's or profile's]
+    /// Delay of the simulated commands, or the range from which each trajectory draws its own [default: the
+    /// model's or profile's]
     #[arg(long, value_name = "MS|FROM..TO", value_parser = delays_s)]
     delay_ms: Option<(f64, f64)>,
 
-    /// For --model psi: a TOML file of means and standard deviations, as mean_M_p = 0.024
+    /// For --model psi: TOML file of means and standard deviations, such as mean_M_p = 0.024
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
     psi: Option<PathBuf>,
 
-    /// How long to train, on what simulation: `robust` for a policy that is to run on a Qube, `quick`
-    /// and `thesis` as published
+    /// Training budget and simulation: `robust` for a policy that is to run on a Qube, `quick` and `thesis`
+    /// as published
     #[arg(
         long,
         default_value = "robust",
@@ -66,40 +66,39 @@ pub struct Arguments {
     )]
     preset: Preset,
 
-    /// Everything random follows from it
+    /// Seed from which every random number follows
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
-    /// Where the policy goes
+    /// File for the policy
     #[arg(long, value_name = "FILE", default_value = "policy.safetensors")]
     out: PathBuf,
 
-    /// What the simulation shows of the state: as it is, or through encoders and estimator, as on the
-    /// machine [default: the preset's]
+    /// Sensors of the simulation: true states, or encoders and estimator as on the machine [default: the
+    /// preset's]
     #[arg(long, value_enum)]
     sensors: Option<Sensors>,
 
-    /// How many last commands the policy sees beside the state, 0 to 4 [default: 2 with --model
-    /// robust, --profile or --delay-ms and no observer, else 0]
+    /// Number of last commands in the observation, 0 to 4 [default: 2 with --model robust, --profile or
+    /// --delay-ms and no observer, else 0]
     #[arg(long, value_name = "COMMANDS", value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64))]
     history: Option<u8>,
 
-    /// Weight of a change of the voltage from step to step in what is learned from, 1/V^2, 0 to 10:
-    /// 0.04 makes policies that balance quietly [default: the preset's]
+    /// Weight of a change of voltage between steps in the training reward, 1/V^2, 0 to 10: 0.04 makes
+    /// policies that balance quietly [default: the preset's]
     #[arg(long, value_name = "WEIGHT", value_parser = weight)]
     voltage_change_weight: Option<f64>,
 
-    /// Save the unfinished training to this file every ten updates, and go on from it when it exists;
-    /// the policy is the same as without an interruption
+    /// Checkpoint file: the training is saved to it every ten updates and resumes from it if it exists; the
+    /// policy is the same as without an interruption
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
 
-    /// Processors to use, 1 or 2; the policy is the same
+    /// Threads to use, 1 or 2; the policy is the same
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
     threads: u8,
 
-    /// The best instructions to use of those that the processor has; avx512 and avx2 give the same
-    /// policy
+    /// Best instruction set to use among those of the processor; avx512 and avx2 give the same policy
     #[arg(long, value_enum, default_value_t = InstructionSet::Avx512)]
     instruction_set: InstructionSet,
 
@@ -108,32 +107,32 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether the simulated Qubes have what real ones have beside the equations of motion.
+    /// Whether the simulated Qubes have the nonidealities of real ones.
     fn has_gap(&self) -> bool {
         self.profile.is_some() || self.delay_ms.is_some() || self.model == Model::Robust
     }
 }
 
-/// What the simulation shows.
+/// Sensors of the simulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Sensors {
-    /// Angles and velocities without error
+    /// True angles and velocities without error
     True,
-    /// Angles in encoder counts, and what the estimator that runs on the machine makes of them
+    /// Encoder counts, and the estimator that runs on the machine
     Encoders,
 }
 
-/// Updates between two checkpoints.
+/// Number of updates between checkpoints.
 const CHECKPOINT_EVERY: u32 = 10;
 
 /// The instruction sets by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum InstructionSet {
-    /// Whatever this processor has
+    /// The best of this processor
     Avx512,
     /// With fused multiply-add
     Avx2,
-    /// What every processor of the architecture has
+    /// The baseline of the architecture
     Plain,
 }
 
@@ -150,31 +149,30 @@ impl From<InstructionSet> for Level {
 /// The models of the thesis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Model {
-    /// The name plate's values, always the same
+    /// Nominal values, always the same
     Nominal,
     /// All nine parameters vary by a fifth
     Handcrafted,
     /// Masses and lengths vary by a fifth
     NominalHandcrafted,
-    /// Parameters vary a little, friction, dead zone, cable and delay within what Qubes were found to
-    /// have
+    /// Parameters vary a little; friction, dead zone, cable and delay within the range of measured Qubes
     Robust,
-    /// What --psi names as it says, the rest nominal
+    /// Quantities that --psi names follow it, the others are nominal
     Psi,
 }
 
-/// How much training.
+/// Budget and simulation of the training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Preset {
     /// Half a minute, with the machine's encoders and velocity filter
     Robust,
     /// A second or two, on true states in the thesis's box
     Quick,
-    /// The published budget, on true states in the thesis's box: 100 updates of 48 000 transitions
+    /// Published budget, on true states in the thesis's box: 100 updates of 48,000 transitions
     Thesis,
 }
 
-/// Trains and saves.
+/// Trains a policy and saves it.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let distribution = distribution(&arguments)?;
     let preset = match arguments.preset {
@@ -249,7 +247,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The preset's simulation as the arguments change it.
+/// The preset's simulation with the changes of the arguments.
 fn simulation(
     arguments: &Arguments,
     mut simulation: SimulationSettings,
@@ -272,24 +270,24 @@ fn simulation(
         }
         (_, None) => {}
     }
-    // An observer has made up for the delay already.
+    // An observer already compensates for the delay.
     let default =
         if arguments.has_gap() && !observes { SimulationSettings::robust().history } else { 0 };
     simulation.history = arguments.history.map_or(default, usize::from);
     Ok(simulation)
 }
 
-/// A weight from 0 to 10.
+/// Parses a weight from 0 to 10.
 fn weight(text: &str) -> Result<f64, String> {
     between(text, 0.0, 10.0)
 }
 
-/// A part from 0 to 1.
+/// Parses a part from 0 to 1.
 fn spread(text: &str) -> Result<f64, String> {
     between(text, 0.0, 1.0)
 }
 
-/// A delay in ms, or a range of them, in s.
+/// Parses a delay in ms, or a range of delays, to s.
 fn delays_s(text: &str) -> Result<(f64, f64), String> {
     let (from, to) = text.split_once("..").unwrap_or((text, text));
     let delay_s = |text| between(text, 0.0, 1e3 * MAX_COMMAND_DELAY_S).map(|ms| 1e-3 * ms);

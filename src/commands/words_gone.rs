@@ -1,9 +1,9 @@
-//! Words of the command line that are no more: each is refused with what is in its place.
+//! Retired words of the command line: each is refused with a hint at its replacement.
 
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
-/// A parser of the names of an enum that knows a word of the past beside them, and what to say of it.
+/// A parser of the names of an enum that also recognises one retired word and explains its replacement.
 pub fn names_but<T>(gone: &'static str, why: &'static str) -> impl TypedValueParser<Value = T>
 where
     T: ValueEnum + Clone + Send + Sync + 'static,

@@ -1,4 +1,4 @@
-//! How good the search strategies are, on synthetic objectives.
+//! Compares the search strategies on synthetic objectives.
 
 mod parallel;
 mod picture;
@@ -21,20 +21,20 @@ use crate::storage::MachineDisk;
 
 /// Compare the search strategies on synthetic objectives
 ///
-/// `regret`: how far from the maximum each strategy is after each evaluation, on objectives of 2
-/// to 16 dimensions without noise. `noise`: which surrogate finds the better candidate when a
-/// rollout either stands (500) or falls (50). Tables on stdout, pictures and all numbers in --out.
+/// `regret`: distance from the maximum after each evaluation, on objectives of 2 to 16 dimensions without
+/// noise. `noise`: expected return of the recommended candidate when a rollout either balances (500) or
+/// falls (50). Tables go to stdout, pictures and all numbers to --out.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil benchmark regret\n  \
     qube-hil benchmark regret --repetitions 5 --evaluations 20    # a first look, a minute\n  \
     qube-hil benchmark noise --repetitions 400 --threads 8")]
 pub struct Arguments {
-    /// What to compare
+    /// Suite to run
     #[arg(value_enum)]
     suite: Suite,
 
-    /// Repetitions, each from a seed of its own; 50 for `regret` and 200 for `noise` unless given
+    /// Repetitions, each with its own seed [default: 50 for `regret`, 200 for `noise`]
     #[arg(long, value_name = "N")]
     repetitions: Option<NonZeroUsize>,
 
@@ -42,25 +42,25 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value = "60")]
     evaluations: NonZeroUsize,
 
-    /// Everything random follows from it
+    /// Seed from which every random number follows
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
-    /// Threads; the results do not depend on them [default: all cores]
+    /// Threads to use [default: all processors]; the results are the same
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
 
-    /// Folder for pictures and numbers; made where it does not exist
+    /// Folder for pictures and numbers; created if it does not exist
     #[arg(long, value_name = "DIR", default_value = "benchmark")]
     out: PathBuf,
 }
 
-/// What is compared.
+/// The suites of comparisons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Suite {
     /// Strategies, by simple regret
     Regret,
-    /// Surrogates, by what they make of returns with two humps
+    /// Surrogates, by the expected return under bimodal noise
     Noise,
 }
 
@@ -122,7 +122,7 @@ fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             }
             curves.push(curve);
         }
-        // the picture so far, so that a long run can be watched
+        // The picture of the results so far, so that a long run can be watched.
         let svg = picture::draw(&curves).map_err(Failure::failed)?;
         arguments.write("regret.svg", &svg)?;
     }

@@ -2,8 +2,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// The results of `work(0)`, `work(1)` ... `work(count - 1)`, in that order, from several threads,
-/// with a bar on stderr.
+/// Computes `work(0)`, `work(1)` ... `work(count - 1)` on several threads, with a bar on stderr, and
+/// returns the results in order.
 pub fn map<T: Send>(
     count: usize,
     threads: usize,

@@ -4,10 +4,10 @@ use crate::search::StrategyKind;
 use crate::search::benchmark::{Quartiles, RegretCurve};
 
 const FONT: &str = "sans-serif";
-/// Regrets are drawn down to this: what is below is found.
+/// Smallest regret that is drawn; below it the maximum counts as found.
 const FLOOR: f64 = 1e-6;
 
-/// Told apart in grey and by the colour-blind too (after Okabe and Ito).
+/// Colours that differ in grey and for the colour-blind too (after Okabe and Ito).
 fn colour(strategy: StrategyKind) -> RGBColor {
     match strategy {
         StrategyKind::BayRn => RGBColor(0, 90, 160),
@@ -18,7 +18,7 @@ fn colour(strategy: StrategyKind) -> RGBColor {
     }
 }
 
-/// One panel for each objective: median of the simple regret over evaluations, with a band from
+/// Draws one panel for each objective: median of the simple regret over evaluations, with a band from
 /// quartile to quartile.
 pub fn draw(curves: &[RegretCurve]) -> anyhow::Result<String> {
     let panels: Vec<&[RegretCurve]> = curves.chunk_by(|a, b| a.objective == b.objective).collect();
@@ -78,7 +78,7 @@ fn draw_panel(
         .y_labels(6)
         .x_label_formatter(&|x| format!("{x:.0}"))
         .y_label_formatter(&|y| {
-            // the axis runs over powers of ten, also where it does not span a whole one
+            // The axis runs over powers of ten, even where it does not span a whole one.
             let value = 10f64.powf(*y);
             match *y {
                 y if y < -1.95 => format!("{value:.0e}"),

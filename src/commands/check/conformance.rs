@@ -15,15 +15,15 @@ use crate::preflight::conformance::{CHECKS, Deviation, Speaker};
 use crate::session::{ClockChoice, DeviceChoice, RigError};
 use crate::telemetry::CheckResult;
 
-/// A wire with nothing but bytes on it; the checks speak for themselves.
+/// A wire for raw bytes, with which the checks speak the protocol themselves.
 struct Wire {
     transport: Box<dyn Transport>,
     clock: Arc<dyn Clock>,
-    /// Served until the last check is through.
+    /// Emulator, served until the last check is done.
     _emulator: Option<EmulatedQube>,
 }
 
-/// Puts a device to all checks and prints what each came to.
+/// Performs all conformance checks of a device and prints the results.
 pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let mut wire = open(device)?;
@@ -68,7 +68,7 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The cure of a deviation is to do what the protocol says.
+/// The remedy of a deviation is the protocol's requirement.
 fn row(result: &CheckResult) -> Row {
     let promise = result.cure.clone();
     Row { remedy: promise.map(|promise| ("must be:", promise)), ..Row::from(result) }

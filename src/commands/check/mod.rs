@@ -1,4 +1,4 @@
-//! `check`: is the Qube at the other end fit to be driven?
+//! The command `check`: whether a Qube is fit to be driven.
 
 mod conformance;
 mod power_test;
@@ -23,9 +23,9 @@ use crate::telemetry::CheckVerdict;
 
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
 ///
-/// The arm is pushed a little (0.1 s, with 0.25 V, and more only while nothing moves) and then homed. `session` and `run` do the
-/// same before the first motion of a real Qube. Exit code 0 when every check passed, 1 when one did
-/// not, 2 when there is no Qube at that port.
+/// The arm is pushed a little (0.1 s, with 0.25 V, and more only while nothing moves) and then homed.
+/// `session` and `run` do the same before the first motion of a real Qube. Exit code 0 when every check
+/// passed, 1 when one failed, 2 when there is no Qube at that port.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil check --device /dev/ttyACM0\n  \
@@ -34,18 +34,18 @@ use crate::telemetry::CheckVerdict;
     qube-hil check --device /dev/ttyACM0 --power-test    # once a rig: the motor without its board\n  \
     qube-hil check --device /dev/ttyACM0 --conformance   # does the firmware keep the protocol?")]
 pub struct Arguments {
-    /// Put the device's firmware to the test against PROTOCOL.md instead. The motor gets at most
-    /// 1 V for a few milliseconds: the arm hardly moves
+    /// Test the device's firmware against PROTOCOL.md instead. The motor gets at most 1 V for a few
+    /// milliseconds: the arm hardly moves
     #[arg(long, conflicts_with_all = ["write", "home"])]
     conformance: bool,
 
-    /// Take on the signs that are found, and write them to a file with the port's lasting name. What
-    /// else such a file says already is kept [FILE: qube.toml]
+    /// Adopt the signs that are found, and write them to a file with the port's lasting name. Other entries
+    /// of the file are kept [FILE: qube.toml]
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = QUBE_FILE)]
     write: Option<PathBuf>,
 
-    /// Then find out, with you at the Qube, what its motor does when the board loses power, and write
-    /// that to the file of --write or --qube [else: qube.toml]. Once a rig
+    /// Afterwards test, with you at the Qube, the motor's behaviour when the board loses power, and write
+    /// the result to the file of --write or --qube [else: qube.toml]. Needed once a rig
     #[arg(long, conflicts_with = "conformance")]
     power_test: bool,
 
@@ -53,7 +53,7 @@ pub struct Arguments {
     device: DeviceArguments,
 }
 
-/// Runs the checks and prints what they found.
+/// Runs the checks and prints the results.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let device = arguments.device.choose()?;
     if arguments.conformance {
@@ -74,7 +74,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         EstimatorSettings::default(),
         CheckArguments::default(),
     );
-    // The file that is written anew may have been another board's.
+    // The file to be replaced may belong to another board.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };
     eprintln!("checking the Qube: the arm is pushed a little, then homed");
@@ -143,8 +143,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     ended
 }
 
-/// Whether an operator at a terminal wants the test of the motor without its board, where the file has
-/// no result of it.
+/// Asks an operator at a terminal whether to perform the power test, if the file has no result of it.
 fn wants_power_test(path: &Path) -> bool {
     let is_known = QubeFile::load(path).is_ok_and(|file| file.power.is_some());
     if is_known || !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
@@ -156,7 +155,7 @@ fn wants_power_test(path: &Path) -> bool {
     read.is_ok() && matches!(line.trim(), "y" | "Y" | "yes")
 }
 
-/// What the written file begins from: what it says already.
+/// The content of the file before it is rewritten.
 fn base_file(path: &Path, device: &ChosenDevice) -> Result<QubeFile, Failure> {
     if !device.choice.is_hardware() {
         return Err(Failure::usage(

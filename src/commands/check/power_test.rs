@@ -1,10 +1,11 @@
-//! `check --power-test`: what the motor does when its board loses power, found out once a rig.
+//! The command `check --power-test`, which determines once a rig how the motor behaves when its board loses
+//! power.
 //!
-//! The board lives from the USB plug, and what the Qube's amplifier does with its last motor word when
-//! nobody is left to take it back is in no data sheet. The operator pulls the plug while the arm is
-//! pressed against its stop, where a voltage that stays moves nothing, and feels with one finger whether
-//! it stays. First the same push is rehearsed with the board alive: else an arm that stays away could
-//! mean that the voltage was too small.
+//! The board is fed by the USB plug, and no data sheet states how the Qube's amplifier treats its last
+//! motor command when nobody can replace it. The operator pulls the plug while the arm is pressed against
+//! its stop, where a voltage that stays moves nothing, and feels with one finger whether it stays. The same
+//! push is first rehearsed with the board alive, because an arm that does not return could also mean that
+//! the voltage was too small.
 
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
@@ -19,25 +20,25 @@ use crate::control::PressOutcome;
 use crate::session::{PowerTest, QubeFile, Rig, RigError, RigSettings, UsbLost};
 use crate::telemetry::{Ending, Fault};
 
-/// Voltages that are tried until a pushed arm comes back: from a finger's breadth off its stop (0.12 rad)
-/// it is then slower than 2 rad/s, because each is at most 0.25 V more than friction takes.
+/// Voltages that are tried until a pushed arm returns, V. Each is at most 0.25 V above friction, so that
+/// the arm is slower than 2 rad/s after a finger's breadth (0.12 rad) from its stop.
 const STEP_V: f64 = 0.25;
 const MOST_V: f64 = 1.5;
 
-/// How long the operator has for each step, in control periods, and until the port is back.
+/// Time for each step of the operator, in control periods, and until the port is back.
 const STEP_TICKS: u32 = 6000;
 const REPLUG: Duration = Duration::from_secs(120);
 
-/// How often a rehearsal is done again that a late computer or link has ended.
+/// Number of repetitions of a rehearsal that a late computer or link ended.
 const DONE_AGAIN: u32 = 2;
 
-/// What the test has found, for people and for scripts.
+/// The result of the test, for people and for scripts.
 pub struct Tested {
     pub text: String,
     pub value: Value,
 }
 
-/// Leads the operator through the test and writes what came of it.
+/// Leads the operator through the test and writes the result.
 pub fn run(
     mut rig: Rig,
     settings: &RigSettings,
@@ -62,8 +63,8 @@ pub fn run(
     let pressed = rig.press(push_v, STEP_TICKS, false).map_err(failed)?;
     match pressed.ending {
         Ending::Stopped => return Err(failed(RigError::Stopped { during: "the power test" })),
-        // A computer that was late for a moment has lost samples too, and then the motor is off whatever
-        // its Qube does without a board.
+        // A computer that was late for a moment has lost samples too, and then the motor is off however the
+        // Qube behaves without a board.
         Ending::Fault(Fault::LinkGone | Fault::NoSample | Fault::BoardRestarted)
             if !rig.answers().map_err(failed)? => {}
         Ending::Fault(fault) => return Err(failed(RigError::Ended { fault })),
@@ -73,7 +74,7 @@ pub fn run(
             ));
         }
     }
-    // The port goes before the operator answers: a dead board's port is no use to anybody.
+    // The port is closed before the operator answers, because the port of a dead board is useless.
     drop(rig);
     let answer = ask(
         "The board is gone. With one finger push the arm a finger's breadth (1 cm) off its stop, as \
@@ -104,7 +105,7 @@ pub fn run(
     Ok(Tested { text, value })
 }
 
-/// Finds the voltage that brings a pushed arm back, the board alive.
+/// Finds the voltage that returns a pushed arm, with the board alive.
 fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     let mut push_v = STEP_V;
     let mut disturbed = 0;
@@ -147,7 +148,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     )))
 }
 
-/// The Qube under its port again, as soon as it answers.
+/// Opens the Qube under its port again as soon as it answers.
 fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
     let end = Instant::now() + REPLUG;
     loop {
@@ -160,7 +161,7 @@ fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
     }
 }
 
-/// Puts a question and gives the line that was typed.
+/// Asks a question and returns the line that was typed.
 fn ask(question: &str, stop: &Stop) -> Result<String, Failure> {
     eprintln!("\n{question}");
     let _ = std::io::stderr().flush();

@@ -1,4 +1,4 @@
-//! What ends a run, in virtual time: no computer is too busy for it.
+//! Tests the ends of a run in virtual time, so that no computer is too busy for them.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::device::emulator::{EmulatorFault, EmulatorSettings};
 use crate::session::{DoubtMemory, Recovery};
 use crate::telemetry::Preflight;
 
-/// An emulated Qube that is homed by hand and meets this fault, if any.
+/// An emulated Qube that is homed by hand and has this fault, if any.
 fn settings(fault: Option<&str>) -> RigSettings {
     let fault = fault.map(|fault| fault.parse::<EmulatorFault>().unwrap());
     RigSettings {
@@ -17,7 +17,7 @@ fn settings(fault: Option<&str>) -> RigSettings {
     }
 }
 
-/// Rollouts of the classical controller: how they ended, and what they came to.
+/// The result of rollouts of the classical controller.
 fn run(settings: RigSettings, directory: &Path, rollouts: u32) -> (Result<(), Failure>, Results) {
     run_within(SafetyBox::GUARDED, settings, directory, rollouts)
 }
@@ -54,7 +54,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     // The first rollout is over by then, and the fourth is not.
     let (ended, results) = run(remembering(Some("stall@27"), false), &directory.join("one"), 6);
     let ended_by = ended.unwrap_err().ended_by();
-    // What was measured is there, and why no more of it.
+    // The results so far are printed, with the reason why there are no more.
     let returns = &results.returns;
     assert!(returns.len() >= 2 && returns.len() < 6, "{returns:?}");
     assert!(returns[0].is_some() && returns.last().unwrap().is_none(), "{returns:?}");
@@ -68,7 +68,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     let kept = recordings(&directory.join("one"));
     assert_eq!(kept, returns.len(), "a rollout that never began leaves no file");
 
-    // Started again without a word: refused, before anything has moved.
+    // A new start without acknowledgement is refused before anything moves.
     let (ended, _) = run(remembering(None, false), &directory.join("two"), 1);
     let ended_by = ended.unwrap_err().ended_by();
     let cause = ended_by["cause"].as_str().unwrap();
@@ -76,12 +76,12 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!("stall_error"), &json!(4)));
     assert!(!directory.join("two").exists());
 
-    // With it the Qube is examined, whatever else is asked for, and runs.
+    // With acknowledgement the Qube is examined, whatever else is asked for, and runs.
     let (ended, _) = run(remembering(None, true), &directory.join("three"), 1);
     ended.unwrap();
     let preflight = read(&directory.join("three/rollout-0.mcap")).unwrap().header.preflight;
     assert!(matches!(preflight, Preflight::Done(_)), "{preflight:?}");
-    // And that was the end of the doubt.
+    // That ends the doubt.
     let (ended, _) = run(remembering(None, false), &directory.join("four"), 1);
     ended.unwrap();
     let preflight = read(&directory.join("four/rollout-0.mcap")).unwrap().header.preflight;
@@ -91,7 +91,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
 #[test]
 fn a_cable_that_is_plugged_in_again_voids_one_rollout_and_the_run_goes_on() {
     let directory = tempfile::tempdir().unwrap();
-    // In the box, where a rollout lasts until the cable is out.
+    // In the box alone a rollout lasts until the cable is pulled.
     let settings = settings(Some("unplug@9+3"));
     let (ended, results) = run_within(SafetyBox::THESIS, settings, directory.path(), 3);
     ended.unwrap();

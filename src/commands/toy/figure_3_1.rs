@@ -51,13 +51,13 @@ pub fn draw(samples: usize, seed: u64) -> anyhow::Result<String> {
 
 /// The log marginal likelihood over lengthscale and noise.
 struct Surface {
-    /// Rows of noise, columns of lengthscale.
+    /// Values, rows of noise, columns of lengthscale.
     values: Vec<Vec<f64>>,
     best: Hyperparameters,
     highest: f64,
 }
 
-/// The middle of a cell, as a power of ten.
+/// The centre of a cell, as a power of ten.
 fn exponent(range: (f64, f64), cell: usize) -> f64 {
     range.0 + (range.1 - range.0) * (cell as f64 + 0.5) / CELLS as f64
 }
@@ -91,7 +91,7 @@ impl Surface {
             }
             values.push(line);
         }
-        // a finer look within the best cell and its neighbours
+        // A finer grid covers the best cell and its neighbours.
         let cell = |range: (f64, f64)| (range.1 - range.0) / CELLS as f64;
         let (length, noise) = (highest.1, highest.2);
         for i in -20..=20 {
@@ -107,7 +107,7 @@ impl Surface {
         Ok(Self { values, best: hyperparameters(highest.1, highest.2), highest: highest.0 })
     }
 
-    /// Values lower than ten times below the maximum are drawn as that.
+    /// Values more than ten below the maximum are drawn with the lowest colour.
     fn floor(&self) -> f64 {
         self.highest - 9.0 * self.highest.abs().max(1.0)
     }
@@ -148,11 +148,11 @@ impl Surface {
         );
         for (row, line) in self.values.iter().enumerate() {
             let y = exponent(NOISES, row);
-            // cells of one colour are drawn as one rectangle: a tenth of the file's size
+            // Cells of one colour are drawn as one rectangle, which makes the file ten times smaller.
             for run in runs(line.iter().map(|value| level(*value))) {
                 let left = exponent(LENGTHSCALES, run.first) - half_x;
                 let right = exponent(LENGTHSCALES, run.last) + half_x;
-                // a little overlap hides the seams
+                // A small overlap hides the seams.
                 let corners = [(left, y - half_y), (right + 0.3 * half_x, y + 1.3 * half_y)];
                 let colour = viridis(run.level as f64 / LEVELS as f64);
                 chart.draw_series([Rectangle::new(corners, colour.filled())])?;

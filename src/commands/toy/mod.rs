@@ -1,4 +1,4 @@
-//! The thesis's pictures of its toy problem.
+//! Draws the thesis's pictures of its toy problem.
 
 mod figure_3_1;
 mod figure_3_2;
@@ -16,18 +16,18 @@ use crate::storage::MachineDisk;
 
 /// Draw the thesis's figures 3.1 and 3.2: how the surrogate and the acquisition functions work
 ///
-/// Figure 3.1: the surrogate fitted to 3, 7 and 15 samples of a curve, and above which lengthscale
-/// and noise the data are likely. Figure 3.2: four iterations of the search with PI, EI and UCB.
+/// Figure 3.1: the surrogate fitted to 3, 7 and 15 samples of a curve, and the likelihood of the data over
+/// lengthscale and noise. Figure 3.2: four iterations of the search with PI, EI and UCB.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  qube-hil toy --out figures\n  qube-hil toy --seed 7 --out figures"
 )]
 pub struct Arguments {
-    /// Folder for the SVG files; made where it does not exist
+    /// Folder for the SVG files; created if it does not exist
     #[arg(long, value_name = "DIR", default_value = "figures")]
     out: PathBuf,
 
-    /// Where the samples lie follows from it
+    /// Seed of the samples' positions
     #[arg(long, default_value_t = 0)]
     seed: u64,
 }

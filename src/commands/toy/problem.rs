@@ -3,7 +3,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::surrogate::{Dataset, SearchBox, SurrogateError, normal};
 
-/// Where the curve is looked at; the thesis does not print the range.
+/// Range of the curve; the thesis does not state it.
 pub const RANGE: (f64, f64) = (-1.0, 2.0);
 
 /// The thesis's toy function without its noise (its equation 3.9).
@@ -19,7 +19,7 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// `count` samples at uniformly random places.
+    /// Draws `count` samples at uniformly random points.
     pub fn draw(count: usize, seed: u64) -> Self {
         let mut samples = Self { random: ChaCha8Rng::seed_from_u64(seed), x: vec![], y: vec![] };
         for _ in 0..count {
@@ -29,14 +29,14 @@ impl Samples {
         samples
     }
 
-    /// One more, at a chosen place.
+    /// Draws one more sample at a chosen point.
     pub fn add(&mut self, x: f64) {
         let noise = normal::draw(&mut self.random);
         self.x.push(vec![x]);
         self.y.push(curve(x) + 0.1 * noise);
     }
 
-    /// As the surrogate takes them.
+    /// The samples as the surrogate's data set.
     pub fn dataset(&self) -> Result<Dataset, SurrogateError> {
         let search_box = SearchBox::new(vec![RANGE.0], vec![RANGE.1])?;
         Dataset::new(&search_box, &self.x, &self.y, None)
