@@ -149,7 +149,7 @@ fn watch(swing_up: &SwingUp, settings: EstimatorSettings) -> (Vec<State>, u32) {
             seen
         })
         .collect();
-    (seen, estimator.times_astray())
+    (seen, estimator.observer_resets())
 }
 
 /// Errors of one velocity over all swing-ups.
@@ -290,7 +290,7 @@ impl Tally {
         let seen: Vec<State> = running.map(|tick| tick.state).collect();
         let return_ = return_of(&records, &RewardWeights::THESIS);
         self.count(&seen, return_, report.outcome.ending == Ending::Completed);
-        self.astray += report.outcome.times_astray;
+        self.astray += report.outcome.observer_resets;
     }
 
     /// One rollout of a policy that is shown the true state at the instant of its command.

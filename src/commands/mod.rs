@@ -148,8 +148,8 @@ fn warn_without_realtime(realtime: &RealtimeReport) {
 }
 
 /// The number of observer resets as a line for people; empty without a reset.
-fn astray_line(times_astray: u64) -> String {
-    match times_astray {
+fn astray_line(observer_resets: u64) -> String {
+    match observer_resets {
         0 => String::new(),
         times => format!(
             "observer diverged {times} times: its model or delay does not match this Qube\n"

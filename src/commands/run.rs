@@ -343,7 +343,7 @@ struct Results {
     /// Quietness of balancing, if the policy balanced.
     quietness: Quietness,
     /// Number of observer resets.
-    times_astray: u64,
+    observer_resets: u64,
     /// Largest load of the motor; `None` if no recording has it.
     largest_motor_load: Option<f64>,
     /// Fault that ended the last rollout, if one did.
@@ -362,7 +362,7 @@ impl Results {
         self.latencies.add(&recording.ticks);
         self.quietness.add(&recording.ticks);
         let outcome = recording.outcome.as_ref();
-        self.times_astray += outcome.map_or(0, |outcome| u64::from(outcome.times_astray));
+        self.observer_resets += outcome.map_or(0, |outcome| u64::from(outcome.observer_resets));
         // `None` is less than any number.
         let load = outcome.and_then(|outcome| outcome.largest_motor_load);
         if self.largest_motor_load < load {
@@ -431,7 +431,7 @@ impl Results {
     fn text(&self) -> String {
         let directory = self.recordings.first().and_then(|path| path.parent());
         let directory = directory.unwrap_or(Path::new(".")).display();
-        let astray = astray_line(self.times_astray);
+        let astray = astray_line(self.observer_resets);
         let next = if self.excited {
             format!("\nqube-hil identify {directory}/*.mcap says which Qube this is")
         } else {
@@ -461,7 +461,7 @@ impl Results {
             "returns": self.returns,
             "ended_early": self.ended_early,
             "success": self.success,
-            "times_astray": self.times_astray,
+            "times_astray": self.observer_resets,
             "balancing": self.quietness.figures(),
             "largest_motor_load": self.largest_motor_load,
             "missed_deadlines": self.latencies.missed_deadlines(),

@@ -17,7 +17,7 @@ pub struct SessionTable {
     /// Number of rollouts that a fault ended and that were repeated.
     void_rollouts: u64,
     /// Number of observer resets.
-    times_astray: u64,
+    observer_resets: u64,
     directory: String,
     /// Policy to use: the verified one with the highest mean return.
     best: Option<Best>,
@@ -36,7 +36,7 @@ impl SessionTable {
         let candidates = session.valued_candidates()?;
         let folder = session.folder();
         let mut latencies = Latencies::default();
-        let (mut void_rollouts, mut times_astray) = (0, 0);
+        let (mut void_rollouts, mut observer_resets) = (0, 0);
         let mut best = best(&candidates).map(|candidate| Best {
             candidate,
             policy: folder.policy(candidate as u32).display().to_string(),
@@ -52,13 +52,13 @@ impl SessionTable {
                     best.quietness.add(&recording.ticks);
                 }
                 void_rollouts += u64::from(attempt);
-                times_astray +=
-                    recording.outcome.map_or(0, |outcome| u64::from(outcome.times_astray));
+                observer_resets +=
+                    recording.outcome.map_or(0, |outcome| u64::from(outcome.observer_resets));
             }
         }
         let directory = folder.root().display().to_string();
         let psi = session.settings().psi.clone();
-        Ok(Self { psi, candidates, latencies, void_rollouts, times_astray, directory, best })
+        Ok(Self { psi, candidates, latencies, void_rollouts, observer_resets, directory, best })
     }
 
     /// The table for people, 80 columns wide.
@@ -111,7 +111,7 @@ impl SessionTable {
             let _ =
                 writeln!(text, "rollouts that a fault made void and that were repeated: {void}");
         }
-        text.push_str(&astray_line(self.times_astray));
+        text.push_str(&astray_line(self.observer_resets));
         text.push_str(&timing_lines(&self.latencies));
         let _ = writeln!(text, "everything is in {}", self.directory);
         text
@@ -146,7 +146,7 @@ impl SessionTable {
             "best": best,
             "rollouts": rollouts,
             "void_rollouts": self.void_rollouts,
-            "times_astray": self.times_astray,
+            "times_astray": self.observer_resets,
             "missed_deadlines": self.latencies.missed_deadlines(),
             "lateness_us": self.latencies.lateness_us(),
             "sample_to_act_us": self.latencies.sample_to_act_us(),
@@ -209,13 +209,13 @@ mod tests {
             candidates: Vec::new(),
             latencies: Latencies::default(),
             void_rollouts: 0,
-            times_astray: 0,
+            observer_resets: 0,
             directory: "logs/one".into(),
             best: None,
         };
         let text = quiet.text();
         assert!(!text.contains("void") && !text.contains("observer"), "{text}");
-        let text = SessionTable { void_rollouts: 3, times_astray: 7, ..quiet }.text();
+        let text = SessionTable { void_rollouts: 3, observer_resets: 7, ..quiet }.text();
         assert!(text.contains("were repeated: 3\n"), "{text}");
         assert!(text.contains("observer diverged 7 times"), "{text}");
     }

@@ -158,7 +158,7 @@ pub fn drive_warm(
             steps: turns.steps,
             missed_deadlines: turns.missed_deadlines,
             records_lost: turns.records_lost,
-            times_astray: motion.times_astray(),
+            observer_resets: motion.observer_resets(),
             foreseen: motion.foreseen(),
             largest_motor_load: Some(largest_motor_load),
             lateness_us: lateness.summary(),

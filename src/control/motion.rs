@@ -56,7 +56,7 @@ pub trait Motion: Send {
     fn control_state(&self) -> ControlState;
 
     /// How often an observer had lost the Qube and started anew.
-    fn times_astray(&self) -> u32 {
+    fn observer_resets(&self) -> u32 {
         0
     }
 

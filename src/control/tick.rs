@@ -375,8 +375,8 @@ impl<C: Controller> Motion for Tick<C> {
         self.control
     }
 
-    fn times_astray(&self) -> u32 {
-        self.estimator.times_astray()
+    fn observer_resets(&self) -> u32 {
+        self.estimator.observer_resets()
     }
 
     fn foreseen(&self) -> Option<Foreseen> {

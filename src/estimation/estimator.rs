@@ -99,8 +99,8 @@ impl Estimator {
 
     /// How often the observer lost the Qube and restarted from encoders and filter; 0 without an observer.
     #[must_use]
-    pub fn times_astray(&self) -> u32 {
-        self.observer.as_ref().map_or(0, Observer::times_astray)
+    pub fn observer_resets(&self) -> u32 {
+        self.observer.as_ref().map_or(0, Observer::observer_resets)
     }
 }
 
@@ -275,7 +275,7 @@ mod tests {
             for other in &mut others {
                 let estimates = other.update(&ride.sample());
                 assert_eq!(estimates.guarded, expected.guarded);
-                assert!(tick < 5 || estimates.seen != expected.seen || other.times_astray() > 0);
+                assert!(tick < 5 || estimates.seen != expected.seen || other.observer_resets() > 0);
                 assert!(estimates.seen.is_finite());
                 other.send(voltage_v);
             }
@@ -294,17 +294,17 @@ mod tests {
         for tick in 0..20 {
             estimator.update(&at(tick, 0));
         }
-        assert_eq!(estimator.times_astray(), 0);
+        assert_eq!(estimator.observer_resets(), 0);
         // A hand has turned the arm by a tenth of a turn.
         let estimates = estimator.update(&at(20, 205));
-        assert_eq!((estimates.seen, estimator.times_astray()), (estimates.guarded, 1));
+        assert_eq!((estimates.seen, estimator.observer_resets()), (estimates.guarded, 1));
         // The link is silent for longer than the observer predicts over.
         for tick in 21..60 {
             estimator.update(&at(tick, 205));
         }
-        let before = estimator.times_astray();
+        let before = estimator.observer_resets();
         let estimates = estimator.update(&at(71, 206));
-        assert_eq!((estimates.seen, estimator.times_astray()), (estimates.guarded, before + 1));
+        assert_eq!((estimates.seen, estimator.observer_resets()), (estimates.guarded, before + 1));
     }
 
     #[test]

@@ -104,7 +104,7 @@ pub(super) struct Observer {
     sent: SentVoltages,
     /// State at the instant of the last sample.
     estimate: State,
-    times_astray: u32,
+    observer_resets: u32,
 }
 
 impl Observer {
@@ -115,7 +115,7 @@ impl Observer {
             equations: ObserverEquations::new(settings),
             sent: SentVoltages::new(settings.model.gap.command_delay_s, 0.0),
             estimate,
-            times_astray: 0,
+            observer_resets: 0,
         }
     }
 
@@ -136,7 +136,7 @@ impl Observer {
             (*filtered, true)
         };
         self.estimate = estimate;
-        self.times_astray = self.times_astray.saturating_add(u32::from(astray));
+        self.observer_resets = self.observer_resets.saturating_add(u32::from(astray));
         let ahead = self.moved(now_us, now_us.saturating_add(self.sent.delay_us()));
         ObserverEquations::shown(&ahead, filtered)
     }
@@ -164,7 +164,7 @@ impl Observer {
     }
 
     /// How often the observer lost the Qube and was reset.
-    pub(super) fn times_astray(&self) -> u32 {
-        self.times_astray
+    pub(super) fn observer_resets(&self) -> u32 {
+        self.observer_resets
     }
 }

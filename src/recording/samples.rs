@@ -56,7 +56,7 @@ pub(crate) fn outcome() -> RolloutOutcome {
         steps: 20,
         missed_deadlines: 1,
         records_lost: 0,
-        times_astray: 0,
+        observer_resets: 0,
         foreseen: None,
         largest_motor_load: Some(0.375),
         lateness_us: LatencySummary { p50: 1.0, p99: 2.0, p999: 3.0, max: 4.1 },

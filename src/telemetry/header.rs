@@ -125,8 +125,8 @@ pub struct RolloutOutcome {
     pub records_lost: u64,
     /// How often the observer lost the Qube and was reset from encoders and filter: its model does not
     /// match, or something hit the Qube.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub times_astray: u32,
+    #[serde(default, rename = "times_astray", skip_serializing_if = "is_zero")]
+    pub observer_resets: u32,
     /// Prediction for which foresight ended the rollout; `None` for other endings and in older recordings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foreseen: Option<Foreseen>,
