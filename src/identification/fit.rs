@@ -154,11 +154,11 @@ impl<'a> Fit<'a> {
             .zip(starts)
             .map(|(stretch, start)| self.residuals(stretch, model, *start).norm_squared())
             .sum();
-        let surprise = |unknown: &Unknown| {
+        let prior_cost = |unknown: &Unknown| {
             let prior = unknown.prior();
             ((unknown.of(model) - prior.mean) / prior.std).powi(2)
         };
-        data + self.unknowns.iter().map(surprise).sum::<f64>()
+        data + self.unknowns.iter().map(prior_cost).sum::<f64>()
     }
 
     /// One block a stretch, in order, whatever the number of processors.

@@ -49,8 +49,8 @@ pub(super) fn estimate_advantages(
         if let Some(end) = ends.next_if(|end| end.index == index) {
             (advantage, next_value) = (0.0, end.value_after);
         }
-        let surprise = transition.reward + discount * next_value - transition.value;
-        advantage = surprise + discount * trace_decay * advantage;
+        let td_error = transition.reward + discount * next_value - transition.value;
+        advantage = td_error + discount * trace_decay * advantage;
         transition.advantage = advantage;
         transition.return_ = advantage + transition.value;
         next_value = transition.value;
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn with_lambda_zero_the_advantage_is_the_one_step_surprise() {
+    fn with_lambda_zero_the_advantage_is_the_one_step_td_error() {
         let mut transitions = steps(&[(1.0, 3.0), (2.0, 5.0)]);
         let ends = [End { index: 1, value_after: 7.0 }];
         estimate_advantages(&mut transitions, &ends, 0.5, 0.0);

@@ -152,14 +152,14 @@ impl Strategy for BayRn {
                 None => {
                     let mut process = self.surrogate(data)?;
                     for pending in &proposed {
-                        process = process.believing(pending, process.mean(pending))?;
+                        process = process.with_fantasies(pending, process.mean(pending))?;
                     }
                     process
                 }
             };
             let point = self.acquire(&process, largest_observed, index)?;
             if proposed.len() + 1 < count {
-                believed = Some(process.believing(&point, process.mean(&point))?);
+                believed = Some(process.with_fantasies(&point, process.mean(&point))?);
             }
             proposed.push(point);
         }

@@ -97,7 +97,7 @@ impl GaussianProcess {
     ///
     /// # Errors
     /// The point lies outside the box, the value is not finite, or the covariance cannot be factored.
-    pub fn believing(&self, point: &[f64], value: f64) -> Result<Self, SurrogateError> {
+    pub fn with_fantasies(&self, point: &[f64], value: f64) -> Result<Self, SurrogateError> {
         let search_box = self.data.search_box();
         search_box.check(self.data.len(), point)?;
         if !value.is_finite() {
@@ -311,18 +311,18 @@ mod tests {
     }
 
     #[test]
-    fn believing_the_mean_keeps_the_mean_and_takes_the_doubt() {
+    fn a_fantasy_of_the_mean_keeps_the_mean_and_takes_the_doubt() {
         let process = process();
         let point = [0.9, 12.0];
         let before = process.posterior(&point);
-        let after = process.believing(&point, before.mean).unwrap();
+        let after = process.with_fantasies(&point, before.mean).unwrap();
         assert!((after.posterior(&point).mean - before.mean).abs() < 1e-6);
         let noise = PriorSet::LEAST_NOISE_VARIANCE * process.data().scale().powi(2);
         assert!(after.posterior(&point).variance < noise, "{after:?}");
         assert!(noise < 0.5 * before.variance);
         assert!((after.mean(&[0.0, 20.0]) - process.mean(&[0.0, 20.0])).abs() < 1e-6);
-        assert!(process.believing(&[2.0, 12.0], 0.0).is_err());
-        assert!(process.believing(&point, f64::NAN).is_err());
+        assert!(process.with_fantasies(&[2.0, 12.0], 0.0).is_err());
+        assert!(process.with_fantasies(&point, f64::NAN).is_err());
     }
 
     #[test]
