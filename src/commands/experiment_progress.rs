@@ -16,7 +16,7 @@ impl ExperimentProgress {
     /// A display for an experiment of this extent.
     pub fn new(settings: &ExperimentSettings) -> Self {
         let (count, what) = match &settings.strategies {
-            Some(it) => (it.contenders.len() as u64 * u64::from(it.repetitions), "searches"),
+            Some(it) => (it.methods.len() as u64 * u64::from(it.repetitions), "searches"),
             None => {
                 let series = settings.recipes.len() * settings.plants.len();
                 (series as u64 * u64::from(settings.policies), "policies")

@@ -1,6 +1,6 @@
 use super::device_arguments::ChosenDevice;
 use super::exit::Failure;
-use crate::experiment::{Contender, StrategySettings};
+use crate::experiment::{Method, StrategySettings};
 use crate::session::DeviceChoice;
 
 /// Spread of the simulations around an identified Qube, the default of `train --profile`.
@@ -15,7 +15,7 @@ pub struct StrategyArguments {
     /// result is the number of real rollouts until the recommendation succeeds in 90 % of --policies x
     /// --rollouts separate rollouts
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "resume")]
-    pub strategies: Vec<Contender>,
+    pub strategies: Vec<Method>,
 
     /// Repetitions of each method, each with its own seed
     #[arg(long, default_value_t = 10, requires = "strategies")]
@@ -30,7 +30,7 @@ impl StrategyArguments {
     /// The settings; `None` where no methods are compared.
     pub fn settings(&self) -> Option<StrategySettings> {
         (!self.strategies.is_empty()).then(|| StrategySettings {
-            contenders: self.strategies.clone(),
+            methods: self.strategies.clone(),
             repetitions: self.repetitions,
             recordings: self.recordings,
             spread: SPREAD,

@@ -28,7 +28,7 @@ pub fn table(results: &StrategyResults) -> String {
         reasons.sort_unstable();
         reasons.dedup();
         for reason in reasons {
-            let _ = writeln!(text, "{}: {reason}", strategy.contender);
+            let _ = writeln!(text, "{}: {reason}", strategy.method);
         }
     }
     text
@@ -49,7 +49,7 @@ fn line(strategy: &StrategyResult) -> String {
     let reached = format!("{}/{over}", strategy.reached());
     format!(
         "{:10} {reached:>8} {share:>11} {:>8} {:>8} {:>8} {:>8}",
-        strategy.contender.name(),
+        strategy.method.name(),
         within(0.25),
         within(0.5),
         within(0.75),
@@ -62,7 +62,7 @@ pub fn value(results: &StrategyResults) -> Value {
     let strategy = |strategy: &StrategyResult| {
         let needed = strategy.repetitions.iter().map(Repetition::succeeded_after);
         json!({
-            "strategy": strategy.contender.name(),
+            "strategy": strategy.method.name(),
             "repetitions": strategy.repetitions.len(),
             "reached": strategy.reached(),
             "reached_interval": strategy.reached_interval(),
@@ -97,7 +97,7 @@ pub fn csv(results: &StrategyResults) -> String {
                 let _ = writeln!(
                     text,
                     "{},{},{},{real_rollouts},{stood},{ran},{succeeds},{refused}",
-                    strategy.contender, repetition.number, repetition.budget
+                    strategy.method, repetition.number, repetition.budget
                 );
             }
         }
@@ -108,11 +108,11 @@ pub fn csv(results: &StrategyResults) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{Contender, Judgement};
+    use crate::experiment::{Judgement, Method};
 
     fn results(repetitions: u32) -> StrategyResults {
         let repetition = |number| Repetition {
-            contender: Contender::Identify,
+            method: Method::Identify,
             number,
             answers: vec![
                 AnswerResult {
@@ -130,7 +130,7 @@ mod tests {
             budget: 125_000,
         };
         let strategy = StrategyResult {
-            contender: Contender::Identify,
+            method: Method::Identify,
             repetitions: (0..repetitions).map(repetition).collect(),
         };
         StrategyResults {

@@ -37,7 +37,7 @@ impl<'a, Job: Send> Queue<'a, Job> {
     ) -> Result<(), ExperimentError> {
         let gone = std::thread::scope(|scope| {
             let workers: Vec<_> =
-                (0..threads.max(1)).map(|_| scope.spawn(|| self.labour(&work))).collect();
+                (0..threads.max(1)).map(|_| scope.spawn(|| self.worker_loop(&work))).collect();
             workers.into_iter().map(|worker| worker.join().is_err()).fold(false, |a, b| a | b)
         });
         let state = self.state.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -51,7 +51,7 @@ impl<'a, Job: Send> Queue<'a, Job> {
         }
     }
 
-    fn labour(&self, work: &(impl Fn(Job) -> Result<Vec<Job>, ExperimentError> + Sync)) {
+    fn worker_loop(&self, work: &(impl Fn(Job) -> Result<Vec<Job>, ExperimentError> + Sync)) {
         while let Some(job) = self.next() {
             // Waiting threads must be notified even if the work panics.
             let _done = Done(self);

@@ -174,7 +174,7 @@ pub(super) fn check_name(what: &str, name: &str) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::Contender;
+    use crate::experiment::Method;
     use crate::session::{EmulatedQubeSettings, SessionSettings};
 
     fn settings() -> ExperimentSettings {
@@ -198,7 +198,7 @@ mod tests {
     fn of_strategies() -> ExperimentSettings {
         let recipe = Recipe::of(RecipeModel::OptNominal, &SessionSettings::thesis());
         let strategies = StrategySettings {
-            contenders: Contender::all().collect(),
+            methods: Method::all().collect(),
             repetitions: 10,
             recordings: 6,
             spread: 0.1,
@@ -247,8 +247,7 @@ mod tests {
         assert!(
             wrong(|it| it.strategies.as_mut().unwrap().repetitions = 0).contains("repetitions")
         );
-        let twice =
-            wrong(|it| it.strategies.as_mut().unwrap().contenders.push(Contender::Identify));
+        let twice = wrong(|it| it.strategies.as_mut().unwrap().methods.push(Method::Identify));
         assert!(twice.contains("identify is there twice"), "{twice}");
         let more = Plant { name: "more".into(), ..settings().plants[0].clone() };
         let mut two = of_strategies();

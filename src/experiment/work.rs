@@ -6,7 +6,7 @@ use super::queue::Queue;
 use super::search::{found_psi, open_search};
 use super::series::Series;
 use super::{
-    AnswerResult, Contender, ExperimentError, ExperimentFolder, ExperimentSettings, Recipe,
+    AnswerResult, ExperimentError, ExperimentFolder, ExperimentSettings, Method, Recipe,
     Repetition, RolloutResult,
 };
 use crate::session::{
@@ -83,7 +83,7 @@ enum Job {
     /// Run one repetition of a method.
     Repetition {
         /// Method of the comparison.
-        contender: Contender,
+        method: Method,
         /// Number of the repetition.
         repetition: u32,
     },
@@ -161,7 +161,7 @@ impl Experiment {
 
     fn jobs(&self) -> Vec<Job> {
         if let Some(strategies) = &self.settings.strategies {
-            let of = |(contender, repetition)| Job::Repetition { contender, repetition };
+            let of = |(method, repetition)| Job::Repetition { method, repetition };
             return strategies.repetitions().map(of).collect();
         }
         let mut jobs = Vec::new();
@@ -192,10 +192,9 @@ impl Experiment {
                 self.make_policy(recipe, policy, tell)?;
                 Ok(Vec::new())
             }
-            Job::Repetition { contender, repetition } => {
+            Job::Repetition { method, repetition } => {
                 if let Some(strategies) = &self.settings.strategies {
-                    let repetition =
-                        self.follow(strategies, (contender, repetition), Some(tell))?;
+                    let repetition = self.follow(strategies, (method, repetition), Some(tell))?;
                     tell(News::Over { repetition: &repetition });
                 }
                 Ok(Vec::new())

@@ -13,7 +13,7 @@ use super::exit::Failure;
 use super::output::Output;
 use super::printable::tell;
 use crate::search::benchmark::{
-    Comparison, Contender, Objective, RegretCurve, TwoHumped, simple_regret,
+    Comparison, Method, Objective, RegretCurve, TwoHumped, simple_regret,
 };
 use crate::search::{BayRnSettings, StrategyKind};
 use crate::session::write_whole;
@@ -148,14 +148,14 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         for row in &table {
             text += &format!(
                 "  {:45} {:6.1} ± {:4.1}   gain over plain {:+6.1} ± {:4.1}\n",
-                row.contender.description(),
+                row.method.description(),
                 row.expected_return.mean,
                 row.expected_return.half_width,
                 row.gain_over_plain.mean,
                 row.gain_over_plain.half_width,
             );
         }
-        results.push(json!({ "problem": problem, "contenders": table }));
+        results.push(json!({ "problem": problem, "methods": table }));
     }
     let value = json!({ "repetitions": repetitions, "noise": results });
     arguments.write("noise.json", &value.to_string())?;
@@ -170,10 +170,10 @@ fn noise_table(
     repetitions: usize,
 ) -> Result<Vec<Comparison>, Failure> {
     let mut found = Vec::new();
-    for contender in Contender::ALL {
-        let title = contender.description();
+    for method in Method::ALL {
+        let title = method.description();
         let returns = parallel::map(repetitions, arguments.threads(), title, |repetition| {
-            problem.search(contender, arguments.seed.wrapping_add(repetition as u64))
+            problem.search(method, arguments.seed.wrapping_add(repetition as u64))
         });
         found.push(returns.into_iter().collect::<Result<Vec<f64>, _>>().map_err(Failure::failed)?);
     }

@@ -43,7 +43,7 @@ fn draw(svg: &mut String, results: &StrategyResults) -> Result<(), PlotError> {
         chart.draw_series(LineSeries::new(steps(strategy), style))?;
         let below = 60 + 24 * index as i32;
         names.draw(&PathElement::new([(8, below), (28, below)], style))?;
-        let name = strategy.contender.name();
+        let name = strategy.method.name();
         names.draw(&Text::new(name, (34, below - 7), ("sans-serif", 14)))?;
     }
     root.present()

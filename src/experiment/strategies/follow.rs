@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use super::identified::FromRecordings;
 use super::judge::{Judgement, judge};
 use super::search::FromSearch;
-use super::{Contender, StrategySettings};
+use super::{Method, StrategySettings};
 use crate::experiment::folder::PolicyFolders;
 use crate::experiment::series::Series;
 use crate::experiment::work::Tell;
@@ -14,7 +14,7 @@ use crate::session::{SeedFor, derived_seed};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Repetition {
     /// Method of the repetition.
-    pub contender: Contender,
+    pub method: Method,
     /// Number of the repetition, from 0.
     pub number: u32,
     /// Scored recommendations in order. An unchanged recommendation is not scored again.
@@ -46,12 +46,12 @@ impl Repetition {
     /// Name such as `bayrn 3`.
     #[must_use]
     pub fn name(&self) -> String {
-        name(self.contender, self.number)
+        name(self.method, self.number)
     }
 }
 
-fn name(contender: Contender, number: u32) -> String {
-    format!("{contender} {number}")
+fn name(method: Method, number: u32) -> String {
+    format!("{method} {number}")
 }
 
 /// A recommendation: recipe and psi of the policies to be made.
@@ -80,7 +80,7 @@ pub(super) trait Answers {
 }
 
 /// One repetition of a method in its folder.
-pub(super) struct Course<'a> {
+pub(super) struct MethodRun<'a> {
     /// Experiment that it belongs to.
     pub experiment: &'a Experiment,
     /// Name for messages.
@@ -106,37 +106,37 @@ impl Experiment {
     pub(in crate::experiment) fn follow(
         &self,
         strategies: &StrategySettings,
-        (contender, number): (Contender, u32),
+        (method, number): (Method, u32),
         work: Option<&Tell>,
     ) -> Result<Repetition, ExperimentError> {
         let plant = &self.settings().plants[0];
         let emulated = plant.for_policy(self.settings().seed, number);
-        let course = Course {
+        let run = MethodRun {
             experiment: self,
-            name: name(contender, number),
+            name: name(method, number),
             recipe: &self.settings().recipes[0],
             seed: derived_seed(self.settings().seed, SeedFor::Repetition { repetition: number }),
             plant: Plant { emulated, vary: 0.0, ..plant.clone() },
-            folder: self.folder().repetition(contender.name(), number),
+            folder: self.folder().repetition(method.name(), number),
             work,
         };
-        let mut answers: Box<dyn Answers + '_> = match contender {
-            Contender::Search(kind) => Box::new(FromSearch::new(&course, kind)?),
-            Contender::Identify => Box::new(FromRecordings::new(&course, strategies)),
+        let mut answers: Box<dyn Answers + '_> = match method {
+            Method::Search(kind) => Box::new(FromSearch::new(&run, kind)?),
+            Method::Identify => Box::new(FromRecordings::new(&run, strategies)),
         };
         let mut repetition = Repetition {
-            contender,
+            method,
             number,
             answers: Vec::new(),
             is_over: false,
             budget: answers.count() * answers.rollouts_each(),
         };
-        course.follow(answers.as_mut(), &mut repetition)?;
+        run.follow(answers.as_mut(), &mut repetition)?;
         Ok(repetition)
     }
 }
 
-impl Course<'_> {
+impl MethodRun<'_> {
     fn follow(
         &self,
         answers: &mut dyn Answers,

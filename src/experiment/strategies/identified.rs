@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use super::StrategySettings;
-use super::follow::{Answer, Answers, Course};
+use super::follow::{Answer, Answers, MethodRun};
 use crate::experiment::folder::{make, recording};
 use crate::experiment::rollouts::{Repeated, all_of};
 use crate::experiment::series::virtual_rig;
@@ -25,36 +25,36 @@ const MAX_FILE_BYTES: u64 = 1 << 20;
 /// that all recordings so far identify. Policies observe their last commands, because that Qube has a
 /// delay.
 pub(super) struct FromRecordings<'a> {
-    course: &'a Course<'a>,
+    run: &'a MethodRun<'a>,
     settings: &'a StrategySettings,
 }
 
 impl<'a> FromRecordings<'a> {
     /// Recommendations in the folder of a method's run.
-    pub fn new(course: &'a Course<'a>, settings: &'a StrategySettings) -> Self {
-        Self { course, settings }
+    pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings) -> Self {
+        Self { run, settings }
     }
 
     fn recordings(&self) -> PathBuf {
-        self.course.folder.join("recordings")
+        self.run.folder.join("recordings")
     }
 
     /// Number of repetitions of a recording after faults.
     fn repetitions(&self) -> u32 {
-        self.course.recipe.settings.extent.repetitions
+        self.run.recipe.settings.extent.repetitions
     }
 
     /// Makes the recording of this number if it does not exist.
     fn record(&self, number: u32) -> Result<(), ExperimentError> {
-        let (course, experiment) = (self.course, self.course.experiment);
-        let settings = &course.recipe.settings;
+        let (run, experiment) = (self.run, self.run.experiment);
+        let settings = &run.recipe.settings;
         let excitation = Excitation::of_rollout(ExcitationShape::Chirp, EXCITATION_V, number);
         // A separate seed, because scoring uses the run's own.
-        let seed = derived_seed(course.seed, SeedFor::Search);
+        let seed = derived_seed(run.seed, SeedFor::Search);
         let repeated = Repeated {
             folder: &self.recordings(),
             plan: RolloutPlan {
-                session: format!("{} of {}", course.name, experiment.settings().name),
+                session: format!("{} of {}", run.name, experiment.settings().name),
                 candidate: None,
                 rollout: number,
                 attempt: 0,
@@ -73,7 +73,7 @@ impl<'a> FromRecordings<'a> {
         repeated.perform(|attempt, record| {
             let purpose = SeedFor::Emulator { candidate: 0, rollout: number, attempt };
             let seed = derived_seed(seed, purpose);
-            record(&virtual_rig(&rig, &course.plant.emulated, seed, experiment.stop())?).map(drop)
+            record(&virtual_rig(&rig, &run.plant.emulated, seed, experiment.stop())?).map(drop)
         })?;
         Ok(())
     }
@@ -100,7 +100,7 @@ impl<'a> FromRecordings<'a> {
             Ok(found) => found.model,
             Err(why) => return Ok(Err(why.to_string())),
         };
-        let name = format!("{} from {recordings} recordings", self.course.name);
+        let name = format!("{} from {recordings} recordings", self.run.name);
         let profile = Profile::exact(&name, &found);
         Ok(Ok(toml::to_string_pretty(&profile)?))
     }
@@ -108,11 +108,11 @@ impl<'a> FromRecordings<'a> {
     /// The profile from several recordings. It is stored on disk, because a fit takes longer than a
     /// training.
     fn profile(&self, recordings: u32) -> Result<Option<Result<Profile, String>>, ExperimentError> {
-        let named = |what: &str| self.course.folder.join(format!("{what}-{recordings}"));
+        let named = |what: &str| self.run.folder.join(format!("{what}-{recordings}"));
         let (found, refused) =
             (named("identified").with_extension("toml"), named("refused").with_extension("txt"));
         if !MachineDisk.exists(&found) && !MachineDisk.exists(&refused) {
-            if self.course.work.is_none() {
+            if self.run.work.is_none() {
                 return Ok(None);
             }
             match self.fitted(recordings)? {
@@ -138,8 +138,8 @@ impl Answers for FromRecordings<'_> {
     }
 
     fn after(&mut self, steps: u32) -> Result<Option<Result<Answer, String>>, ExperimentError> {
-        if self.course.work.is_some() {
-            make(&self.course.folder)?;
+        if self.run.work.is_some() {
+            make(&self.run.folder)?;
             self.record(steps - 1)?;
         }
         if all_of(&self.recordings(), steps, self.repetitions())?.is_none() {
@@ -147,7 +147,7 @@ impl Answers for FromRecordings<'_> {
         }
         let Some(profile) = self.profile(steps)? else { return Ok(None) };
         Ok(Some(profile.and_then(|profile| {
-            let recipe = Recipe::of(RecipeModel::Profile, &self.course.recipe.settings);
+            let recipe = Recipe::of(RecipeModel::Profile, &self.run.recipe.settings);
             let around = ProfileSettings { model: profile.model(), spread: self.settings.spread };
             let settings = SessionSettings { profile: Some(around), ..recipe.settings };
             // A profile that cannot be simulated is not a recommendation either.

@@ -1,7 +1,7 @@
 //! Comparison of methods: strategies × repetitions, to a table of the real rollouts until a recommendation
 //! succeeds.
 //!
-//! A [`Contender`] is a strategy that searches for psi, or `identify`, which takes recordings instead and
+//! A [`Method`] is a strategy that searches for psi, or `identify`, which takes recordings instead and
 //! trains around the Qube that they identify. After each candidate or recording it has a recommendation:
 //! its result if it were stopped there. Recommendations are scored apart from the search, by separate
 //! policies whose rollouts do not count, until one succeeds.
@@ -9,18 +9,18 @@
 //! Reading order: [`StrategySettings`]; `follow` runs one [`Repetition`]; `search` and `identified` give
 //! its recommendations; `judge` scores them; [`StrategyResults`] summarises.
 
-mod contender;
 mod figure;
 mod follow;
 mod identified;
 mod judge;
+mod method;
 mod results;
 mod search;
 mod settings;
 
-pub use contender::Contender;
 pub use figure::strategies_svg;
 pub use follow::{AnswerResult, Repetition};
 pub use judge::Judgement;
+pub use method::Method;
 pub use results::{StrategyResult, StrategyResults};
 pub use settings::StrategySettings;

@@ -1,7 +1,7 @@
 use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 
-use super::{Contender, Repetition};
+use super::{Method, Repetition};
 use crate::experiment::queue::Queue;
 use crate::experiment::statistics::{Interval, wilson_interval};
 use crate::experiment::{Experiment, ExperimentError};
@@ -21,7 +21,7 @@ pub struct StrategyResults {
 #[derive(Clone, Debug, PartialEq)]
 pub struct StrategyResult {
     /// Method of the comparison.
-    pub contender: Contender,
+    pub method: Method,
     /// First repetitions, up to one that is not over. All finished ones would overrepresent those that
     /// succeed early.
     pub repetitions: Vec<Repetition>,
@@ -93,15 +93,15 @@ impl StrategyResults {
         })?;
         let mut read = read.into_inner().unwrap_or_else(PoisonError::into_inner);
         read.sort_by_key(|repetition| repetition.number);
-        let of = |&contender: &Contender| {
-            let own = read.iter().filter(|it| it.contender == contender);
+        let of = |&method: &Method| {
+            let own = read.iter().filter(|it| it.method == method);
             let repetitions = own.take_while(|it| it.is_over).cloned().collect();
-            StrategyResult { contender, repetitions }
+            StrategyResult { method, repetitions }
         };
         Ok(Some(Self {
             recipe: settings.recipes[0].name.clone(),
             plant: settings.plants[0].name.clone(),
-            strategies: strategies.contenders.iter().map(of).collect(),
+            strategies: strategies.methods.iter().map(of).collect(),
         }))
     }
 }
@@ -114,14 +114,14 @@ pub(super) mod tests {
 
     /// A method whose repetitions succeed after these numbers of rollouts, or never.
     pub fn result(needed: &[Option<u32>]) -> StrategyResult {
-        let contender = Contender::Search(StrategyKind::Cem);
+        let method = Method::Search(StrategyKind::Cem);
         let answer = |real_rollouts, succeeds| AnswerResult {
             real_rollouts,
             judgement: Ok(Judgement { stood: 0, ran: 2 }),
             succeeds,
         };
         let repetition = |(number, needed): (usize, &Option<u32>)| Repetition {
-            contender,
+            method,
             number: number as u32,
             answers: [Some(answer(5, false)), needed.map(|it| answer(it, true))]
                 .into_iter()
@@ -130,10 +130,7 @@ pub(super) mod tests {
             is_over: true,
             budget: 125,
         };
-        StrategyResult {
-            contender,
-            repetitions: needed.iter().enumerate().map(repetition).collect(),
-        }
+        StrategyResult { method, repetitions: needed.iter().enumerate().map(repetition).collect() }
     }
 
     #[test]

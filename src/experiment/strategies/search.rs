@@ -1,4 +1,4 @@
-use super::follow::{Answer, Answers, Course};
+use super::follow::{Answer, Answers, MethodRun};
 use crate::experiment::folder::make;
 use crate::experiment::search::{open_search, searched};
 use crate::experiment::{ExperimentError, News};
@@ -8,7 +8,7 @@ use crate::session::{Progress, SeedFor, Session, SessionSettings, derived_seed};
 /// The recommendations of a search: after each candidate the best point of the strategy. The session runs
 /// no more candidates than needed, so that nothing is searched after a success.
 pub(super) struct FromSearch<'a> {
-    course: &'a Course<'a>,
+    run: &'a MethodRun<'a>,
     settings: SessionSettings,
     strategy: Box<dyn Strategy>,
     session: Option<Session>,
@@ -21,33 +21,33 @@ impl<'a> FromSearch<'a> {
     ///
     /// # Errors
     /// The settings are invalid for the strategy.
-    pub fn new(course: &'a Course<'a>, kind: StrategyKind) -> Result<Self, ExperimentError> {
+    pub fn new(run: &'a MethodRun<'a>, kind: StrategyKind) -> Result<Self, ExperimentError> {
         let settings = SessionSettings {
-            name: format!("{} of {}", course.name, course.experiment.settings().name),
+            name: format!("{} of {}", run.name, run.experiment.settings().name),
             // A separate seed, because scoring uses the run's own.
-            seed: derived_seed(course.seed, SeedFor::Search),
-            emulated: course.plant.emulated,
+            seed: derived_seed(run.seed, SeedFor::Search),
+            emulated: run.plant.emulated,
             strategy: kind,
-            ..course.recipe.settings.clone()
+            ..run.recipe.settings.clone()
         };
         let strategy = settings.search()?;
-        Ok(Self { course, settings, strategy, session: None, evaluated: Vec::new() })
+        Ok(Self { run, settings, strategy, session: None, evaluated: Vec::new() })
     }
 
     /// Continues the search until this many candidates are evaluated.
     fn search_to(&mut self, candidates: u32) -> Result<(), ExperimentError> {
-        let Some(tell) = self.course.work else { return Ok(()) };
-        let folder = self.course.folder.join("search");
+        let Some(tell) = self.run.work else { return Ok(()) };
+        let folder = self.run.folder.join("search");
         let session = match self.session.take() {
             Some(session) => session,
             None => {
-                make(&self.course.folder)?;
-                let experiment = self.course.experiment;
+                make(&self.run.folder)?;
+                let experiment = self.run.experiment;
                 let settings = self.settings.clone();
                 open_search(&folder, settings, experiment.rig(), experiment.stop())?.on_cores(1)
             }
         };
-        let name = &self.course.name;
+        let name = &self.run.name;
         let mut tell = |progress: Progress| tell(News::Search { name, progress: &progress });
         self.session.insert(session).run_to(candidates, &mut tell).map_err(|source| {
             ExperimentError::Search { name: name.clone(), source: Box::new(source) }
@@ -56,7 +56,7 @@ impl<'a> FromSearch<'a> {
 
     fn read_evaluated(&mut self) -> Result<(), ExperimentError> {
         let rollouts = self.settings.extent.rollouts as usize;
-        let folder = self.course.folder.join("search");
+        let folder = self.run.folder.join("search");
         let more = searched(&folder, self.evaluated.len())?;
         self.evaluated.extend(more.into_iter().take_while(|it| it.returns.len() == rollouts));
         Ok(())
@@ -80,6 +80,6 @@ impl Answers for FromSearch<'_> {
         }
         let Some(data) = self.evaluated.get(..steps) else { return Ok(None) };
         let psi = self.strategy.best(data)?.point;
-        Ok(Some(Ok(Answer { recipe: self.course.recipe.clone(), psi })))
+        Ok(Some(Ok(Answer { recipe: self.run.recipe.clone(), psi })))
     }
 }

@@ -1,13 +1,14 @@
 use serde::{Deserialize, Serialize};
 
-use super::Contender;
+use super::Method;
 
 /// The settings of a comparison of methods.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StrategySettings {
     /// Methods that are compared.
-    pub contenders: Vec<Contender>,
+    #[serde(alias = "contenders")]
+    pub methods: Vec<Method>,
     /// Number of repetitions of each method. Methods share the seed of a repetition, and with it the random
     /// numbers where they do the same.
     pub repetitions: u32,
@@ -19,9 +20,9 @@ pub struct StrategySettings {
 
 impl StrategySettings {
     /// Every repetition of every method, first repetitions first.
-    pub(in crate::experiment) fn repetitions(&self) -> impl Iterator<Item = (Contender, u32)> {
+    pub(in crate::experiment) fn repetitions(&self) -> impl Iterator<Item = (Method, u32)> {
         (0..self.repetitions)
-            .flat_map(|repetition| self.contenders.iter().map(move |&it| (it, repetition)))
+            .flat_map(|repetition| self.methods.iter().map(move |&it| (it, repetition)))
     }
 
     /// Checks the settings.
@@ -29,12 +30,12 @@ impl StrategySettings {
     /// # Errors
     /// Describes the first invalid setting.
     pub(in crate::experiment) fn check(&self) -> Result<(), String> {
-        if self.contenders.is_empty() {
+        if self.methods.is_empty() {
             return Err("a comparison of strategies needs at least one".into());
         }
-        for (index, contender) in self.contenders.iter().enumerate() {
-            if self.contenders[..index].contains(contender) {
-                return Err(format!("strategies: {contender} is there twice"));
+        for (index, method) in self.methods.iter().enumerate() {
+            if self.methods[..index].contains(method) {
+                return Err(format!("strategies: {method} is there twice"));
             }
         }
         for (name, value) in [("repetitions", self.repetitions), ("recordings", self.recordings)] {

@@ -41,7 +41,7 @@ const LEAST_LIKELY: f64 = 0.02;
 /// rollouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Contender {
+pub enum Method {
     /// The thesis's settings (one noise variance, EI over the largest mean return), recommending the
     /// candidate with the largest mean return.
     PlainLuckiest,
@@ -55,7 +55,7 @@ pub enum Contender {
     NoisyExpectedImprovement,
 }
 
-impl Contender {
+impl Method {
     /// Every method.
     pub const ALL: [Self; 5] = [
         Self::PlainLuckiest,
@@ -96,11 +96,11 @@ impl TwoHumped {
     ///
     /// # Errors
     /// The search cannot propose.
-    pub fn search(self, contender: Contender, seed: u64) -> Result<f64, SearchError> {
+    pub fn search(self, method: Method, seed: u64) -> Result<f64, SearchError> {
         let landscape = Landscape::new(self.dimensions, seed);
         let mut strategy = BayRn::new(
             SearchBox::unit(self.dimensions)?,
-            contender.settings(self.initial_points),
+            method.settings(self.initial_points),
             seed,
         )?;
         let mut data: Vec<Observation> = Vec::with_capacity(self.candidates);
@@ -110,8 +110,8 @@ impl TwoHumped {
                 data.push(Observation { point, returns });
             }
         }
-        let answer = match contender {
-            Contender::PlainLuckiest => {
+        let answer = match method {
+            Method::PlainLuckiest => {
                 data[crate::search::observation::highest_mean_return(&data)?].point.clone()
             }
             _ => strategy.best(&data)?.point,
@@ -160,10 +160,11 @@ impl Landscape {
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
     /// Method of the search.
-    pub contender: Contender,
+    #[serde(rename = "contender")]
+    pub method: Method,
     /// Expected return of the recommended point, with its 95 % interval.
     pub expected_return: Interval,
-    /// Difference to [`Contender::Plain`] in the same repetitions, with its 95 % interval.
+    /// Difference to [`Method::Plain`] in the same repetitions, with its 95 % interval.
     pub gain_over_plain: Interval,
 }
 
@@ -172,15 +173,15 @@ impl Comparison {
     /// repetitions in the same order.
     #[must_use]
     pub fn table(found: &[Vec<f64>]) -> Vec<Self> {
-        let plain = Contender::ALL.iter().position(|c| *c == Contender::Plain).unwrap_or(0);
-        Contender::ALL
+        let plain = Method::ALL.iter().position(|c| *c == Method::Plain).unwrap_or(0);
+        Method::ALL
             .into_iter()
             .zip(found)
-            .map(|(contender, returns)| {
+            .map(|(method, returns)| {
                 let gains: Vec<f64> =
                     returns.iter().zip(&found[plain]).map(|(ours, plain)| ours - plain).collect();
                 Self {
-                    contender,
+                    method,
                     expected_return: confidence_interval(returns),
                     gain_over_plain: confidence_interval(&gains),
                 }
@@ -196,13 +197,13 @@ mod tests {
     #[test]
     fn the_default_finds_better_candidates_than_the_luckiest() {
         let problem = TwoHumped { candidates: 20, ..TwoHumped::NOISY };
-        let mean = |contender| {
+        let mean = |method| {
             let found: Vec<f64> =
-                (0..20).map(|seed| problem.search(contender, seed).unwrap()).collect();
+                (0..20).map(|seed| problem.search(method, seed).unwrap()).collect();
             confidence_interval(&found).mean
         };
-        let default = mean(Contender::NoisyExpectedImprovement);
-        let luckiest = mean(Contender::PlainLuckiest);
+        let default = mean(Method::NoisyExpectedImprovement);
+        let luckiest = mean(Method::PlainLuckiest);
         assert!(default > luckiest + 10.0, "{default} {luckiest}");
     }
 

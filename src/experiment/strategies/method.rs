@@ -8,7 +8,7 @@ use crate::search::StrategyKind;
 /// A method that turns real rollouts into policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub enum Contender {
+pub enum Method {
     /// Searches for psi with a strategy.
     Search(StrategyKind),
     /// Identifies the Qube from recordings under an excitation and trains policies around the result,
@@ -16,7 +16,7 @@ pub enum Contender {
     Identify,
 }
 
-impl Contender {
+impl Method {
     /// Every method.
     pub fn all() -> impl Iterator<Item = Self> {
         StrategyKind::ALL.into_iter().map(Self::Search).chain([Self::Identify])
@@ -32,13 +32,13 @@ impl Contender {
     }
 }
 
-impl fmt::Display for Contender {
+impl fmt::Display for Method {
     fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
         formatter.write_str(self.name())
     }
 }
 
-impl FromStr for Contender {
+impl FromStr for Method {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
@@ -49,7 +49,7 @@ impl FromStr for Contender {
     }
 }
 
-impl TryFrom<String> for Contender {
+impl TryFrom<String> for Method {
     type Error = String;
 
     fn try_from(name: String) -> Result<Self, String> {
@@ -57,9 +57,9 @@ impl TryFrom<String> for Contender {
     }
 }
 
-impl From<Contender> for String {
-    fn from(contender: Contender) -> Self {
-        contender.name().to_owned()
+impl From<Method> for String {
+    fn from(method: Method) -> Self {
+        method.name().to_owned()
     }
 }
 
@@ -69,11 +69,11 @@ mod tests {
 
     #[test]
     fn names_lead_back_to_their_contenders() {
-        for contender in Contender::all() {
-            assert_eq!(contender.name().parse(), Ok(contender));
-            assert_eq!(serde_json::to_value(contender).unwrap(), contender.name());
+        for method in Method::all() {
+            assert_eq!(method.name().parse(), Ok(method));
+            assert_eq!(serde_json::to_value(method).unwrap(), method.name());
         }
-        let message = "baysian".parse::<Contender>().unwrap_err();
+        let message = "baysian".parse::<Method>().unwrap_err();
         assert!(
             message.contains("baysian")
                 && message.contains("bayrn, cem, cmaes, random, sobol, identify")
