@@ -189,7 +189,7 @@ fn the_guard_of_the_past_is_refused_with_what_is_in_its_place() {
     let settings = of_the_past(&whole, "box", 0.0);
     write("session/session.toml", &settings);
     let settings = SessionSettings::load(&root.join("session.toml")).unwrap();
-    assert_eq!(settings, SessionSettings::quick().under(Guard::Box));
+    assert_eq!(settings, SessionSettings::quick().with_guard(Guard::Box));
 
     let recipe = Recipe::of(RecipeModel::Nominal, &SessionSettings::quick());
     let lab = Plant { name: "lab".into(), emulated: EmulatedQubeSettings::default(), vary: 0.0 };

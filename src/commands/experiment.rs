@@ -406,7 +406,7 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
         training,
         ..SessionSettings::thesis()
     };
-    let settings = settings.under(guard);
+    let settings = settings.with_guard(guard);
     Ok(SessionSettings {
         homing: device.homing(settings.homing),
         safety_box: device.safety_box(settings.safety_box),

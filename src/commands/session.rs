@@ -218,7 +218,7 @@ fn begun(
         None => preset,
     };
     if let Some(guard) = arguments.guard {
-        settings = settings.under(guard.into());
+        settings = settings.with_guard(guard.into());
     }
     settings.seed = arguments.seed.unwrap_or(settings.seed);
     let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("session"));

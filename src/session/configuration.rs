@@ -65,7 +65,7 @@ impl SessionSettings {
         if !retired.is_empty() {
             text = toml::to_string(&table)?;
         }
-        let settings = Self::default().under(Guard::Box).laid_under(&text, path)?;
+        let settings = Self::default().with_guard(Guard::Box).laid_under(&text, path)?;
         settings.check_resumable().map_err(out_of_range)?;
         Ok(settings)
     }

@@ -159,7 +159,7 @@ impl SessionSettings {
 
     /// Selects the guard of rollouts.
     #[must_use]
-    pub fn under(mut self, guard: Guard) -> Self {
+    pub fn with_guard(mut self, guard: Guard) -> Self {
         self.safety_box.guard = guard;
         self
     }
