@@ -1,6 +1,6 @@
 //! Compiles one body of code for several instruction sets and picks one at run time.
 //!
-//! Users install without target flags, so the compiler assumes an x86-64 processor of 2003. A [`Kernel`] is
+//! Users install without target flags, so the compiler assumes an x86-64 processor of 2003. A [`VectorKernel`] is
 //! therefore compiled again inside functions that enable AVX-512, or AVX2 with FMA, and [`dispatch()`] calls
 //! the best one that this processor supports. On 64-bit ARM the plain path suffices: NEON and its fused
 //! multiply-add belong to every such processor.
@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 
 /// A computation that is compiled once for each instruction set; the implementing struct holds its
 /// arguments.
-pub trait Kernel {
+pub trait VectorKernel {
     /// Result of the computation.
     type Output;
 
@@ -90,14 +90,14 @@ impl Level {
 
 /// Runs a kernel with the best instruction set of this processor.
 #[inline]
-pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
+pub fn dispatch<K: VectorKernel>(kernel: K) -> K::Output {
     dispatch_at(Level::best(), kernel)
 }
 
 /// Runs a kernel with the given instruction set, for comparisons; falls back to the plain one when the
 /// processor does not support it.
 #[inline]
-pub fn dispatch_at<K: Kernel>(level: Level, kernel: K) -> K::Output {
+pub fn dispatch_at<K: VectorKernel>(level: Level, kernel: K) -> K::Output {
     if !level.is_available() {
         return kernel.run::<Plain>();
     }
@@ -120,7 +120,7 @@ impl InstructionSet for Plain {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::{InstructionSet, Kernel, Level};
+    use super::{InstructionSet, Level, VectorKernel};
 
     struct Avx512;
 
@@ -135,12 +135,12 @@ mod x86 {
     }
 
     #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,fma")]
-    pub(super) fn run_avx512<K: Kernel>(kernel: K) -> K::Output {
+    pub(super) fn run_avx512<K: VectorKernel>(kernel: K) -> K::Output {
         kernel.run::<Avx512>()
     }
 
     #[target_feature(enable = "avx2,fma")]
-    pub(super) fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
+    pub(super) fn run_avx2<K: VectorKernel>(kernel: K) -> K::Output {
         kernel.run::<Avx2>()
     }
 }
@@ -155,7 +155,7 @@ mod tests {
         outputs: &'a mut [[f32; 5]],
     }
 
-    impl Kernel for AllFunctions<'_> {
+    impl VectorKernel for AllFunctions<'_> {
         type Output = Level;
 
         #[inline(always)]

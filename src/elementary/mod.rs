@@ -4,7 +4,7 @@
 //! replays bit for bit on any processor, and the code has no branches, so that loops over many pendulums
 //! become vector code. The room imports nothing.
 //!
-//! The `f32` functions are fast only inside a [`Kernel`] that [`dispatch()`] runs.
+//! The `f32` functions are fast only inside a [`VectorKernel`] that [`dispatch()`] runs.
 //!
 //! ```
 //! use qube_hil::elementary::{Scalar, tanh};
@@ -20,7 +20,7 @@ mod prefetch;
 mod scalar;
 mod single;
 
-pub use dispatch::{InstructionSet, Kernel, Level, dispatch, dispatch_at};
+pub use dispatch::{InstructionSet, Level, VectorKernel, dispatch, dispatch_at};
 pub use prefetch::prefetch;
 pub use scalar::Scalar;
 pub use single::{exp, inverse_square_root, sin_cos, tanh};

@@ -3,7 +3,7 @@
 //! Each is a polynomial (or a quotient of two) after a range reduction, built only from [`f32::mul_add`],
 //! division and bit operations in a fixed order, so every processor computes the same bits. None has a
 //! branch, so a loop over a slice becomes vector code when it is compiled for vectors (see
-//! [`super::Kernel`]).
+//! [`super::VectorKernel`]).
 //!
 //! The coefficients are minimax fits of this project: iteratively reweighted least squares (Lawson's
 //! algorithm) in double precision on 4,000 Chebyshev-spaced points, the quotient linearised with the

@@ -1,6 +1,6 @@
 use thiserror::Error;
 
-use crate::elementary::{InstructionSet, Kernel, dispatch, tanh};
+use crate::elementary::{InstructionSet, VectorKernel, dispatch, tanh};
 use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State, observation};
 
 /// Largest number of hidden layers. With [`MAX_WIDTH`] it bounds an inference to some tens of microseconds,
@@ -289,7 +289,7 @@ struct Infer<'a> {
     input: Input<'a>,
 }
 
-impl Kernel for Infer<'_> {
+impl VectorKernel for Infer<'_> {
     type Output = f32;
 
     #[inline(always)]

@@ -8,14 +8,14 @@ use super::{
     BLOCK, EquationsOfMotion as _, GapDynamics, InLanes, Lanes, MAX_HISTORY, QubeModel, SUBSTEPS,
     State, limited_voltage, runge_kutta_4,
 };
-use crate::elementary::{InstructionSet, Kernel};
+use crate::elementary::{InstructionSet, VectorKernel};
 
 /// Sixteen Qubes side by side in `f32`, each with its own parameters, nonidealities and delay, stored as a
 /// structure of arrays. Loops over the lanes have a fixed length and no aliasing, so that they become plain
 /// vector code.
 ///
 /// A lane's numbers depend on its own start and commands alone, and are the same bits on every instruction
-/// set. Fast only inside a [`Kernel`].
+/// set. Fast only inside a [`VectorKernel`].
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct QubeLanes {
@@ -153,7 +153,7 @@ pub struct ControlPeriod<'a> {
     pub commands_v: &'a [Lanes],
 }
 
-impl Kernel for ControlPeriod<'_> {
+impl VectorKernel for ControlPeriod<'_> {
     type Output = ();
 
     #[inline(always)]

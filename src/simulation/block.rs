@@ -6,7 +6,7 @@
 use super::lane_observer::ObserverLanes;
 use super::pendulums::Progress;
 use super::sensors::{SeenLanes, Sensors};
-use crate::elementary::{InstructionSet, Kernel};
+use crate::elementary::{InstructionSet, VectorKernel};
 use crate::qube::{
     BLOCK, InLanes, Lanes, MAX_HISTORY, MAX_STEPS, MAX_VOLTAGE_V, OBSERVATION_SIZE, QubeLanes,
     QubeModel, RewardWeights, SUBSTEPS, State, limited_voltage, observation,
@@ -86,7 +86,7 @@ pub(super) struct Step<'a> {
     pub(super) observations: &'a mut [Lanes],
 }
 
-impl Kernel for Step<'_> {
+impl VectorKernel for Step<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -136,7 +136,7 @@ pub(super) struct Observe<'a> {
     pub(super) observations: &'a mut [Lanes],
 }
 
-impl Kernel for Observe<'_> {
+impl VectorKernel for Observe<'_> {
     type Output = ();
 
     #[inline(always)]

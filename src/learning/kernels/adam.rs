@@ -1,6 +1,6 @@
 use super::multiply_add;
 use super::sum::sum;
-use crate::elementary::{InstructionSet, Kernel, inverse_square_root};
+use crate::elementary::{InstructionSet, VectorKernel, inverse_square_root};
 use crate::learning::network::{Network, Row, WIDTH};
 
 /// Adam's running moments of the gradients (Kingma and Ba 2015).
@@ -43,7 +43,7 @@ pub(in crate::learning) struct AdamStep<'a> {
     pub largest_norm: f32,
 }
 
-impl Kernel for AdamStep<'_> {
+impl VectorKernel for AdamStep<'_> {
     type Output = f32;
 
     #[inline(always)]

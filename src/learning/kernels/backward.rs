@@ -4,7 +4,7 @@ use super::multiply_add;
 use super::product::{Left, product};
 use super::sum::{LANES, sum, sum_each};
 use super::transpose::transpose;
-use crate::elementary::{InstructionSet, Kernel};
+use crate::elementary::{InstructionSet, VectorKernel};
 use crate::learning::network::{LOG_STD, Network, OUTPUT_BIAS, Row, WIDTH};
 
 /// Computes the gradient of a head's mean loss over one minibatch by every parameter.
@@ -46,7 +46,7 @@ impl Workspace {
     };
 }
 
-impl<H: Head> Kernel for Gradient<'_, H> {
+impl<H: Head> VectorKernel for Gradient<'_, H> {
     type Output = H::Statistics;
 
     #[inline(always)]

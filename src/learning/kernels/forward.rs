@@ -1,6 +1,6 @@
 use super::multiply_add;
 use super::product::{Left, product};
-use crate::elementary::{InstructionSet, Kernel, tanh};
+use crate::elementary::{InstructionSet, VectorKernel, tanh};
 use crate::learning::network::{Inputs, Network, OUTPUT_BIAS, WIDTH};
 
 /// Computes a network's outputs for a block of samples, 64 or 16.
@@ -9,7 +9,7 @@ pub(in crate::learning) struct Forward<'a, const SAMPLES: usize> {
     pub inputs: &'a Inputs<SAMPLES>,
 }
 
-impl<const SAMPLES: usize> Kernel for Forward<'_, SAMPLES> {
+impl<const SAMPLES: usize> VectorKernel for Forward<'_, SAMPLES> {
     type Output = [f32; SAMPLES];
 
     #[inline(always)]

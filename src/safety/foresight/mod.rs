@@ -12,7 +12,7 @@ use calm::CalmLanes;
 pub use prediction::Prediction;
 
 use super::{BrakeLaw, Particle};
-use crate::elementary::{InstructionSet, Kernel, Level, dispatch_at};
+use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
 use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use crate::qube::{
     BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, MAX_HISTORY, QubeLanes, SUBSTEPS, State,
@@ -233,7 +233,7 @@ struct Trial<'a, B> {
     voltage_v: f32,
 }
 
-impl<B: BrakeLaw> Kernel for Trial<'_, B> {
+impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
     type Output = Outlook;
 
     #[inline(always)]

@@ -4,7 +4,7 @@
 )]
 
 use super::{Foresight, ParticleLanes, resume};
-use crate::elementary::{InstructionSet, Kernel, Level, dispatch_at};
+use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
 use crate::estimation::FilterGains;
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, MAX_HISTORY, QubeLanes, SUBSTEPS, State};
 
@@ -111,7 +111,7 @@ struct Begin<'a> {
     sent_v: &'a [f32; MAX_HISTORY],
 }
 
-impl Kernel for Begin<'_> {
+impl VectorKernel for Begin<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -131,7 +131,7 @@ struct Period<'a> {
     command_v: f32,
 }
 
-impl Kernel for Period<'_> {
+impl VectorKernel for Period<'_> {
     type Output = Spread;
 
     #[inline(always)]
