@@ -8,7 +8,7 @@ use qube_hil::elementary::{Level, dispatch_at};
 use qube_hil::estimation::EstimatorSettings;
 use qube_hil::qube::{BLOCK, ControlPeriod, QubeLanes, State};
 use qube_hil::simulation::{
-    DomainDistribution, Family, Pendulums, Progress, SensorModel, SimulationSettings, Trajectory,
+    DomainDistribution, Family, LaneStatus, Pendulums, SensorModel, SimulationSettings, Trajectory,
 };
 
 /// Many swing-ups' worth of states: voltages alternate slowly, so that the pendulums keep moving
@@ -50,7 +50,7 @@ fn bench_level(
     }
     let mut voltages_v = vec![0.0_f32; lanes];
     let mut rewards = vec![0.0; lanes];
-    let mut progress = vec![Progress::Running; lanes];
+    let mut progress = vec![LaneStatus::Running; lanes];
     let mut observations = vec![0.0; pendulums.observation_size() * lanes];
     let mut steps = 0_usize;
     group.throughput(Throughput::Elements(lanes as u64));
@@ -64,7 +64,7 @@ fn bench_level(
             steps += 1;
             pendulums.step(&voltages_v, &mut rewards, &mut progress, &mut observations);
             for (lane, progress) in progress.iter().enumerate() {
-                if *progress != Progress::Running {
+                if *progress != LaneStatus::Running {
                     restart(&mut pendulums, lane);
                 }
             }

@@ -11,7 +11,7 @@ use super::random::{Stream, normal_pair};
 use super::transition::{End, Observation, Transition, estimate_advantages, inputs};
 use crate::elementary::{dispatch, exp};
 use crate::qube::MAX_STEPS;
-use crate::simulation::{DomainDistribution, Pendulums, Progress, Trajectory};
+use crate::simulation::{DomainDistribution, LaneStatus, Pendulums, Trajectory};
 
 /// The transitions of one update, lane by lane and each lane in order of time.
 pub(super) struct Batch {
@@ -69,7 +69,7 @@ impl Collector<'_> {
         let mut means = vec![0.0; width];
         let mut voltages_v = vec![0.0; width];
         let mut rewards = vec![0.0; width];
-        let mut progress = vec![Progress::Running; width];
+        let mut progress = vec![LaneStatus::Running; width];
         let mut transitions = vec![Transition::default(); lanes.len() * MAX_STEPS];
         let mut ends = Vec::new();
         let mut cut: Vec<(usize, Observation)> = Vec::new();
@@ -96,11 +96,11 @@ impl Collector<'_> {
                     rewards[lane] * explorer.calm.factor(voltages_v[lane], weight);
                 let is_last = step + 1 == MAX_STEPS;
                 match progress[lane] {
-                    Progress::Running if !is_last => continue,
-                    Progress::Running | Progress::TimeUp => {
+                    LaneStatus::Running if !is_last => continue,
+                    LaneStatus::Running | LaneStatus::TimeUp => {
                         cut.push((ends.len(), observation(&observations, lane, width)));
                     }
-                    Progress::LeftBox => {}
+                    LaneStatus::LeftBox => {}
                 }
                 ends.push(End { index, value_after: 0.0 });
                 if !is_last {

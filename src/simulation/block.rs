@@ -4,7 +4,7 @@
 )]
 
 use super::lane_observer::ObserverLanes;
-use super::pendulums::Progress;
+use super::pendulums::LaneStatus;
 use super::sensors::{SeenLanes, Sensors};
 use crate::elementary::{InstructionSet, VectorKernel};
 use crate::qube::{
@@ -81,7 +81,7 @@ pub(super) struct Step<'a> {
     pub(super) surroundings: &'a Surroundings,
     pub(super) voltages_v: &'a [Lanes],
     pub(super) rewards: &'a mut [Lanes],
-    pub(super) progress: &'a mut [[Progress; BLOCK]],
+    pub(super) progress: &'a mut [[LaneStatus; BLOCK]],
     /// Observations after the step, `[6 + history][blocks][16]`.
     pub(super) observations: &'a mut [Lanes],
 }
@@ -157,14 +157,14 @@ fn earn(block: &Block, reward: &RewardWeights<f32>, voltages_v: &Lanes, rewards:
 }
 
 #[inline(always)]
-fn judge(block: &mut Block, surroundings: &Surroundings, progress: &mut [Progress; BLOCK]) {
+fn judge(block: &mut Block, surroundings: &Surroundings, progress: &mut [LaneStatus; BLOCK]) {
     let safety_box = &surroundings.safety_box;
     for lane in 0..BLOCK {
         block.steps[lane] += 1;
         let time_is_up = block.steps[lane] >= MAX_STEPS as u32;
         let inside = safety_box.contains(&block.sight.guarded.lane(lane));
-        let in_the_box = if time_is_up { Progress::TimeUp } else { Progress::Running };
-        progress[lane] = if inside { in_the_box } else { Progress::LeftBox };
+        let in_the_box = if time_is_up { LaneStatus::TimeUp } else { LaneStatus::Running };
+        progress[lane] = if inside { in_the_box } else { LaneStatus::LeftBox };
     }
 }
 

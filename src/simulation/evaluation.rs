@@ -1,4 +1,4 @@
-use super::{DomainDistribution, Pendulums, Progress, SimulationSettings, Trajectory};
+use super::{DomainDistribution, LaneStatus, Pendulums, SimulationSettings, Trajectory};
 use crate::qube::MAX_STEPS;
 
 /// A controller that chooses voltages for many pendulums at once.
@@ -73,7 +73,7 @@ pub fn evaluate_and_tell(
     let mut observations = vec![0.0; pendulums.observation_size() * lanes];
     let mut voltages_v = vec![0.0; lanes];
     let mut rewards = vec![0.0; lanes];
-    let mut progress = vec![Progress::Running; lanes];
+    let mut progress = vec![LaneStatus::Running; lanes];
     let mut evaluation = Evaluation { returns: vec![0.0; starts], steps: vec![0; starts] };
     let mut running = vec![true; starts];
     pendulums.observe(&mut observations);
@@ -85,7 +85,7 @@ pub fn evaluate_and_tell(
                 evaluation.returns[lane] += f64::from(rewards[lane]);
                 evaluation.steps[lane] += 1;
                 tell(lane, rewards[lane], voltages_v[lane]);
-                running[lane] = progress[lane] == Progress::Running;
+                running[lane] = progress[lane] == LaneStatus::Running;
             }
         }
         if !running.contains(&true) {

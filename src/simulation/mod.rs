@@ -36,7 +36,7 @@ mod trajectory;
 pub use distribution::{Distribution, DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
 pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate, evaluate_and_tell};
-pub use pendulums::{LANES_MULTIPLE, Pendulums, Progress};
+pub use pendulums::{LANES_MULTIPLE, LaneStatus, Pendulums};
 pub use psi::{Psi, PsiError};
 pub use psi_dimension::{PsiDimension, PsiTarget};
 pub use psi_space::PsiSpace;

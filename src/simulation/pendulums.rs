@@ -11,7 +11,7 @@ pub const LANES_MULTIPLE: usize = BLOCK;
 /// State of a lane's trajectory after a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Progress {
+pub enum LaneStatus {
     /// The trajectory continues.
     #[default]
     Running,
@@ -147,7 +147,7 @@ impl Pendulums {
         &mut self,
         voltages_v: &[f32],
         rewards: &mut [f32],
-        progress: &mut [Progress],
+        progress: &mut [LaneStatus],
         observations: &mut [f32],
     ) {
         let lanes = self.lanes();

@@ -1,7 +1,7 @@
 //! Compares lanes with nonidealities with the emulator's plant, the `f64` equations and the ideal lanes.
 
 use super::{
-    Distribution, DomainDistribution, Pendulums, Progress, SimulationSettings, Trajectory,
+    Distribution, DomainDistribution, LaneStatus, Pendulums, SimulationSettings, Trajectory,
 };
 use crate::device::emulator::{EmulatorSettings, Plant};
 use crate::elementary::Level;
@@ -36,7 +36,7 @@ fn run(level: Level, trajectories: &[Trajectory], steps: usize) -> Vec<State<f32
         pendulums.restart(lane, trajectory);
     }
     let mut rewards = vec![0.0; lanes];
-    let mut progress = vec![Progress::Running; lanes];
+    let mut progress = vec![LaneStatus::Running; lanes];
     let mut observations = vec![0.0; settings.observation_size() * lanes];
     for step in 0..steps {
         let commands: Vec<f32> = (0..lanes).map(|lane| command_v(lane, step)).collect();
