@@ -3,8 +3,10 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::printable::printable;
-use crate::experiment::{AnswerResult, Behaviour, ExperimentSettings, Judgement, News, Repetition};
-use crate::session::Progress;
+use crate::experiment::{
+    AnswerResult, Behaviour, ExperimentEvent, ExperimentSettings, Judgement, Repetition,
+};
+use crate::session::SessionEvent;
 
 /// The display on stderr of a running experiment: a line for each finished piece of work, and a bar over
 /// policies or searches.
@@ -32,14 +34,14 @@ impl ExperimentProgress {
     }
 
     /// Shows one event.
-    pub fn tell(&self, news: &News) {
+    pub fn tell(&self, news: &ExperimentEvent) {
         match news {
-            News::Search { name, progress } => self.searching(name, progress),
-            News::Trained { recipe, policy, best_return: Some(best_return) } => {
+            ExperimentEvent::Search { name, progress } => self.searching(name, progress),
+            ExperimentEvent::Trained { recipe, policy, best_return: Some(best_return) } => {
                 self.line(format!("{recipe} {policy}: trained, {best_return:.0} in simulation"));
             }
-            News::Trained { .. } => {}
-            News::Ran { recipe, policy, plant, results } => {
+            ExperimentEvent::Trained { .. } => {}
+            ExperimentEvent::Ran { recipe, policy, plant, results } => {
                 let count = |kind| results.iter().filter(|it| it.behaviour == kind).count();
                 let kinds: Vec<String> = Behaviour::ALL
                     .into_iter()
@@ -52,8 +54,8 @@ impl ExperimentProgress {
                 self.line(format!("{recipe} {policy} on {plant}: mean return {mean:.0}; {kinds}"));
                 self.bar.inc(1);
             }
-            News::Judged { repetition, answer } => self.judged(repetition, answer),
-            News::Over { .. } => self.bar.inc(1),
+            ExperimentEvent::Judged { repetition, answer } => self.judged(repetition, answer),
+            ExperimentEvent::Over { .. } => self.bar.inc(1),
         }
     }
 
@@ -70,20 +72,20 @@ impl ExperimentProgress {
         self.line(format!("{}, {rollouts} real rollouts: {what}", repetition.name()));
     }
 
-    fn searching(&self, name: &str, progress: &Progress) {
+    fn searching(&self, name: &str, progress: &SessionEvent) {
         match progress {
-            Progress::Proposed { candidate, .. } => {
+            SessionEvent::Proposed { candidate, .. } => {
                 self.line(format!("{name}: the search proposes candidate {candidate}"));
             }
-            Progress::Training { candidate, update } => {
+            SessionEvent::Training { candidate, update } => {
                 let done = update.update + 1;
                 self.bar.set_message(format!("{name}: candidate {candidate}, update {done}"));
             }
-            Progress::Rollout { candidate, rollout, verdict, .. } => {
+            SessionEvent::Rollout { candidate, rollout, verdict, .. } => {
                 let return_ = verdict.return_().map_or("void".into(), |it| format!("{it:.0}"));
                 self.line(format!("{name}: candidate {candidate}, rollout {rollout}: {return_}"));
             }
-            Progress::Trained { .. } | Progress::Connected(_) | Progress::Drift(_) => {}
+            SessionEvent::Trained { .. } | SessionEvent::Connected(_) | SessionEvent::Drift(_) => {}
         }
     }
 

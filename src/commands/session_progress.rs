@@ -5,7 +5,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::printable::printable;
 use super::warn_without_realtime;
-use crate::session::{Progress, Purpose, SessionSettings, Verdict};
+use crate::session::{Purpose, SessionEvent, SessionSettings, Verdict};
 use crate::telemetry::Ending;
 
 /// The display on stderr of a running session: a line for each finished piece of work, and one live line
@@ -33,9 +33,9 @@ impl SessionProgress {
     }
 
     /// Shows one event.
-    pub fn tell(&mut self, news: &Progress) {
+    pub fn tell(&mut self, news: &SessionEvent) {
         match news {
-            Progress::Proposed { candidate, purpose } => {
+            SessionEvent::Proposed { candidate, purpose } => {
                 let why = match purpose {
                     Purpose::Initial => "an initial point",
                     Purpose::Search => "proposed by the search",
@@ -44,7 +44,7 @@ impl SessionProgress {
                 };
                 self.line(format!("candidate {candidate} of {}: {why}", self.last_candidate));
             }
-            Progress::Training { candidate, update } => {
+            SessionEvent::Training { candidate, update } => {
                 let best = self.training.entry(*candidate).or_insert((0, f64::MIN));
                 *best = (update.update + 1, best.1.max(update.mean_return));
                 let each: Vec<String> = self
@@ -56,7 +56,7 @@ impl SessionProgress {
                     .collect();
                 self.bar.set_message(format!("training candidate {}", each.join(", ")));
             }
-            Progress::Trained { candidate, best_return } => {
+            SessionEvent::Trained { candidate, best_return } => {
                 self.training.remove(candidate);
                 self.bar.set_message("");
                 if let Some(best_return) = best_return {
@@ -65,7 +65,7 @@ impl SessionProgress {
                     ));
                 }
             }
-            Progress::Connected(rig) => {
+            SessionEvent::Connected(rig) => {
                 if !self.connected {
                     let identity = rig.identity();
                     self.line(format!(
@@ -76,10 +76,10 @@ impl SessionProgress {
                 }
                 self.connected = true;
             }
-            Progress::Drift(Ok(drift)) => self.line(drift.to_string()),
-            Progress::Drift(Err(unfit)) => self
+            SessionEvent::Drift(Ok(drift)) => self.line(drift.to_string()),
+            SessionEvent::Drift(Err(unfit)) => self
                 .line(format!("the first rollouts say nothing of how the rig is today: {unfit}")),
-            Progress::Rollout { candidate, rollout, attempt, verdict } => {
+            SessionEvent::Rollout { candidate, rollout, attempt, verdict } => {
                 let again =
                     if *attempt > 0 { format!(" (try {})", attempt + 1) } else { String::new() };
                 let came_to = describe(verdict);

@@ -42,4 +42,4 @@ pub use strategies::{
     AnswerResult, Judgement, Method, Repetition, StrategyResult, StrategyResults, StrategySettings,
     strategies_svg,
 };
-pub use work::{Experiment, News};
+pub use work::{Experiment, ExperimentEvent};

@@ -10,17 +10,17 @@ use super::{
     Repetition, RolloutResult,
 };
 use crate::session::{
-    ClockChoice, Progress, Rig, RigSettings, SeedFor, SessionSettings, derived_seed,
+    ClockChoice, Rig, RigSettings, SeedFor, SessionEvent, SessionSettings, derived_seed,
 };
 
 /// An event of a running experiment, from any thread.
-pub enum News<'a> {
-    /// Progress of a search for psi.
+pub enum ExperimentEvent<'a> {
+    /// SessionEvent of a search for psi.
     Search {
         /// Name of the search: a recipe's, or a method's and repetition's.
         name: &'a str,
         /// Event of the session.
-        progress: &'a Progress<'a>,
+        progress: &'a SessionEvent<'a>,
     },
     /// A policy is on disk.
     Trained {
@@ -67,7 +67,7 @@ pub struct Experiment {
 }
 
 /// A unit of work.
-enum Job {
+enum WorkItem {
     /// Search for a recipe's psi.
     Search {
         /// Index of the recipe.
@@ -90,7 +90,7 @@ enum Job {
 }
 
 /// Receives the events of an experiment.
-pub(super) type Tell<'a> = dyn Fn(News) + Sync + 'a;
+pub(super) type Tell<'a> = dyn Fn(ExperimentEvent) + Sync + 'a;
 
 impl Experiment {
     /// Continues an experiment from its folder. `rig` selects the Qube; an emulated one is each plant in
@@ -145,7 +145,7 @@ impl Experiment {
     /// The work ends early; finished work is on disk.
     pub fn run(&self, tell: &Tell) -> Result<(), ExperimentError> {
         let mut jobs = self.jobs();
-        let searches = jobs.iter().filter(|job| matches!(job, Job::Search { .. })).count();
+        let searches = jobs.iter().filter(|job| matches!(job, WorkItem::Search { .. })).count();
         if !self.is_virtual() {
             for job in jobs.extract_if(..searches, |_| true).collect::<Vec<_>>() {
                 jobs.extend(self.work(job, self.threads, tell)?);
@@ -159,16 +159,16 @@ impl Experiment {
         Ok(())
     }
 
-    fn jobs(&self) -> Vec<Job> {
+    fn jobs(&self) -> Vec<WorkItem> {
         if let Some(strategies) = &self.settings.strategies {
-            let of = |(method, repetition)| Job::Repetition { method, repetition };
+            let of = |(method, repetition)| WorkItem::Repetition { method, repetition };
             return strategies.repetitions().map(of).collect();
         }
         let mut jobs = Vec::new();
         for (recipe, it) in self.settings.recipes.iter().enumerate() {
             if it.model.is_optimised() {
                 // The search comes first, because everything of its recipe waits for it.
-                jobs.insert(0, Job::Search { recipe });
+                jobs.insert(0, WorkItem::Search { recipe });
             } else {
                 jobs.extend(self.policies(recipe));
             }
@@ -176,26 +176,31 @@ impl Experiment {
         jobs
     }
 
-    fn policies(&self, recipe: usize) -> impl Iterator<Item = Job> + use<> {
-        (0..self.settings.policies).map(move |policy| Job::Policy { recipe, policy })
+    fn policies(&self, recipe: usize) -> impl Iterator<Item = WorkItem> + use<> {
+        (0..self.settings.policies).map(move |policy| WorkItem::Policy { recipe, policy })
     }
 
     /// Does one job and returns the jobs that follow from it.
-    fn work(&self, job: Job, cores: usize, tell: &Tell) -> Result<Vec<Job>, ExperimentError> {
+    fn work(
+        &self,
+        job: WorkItem,
+        cores: usize,
+        tell: &Tell,
+    ) -> Result<Vec<WorkItem>, ExperimentError> {
         match job {
-            Job::Search { recipe } => {
+            WorkItem::Search { recipe } => {
                 self.search(&self.settings.recipes[recipe], cores, tell)?;
                 Ok(self.policies(recipe).collect())
             }
-            Job::Policy { recipe, policy } => {
+            WorkItem::Policy { recipe, policy } => {
                 let recipe = &self.settings.recipes[recipe];
                 self.make_policy(recipe, policy, tell)?;
                 Ok(Vec::new())
             }
-            Job::Repetition { method, repetition } => {
+            WorkItem::Repetition { method, repetition } => {
                 if let Some(strategies) = &self.settings.strategies {
                     let repetition = self.follow(strategies, (method, repetition), Some(tell))?;
-                    tell(News::Over { repetition: &repetition });
+                    tell(ExperimentEvent::Over { repetition: &repetition });
                 }
                 Ok(Vec::new())
             }
@@ -217,8 +222,8 @@ impl Experiment {
         };
         let folder = self.folder.search(&recipe.name);
         let session = open_search(&folder, settings, &self.rig, &self.stop)?;
-        let tell = &mut |progress: Progress| {
-            tell(News::Search { name: &recipe.name, progress: &progress });
+        let tell = &mut |progress: SessionEvent| {
+            tell(ExperimentEvent::Search { name: &recipe.name, progress: &progress });
         };
         session.on_cores(cores).run(tell).map_err(failed)
     }
@@ -254,12 +259,12 @@ impl Experiment {
         let psi = self.psi(recipe)?.unwrap_or_default();
         let series = self.series(recipe, &psi);
         let best_return = series.train(policy)?;
-        tell(News::Trained { recipe: &recipe.name, policy, best_return });
+        tell(ExperimentEvent::Trained { recipe: &recipe.name, policy, best_return });
         let plants = if self.is_virtual() { &self.settings.plants[..] } else { &[] };
         for plant in plants {
             let results = series.run_in_virtual_time(policy, plant, self.settings.rollouts)?;
             let (recipe, plant, results) = (&recipe.name, &plant.name, &results);
-            tell(News::Ran { recipe, policy, plant, results });
+            tell(ExperimentEvent::Ran { recipe, policy, plant, results });
         }
         Ok(())
     }
@@ -275,7 +280,7 @@ impl Experiment {
                 let rollouts = self.settings.rollouts;
                 let results = series.run_on_device(&mut rig, policy, plant, rollouts)?;
                 let (recipe, plant, results) = (&recipe.name, &plant.name, &results);
-                tell(News::Ran { recipe, policy, plant, results });
+                tell(ExperimentEvent::Ran { recipe, policy, plant, results });
             }
         }
         Ok(())

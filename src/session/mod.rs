@@ -32,7 +32,7 @@ pub use folder::{FolderError, SessionFolder, put_aside, write_whole};
 pub use header::RolloutPlan;
 pub use latencies::Latencies;
 pub use ledger::{DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger};
-pub use orchestrator::{Progress, Session};
+pub use orchestrator::{Session, SessionEvent};
 pub use plan::{Candidate, Extent, Step, candidates, next_step};
 pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};

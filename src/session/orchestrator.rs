@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::folder::{put_aside, write_whole};
 use super::seeds::{Purpose as SeedFor, derived_seed};
-use super::training::{Job, News, train_all};
+use super::training::{TrainingEvent, TrainingJob, train_all};
 use super::{
     Candidate, ClockChoice, DRIFT_ROLLOUTS, Doubt, Drift, Entry, Ledger, MAX_NOT_BEGUN, Purpose,
     Rig, RigError, RigSettings, RolloutPlan, SessionError, SessionFolder, SessionSettings, Step,
@@ -20,7 +20,7 @@ use crate::search::{Observation, SearchError};
 use crate::telemetry::Ending;
 
 /// An event of a running session.
-pub enum Progress<'a> {
+pub enum SessionEvent<'a> {
     /// A psi was chosen.
     Proposed {
         /// Number of the candidate.
@@ -127,7 +127,7 @@ impl Session {
     ///
     /// # Errors
     /// The session ends early; finished work is on disk.
-    pub fn run(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), SessionError> {
+    pub fn run(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
         self.run_while(|_| true, tell)
     }
 
@@ -139,7 +139,7 @@ impl Session {
     pub fn run_to(
         &mut self,
         evaluated: u32,
-        tell: &mut dyn FnMut(Progress),
+        tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let rollouts = self.settings.extent.rollouts as usize;
         let is_evaluated =
@@ -152,7 +152,7 @@ impl Session {
     fn run_while(
         &mut self,
         goes_on: impl Fn(&[Entry]) -> bool,
-        tell: &mut dyn FnMut(Progress),
+        tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         self.heed_doubt()?;
         self.connect_early(tell)?;
@@ -202,7 +202,7 @@ impl Session {
 
     /// Connects, checks and homes a real Qube before any training, so that its defects do not show after
     /// hours.
-    fn connect_early(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), SessionError> {
+    fn connect_early(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
         let is_over = next_step(self.ledger.entries(), &self.settings.extent) == Step::Done;
         if !is_over && self.rig_settings.is_hardware() {
             let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
@@ -249,7 +249,7 @@ impl Session {
         &mut self,
         count: u32,
         purpose: Purpose,
-        tell: &mut dyn FnMut(Progress),
+        tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let mut strategy = self.settings.search()?;
         let chosen = match purpose {
@@ -267,7 +267,7 @@ impl Session {
         for psi in chosen {
             let candidate = candidates(self.ledger.entries()).len() as u32;
             self.ledger.append(Entry::Proposed { candidate, purpose, psi })?;
-            tell(Progress::Proposed { candidate, purpose });
+            tell(SessionEvent::Proposed { candidate, purpose });
         }
         Ok(())
     }
@@ -302,7 +302,7 @@ impl Session {
     fn train(
         &mut self,
         numbers: &[u32],
-        tell: &mut dyn FnMut(Progress),
+        tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let all = candidates(self.ledger.entries());
         let mut jobs = Vec::new();
@@ -317,7 +317,7 @@ impl Session {
                     write_whole(self.folder.disk(), &self.folder.policy(number), &policy)?;
                     continue;
                 }
-                jobs.push(Job {
+                jobs.push(TrainingJob {
                     candidate: number,
                     distribution: self.settings.distribution(&candidate.psi)?,
                     simulation: self.settings.simulation(&candidate.psi)?,
@@ -328,10 +328,10 @@ impl Session {
         let mut failed = None;
         let (folder, settings) = (&self.folder, &self.settings);
         train_all(&jobs, &self.settings.training, self.cores, &self.stop, |news| match news {
-            News::Update { candidate, update } => {
-                tell(Progress::Training { candidate, update: &update });
+            TrainingEvent::Update { candidate, update } => {
+                tell(SessionEvent::Training { candidate, update: &update });
             }
-            News::Finished { candidate, result } => {
+            TrainingEvent::Finished { candidate, result } => {
                 let saved = result.map_err(SessionError::from).and_then(|trained| {
                     let best_return = trained.best_return;
                     let psi = &all[candidate as usize].psi;
@@ -340,7 +340,7 @@ impl Session {
                 });
                 match saved {
                     Ok(best_return) => {
-                        tell(Progress::Trained { candidate, best_return: Some(best_return) });
+                        tell(SessionEvent::Trained { candidate, best_return: Some(best_return) });
                     }
                     Err(error) => failed = Some(error),
                 }
@@ -361,7 +361,7 @@ impl Session {
         candidate: u32,
         rollout: u32,
         attempt: u32,
-        tell: &mut dyn FnMut(Progress),
+        tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let path = self.folder.rollout(candidate, rollout, attempt);
         // An existing recording was made before a crash or a stop. A complete one is taken over. An
@@ -387,7 +387,7 @@ impl Session {
         }
         let recording = read_on(self.folder.disk(), &path)?;
         let verdict = judge_recording(&recording);
-        tell(Progress::Rollout { candidate, rollout, attempt, verdict: &verdict });
+        tell(SessionEvent::Rollout { candidate, rollout, attempt, verdict: &verdict });
         match &verdict {
             Verdict::Result { .. } => {
                 self.ledger.append(Entry::RolloutFinished { candidate, rollout, attempt })?;
@@ -444,13 +444,13 @@ impl Session {
     }
 
     /// Estimates the rig's drift from its profile once enough of today's rollouts exist.
-    fn watch_drift(&mut self, recording: Recording, tell: &mut dyn FnMut(Progress)) {
+    fn watch_drift(&mut self, recording: Recording, tell: &mut dyn FnMut(SessionEvent)) {
         let Some(profile) = self.profile else { return };
         self.today.push(recording);
         if self.today.len() == DRIFT_ROLLOUTS {
             let drift = Drift::of(&std::mem::take(&mut self.today), &profile);
             self.profile = None;
-            tell(Progress::Drift(&drift));
+            tell(SessionEvent::Drift(&drift));
         }
     }
 
@@ -460,7 +460,7 @@ impl Session {
         rollout: u32,
         attempt: u32,
         path: &Path,
-        tell: &mut dyn FnMut(Progress),
+        tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let policy = self.policy(candidate)?;
         let psi = candidates(self.ledger.entries())[candidate as usize].psi.clone();
@@ -500,7 +500,7 @@ impl Session {
     fn ready_rig(
         &mut self,
         emulator: SeedFor,
-        tell: &mut dyn FnMut(Progress),
+        tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<&Rig, SessionError> {
         if self.rig_settings.clock == ClockChoice::Virtual {
             self.rig_settings.emulator.seed = derived_seed(self.settings.seed, emulator);
@@ -513,7 +513,7 @@ impl Session {
                 // An acknowledgement holds for one doubt only.
                 self.rig_settings.recovery.acknowledged = false;
                 self.rig_settings.recovery.doubt = None;
-                tell(Progress::Connected(&rig));
+                tell(SessionEvent::Connected(&rig));
                 rig
             }
         };

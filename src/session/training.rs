@@ -7,7 +7,7 @@ use crate::simulation::{DomainDistribution, SimulationSettings};
 
 /// A policy to be trained.
 #[derive(Clone, Debug)]
-pub struct Job {
+pub struct TrainingJob {
     /// Number of the candidate.
     pub candidate: u32,
     /// Distribution of the simulations.
@@ -19,7 +19,7 @@ pub struct Job {
 }
 
 /// An event of the training workers.
-pub enum News {
+pub enum TrainingEvent {
     /// A candidate's training has completed one more update.
     Update {
         /// Number of the candidate.
@@ -39,11 +39,11 @@ pub enum News {
 /// Trains policies in parallel, each in its own simulations, one on each of several cores. A policy's bytes
 /// do not depend on the number of cores. Returns when all have ended; setting `stop` ends them soon.
 pub fn train_all(
-    jobs: &[Job],
+    jobs: &[TrainingJob],
     settings: &TrainSettings,
     cores: usize,
     stop: &AtomicBool,
-    mut tell: impl FnMut(News),
+    mut tell: impl FnMut(TrainingEvent),
 ) {
     let (sender, receiver) = unbounded();
     let next = AtomicUsize::new(0);
@@ -56,10 +56,11 @@ pub fn train_all(
                     let settings = TrainSettings { simulation: job.simulation, ..settings.clone() };
                     let result =
                         train(&job.distribution, &settings, job.seed, None, stop, |update| {
-                            let _ = sender.send(News::Update { candidate, update: *update });
+                            let _ =
+                                sender.send(TrainingEvent::Update { candidate, update: *update });
                         });
                     let result = result.map(Box::new);
-                    let _ = sender.send(News::Finished { candidate, result });
+                    let _ = sender.send(TrainingEvent::Finished { candidate, result });
                 }
             });
         }

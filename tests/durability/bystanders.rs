@@ -18,7 +18,7 @@ use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::qube::Measurement;
 use qube_hil::recording::RecordingError;
 use qube_hil::session::{
-    Connect, DeviceChoice, Progress, Rig, RigError, RigSettings, Session, SessionFolder,
+    Connect, DeviceChoice, Rig, RigError, RigSettings, Session, SessionEvent, SessionFolder,
     TimedDevice, Verdict, judge,
 };
 use qube_hil::storage::{Disk, DiskFile, Hold};
@@ -212,7 +212,7 @@ fn an_orchestrator_that_hangs_anywhere_finds_the_amplifier_off() {
             let Some(wire) = wiring.last_wire() else { return };
             assert_ne!(wire.state(), DeviceState::Armed);
             // It hangs here for as long as it likes.
-            if matches!(progress, Progress::Rollout { .. }) {
+            if matches!(progress, SessionEvent::Rollout { .. }) {
                 wire.must_end_safe();
             }
             looked += 1;

@@ -24,7 +24,7 @@ const PATIENCE_NS: u64 = 9_000_000_000;
 
 /// How far the motion has come, told by [`Watched`].
 #[derive(Clone, Debug, Default)]
-pub struct Progress {
+pub struct SessionEvent {
     steps: Arc<AtomicU32>,
     brakes: Arc<AtomicU32>,
 }
@@ -32,10 +32,10 @@ pub struct Progress {
 /// A motion that tells how far it has come.
 pub struct Watched<M> {
     pub motion: M,
-    pub progress: Progress,
+    pub progress: SessionEvent,
 }
 
-impl Progress {
+impl SessionEvent {
     /// Begins anew.
     pub fn start(&self) {
         self.steps.store(0, Ordering::Relaxed);
@@ -88,7 +88,7 @@ pub struct Qube {
     pub plant: Plant,
     pub clock: VirtualClock,
     pub mishap: Mishap,
-    pub progress: Progress,
+    pub progress: SessionEvent,
     pub stop: Arc<AtomicBool>,
     /// Where the arm's zero is taken to be, rad.
     pub zero_rad: f64,
@@ -115,7 +115,7 @@ impl Qube {
             plant,
             clock: VirtualClock::default(),
             mishap,
-            progress: Progress::default(),
+            progress: SessionEvent::default(),
             stop: Arc::default(),
             zero_rad,
             jitter: None,

@@ -7,7 +7,7 @@ use super::{Method, StrategySettings};
 use crate::experiment::folder::PolicyFolders;
 use crate::experiment::series::Series;
 use crate::experiment::work::Tell;
-use crate::experiment::{Experiment, ExperimentError, News, Plant, Recipe};
+use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Plant, Recipe};
 use crate::session::{SeedFor, derived_seed};
 
 /// One repetition of a method, as far as it has come.
@@ -161,7 +161,7 @@ impl MethodRun<'_> {
             };
             repetition.answers.push(result);
             if let (Some(tell), Some(answer)) = (self.work, repetition.answers.last()) {
-                tell(News::Judged { repetition, answer });
+                tell(ExperimentEvent::Judged { repetition, answer });
             }
             if repetition.succeeded_after().is_some() {
                 break;

@@ -1,9 +1,9 @@
 use super::follow::{Answer, Answers, MethodRun};
 use crate::experiment::folder::make;
 use crate::experiment::search::{open_search, searched};
-use crate::experiment::{ExperimentError, News};
+use crate::experiment::{ExperimentError, ExperimentEvent};
 use crate::search::{Observation, Strategy, StrategyKind};
-use crate::session::{Progress, SeedFor, Session, SessionSettings, derived_seed};
+use crate::session::{SeedFor, Session, SessionEvent, SessionSettings, derived_seed};
 
 /// The recommendations of a search: after each candidate the best point of the strategy. The session runs
 /// no more candidates than needed, so that nothing is searched after a success.
@@ -48,7 +48,8 @@ impl<'a> FromSearch<'a> {
             }
         };
         let name = &self.run.name;
-        let mut tell = |progress: Progress| tell(News::Search { name, progress: &progress });
+        let mut tell =
+            |progress: SessionEvent| tell(ExperimentEvent::Search { name, progress: &progress });
         self.session.insert(session).run_to(candidates, &mut tell).map_err(|source| {
             ExperimentError::Search { name: name.clone(), source: Box::new(source) }
         })
