@@ -28,7 +28,7 @@ impl RolloutResult {
 }
 
 /// The state of a rollout according to the recordings in its folder.
-enum Standing {
+enum RolloutState {
     /// The rollout has a result.
     Finished(RolloutResult),
     /// An attempt is due.
@@ -40,28 +40,32 @@ enum Standing {
 
 /// The state of a rollout that may be attempted `1 + repetitions` times. A recording that is unfinished, or
 /// unreadable after a crash, does not count: its attempt is due again.
-fn standing(rollouts: &Path, rollout: u32, repetitions: u32) -> Result<Standing, ExperimentError> {
+fn state_of(
+    rollouts: &Path,
+    rollout: u32,
+    repetitions: u32,
+) -> Result<RolloutState, ExperimentError> {
     for attempt in 0..=repetitions {
         let path = recording(rollouts, rollout, attempt);
         if !MachineDisk.exists(&path) {
-            return Ok(Standing::Due { attempt });
+            return Ok(RolloutState::Due { attempt });
         }
         let recorded = match read(&path) {
             Ok(recorded) => recorded,
-            Err(RecordingError::Unreadable { .. }) => return Ok(Standing::Due { attempt }),
+            Err(RecordingError::Unreadable { .. }) => return Ok(RolloutState::Due { attempt }),
             Err(error) => return Err(error.into()),
         };
         match (judge_recording(&recorded), Behaviour::of(&recorded)) {
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
                 let quietness = Quietness::of(&recorded.ticks);
                 let result = RolloutResult { return_: Some(return_), behaviour, quietness };
-                return Ok(Standing::Finished(result));
+                return Ok(RolloutState::Finished(result));
             }
-            (Verdict::Unfinished, _) => return Ok(Standing::Due { attempt }),
+            (Verdict::Unfinished, _) => return Ok(RolloutState::Due { attempt }),
             _ => {}
         }
     }
-    Ok(Standing::Finished(RolloutResult::FAULT))
+    Ok(RolloutState::Finished(RolloutResult::FAULT))
 }
 
 /// The results of several rollouts in a folder; `None` where some are missing.
@@ -72,9 +76,9 @@ pub(super) fn all_of(
 ) -> Result<Option<Vec<RolloutResult>>, ExperimentError> {
     (0..rollouts)
         .map(|rollout| {
-            Ok(match standing(folder, rollout, repetitions)? {
-                Standing::Finished(result) => Some(result),
-                Standing::Due { .. } => None,
+            Ok(match state_of(folder, rollout, repetitions)? {
+                RolloutState::Finished(result) => Some(result),
+                RolloutState::Due { .. } => None,
             })
         })
         .collect()
@@ -109,9 +113,9 @@ impl Repeated<'_> {
     ) -> Result<RolloutResult, ExperimentError> {
         make(self.folder)?;
         loop {
-            let attempt = match standing(self.folder, self.plan.rollout, self.repetitions)? {
-                Standing::Finished(result) => return Ok(result),
-                Standing::Due { attempt } => attempt,
+            let attempt = match state_of(self.folder, self.plan.rollout, self.repetitions)? {
+                RolloutState::Finished(result) => return Ok(result),
+                RolloutState::Due { attempt } => attempt,
             };
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped.into());

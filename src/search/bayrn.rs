@@ -1,4 +1,6 @@
-use super::bayrn_settings::{AcquisitionKind, BayRnSettings, Incumbent, InitialDesign, NoiseModel};
+use super::bayrn_settings::{
+    AcquisitionKind, BayRnSettings, IncumbentRule, InitialDesign, NoiseModel,
+};
 use super::observation::check;
 use super::random::{quasi_random_point, uniform_point};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
@@ -70,8 +72,8 @@ impl BayRn {
     ) -> Result<Vec<f64>, SearchError> {
         let means = means_at_data(process);
         let incumbent = match self.settings.incumbent {
-            Incumbent::LargestObserved => largest_observed,
-            Incumbent::BestPosteriorMean => means[0].0,
+            IncumbentRule::LargestObserved => largest_observed,
+            IncumbentRule::BestPosteriorMean => means[0].0,
         };
         Ok(match self.settings.acquisition {
             AcquisitionKind::ExpectedImprovement => {

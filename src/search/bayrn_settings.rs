@@ -17,7 +17,7 @@ pub struct BayRnSettings {
     /// Weight of the standard deviation in `upper-confidence-bound`.
     pub beta: f64,
     /// Reference value of an improvement.
-    pub incumbent: Incumbent,
+    pub incumbent: IncumbentRule,
     /// Noise model of mean returns.
     pub noise: NoiseModel,
     /// Form and fit of the surrogate. Its seed is combined with the search's.
@@ -31,7 +31,7 @@ impl BayRnSettings {
     pub fn thesis() -> Self {
         Self {
             acquisition: AcquisitionKind::ExpectedImprovement,
-            incumbent: Incumbent::LargestObserved,
+            incumbent: IncumbentRule::LargestObserved,
             noise: NoiseModel::Shared,
             ..Self::default()
         }
@@ -64,7 +64,7 @@ impl Default for BayRnSettings {
             initial_design: InitialDesign::Uniform,
             acquisition: AcquisitionKind::NoisyExpectedImprovement,
             beta: 2.0,
-            incumbent: Incumbent::BestPosteriorMean,
+            incumbent: IncumbentRule::BestPosteriorMean,
             noise: NoiseModel::PerCandidate,
             surrogate: FitSettings::default(),
         }
@@ -105,7 +105,7 @@ pub enum AcquisitionKind {
 /// The incumbent: the value against which an improvement is measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Incumbent {
+pub enum IncumbentRule {
     /// Largest observed mean return, as in the thesis; under noise it is that of the luckiest candidate.
     LargestObserved,
     /// The largest posterior mean among the candidates evaluated.

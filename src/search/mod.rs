@@ -33,7 +33,9 @@ mod strategy;
 
 use crate::surrogate::SearchBox;
 pub use bayrn::BayRn;
-pub use bayrn_settings::{AcquisitionKind, BayRnSettings, Incumbent, InitialDesign, NoiseModel};
+pub use bayrn_settings::{
+    AcquisitionKind, BayRnSettings, IncumbentRule, InitialDesign, NoiseModel,
+};
 pub use cmaes::CmaEs;
 pub use cross_entropy::CrossEntropy;
 pub use error::SearchError;

@@ -239,11 +239,11 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
 /// The order of a ledger's entries, on which the rest of the program relies.
 #[derive(Default)]
 struct Story {
-    candidates: Vec<Standing>,
+    candidates: Vec<CandidateState>,
 }
 
 #[derive(Default)]
-struct Standing {
+struct CandidateState {
     trained: bool,
     finished: u32,
     void: u32,
@@ -254,7 +254,7 @@ impl Story {
         let next_number = self.candidates.len() as u32;
         let number = match *entry {
             Entry::Proposed { candidate, .. } if candidate == next_number => {
-                self.candidates.push(Standing::default());
+                self.candidates.push(CandidateState::default());
                 return Ok(());
             }
             Entry::Proposed { .. } => return Err("candidates are not numbered in their order"),

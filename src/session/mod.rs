@@ -43,6 +43,6 @@ pub use rig::{
     Recovery, Rig, RigSettings, TimedDevice,
 };
 pub use rig_error::RigError;
-pub use seeds::{Purpose as SeedFor, derived_seed};
+pub use seeds::{SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, Model, ProfileSettings, SessionSettings};
 pub use verdict::{Verdict, judge, judge_recording, mean_return};

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::folder::{put_aside, write_whole};
-use super::seeds::{Purpose as SeedFor, derived_seed};
+use super::seeds::{SeedFor, derived_seed};
 use super::training::{TrainingEvent, TrainingJob, train_all};
 use super::{
     Candidate, ClockChoice, DRIFT_ROLLOUTS, Doubt, Drift, Entry, Ledger, MAX_NOT_BEGUN, Purpose,

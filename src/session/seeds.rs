@@ -9,7 +9,7 @@ const START_REACH_RAD: f64 = 0.1;
 
 /// The purpose of a random stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Purpose {
+pub enum SeedFor {
     /// Start angle of the arm in a rollout of a candidate.
     Start {
         /// Number of the candidate.
@@ -46,7 +46,7 @@ pub enum Purpose {
 }
 
 /// The stream's number: the kind in the highest byte, then candidate, rollout and attempt.
-fn stream(purpose: Purpose) -> u64 {
+fn stream(purpose: SeedFor) -> u64 {
     let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
         kind << 56
             | u64::from(candidate) << 32
@@ -54,16 +54,16 @@ fn stream(purpose: Purpose) -> u64 {
             | u64::from(attempt & 0xffff)
     };
     match purpose {
-        Purpose::Start { candidate, rollout } => number(1, candidate, rollout, 0),
-        Purpose::Training { candidate } => number(2, candidate, 0, 0),
-        Purpose::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
-        Purpose::Search => number(4, 0, 0, 0),
-        Purpose::Qube { policy } => number(5, policy, 0, 0),
-        Purpose::Repetition { repetition } => number(6, repetition, 0, 0),
+        SeedFor::Start { candidate, rollout } => number(1, candidate, rollout, 0),
+        SeedFor::Training { candidate } => number(2, candidate, 0, 0),
+        SeedFor::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
+        SeedFor::Search => number(4, 0, 0, 0),
+        SeedFor::Qube { policy } => number(5, policy, 0, 0),
+        SeedFor::Repetition { repetition } => number(6, repetition, 0, 0),
     }
 }
 
-fn random(session_seed: u64, purpose: Purpose) -> ChaCha8Rng {
+fn random(session_seed: u64, purpose: SeedFor) -> ChaCha8Rng {
     let mut random = ChaCha8Rng::seed_from_u64(session_seed);
     random.set_stream(stream(purpose));
     random
@@ -71,14 +71,14 @@ fn random(session_seed: u64, purpose: Purpose) -> ChaCha8Rng {
 
 /// Derives a separate seed for a purpose.
 #[must_use]
-pub fn derived_seed(session_seed: u64, purpose: Purpose) -> u64 {
+pub fn derived_seed(session_seed: u64, purpose: SeedFor) -> u64 {
     random(session_seed, purpose).random()
 }
 
 /// Start angle of the arm, rad, the same for each attempt of a rollout.
 #[must_use]
 pub fn start_theta_rad(session_seed: u64, candidate: u32, rollout: u32) -> f64 {
-    random(session_seed, Purpose::Start { candidate, rollout })
+    random(session_seed, SeedFor::Start { candidate, rollout })
         .random_range(-START_REACH_RAD..START_REACH_RAD)
 }
 
@@ -88,15 +88,15 @@ mod tests {
 
     #[test]
     fn purposes_do_not_share_a_stream() {
-        let mut purposes = vec![Purpose::Search];
+        let mut purposes = vec![SeedFor::Search];
         for candidate in 0..4 {
-            purposes.push(Purpose::Training { candidate });
-            purposes.push(Purpose::Qube { policy: candidate });
-            purposes.push(Purpose::Repetition { repetition: candidate });
+            purposes.push(SeedFor::Training { candidate });
+            purposes.push(SeedFor::Qube { policy: candidate });
+            purposes.push(SeedFor::Repetition { repetition: candidate });
             for rollout in 0..4 {
-                purposes.push(Purpose::Start { candidate, rollout });
+                purposes.push(SeedFor::Start { candidate, rollout });
                 for attempt in 0..4 {
-                    purposes.push(Purpose::Emulator { candidate, rollout, attempt });
+                    purposes.push(SeedFor::Emulator { candidate, rollout, attempt });
                 }
             }
         }
