@@ -25,7 +25,7 @@ fn settings() -> SessionSettings {
         ..Extent::QUICK
     };
     settings.training.updates = 1;
-    settings.training.pendulums = 16;
+    settings.training.num_envs = 16;
     settings.training.epochs = 1;
     settings
 }

@@ -88,9 +88,16 @@ fn identity(trainer: &Trainer<'_>) -> [(&'static str, String); 4] {
     [
         ("format version", VERSION.to_owned()),
         ("seed", trainer.seed.to_string()),
-        ("settings", format!("{settings:?}")),
+        ("settings", recorded_names(&format!("{settings:?}"))),
         ("distribution", format!("{:?}", trainer.distribution)),
     ]
+}
+
+/// Replaces the names of settings by those that checkpoints have recorded since their first version.
+fn recorded_names(settings: &str) -> String {
+    [("num_envs:", "pendulums:"), ("gae_lambda:", "trace_decay:"), ("target_return:", "enough:")]
+        .iter()
+        .fold(settings.to_owned(), |text, (name, recorded)| text.replace(name, recorded))
 }
 
 /// The networks and moments by their names in the file.

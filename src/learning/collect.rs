@@ -34,7 +34,7 @@ pub(super) struct Collector<'a> {
 impl Collector<'_> {
     /// Collects in all lanes, spread over `threads`. The result does not depend on the number of threads.
     pub fn collect(&self, threads: usize) -> Batch {
-        let lanes = usize::from(self.settings.pendulums);
+        let lanes = usize::from(self.settings.num_envs);
         let share = lanes.div_ceil(threads.max(1)).next_multiple_of(16);
         let parts: Vec<Batch> = std::thread::scope(|scope| {
             let workers: Vec<_> = (share..lanes)
@@ -140,8 +140,8 @@ impl Collector<'_> {
             }
         }
         ends.sort_unstable_by_key(|end| end.index);
-        let TrainSettings { discount, trace_decay, .. } = *self.settings;
-        estimate_advantages(transitions, &ends, discount, trace_decay);
+        let TrainSettings { discount, gae_lambda, .. } = *self.settings;
+        estimate_advantages(transitions, &ends, discount, gae_lambda);
     }
 
     fn explorer(&self, lane: usize, number: u16) -> Explorer {
@@ -191,7 +191,7 @@ mod tests {
     /// A batch of an update with the full weight. The weight changes rewards, not observations or actions.
     fn batch(voltage_change_weight: f32) -> Vec<Transition> {
         let settings =
-            TrainSettings { pendulums: 16, voltage_change_weight, ..TrainSettings::quick() };
+            TrainSettings { num_envs: 16, voltage_change_weight, ..TrainSettings::quick() };
         let size = settings.simulation.observation_size();
         let mut generator = Stream::Weights.generator(3);
         let policy = Network::orthogonal(size, &mut generator, 0.01, settings.first_log_std);

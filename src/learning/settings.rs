@@ -16,7 +16,8 @@ pub struct TrainSettings {
     /// Number of pendulums simulated in parallel, each for 600 steps in an update. A pendulum that leaves
     /// the safety box starts a new trajectory with new domain parameters, so there are at least as many
     /// trajectories. A multiple of 16.
-    pub pendulums: u16,
+    #[serde(alias = "pendulums")]
+    pub num_envs: u16,
     /// Passes over the transitions of an update.
     pub epochs: u32,
     /// Adam's learning rate in the first update.
@@ -26,7 +27,8 @@ pub struct TrainSettings {
     /// Discount factor gamma.
     pub discount: f32,
     /// Lambda of generalised advantage estimation.
-    pub trace_decay: f32,
+    #[serde(alias = "trace_decay")]
+    pub gae_lambda: f32,
     /// Clip range epsilon of PPO's clipped objective.
     pub clip: f32,
     /// Weight of the entropy bonus.
@@ -53,7 +55,8 @@ pub struct TrainSettings {
     /// Number of fixed starts in the evaluation after each update.
     pub evaluation_starts: u16,
     /// Mean return of an evaluation at which training ends early.
-    pub enough: Option<f64>,
+    #[serde(alias = "enough")]
+    pub target_return: Option<f64>,
     /// Sensors, reward and safety box of the simulation.
     pub simulation: SimulationSettings,
     /// Number of threads to use, 1 or 2. The result does not depend on it.
@@ -67,12 +70,12 @@ impl TrainSettings {
     pub fn thesis() -> Self {
         Self {
             updates: 100,
-            pendulums: 80,
+            num_envs: 80,
             epochs: 10,
             learning_rate: 5e-4,
             last_learning_rate: 1e-4,
             discount: 0.99,
-            trace_decay: 0.95,
+            gae_lambda: 0.95,
             clip: 0.1,
             entropy_weight: 0.0,
             kl_weight: 0.0,
@@ -84,7 +87,7 @@ impl TrainSettings {
             smallest_log_std: -1.0,
             voltage_change_weight: 0.0,
             evaluation_starts: 100,
-            enough: None,
+            target_return: None,
             simulation: SimulationSettings::default(),
             threads: 1,
         }
@@ -109,14 +112,14 @@ impl TrainSettings {
             }
         }
         bounded("updates", self.updates, 1..=1_000_000, "1 to 1 000 000")?;
-        bounded("pendulums", self.pendulums, 16..=4096, "16 to 4096")?;
-        bounded("pendulums modulo 16", self.pendulums % 16, 0..=0, "0")?;
+        bounded("num_envs", self.num_envs, 16..=4096, "16 to 4096")?;
+        bounded("num_envs modulo 16", self.num_envs % 16, 0..=0, "0")?;
         bounded("epochs", self.epochs, 1..=1000, "1 to 1000")?;
         let rates = 0.0..=1.0;
         bounded("learning_rate", self.learning_rate, rates.clone(), "0 to 1")?;
         bounded("last_learning_rate", self.last_learning_rate, rates, "0 to 1")?;
         bounded("discount", self.discount, 0.0..=1.0, "0 to 1")?;
-        bounded("trace_decay", self.trace_decay, 0.0..=1.0, "0 to 1")?;
+        bounded("gae_lambda", self.gae_lambda, 0.0..=1.0, "0 to 1")?;
         bounded("clip", self.clip, 1e-6..=1.0, "above 0, at most 1")?;
         bounded("entropy_weight", self.entropy_weight, 0.0..=1.0, "0 to 1")?;
         bounded("kl_weight", self.kl_weight, 0.0..=100.0, "0 to 100")?;
@@ -142,7 +145,7 @@ impl TrainSettings {
     /// the few pendulums: without it one policy in ten settles for a slower swing-up.
     #[must_use]
     pub fn quick() -> Self {
-        Self { updates: 60, pendulums: 16, clip: 0.2, first_log_std: 0.4, ..Self::thesis() }
+        Self { updates: 60, num_envs: 16, clip: 0.2, first_log_std: 0.4, ..Self::thesis() }
     }
 
     /// A policy for the machine in half a minute. The simulation has the machine's sensors, and the
@@ -153,7 +156,7 @@ impl TrainSettings {
     pub fn robust() -> Self {
         Self {
             updates: 120,
-            pendulums: 64,
+            num_envs: 64,
             voltage_change_weight: 0.08,
             simulation: SimulationSettings::robust(),
             ..Self::quick()

@@ -7,7 +7,7 @@ use crate::simulation::{DomainDistribution, Family, SimulationSettings};
 fn small() -> TrainSettings {
     TrainSettings {
         updates: 3,
-        pendulums: 48,
+        num_envs: 48,
         epochs: 1,
         evaluation_starts: 20,
         ..TrainSettings::quick()
@@ -113,8 +113,8 @@ fn settings_out_of_range_are_named() {
         other => panic!("{other:?}"),
     };
     assert_eq!(refused(TrainSettings { updates: 0, ..small() }), "updates");
-    assert_eq!(refused(TrainSettings { pendulums: 0, ..small() }), "pendulums");
-    assert_eq!(refused(TrainSettings { pendulums: 40, ..small() }), "pendulums modulo 16");
+    assert_eq!(refused(TrainSettings { num_envs: 0, ..small() }), "num_envs");
+    assert_eq!(refused(TrainSettings { num_envs: 40, ..small() }), "num_envs modulo 16");
     assert_eq!(refused(TrainSettings { learning_rate: f32::NAN, ..small() }), "learning_rate");
     assert_eq!(refused(TrainSettings { clip: 0.0, ..small() }), "clip");
     assert_eq!(refused(TrainSettings { evaluation_starts: 0, ..small() }), "evaluation_starts");
@@ -130,11 +130,11 @@ fn settings_out_of_range_are_named() {
 #[test]
 fn the_thesis_preset_has_the_published_budget() {
     let thesis = TrainSettings::thesis();
-    let transitions = usize::from(thesis.pendulums) * crate::qube::MAX_STEPS;
+    let transitions = usize::from(thesis.num_envs) * crate::qube::MAX_STEPS;
     assert_eq!(transitions, 48_000);
     assert_eq!(thesis.updates, 100);
     assert_eq!(transitions / network::WIDTH * thesis.epochs as usize * 100, 750_000);
-    assert_eq!((thesis.discount, thesis.trace_decay, thesis.clip), (0.99, 0.95, 0.1));
+    assert_eq!((thesis.discount, thesis.gae_lambda, thesis.clip), (0.99, 0.95, 0.1));
     assert_eq!(thesis.learning_rate, 5e-4);
 }
 
@@ -160,7 +160,7 @@ fn a_weight_on_changes_of_the_voltage_grows_and_what_is_told_stays_plain() {
 fn the_quick_preset_learns_to_swing_up_and_stand() {
     let stop = AtomicBool::new(false);
     let distribution = DomainDistribution::nominal();
-    let settings = TrainSettings { enough: Some(540.0), ..TrainSettings::quick() };
+    let settings = TrainSettings { target_return: Some(540.0), ..TrainSettings::quick() };
     let trained = train(&distribution, &settings, 0, None, &stop, |_| {}).unwrap();
     assert!(trained.best_return >= 540.0, "best return {}", trained.best_return);
     assert!(trained.curve.len() <= 40, "{} updates", trained.curve.len());

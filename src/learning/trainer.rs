@@ -177,7 +177,7 @@ impl<'a> Trainer<'a> {
     /// Whether the training has reached its last update or its target return.
     pub fn is_finished(&self) -> bool {
         self.curve.len() >= self.settings.updates as usize
-            || self.settings.enough.is_some_and(|enough| self.best_return >= enough)
+            || self.settings.target_return.is_some_and(|target| self.best_return >= target)
     }
 }
 

@@ -40,7 +40,7 @@ pub(super) fn estimate_advantages(
     transitions: &mut [Transition],
     ends: &[End],
     discount: f32,
-    trace_decay: f32,
+    gae_lambda: f32,
 ) {
     let mut ends = ends.iter().rev().peekable();
     let mut advantage = 0.0;
@@ -50,7 +50,7 @@ pub(super) fn estimate_advantages(
             (advantage, next_value) = (0.0, end.value_after);
         }
         let td_error = transition.reward + discount * next_value - transition.value;
-        advantage = td_error + discount * trace_decay * advantage;
+        advantage = td_error + discount * gae_lambda * advantage;
         transition.advantage = advantage;
         transition.return_ = advantage + transition.value;
         next_value = transition.value;

@@ -50,7 +50,7 @@ pub fn settings(seed: u64) -> SessionSettings {
     // What is asked here is what remains on disk; the guard's trials would take most of the time.
     settings.safety_box = SafetyBox::THESIS;
     settings.training.updates = 1;
-    settings.training.pendulums = 16;
+    settings.training.num_envs = 16;
     settings.training.epochs = 1;
     settings.training.evaluation_starts = 16;
     settings
