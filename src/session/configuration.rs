@@ -6,6 +6,7 @@ use thiserror::Error;
 use toml::{Table, Value};
 
 use super::qube_file::LARGEST_OFFSET_RAD;
+use super::retired::rename_entries;
 use super::{FolderError, ProfileSettings, SessionSettings, take_retired};
 use crate::qube::MAX_STEPS;
 use crate::safety::{Guard, SafetyBox};
@@ -123,7 +124,9 @@ impl SessionSettings {
         // Parsed alone first, so that an error names the file's own line.
         toml::from_str::<Self>(text).map_err(invalid)?;
         let mut table: Table = Table::try_from(self)?;
-        lay_over(&mut table, toml::from_str(text).map_err(invalid)?);
+        let mut above: Table = toml::from_str(text).map_err(invalid)?;
+        rename_entries(&mut above);
+        lay_over(&mut table, above);
         let settings: Self = table.try_into().map_err(invalid)?;
         settings.checked(path)
     }
@@ -266,6 +269,14 @@ mod tests {
         let path = directory.path().join("my.toml");
         std::fs::write(&path, text).unwrap();
         SessionSettings::thesis().overridden_by(&path)
+    }
+
+    #[test]
+    fn earlier_names_of_training_settings_override_the_preset_too() {
+        let text = "[training]\npendulums = 32\ntrace_decay = 0.9\nenough = 450.0";
+        let training = overridden(text).unwrap().training;
+        assert_eq!((training.num_envs, training.gae_lambda), (32, 0.9));
+        assert_eq!(training.target_return, Some(450.0));
     }
 
     #[test]

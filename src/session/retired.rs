@@ -1,4 +1,4 @@
-//! Entries of earlier settings files that are no longer settings.
+//! Entries of earlier settings files that are no longer settings, or have another name.
 
 use std::fmt::{self, Display};
 
@@ -7,6 +7,10 @@ use toml::{Table, Value};
 /// Retired entries: the path of their table within a session's settings, and their name.
 const RETIRED: [(&[&str], &str); 2] =
     [(&["training"], "widening"), (&["training", "simulation"], "envelope_room_rad")];
+
+/// Renamed entries of the table `training`: the earlier name and the present one.
+const RENAMED: [(&str, &str); 3] =
+    [("pendulums", "num_envs"), ("trace_decay", "gae_lambda"), ("enough", "target_return")];
 
 /// An entry of a settings file that is no longer a setting.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,4 +47,15 @@ pub fn take_retired(settings: &mut Table) -> Vec<Retired> {
         }
     }
     taken
+}
+
+/// Gives renamed entries of a session's settings their present names, so that they override entries of a
+/// preset instead of standing beside them.
+pub(super) fn rename_entries(settings: &mut Table) {
+    let Some(training) = settings.get_mut("training").and_then(Value::as_table_mut) else { return };
+    for (earlier, present) in RENAMED {
+        if let Some(value) = training.remove(earlier) {
+            training.insert(present.to_owned(), value);
+        }
+    }
 }
