@@ -81,6 +81,9 @@ fn both_words_on_one_command_line_lead_to_the_port() {
 
     let begin = ["session", "--out", "session"];
     refused(directory.path(), &[&begin, &PORT[..], &both].concat(), &port);
+    assert!(!directory.path().join("session").exists(), "a session without a Qube was begun");
+    let settings = SessionSettings::quick().under(Guard::Box).to_toml().unwrap();
+    drop(SessionFolder::create(&directory.path().join("session"), &settings).unwrap());
     // It is the session's guard now, and consent is asked for again by each process that drives.
     let resume = ["session", "--resume", "session"];
     let named = ["session.toml", "guard", "--accept-hard-stop"];

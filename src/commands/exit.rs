@@ -53,6 +53,12 @@ impl Failure {
         Self { message: format!("{before} {}", self.message), ..self }
     }
 
+    /// The same failure, with a sentence more.
+    pub fn followed_by(self, sentence: &str) -> Self {
+        let message = format!("{}. {sentence}", self.message.trim_end_matches('.'));
+        Self { message, ..self }
+    }
+
     /// Whether what was asked for could not be done as asked.
     pub fn is_usage(&self) -> bool {
         self.code == 2

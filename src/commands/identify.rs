@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
+use super::destination::OutputFile;
 use super::exit::Failure;
-use super::failures;
 use super::output::Output;
 use super::profile;
 use crate::identification::{
@@ -45,6 +45,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", default_value = "profile.toml")]
     out: PathBuf,
 
+    /// Replace --out where there is such a file already
+    #[arg(long)]
+    force: bool,
+
     /// What the profile calls the Qube
     #[arg(long, default_value = "identified")]
     name: String,
@@ -65,6 +69,7 @@ pub struct Arguments {
 /// Fits, judges, and writes the profile.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
+    let out = OutputFile::prepare(&arguments.out, arguments.force)?;
     let first_guess = match &arguments.from {
         Some(path) => profile::load(path)?.model(),
         None => QubeModel::NOMINAL,
@@ -99,8 +104,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         }),
     };
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
-    write_whole(&MachineDisk, &arguments.out, toml.as_bytes())
-        .map_err(|error| failures::folder(&error))?;
+    out.write(toml.as_bytes())?;
     if let Some(folder) = &arguments.plot {
         std::fs::create_dir_all(folder)
             .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;

@@ -5,6 +5,7 @@
 mod benchmark;
 mod check;
 mod check_table;
+mod destination;
 mod device_arguments;
 mod doctor;
 mod emulate;
@@ -39,7 +40,6 @@ mod train;
 mod words_gone;
 
 use std::io::IsTerminal;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -133,12 +133,6 @@ fn log_to_stderr(verbose: u8) {
         .without_time()
         .with_target(false)
         .init();
-}
-
-/// A folder under `logs/` that is named after a command and the time.
-fn dated_folder(command: &str) -> PathBuf {
-    let now = jiff::Timestamp::now().strftime("%Y%m%d-%H%M%S");
-    PathBuf::from("logs").join(format!("{command}-{now}"))
 }
 
 /// Says what the control thread was refused, each with its cure.

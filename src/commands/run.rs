@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
+use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
@@ -15,8 +16,7 @@ use super::output::Output;
 use super::printable::tell;
 use super::stop::Stop;
 use super::{
-    astray_line, dated_folder, failures, heat_line, quietness_line, timing_lines,
-    warn_without_realtime,
+    astray_line, failures, heat_line, quietness_line, timing_lines, warn_without_realtime,
 };
 use crate::control::HomingMethod;
 use crate::identification::{Unfit, check_recording};
@@ -145,7 +145,6 @@ impl Driver {
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let driver = Driver::chosen(&arguments)?;
     let stop = Stop::on_signals()?;
-    let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("run"));
 
     let estimator = arguments.estimator.settings()?.unwrap_or_default();
     let device = arguments.device.choose()?;
@@ -159,6 +158,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         limits: device.limits("--guard", &safety_box, consent)?,
         ..device.rig_settings(emulator, estimator, arguments.check)
     };
+    let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
+    folder.check_for_recordings(arguments.rollouts.into())?;
+    let directory = folder.path().to_owned();
     let keyboard = Keyboard::watch(&stop);
     eprintln!("{}", keyboard.hint());
     if let Some(warning) = device.power_warning() {

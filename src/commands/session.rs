@@ -4,7 +4,7 @@ use std::time::Instant;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
-use super::dated_folder;
+use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
@@ -95,6 +95,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let device = arguments.device.choose()?;
     let consent = arguments.consent.beside(arguments.guard)?;
+    let begins = arguments.resume.is_none();
+    let mut place = None;
     let (folder, settings) = match &arguments.resume {
         Some(_) if arguments.emulated.settings()?.is_some() => {
             return Err(Failure::usage(
@@ -109,7 +111,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             ));
         }
         Some(directory) => resumed(directory, arguments.guard, &device)?,
-        None => begun(&arguments, consent, &device)?,
+        None => {
+            let settings = configured(&arguments, consent, &device)?;
+            let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
+            begun(place, settings)?
+        }
     };
     let configuration = folder.configuration().display().to_string();
     let limits = device.limits(&configuration, &settings.safety_box, consent)?;
@@ -166,6 +172,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         && failure.is_usage()
         && session.entries().is_empty()
     {
+        let root = session.folder().root().to_owned();
+        drop(session);
+        if begins {
+            withdraw(&root);
+        }
         return ended;
     }
     match SessionTable::read(&mut session) {
@@ -204,11 +215,12 @@ fn described(estimator: &EstimatorSettings) -> String {
     }
 }
 
-fn begun(
+/// The settings of a new session; its folder gives it its name.
+fn configured(
     arguments: &Arguments,
     consent: Option<GuardConsent>,
     device: &ChosenDevice,
-) -> Result<(SessionFolder, SessionSettings), Failure> {
+) -> Result<SessionSettings, Failure> {
     let preset = match arguments.preset {
         Preset::Quick => SessionSettings::quick(),
         Preset::Thesis => SessionSettings::thesis(),
@@ -221,10 +233,6 @@ fn begun(
         settings = settings.under(guard.into());
     }
     settings.seed = arguments.seed.unwrap_or(settings.seed);
-    let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("session"));
-    settings.name = directory
-        .file_name()
-        .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
     if let Some(estimator) = arguments.estimator.settings()? {
         settings = settings.seen_through(estimator);
     }
@@ -235,10 +243,29 @@ fn begun(
         _ => "--guard".into(),
     };
     device.limits(&origin, &settings.safety_box, consent)?;
+    Ok(settings)
+}
+
+fn begun(
+    place: &OutputFolder,
+    mut settings: SessionSettings,
+) -> Result<(SessionFolder, SessionSettings), Failure> {
+    settings.name = place
+        .path()
+        .file_name()
+        .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
     let configuration = settings.to_toml().map_err(Failure::failed)?;
-    let folder = SessionFolder::create(&directory, &configuration)
+    let folder = SessionFolder::create(place.path(), &configuration)
         .map_err(|error| failures::folder(&error))?;
     Ok((folder, settings))
+}
+
+/// Removes the files of a new session that has decided nothing yet.
+fn withdraw(root: &Path) {
+    for file in ["session.toml", "ledger.jsonl"] {
+        let _ = std::fs::remove_file(root.join(file));
+    }
+    let _ = std::fs::remove_dir(root.join("candidates"));
 }
 
 fn resumed(
