@@ -165,15 +165,19 @@ fn plot(folder: &Path, path: &Path, log: &MotionLog, model: &QubeModel) -> Resul
 }
 
 fn table(identified: &Identified) -> String {
-    let mut text =
-        format!("{:24} {:>11} {:>11} {:>13}\n", "quantity", "value", "std. error", "told by data");
+    let mut text = format!(
+        "{:24} {:>11} {:>11} {:9} {:>13}\n",
+        "quantity", "value", "std. error", "unit", "told by data"
+    );
     for estimate in &identified.estimates {
         let Estimate { unknown, value, standard_error, told_by_data } = *estimate;
         let mark = if estimate.is_told() { "" } else { "  from the prior" };
         let percent = 100.0 * told_by_data;
-        let name = unknown.name();
-        let _ =
-            writeln!(text, "{name:24} {value:11.4e} {standard_error:11.1e} {percent:11.0} %{mark}");
+        let (name, unit) = (unknown.name(), unknown.0.unit());
+        let _ = writeln!(
+            text,
+            "{name:24} {value:11.4e} {standard_error:11.1e} {unit:9} {percent:11.0} %{mark}"
+        );
     }
     if !identified.blind.is_empty() {
         text += "\nThe recordings cannot tell these combinations (in units of the prior):\n";
@@ -231,6 +235,6 @@ fn result(
         "fitted": errors[0].1.iter().map(horizon).collect::<Vec<_>>(),
         "held_out": errors[1].1.iter().map(horizon).collect::<Vec<_>>(),
         "wall_s": seconds,
-        "profile": out,
+        "profile": out.to_string_lossy(),
     })
 }
