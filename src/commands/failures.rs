@@ -129,7 +129,7 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
             Failure::failed(error)
         }
         SessionError::Policy(error) => policy(&error),
-        SessionError::Psi(_) => Failure::usage(error),
+        SessionError::Psi(_) | SessionError::SettingsChanged { .. } => Failure::usage(error),
     };
     failure.of(fault)
 }
