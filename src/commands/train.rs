@@ -206,7 +206,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Level::from(arguments.instruction_set).forbid_better();
     let stop = Stop::on_signals()?;
     let bar = ProgressBar::new(u64::from(settings.updates));
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} update {pos} of {len}  {msg}") {
+    if let Ok(style) =
+        ProgressStyle::with_template("{bar:30} update {pos} of {len}, {eta} left  {msg}")
+    {
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(200));
