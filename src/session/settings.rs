@@ -9,7 +9,7 @@ use crate::qube::QubeModel;
 use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
 use crate::simulation::{
-    DomainDistribution, Family, PsiError, PsiSpace, SensorModel, SimulationSettings,
+    DomainDistribution, Family, PsiError, PsiSpace, SensorModel, SimulationSettings, box_file,
 };
 use crate::surrogate::SearchBox;
 
@@ -111,6 +111,7 @@ pub struct SessionSettings {
     /// How velocities are estimated on the Qube.
     pub estimator: EstimatorSettings,
     /// The box that ends a rollout.
+    #[serde(with = "box_file")]
     pub safety_box: SafetyBox,
     /// How the arm's middle is found.
     pub homing: HomingSettings,

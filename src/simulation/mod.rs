@@ -4,6 +4,7 @@
 //! May import `qube`, `elementary`, `estimation`, `safety`.
 
 mod block;
+pub mod box_file;
 mod distribution;
 mod domain_distribution;
 mod evaluation;

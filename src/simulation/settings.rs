@@ -4,7 +4,7 @@ use crate::estimation::EstimatorSettings;
 use crate::qube::{OBSERVATION_SIZE, RewardWeights};
 use crate::safety::SafetyBox;
 
-use super::Psi;
+use super::{Psi, box_file};
 
 /// What surrounds the physics: what is seen of it, what it earns, when it ends.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -18,6 +18,7 @@ pub struct SimulationSettings {
     /// What a step earns.
     pub reward: RewardWeights,
     /// What ends a trajectory early; simulations know no guard beside it.
+    #[serde(with = "box_file")]
     pub safety_box: SafetyBox,
 }
 
