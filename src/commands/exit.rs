@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
-use super::printable::tell;
+use super::printable::{tell, with_short_numbers};
 use crate::telemetry::Fault;
 
 /// Why a command did not end well: its exit code, and one sentence for the user.
@@ -69,7 +69,7 @@ impl Failure {
         json!({
             "exit_code": self.code,
             "fault": self.fault,
-            "cause": self.message,
+            "cause": with_short_numbers(&self.message),
             "operator_step": self.fault.map(Fault::operator_step),
             "consequence": self.fault.map(Fault::consequence),
         })
@@ -77,7 +77,7 @@ impl Failure {
 
     /// Tells the user, and the exit code.
     pub fn report(&self) -> ExitCode {
-        tell(&format!("qube-hil: {}", self.message));
+        tell(&format!("qube-hil: {}", with_short_numbers(&self.message)));
         ExitCode::from(self.code)
     }
 }

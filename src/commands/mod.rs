@@ -5,6 +5,7 @@
 mod benchmark;
 mod check;
 mod check_table;
+mod command_line;
 mod destination;
 mod device_arguments;
 mod doctor;
@@ -99,7 +100,10 @@ enum Command {
 /// Reads the command line, does what it says, and turns the outcome into the exit code.
 #[must_use]
 pub fn main() -> ExitCode {
-    let command_line = CommandLine::parse();
+    let command_line = match command_line::read(std::env::args_os().collect()) {
+        Ok(command_line) => command_line,
+        Err(exit_code) => return exit_code,
+    };
     log_to_stderr(command_line.verbose);
     let output = Output::new(command_line.json);
     let outcome = match command_line.command {
@@ -117,7 +121,7 @@ pub fn main() -> ExitCode {
         Command::Recover(arguments) => recover::run(&arguments, &output),
         Command::Soak(arguments) => soak::run(arguments, &output),
     };
-    match outcome {
+    match output.finish(outcome) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(),
     }

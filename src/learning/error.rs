@@ -36,7 +36,10 @@ pub enum TrainError {
         source: std::io::Error,
     },
     /// A file that is no checkpoint, or a damaged one.
-    #[error("{path} is not a whole checkpoint: {reason}. Delete it to train from the start")]
+    #[error(
+        "{path} is no checkpoint of a training, or a damaged one: {reason}. Name another file to train \
+         from the start"
+    )]
     CheckpointDamaged {
         /// The file.
         path: PathBuf,
@@ -45,7 +48,8 @@ pub enum TrainError {
     },
     /// The checkpoint belongs to another training.
     #[error(
-        "checkpoint {path} was written by a training with another {what}. Give the same again, or delete it to train from the start"
+        "checkpoint {path} was written by a training with another {what}. Give the same again, or name \
+         another file to train from the start"
     )]
     CheckpointOfAnother {
         /// The file.
