@@ -89,6 +89,13 @@ fn configurations_that_are_none() {
     session("seed = 1\nsede = 2\n", &["my.toml", "line 2", "sede"]);
     session("[extent]\nrollouts = 0\n", &["my.toml", "extent.rollouts"]);
     session("[training]\nupdates = \"many\"\n", &["my.toml", "line 2"]);
+    session("[training]\nupdates = 0\n", &["my.toml, line 2: training.updates = 0"]);
+    session("[extent]\niterations = 4000000000\n", &["my.toml, line 2: extent.iterations"]);
+    session("[safety_box]\ntheta = 1e300\n", &["my.toml, line 2: safety_box.theta_rad = 1e300: "]);
+    let recipe = "name = \"mine\"\nmodel = \"nominal\"\n[settings.training]\ndiscount = 7.0\n";
+    std::fs::write(&path, recipe).unwrap();
+    let arguments = ["experiment", "--recipe", "my.toml", "--out", "session"];
+    refused(directory.path(), &arguments, 2, &["my.toml, line 4: training.discount = 7"]);
 }
 
 #[test]
@@ -150,6 +157,111 @@ fn emulated_qubes_that_cannot_be() {
         let run: &[&str] = &["run", "--policy", "classical", "--clock", "virtual"];
         refused(directory.path(), &[run, arguments].concat(), 2, words);
     }
+}
+
+#[test]
+fn values_with_a_dash_are_told_by_their_option() {
+    let directory = tempfile::tempdir().unwrap();
+    let run: &[&str] = &["run", "--policy", "classical", "--clock", "virtual"];
+    let cases: [(&[&str], &[&str]); 4] = [
+        (&["--seed", "-1"], &["'-1'", "--seed"]),
+        (&["--gap", "-1"], &["'-1'", "--gap", "from 0 to 5"]),
+        (&["--out", "-foo"], &["--out: ", "--out=-foo"]),
+        (&["--nonsense"], &["--nonsense"]),
+    ];
+    for (arguments, words) in cases {
+        refused(directory.path(), &[run, arguments].concat(), 2, words);
+    }
+}
+
+/// The last line of stdout is an object that names the cause, whatever went wrong.
+#[test]
+fn scripts_are_told_too() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("no.policy"), "nonsense").unwrap();
+    let cases: [(&[&str], &str); 6] = [
+        (&["run", "--nonsense"], "--nonsense"),
+        (&["run", "--policy", "classical", "--seed", "-1"], "--seed"),
+        (&["run", "--policy", "no.policy", "--clock", "virtual"], "no.policy"),
+        (&["train", "--out", "missing/p"], "missing"),
+        (&["session", "--device", "/dev/ttyNOWHERE"], "no such port"),
+        (&["replay", "missing.mcap"], "missing.mcap"),
+    ];
+    for (arguments, cause) in cases {
+        let output = qube_hil(directory.path(), &[arguments, &["--json"]].concat());
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        let stdout = String::from_utf8(output.stdout).unwrap();
+        let told: serde_json::Value = serde_json::from_str(stdout.lines().last().unwrap()).unwrap();
+        if told.get("recordings").is_none() {
+            assert_eq!(told["ended_by"]["exit_code"], 2, "{arguments:?}: {told}");
+        }
+        assert!(told.to_string().contains(cause), "{arguments:?}: {told}");
+        assert!(String::from_utf8_lossy(&output.stderr).contains(cause), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_result_that_cannot_be_printed_is_a_failure() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).args(arguments).stdout(full);
+        command.output().unwrap()
+    };
+    for arguments in [&["toy"][..], &["toy", "--json"]] {
+        let output = run(arguments);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{stderr}");
+        assert!(stderr.contains("could not be printed"), "{stderr}");
+    }
+}
+
+#[test]
+fn names_that_are_no_text_are_names() {
+    use std::os::unix::ffi::OsStrExt;
+    let directory = tempfile::tempdir().unwrap();
+    let out = std::ffi::OsStr::from_bytes(b"r\xff");
+    let run = |arguments: &[&str], file: &std::ffi::OsStr, more: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).args(arguments).arg(file).args(more).arg("--json");
+        let output = command.output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{arguments:?}: {stderr}");
+        let stdout = String::from_utf8(output.stdout).unwrap();
+        serde_json::from_str::<serde_json::Value>(stdout.lines().last().unwrap()).unwrap()
+    };
+    let made = run(&["run", "--policy", "classical", "--clock", "virtual", "--out"], out, &[]);
+    assert_eq!(made["recordings"][0], "r\u{fffd}/rollout-0.mcap");
+    let recording = Path::new(out).join("rollout-0.mcap");
+    let replayed = run(&["replay"], recording.as_os_str(), &[]);
+    assert_eq!(replayed["recordings"][0]["path"], made["recordings"][0]);
+    let recovered = run(&["recover"], recording.as_os_str(), &[]);
+    assert_eq!(recovered["path"], made["recordings"][0]);
+}
+
+#[test]
+fn a_simulator_is_laid_beside_a_recording_by_the_name_of_its_profile() {
+    let directory = tempfile::tempdir().unwrap();
+    for (name, missing) in [("lab", "missing.mcap"), ("lap", "lap: No such file")] {
+        let replay = ["replay", "--simulate", "missing.mcap", "--profile", name];
+        let output = qube_hil(directory.path(), &replay);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains(missing), "{stderr}");
+    }
+}
+
+#[test]
+fn nobody_is_told_to_delete_a_file_that_is_no_checkpoint() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("thesis.txt"), "a year of work").unwrap();
+    let train = ["train", "--checkpoint", "thesis.txt"];
+    let output = qube_hil(directory.path(), &train);
+    let stderr = String::from_utf8_lossy(&output.stderr).to_lowercase();
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("thesis.txt is no checkpoint"), "{stderr}");
+    assert!(!stderr.contains("delete"), "{stderr}");
 }
 
 #[test]

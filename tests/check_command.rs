@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use assert_cmd::Command;
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
-use qube_hil::session::{Ledger, SessionFolder};
+use qube_hil::session::{Entry, Ledger, SessionFolder};
 use serde_json::Value;
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
@@ -144,10 +144,8 @@ fn a_session_on_a_qube_that_is_not_fit_stops_before_anything_is_trained() {
             }
         }
         let folder = SessionFolder::open(&directory.path().join("session")).unwrap();
-        assert_eq!(
-            Ledger::open(&qube_hil::storage::MachineDisk, &folder.ledger()).unwrap().entries(),
-            []
-        );
+        let ledger = Ledger::open(&qube_hil::storage::MachineDisk, &folder.ledger()).unwrap();
+        assert!(matches!(ledger.entries(), [Entry::Begun { .. }]), "{:?}", ledger.entries());
     });
 }
 

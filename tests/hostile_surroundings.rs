@@ -132,6 +132,7 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
                 "train/p.checkpoint",
                 "--out",
                 "train/p.safetensors",
+                "--force",
             ],
         ),
         (

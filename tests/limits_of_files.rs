@@ -81,6 +81,9 @@ fn both_words_on_one_command_line_lead_to_the_port() {
 
     let begin = ["session", "--out", "session"];
     refused(directory.path(), &[&begin, &PORT[..], &both].concat(), &port);
+    assert!(!directory.path().join("session").exists(), "a session without a Qube was begun");
+    let settings = SessionSettings::quick().with_guard(Guard::Box).to_toml().unwrap();
+    drop(SessionFolder::create(&directory.path().join("session"), &settings).unwrap());
     // It is the session's guard now, and consent is asked for again by each process that drives.
     let resume = ["session", "--resume", "session"];
     let named = ["session.toml", "guard", "--accept-hard-stop"];
@@ -105,7 +108,7 @@ fn a_session_that_is_resumed_widens_nothing() {
         }
     };
     for value in ["9.0", "50.0", "nan", "-1.0", "0.0"] {
-        let wide = whole.replacen("theta = 2.3", &format!("theta = {value}"), 1);
+        let wide = whole.replacen("theta_rad = 2.3", &format!("theta_rad = {value}"), 1);
         assert_ne!(wide, whole);
         resume(&wide, &["session.toml", "safety_box.theta", "at most 2.3"]);
     }
@@ -242,7 +245,7 @@ fn an_experiment_widens_nothing() {
     assert!(toml.exists(), "{}", String::from_utf8_lossy(&begun.stderr));
     let whole = std::fs::read_to_string(&toml).unwrap();
     let resume = ["experiment", "--resume", "experiment"];
-    let wide = whole.replacen("theta = 2.3", "theta = 9.0", 1);
+    let wide = whole.replacen("theta_rad = 2.3", "theta_rad = 9.0", 1);
     assert_ne!(wide, whole);
     std::fs::write(&toml, wide).unwrap();
     refused(directory.path(), &[&resume, &PORT[..]].concat(), &["nominal", "safety_box.theta"]);

@@ -33,6 +33,14 @@ fn ledger(directory: &Path, name: &str) -> Vec<u8> {
     std::fs::read(directory.join(name).join("ledger.jsonl")).unwrap_or_default()
 }
 
+/// A ledger without its first line, the checksum of settings that have the session's name in them.
+fn decisions(ledger: &[u8]) -> String {
+    let text = String::from_utf8_lossy(ledger);
+    let (first, decisions) = text.split_once('\n').unwrap();
+    assert!(first.contains("begun"), "{first}");
+    decisions.to_owned()
+}
+
 fn signal(child: &Child, signal: Signal) {
     let id = Pid::from_child(child);
     // It may have ended of itself by now.
@@ -73,7 +81,7 @@ fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
     }
     assert!(kills > 0, "the session was over before it could be killed");
     let killed = ledger(directory.path(), "killed");
-    assert_eq!(String::from_utf8_lossy(&killed), String::from_utf8_lossy(&whole));
+    assert_eq!(decisions(&killed), decisions(&whole));
 }
 
 #[test]
@@ -88,5 +96,67 @@ fn signals_end_a_session_with_their_exit_code_and_it_can_be_resumed() {
         assert_eq!(child.wait().unwrap().code(), Some(code));
         let status = session(directory.path(), &["--resume", name]).wait().unwrap();
         assert!(status.success(), "{status}");
+    }
+}
+
+/// Ends a session of this folder, and says how and with which words.
+fn resumed(directory: &Path, name: &str) -> (Option<i32>, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+        .current_dir(directory)
+        .args(["session", "--clock", "virtual", "--resume", name, "--json"])
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    let told = [output.stderr, output.stdout].map(|bytes| String::from_utf8(bytes).unwrap());
+    (output.status.code(), told.concat())
+}
+
+#[test]
+fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine").wait().unwrap().success());
+    let path = directory.path().join("mine/session.toml");
+    let whole = std::fs::read_to_string(&path).unwrap();
+    let other_seed = whole.replacen("seed = 0", "seed = 1", 1);
+    assert_ne!(other_seed, whole);
+    for changed in ["", &other_seed] {
+        std::fs::write(&path, changed).unwrap();
+        let (code, told) = resumed(directory.path(), "mine");
+        assert_eq!(code, Some(2), "{told}");
+        assert!(told.contains("session.toml was changed"), "{told}");
+    }
+    std::fs::write(&path, &whole).unwrap();
+    let (code, told) = resumed(directory.path(), "mine");
+    assert_eq!(code, Some(0), "{told}");
+
+    // A ledger of a program that wrote nothing of its settings.
+    let ledger = directory.path().join("mine/ledger.jsonl");
+    let lines = std::fs::read_to_string(&ledger).unwrap();
+    let (first, others) = lines.split_once('\n').unwrap();
+    assert!(first.contains("begun"), "{first}");
+    std::fs::write(&ledger, others).unwrap();
+    let (code, told) = resumed(directory.path(), "mine");
+    assert_eq!(code, Some(0), "{told}");
+    assert_eq!(std::fs::read_to_string(&ledger).unwrap(), others);
+}
+
+#[test]
+fn a_best_policy_that_is_lost_is_data_lost() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine").wait().unwrap().success());
+    let (_, told) = resumed(directory.path(), "mine");
+    let told: serde_json::Value = serde_json::from_str(told.lines().last().unwrap()).unwrap();
+    let policy = directory.path().join(told["best"]["policy"].as_str().unwrap());
+    let whole = std::fs::read(&policy).unwrap();
+    std::fs::write(&policy, &whole[..whole.len() / 2]).unwrap();
+    for damaged in [true, false] {
+        if !damaged {
+            std::fs::remove_file(&policy).unwrap();
+        }
+        let (code, told) = resumed(directory.path(), "mine");
+        assert_eq!(code, Some(3), "{told}");
+        assert!(told.contains("best policy is lost"), "{told}");
+        let told: serde_json::Value = serde_json::from_str(told.lines().last().unwrap()).unwrap();
+        assert_eq!(told["ended_by"]["exit_code"], 3, "{told}");
     }
 }

@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde_json::json;
@@ -18,7 +18,7 @@ use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Usb
     qube-hil emulate --link /tmp/qube &\n  \
     qube-hil run --device /tmp/qube --policy classical\n  \
     qube-hil emulate --profile lab --gap 1.5 # half again as far from the nominal Qube as a real one\n  \
-    qube-hil emulate --fault silent@10s      # stops answering after 10 s")]
+    qube-hil emulate --fault silent@10       # stops answering after 10 s")]
 pub struct Arguments {
     /// Symbolic link to create to the pty, so that its name is known beforehand
     #[arg(long, value_name = "PATH")]
@@ -40,9 +40,16 @@ pub struct Arguments {
     #[arg(long, value_name = "16u2|slow")]
     bridge: Option<UsbBridge>,
 
-    /// Fault of the emulated Qube
-    #[arg(long, value_name = "FAULT")]
+    /// Fault of the emulated Qube, as silent@10; --help lists all of them
+    #[arg(long, value_name = "FAULT", long_help = fault_help())]
     fault: Option<EmulatorFault>,
+}
+
+fn fault_help() -> String {
+    format!(
+        "Fault of the emulated Qube, S seconds after the start (D seconds, N counts, a factor F, V volts):\n{}",
+        EmulatorFault::forms()
+    )
 }
 
 /// A connection of an emulated Qube that may be wired in reverse.
@@ -75,7 +82,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         qube.link_as(link).map_err(|error| Failure::usage(format!("--link: {error}")))?;
     }
     let port = qube.port().display().to_string();
-    output.print(&port, &json!({ "port": port, "link": arguments.link }));
+    let link = arguments.link.as_deref().map(Path::to_string_lossy);
+    output.print(&port, &json!({ "port": port, "link": link }));
     while !stop.requested() && !qube.is_gone() {
         std::thread::sleep(Duration::from_millis(50));
     }

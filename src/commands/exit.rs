@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
-use super::printable::tell;
+use super::printable::{tell, with_short_numbers};
 use crate::telemetry::Fault;
 
 /// The failure of a command: its exit code, and a sentence for the user.
@@ -53,6 +53,12 @@ impl Failure {
         Self { message: format!("{before} {}", self.message), ..self }
     }
 
+    /// The same failure, with a sentence more.
+    pub fn followed_by(self, sentence: &str) -> Self {
+        let message = format!("{}. {sentence}", self.message.trim_end_matches('.'));
+        Self { message, ..self }
+    }
+
     /// Whether the request was invalid.
     pub fn is_usage(&self) -> bool {
         self.code == 2
@@ -63,7 +69,7 @@ impl Failure {
         json!({
             "exit_code": self.code,
             "fault": self.fault,
-            "cause": self.message,
+            "cause": with_short_numbers(&self.message),
             "operator_step": self.fault.map(Fault::operator_step),
             "consequence": self.fault.map(Fault::consequence),
         })
@@ -71,7 +77,7 @@ impl Failure {
 
     /// Prints the message and returns the exit code.
     pub fn report(&self) -> ExitCode {
-        tell(&format!("qube-hil: {}", self.message));
+        tell(&format!("qube-hil: {}", with_short_numbers(&self.message)));
         ExitCode::from(self.code)
     }
 }

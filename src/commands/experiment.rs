@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde_json::{Value, json};
 
+use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, ChosenDevice, QubeArguments};
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
@@ -18,7 +19,7 @@ use super::printable::tell;
 use super::stop::Stop;
 use super::strategy_arguments::{StrategyArguments, check_device};
 use super::words_gone::names_but;
-use super::{dated_folder, experiment_table, strategy_table};
+use super::{experiment_table, strategy_table};
 use crate::estimation::EstimatorSettings;
 use crate::experiment::{
     Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe, RecipeModel,
@@ -27,7 +28,9 @@ use crate::experiment::{
 use crate::learning::TrainSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
-use crate::session::{Extent, FolderError, RigSettings, SessionSettings, write_whole};
+use crate::session::{
+    Extent, FolderError, RigSettings, SessionError, SessionSettings, write_whole,
+};
 use crate::simulation::{Family, SensorModel};
 use crate::storage::{Disk, MachineDisk};
 
@@ -350,11 +353,8 @@ fn begun(
     // A single policy reflects the luck of its training more than its recipe, so a recommendation is scored
     // by more policies rather than by more rollouts.
     let (policies, rollouts) = if strategies.is_some() { (10, 2) } else { (20, 5) };
-    let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("experiment"));
     let mut settings = ExperimentSettings {
-        name: directory
-            .file_name()
-            .map_or_else(|| "experiment".into(), |name| name.to_string_lossy().into_owned()),
+        name: "experiment".into(),
         seed: arguments.seed,
         policies: arguments.policies.unwrap_or(policies),
         rollouts: arguments.rollouts.unwrap_or(rollouts),
@@ -365,9 +365,20 @@ fn begun(
     };
     settings.check().map_err(Failure::usage)?;
     narrowed(&mut settings, consent, device)?;
+    let place = OutputFolder::make(arguments.out.as_deref(), "experiment")?;
+    if let Some(name) = place.path().file_name() {
+        settings.name = name.to_string_lossy().into_owned();
+    }
     let toml = settings.to_toml().map_err(Failure::failed)?;
-    let folder = ExperimentFolder::create(&directory, &toml).map_err(Failure::usage)?;
+    let folder = ExperimentFolder::create(place.path(), &toml).map_err(folder_failure)?;
     Ok((folder, settings))
+}
+
+fn folder_failure(error: ExperimentError) -> Failure {
+    match error {
+        ExperimentError::Session(SessionError::Folder(error)) => failures::folder(&error),
+        other => Failure::usage(other),
+    }
 }
 
 /// The settings of the flags, to which each recipe adds its model.
@@ -419,7 +430,7 @@ fn resumed(
     arguments: &Arguments,
     device: &ChosenDevice,
 ) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
-    let folder = ExperimentFolder::open(directory).map_err(Failure::usage)?;
+    let folder = ExperimentFolder::open(directory).map_err(folder_failure)?;
     let load =
         if arguments.table { ExperimentSettings::load } else { ExperimentSettings::load_to_resume };
     let settings = load(&folder.settings()).map_err(Failure::usage)?;

@@ -25,7 +25,7 @@ impl ExperimentProgress {
             }
         };
         let bar = ProgressBar::new(count);
-        let template = format!("{{bar:30}} {{pos}} of {{len}} {what} {{msg}}");
+        let template = format!("{{bar:30}} {{pos}} of {{len}} {what}, {{eta}} left  {{msg}}");
         if let Ok(style) = ProgressStyle::with_template(&template) {
             bar.set_style(style);
         }

@@ -1,7 +1,8 @@
 //! Maps each error of the library to an exit code.
 
 use std::fs::File;
-use std::io::Write;
+use std::io::{self, ErrorKind, Write};
+use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::exit::Failure;
@@ -69,6 +70,7 @@ pub fn with_last_ticks(error: &RigError) -> String {
 pub fn recording(error: &RecordingError) -> Failure {
     match error {
         RecordingError::DiskFull { .. } | RecordingError::Write { .. } => Failure::failed(error),
+        RecordingError::Create { source, .. } if !is_bad_place(source) => Failure::failed(error),
         RecordingError::Create { .. } => Failure::usage(error),
         _ => Failure::data_lost(one_line(&error.to_string())),
     }
@@ -82,9 +84,31 @@ pub fn policy(error: &PolicyError) -> Failure {
 /// The failure for an error of a session's folder.
 pub fn folder(error: &FolderError) -> Failure {
     match error {
-        FolderError::Io { .. } => Failure::failed(error),
+        FolderError::Io { source, .. } if !is_bad_place(source) => Failure::failed(error),
         _ => Failure::usage(error),
     }
+}
+
+/// Of a file or folder that could not be written.
+pub fn not_written(path: &Path, error: &io::Error) -> Failure {
+    let message = format!("{} cannot be written: {error}", path.display());
+    if is_bad_place(error) { Failure::usage(message) } else { Failure::failed(message) }
+}
+
+/// Whether nothing can ever be written there by this user, in contrast to a disk that is full or fails.
+fn is_bad_place(error: &io::Error) -> bool {
+    use ErrorKind::*;
+    matches!(
+        error.kind(),
+        AlreadyExists
+            | InvalidFilename
+            | InvalidInput
+            | IsADirectory
+            | NotADirectory
+            | NotFound
+            | PermissionDenied
+            | ReadOnlyFilesystem
+    )
 }
 
 /// The failure for an error of a session.
@@ -105,7 +129,7 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
             Failure::failed(error)
         }
         SessionError::Policy(error) => policy(&error),
-        SessionError::Psi(_) => Failure::usage(error),
+        SessionError::Psi(_) | SessionError::SettingsChanged { .. } => Failure::usage(error),
     };
     failure.of(fault)
 }

@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
+use super::destination::OutputFile;
 use super::exit::Failure;
-use super::failures;
 use super::output::Output;
 use super::profile;
 use crate::identification::{
@@ -45,6 +45,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", default_value = "profile.toml")]
     out: PathBuf,
 
+    /// Replace --out where there is such a file already
+    #[arg(long)]
+    force: bool,
+
     /// Name of the Qube in the profile
     #[arg(long, default_value = "identified")]
     name: String,
@@ -65,6 +69,7 @@ pub struct Arguments {
 /// Fits, verifies, and writes the profile.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
+    let out = OutputFile::prepare(&arguments.out, arguments.force)?;
     let first_guess = match &arguments.from {
         Some(path) => profile::load(path)?.model(),
         None => QubeModel::NOMINAL,
@@ -99,8 +104,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         }),
     };
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
-    write_whole(&MachineDisk, &arguments.out, toml.as_bytes())
-        .map_err(|error| failures::folder(&error))?;
+    out.write(toml.as_bytes())?;
     if let Some(folder) = &arguments.plot {
         std::fs::create_dir_all(folder)
             .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;
@@ -161,15 +165,19 @@ fn plot(folder: &Path, path: &Path, log: &MotionLog, model: &QubeModel) -> Resul
 }
 
 fn table(identified: &Identified) -> String {
-    let mut text =
-        format!("{:24} {:>11} {:>11} {:>13}\n", "quantity", "value", "std. error", "told by data");
+    let mut text = format!(
+        "{:24} {:>11} {:>11} {:9} {:>13}\n",
+        "quantity", "value", "std. error", "unit", "told by data"
+    );
     for estimate in &identified.estimates {
         let Estimate { unknown, value, standard_error, told_by_data } = *estimate;
         let mark = if estimate.is_told() { "" } else { "  from the prior" };
         let percent = 100.0 * told_by_data;
-        let name = unknown.name();
-        let _ =
-            writeln!(text, "{name:24} {value:11.4e} {standard_error:11.1e} {percent:11.0} %{mark}");
+        let (name, unit) = (unknown.name(), unknown.0.unit());
+        let _ = writeln!(
+            text,
+            "{name:24} {value:11.4e} {standard_error:11.1e} {unit:9} {percent:11.0} %{mark}"
+        );
     }
     if !identified.blind.is_empty() {
         text += "\nThe recordings cannot tell these combinations (in units of the prior):\n";
@@ -227,6 +235,6 @@ fn result(
         "fitted": errors[0].1.iter().map(horizon).collect::<Vec<_>>(),
         "held_out": errors[1].1.iter().map(horizon).collect::<Vec<_>>(),
         "wall_s": seconds,
-        "profile": out,
+        "profile": out.to_string_lossy(),
     })
 }

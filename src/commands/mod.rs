@@ -5,6 +5,8 @@
 mod benchmark;
 mod check;
 mod check_table;
+mod command_line;
+mod destination;
 mod device_arguments;
 mod doctor;
 mod emulate;
@@ -39,7 +41,6 @@ mod train;
 mod words_gone;
 
 use std::io::IsTerminal;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -98,7 +99,10 @@ enum Command {
 /// Parses the command line, runs the command, and returns the exit code.
 #[must_use]
 pub fn main() -> ExitCode {
-    let command_line = CommandLine::parse();
+    let command_line = match command_line::read(std::env::args_os().collect()) {
+        Ok(command_line) => command_line,
+        Err(exit_code) => return exit_code,
+    };
     log_to_stderr(command_line.verbose);
     let output = Output::new(command_line.json);
     let outcome = match command_line.command {
@@ -116,7 +120,7 @@ pub fn main() -> ExitCode {
         Command::Recover(arguments) => recover::run(&arguments, &output),
         Command::Soak(arguments) => soak::run(arguments, &output),
     };
-    match outcome {
+    match output.finish(outcome) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(),
     }
@@ -132,12 +136,6 @@ fn log_to_stderr(verbose: u8) {
         .without_time()
         .with_target(false)
         .init();
-}
-
-/// A folder in `logs/` named after a command and the time.
-fn dated_folder(command: &str) -> PathBuf {
-    let now = jiff::Timestamp::now().strftime("%Y%m%d-%H%M%S");
-    PathBuf::from("logs").join(format!("{command}-{now}"))
 }
 
 /// Prints the real-time rights that were refused, each with its cure.

@@ -1,19 +1,25 @@
-use std::io::Write;
+use std::cell::{Cell, RefCell};
+use std::io::{self, ErrorKind, Write};
+use std::path::Path;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
+use serde_json::json;
 
+use super::exit::Failure;
 use super::printable::{printable, printable_json};
 
 /// Prints results to stdout, as text for people or as one JSON object for scripts.
 #[derive(Debug)]
 pub struct Output {
     json: bool,
+    printed: Cell<bool>,
+    error: RefCell<Option<io::Error>>,
 }
 
 impl Output {
     /// An output for people, or with `json` for scripts.
     pub fn new(json: bool) -> Self {
-        Self { json }
+        Self { json, printed: Cell::new(false), error: RefCell::new(None) }
     }
 
     /// Prints a part of a result for people before the rest is known.
@@ -30,13 +36,42 @@ impl Output {
         }
     }
 
-    /// Prints a result in one of its two forms. A reader that has gone is not a failure.
+    /// Prints a result in one of its two forms.
     pub fn print(&self, text: &str, value: &impl Serialize) {
-        let mut stdout = std::io::stdout().lock();
-        let _ = match (self.json, serde_json::to_string(value)) {
+        let mut stdout = io::stdout().lock();
+        let written = match (self.json, serde_json::to_string(value)) {
             (true, Ok(line)) => writeln!(stdout, "{}", printable_json(&line)),
             (false, _) | (true, Err(_)) => writeln!(stdout, "{}", printable(text.trim_end())),
         };
-        let _ = stdout.flush();
+        self.printed.set(true);
+        match written.and_then(|()| stdout.flush()) {
+            // A reader that has gone away has seen enough.
+            Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+                *self.error.borrow_mut() = Some(error);
+            }
+            _ => {}
+        }
     }
+
+    /// Ends a command: its outcome, or that its result could not be printed. A script gets an object
+    /// also of a failure that came before any result.
+    pub fn finish(&self, outcome: Result<(), Failure>) -> Result<(), Failure> {
+        let outcome = outcome.and_then(|()| match self.error.take() {
+            Some(error) => {
+                Err(Failure::failed(format!("the result could not be printed: {error}")))
+            }
+            None => Ok(()),
+        });
+        if let Err(failure) = &outcome
+            && !self.printed.get()
+        {
+            self.print_for_scripts(&json!({ "ended_by": failure.ended_by() }));
+        }
+        outcome
+    }
+}
+
+/// Writes a path as JSON: bytes that are no UTF-8 are replaced, because JSON has no others.
+pub fn path_as_text<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&path.to_string_lossy())
 }

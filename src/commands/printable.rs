@@ -35,6 +35,32 @@ pub fn printable_json(line: &str) -> Cow<'_, str> {
     Cow::Owned(whole)
 }
 
+/// Digits of a number that is shown as it is; those of a `u64` are fewer.
+const MAX_DIGITS: usize = 24;
+
+/// The text with very long numbers, as `1e300` in full, in scientific notation.
+pub fn with_short_numbers(text: &str) -> String {
+    let mut short = String::with_capacity(text.len());
+    let mut rest = text;
+    let is_of_number = |letter: char| letter.is_ascii_digit() || letter == '.';
+    while let Some(start) = rest.find(is_of_number) {
+        let (before, from) = rest.split_at(start);
+        let end = from.find(|letter| !is_of_number(letter)).unwrap_or(from.len());
+        let (number, after) = from.split_at(end);
+        let digits = number.trim_end_matches('.');
+        short.push_str(before);
+        match digits.parse::<f64>() {
+            Ok(value) if digits.len() > MAX_DIGITS => {
+                short.push_str(&format!("{value:e}"));
+                short.push_str(&number[digits.len()..]);
+            }
+            _ => short.push_str(number),
+        }
+        rest = after;
+    }
+    short + rest
+}
+
 /// Prints a message to the user on stderr.
 pub fn tell(text: &str) {
     eprintln!("{}", printable(text.trim_end()));
@@ -90,6 +116,17 @@ mod tests {
             }
         }
         assert!(printable(HOSTILE).contains("\\u{1b}[2J"));
+    }
+
+    #[test]
+    fn long_numbers_are_short_and_others_as_they_are() {
+        let message = format!("c.toml, line 2: safety_box.theta = {}: give at most 2.3.", 1e300);
+        let short = "c.toml, line 2: safety_box.theta = 1e300: give at most 2.3.";
+        assert_eq!(with_short_numbers(&message), short);
+        assert_eq!(with_short_numbers(&format!("{}", -1.5e-30)), "-1.5e-30");
+        for whole in ["seed 18446744073709551615", "1.2.3", "651164fd8ff6016e", "a. b"] {
+            assert_eq!(with_short_numbers(whole), whole);
+        }
     }
 
     #[test]

@@ -33,7 +33,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         Recovered::WasWhole => {
             output.print(
                 &format!("{path} is whole; nothing was written"),
-                &json!({ "path": arguments.file, "was_whole": true, "recovered": null }),
+                &json!({ "path": arguments.file.to_string_lossy(), "was_whole": true, "recovered": null }),
             );
             Ok(())
         }
@@ -41,9 +41,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             output.print(
                 &format!("{}: {ticks} ticks saved", out.display()),
                 &json!({
-                    "path": arguments.file,
+                    "path": arguments.file.to_string_lossy(),
                     "was_whole": false,
-                    "recovered": out,
+                    "recovered": out.to_string_lossy(),
                     "ticks": ticks,
                     "lost_bytes": lost_bytes,
                     "has_outcome": has_outcome,

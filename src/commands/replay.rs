@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::exit::Failure;
-use super::output::Output;
+use super::output::{Output, path_as_text};
 use super::printable::one_line;
 use super::profile;
 use crate::policy::Policy;
@@ -30,7 +30,7 @@ use crate::telemetry::RolloutOutcome;
 #[command(after_help = "Examples:\n  \
     qube-hil replay logs/monday/*.mcap\n  \
     qube-hil replay --simulate --plot plots logs/monday/rollout-0.mcap\n  \
-    qube-hil replay --simulate --profile lab.toml chirp.csv")]
+    qube-hil replay --simulate --profile lab chirp.csv")]
 pub struct Arguments {
     /// Recordings (.mcap), with --simulate also tables (.csv)
     #[arg(required = true, value_name = "FILE")]
@@ -40,9 +40,9 @@ pub struct Arguments {
     #[arg(long)]
     simulate: bool,
 
-    /// Profile of the Qube to simulate, as `identify` writes it [default: the nominal Qube]
-    #[arg(long, value_name = "FILE", requires = "simulate")]
-    profile: Option<PathBuf>,
+    /// The Qube to simulate: `ideal`, `lab`, or a file that `identify` wrote [default: ideal]
+    #[arg(long, value_name = "ideal|lab|FILE", requires = "simulate")]
+    profile: Option<String>,
 
     /// Folder for one picture (.svg) of each recording with its simulation
     #[arg(long, value_name = "DIR", requires = "simulate")]
@@ -52,6 +52,7 @@ pub struct Arguments {
 /// The report on one file.
 #[derive(Default, Serialize)]
 struct Report {
+    #[serde(serialize_with = "path_as_text")]
     path: PathBuf,
     return_recorded: Option<f64>,
     return_recomputed: Option<f64>,
@@ -102,7 +103,7 @@ struct Rmse {
 /// Replays every file and prints the results; the first defect decides the exit code.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let model = match &arguments.profile {
-        Some(path) => profile::load(path)?.model(),
+        Some(name) => profile::named(name)?,
         None => QubeModel::NOMINAL,
     };
     if let Some(folder) = &arguments.plot {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
+use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
@@ -15,13 +16,13 @@ use super::output::Output;
 use super::printable::tell;
 use super::stop::Stop;
 use super::{
-    astray_line, dated_folder, failures, heat_line, quietness_line, timing_lines,
-    warn_without_realtime,
+    astray_line, failures, heat_line, quietness_line, timing_lines, warn_without_realtime,
 };
 use crate::control::HomingMethod;
 use crate::identification::{Unfit, check_recording};
 use crate::policy::{
     ClassicalController, ClassicalGains, EXCITATION_STEPS, Excitation, ExcitationShape, Policy,
+    SimulatedSensors,
 };
 use crate::qube::{MAX_STEPS, Profile, QubeModel};
 use crate::recording::{Recording, read};
@@ -117,6 +118,8 @@ struct Driver {
     name: String,
     files: Vec<Vec<u8>>,
     steps: u32,
+    /// What is to be known of it before it drives.
+    note: Option<String>,
 }
 
 impl Driver {
@@ -129,10 +132,18 @@ impl Driver {
                 name: format!("excitation by {}", format!("{shape:?}").to_lowercase()),
                 files: [0, 1].map(file).into(),
                 steps: EXCITATION_STEPS,
+                note: None,
             });
         }
         let name = arguments.policy.clone().unwrap_or_default();
-        Ok(Self { files: vec![policy_file(&name)?], name, steps: MAX_STEPS as u32 })
+        let policy = policy(&name)?;
+        let note = trained_on_true_states(&policy).then(|| {
+            format!(
+                "note: {name} was trained on true states, which no Qube shows: encoders and estimator may \
+                 make it fall at once. `train --preset robust` makes policies for a Qube"
+            )
+        });
+        Ok(Self { files: vec![policy.to_bytes()], name, steps: MAX_STEPS as u32, note })
     }
 
     /// The file of a rollout.
@@ -145,7 +156,6 @@ impl Driver {
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let driver = Driver::chosen(&arguments)?;
     let stop = Stop::on_signals()?;
-    let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("run"));
 
     let estimator = arguments.estimator.settings()?.unwrap_or_default();
     let device = arguments.device.choose()?;
@@ -159,6 +169,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         limits: device.limits("--guard", &safety_box, consent)?,
         ..device.rig_settings(emulator, estimator, arguments.check)
     };
+    let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
+    folder.check_for_recordings(arguments.rollouts.into())?;
+    let directory = folder.path().to_owned();
+    if let Some(note) = &driver.note {
+        tell(note);
+    }
     let keyboard = Keyboard::watch(&stop);
     eprintln!("{}", keyboard.hint());
     if let Some(warning) = device.power_warning() {
@@ -302,14 +318,15 @@ fn told(fault: Fault) -> String {
     format!("the last rollout was ended by a fault: {fault}. {step}{then}")
 }
 
-fn policy_file(name: &str) -> Result<Vec<u8>, Failure> {
+fn policy(name: &str) -> Result<Policy, Failure> {
     if name == "classical" {
-        let controller = ClassicalController::new(ClassicalGains::default());
-        return Ok(Policy::Classical(controller).to_bytes());
+        return Ok(Policy::Classical(ClassicalController::new(ClassicalGains::default())));
     }
-    Policy::load(Path::new(name))
-        .map_err(|error| failures::policy(&error))
-        .map(|policy| policy.to_bytes())
+    Policy::load(Path::new(name)).map_err(|error| failures::policy(&error))
+}
+
+fn trained_on_true_states(policy: &Policy) -> bool {
+    matches!(policy, Policy::Network(it) if it.training.sensors == SimulatedSensors::TrueState)
 }
 
 /// Whether `identify` can use the recording of an excitation, as a sentence.
@@ -467,7 +484,7 @@ impl Results {
             "missed_deadlines": self.latencies.missed_deadlines(),
             "lateness_us": self.latencies.lateness_us(),
             "sample_to_act_us": self.latencies.sample_to_act_us(),
-            "recordings": self.recordings,
+            "recordings": self.recordings.iter().map(|path| path.to_string_lossy()).collect::<Vec<_>>(),
             "drift": self.drift.as_ref().and_then(|drift| drift.as_ref().ok()),
         })
     }

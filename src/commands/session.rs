@@ -4,7 +4,7 @@ use std::time::Instant;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
-use super::dated_folder;
+use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
@@ -37,7 +37,14 @@ use crate::simulation::SensorModel;
     qube-hil session                               # on the emulated Qube\n  \
     qube-hil session --device /dev/ttyACM0 --preset thesis --out logs/monday\n  \
     qube-hil session --resume logs/monday          # after Ctrl-C, crash or fault\n  \
-    qube-hil session --clock virtual --seed 3      # as fast as the processor can")]
+    qube-hil session --clock virtual --seed 3      # as fast as the processor can\n\n\
+    The table at the end has a line for each candidate:\n  \
+    purpose      initial: a point that the search starts from; search: proposed from the returns so far;\n               \
+    answer: the psi that the search recommends; N again: candidate N's own policy, run once more\n  \
+    mean return  of its rollouts: each step of 10 ms earns at most 1 for a pendulum that is upright and\n               \
+    quiet in the middle, so that 6 s earn at most 600\n  \
+    rollouts     how many ended in success, of how many: upright during the last second\n  \
+    psi          each entry's place between the ends of its range, from 0 to 9")]
 pub struct Arguments {
     /// Extent: `quick` takes minutes, `thesis` is the published extent and budget
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
@@ -95,6 +102,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let device = arguments.device.choose()?;
     let consent = arguments.consent.beside(arguments.guard)?;
+    let begins = arguments.resume.is_none();
+    let mut place = None;
     let (folder, settings) = match &arguments.resume {
         Some(_) if arguments.emulated.settings()?.is_some() => {
             return Err(Failure::usage(
@@ -109,7 +118,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             ));
         }
         Some(directory) => resumed(directory, arguments.guard, &device)?,
-        None => begun(&arguments, consent, &device)?,
+        None => {
+            let settings = configured(&arguments, consent, &device)?;
+            let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
+            begun(place, settings)?
+        }
     };
     let configuration = folder.configuration().display().to_string();
     let limits = device.limits(&configuration, &settings.safety_box, consent)?;
@@ -164,12 +177,18 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     // Finished work is shown, whatever ended the session.
     if let Err(failure) = &ended
         && failure.is_usage()
-        && session.entries().is_empty()
+        && !session.has_decided()
     {
+        let root = session.folder().root().to_owned();
+        drop(session);
+        if begins {
+            withdraw(&root);
+        }
         return ended;
     }
     match SessionTable::read(&mut session) {
         Ok(table) => {
+            let ended = ended.and_then(|()| table.check_best_policy());
             let mut result: Value = table.json();
             result["wall_s"] = json!(started.elapsed().as_secs_f64());
             result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
@@ -204,11 +223,12 @@ fn described(estimator: &EstimatorSettings) -> String {
     }
 }
 
-fn begun(
+/// The settings of a new session; its folder gives it its name.
+fn configured(
     arguments: &Arguments,
     consent: Option<GuardConsent>,
     device: &ChosenDevice,
-) -> Result<(SessionFolder, SessionSettings), Failure> {
+) -> Result<SessionSettings, Failure> {
     let preset = match arguments.preset {
         Preset::Quick => SessionSettings::quick(),
         Preset::Thesis => SessionSettings::thesis(),
@@ -221,10 +241,6 @@ fn begun(
         settings = settings.with_guard(guard.into());
     }
     settings.seed = arguments.seed.unwrap_or(settings.seed);
-    let directory = arguments.out.clone().unwrap_or_else(|| dated_folder("session"));
-    settings.name = directory
-        .file_name()
-        .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
     if let Some(estimator) = arguments.estimator.settings()? {
         settings = settings.seen_through(estimator);
     }
@@ -235,10 +251,29 @@ fn begun(
         _ => "--guard".into(),
     };
     device.limits(&origin, &settings.safety_box, consent)?;
+    Ok(settings)
+}
+
+fn begun(
+    place: &OutputFolder,
+    mut settings: SessionSettings,
+) -> Result<(SessionFolder, SessionSettings), Failure> {
+    settings.name = place
+        .path()
+        .file_name()
+        .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
     let configuration = settings.to_toml().map_err(Failure::failed)?;
-    let folder = SessionFolder::create(&directory, &configuration)
+    let folder = SessionFolder::create(place.path(), &configuration)
         .map_err(|error| failures::folder(&error))?;
     Ok((folder, settings))
+}
+
+/// Removes the files of a new session that has decided nothing yet.
+fn withdraw(root: &Path) {
+    for file in ["session.toml", "ledger.jsonl"] {
+        let _ = std::fs::remove_file(root.join(file));
+    }
+    let _ = std::fs::remove_dir(root.join("candidates"));
 }
 
 fn resumed(

@@ -1,5 +1,5 @@
 use std::collections::BTreeMap;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -12,10 +12,29 @@ use crate::telemetry::Ending;
 /// for training.
 pub struct SessionProgress {
     bar: ProgressBar,
-    last_candidate: u32,
-    /// Best return so far of each candidate in training, and its update.
-    training: BTreeMap<u32, (u32, f64)>,
+    candidates: u32,
+    updates: u32,
+    /// The candidates in training.
+    training: BTreeMap<u32, InTraining>,
     connected: bool,
+}
+
+/// How far a training is.
+struct InTraining {
+    /// When its first update was done.
+    began: Instant,
+    updates: u32,
+    best_return: f64,
+}
+
+impl InTraining {
+    /// In words, of so many updates.
+    fn told(&self, candidate: u32, updates: u32) -> String {
+        let Self { began, updates: done, best_return } = self;
+        let each = began.elapsed().checked_div(done - 1).unwrap_or_default();
+        let left_s = (each * updates.saturating_sub(*done)).as_secs();
+        format!("{candidate} (update {done} of {updates}, best {best_return:.0}, {left_s} s left)")
+    }
 }
 
 impl SessionProgress {
@@ -28,8 +47,9 @@ impl SessionProgress {
         bar.enable_steady_tick(Duration::from_millis(120));
         let extent = &settings.extent;
         let searched = extent.initial_candidates + extent.iterations;
-        let last_candidate = searched + u32::from(extent.verifies_incumbent);
-        Self { bar, last_candidate, training: BTreeMap::new(), connected: false }
+        let candidates = searched + 1 + u32::from(extent.verifies_incumbent);
+        let updates = settings.training.updates;
+        Self { bar, candidates, updates, training: BTreeMap::new(), connected: false }
     }
 
     /// Shows one event.
@@ -42,17 +62,20 @@ impl SessionProgress {
                     Purpose::Verification => "the search's recommendation, to be verified",
                     Purpose::Incumbent => "the best candidate's policy, to be verified too",
                 };
-                self.line(format!("candidate {candidate} of {}: {why}", self.last_candidate));
+                self.line(proposed(*candidate, self.candidates, why));
             }
             SessionEvent::Training { candidate, update } => {
-                let best = self.training.entry(*candidate).or_insert((0, f64::MIN));
-                *best = (update.update + 1, best.1.max(update.mean_return));
+                let it = self.training.entry(*candidate).or_insert_with(|| InTraining {
+                    began: Instant::now(),
+                    updates: 0,
+                    best_return: f64::MIN,
+                });
+                it.updates += 1;
+                it.best_return = it.best_return.max(update.mean_return);
                 let each: Vec<String> = self
                     .training
                     .iter()
-                    .map(|(candidate, (update, best))| {
-                        format!("{candidate} (update {update}, best {best:.0})")
-                    })
+                    .map(|(number, it)| it.told(*number, self.updates))
                     .collect();
                 self.bar.set_message(format!("training candidate {}", each.join(", ")));
             }
@@ -100,6 +123,11 @@ impl SessionProgress {
     }
 }
 
+/// Numbers count from 0, as the candidates' folders do.
+fn proposed(candidate: u32, candidates: u32, why: &str) -> String {
+    format!("candidate {candidate} ({} of {candidates}): {why}", candidate + 1)
+}
+
 /// A verdict in words.
 fn describe(verdict: &Verdict) -> String {
     match verdict {
@@ -112,5 +140,26 @@ fn describe(verdict: &Verdict) -> String {
             _ if *success => format!("{return_:.0}, balances"),
             _ => format!("{return_:.0}, does not balance"),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_candidate_is_the_last_of_all() {
+        let settings = SessionSettings::quick();
+        let progress = SessionProgress::new(&settings);
+        assert_eq!(progress.candidates, 12);
+        assert_eq!(proposed(11, 12, "an answer"), "candidate 11 (12 of 12): an answer");
+    }
+
+    #[test]
+    fn a_training_tells_its_total_and_the_time_left() {
+        let it = InTraining { began: Instant::now(), updates: 103, best_return: 412.3 };
+        assert_eq!(it.told(3, 120), "3 (update 103 of 120, best 412, 0 s left)");
+        let first = InTraining { updates: 1, ..it };
+        assert!(first.told(0, 120).contains("update 1 of 120"));
     }
 }

@@ -1,8 +1,12 @@
 use std::fmt::Write;
+use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
+use super::exit::Failure;
+use super::printable::one_line;
 use super::{astray_line, quietness_line, timing_lines};
+use crate::policy::Policy;
 use crate::recording::read;
 use crate::session::{
     Candidate, Latencies, Purpose, Quietness, Session, SessionError, Verdict, mean_return,
@@ -25,7 +29,7 @@ pub struct SessionTable {
 
 struct Best {
     candidate: usize,
-    policy: String,
+    policy: PathBuf,
     /// Quietness of its balancing.
     quietness: Quietness,
 }
@@ -39,7 +43,7 @@ impl SessionTable {
         let (mut void_rollouts, mut observer_resets) = (0, 0);
         let mut best = best(&candidates).map(|candidate| Best {
             candidate,
-            policy: folder.policy(candidate as u32).display().to_string(),
+            policy: folder.policy(candidate as u32),
             quietness: Quietness::NONE,
         });
         for (candidate, _) in &candidates {
@@ -59,6 +63,15 @@ impl SessionTable {
         let directory = folder.root().display().to_string();
         let psi = session.settings().psi.clone();
         Ok(Self { psi, candidates, latencies, void_rollouts, observer_resets, directory, best })
+    }
+
+    /// Checks that the policy that is told as the best can be run.
+    pub fn check_best_policy(&self) -> Result<(), Failure> {
+        let Some(best) = &self.best else { return Ok(()) };
+        Policy::load(&best.policy).map(drop).map_err(|error| {
+            let told = one_line(&error.to_string()).into_owned();
+            Failure::data_lost(format!("the best policy is lost: {told}"))
+        })
     }
 
     /// The table for people, 80 columns wide.
@@ -95,15 +108,17 @@ impl SessionTable {
             let stood = verdicts.iter().filter(|verdict| succeeded(verdict)).count();
             let _ = writeln!(
                 text,
-                "\nbest policy: {policy}\n{whose}: mean return {:.1} over {} rollouts, {stood} of \
+                "\nbest policy: {}\n{whose}: mean return {:.1} over {} rollouts, {stood} of \
                  them stand",
+                policy.display(),
                 mean_return(verdicts).unwrap_or(0.0),
                 verdicts.len(),
             );
             text.push_str(&quietness_line(quietness));
             let longest = self.psi.names().map(|name| name.len()).max().unwrap_or(0);
-            for (name, value) in self.psi.names().zip(&candidate.psi) {
-                let _ = writeln!(text, "  {name:longest$}  {value:.5}");
+            for (dimension, value) in self.psi.dimensions().iter().zip(&candidate.psi) {
+                let (name, unit) = (dimension.target.to_string(), dimension.target.unit());
+                let _ = writeln!(text, "  {name:longest$}  {value:.5} {unit}");
             }
         }
         if self.void_rollouts > 0 {
@@ -114,6 +129,7 @@ impl SessionTable {
         text.push_str(&astray_line(self.observer_resets));
         text.push_str(&timing_lines(&self.latencies));
         let _ = writeln!(text, "everything is in {}", self.directory);
+        text.push_str("qube-hil session --help explains the words of this table\n");
         text
     }
 
@@ -135,7 +151,7 @@ impl SessionTable {
         let best = self.best.as_ref().map(|Best { candidate, policy, quietness }| {
             let (candidate, verdicts) = &self.candidates[*candidate];
             let mut best = valued(&self.psi, candidate, verdicts);
-            best["policy"] = json!(policy);
+            best["policy"] = json!(policy.to_string_lossy());
             best["balancing"] = json!(quietness.figures());
             best
         });

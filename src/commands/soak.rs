@@ -3,6 +3,7 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
+use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::number_arguments::positive;
@@ -91,7 +92,8 @@ impl Folder {
         let path = keep.unwrap_or_else(|| std::env::temp_dir().join(name));
         // Others may create folders there too, so the soak removes in the end only a folder of its own.
         let made = if keeps { std::fs::create_dir_all(&path) } else { std::fs::create_dir(&path) };
-        made.map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
+        made.map_err(|error| failures::not_written(&path, &error))?;
+        OutputFolder::make(Some(&path), "soak")?.check_for_recordings(u64::MAX)?;
         Ok(Self { path, keeps })
     }
 

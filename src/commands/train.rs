@@ -1,13 +1,13 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
+use super::destination::{OutputFile, check_folder};
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
-use super::failures;
 use super::number_arguments::between;
 use super::output::Output;
 use super::profile;
@@ -17,12 +17,10 @@ use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
 use crate::qube::{GapTerm, MAX_HISTORY};
-use crate::session::write_whole;
 use crate::simulation::{
     Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Psi, SensorModel,
     SimulationSettings,
 };
-use crate::storage::MachineDisk;
 
 /// Train one policy in randomised simulation
 ///
@@ -73,6 +71,10 @@ pub struct Arguments {
     /// File for the policy
     #[arg(long, value_name = "FILE", default_value = "policy.safetensors")]
     out: PathBuf,
+
+    /// Replace --out where there is such a file already
+    #[arg(long)]
+    force: bool,
 
     /// Sensors of the simulation: true states, or encoders and estimator as on the machine [default: the
     /// preset's]
@@ -175,6 +177,7 @@ enum Preset {
 /// Trains a policy and saves it.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let distribution = distribution(&arguments)?;
+    let origin = origin(&arguments)?;
     let preset = match arguments.preset {
         Preset::Robust => TrainSettings::robust(),
         Preset::Quick => TrainSettings::quick(),
@@ -190,12 +193,20 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         voltage_change_weight,
         ..preset
     };
+    let out = OutputFile::prepare(&arguments.out, arguments.force)?;
+    if let Some(folder) = arguments.checkpoint.as_deref().and_then(Path::parent)
+        && !folder.as_os_str().is_empty()
+    {
+        check_folder(folder)?;
+    }
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
     Level::from(arguments.instruction_set).forbid_better();
     let stop = Stop::on_signals()?;
     let bar = ProgressBar::new(u64::from(settings.updates));
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} update {pos} of {len}  {msg}") {
+    if let Ok(style) =
+        ProgressStyle::with_template("{bar:30} update {pos} of {len}, {eta} left  {msg}")
+    {
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(200));
@@ -235,9 +246,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         "wall_s": wall_s,
         "policy": path,
     });
-    let policy = trained.into_policy(origin(&arguments)?);
-    write_whole(&MachineDisk, &arguments.out, &policy.to_bytes())
-        .map_err(|error| failures::folder(&error))?;
+    out.write(&trained.into_policy(origin).to_bytes())?;
     let text = format!(
         "best return {best_return:.1}, last {final_return:.1}, after {} updates in {wall_s:.1} s: \
          {path}",

@@ -26,16 +26,22 @@ pub struct ExperimentFolder {
 }
 
 impl ExperimentFolder {
-    /// Creates a new folder with the experiment's settings.
+    /// Creates a new folder, or takes an empty one, and writes the experiment's settings into it.
     ///
     /// # Errors
-    /// The folder exists, or cannot be created.
+    /// The folder holds something, or cannot be created.
     pub fn create(root: &Path, settings: &str) -> Result<Self, ExperimentError> {
-        if MachineDisk.exists(root) {
-            return Err(FolderError::Exists { path: root.to_owned() }.into());
+        let exists = || FolderError::Exists { path: root.to_owned() };
+        if MachineDisk.exists(root) && !MachineDisk.names(root).is_ok_and(|names| names.is_empty())
+        {
+            return Err(exists().into());
         }
         make(root)?;
         let folder = Self::hold(root)?;
+        // Another process may have begun there before this one held it.
+        if MachineDisk.exists(&folder.settings()) {
+            return Err(exists().into());
+        }
         write_whole(&MachineDisk, &folder.settings(), settings.as_bytes())?;
         Ok(folder)
     }

@@ -163,7 +163,9 @@ impl Recipe {
         check_name("name", &file.name).map_err(unreadable)?;
         let overrides =
             toml::to_string(&file.settings).map_err(|error| unreadable(error.to_string()))?;
-        let settings = base.overridden_by_text(&overrides, path)?;
+        let settings = base
+            .overridden_by_text(&overrides, path)
+            .map_err(|error| error.located(&text, "settings."))?;
         Ok(Self::new(file.name, file.model, settings))
     }
 

@@ -36,7 +36,9 @@ pub enum TrainError {
         source: std::io::Error,
     },
     /// The file is damaged or not a checkpoint.
-    #[error("{path} is not a complete checkpoint: {reason}. Delete it to train from the start")]
+    #[error(
+        "{path} is not a complete checkpoint of a training: {reason}. Name another file to train from the start"
+    )]
     CheckpointDamaged {
         /// Path of the file.
         path: PathBuf,
@@ -45,7 +47,8 @@ pub enum TrainError {
     },
     /// The checkpoint belongs to another training.
     #[error(
-        "checkpoint {path} was written by a training with another {what}. Give the same again, or delete it to train from the start"
+        "checkpoint {path} was written by a training with another {what}. Give the same again, or name \
+         another file to train from the start"
     )]
     CheckpointOfAnother {
         /// Path of the file.

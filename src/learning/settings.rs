@@ -113,7 +113,9 @@ impl TrainSettings {
         }
         bounded("updates", self.updates, 1..=1_000_000, "1 to 1 000 000")?;
         bounded("num_envs", self.num_envs, 16..=4096, "16 to 4096")?;
-        bounded("num_envs modulo 16", self.num_envs % 16, 0..=0, "0")?;
+        if !self.num_envs.is_multiple_of(16) {
+            bounded("num_envs", self.num_envs, 0..0, "a multiple of 16")?;
+        }
         bounded("epochs", self.epochs, 1..=1000, "1 to 1000")?;
         let rates = 0.0..=1.0;
         bounded("learning_rate", self.learning_rate, rates.clone(), "0 to 1")?;

@@ -140,6 +140,25 @@ impl Quantity {
         }
     }
 
+    /// Its SI unit.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        use DomainParameter as P;
+        match self {
+            Self::Parameter(P::Gravity) => "m/s^2",
+            Self::Parameter(P::MotorResistance) => "ohm",
+            Self::Parameter(P::MotorBackEmf) => "V s/rad",
+            Self::Parameter(P::RotaryDamping | P::PendulumDamping) => "N m s/rad",
+            Self::Parameter(P::RotaryMass | P::PendulumMass) => "kg",
+            Self::Parameter(P::RotaryLength | P::PendulumLength) => "m",
+            Self::Gap(GapTerm::CoulombTorque) => "N m",
+            Self::Gap(GapTerm::PositiveDeadZone | GapTerm::NegativeDeadZone) => "V",
+            Self::Gap(GapTerm::CableStiffness) => "N m/rad",
+            Self::Gap(GapTerm::CableRest) => "rad",
+            Self::Gap(GapTerm::CommandDelay) => "s",
+        }
+    }
+
     /// The quantity with this name in profiles.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {

@@ -3,14 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
+use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use super::qube_file::LARGEST_OFFSET_RAD;
-use super::retired::rename_entries;
+use super::retired::{RENAMED, rename_entries};
 use super::{FolderError, ProfileSettings, SessionSettings, take_retired};
+use crate::learning::TrainError;
 use crate::qube::MAX_STEPS;
 use crate::safety::{Guard, SafetyBox};
-use crate::simulation::{PsiTarget, SensorModel};
+use crate::simulation::{PsiTarget, SensorModel, box_file};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// An error in a configuration.
@@ -33,10 +35,12 @@ pub enum ConfigurationError {
         source: Box<toml::de::Error>,
     },
     /// A value is out of range.
-    #[error("{path}: {reason}")]
+    #[error("{path}{}: {reason}", at_line(*line))]
     OutOfRange {
         /// Path of the file.
         path: PathBuf,
+        /// Line of the value, from 1, if the file names it.
+        line: Option<usize>,
         /// Name of the value and its range.
         reason: String,
     },
@@ -48,6 +52,46 @@ pub enum ConfigurationError {
     NotWritten(FolderError),
 }
 
+impl ConfigurationError {
+    /// The same with the line of its value, which the file has below the key `above`.
+    #[must_use]
+    pub fn located(self, text: &str, above: &str) -> Self {
+        match self {
+            Self::OutOfRange { path, reason, .. } => {
+                // A reason begins with the key that it is about.
+                let is_of_key = |letter: char| letter.is_alphanumeric() || "._".contains(letter);
+                let key: String = reason.chars().take_while(|&letter| is_of_key(letter)).collect();
+                let line = line_of(text, &format!("{above}{}", key.trim_end_matches('.')));
+                Self::OutOfRange { path, line, reason }
+            }
+            other => other,
+        }
+    }
+}
+
+fn at_line(line: Option<usize>) -> String {
+    line.map_or_else(String::new, |line| format!(", line {line}"))
+}
+
+/// The line in which a TOML text gives this key its value, from 1.
+fn line_of(text: &str, key: &str) -> Option<usize> {
+    let document = DeTable::parse(text).ok()?;
+    let mut table = document.get_ref();
+    let mut parts = key.split('.').peekable();
+    while let Some(part) = parts.next() {
+        // A file may name a limit without its unit, or a setting by its earlier name.
+        let mut names = box_file::NAMES.iter().chain(&RENAMED);
+        let earlier = names.find(|(_, name)| *name == part).map(|(earlier, _)| *earlier);
+        let is_it = |name: &str| name == part || Some(name) == earlier;
+        let (_, value) = table.iter().find(|(name, _)| is_it(name.get_ref()))?;
+        match value.get_ref() {
+            DeValue::Table(below) if parts.peek().is_some() => table = below,
+            _ => return Some(1 + text[..value.span().start].matches('\n').count()),
+        }
+    }
+    None
+}
+
 impl SessionSettings {
     /// Reads a complete configuration to resume its session. A file that names no guard is older than any
     /// guard and selects the box alone.
@@ -55,11 +99,15 @@ impl SessionSettings {
     /// # Errors
     /// The file cannot be read, is not a configuration, or has a setting that no longer exists.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
-        let mut text = read(path)?;
+        let text = read(path)?;
+        Self::loaded(text.clone(), path).map_err(|error| error.located(&text, ""))
+    }
+
+    fn loaded(mut text: String, path: &Path) -> Result<Self, ConfigurationError> {
         let mut table: Table = parsed(&text, path)?;
         let retired = take_retired(&mut table);
         let out_of_range =
-            |reason| ConfigurationError::OutOfRange { path: path.to_owned(), reason };
+            |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };
         if let Some(entry) = retired.iter().find(|entry| entry.changed_something()) {
             return Err(out_of_range(format!("{entry}: {BEGIN_ANEW}")));
         }
@@ -76,7 +124,8 @@ impl SessionSettings {
     /// # Errors
     /// The file cannot be read, or holds an unknown setting.
     pub fn overridden_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
-        self.overridden_by_text(&read(path)?, path)
+        let text = read(path)?;
+        self.overridden_by_text(&text, path).map_err(|error| error.located(&text, ""))
     }
 
     /// Configures a new session like [`overridden_by`](Self::overridden_by). An estimator that the file
@@ -87,7 +136,7 @@ impl SessionSettings {
     /// The file cannot be read, or holds an unknown setting.
     pub fn configured_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
-        let settings = self.overridden_by_text(&text, path)?;
+        let settings = self.overridden_by(path)?;
         let file: Table = parsed(&text, path)?;
         let simulation = file.get("training").and_then(|training| training.get("simulation"));
         let simulated = simulation.and_then(|simulation| simulation.get("sensors"));
@@ -107,7 +156,7 @@ impl SessionSettings {
     /// The text holds an unknown setting, or one that no longer exists.
     pub fn overridden_by_text(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
         let out_of_range =
-            |reason| ConfigurationError::OutOfRange { path: path.to_owned(), reason };
+            |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };
         if let Some(entry) = take_retired(&mut parsed(text, path)?).first() {
             return Err(out_of_range(format!("{entry}: leave it out")));
         }
@@ -126,6 +175,11 @@ impl SessionSettings {
         let mut table: Table = Table::try_from(self)?;
         let mut above: Table = toml::from_str(text).map_err(invalid)?;
         rename_entries(&mut above);
+        for path in BOXES {
+            if let Some(limits) = table_at(&mut above, path) {
+                box_file::rename(limits);
+            }
+        }
         lay_over(&mut table, above);
         let settings: Self = table.try_into().map_err(invalid)?;
         settings.checked(path)
@@ -134,7 +188,9 @@ impl SessionSettings {
     fn checked(self, path: &Path) -> Result<Self, ConfigurationError> {
         match self.check() {
             Ok(()) => Ok(self),
-            Err(reason) => Err(ConfigurationError::OutOfRange { path: path.to_owned(), reason }),
+            Err(reason) => {
+                Err(ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason })
+            }
         }
     }
 
@@ -163,17 +219,29 @@ impl SessionSettings {
                 .into());
         }
         let counts = [
-            ("extent.initial_candidates", self.extent.initial_candidates, 1000),
-            ("extent.rollouts", self.extent.rollouts, 1000),
-            ("extent.verification_rollouts", self.extent.verification_rollouts, 1000),
-            ("extent.steps", self.extent.steps, MAX_STEPS as u32),
+            ("extent.initial_candidates", self.extent.initial_candidates, 1..=1000),
+            ("extent.iterations", self.extent.iterations, 0..=1000),
+            ("extent.rollouts", self.extent.rollouts, 1..=1000),
+            ("extent.verification_rollouts", self.extent.verification_rollouts, 1..=1000),
+            ("extent.steps", self.extent.steps, 1..=MAX_STEPS as u32),
+            ("extent.repetitions", self.extent.repetitions, 0..=1000),
         ];
-        for (name, value, most) in counts {
-            if !(1..=most).contains(&value) {
-                return Err(format!("{name} = {value}: give a number from 1 to {most}"));
+        for (name, value, range) in counts {
+            if !range.contains(&value) {
+                let (least, most) = range.into_inner();
+                return Err(format!("{name} = {value}: give a number from {least} to {most}"));
             }
         }
-        Ok(())
+        self.training.check().map_err(|error| match error {
+            TrainError::Setting { name, value, bound } => {
+                format!("training.{name} = {value}: it must be {bound}")
+            }
+            TrainError::Estimator(error) => {
+                format!("training.simulation.sensors.estimator.{error}")
+            }
+            other => other.to_string(),
+        })?;
+        self.search().map(drop).map_err(|error| error.to_string())
     }
 }
 
@@ -185,11 +253,11 @@ impl SessionSettings {
     /// Describes the first invalid limit.
     pub fn check_limits(&self) -> Result<(), String> {
         let of_the_task = SafetyBox::GUARDED;
-        self.safety_box.check_within(&of_the_task).map_err(|error| error.to_string())?;
+        self.safety_box.check_within(&of_the_task).map_err(of_file)?;
         let simulated = &self.training.simulation.safety_box;
         simulated
             .check_within(&of_the_task)
-            .map_err(|error| format!("training.simulation.{error}"))?;
+            .map_err(|error| format!("training.simulation.{}", of_file(error)))?;
         let offset_rad = self.homing.theta_offset_rad;
         if !(-LARGEST_OFFSET_RAD..=LARGEST_OFFSET_RAD).contains(&offset_rad) {
             return Err(format!(
@@ -244,6 +312,23 @@ fn parsed(text: &str, path: &Path) -> Result<Table, ConfigurationError> {
         path: path.to_owned(),
         source: Box::new(source),
     })
+}
+
+/// Where settings have a safety box.
+const BOXES: [&[&str]; 2] = [&["safety_box"], &["training", "simulation", "safety_box"]];
+
+fn table_at<'a>(table: &'a mut Table, path: &[&str]) -> Option<&'a mut Table> {
+    path.iter().try_fold(table, |table, step| table.get_mut(*step)?.as_table_mut())
+}
+
+/// What is wrong with a box, by the names of files.
+fn of_file(wrong: impl ToString) -> String {
+    let wrong = wrong.to_string();
+    let renamed = box_file::NAMES.iter().find_map(|(bare, name)| {
+        let value = wrong.strip_prefix(&format!("safety_box.{bare} "))?;
+        Some(format!("safety_box.{name} {value}"))
+    });
+    renamed.unwrap_or(wrong)
 }
 
 fn lay_over(below: &mut Table, above: Table) {
@@ -356,11 +441,60 @@ mod tests {
     }
 
     #[test]
+    fn limits_are_written_with_their_units_and_read_without_too() {
+        let written = SessionSettings::quick().to_toml().unwrap();
+        for path in BOXES {
+            let mut table: Table = toml::from_str(&written).unwrap();
+            let limits = table_at(&mut table, path).unwrap();
+            let names: Vec<&str> = limits.keys().map(String::as_str).collect();
+            let expected =
+                ["alpha_dot_rad_s", "alpha_rad", "guard", "theta_dot_rad_s", "theta_rad"];
+            assert!(expected.iter().all(|name| names.contains(name)), "{names:?}");
+            assert_eq!(names.len(), expected.len());
+            let section = path.join(".");
+            for name in ["theta", "theta_rad"] {
+                let settings = overridden(&format!("[{section}]\n{name} = 1.5\n")).unwrap();
+                let simulated = settings.training.simulation.safety_box.theta;
+                let found = if path.len() == 1 { settings.safety_box.theta } else { simulated };
+                assert_eq!(found, 1.5, "{section}.{name}");
+            }
+            let twice = overridden(&format!("[{section}]\ntheta = 1.5\ntheta_rad = 1.5\n"));
+            let message = twice.unwrap_err().to_string();
+            assert!(message.contains("line 3") && message.contains("duplicate"), "{message}");
+        }
+    }
+
+    #[test]
     fn a_misspelt_key_is_an_error_with_its_line() {
         let message = overridden("seed = 7\nsed = 8\n").unwrap_err().to_string();
         assert!(message.contains("my.toml") && message.contains("line 2"), "{message}");
         let message = overridden("[extent]\nrolouts = 8\n").unwrap_err().to_string();
         assert!(message.contains("rolouts") && message.contains("line 2"), "{message}");
+    }
+
+    #[test]
+    fn a_value_that_cannot_be_is_an_error_with_its_line() {
+        for (text, line, name) in [
+            ("[training]\nupdates = 0\n", 2, "training.updates = 0"),
+            ("[training]\n\nlearning_rate = nan\n", 3, "training.learning_rate = NaN"),
+            ("training.discount = 7.0\n", 1, "training.discount = 7"),
+            ("seed = 1\n[training]\npendulums = 0\n", 3, "training.num_envs = 0"),
+            ("[training]\nnum_envs = 20\n", 2, "training.num_envs"),
+            ("[extent]\niterations = 4000000000\n", 2, "extent.iterations = 4000000000"),
+            ("[extent]\nrepetitions = 4000000000\n", 2, "extent.repetitions = 4000000000"),
+            ("seed = 1\n[safety_box]\ntheta = 1e300\n", 3, "safety_box.theta_rad"),
+            ("[safety_box]\ntheta_dot_rad_s = 99.0\n", 2, "safety_box.theta_dot_rad_s = 99"),
+            (
+                "training = { simulation = { sensors = { type = \"encoders\",\n\
+                 estimator = { corner_rad_s = 0.0 } } } }\n",
+                2,
+                "training.simulation.sensors.estimator.corner_rad_s",
+            ),
+        ] {
+            let message = overridden(text).unwrap_err().to_string();
+            let place = format!("my.toml, line {line}: {name}");
+            assert!(message.contains(&place), "{place:?} is missing in: {message}");
+        }
     }
 
     #[test]

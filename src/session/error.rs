@@ -1,3 +1,5 @@
+use std::path::PathBuf;
+
 use thiserror::Error;
 
 use super::{Doubt, FolderError, LedgerError, RigError};
@@ -53,6 +55,15 @@ pub enum SessionError {
         rollout: u32,
         /// Doubt about the Qube.
         doubt: Box<Doubt>,
+    },
+    /// The settings are not those that the session began with.
+    #[error(
+        "{path} was changed since this session began: restore it, or begin a new session with these \
+         settings"
+    )]
+    SettingsChanged {
+        /// Its `session.toml`.
+        path: PathBuf,
     },
     /// The ledger failed.
     #[error(transparent)]

@@ -1,10 +1,13 @@
 use std::path::{Path, PathBuf};
 
-use crc::{CRC_32_ISO_HDLC, Crc};
+use crc::{CRC_32_ISO_HDLC, CRC_64_XZ, Crc};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::storage::{Disk, DiskFile, sync_name};
+
+/// Of whole files, which are longer than a line.
+const FILE_CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
 
 const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
@@ -13,6 +16,11 @@ const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "event", deny_unknown_fields)]
 pub enum Entry {
+    /// The session began with these settings: the first line, which ledgers of older programs lack.
+    Begun {
+        /// The checksum of `session.toml`, as [`settings_checksum`] computes it.
+        settings: String,
+    },
     /// A psi was chosen. Candidates are numbered from 0 in the order of these entries.
     Proposed {
         /// Number of the candidate.
@@ -176,6 +184,12 @@ impl Ledger {
     }
 }
 
+/// The checksum of the bytes of a `session.toml`, by which a ledger knows its own.
+#[must_use]
+pub fn settings_checksum(bytes: &[u8]) -> String {
+    format!("{:016x}", FILE_CHECKSUM.checksum(bytes))
+}
+
 fn encode(entry: &Entry) -> serde_json::Result<String> {
     let entry = serde_json::value::to_raw_value(entry)?;
     let crc32 = format!("{:08x}", CHECKSUM.checksum(entry.get().as_bytes()));
@@ -239,6 +253,7 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
 /// The order of a ledger's entries, on which the rest of the program relies.
 #[derive(Default)]
 struct Story {
+    lines: usize,
     candidates: Vec<CandidateState>,
 }
 
@@ -251,8 +266,11 @@ struct CandidateState {
 
 impl Story {
     fn goes_on_with(&mut self, entry: &Entry) -> Result<(), &'static str> {
+        self.lines += 1;
         let next_number = self.candidates.len() as u32;
         let number = match *entry {
+            Entry::Begun { .. } if self.lines == 1 => return Ok(()),
+            Entry::Begun { .. } => return Err("a session begins in the first line"),
             Entry::Proposed { candidate, .. } if candidate == next_number => {
                 self.candidates.push(CandidateState::default());
                 return Ok(());
@@ -264,7 +282,7 @@ impl Story {
         };
         let it = self.candidates.get_mut(number as usize).ok_or("there is no such candidate")?;
         match *entry {
-            Entry::Proposed { .. } => {}
+            Entry::Begun { .. } | Entry::Proposed { .. } => {}
             Entry::Trained { .. } if it.trained => return Err("the candidate is trained already"),
             Entry::Trained { .. } => it.trained = true,
             Entry::RolloutFinished { rollout, attempt, .. }
@@ -355,7 +373,11 @@ mod tests {
             |candidate| Entry::Proposed { candidate, purpose: Purpose::Initial, psi: vec![] };
         let finished = |rollout, attempt| Entry::RolloutFinished { candidate: 0, rollout, attempt };
         let trained = Entry::Trained { candidate: 0 };
+        let begun = || Entry::Begun { settings: settings_checksum(b"seed = 1") };
+        parse(lines(&[begun(), proposed(0), trained.clone()]).as_bytes()).unwrap();
         for (entries, line) in [
+            (vec![begun(), begun()], 2),
+            (vec![proposed(0), begun()], 2),
             (vec![proposed(1)], 1),
             (vec![proposed(0), proposed(0)], 2),
             (vec![trained.clone()], 1),

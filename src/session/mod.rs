@@ -31,7 +31,10 @@ pub use error::SessionError;
 pub use folder::{FolderError, SessionFolder, put_aside, write_whole};
 pub use header::RolloutPlan;
 pub use latencies::Latencies;
-pub use ledger::{DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger};
+pub use ledger::{
+    DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger,
+    settings_checksum,
+};
 pub use orchestrator::{Session, SessionEvent};
 pub use plan::{Candidate, Extent, Step, candidates, next_step};
 pub use power_test::{PowerTest, UsbLost, power_warning};

@@ -7,9 +7,10 @@ use super::folder::{put_aside, write_whole};
 use super::seeds::{SeedFor, derived_seed};
 use super::training::{TrainingEvent, TrainingJob, train_all};
 use super::{
-    Candidate, ClockChoice, DRIFT_ROLLOUTS, Doubt, Drift, Entry, Ledger, MAX_NOT_BEGUN, Purpose,
-    Rig, RigError, RigSettings, RolloutPlan, SessionError, SessionFolder, SessionSettings, Step,
-    Verdict, candidates, judge, judge_recording, mean_return, next_step,
+    Candidate, ClockChoice, DRIFT_ROLLOUTS, Doubt, Drift, Entry, FolderError, Ledger,
+    MAX_NOT_BEGUN, Purpose, Rig, RigError, RigSettings, RolloutPlan, SessionError, SessionFolder,
+    SessionSettings, Step, Verdict, candidates, judge, judge_recording, mean_return, next_step,
+    settings_checksum,
 };
 use crate::identification::Unfit;
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
@@ -17,6 +18,7 @@ use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::search::{Observation, SearchError};
+use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
 
 /// An event of a running session.
@@ -78,17 +80,19 @@ pub struct Session {
 }
 
 impl Session {
-    /// Continues a session where its ledger ends; an empty ledger starts a new one.
+    /// Continues a session where its ledger ends; an empty ledger starts a new one, and is bound to the
+    /// folder's `session.toml`.
     ///
     /// # Errors
-    /// The ledger is damaged or cannot be opened.
+    /// The ledger is damaged or cannot be opened; it belongs to another `session.toml`.
     pub fn open(
         folder: SessionFolder,
         settings: SessionSettings,
         rig_settings: RigSettings,
         stop: Arc<AtomicBool>,
     ) -> Result<Self, SessionError> {
-        let ledger = Ledger::open(folder.disk(), &folder.ledger())?;
+        let mut ledger = Ledger::open(folder.disk(), &folder.ledger())?;
+        bind(&mut ledger, &folder)?;
         for entry in ledger.entries() {
             if let Entry::Proposed { psi, .. } = entry {
                 settings.psi.psi(psi)?;
@@ -227,6 +231,12 @@ impl Session {
     #[must_use]
     pub fn entries(&self) -> &[Entry] {
         self.ledger.entries()
+    }
+
+    /// Whether anything was decided yet.
+    #[must_use]
+    pub fn has_decided(&self) -> bool {
+        self.entries().iter().any(|entry| !matches!(entry, Entry::Begun { .. }))
     }
 
     /// The candidates so far, each with the verdicts on its rollouts.
@@ -543,6 +553,24 @@ impl Session {
             Ok(_) | Err(_) => "its recording cannot be read".into(),
         };
         SessionError::GivenUp { candidate, rollout, tries, reason }
+    }
+}
+
+/// Writes into an empty ledger which settings it belongs to, and compares those of another with the
+/// folder's. A ledger of a program that wrote no such line belongs to any.
+fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError> {
+    let path = folder.configuration();
+    let bytes = folder
+        .disk()
+        .read(&path, SETTINGS_BYTES)
+        .map_err(|source| FolderError::Io { path: path.clone(), source })?;
+    let found = settings_checksum(&bytes);
+    match ledger.entries().first() {
+        None => Ok(ledger.append(Entry::Begun { settings: found })?),
+        Some(Entry::Begun { settings }) if *settings != found => {
+            Err(SessionError::SettingsChanged { path })
+        }
+        Some(_) => Ok(()),
     }
 }
 

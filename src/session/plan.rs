@@ -108,6 +108,7 @@ pub fn candidates(entries: &[Entry]) -> Vec<Candidate> {
     let mut candidates: Vec<Candidate> = Vec::new();
     for entry in entries {
         match *entry {
+            Entry::Begun { .. } => {}
             Entry::Proposed { candidate, purpose, ref psi } => candidates.push(Candidate {
                 number: candidate,
                 purpose,

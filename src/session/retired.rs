@@ -9,7 +9,7 @@ const RETIRED: [(&[&str], &str); 2] =
     [(&["training"], "widening"), (&["training", "simulation"], "envelope_room_rad")];
 
 /// Renamed entries of the table `training`: the earlier name and the present one.
-const RENAMED: [(&str, &str); 3] =
+pub const RENAMED: [(&str, &str); 3] =
     [("pendulums", "num_envs"), ("trace_decay", "gae_lambda"), ("enough", "target_return")];
 
 /// An entry of a settings file that is no longer a setting.

@@ -9,7 +9,7 @@ use crate::qube::QubeModel;
 use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
 use crate::simulation::{
-    DomainDistribution, Family, PsiError, PsiSpace, SensorModel, SimulationSettings,
+    DomainDistribution, Family, PsiError, PsiSpace, SensorModel, SimulationSettings, box_file,
 };
 use crate::surrogate::SearchBox;
 
@@ -111,6 +111,7 @@ pub struct SessionSettings {
     /// Estimator of the state on the Qube.
     pub estimator: EstimatorSettings,
     /// Box that ends a rollout.
+    #[serde(with = "box_file")]
     pub safety_box: SafetyBox,
     /// Homing of the arm.
     pub homing: HomingSettings,

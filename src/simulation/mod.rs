@@ -17,6 +17,7 @@
 //! ```
 
 mod block;
+pub mod box_file;
 mod distribution;
 mod domain_distribution;
 mod evaluation;

@@ -72,6 +72,15 @@ impl PsiTarget {
         }
     }
 
+    /// Its SI unit.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Mean(quantity) | Self::StandardDeviation(quantity) => quantity.unit(),
+            Self::Filter => "rad/s",
+        }
+    }
+
     /// Checks that the target may have this value.
     ///
     /// # Errors

@@ -4,7 +4,7 @@ use crate::estimation::EstimatorSettings;
 use crate::qube::{OBSERVATION_SIZE, RewardWeights};
 use crate::safety::SafetyBox;
 
-use super::Psi;
+use super::{Psi, box_file};
 
 /// Sensors, observation, reward and end of a simulated trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -19,6 +19,7 @@ pub struct SimulationSettings {
     /// Weights of the reward.
     pub reward: RewardWeights,
     /// Box that ends a trajectory when the state leaves it. Simulations have no guard besides it.
+    #[serde(with = "box_file")]
     pub safety_box: SafetyBox,
 }
 

@@ -11,7 +11,7 @@ pub fn map<T: Send>(
     work: impl Fn(usize) -> T + Sync,
 ) -> Vec<T> {
     let bar = ProgressBar::new(count as u64).with_message(title.to_string());
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos} of {len}  {msg}") {
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos} of {len}, {eta} left  {msg}") {
         bar.set_style(style);
     }
     let next = AtomicUsize::new(0);

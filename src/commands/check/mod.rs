@@ -112,7 +112,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         }
     }
     output.print_for_people(&text);
-    let mut value = json!({ "checks": checks_json(results), "passed": passed, "written": written });
+    let written_as_text = written.map(Path::to_string_lossy);
+    let mut value =
+        json!({ "checks": checks_json(results), "passed": passed, "written": written_as_text });
     let ended = if let Some(error) = unwritten {
         Err(Failure::failed(error))
     } else if !passed {

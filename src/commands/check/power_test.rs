@@ -8,7 +8,7 @@
 //! the voltage was too small.
 
 use std::io::{BufRead, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
@@ -101,7 +101,7 @@ pub fn run(
     let file = QubeFile { power: Some(power.clone()), ..file };
     file.save(path).map_err(Failure::failed)?;
     let text = format!("{}\nwritten: {}\n", power.sentence(), path.display());
-    let value = json!({ "power": power, "rehearsed_v": push_v, "written": PathBuf::from(path) });
+    let value = json!({ "power": power, "rehearsed_v": push_v, "written": path.to_string_lossy() });
     Ok(Tested { text, value })
 }
 

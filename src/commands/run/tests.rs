@@ -29,8 +29,8 @@ fn run_within(
     rollouts: u32,
 ) -> (Result<(), Failure>, Results) {
     let plan = RolloutPlan { safety_box, ..RolloutPlan::single("run", "classical") };
-    let files = vec![policy_file("classical").unwrap()];
-    let driver = Driver { name: "classical".into(), files, steps: plan.steps };
+    let files = vec![policy("classical").unwrap().to_bytes()];
+    let driver = Driver { name: "classical".into(), files, steps: plan.steps, note: None };
     let (stop, keyboard) = (Stop::default(), Keyboard::none());
     let directory = directory.to_owned();
     let mut series = Series { settings, plan, driver, directory, stop: &stop, keyboard: &keyboard };
@@ -113,4 +113,15 @@ fn a_cable_that_stays_out_is_a_fault_with_what_was_measured() {
     assert!(cause.contains("did not come back within 2 s"), "{cause}");
     assert!(results.returns.len() >= 2 && results.returns[0].is_some(), "{:?}", results.returns);
     assert_eq!(recordings(directory.path()), results.returns.len());
+}
+
+#[test]
+fn a_policy_of_true_states_is_known_by_its_file() {
+    assert!(!trained_on_true_states(&policy("classical").unwrap()));
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
+    let robust = policy(shipped.to_str().unwrap()).unwrap();
+    assert!(!trained_on_true_states(&robust));
+    let Policy::Network(mut network) = robust else { panic!("it is a network") };
+    network.training.sensors = SimulatedSensors::TrueState;
+    assert!(trained_on_true_states(&Policy::Network(network)));
 }

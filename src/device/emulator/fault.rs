@@ -170,19 +170,38 @@ pub enum EmulatorFault {
     FlippedMotor,
 }
 
+/// How a fault is written, and what it does. S, D, N, F and V are numbers: seconds after the start,
+/// seconds, counts, a factor, volts.
+const FORMS: [(&str, &str); 24] = [
+    ("silent@S", "answers nothing from S on"),
+    ("garble@N", "a bit of each N-th reply is flipped"),
+    ("wrong-version", "speaks the protocol's version before"),
+    ("frozen-theta@S[+D]", "the arm's count stays [for D], its tachometer shows rest"),
+    ("stuck-theta@S", "the arm's count stays, its tachometer too"),
+    ("frozen-alpha@S[+D]", "the pendulum's count stays [for D]"),
+    ("jump-theta@S[:N]", "the arm's count jumps by 300 or N"),
+    ("jump-alpha@S[:N]", "the pendulum's count jumps by 300 or N"),
+    ("scaled-theta@F", "the arm's encoder counts F times as many"),
+    ("flipped-theta", "the arm's encoder is wired the other way round"),
+    ("flipped-alpha", "the pendulum's encoder is wired the other way round"),
+    ("flipped-motor", "the motor is wired the other way round"),
+    ("dead-motor@S", "no current flows"),
+    ("weak-motor@F", "the share F of the current flows"),
+    ("one-sided-motor@S:+|-", "only voltages of this sign drive"),
+    ("blocked-arm@S", "something holds the arm"),
+    ("pushed-arm@S+D:V", "a hand pushes the arm as V volts would"),
+    ("held-pendulum@S+D", "a hand holds the pendulum"),
+    ("amplifier@S", "the amplifier reports a fault"),
+    ("stall@S", "the Qube reports a stall"),
+    ("qube-absent@S", "the Qube does not answer its board"),
+    ("unplug@S[+D]", "the USB cable is pulled [for D]"),
+    ("power-loss@S, brown-out@S, board-restart@S", "the board dies, or starts again"),
+    ("emergency-stop@S", "the stop switch is pressed for 2 s"),
+];
+
 /// The error for a text that names no fault.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error(
-    "{text} is not a fault. The faults are: silent@S, garble@N, wrong-version, frozen-theta@S, frozen-alpha@S, \
-     dead-motor@S, blocked-arm@S, amplifier@S, stall@S, qube-absent@S, unplug@S, unplug@S+T (plugged in again \
-     after T seconds), power-loss@S, \
-     brown-out@S, board-restart@S, emergency-stop@S, flipped-theta, flipped-alpha, flipped-motor, \
-     stuck-theta@S (its tachometer too), frozen-theta@S+D, frozen-alpha@S+D (for D seconds), \
-     jump-theta@S, jump-alpha@S (300 counts, or jump-theta@S:N by N), weak-motor@F (the share F of \
-     its current), one-sided-motor@S:+ or :- (only that voltage drives), scaled-theta@F (F times as many \
-     counts), pushed-arm@S+D:V (by a hand, like V volts), held-pendulum@S+D (S seconds after the start, \
-     N each n-th reply)"
-)]
+#[error("{text} is no fault. There are:\n{}", EmulatorFault::forms())]
 pub struct UnknownFault {
     /// Text given.
     pub text: String,
@@ -223,6 +242,15 @@ impl EmulatorFault {
             | Self::BoardRestart { after_s }
             | Self::EmergencyStop { after_s } => (after_s * 1e6) as u64,
         }
+    }
+}
+
+impl EmulatorFault {
+    /// All faults as they are written, a line each, with what they do.
+    #[must_use]
+    pub fn forms() -> String {
+        let lines = FORMS.map(|(form, what)| format!("  {form:22} {what}"));
+        lines.join("\n")
     }
 }
 
@@ -431,6 +459,15 @@ mod tests {
             "held-pendulum@3+0.5",
         ] {
             assert_eq!(text.parse::<EmulatorFault>().unwrap().to_string(), text);
+            let name = text.split('@').next().unwrap();
+            assert!(EmulatorFault::forms().contains(name), "{name} is not listed");
+        }
+        let forms = EmulatorFault::forms();
+        let names = forms.split([' ', ',', '\n']).filter(|word| word.contains('@'));
+        for name in names.map(|word| word.split('@').next().unwrap()) {
+            let may_be = ["@1", "@0.5", "@1:+", "@1+1:1", "@1+1"].map(|end| format!("{name}{end}"));
+            let is_known = may_be.iter().any(|text| text.parse::<EmulatorFault>().is_ok());
+            assert!(is_known, "{name} is listed and unknown");
         }
         for text in [
             "",

@@ -55,6 +55,10 @@ fn refused(name: &str, owner: &Owner) -> Diagnosis {
     if owner.is_listed {
         return Diagnosis::unfit(name, value, "you are in that group since: log out and in again");
     }
+    if group == "root" {
+        let cure = "let scripts/install put its udev rules in place, or give the port to the group dialout";
+        return Diagnosis::unfit(name, value, cure);
+    }
     let cure = format!("sudo usermod -aG {group} $USER (then log out and in)");
     Diagnosis::unfit(name, value, cure)
 }
@@ -103,6 +107,8 @@ mod tests {
         assert!(cure(20, "alan").contains("usermod -aG dialout"));
         assert!(cure(20, "grace").contains("log out"));
         assert!(cure(46, "").contains("usermod -aG plugdev"));
+        let of_root = cure(0, "alan");
+        assert!(!of_root.contains("usermod") && of_root.contains("udev rules"), "{of_root}");
         assert!(cure(999, "alan").contains("999"));
     }
 

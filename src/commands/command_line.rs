@@ -1,0 +1,80 @@
+//! Reads the command line. Whatever is wrong with it is told by the name of its option.
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Command, CommandFactory, FromArgMatches};
+
+use super::CommandLine;
+use super::exit::Failure;
+use super::output::Output;
+
+/// The command line of these arguments; else it has told what is wrong, or has shown what was asked for
+/// by `--help`.
+pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, ExitCode> {
+    let mut command = command();
+    let matches = command.try_get_matches_from_mut(&arguments);
+    let read = matches.and_then(|matches| CommandLine::from_arg_matches(&matches));
+    let error = match read {
+        Ok(command_line) => return Ok(command_line),
+        Err(error) => error,
+    };
+    if !error.use_stderr() {
+        error.exit();
+    }
+    let error = match value_with_a_dash(&error, &arguments) {
+        Some(message) => command.error(ErrorKind::InvalidValue, message),
+        None => error,
+    };
+    // Where stderr is gone there is nobody to tell.
+    let _ = error.print();
+    let told = error.to_string();
+    let cause = told.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned();
+    let output = Output::new(arguments.iter().any(|argument| argument == "--json"));
+    let _ = output.finish(Err(Failure::usage(cause)));
+    Err(ExitCode::from(2))
+}
+
+/// The commands, with negative numbers taken for values: no option is a digit.
+fn command() -> Command {
+    CommandLine::command().mut_subcommands(|command| {
+        command.mut_args(|argument| {
+            let takes_values = argument.get_action().takes_values();
+            if takes_values { argument.allow_negative_numbers(true) } else { argument }
+        })
+    })
+}
+
+/// Explains a value that was taken for an option because it begins with a dash.
+fn value_with_a_dash(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
+    let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg) else {
+        return None;
+    };
+    if error.kind() != ErrorKind::UnknownArgument {
+        return None;
+    }
+    let texts: Vec<_> = arguments.iter().map(|argument| argument.to_string_lossy()).collect();
+    let place = texts.iter().position(|text| text.starts_with(unknown.as_str()))?;
+    let option = texts.get(place.checked_sub(1)?)?;
+    let command = command();
+    let command = texts.iter().find_map(|text| command.find_subcommand(text.as_ref()))?;
+    let is_it = |name: &str| option.strip_prefix("--") == Some(name);
+    let mut options = command.get_arguments().filter(|option| option.get_action().takes_values());
+    options.any(|option| option.get_long().is_some_and(is_it)).then(|| {
+        let value = &texts[place];
+        format!(
+            "{option}: a value that begins with '-' is taken for an option: write {option}={value}"
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_commands_are_put_together_without_a_contradiction() {
+        command().debug_assert();
+    }
+}

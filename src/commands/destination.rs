@@ -1,0 +1,248 @@
+//! Where the results of long work go: refused before the work begins where they could not be kept.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use super::exit::Failure;
+use super::failures;
+use super::printable::tell;
+use crate::session::write_whole;
+use crate::storage::{Disk, MachineDisk};
+
+/// Bytes that a disk must still hold when work begins: more than a policy or a profile has.
+const ROOM_BYTES: usize = 1 << 18;
+
+/// The file that a command writes when its work is done.
+#[derive(Debug)]
+pub struct OutputFile {
+    path: PathBuf,
+    replace: bool,
+}
+
+impl OutputFile {
+    /// Checks that the file can be written. One that is there already counts as wanted, unless
+    /// `replace` says otherwise.
+    pub fn prepare(path: &Path, replace: bool) -> Result<Self, Failure> {
+        let shown = path.display();
+        match path.symlink_metadata() {
+            Ok(found) if !found.is_file() && !found.is_symlink() => {
+                return Err(Failure::usage(format!("--out {shown}: it is no file: name a file")));
+            }
+            Ok(_) if !replace => {
+                return Err(Failure::usage(format!(
+                    "--out {shown} exists already: name another file, or replace it with --force"
+                )));
+            }
+            _ => {}
+        }
+        if path.file_name().is_none() {
+            return Err(Failure::usage(format!("--out {shown}: name a file")));
+        }
+        check_folder(folder_of(path))?;
+        Ok(Self { path: path.to_owned(), replace })
+    }
+
+    /// Writes the file whole. Where that fails, the bytes go into the folder for temporary files, and
+    /// the failure says where.
+    pub fn write(&self, bytes: &[u8]) -> Result<(), Failure> {
+        self.write_or_keep_in(&std::env::temp_dir(), bytes)
+    }
+
+    fn write_or_keep_in(&self, shelter: &Path, bytes: &[u8]) -> Result<(), Failure> {
+        let failure = if self.replace || self.path.symlink_metadata().is_err() {
+            match write_whole(&MachineDisk, &self.path, bytes) {
+                Ok(()) => return Ok(()),
+                Err(error) => failures::folder(&error),
+            }
+        } else {
+            Failure::usage(format!("{} has been made by somebody else", self.path.display()))
+        };
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let name = self.path.file_name().unwrap_or(OsStr::new("result")).to_string_lossy();
+        let kept = shelter.join(format!("qube-hil-{}-{name}", since_1970.as_millis()));
+        let written = MachineDisk
+            .create(&kept, false)
+            .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync()));
+        Err(match written {
+            Ok(()) => failure.followed_by(&format!("The result is in {}", kept.display())),
+            Err(error) => {
+                failure.followed_by(&format!("The result is lost: {}: {error}", kept.display()))
+            }
+        })
+    }
+}
+
+/// The folder that a command writes into while it works. Folders that were made for it and stay empty
+/// are removed again.
+#[derive(Debug)]
+pub struct OutputFolder {
+    path: PathBuf,
+    made: Vec<PathBuf>,
+}
+
+impl OutputFolder {
+    /// The folder that was asked for, made where it is missing; without one a new folder under `logs/`
+    /// that is named after the command and the time.
+    pub fn make(asked: Option<&Path>, command: &str) -> Result<Self, Failure> {
+        let Some(path) = asked else {
+            let now = jiff::Timestamp::now().strftime("%Y%m%d-%H%M%S");
+            return Self::numbered(Path::new("logs"), &format!("{command}-{now}"));
+        };
+        let mut folder = Self { path: path.to_owned(), made: Vec::new() };
+        folder.make_missing(path)?;
+        Ok(folder)
+    }
+
+    /// A new folder of this name; where there is one already, as of a program that started within the
+    /// same second, a number follows the name.
+    fn numbered(above: &Path, name: &str) -> Result<Self, Failure> {
+        let mut folder = Self { path: above.to_owned(), made: Vec::new() };
+        folder.make_missing(above)?;
+        let mut path = above.join(name);
+        for number in 2.. {
+            match fs::create_dir(&path) {
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+                    path = above.join(format!("{name}-{number}"));
+                }
+                Err(error) => return Err(failures::not_written(&path, &error)),
+                Ok(()) => break,
+            }
+        }
+        folder.made.push(path.clone());
+        folder.path = path;
+        Ok(folder)
+    }
+
+    fn make_missing(&mut self, path: &Path) -> Result<(), Failure> {
+        if path.as_os_str().is_empty() || path.is_dir() {
+            return Ok(());
+        }
+        if let Some(above) = path.parent() {
+            self.make_missing(above)?;
+        }
+        if path.exists() {
+            return Err(Failure::usage(format!("{} is no folder", path.display())));
+        }
+        match fs::create_dir(path) {
+            Ok(()) => self.made.push(path.to_owned()),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists && path.is_dir() => {}
+            Err(error) => return Err(failures::not_written(path, &error)),
+        }
+        Ok(())
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Checks that so many recordings can be written into it beside what is there.
+    pub fn check_for_recordings(&self, rollouts: u64) -> Result<(), Failure> {
+        let names = fs::read_dir(&self.path)
+            .map_err(|error| failures::not_written(&self.path, &error))?
+            .filter_map(|entry| Some(entry.ok()?.file_name()));
+        for name in names {
+            if rollout_of(&name).is_some_and(|rollout| rollout < rollouts) {
+                return Err(Failure::usage(format!(
+                    "{} exists already: name another folder",
+                    self.path.join(name).display()
+                )));
+            }
+        }
+        check_folder(&self.path)
+    }
+}
+
+impl Drop for OutputFolder {
+    fn drop(&mut self) {
+        for folder in self.made.iter().rev() {
+            // Only an empty one can be removed so.
+            let _ = fs::remove_dir(folder);
+        }
+    }
+}
+
+/// The number in `rollout-NUMBER.mcap`.
+fn rollout_of(name: &OsStr) -> Option<u64> {
+    name.to_str()?.strip_prefix("rollout-")?.strip_suffix(".mcap")?.parse().ok()
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+/// Checks that a file can be made in a folder, and that there is room for it.
+pub fn check_folder(folder: &Path) -> Result<(), Failure> {
+    if !folder.is_dir() {
+        let why = if folder.exists() { "is no folder" } else { "does not exist: make it first" };
+        return Err(Failure::usage(format!("the folder {} {why}", folder.display())));
+    }
+    let trial = folder.join(format!(".qube-hil-{}", std::process::id()));
+    let written = MachineDisk
+        .create(&trial, true)
+        .and_then(|mut file| file.write_all(&[0; ROOM_BYTES]).and_then(|()| file.sync()));
+    if let Err(error) = fs::remove_file(&trial)
+        && error.kind() != ErrorKind::NotFound
+    {
+        tell(&format!("warning: {}: {error}", trial.display()));
+    }
+    written.map_err(|error| failures::not_written(folder, &error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_result_that_finds_its_place_gone_is_kept_elsewhere() {
+        let directory = tempfile::tempdir().unwrap();
+        let shelter = tempfile::tempdir().unwrap();
+        let folder = directory.path().join("folder");
+        for taken in [false, true] {
+            fs::create_dir(&folder).unwrap();
+            let file = OutputFile::prepare(&folder.join("p.safetensors"), false).unwrap();
+            if taken {
+                fs::write(folder.join("p.safetensors"), "of another").unwrap();
+            } else {
+                fs::remove_dir(&folder).unwrap();
+            }
+            let failure = file.write_or_keep_in(shelter.path(), b"hours of work").unwrap_err();
+            let ended_by = failure.ended_by();
+            let cause = ended_by["cause"].as_str().unwrap();
+            let kept = fs::read_dir(shelter.path()).unwrap().next().unwrap().unwrap().path();
+            assert!(cause.contains(kept.to_str().unwrap()), "{cause}");
+            assert_eq!(fs::read(&kept).unwrap(), b"hours of work");
+            fs::remove_file(kept).unwrap();
+        }
+        assert_eq!(fs::read(folder.join("p.safetensors")).unwrap(), b"of another");
+    }
+
+    #[test]
+    fn two_folders_of_one_second_are_two() {
+        let directory = tempfile::tempdir().unwrap();
+        let logs = directory.path().join("logs");
+        let folders = [(); 3].map(|()| OutputFolder::numbered(&logs, "run-1").unwrap());
+        let names = folders.each_ref().map(|folder| folder.path().file_name().unwrap());
+        assert_eq!(names, ["run-1", "run-1-2", "run-1-3"]);
+    }
+
+    #[test]
+    fn folders_that_stay_empty_go_again_and_others_stay() {
+        let directory = tempfile::tempdir().unwrap();
+        let inner = directory.path().join("logs/one");
+        drop(OutputFolder::make(Some(&inner), "run").unwrap());
+        assert!(!directory.path().join("logs").exists());
+        let folder = OutputFolder::make(Some(&inner), "run").unwrap();
+        fs::write(inner.join("rollout-3.mcap"), "").unwrap();
+        assert!(folder.check_for_recordings(3).is_ok());
+        assert!(folder.check_for_recordings(4).is_err());
+        drop(folder);
+        assert!(inner.join("rollout-3.mcap").exists());
+    }
+}
