@@ -114,7 +114,7 @@ fn settings_out_of_range_are_named() {
     };
     assert_eq!(refused(TrainSettings { updates: 0, ..small() }), "updates");
     assert_eq!(refused(TrainSettings { num_envs: 0, ..small() }), "num_envs");
-    assert_eq!(refused(TrainSettings { num_envs: 40, ..small() }), "num_envs modulo 16");
+    assert_eq!(refused(TrainSettings { num_envs: 40, ..small() }), "num_envs");
     assert_eq!(refused(TrainSettings { learning_rate: f32::NAN, ..small() }), "learning_rate");
     assert_eq!(refused(TrainSettings { clip: 0.0, ..small() }), "clip");
     assert_eq!(refused(TrainSettings { evaluation_starts: 0, ..small() }), "evaluation_starts");

@@ -460,7 +460,7 @@ mod tests {
             }
             let twice = overridden(&format!("[{section}]\ntheta = 1.5\ntheta_rad = 1.5\n"));
             let message = twice.unwrap_err().to_string();
-            assert!(message.contains("line 3") && message.contains("duplicate"), "{message}");
+            assert!(message.contains("duplicate") && message.contains("theta_rad"), "{message}");
         }
     }
 
