@@ -15,7 +15,8 @@
 //! use qube_hil::device::emulator::EmulatorSettings;
 //! use qube_hil::learning::{Origin, TrainSettings, train};
 //! use qube_hil::recording;
-//! use qube_hil::session::{Rig, RigSettings, RolloutPlan};
+//! use qube_hil::rig::{Rig, RigSettings};
+//! use qube_hil::session::RolloutPlan;
 //! use qube_hil::simulation::DomainDistribution;
 //! use qube_hil::storage::MachineDisk;
 //!
@@ -58,6 +59,7 @@ pub mod preflight;
 pub mod qube;
 pub mod recording;
 pub mod replay;
+pub mod rig;
 pub mod safety;
 pub mod search;
 pub mod session;

@@ -260,7 +260,7 @@ fn nobody_is_told_to_delete_a_file_that_is_no_checkpoint() {
     let output = qube_hil(directory.path(), &train);
     let stderr = String::from_utf8_lossy(&output.stderr).to_lowercase();
     assert_eq!(output.status.code(), Some(2), "{stderr}");
-    assert!(stderr.contains("thesis.txt is no checkpoint"), "{stderr}");
+    assert!(stderr.contains("thesis.txt is not a complete checkpoint"), "{stderr}");
     assert!(!stderr.contains("delete"), "{stderr}");
 }
 

@@ -205,8 +205,11 @@ fn the_doctor_looks_at_the_computer_and_at_a_port() {
         let checks = result["checks"].as_array().unwrap();
         let names: Vec<&str> = checks.iter().filter_map(|check| check["name"].as_str()).collect();
         let of_the_port = format!("port {}", port(&qube));
-        assert_eq!(names, ["scheduling", "memory", "sleep", "timer", "processor", &of_the_port]);
-        assert_eq!(checks[5]["verdict"], "well");
+        assert_eq!(
+            names,
+            ["scheduling", "memory", "sleep", "timer", "processor", "foresight", &of_the_port]
+        );
+        assert_eq!(checks[6]["verdict"], "well");
         assert!(checks[3]["value"].as_str().unwrap().contains("100 ticks"), "{}", checks[3]);
 
         let arguments = ["doctor", "--seconds", "1", "--device", "/dev/ttyNOWHERE"];

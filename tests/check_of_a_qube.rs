@@ -13,8 +13,9 @@ use qube_hil::estimation::{Calibration, EstimatorSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::{Examination, ExaminationSettings, examine};
 use qube_hil::recording::read;
+use qube_hil::rig::{Rig, RigError, RigSettings};
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::{QubeFile, Rig, RigError, RigSettings, RolloutPlan, Verdict, judge};
+use qube_hil::session::{QubeFile, RolloutPlan, Verdict, judge};
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{CheckVerdict, Ending, Fault, Phase, Preflight};
 

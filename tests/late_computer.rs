@@ -11,9 +11,8 @@ use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{DeviceError, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::Profile;
-use qube_hil::session::{
-    Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice,
-};
+use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
+use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Fault};
 use rand::{RngExt, SeedableRng};

@@ -11,10 +11,9 @@ use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, InProcessWire, LinkFault, SerialLink, Transport};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::{
-    Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice, Verdict, judge,
-};
+use qube_hil::session::{RolloutPlan, Verdict, judge};
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Fault;
 

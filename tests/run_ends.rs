@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 #[path = "real_time/mod.rs"]
 mod real_time;
 
-use qube_hil::session::{Doubt, DoubtMemory};
+use qube_hil::rig::{Doubt, DoubtMemory};
 use qube_hil::telemetry::{Fault, Preflight};
 use real_time::in_real_time;
 use serde_json::Value;

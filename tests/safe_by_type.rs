@@ -11,10 +11,9 @@ use qube_hil::device::{
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Measurement, Profile, QubeModel};
 use qube_hil::recording::{parse, read};
+use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, IdentifiedQube, SafetyBox, TooWide};
-use qube_hil::session::{
-    Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice,
-};
+use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 
 /// A Qube of which nobody has said whether it is hardware.

@@ -7,9 +7,9 @@ use std::sync::atomic::AtomicBool;
 
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::recording::read;
+use qube_hil::rig::{Recovery, RigSettings};
 use qube_hil::session::{
-    Entry, Extent, Ledger, Recovery, RigSettings, Session, SessionError, SessionFolder,
-    SessionSettings, Verdict, judge,
+    Entry, Extent, Ledger, Session, SessionError, SessionFolder, SessionSettings, Verdict, judge,
 };
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Fault, Preflight};

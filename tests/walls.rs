@@ -70,12 +70,14 @@ const ROOMS: &[Room] = &[
     // The check measures with the tick's own clock and drive, and speaks of signs and faults.
     room("preflight", &["clock", "device", "control", "estimation", "safety", "telemetry", "qube",
                         "firmware_protocol"]),
-    room("session", &["clock", "elementary", "qube", "estimation", "safety", "policy",
-                      "simulation", "learning", "surrogate", "search", "device", "telemetry",
-                      "control", "recording", "replay", "identification", "preflight",
-                      "storage"]),
+    // Sessions, experiments and single runs use a rig alike.
+    room("rig", &["clock", "qube", "estimation", "safety", "policy", "device", "telemetry", "control",
+                  "recording", "preflight", "storage"]),
+    room("session", &["qube", "estimation", "safety", "policy", "simulation", "learning", "surrogate",
+                      "search", "device", "telemetry", "control", "recording", "replay",
+                      "identification", "rig", "storage"]),
     room("experiment", &["qube", "estimation", "safety", "policy", "simulation", "learning", "search",
-                         "recording", "telemetry", "session", "storage", "identification", "replay"]),
+                         "recording", "telemetry", "rig", "session", "storage", "identification", "replay"]),
     room("commands", EVERY_ROOM),
 ];
 
@@ -375,7 +377,7 @@ mod the_checker {
         accepts("recording/tests.rs", "use crate::safety::Limit;");
         accepts("recording/writer.rs", "#[cfg(test)] mod t { use crate::safety::Limit; } ");
         accepts("safety/gate.rs", "#[cfg(test)] use std::time::Instant; use crate::qube::State;");
-        accepts("commands/run.rs", "use crate::session::Rig; use super::exit::Failure;");
+        accepts("commands/run.rs", "use crate::rig::Rig; use super::exit::Failure;");
     }
 
     #[test]

@@ -10,11 +10,9 @@ use crate::control::{HomingMethod, HomingSettings};
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::qube::{MotorRating, Profile};
+use crate::rig::{ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, Recovery, RigSettings};
 use crate::safety::{GuardConsent, HardwareLimits, SafetyBox};
-use crate::session::{
-    ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, QUBE_FILE, QubeFile, Recovery,
-    RigSettings, power_warning,
-};
+use crate::session::{QUBE_FILE, QubeFile, power_warning};
 
 /// Name of the embedded emulator in `--device`.
 const EMULATED: &str = "emulated";

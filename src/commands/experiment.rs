@@ -26,11 +26,10 @@ use crate::experiment::{
     Results, StrategyResults, densities_svg, searches_svg, strategies_svg,
 };
 use crate::learning::TrainSettings;
+use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
-use crate::session::{
-    Extent, FolderError, RigSettings, SessionError, SessionSettings, write_whole,
-};
+use crate::session::{Extent, FolderError, SessionError, SessionSettings, write_whole};
 use crate::simulation::{Family, SensorModel};
 use crate::storage::{Disk, MachineDisk};
 

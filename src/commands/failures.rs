@@ -11,7 +11,8 @@ use super::stop::Stop;
 use crate::experiment::ExperimentError;
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
-use crate::session::{FolderError, RigError, SessionError};
+use crate::rig::RigError;
+use crate::session::{FolderError, SessionError};
 
 /// The failure for an error of a rig.
 pub fn rig(error: RigError, stop: &Stop) -> Failure {

@@ -15,7 +15,7 @@ use rustix::termios::{
 use signal_hook::consts::SIGTSTP;
 
 use super::stop::Stop;
-use crate::session::Doubt;
+use crate::rig::Doubt;
 
 /// Terminal settings before keys were read singly; `None` while they are in force.
 static COOKED: Mutex<Option<Termios>> = Mutex::new(None);

@@ -27,10 +27,10 @@ use crate::policy::{
 use crate::qube::{MAX_STEPS, Profile, QubeModel};
 use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
+use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
 use crate::safety::SafetyBox;
 use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Latencies, MAX_NOT_BEGUN, Quietness, Recorded, Rig, RigError,
-    RigSettings, RolloutPlan, Verdict, judge_recording,
+    DRIFT_ROLLOUTS, Drift, Latencies, Quietness, RolloutPlan, Verdict, judge_recording,
 };
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};

@@ -131,7 +131,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     let profile = device.profile.as_ref().map(Profile::model);
     let stop = Stop::on_signals()?;
-    let rig_settings = crate::session::RigSettings {
+    let rig_settings = crate::rig::RigSettings {
         homing: settings.homing,
         limits,
         ..device.rig_settings(

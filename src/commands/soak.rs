@@ -15,8 +15,9 @@ use crate::estimation::EstimatorSettings;
 use crate::policy::{ClassicalController, ClassicalGains, Policy};
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::recording::{Recording, read};
+use crate::rig::{MAX_NOT_BEGUN, Rig, RigError};
 use crate::safety::SafetyBox;
-use crate::session::{MAX_NOT_BEGUN, Rig, RigError, RolloutPlan, Verdict, judge_recording};
+use crate::session::{RolloutPlan, Verdict, judge_recording};
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
 

@@ -1,7 +1,7 @@
 use super::device_arguments::ChosenDevice;
 use super::exit::Failure;
 use crate::experiment::{Method, StrategySettings};
-use crate::session::DeviceChoice;
+use crate::rig::DeviceChoice;
 
 /// Spread of the simulations around an identified Qube, the default of `train --profile`.
 const SPREAD: f64 = 0.1;

@@ -3,7 +3,8 @@ use std::path::PathBuf;
 use thiserror::Error;
 
 use crate::learning::TrainError;
-use crate::session::{ConfigurationError, RigError, SessionError};
+use crate::rig::RigError;
+use crate::session::{ConfigurationError, SessionError};
 
 /// The reason why an experiment ended early. Finished work is on disk.
 #[derive(Debug, Error)]

@@ -4,9 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::folder::{make, recording};
 use super::{Behaviour, ExperimentError};
 use crate::recording::{RecordingError, read};
-use crate::session::{
-    Quietness, Rig, RolloutPlan, SessionError, Verdict, judge_recording, put_aside,
-};
+use crate::rig::Rig;
+use crate::session::{Quietness, RolloutPlan, SessionError, Verdict, judge_recording, put_aside};
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
 

@@ -3,10 +3,11 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use super::ExperimentError;
+use crate::rig::RigSettings;
 use crate::search::Observation;
 use crate::session::{
-    Entry, Extent, LedgerError, Purpose, RigSettings, Session, SessionFolder, SessionSettings,
-    Step, Verdict, candidates, judge, next_step, parse_ledger,
+    Entry, Extent, LedgerError, Purpose, Session, SessionFolder, SessionSettings, Step, Verdict,
+    candidates, judge, next_step, parse_ledger,
 };
 use crate::storage::{Disk, MachineDisk};
 

@@ -6,9 +6,9 @@ use super::rollouts::{Record, Repeated};
 use super::{ExperimentError, Plant, Recipe, RolloutResult};
 use crate::learning::{TrainSettings, curve_csv, train};
 use crate::policy::Policy;
+use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::session::{
-    EmulatedQubeSettings, MAX_NOT_BEGUN, Rig, RigError, RigSettings, RolloutPlan, SeedFor,
-    SessionError, derived_seed, write_whole,
+    EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed, write_whole,
 };
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;

@@ -9,9 +9,8 @@ use super::{
     AnswerResult, ExperimentError, ExperimentFolder, ExperimentSettings, Method, Recipe,
     Repetition, RolloutResult,
 };
-use crate::session::{
-    ClockChoice, Rig, RigSettings, SeedFor, SessionEvent, SessionSettings, derived_seed,
-};
+use crate::rig::{ClockChoice, Rig, RigSettings};
+use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
 
 /// An event of a running experiment, from any thread.
 pub enum ExperimentEvent<'a> {

@@ -1,7 +1,7 @@
 use std::collections::HashMap;
 use std::fs;
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::PathBuf;
 
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
@@ -11,7 +11,7 @@ use super::learner::Learner;
 use super::network::Network;
 use super::trainer::Trainer;
 use super::{TrainError, TrainSettings};
-use crate::storage::{Disk, MachineDisk, read_bounded};
+use crate::storage::{MachineDisk, read_bounded, write_whole};
 
 /// Largest checkpoint that is read. The thesis's training writes about 400 kB.
 const MAX_FILE_BYTES: u64 = 64 << 20;
@@ -46,7 +46,7 @@ impl Checkpointing {
     /// is either the old one or the new one.
     pub(super) fn write(&self, trainer: &Trainer<'_>) -> Result<(), TrainError> {
         let bytes = to_bytes(trainer).map_err(|error| self.damaged(error.to_string()))?;
-        replace_file(&self.path, &bytes).map_err(|error| self.file_error(error))
+        write_whole(&MachineDisk, &self.path, &bytes).map_err(|error| self.file_error(error))
     }
 
     /// Restores a new trainer from the file; does nothing when there is no file.
@@ -188,14 +188,4 @@ fn from_tensors(tensors: &SafeTensors<'_>, trainer: &mut Trainer<'_>) -> Result<
     trainer.policy.moments.steps = policy_steps;
     trainer.value.moments.steps = value_steps;
     Ok(())
-}
-
-fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(".new");
-    let new = path.with_file_name(name);
-    let mut file = MachineDisk.create(&new, true)?;
-    file.write_all(bytes)?;
-    file.sync()?;
-    MachineDisk.rename(&new, path)
 }

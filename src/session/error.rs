@@ -2,10 +2,11 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use super::{Doubt, FolderError, LedgerError, RigError};
+use super::{FolderError, LedgerError};
 use crate::learning::TrainError;
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
+use crate::rig::{Doubt, RigError};
 use crate::search::SearchError;
 use crate::simulation::PsiError;
 use crate::telemetry::Fault;

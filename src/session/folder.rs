@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::storage::{Disk, Hold, MachineDisk, sync_name};
+use crate::storage::{self, Disk, Hold, MachineDisk};
 
 /// An error of a session's folder.
 #[derive(Debug, Error)]
@@ -230,16 +230,12 @@ pub fn put_aside(disk: &dyn Disk, recording: &Path) -> Result<(), FolderError> {
     disk.rename(recording, &aside).map_err(io(recording))
 }
 
-/// Writes a file atomically: after a loss of power it is complete or absent.
+/// Writes a file by [`storage::write_whole`] and names it in the error.
 ///
 /// # Errors
 /// The disk is full or failing; no file of that name appears.
 pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
-    let unfinished = path.with_extension("unfinished");
-    let mut file = disk.create(&unfinished, true).map_err(io(&unfinished))?;
-    file.write_all(bytes).and_then(|()| file.sync()).map_err(io(&unfinished))?;
-    disk.rename(&unfinished, path).map_err(io(path))?;
-    sync_name(disk, path).map_err(io(path))
+    storage::write_whole(disk, path, bytes).map_err(io(path))
 }
 
 fn io(path: &Path) -> impl Fn(std::io::Error) -> FolderError {

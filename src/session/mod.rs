@@ -1,10 +1,11 @@
 //! Sessions: the method's algorithm, its ledger on disk, and resuming after a crash.
 //!
-//! The room may import every room but `commands`. Reading order: [`next_step`] computes the next step from
-//! the ledger, [`Session`] performs it, [`Rig`] is the Qube, and [`judge`] scores a recording.
+//! The room may import `rig`, `learning`, `simulation`, `search`, `surrogate`, `identification`, `replay`,
+//! `recording`, `control`, `device`, `policy`, `estimation`, `safety`, `telemetry`, `storage` and `qube`.
+//! Reading order: [`next_step`] computes the next step from the ledger, [`Session`] performs it with a
+//! [`Rig`](crate::rig::Rig), and [`judge`] scores a recording.
 
 mod configuration;
-mod doubt;
 mod drift;
 mod error;
 mod folder;
@@ -17,15 +18,12 @@ mod power_test;
 mod qube_file;
 mod quietness;
 mod retired;
-mod rig;
-mod rig_error;
 mod seeds;
 mod settings;
 mod training;
 mod verdict;
 
 pub use configuration::ConfigurationError;
-pub use doubt::{Doubt, DoubtMemory};
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use error::SessionError;
 pub use folder::{FolderError, SessionFolder, put_aside, write_whole};
@@ -41,11 +39,6 @@ pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use quietness::{ABOUT_UPRIGHT_RAD, Quietness, QuietnessFigures};
 pub use retired::{Retired, take_retired};
-pub use rig::{
-    ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, MAX_NOT_BEGUN, Pressed, Recorded,
-    Recovery, Rig, RigSettings, TimedDevice,
-};
-pub use rig_error::RigError;
 pub use seeds::{SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, Model, ProfileSettings, SessionSettings};
 pub use verdict::{Verdict, judge, judge_recording, mean_return};

@@ -7,16 +7,16 @@ use super::folder::{put_aside, write_whole};
 use super::seeds::{SeedFor, derived_seed};
 use super::training::{TrainingEvent, TrainingJob, train_all};
 use super::{
-    Candidate, ClockChoice, DRIFT_ROLLOUTS, Doubt, Drift, Entry, FolderError, Ledger,
-    MAX_NOT_BEGUN, Purpose, Rig, RigError, RigSettings, RolloutPlan, SessionError, SessionFolder,
-    SessionSettings, Step, Verdict, candidates, judge, judge_recording, mean_return, next_step,
-    settings_checksum,
+    Candidate, DRIFT_ROLLOUTS, Drift, Entry, FolderError, Ledger, Purpose, RolloutPlan,
+    SessionError, SessionFolder, SessionSettings, Step, Verdict, candidates, judge,
+    judge_recording, mean_return, next_step, settings_checksum,
 };
 use crate::identification::Unfit;
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
 use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
+use crate::rig::{ClockChoice, Doubt, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::search::{Observation, SearchError};
 use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;

@@ -125,3 +125,16 @@ pub fn sync_name(disk: &dyn Disk, path: &Path) -> io::Result<()> {
         _ => disk.sync_folder(Path::new(".")),
     }
 }
+
+/// Writes a file atomically: after a loss of power it is complete or absent, or the one before it.
+///
+/// # Errors
+/// The disk is full or failing; no file of that name appears.
+pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let unfinished = path.with_extension("unfinished");
+    let mut file = disk.create(&unfinished, true)?;
+    file.write_all(bytes)?;
+    file.sync()?;
+    disk.rename(&unfinished, path)?;
+    sync_name(disk, path)
+}

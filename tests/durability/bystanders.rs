@@ -17,10 +17,8 @@ use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::qube::Measurement;
 use qube_hil::recording::RecordingError;
-use qube_hil::session::{
-    Connect, DeviceChoice, Rig, RigError, RigSettings, Session, SessionEvent, SessionFolder,
-    TimedDevice, Verdict, judge,
-};
+use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
+use qube_hil::session::{Session, SessionEvent, SessionFolder, Verdict, judge};
 use qube_hil::storage::{Disk, DiskFile, Hold};
 
 use crate::schedules;

@@ -8,8 +8,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use qube_hil::control::HomingMethod;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::recording::read_on;
+use qube_hil::rig::{Rig, RigError};
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::{Rig, RigError, RolloutPlan, Verdict, judge};
+use qube_hil::session::{RolloutPlan, Verdict, judge};
 use qube_hil::storage::Disk;
 use qube_hil::telemetry::{Ending, Phase};
 

@@ -8,7 +8,7 @@ use qube_hil::clock::{Nanoseconds, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{DeviceError, LinkFault, SerialLink, Transport};
-use qube_hil::session::{Connect, DeviceChoice, RigSettings, TimedDevice};
+use qube_hil::rig::{Connect, DeviceChoice, RigSettings, TimedDevice};
 
 use crate::fault_port::{FaultPort, Plan};
 use crate::watched_wire::WatchedWire;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use qube_hil::clock::{Clock, Nanoseconds};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{DeviceError, SerialLink};
-use qube_hil::session::{ClockChoice, Connect, DeviceChoice, RigSettings, TimedDevice};
+use qube_hil::rig::{ClockChoice, Connect, DeviceChoice, RigSettings, TimedDevice};
 
 use crate::simulated_board::SimulatedBoard;
 

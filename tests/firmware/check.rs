@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use qube_hil::session::Rig;
+use qube_hil::rig::Rig;
 
 use crate::board_clock::rig_settings;
 use crate::qube::Qube;

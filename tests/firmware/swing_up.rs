@@ -6,7 +6,8 @@ use std::sync::atomic::AtomicBool;
 
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Profile, QubeModel};
-use qube_hil::session::{Rig, RigSettings, RolloutPlan, Verdict, judge};
+use qube_hil::rig::{Rig, RigSettings};
+use qube_hil::session::{RolloutPlan, Verdict, judge};
 use qube_hil::storage::MachineDisk;
 
 use crate::board_clock::rig_settings;

@@ -12,7 +12,7 @@ use crate::commands::stop::Stop;
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{DeviceError, InProcessWire, LinkFault, Transport, Tty};
 use crate::preflight::conformance::{CHECKS, Deviation, Speaker};
-use crate::session::{ClockChoice, DeviceChoice, RigError};
+use crate::rig::{ClockChoice, DeviceChoice, RigError};
 use crate::telemetry::CheckResult;
 
 /// A wire for raw bytes, with which the checks speak the protocol themselves.

@@ -18,7 +18,8 @@ use super::warn_without_realtime;
 use crate::device::emulator::EmulatorSettings;
 use crate::device::stable_port_name;
 use crate::estimation::EstimatorSettings;
-use crate::session::{QUBE_FILE, QubeFile, Rig, RigSettings};
+use crate::rig::{Rig, RigSettings};
+use crate::session::{QUBE_FILE, QubeFile};
 use crate::telemetry::CheckVerdict;
 
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing

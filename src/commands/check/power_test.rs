@@ -17,7 +17,8 @@ use crate::commands::exit::Failure;
 use crate::commands::failures;
 use crate::commands::stop::Stop;
 use crate::control::PressOutcome;
-use crate::session::{PowerTest, QubeFile, Rig, RigError, RigSettings, UsbLost};
+use crate::rig::{Rig, RigError, RigSettings};
+use crate::session::{PowerTest, QubeFile, UsbLost};
 use crate::telemetry::{Ending, Fault};
 
 /// Voltages that are tried until a pushed arm returns, V. Each is at most 0.25 V above friction, so that

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::*;
 use crate::control::HomingSettings;
 use crate::device::emulator::{EmulatorFault, EmulatorSettings};
-use crate::session::{DoubtMemory, Recovery};
+use crate::rig::{DoubtMemory, Recovery};
 use crate::telemetry::Preflight;
 
 /// An emulated Qube that is homed by hand and has this fault, if any.

@@ -10,8 +10,9 @@ use crate::identification::{Unknown, identify};
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
 use crate::qube::{Profile, QubeModel};
 use crate::replay::{MotionLog, MotionLogError};
+use crate::rig::RigSettings;
 use crate::session::{
-    ProfileSettings, RigSettings, RolloutPlan, SeedFor, SessionSettings, derived_seed, write_whole,
+    ProfileSettings, RolloutPlan, SeedFor, SessionSettings, derived_seed, write_whole,
 };
 use crate::storage::{Disk, MachineDisk};
 

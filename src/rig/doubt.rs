@@ -3,8 +3,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use super::folder::write_whole;
-use crate::storage::{Disk, MachineDisk};
+use crate::storage::{Disk, MachineDisk, write_whole};
 use crate::telemetry::Fault;
 
 /// A doubt about a sensor or the motor of a Qube. It lasts until an operator has acknowledged it and an

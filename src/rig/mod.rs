@@ -1,0 +1,19 @@
+//! A Qube and the thread that drives it: opening the device, examining and homing the Qube, and recording one
+//! rollout at a time.
+//!
+//! The room may import `clock`, `device`, `control`, `preflight`, `estimation`, `safety`, `policy`, `qube`,
+//! `recording`, `telemetry` and `storage`. Sessions, experiments and the commands `run`, `check` and `soak` use
+//! it alike: [`RigSettings`] describe a rig, [`Rig::open`] opens it, and [`Rig::rollout`] records a rollout.
+
+mod doubt;
+mod error;
+mod opened;
+mod settings;
+
+pub use doubt::{Doubt, DoubtMemory};
+pub use error::RigError;
+pub use opened::{Pressed, Recorded, Rig};
+pub use settings::{
+    ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, MAX_NOT_BEGUN, Recovery, RigSettings,
+    TimedDevice,
+};

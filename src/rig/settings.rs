@@ -1,0 +1,172 @@
+use std::sync::Arc;
+
+use super::{Doubt, DoubtMemory};
+use crate::clock::Clock;
+use crate::control::HomingSettings;
+use crate::device::emulator::EmulatorSettings;
+use crate::device::{Device, DeviceError};
+use crate::qube::Profile;
+use crate::safety::{Guard, HardwareLimits, IdentifiedQube};
+
+/// Time for which a lost link is retried, s.
+pub const LINK_PATIENCE_S: f64 = 30.0;
+
+/// Largest number of consecutive rollouts that fail to begin because of the link or of moved counts.
+pub const MAX_NOT_BEGUN: u32 = 3;
+
+/// The connection to a Qube.
+#[derive(Clone, Debug)]
+pub enum DeviceChoice {
+    /// The embedded emulator.
+    Emulated,
+    /// A serial port by its name.
+    Port(String),
+    /// A device of another kind, with its own time.
+    Other(Arc<dyn Connect>),
+}
+
+impl DeviceChoice {
+    /// Whether the device counts as hardware before it has answered. A port always does.
+    #[must_use]
+    pub fn is_hardware(&self) -> bool {
+        match self {
+            Self::Emulated => false,
+            Self::Port(_) => true,
+            Self::Other(other) => other.is_hardware(),
+        }
+    }
+}
+
+/// A connection to a Qube of a kind that this program does not have, such as an emulator with a failing
+/// wire.
+pub trait Connect: Send + Sync + std::fmt::Debug {
+    /// Connects; returns a device and the clock of its deadlines. Each opening of a rig calls it.
+    ///
+    /// # Errors
+    /// The device does not exist.
+    fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError>;
+
+    /// Whether a real motor may be behind the connection; the default is the safe answer.
+    fn is_hardware(&self) -> bool {
+        true
+    }
+}
+
+/// A device and the clock of its deadlines.
+pub type TimedDevice = (Box<dyn Device>, Arc<dyn Clock>);
+
+/// The clock of a rig.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClockChoice {
+    /// The wall clock; the emulator is behind a real pty.
+    Wall,
+    /// Virtual time; the emulator is in this process.
+    Virtual,
+}
+
+/// The settings with which a rig is opened.
+#[derive(Clone, Debug)]
+pub struct RigSettings {
+    /// Connection to the Qube.
+    pub device: DeviceChoice,
+    /// Clock of the rig.
+    pub clock: ClockChoice,
+    /// Settings of the emulator, if it is used.
+    pub emulator: EmulatorSettings,
+    /// Homing and signs of the rig.
+    pub homing: HomingSettings,
+    /// Skips the check before the first motion of a real Qube.
+    pub skip_check: bool,
+    /// Serial number of the board to which the signs belong, if known.
+    pub board: Option<String>,
+    /// Profile of the Qube, if it is identified.
+    pub profile: Option<Profile>,
+    /// Guards an emulated Qube like one that is not identified. Otherwise an emulated Qube without a
+    /// profile counts as identified by its own model.
+    pub unidentified: bool,
+    /// Widest box of a rollout on hardware; an emulated Qube has no such limit.
+    pub limits: HardwareLimits,
+    /// Reaction to faults.
+    pub recovery: Recovery,
+}
+
+/// The settings of the reaction to faults.
+#[derive(Clone, Debug)]
+pub struct Recovery {
+    /// Whether the operator has acknowledged the last doubt; the Qube is examined before it is driven
+    /// again.
+    pub acknowledged: bool,
+    /// Time for which a lost link is retried, s.
+    pub link_patience_s: f64,
+    /// Store of doubts that outlive the program; `None` where the device does not outlive it.
+    pub memory: Option<DoubtMemory>,
+    /// Doubt that is known before the device is opened, from the end of a session's ledger.
+    pub doubt: Option<Doubt>,
+}
+
+impl Default for Recovery {
+    fn default() -> Self {
+        Self { acknowledged: false, link_patience_s: LINK_PATIENCE_S, memory: None, doubt: None }
+    }
+}
+
+impl RigSettings {
+    /// A device in virtual time, with defaults otherwise.
+    #[must_use]
+    pub fn in_virtual_time(device: DeviceChoice) -> Self {
+        Self {
+            device,
+            clock: ClockChoice::Virtual,
+            emulator: EmulatorSettings::default(),
+            homing: HomingSettings::default(),
+            skip_check: false,
+            board: None,
+            profile: None,
+            unidentified: false,
+            limits: HardwareLimits::default(),
+            recovery: Recovery::default(),
+        }
+    }
+
+    /// An embedded emulated Qube with these settings, in virtual time.
+    #[must_use]
+    pub fn emulated(emulator: EmulatorSettings) -> Self {
+        Self { emulator, ..Self::in_virtual_time(DeviceChoice::Emulated) }
+    }
+
+    /// Whether the device counts as hardware before it has answered.
+    #[must_use]
+    pub fn is_hardware(&self) -> bool {
+        self.device.is_hardware()
+    }
+
+    /// The model that the guard may use. A real Qube's profile counts for its own board only.
+    #[must_use]
+    pub fn identified(&self) -> Option<IdentifiedQube> {
+        match &self.profile {
+            Some(profile) if self.board.is_some() || !self.is_hardware() => {
+                Some(IdentifiedQube::of(profile))
+            }
+            None if !self.is_hardware() && !self.unidentified => {
+                Some(IdentifiedQube::of(&Profile::exact("emulated", &self.emulator.model)))
+            }
+            _ => None,
+        }
+    }
+
+    /// The warning before a Qube that is not identified is driven; `None` if it is identified or no guard
+    /// looks ahead.
+    #[must_use]
+    pub fn identification_warning(&self, guard: Guard) -> Option<&'static str> {
+        (guard == Guard::Foresight && self.identified().is_none()).then_some(
+            "this Qube is not identified: its guard allows for any Qube within 30 % and ends most swing-ups \
+             early. Make its profile (run --excite chirp, then identify), and name profile and board in qube.toml",
+        )
+    }
+
+    /// Whether opening such a rig begins with a check.
+    #[must_use]
+    pub fn checks(&self) -> bool {
+        !self.skip_check && self.is_hardware()
+    }
+}
