@@ -5,15 +5,15 @@ use thiserror::Error;
 use crate::qube::{MAX_HISTORY, State};
 use crate::safety::ForesightSettings;
 
-/// How often the prediction is timed; the median counts.
+/// How often the prediction is timed. The shortest time counts: a busy computer is not a slow processor.
 const TRIES: usize = 25;
 
 /// Above this much of a control period's 10 ms the processor is slow, us.
 pub const SLOW_US: f64 = 500.0;
 
-/// Above this the processor is too slow for hardware, us: a fifth of a control period in which the
+/// Above this the processor is too slow for hardware, us: four tenths of a control period, in which the
 /// sample and the command have to pass the link too.
-pub const TOO_SLOW_US: f64 = 2000.0;
+pub const TOO_SLOW_US: f64 = 4000.0;
 
 /// Measures how long this processor needs for the longest prediction that a tick may ask for, us: one in
 /// which every particle has to be followed to the horizon.
@@ -22,15 +22,12 @@ pub fn foresight_time_us() -> f64 {
     let mut foresight = ForesightSettings::default().foresight(None);
     // Of 33 696 states on a grid the one with the longest prediction: the pendulum is about to go over the top.
     let swinging = State { theta: -0.5, alpha: 4.0, theta_dot: 0.0, alpha_dot: -8.0 };
-    let mut times_us: Vec<f64> = (0..TRIES)
-        .map(|_| {
-            let begin = Instant::now();
-            std::hint::black_box(foresight.too_late_for(&swinging, &[0.0; MAX_HISTORY], 0.0));
-            1e6 * begin.elapsed().as_secs_f64()
-        })
-        .collect();
-    times_us.sort_by(f64::total_cmp);
-    times_us[TRIES / 2]
+    let times_us = (0..TRIES).map(|_| {
+        let begin = Instant::now();
+        std::hint::black_box(foresight.too_late_for(&swinging, &[0.0; MAX_HISTORY], 0.0));
+        1e6 * begin.elapsed().as_secs_f64()
+    });
+    times_us.fold(f64::INFINITY, f64::min)
 }
 
 /// A processor on which the guard would make ticks late.
@@ -59,8 +56,8 @@ mod tests {
     #[test]
     fn a_processor_that_predicts_too_slowly_is_refused() {
         assert_eq!(admit_processor(TOO_SLOW_US), Ok(()));
-        let refused = admit_processor(2100.0).unwrap_err();
-        assert!(refused.to_string().contains("2100 us on this processor"), "{refused}");
+        let refused = admit_processor(4100.0).unwrap_err();
+        assert!(refused.to_string().contains("4100 us on this processor"), "{refused}");
         assert!(admit_processor(f64::NAN).is_err());
     }
 

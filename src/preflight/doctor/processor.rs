@@ -64,7 +64,7 @@ mod tests {
     #[test]
     fn a_processor_that_predicts_slowly_is_named() {
         for (longest_us, verdict) in
-            [(90.0, Fitness::Well), (900.0, Fitness::Advice), (2500.0, Fitness::Unfit)]
+            [(90.0, Fitness::Well), (900.0, Fitness::Advice), (4500.0, Fitness::Unfit)]
         {
             let diagnosis = foresight(longest_us);
             assert_eq!(diagnosis.verdict, verdict);
