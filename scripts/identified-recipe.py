@@ -52,7 +52,10 @@ def compare(folder, name, seed, policies, threads):
     if not found.exists():
         run("run", "--excite", "chirp", "--unidentified", "--profile", truth, "--clock", "virtual", "--seed", seed,
             "--out", folder / "chirp")
-        run("identify", folder / "chirp/rollout-0.mcap", "--out", found)
+        told = subprocess.run([PROGRAM, "identify", str(folder / "chirp/rollout-0.mcap"), "--out", str(found)],
+                              capture_output=True, text=True)
+        if told.returncode != 0:
+            return f"{folder.name}: not identified: {told.stderr.strip().splitlines()[-1]}\n"
     qube.write_text('profile = "found.toml"\n')
     profile = tomllib.loads(found.read_text())
     recipe.write_text(f'name = "{name}"\nmodel = "profile"\n[settings.profile]\nspread = 0.1\n'
