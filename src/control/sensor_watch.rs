@@ -1,5 +1,7 @@
 use super::current_watch::takes_nothing;
+use super::push::{Drive, Push};
 use super::standing::Standing;
+use super::still_pendulum::Pendulum;
 use super::watch::Alarm;
 use super::witness::{Contradiction, RIG_SHARE, WHOLE_DOMAIN_SHARE, Witness};
 use crate::estimation::Calibration;
@@ -40,19 +42,6 @@ const STALL_US: u64 = 500_000;
 /// An arm that is slower than this hardly turns, rad/s.
 const STALL_RAD_S: f64 = 0.5;
 
-/// A still arm that is driven this way while cos(alpha) alpha_dot grows by more than this the same way,
-/// rad/s, is held by the pendulum: it takes what the motor gives. One that only seems still lets the
-/// pendulum swing the other way.
-const CARRIED_RAD_S: f64 = 2.0;
-
-/// An arm whose velocity changes by this much, rad/s, moves the pendulum by more than
-/// [`FROZEN_COUNTS`]: the same change of velocity reaches the pendulum, but where it is level, and
-/// there it falls.
-const JERK_RAD_S: f64 = 6.0;
-
-/// How long a pendulum may stay after that, us: a hit may catch it at the instant when it turns round.
-const PENDULUM_US: u64 = 300_000;
-
 /// Samples that are closer together than this, us, tell no velocity: one count in it is 0.6 rad/s. The tick
 /// after a late one may follow within 0.2 ms, where one count seems to be 15 rad/s.
 const LEAST_STEP_US: u64 = 5_000;
@@ -91,102 +80,6 @@ pub struct SensorWatch {
     pendulum: Pendulum,
     /// Since when counter and tachometer disagree.
     disagree_since_us: Option<u64>,
-}
-
-/// What the arm was driven by since the last sample, in the signs of the convention.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Drive {
-    /// The voltage that was sent last. What the device reports between two acts may show one sign of
-    /// a voltage that goes to and fro.
-    pub voltage_mv: i16,
-    /// cos(alpha) alpha_dot as estimated then, rad/s: the pendulum's share of the momentum.
-    pub swing_rad_s: f64,
-}
-
-/// A drive in one direction against an arm that hardly moves.
-#[derive(Clone, Copy, Debug, Default)]
-struct Push {
-    since_us: Option<u64>,
-    positive: bool,
-    lowest: i32,
-    highest: i32,
-    first_swing_rad_s: f64,
-}
-
-impl Push {
-    /// Whether a drive of at least `least_mv` has lasted for `longest_us` in one direction, the arm
-    /// within `most_counts` all along, and no pendulum took it.
-    fn moves_nothing(
-        &mut self,
-        sample: &Measurement,
-        drive: Drive,
-        (least_mv, most_counts, longest_us): (i16, i32, u64),
-    ) -> bool {
-        let counts = sample.theta_counts;
-        let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
-        let drives = drive.voltage_mv.saturating_abs() >= least_mv;
-        let positive = drive.voltage_mv > 0;
-        let stays = highest.wrapping_sub(lowest) <= most_counts && positive == self.positive;
-        if let Some(since_us) = self.since_us
-            && drives
-            && stays
-        {
-            (self.lowest, self.highest) = (lowest, highest);
-            if sample.device_time_us.saturating_sub(since_us) < longest_us {
-                return false;
-            }
-            let taken_rad_s = drive.swing_rad_s - self.first_swing_rad_s;
-            let carried = if positive { taken_rad_s } else { -taken_rad_s } > CARRIED_RAD_S;
-            if !carried {
-                return true;
-            }
-        }
-        *self = Self {
-            since_us: drives.then_some(sample.device_time_us),
-            positive,
-            lowest: counts,
-            highest: counts,
-            first_swing_rad_s: drive.swing_rad_s,
-        };
-        false
-    }
-}
-
-/// A pendulum's count that stays, and what the arm's velocity was meanwhile.
-#[derive(Clone, Copy, Debug, Default)]
-struct Pendulum {
-    since_us: u64,
-    lowest: i32,
-    highest: i32,
-    slowest_rad_s: f64,
-    fastest_rad_s: f64,
-}
-
-impl Pendulum {
-    /// Whether the arm's velocity has changed as no pendulum would let pass.
-    fn is_frozen(&mut self, sample: &Measurement, arm_rad_s: f64) -> bool {
-        let counts = sample.alpha_counts;
-        let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
-        if highest.wrapping_sub(lowest) > FROZEN_COUNTS {
-            *self = Self {
-                since_us: sample.device_time_us,
-                lowest: counts,
-                highest: counts,
-                slowest_rad_s: arm_rad_s,
-                fastest_rad_s: arm_rad_s,
-            };
-            return false;
-        }
-        *self = Self {
-            lowest,
-            highest,
-            since_us: self.since_us,
-            slowest_rad_s: self.slowest_rad_s.min(arm_rad_s),
-            fastest_rad_s: self.fastest_rad_s.max(arm_rad_s),
-        };
-        self.fastest_rad_s - self.slowest_rad_s > JERK_RAD_S
-            && sample.device_time_us.saturating_sub(self.since_us) >= PENDULUM_US
-    }
 }
 
 /// How far both counts went in some time.
@@ -258,12 +151,7 @@ impl SensorWatch {
     /// brakes: the arm may be under way, and the brake can do without the pendulum.
     pub fn check(&mut self, sample: &Measurement, drive: Option<Drive>) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
-            self.pendulum = Pendulum {
-                since_us: sample.device_time_us,
-                lowest: sample.alpha_counts,
-                highest: sample.alpha_counts,
-                ..Pendulum::default()
-            };
+            self.pendulum = Pendulum::seen(sample);
             return None;
         };
         let elapsed_us = sample.device_time_us.saturating_sub(previous.device_time_us);

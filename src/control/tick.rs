@@ -1,6 +1,7 @@
 use super::asking::AskingPush;
+use super::push::Drive;
 use super::rest::{BackDetector, RestDetector};
-use super::sensor_watch::{Drive, SensorWatch};
+use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
