@@ -7,7 +7,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use super::qube_file::LARGEST_OFFSET_RAD;
-use super::retired::{RENAMED, rename_entries};
+use super::retired::{earlier_name, rename_entries};
 use super::{FolderError, ProfileSettings, SessionSettings, take_retired};
 use crate::learning::TrainError;
 use crate::qube::MAX_STEPS;
@@ -80,9 +80,7 @@ fn line_of(text: &str, key: &str) -> Option<usize> {
     let mut parts = key.split('.').peekable();
     while let Some(part) = parts.next() {
         // A file may name a limit without its unit, or a setting by its earlier name.
-        let mut names = box_file::NAMES.iter().chain(&RENAMED);
-        let earlier = names.find(|(_, name)| *name == part).map(|(earlier, _)| *earlier);
-        let is_it = |name: &str| name == part || Some(name) == earlier;
+        let is_it = |name: &str| name == part || Some(name) == earlier_name(part);
         let (_, value) = table.iter().find(|(name, _)| is_it(name.get_ref()))?;
         match value.get_ref() {
             DeValue::Table(below) if parts.peek().is_some() => table = below,
@@ -175,11 +173,6 @@ impl SessionSettings {
         let mut table: Table = Table::try_from(self)?;
         let mut above: Table = toml::from_str(text).map_err(invalid)?;
         rename_entries(&mut above);
-        for path in BOXES {
-            if let Some(limits) = table_at(&mut above, path) {
-                box_file::rename(limits);
-            }
-        }
         lay_over(&mut table, above);
         let settings: Self = table.try_into().map_err(invalid)?;
         settings.checked(path)
@@ -314,13 +307,6 @@ fn parsed(text: &str, path: &Path) -> Result<Table, ConfigurationError> {
     })
 }
 
-/// Where settings have a safety box.
-const BOXES: [&[&str]; 2] = [&["safety_box"], &["training", "simulation", "safety_box"]];
-
-fn table_at<'a>(table: &'a mut Table, path: &[&str]) -> Option<&'a mut Table> {
-    path.iter().try_fold(table, |table, step| table.get_mut(*step)?.as_table_mut())
-}
-
 /// What is wrong with a box, by the names of files.
 fn of_file(wrong: impl ToString) -> String {
     let wrong = wrong.to_string();
@@ -347,6 +333,7 @@ mod tests {
     use super::*;
     use crate::estimation::{EstimatorSettings, ObserverSettings};
     use crate::qube::{GapTerm, QubeModel};
+    use crate::session::retired::table_at;
     use crate::simulation::PsiSpace;
 
     fn overridden(text: &str) -> Result<SessionSettings, ConfigurationError> {
@@ -443,7 +430,8 @@ mod tests {
     #[test]
     fn limits_are_written_with_their_units_and_read_without_too() {
         let written = SessionSettings::quick().to_toml().unwrap();
-        for path in BOXES {
+        let paths: [&[&str]; 2] = [&["safety_box"], &["training", "simulation", "safety_box"]];
+        for path in paths {
             let mut table: Table = toml::from_str(&written).unwrap();
             let limits = table_at(&mut table, path).unwrap();
             let names: Vec<&str> = limits.keys().map(String::as_str).collect();

@@ -4,13 +4,24 @@ use std::fmt::{self, Display};
 
 use toml::{Table, Value};
 
+use crate::simulation::box_file;
+
 /// Retired entries: the path of their table within a session's settings, and their name.
 const RETIRED: [(&[&str], &str); 2] =
     [(&["training"], "widening"), (&["training", "simulation"], "envelope_room_rad")];
 
-/// Renamed entries of the table `training`: the earlier name and the present one.
-pub const RENAMED: [(&str, &str); 3] =
-    [("pendulums", "num_envs"), ("trace_decay", "gae_lambda"), ("enough", "target_return")];
+/// Renamed entries: the path of their table within a session's settings, and their earlier and present names.
+const RENAMED: [(&[&str], Names); 3] = [
+    (
+        &["training"],
+        &[("pendulums", "num_envs"), ("trace_decay", "gae_lambda"), ("enough", "target_return")],
+    ),
+    (&["safety_box"], &box_file::NAMES),
+    (&["training", "simulation", "safety_box"], &box_file::NAMES),
+];
+
+/// Earlier and present names.
+type Names = &'static [(&'static str, &'static str)];
 
 /// An entry of a settings file that is no longer a setting.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,11 +49,7 @@ impl Display for Retired {
 pub fn take_retired(settings: &mut Table) -> Vec<Retired> {
     let mut taken = Vec::new();
     for (path, name) in RETIRED {
-        let mut table = Some(&mut *settings);
-        for step in path {
-            table = table.and_then(|table| table.get_mut(*step)).and_then(Value::as_table_mut);
-        }
-        if let Some(value) = table.and_then(|table| table.remove(name)) {
+        if let Some(value) = table_at(settings, path).and_then(|table| table.remove(name)) {
             taken.push(Retired { key: format!("{}.{name}", path.join(".")), value });
         }
     }
@@ -52,10 +59,23 @@ pub fn take_retired(settings: &mut Table) -> Vec<Retired> {
 /// Gives renamed entries of a session's settings their present names, so that they override entries of a
 /// preset instead of standing beside them.
 pub(super) fn rename_entries(settings: &mut Table) {
-    let Some(training) = settings.get_mut("training").and_then(Value::as_table_mut) else { return };
-    for (earlier, present) in RENAMED {
-        if let Some(value) = training.remove(earlier) {
-            training.insert(present.to_owned(), value);
+    for (path, names) in RENAMED {
+        let Some(table) = table_at(settings, path) else { continue };
+        for (earlier, present) in names {
+            if let Some(value) = table.remove(*earlier) {
+                table.insert((*present).to_owned(), value);
+            }
         }
     }
+}
+
+/// The earlier name of an entry, if it has one.
+pub(super) fn earlier_name(present: &str) -> Option<&'static str> {
+    let mut names = RENAMED.into_iter().flat_map(|(_, names)| names);
+    names.find(|(_, name)| *name == present).map(|(earlier, _)| *earlier)
+}
+
+/// The table at a path within a session's settings.
+pub(super) fn table_at<'a>(settings: &'a mut Table, path: &[&str]) -> Option<&'a mut Table> {
+    path.iter().try_fold(settings, |table, step| table.get_mut(*step)?.as_table_mut())
 }

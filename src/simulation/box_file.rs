@@ -2,7 +2,6 @@
 //! programs wrote them, are read too.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use toml::Table;
 
 use crate::safety::{Guard, SafetyBox};
 
@@ -75,13 +74,4 @@ pub fn serialize<S: Serializer>(safety_box: &SafetyBox, serializer: S) -> Result
 /// An unknown name, a limit that is named twice, a value of another type.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SafetyBox, D::Error> {
     BoxFile::deserialize(deserializer).map(SafetyBox::from)
-}
-
-/// Gives the limits of a table their names with units.
-pub fn rename(table: &mut Table) {
-    for (bare, name) in NAMES {
-        if let Some(value) = table.remove(bare) {
-            table.insert(name.to_owned(), value);
-        }
-    }
 }
