@@ -42,7 +42,9 @@ def plant(name, seed):
 
 
 def run(*arguments):
-    subprocess.run([PROGRAM, *map(str, arguments)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    told = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True)
+    if told.returncode != 0:
+        raise SystemExit(told.stderr.strip().splitlines()[-1])
 
 
 def compare(folder, name, seed, policies, threads):

@@ -10,13 +10,13 @@ use qube_hil::control::{
 };
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, SerialLink};
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::Controller;
 use qube_hil::qube::{
     CONTROL_PERIOD_NS, DomainParameter, HARD_STOP_RAD, MAX_VOLTAGE_V, Profile, QubeModel, State,
 };
 use qube_hil::safety::SafetyBox;
-use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
+use qube_hil::session::RolloutPlan;
+use qube_hil::telemetry::{Ending, Fault, TickSettings};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -142,13 +142,9 @@ fn drive_qube(seed: u64) -> Counted {
     }
     let settings = TickSettings {
         calibration: homing.calibration().expect("it homes"),
-        estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
-        max_steps: 600,
         start_theta_rad: 0.0,
-        stops: None,
-        foresight: None,
-        rules: TickRules::NEWEST,
+        ..RolloutPlan::single("bang-bang", "full voltage").header().settings
     };
     let mut counted = Counted::default();
     for rollout in 0..ROLLOUTS {

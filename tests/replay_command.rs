@@ -93,7 +93,7 @@ fn a_rollout_that_foresight_ended_says_for_which_qube() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.contains(&format!("the arm of particle {}", foreseen.particle)), "{text}");
 
-    // With less of an error believed, the same decisions would have another reason or none.
+    // With a wider margin the same decisions would have another reason.
     let known = recording.header.settings.foresight.as_mut().unwrap();
     known.margin_rad = 0.2;
     let policy = Policy::from_bytes(&recording.policy).unwrap();

@@ -63,6 +63,7 @@ mod tests {
 
     #[test]
     fn what_is_measured_is_a_time() {
-        assert!(foresight_time_us() > 1.0);
+        let longest_us = foresight_time_us();
+        assert!(longest_us.is_finite() && longest_us > 1.0, "{longest_us}");
     }
 }
