@@ -9,7 +9,7 @@ use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, State};
-use crate::safety::{Foreseen, ForeseenBrake, Guard, Limit, TrustedForesight, brake_voltage, gate};
+use crate::safety::{Brake, Foreseen, Guard, Limit, TrustedForesight, gate};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
@@ -58,7 +58,7 @@ pub struct Tick<C = Policy> {
     foresight: Option<TrustedForesight>,
     /// Why foresight ended the policy, if it did.
     foreseen: Option<Foreseen>,
-    foreseen_brake: ForeseenBrake,
+    brake: Brake,
     /// Whether the brake goes by the arm's velocity alone, because its count is doubted.
     damps: bool,
     /// The last voltages that were sent, newest first, V: some may still be on their way.
@@ -76,7 +76,7 @@ impl<C: Controller> Tick<C> {
     pub fn new(settings: &TickSettings, policy: C) -> Self {
         let nearer_rad = settings.stops.map_or(HARD_STOP_RAD, |stops| stops.nearer_rad());
         let room_rad = (HARD_STOP_RAD - STOPS_MEASURED_WITHIN_RAD - nearer_rad).max(0.0);
-        let is_witnessed = settings.rules != TickRules::First;
+        let is_witnessed = settings.rules >= TickRules::Witnessed;
         let mut tick = Self {
             settings: *settings,
             policy,
@@ -103,7 +103,7 @@ impl<C: Controller> Tick<C> {
             foresight: (settings.safety_box.guard == Guard::Foresight)
                 .then(|| settings.foresight.unwrap_or_default().foresight(settings.stops)),
             foreseen: None,
-            foreseen_brake: ForeseenBrake::default(),
+            brake: brake_of(settings, false),
             damps: false,
             sent_v: [0.0; MAX_HISTORY],
             reason: Ending::Completed,
@@ -129,7 +129,7 @@ impl<C: Controller> Tick<C> {
                 // The box counts whole turns of the pendulum from the start of each rollout.
                 self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
-                let is_witnessed = self.settings.rules != TickRules::First;
+                let is_witnessed = self.settings.rules >= TickRules::Witnessed;
                 self.asking = is_witnessed.then(AskingPush::default);
                 self.sensors.allow_the_whole_domain();
                 if let Some(foresight) = &mut self.foresight {
@@ -140,7 +140,7 @@ impl<C: Controller> Tick<C> {
             ControlAction::Brake => {
                 self.phase = Phase::Braking;
                 // Settling may have had its voltage before.
-                self.foreseen_brake = ForeseenBrake::default();
+                self.brake = brake_of(&self.settings, self.damps);
             }
             ControlAction::Off => self.voltage_mv = 0,
             ControlAction::GoOn
@@ -203,25 +203,14 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    fn braking_voltage(&mut self) -> f64 {
-        if self.damps {
-            return brake_voltage(self.estimates.guarded.theta_dot);
-        }
-        match self.settings.safety_box.guard {
-            Guard::Box => brake_voltage(self.estimates.guarded.theta_dot),
-            Guard::Envelope | Guard::Foresight => {
-                self.foreseen_brake.voltage_v(&self.estimates.guarded)
-            }
-        }
-    }
-
     fn wanted_voltage(&mut self) -> f64 {
         match self.phase {
             Phase::Settling => {
                 let (state, target) = (&self.estimates.guarded, self.settings.start_theta_rad);
-                match self.settings.rules {
-                    TickRules::First => self.settler.voltage(state, target),
-                    TickRules::Witnessed | TickRules::Damped => self.gentle.voltage(state, target),
+                if self.settings.rules >= TickRules::Witnessed {
+                    self.gentle.voltage(state, target)
+                } else {
+                    self.settler.voltage(state, target)
                 }
             }
             Phase::Running => {
@@ -229,7 +218,7 @@ impl<C: Controller> Tick<C> {
                 let theta = self.estimates.guarded.theta;
                 self.asking.as_mut().map_or(wanted_v, |asking| asking.voltage_v(wanted_v, theta))
             }
-            Phase::Braking => self.braking_voltage(),
+            Phase::Braking => self.brake.voltage_v(&self.estimates.guarded),
         }
     }
 
@@ -287,6 +276,13 @@ impl<C: Controller> Tick<C> {
     }
 }
 
+/// The brake of a rollout before its first period; `damps` is whether the arm's count is doubted.
+fn brake_of(settings: &TickSettings, damps: bool) -> Brake {
+    let stops_only = damps || settings.safety_box.guard.is_box();
+    let brake = if stops_only { Brake::stopping() } else { Brake::centring() };
+    if settings.rules >= TickRules::Yielding { brake } else { brake.by_earlier_rules() }
+}
+
 impl<C: Controller> Motion for Tick<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.periods_in_phase += input.skipped_periods;
@@ -304,10 +300,13 @@ impl<C: Controller> Motion for Tick<C> {
         let unanswered = input.measurement.as_ref().and_then(|sample| self.unanswered(sample));
         // An arm whose count is doubted wrongly would coast into its stop with the motor off; a count that
         // does stand asks for 0 V.
-        let damps = self.settings.rules == TickRules::Damped;
+        let damps = self.settings.rules >= TickRules::Damped;
         let off = match self.watch.check(input).or(seen).or(unanswered) {
             Some(Alarm::Zero(fault)) if damps && fault.doubts_count() => {
-                self.damps = true;
+                if !self.damps {
+                    self.damps = true;
+                    self.brake = brake_of(&self.settings, true);
+                }
                 self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
             }
             Some(Alarm::Zero(fault)) => self.take(ControlEvent::ZeroFault, Ending::Fault(fault)),
@@ -346,7 +345,7 @@ impl<C: Controller> Motion for Tick<C> {
             Ok(voltage_mv) => voltage_mv,
             Err(_) => {
                 self.take(ControlEvent::BrakeFault, Ending::Fault(Fault::NotANumber));
-                wanted_v = self.braking_voltage();
+                wanted_v = self.brake.voltage_v(&self.estimates.guarded);
                 gate(wanted_v).unwrap_or(0)
             }
         };
@@ -360,7 +359,7 @@ impl<C: Controller> Motion for Tick<C> {
                 self.foreseen = Some(foreseen);
                 self.take(ControlEvent::LimitLeft, Ending::LeftBox(Limit::Foresight));
             }
-            wanted_v = self.braking_voltage();
+            wanted_v = self.brake.voltage_v(&self.estimates.guarded);
             self.voltage_mv = gate(wanted_v).unwrap_or(0);
         }
         self.estimator.send(f64::from(self.voltage_mv) / 1000.0);

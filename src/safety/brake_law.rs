@@ -48,9 +48,10 @@ impl Default for CentringBrake {
     }
 }
 
-impl BrakeLaw for CentringBrake {
+impl CentringBrake {
+    /// What damper and spring ask for, V, however large.
     #[inline(always)]
-    fn voltage_v<T: Scalar>(&self, state: &State<T>) -> T {
+    pub(super) fn unlimited_v<T: Scalar>(&self, state: &State<T>) -> T {
         let zero = T::from_f64(0.0);
         let beyond = state.theta.abs() - T::from_f64(self.wall_rad);
         let beyond = if beyond > zero { beyond } else { zero };
@@ -58,10 +59,17 @@ impl BrakeLaw for CentringBrake {
         let faster = state.theta_dot.abs() - T::from_f64(self.fast_rad_s);
         let faster = if faster > zero { faster } else { zero };
         let faster = if state.theta_dot < zero { -faster } else { faster };
-        let wanted_v = -(T::from_f64(self.damping_v_s) * state.theta_dot
+        -(T::from_f64(self.damping_v_s) * state.theta_dot
             + T::from_f64(self.fast_v_s) * faster
             + T::from_f64(self.centring_v_rad) * state.theta
-            + T::from_f64(self.wall_v_rad) * beyond);
+            + T::from_f64(self.wall_v_rad) * beyond)
+    }
+}
+
+impl BrakeLaw for CentringBrake {
+    #[inline(always)]
+    fn voltage_v<T: Scalar>(&self, state: &State<T>) -> T {
+        let wanted_v = self.unlimited_v(state);
         let largest_v = T::from_f64(MAX_VOLTAGE_V);
         let wanted_v = if wanted_v > largest_v { largest_v } else { wanted_v };
         if wanted_v < -largest_v { -largest_v } else { wanted_v }

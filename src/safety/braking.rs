@@ -1,8 +1,9 @@
-use super::{BrakeLaw, CentringBrake};
+use super::ringing::RingingGain;
+use super::{BrakeLaw, CentringBrake, ForesightSettings};
 use crate::qube::{MAX_VOLTAGE_V, State};
 
 /// Volts against each rad/s of the arm: full voltage from 5 rad/s on, and below that gentle enough
-/// not to ring through 20 ms of delay.
+/// not to ring through 20 ms of delay on a nominal Qube.
 const GAIN_V_S: f64 = 1.0;
 
 /// The voltage that brakes the arm. 0 V is not a stop: the arm coasts for 0.5 to 1.1 s.
@@ -11,28 +12,115 @@ pub fn brake_voltage(theta_dot: f64) -> f64 {
     (-GAIN_V_S * theta_dot).clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V)
 }
 
-/// After this long, in control periods, the brake goes on with a share of its firmness: longer than a
-/// [`super::Foresight`] looks, and by then the arm is only to come to rest.
-const FORESEEN_PERIODS: u32 = 150;
-
-/// That share: light and strong Qubes may ring with a firm brake through 20 ms of delay, and no Qube
-/// within 30 % with this.
-const GENTLE: f64 = 0.45;
-
-/// The brake under foresight: stops the arm and brings it back to the middle, by the very law that was
-/// tried before it was needed.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ForeseenBrake {
-    law: CentringBrake,
+/// A brake from its first period to the arm's rest.
+#[derive(Clone, Copy, Debug)]
+pub struct Brake {
+    law: Law,
+    /// How many periods it has worked.
     periods: u32,
+    ringing: RingingGain,
 }
 
-impl ForeseenBrake {
+#[derive(Clone, Copy, Debug)]
+enum Law {
+    /// Against the arm's velocity alone.
+    Stopping,
+    /// The law that a [`super::Foresight`] tried before it was needed.
+    Centring(CentringBrake),
+    /// The two of recordings before a brake that rings lost gain.
+    EarlierStopping,
+    EarlierCentring(CentringBrake),
+}
+
+/// For so many control periods a brake that was tried keeps to what was tried, ringing or not.
+const TRIED_PERIODS: u32 = ForesightSettings::HORIZON_PERIODS;
+
+impl Brake {
+    /// Stops the arm wherever it is, and lets the pendulum move it.
+    #[must_use]
+    pub fn stopping() -> Self {
+        Self::new(Law::Stopping)
+    }
+
+    /// Stops the arm and brings it back to the middle.
+    #[must_use]
+    pub fn centring() -> Self {
+        Self::new(Law::Centring(CentringBrake::default()))
+    }
+
+    fn new(law: Law) -> Self {
+        Self { law, periods: 0, ringing: RingingGain::default() }
+    }
+
+    /// The same by the rules of recordings before a brake that rings lost gain.
+    #[must_use]
+    pub fn by_earlier_rules(self) -> Self {
+        let law = match self.law {
+            Law::Stopping | Law::EarlierStopping => Law::EarlierStopping,
+            Law::Centring(law) | Law::EarlierCentring(law) => Law::EarlierCentring(law),
+        };
+        Self { law, ..self }
+    }
+
     /// The voltage for the next control period, V.
     #[must_use]
     pub fn voltage_v(&mut self, state: &State) -> f64 {
         self.periods = self.periods.saturating_add(1);
-        let firmness = if self.periods > FORESEEN_PERIODS { GENTLE } else { 1.0 };
-        firmness * self.law.voltage_v(state)
+        match self.law {
+            Law::Stopping => self.ringing.voltage_v(-GAIN_V_S * state.theta_dot, true),
+            Law::Centring(law) => {
+                self.ringing.voltage_v(law.unlimited_v(state), self.periods > TRIED_PERIODS)
+            }
+            Law::EarlierStopping => brake_voltage(state.theta_dot),
+            Law::EarlierCentring(law) => {
+                let firmness = if self.periods > 150 { 0.45 } else { 1.0 };
+                firmness * law.voltage_v(state)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
+    use crate::qube::{CONTROL_PERIOD_S, GapDynamics, QubeModel, quantised, runge_kutta_4};
+
+    /// The fastest that the arm is in the fourth second of a brake, rad/s: with the strongest motor and the lightest
+    /// arm within 30 % of a nominal Qube, and voltages that arrive two periods late.
+    fn speed_after_three_seconds(mut brake: Brake) -> f64 {
+        let mut model = QubeModel::NOMINAL;
+        model.parameters.motor_resistance_ohm *= 0.7;
+        model.parameters.motor_back_emf_v_s *= 1.3;
+        model.parameters.rotary_mass_kg *= 0.7;
+        model.parameters.pendulum_mass_kg *= 0.7;
+        model.parameters.rotary_length_m *= 0.7;
+        let dynamics = GapDynamics::new(&model);
+        let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
+        let mut state = State { theta: 1.0, theta_dot: 5.0, ..State::default() };
+        let (mut seen, mut under_way_v, mut fastest) = (state, [0.0; 2], 0.0_f64);
+        for period in 0..400 {
+            let (theta, alpha) = (quantised(state.theta), quantised(state.alpha));
+            seen = through_filters(&seen, theta, alpha, &gains);
+            let voltage_v = brake.voltage_v(&seen);
+            for _ in 0..10 {
+                state = runge_kutta_4(&dynamics, state, under_way_v[1], 1e-3);
+                if period >= 300 {
+                    fastest = fastest.max(state.theta_dot.abs());
+                }
+            }
+            under_way_v = [voltage_v, under_way_v[0]];
+        }
+        fastest
+    }
+
+    #[test]
+    fn a_brake_that_rings_loses_gain_until_the_arm_rests() {
+        for brake in [Brake::stopping(), Brake::centring()] {
+            let speed_rad_s = speed_after_three_seconds(brake);
+            assert!(speed_rad_s < 1.0, "{brake:?}: {speed_rad_s} rad/s");
+            let without_rad_s = speed_after_three_seconds(brake.by_earlier_rules());
+            assert!(without_rad_s > 5.0, "{brake:?} by the earlier rules: {without_rad_s} rad/s");
+        }
     }
 }

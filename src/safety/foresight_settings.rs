@@ -112,6 +112,9 @@ impl ForesightSettings {
     /// The rules of this program.
     pub const VERSION: u32 = 1;
 
+    /// Control periods that are simulated at most, where no file says another number.
+    pub const HORIZON_PERIODS: u32 = 75;
+
     /// What looks ahead for a Qube with these stops, or with those of a nominal one.
     #[must_use]
     pub fn foresight(&self, stops: Option<MeasuredStops>) -> TrustedForesight {
@@ -140,7 +143,7 @@ impl Default for ForesightSettings {
             identified: None,
             margin_rad: 0.1,
             held_periods: 3,
-            horizon_periods: 75,
+            horizon_periods: Self::HORIZON_PERIODS,
         }
     }
 }

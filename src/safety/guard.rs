@@ -10,8 +10,8 @@ pub enum Guard {
     Box,
     /// Of recordings before foresight; nothing is driven under it.
     Envelope,
-    /// A [`super::Foresight`] of the brake before each voltage leaves, and a [`super::ForeseenBrake`] back
-    /// to the middle.
+    /// A [`super::Foresight`] of the brake before each voltage leaves, and a [`super::Brake`] back to the
+    /// middle.
     #[default]
     Foresight,
 }

@@ -18,13 +18,14 @@ mod hardware_limits;
 mod motor_heat;
 mod particle;
 mod places;
+mod ringing;
 mod safety_box;
 mod trusted_foresight;
 mod voltage_gate;
 
 pub use belief::{Belief, BeliefError};
 pub use brake_law::{BrakeLaw, CentringBrake};
-pub use braking::{ForeseenBrake, brake_voltage};
+pub use braking::{Brake, brake_voltage};
 pub use foreseen::Foreseen;
 pub use foresight::{Ends, Foresight, Outlook, Prediction, Reach};
 pub use foresight_settings::{ForesightError, ForesightSettings, IdentifiedQube};

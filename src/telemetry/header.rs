@@ -34,7 +34,7 @@ pub struct TickSettings {
 }
 
 /// The versions of the tick's rules for settling, watching and braking.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TickRules {
     /// The rules of recordings that name none.
@@ -46,11 +46,13 @@ pub enum TickRules {
     /// As [`Witnessed`](Self::Witnessed); in addition, an arm whose count is in doubt under a policy is
     /// damped before the motor goes off.
     Damped,
+    /// As [`Damped`](Self::Damped); in addition, a brake that rings loses gain.
+    Yielding,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::Damped;
+    pub const NEWEST: Self = Self::Yielding;
 }
 
 /// The record that precedes a rollout.

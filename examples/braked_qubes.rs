@@ -1,0 +1,143 @@
+//! On how many Qubes within 30 % of a nominal one the brake brings the arm to rest, with and without losing
+//! gain where it rings.
+//!
+//! `cargo run --release --example braked_qubes -- 5000`. Every second Qube has a strong motor and a light arm.
+
+use std::collections::VecDeque;
+
+use qube_hil::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
+use qube_hil::qube::{
+    CONTROL_PERIOD_S, DomainParameter as P, GapDynamics, GapTerm, HARD_STOP_RAD, Quantity,
+    QubeModel, State, quantised, runge_kutta_4,
+};
+use qube_hil::safety::{Belief, Brake, ForesightSettings};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+/// Control periods for which a brake is watched: 10 s.
+const PERIODS: usize = 1000;
+
+/// An arm that moves over no more than this for the last 0.6 s is at rest, rad.
+const REST_RANGE_RAD: f64 = 0.05;
+
+const REST_PERIODS: usize = 60;
+
+/// A Qube, and where its brake begins.
+struct Case {
+    model: QubeModel,
+    start: State,
+    /// How far off its place the arm's zero is, rad.
+    zero_rad: f64,
+    /// From a sample to its voltage, without the Qube's own delay, ms.
+    computing_ms: usize,
+}
+
+/// How a brake ended.
+enum Braked {
+    /// At rest after so many periods.
+    AtRest(usize),
+    StillMoving,
+    HitStop,
+}
+
+impl Case {
+    fn drawn(seed: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let belief = Belief::of_any_qube(0.3);
+        let (at_corners, is_strong) = (random.random_bool(0.5), seed % 2 == 0);
+        let mut model = QubeModel::NOMINAL;
+        for quantity in Quantity::all() {
+            let [low, high] = [belief.low, belief.high].map(|end| end.get(quantity));
+            let drawn: f64 = random.random();
+            let part = if at_corners && random.random_bool(0.7) { drawn.round() } else { drawn };
+            let part = match quantity {
+                Quantity::Parameter(
+                    P::MotorResistance | P::RotaryMass | P::PendulumMass | P::RotaryLength,
+                )
+                | Quantity::Gap(GapTerm::CoulombTorque)
+                    if is_strong =>
+                {
+                    0.3 * part
+                }
+                Quantity::Parameter(P::MotorBackEmf) if is_strong => 1.0 - 0.3 * part,
+                _ => part,
+            };
+            model.set(quantity, low + part * (high - low));
+        }
+        let mut within = |most: f64| random.random_range(-most..most);
+        let start = State {
+            theta: within(1.6),
+            alpha: within(std::f64::consts::PI),
+            theta_dot: within(15.0),
+            alpha_dot: within(20.0),
+        };
+        let (zero_rad, computing_ms) = (within(0.02), within(4.0).abs() as usize + 1);
+        Self { model, start, zero_rad, computing_ms }
+    }
+
+    /// What comes of the brake within so many periods.
+    fn braked(&self, mut brake: Brake, periods: usize) -> Braked {
+        let dynamics = GapDynamics::new(&self.model);
+        let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
+        let late_ms = self.computing_ms + (1e3 * self.model.gap.command_delay_s).round() as usize;
+        let mut under_way: VecDeque<f64> = std::iter::repeat_n(0.0, late_ms).collect();
+        let mut state = self.start;
+        let mut seen = State { theta: state.theta + self.zero_rad, ..state };
+        let mut angles = Vec::with_capacity(periods);
+        for period in 0..periods {
+            let theta = quantised(state.theta + self.zero_rad);
+            seen = through_filters(&seen, theta, quantised(state.alpha), &gains);
+            angles.push(seen.theta);
+            let last = &angles[angles.len().saturating_sub(REST_PERIODS)..];
+            let highest = last.iter().fold(f64::NEG_INFINITY, |most, angle| most.max(*angle));
+            let lowest = last.iter().fold(f64::INFINITY, |least, angle| least.min(*angle));
+            if last.len() == REST_PERIODS && highest - lowest <= REST_RANGE_RAD {
+                return Braked::AtRest(period);
+            }
+            let voltage_v = brake.voltage_v(&seen);
+            for _ in 0..10 {
+                under_way.push_back(voltage_v);
+                let arriving_v = under_way.pop_front().unwrap_or(0.0);
+                state = runge_kutta_4(&dynamics, state, arriving_v, 1e-3);
+                if state.theta.abs() > HARD_STOP_RAD {
+                    return Braked::HitStop;
+                }
+            }
+        }
+        Braked::StillMoving
+    }
+}
+
+fn main() {
+    let qubes = std::env::args().nth(1).and_then(|count| count.parse().ok()).unwrap_or(5000);
+    let foreseen = ForesightSettings::HORIZON_PERIODS as usize;
+    // Where a trial sees the arm at its stop, no guard lets it go that far.
+    let cases: Vec<Case> = (0..qubes)
+        .map(Case::drawn)
+        .filter(|case| !matches!(case.braked(Brake::centring(), foreseen), Braked::HitStop))
+        .collect();
+    println!("{} of {qubes} Qubes: the arm stays off its stops for 0.75 s", cases.len());
+    for (name, brake) in [
+        ("loses gain where it rings", Brake::centring()),
+        ("keeps its gain", Brake::centring().by_earlier_rules()),
+    ] {
+        let (mut rest_periods, mut moving, mut hits) = (Vec::new(), 0, 0);
+        for case in &cases {
+            match case.braked(brake, PERIODS) {
+                Braked::AtRest(periods) => rest_periods.push(periods),
+                Braked::StillMoving => moving += 1,
+                Braked::HitStop => hits += 1,
+            }
+        }
+        rest_periods.sort_unstable();
+        let [half, most] = [2, 100].map(|part| rest_periods.len() - rest_periods.len() / part - 1);
+        println!(
+            "a brake that {name}: at rest {} (half within {:.2} s, 99 % within {:.2} s), moving after \
+             10 s {moving}, at a stop {hits}",
+            rest_periods.len(),
+            CONTROL_PERIOD_S * rest_periods[half] as f64,
+            CONTROL_PERIOD_S * rest_periods[most] as f64,
+        );
+    }
+}
