@@ -45,7 +45,7 @@ impl Case {
     fn drawn(seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let belief = Belief::of_any_qube(0.3);
-        let (at_corners, is_strong) = (random.random_bool(0.5), seed % 2 == 0);
+        let (at_corners, is_strong) = (random.random_bool(0.5), seed.is_multiple_of(2));
         let mut model = QubeModel::NOMINAL;
         for quantity in Quantity::all() {
             let [low, high] = [belief.low, belief.high].map(|end| end.get(quantity));
