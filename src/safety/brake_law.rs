@@ -1,41 +1,40 @@
 use crate::elementary::Scalar;
 use crate::qube::{MAX_VOLTAGE_V, State};
 
-/// A brake whose voltage depends on nothing but the state, so that a [`super::Foresight`] can try it
-/// for many Qubes at once.
+/// A brake whose voltage depends on the state alone, so that a [`super::Foresight`] can simulate it on many
+/// Qubes at once.
 ///
-/// The voltage falls as the arm's velocity grows and is the spring's where that is 0: then the motor
-/// takes energy out of arm and pendulum except for what the spring holds, whatever the Qube's masses
-/// and lengths are.
+/// The voltage falls as the arm's velocity grows, and at rest it is a spring's. Then the motor only takes
+/// energy from arm and pendulum, apart from the energy that the spring stores, whatever the Qube's masses and
+/// lengths are.
 pub trait BrakeLaw {
     /// The voltage for the next control period, V.
     fn voltage_v<T: Scalar>(&self, state: &State<T>) -> T;
 
-    /// The spring's potential in V rad: the integral of the voltage's magnitude, with the arm at rest,
-    /// from the middle to this angle. Times the torque per volt it is an energy.
+    /// The spring's potential in V rad: the integral of the voltage's magnitude with the arm at rest, from the
+    /// middle to this angle. Multiplied by the torque per volt it is an energy.
     fn potential_v_rad<T: Scalar>(&self, theta: T) -> T;
 }
 
-/// Damper and spring on the arm, the spring steep far out.
+/// A damper and a spring on the arm; both are stiffer where the arm is fast or far out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CentringBrake {
     /// Volts against each rad/s of the arm.
     pub damping_v_s: f64,
-    /// An arm that is faster than this is damped more, rad/s.
+    /// Speed above which the damping is stronger, rad/s.
     pub fast_rad_s: f64,
-    /// Volts against each rad/s beyond `fast_rad_s`, beside `damping_v_s`.
+    /// Additional volts against each rad/s above `fast_rad_s`.
     pub fast_v_s: f64,
     /// Volts towards the middle for each rad.
     pub centring_v_rad: f64,
-    /// Outside of this angle the spring is steep, rad.
+    /// Angle from the middle beyond which the spring is stiffer, rad.
     pub wall_rad: f64,
-    /// Volts towards the middle for each rad beyond `wall_rad`, beside `centring_v_rad`.
+    /// Additional volts towards the middle for each rad beyond `wall_rad`.
     pub wall_v_rad: f64,
 }
 
 impl Default for CentringBrake {
-    /// Of the gains that were tried, those under which most Qubes within 30 % of a nominal one come to
-    /// rest soon.
+    /// The gains with which most Qubes within 30 % of a nominal one came to rest soonest, among those tried.
     fn default() -> Self {
         Self {
             damping_v_s: 0.45,
@@ -49,7 +48,7 @@ impl Default for CentringBrake {
 }
 
 impl CentringBrake {
-    /// What damper and spring ask for, V, however large.
+    /// The voltage of damper and spring before it is limited, V.
     #[inline(always)]
     pub(super) fn unlimited_v<T: Scalar>(&self, state: &State<T>) -> T {
         let zero = T::from_f64(0.0);

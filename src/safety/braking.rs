@@ -16,7 +16,7 @@ pub fn brake_voltage(theta_dot: f64) -> f64 {
 #[derive(Clone, Copy, Debug)]
 pub struct Brake {
     law: Law,
-    /// How many periods it has worked.
+    /// Control periods since the brake began.
     periods: u32,
     ringing: RingingGain,
 }
@@ -25,24 +25,25 @@ pub struct Brake {
 enum Law {
     /// Against the arm's velocity alone.
     Stopping,
-    /// The law that a [`super::Foresight`] tried before it was needed.
+    /// The law that a [`super::Foresight`] simulates.
     Centring(CentringBrake),
-    /// The two of recordings before a brake that rings lost gain.
+    /// `Stopping` under the rules of recordings in which ringing cost no gain.
     EarlierStopping,
+    /// `Centring` under the same rules.
     EarlierCentring(CentringBrake),
 }
 
-/// For so many control periods a brake that was tried keeps to what was tried, ringing or not.
+/// Control periods during which the brake keeps the gains that foresight simulated, even if it rings.
 const TRIED_PERIODS: u32 = ForesightSettings::HORIZON_PERIODS;
 
 impl Brake {
-    /// Stops the arm wherever it is, and lets the pendulum move it.
+    /// A brake that stops the arm wherever it is and lets the pendulum move it afterwards.
     #[must_use]
     pub fn stopping() -> Self {
         Self::new(Law::Stopping)
     }
 
-    /// Stops the arm and brings it back to the middle.
+    /// A brake that stops the arm and brings it back to the middle.
     #[must_use]
     pub fn centring() -> Self {
         Self::new(Law::Centring(CentringBrake::default()))
@@ -52,7 +53,7 @@ impl Brake {
         Self { law, periods: 0, ringing: RingingGain::default() }
     }
 
-    /// The same by the rules of recordings before a brake that rings lost gain.
+    /// This brake under the earlier rules, by which ringing cost no gain.
     #[must_use]
     pub fn by_earlier_rules(self) -> Self {
         let law = match self.law {

@@ -5,45 +5,47 @@ use super::{Belief, BeliefError, CentringBrake, Ends, Foresight, Reach, TrustedF
 use crate::estimation::MeasuredStops;
 use crate::qube::{HARD_STOP_RAD, Profile};
 
-/// All that decides what a [`Foresight`] says, beside the stops: it travels in every recording.
+/// The settings that determine a [`Foresight`]'s decisions, apart from the stops; every recording carries them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, try_from = "Unchecked")]
 pub struct ForesightSettings {
-    /// By which rules brake and particles come of the rest; those of this program are [`Self::VERSION`].
+    /// Version of the rules that derive brake and particles from the other settings; this program's is
+    /// [`Self::VERSION`].
     pub version: u32,
-    /// What is believed of the Qube.
+    /// Belief about a Qube that is not identified.
     pub belief: Belief,
-    /// What is believed of it besides, where it is identified: decides instead, while the Qube moves so.
+    /// Belief about the identified Qube, if it is identified. It replaces `belief` while it predicts the Qube's
+    /// motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub identified: Option<IdentifiedQube>,
-    /// How far off its stops every particle's arm must stay, rad.
+    /// Distance that every particle's arm must keep from its stops, rad.
     pub margin_rad: f64,
     /// Control periods for which a voltage is held before the brake begins.
     pub held_periods: u32,
-    /// Control periods that are simulated at most.
+    /// Largest number of control periods that are simulated.
     pub horizon_periods: u32,
 }
 
-/// What is known of an identified Qube, and how a trial looks ahead by it.
+/// The belief about an identified Qube, and how long a voltage is held when it is simulated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IdentifiedQube {
-    /// What is believed of it.
+    /// Belief derived from the profile.
     pub belief: Belief,
     /// Control periods for which a voltage is held before the brake begins.
     pub held_periods: u32,
 }
 
 impl IdentifiedQube {
-    /// What a profile says of a Qube. A voltage is held for four periods: its own, and those of the three samples
-    /// that a link may lose in a row.
+    /// Derives the belief from a profile. A voltage is held for four periods: its own, and those of the three
+    /// samples that a link may lose in a row.
     #[must_use]
     pub fn of(profile: &Profile) -> Self {
         Self { belief: Belief::of_profile(profile), held_periods: 4 }
     }
 }
 
-/// The same as a file of any origin holds it.
+/// Settings as a file holds them, before they are checked.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Unchecked {
@@ -56,25 +58,25 @@ struct Unchecked {
     horizon_periods: u32,
 }
 
-/// Why settings are none to look ahead by.
+/// The reasons to refuse settings of foresight.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ForesightError {
-    /// They are of other rules.
+    /// The version is not this program's.
     #[error("foresight.version = {0}: this program knows {known}", known = ForesightSettings::VERSION)]
     Version(u32),
-    /// A number is none that makes sense.
+    /// A number lies outside its range.
     #[error("foresight.{name} = {value}: give a number from {least} to {most}")]
     Number {
-        /// Which.
+        /// Its key.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// The least that makes sense.
+        /// Smallest accepted value.
         least: f64,
-        /// The most.
+        /// Largest accepted value.
         most: f64,
     },
-    /// No Qubes lie between the two of the belief.
+    /// The belief contains no Qube.
     #[error("foresight.belief: {0}")]
     Belief(#[from] BeliefError),
 }
@@ -105,17 +107,17 @@ impl TryFrom<Unchecked> for ForesightSettings {
     }
 }
 
-/// Where an end lies at least, rad, whatever a file says of the stops.
+/// Smallest angle of an end, rad, whatever stops a file names.
 const NEAREST_END_RAD: f64 = 0.01;
 
 impl ForesightSettings {
-    /// The rules of this program.
+    /// Version of this program's rules.
     pub const VERSION: u32 = 1;
 
-    /// Control periods that are simulated at most, where no file says another number.
+    /// Largest number of simulated control periods by default.
     pub const HORIZON_PERIODS: u32 = 75;
 
-    /// What looks ahead for a Qube with these stops, or with those of a nominal one.
+    /// The foresight for a Qube with these stops; without them, with a nominal Qube's.
     #[must_use]
     pub fn foresight(&self, stops: Option<MeasuredStops>) -> TrustedForesight {
         let nearer_rad = stops.map_or(HARD_STOP_RAD, |stops| stops.nearer_rad());
@@ -131,11 +133,12 @@ impl ForesightSettings {
 }
 
 impl Default for ForesightSettings {
-    /// For a Qube of which nothing is known but that its parameters lie within 30 % of the name plate's.
+    /// Settings for a Qube whose parameters lie within 30 % of the name plate's and of which nothing else is known.
     ///
-    /// A voltage is held for three periods: two lost samples change nothing, and a third one nothing that
-    /// was found in searches, as few Qubes are as hard as the particles of all of them. An arm that does not come
-    /// near an end in 0.75 s of braking did not in 1.5 s either, in the searches of both that were compared.
+    /// A voltage is held for three periods, so that two lost samples in a row change nothing. A third one
+    /// changed nothing in any search, because few Qubes are as hard as the hardest particles. In searches with
+    /// horizons of 0.75 s and 1.5 s no arm stayed away from its ends for the shorter one and reached them in the
+    /// longer one.
     fn default() -> Self {
         Self {
             version: Self::VERSION,

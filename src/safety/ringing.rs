@@ -1,25 +1,25 @@
 use crate::qube::MAX_VOLTAGE_V;
 
-/// A voltage that changes its sign sooner than this after it did so before goes to and fro with the delay of
-/// the loop and not with a swing of the pendulum, in control periods. Ringing has periods of four delays, at most
-/// 0.18 s; a hanging pendulum's is 0.5 s.
-const TO_AND_FRO_PERIODS: u32 = 9;
+/// Largest time between two changes of the voltage's sign that counts as ringing, in control periods. Ringing
+/// has a period of four delays, at most 0.18 s; a hanging pendulum swings in 0.5 s.
+const RINGING_PERIODS: u32 = 9;
 
-/// Only a voltage that was so large in between counts: less is noise of an arm at rest, V.
+/// Smallest amplitude that counts as ringing, V; below it the voltage is the noise of an arm at rest.
 const LEAST_V: f64 = 1.0;
 
-/// The share of its gain that a brake keeps each time it rings.
+/// Factor on the gain after each change of sign that counts as ringing.
 const KEPT_SHARE: f64 = 0.8;
 
-/// The gain does not fall below this share: with it, the strongest motor on the lightest arm within 30 % of a
-/// nominal Qube's does not ring through 20 ms of delay.
+/// Smallest gain. With it the strongest motor on the lightest arm within 30 % of a nominal Qube's does not ring
+/// with 20 ms of delay.
 const LEAST_GAIN: f64 = 0.12;
 
-/// The share of its gain that a brake keeps: less each time its voltage rings.
+/// The factor on a brake's gains, which falls while the brake rings.
 ///
-/// A brake firm enough for a weak motor with a heavy arm rings on a strong motor with a light one, because its
-/// voltage comes late. What rings has more gain than it needs, so a little less stays firm: the product of gain,
-/// delay and the motor's acceleration stays near the largest that does not ring, whatever the Qube.
+/// A brake that is firm enough for a weak motor with a heavy arm rings on a strong motor with a light arm, because
+/// its voltage arrives late. A brake that rings has more gain than it needs, so a smaller gain is still firm: the
+/// product of gain, delay and the motor's acceleration stays just below the value at which the loop rings,
+/// whatever the Qube.
 /// `examples/braked_qubes.rs` counts how many Qubes come to rest with it and without.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RingingGain {
@@ -34,21 +34,22 @@ impl Default for RingingGain {
         Self {
             gain: 1.0,
             is_positive: false,
-            periods_since_change: TO_AND_FRO_PERIODS,
+            periods_since_change: RINGING_PERIODS,
             largest_since_v: 0.0,
         }
     }
 }
 
 impl RingingGain {
-    /// The voltage of a brake that wants this one, V; `may_fall` is whether ringing costs gain yet.
+    /// Scales and limits the voltage that the brake asks for, V. `may_fall` says whether ringing reduces the gain
+    /// already.
     pub fn voltage_v(&mut self, wanted_v: f64, may_fall: bool) -> f64 {
         let voltage_v = (self.gain * wanted_v).clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V);
         self.periods_since_change = self.periods_since_change.saturating_add(1);
         let is_positive = voltage_v > 0.0;
         if is_positive != self.is_positive {
             let rings =
-                self.periods_since_change <= TO_AND_FRO_PERIODS && self.largest_since_v >= LEAST_V;
+                self.periods_since_change <= RINGING_PERIODS && self.largest_since_v >= LEAST_V;
             if rings && may_fall {
                 self.gain = (KEPT_SHARE * self.gain).max(LEAST_GAIN);
             }

@@ -10,41 +10,41 @@ use crate::qube::{
 };
 use crate::safety::{BrakeLaw, Particle};
 
-/// Angle to an end that must be left beside what the momentum asks for, rad: for what later swings add
-/// while the brake takes their energy. With 0.5, one of 90 000 accepted states in which the pendulum
-/// nearly stands still reaches the end 0.7 s later, with 0.3 four.
+/// Reserve of angle before an end, in addition to the angle that the momentum needs, rad. It covers later
+/// swings, while the brake takes their energy. With 0.5 rad, one of 90 000 accepted states in which the
+/// pendulum nearly stands still reaches the end 0.7 s later; with 0.3 rad, four do.
 const SLACK_RAD: f32 = 0.7;
 
-/// The share of the full braking torque that is counted on.
+/// Share of the full braking torque that the momentum test relies on.
 const BRAKING_SHARE: f32 = 0.25;
 
-/// The energy up to which the momentum is asked, as a multiple of what gravity's torque does over one
-/// radian; upright at rest it is 2. A pendulum with more goes over the top, and each turn may throw the
-/// arm anew.
+/// Largest energy at which the momentum test applies, as a multiple of gravity's torque times one radian;
+/// upright at rest it is 2. A pendulum with more energy goes over the top, and each turn may throw the arm
+/// again.
 const SWINGING: f32 = 2.2;
 
-/// What tells of sixteen particles under the brake that no arm can reach an end any more.
+/// Detects that none of sixteen particles' arms can reach an end any more while the brake works.
 ///
-/// A test of energy or one of momentum is enough for an arm. Both only spare simulation: the tests look
-/// for states that they accept and a simulation of 1.5 s rejects, and find none. The energy's is an
-/// argument; the momentum's looks no farther than the first swing, and its constants are chosen
-/// by that search.
+/// An arm passes if its energy is too small, or if its momentum is. Both tests only save simulation: the
+/// property tests search for states that they accept and a simulation of 1.5 s rejects, and find none. The
+/// energy test follows from an argument; the momentum test looks no farther than the first swing, and that
+/// search chose its constants.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct CalmLanes {
-    /// Where the brake's middle lies, rad.
+    /// True angle of the arm at which the brake sees the middle, rad.
     middle: Lanes,
     positive_share: Lanes,
     negative_share: Lanes,
-    /// Energy that spring and cable hold at the ends, J.
+    /// Energy that spring and cable store at the lower and the upper end, J.
     low_j: Lanes,
     high_j: Lanes,
-    /// What a brake that comes late may add to the energy, J for each rad/s.
+    /// Energy that a late brake may add, J for each rad/s.
     late_j_s: Lanes,
-    /// How late the brake comes at most, s: the delay, and a period for which each voltage is held.
+    /// Largest lateness of the brake, s: the delay plus the period for which each voltage is held.
     late_s: Lanes,
-    /// What the share of the braking torque that is counted on takes off the arm's velocity, inverted
-    /// and halved, s^2/rad.
+    /// Stopping distance for each (rad/s)^2 of the arm, s^2/rad: half the inverse of the deceleration that
+    /// the momentum test relies on.
     stopping_s2: Lanes,
     ends: Ends,
 }
@@ -77,21 +77,21 @@ impl CalmLanes {
             lanes.late_j_s[lane] = torque_per_volt * full_v * lanes.late_s[lane];
             let left_v = (lanes.positive_share[lane] * full_v - own.positive_dead_zone)
                 .min(lanes.negative_share[lane] * full_v - own.negative_dead_zone);
-            // A motor that does nothing stops no arm: never below 0.
+            // A motor inside its dead zone does not decelerate the arm: never below 0.
             let braking = (BRAKING_SHARE * torque_per_volt * left_v).max(0.0) / arm_inertia;
             lanes.stopping_s2[lane] = 0.5 / braking;
         }
         lanes
     }
 
-    /// Whether no arm can reach an end any more. Not for what is not a number.
+    /// Whether no arm can reach an end any more; false for states that are not numbers.
     #[inline(always)]
     pub(super) fn holds(&self, qubes: &QubeLanes, brake: &impl BrakeLaw) -> bool {
         let mut calm = 0;
         for lane in 0..BLOCK {
             let own = qubes.dynamics().ideal.lane(lane);
             let state = qubes.state.lane(lane);
-            // Above arm and pendulum at rest, the pendulum hanging.
+            // Energy above that of arm and hanging pendulum at rest.
             let motion_j = own.energy(&state) + own.gravity_torque;
             let energy = self.energy_holds(qubes, brake, lane, &own, motion_j);
             let momentum = self.momentum_holds(lane, &own, &state);
@@ -101,12 +101,12 @@ impl CalmLanes {
         calm == BLOCK as u32
     }
 
-    /// Whether the energy does not reach the ends.
+    /// Whether the energy is too small to reach the ends.
     ///
-    /// The brake and all friction only take energy: the arm at an end would have at least the energy
-    /// of spring and cable there, and of a pendulum that hangs at rest. A brake that comes late may add
-    /// some while the arm's velocity changes: a full voltage for as long as it is late, at the largest
-    /// velocity that the energy allows.
+    /// Brake and friction only take energy. At an end the arm has at least the energy that spring and cable
+    /// store there, with a pendulum that hangs at rest. A late brake may add energy while the arm's velocity
+    /// changes sign: at most a full voltage for as long as it is late, at the largest velocity that the energy
+    /// allows.
     #[inline(always)]
     fn energy_holds(
         &self,
@@ -129,9 +129,9 @@ impl CalmLanes {
         (energy_j < high_j) & (energy_j < low_j)
     }
 
-    /// Energy that the arm of a lane has at least given to spring and cable once it is at this angle,
-    /// on its way towards the end on this side (1 or -1), J; up to a constant. The spring's help on
-    /// the way to its middle counts in full, what it holds beyond less the dead zone.
+    /// Least energy that a lane's arm has given to spring and cable at this angle, on its way to the end on
+    /// this side (1 or -1), J, up to a constant. Where the spring pushes the arm towards its middle, its
+    /// energy counts in full; beyond the middle it counts less the dead zone.
     #[inline(always)]
     fn held_j(
         &self,
@@ -157,10 +157,10 @@ impl CalmLanes {
         dynamics.ideal.torque_per_volt[lane].mul_add(spring, cable)
     }
 
-    /// Whether the arm comes to rest short of the ends once the pendulum has given it all its momentum.
+    /// Whether the arm comes to rest short of the ends after the pendulum has given it all its momentum.
     ///
-    /// No torque but those on the arm changes the momentum p = (A + q sin^2 a) th' + c cos a a', and where
-    /// the arm is when the pendulum has given everything follows from th + r sin a, r = c / A.
+    /// Only torques on the arm change the momentum p = (A + q sin^2 a) th' + c cos a a'. The arm's angle at
+    /// that moment follows from th + r sin a with r = c / A.
     #[inline(always)]
     fn momentum_holds(&self, lane: usize, own: &Dynamics<f32>, state: &State<f32>) -> bool {
         let (sin, cos) = sin_cos(state.alpha);

@@ -19,68 +19,69 @@ use crate::qube::{
     limited_voltage,
 };
 
-/// Blocks that are simulated side by side: so many that none waits for its own last result.
+/// Blocks of sixteen particles that are simulated side by side. With four, the processor always has
+/// another block to compute while one waits for its own last result.
 const GROUP: usize = 4;
 
-/// Tries the brake before it is needed: some periods of a voltage, then the brake, late by each
-/// particle's delay and with the velocities that the estimator would show it, for every Qube that this
-/// one may be.
+/// Simulates the brake before it is needed, on every Qube that this one may be: a voltage is held for some
+/// control periods, then the brake takes over. Each particle has its own delay, and its brake sees the
+/// velocities that the estimator would show.
 ///
-/// Trap: an arm that is held to the horizon may reach an end after it. A pendulum that comes to rest
-/// nearly upright falls later than 0.5 s: of arms at +-30 % that are neither calm nor at an end after
+/// Trap: the simulation ends at its horizon, and an arm may reach an end later. A pendulum that comes to
+/// rest nearly upright falls later than 0.5 s: of arms at +-30 % that are neither calm nor at an end after
 /// 0.5 s, one in forty reaches an end within 1.5 s.
 ///
-/// Sixteen particles are not followed further once none of their arms can reach an end any more
-/// (`calm.rs`), and a group of 64 ends with the last of them. Nothing is allocated after
-/// [`Self::new`]. The outlook is the same, bit for bit, on every instruction set.
+/// A block of sixteen particles ends early once none of their arms can reach an end any more (`calm.rs`),
+/// and a group of 64 particles ends with its last block. Nothing is allocated after [`Self::new`]. The
+/// outlook has the same bits on every instruction set.
 #[derive(Clone, Debug)]
 pub struct Foresight<B> {
     brake: B,
     ends: Ends,
     reach: Reach,
     filter: FilterGains<f32>,
-    /// Without those that fill the last group.
+    /// Number of particles, without the copies that fill the last group.
     count: usize,
     particles: Vec<ParticleLanes>,
     qubes: Vec<QubeLanes>,
-    /// What the estimator would show of each.
+    /// The state of each Qube as the estimator would show it.
     seen: Vec<State<Lanes>>,
     level: Level,
 }
 
-/// How far a trial looks.
+/// The length of a simulation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reach {
     /// Control periods for which the voltage is held before the brake begins.
     pub held: u32,
-    /// Control periods that are simulated at most.
+    /// Largest number of control periods that are simulated.
     pub horizon: u32,
 }
 
-/// The angles of the arm that must not be reached, rad.
+/// The angles that the arm must not reach, rad.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ends {
-    /// Below 0.
+    /// The end below 0, rad.
     pub low_rad: f32,
-    /// Above 0.
+    /// The end above 0, rad.
     pub high_rad: f32,
 }
 
-/// What comes of a voltage.
+/// The result of simulating a voltage and the brake after it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outlook {
     /// Whether the brake keeps every particle's arm short of both ends.
     pub holds: bool,
-    /// How close to an end the closest arm came, rad; below 0 beyond it, not a number for an arm that
-    /// left the numbers.
+    /// Smallest distance of any arm from an end, rad: negative beyond the end, not a number where the
+    /// simulation diverged.
     pub room_rad: f32,
-    /// The particle of that arm.
+    /// Index of the particle whose arm came closest.
     pub particle: usize,
-    /// Control periods that were simulated until it was known.
+    /// Number of control periods that were simulated.
     pub periods: u32,
 }
 
-/// What sixteen particles have beside their Qubes.
+/// The numbers of sixteen particles that are not part of their Qubes.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 struct ParticleLanes {
@@ -88,17 +89,17 @@ struct ParticleLanes {
     positive_share: Lanes,
     negative_share: Lanes,
     calm: CalmLanes,
-    /// Periods after which nothing but the brake's voltages is at the motors.
+    /// Periods after which only the brake's voltages act at the motors.
     settled: u32,
 }
 
 impl<B: BrakeLaw + Copy> Foresight<B> {
-    /// The particles, hardest first; the ends; and how far a trial looks. The estimator that is
-    /// simulated is the guard's, at its own corner.
+    /// Prepares the simulation of these particles, which should be sorted with the hardest first. The
+    /// simulated estimator is the guard's, at its own corner frequency.
     ///
     /// # Panics
-    /// If there is no particle, an end lies on the wrong side of 0, a share of the voltage is none, or a
-    /// delay is longer than [`MAX_HISTORY`] control periods.
+    /// Panics if there is no particle, if an end lies on the wrong side of 0, if a share of the voltage is
+    /// outside 0 to 1, or if a delay is longer than [`MAX_HISTORY`] control periods.
     #[must_use]
     pub fn new(particles: &[Particle], brake: B, ends: Ends, reach: Reach) -> Self {
         assert!(!particles.is_empty(), "no particles");
@@ -107,7 +108,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         let groups = count.div_ceil(GROUP * BLOCK);
         let mut qubes = vec![QubeLanes::hanging(); groups * GROUP];
         let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
-        // The last particle fills what is left.
+        // Copies of the last particle fill the last group.
         let of_lane = |lane: usize| &particles[lane.min(particles.len() - 1)];
         for lane in 0..groups * GROUP * BLOCK {
             let Particle { model, positive_share, negative_share, .. } = of_lane(lane);
@@ -128,14 +129,14 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         Self { brake, ends, reach, filter, count, particles, qubes, seen, level }
     }
 
-    /// The same, computed with this instruction set (for comparisons).
+    /// Uses this instruction set instead of the best one, for comparisons.
     #[must_use]
     pub fn at_level(mut self, level: Level) -> Self {
         self.level = level;
         self
     }
 
-    /// The same, with every arm followed to the horizon.
+    /// Follows every arm to the horizon, for tests of the shortcut.
     #[cfg(test)]
     fn without_calm(mut self) -> Self {
         for particles in &mut self.particles {
@@ -144,8 +145,8 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         self
     }
 
-    /// What comes of this voltage: in the estimated state, with the last commands (V, newest first) in
-    /// the past.
+    /// Simulates this voltage and the brake after it, from the estimated state and with the last commands
+    /// (V, newest first) still on their way.
     #[must_use]
     pub fn look(
         &mut self,
@@ -153,7 +154,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         sent_v: &[f32; MAX_HISTORY],
         voltage_v: f32,
     ) -> Outlook {
-        // A motor takes for 0 V what is not a number; a guard does not.
+        // The simulated motor reads NaN as 0 V; a guard must refuse it instead.
         if voltage_v.is_nan() || sent_v.iter().any(|sent_v| sent_v.is_nan()) {
             return Outlook { holds: false, room_rad: f32::NAN, particle: 0, periods: 0 };
         }
@@ -200,12 +201,12 @@ impl ParticleLanes {
         }
     }
 
-    /// The same where the first voltage is held for so long.
+    /// Counts `settled` from the end of a first voltage that is held for this many periods.
     fn holding(self, held: u32) -> Self {
         Self { settled: self.settled + held - 1, ..self }
     }
 
-    /// The voltages that arrive of these commands, V.
+    /// The voltages that arrive at the motors after these commands, V.
     #[inline(always)]
     fn arriving(&self, commands_v: &Lanes) -> Lanes {
         let mut arriving_v = [0.0; BLOCK];
@@ -289,7 +290,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
                 }
             }
             for (index, &room_rad) in rooms.as_flattened().iter().enumerate() {
-                // Not a number is the least.
+                // NaN counts as the smallest distance.
                 if room_rad < outlook.room_rad || room_rad.is_nan() {
                     let particle = group * GROUP * BLOCK + index;
                     (outlook.room_rad, outlook.particle) = (room_rad, particle.min(count - 1));
@@ -304,11 +305,10 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
     }
 }
 
-/// Puts the estimated state with each particle's error, and what has arrived of the last commands, into
-/// a block.
+/// Starts a block from the estimated state plus each particle's error, with the last commands on their way.
 ///
-/// An estimated velocity is that of a moment ago, by the filter's lag. Each particle's own acceleration
-/// then, under the voltage that its motor had, brings it up to date.
+/// An estimated velocity is older than its angle by the filter's lag. Each particle's acceleration under the
+/// voltage that its motor had brings the velocity up to date.
 #[inline(always)]
 fn resume(
     qubes: &mut QubeLanes,
@@ -329,7 +329,7 @@ fn resume(
     qubes.resume(&states, &arrived_v);
     qubes.begin_period(first_v);
     let (theta_dot_dot, alpha_dot_dot) = qubes.accelerations_before();
-    // Half a period for the difference of two angles, and the filter's memory of earlier ones.
+    // The difference of two angles lags half a period; the filter's memory of earlier ones adds the rest.
     let lag_s = CONTROL_PERIOD_S as f32 * (0.5 + filter.decay / (1.0 - filter.decay));
     for lane in 0..BLOCK {
         qubes.state.theta_dot[lane] += lag_s * theta_dot_dot[lane];
@@ -337,7 +337,7 @@ fn resume(
     }
 }
 
-/// What the estimator shows of a block after a period.
+/// Updates the states that the estimator shows of a block after a period.
 #[inline(always)]
 fn observe(
     seen: &mut State<Lanes>,
@@ -353,7 +353,7 @@ fn observe(
     }
 }
 
-/// The brake's voltages of a block, V.
+/// The voltages that the brake asks for in a block, V.
 #[inline(always)]
 fn brakes(brake: &impl BrakeLaw, seen: &State<Lanes>) -> Lanes {
     let mut commands_v = [0.0; BLOCK];
@@ -363,14 +363,14 @@ fn brakes(brake: &impl BrakeLaw, seen: &State<Lanes>) -> Lanes {
     commands_v
 }
 
-/// How close each arm has come to an end.
+/// Updates the smallest distance of each arm from an end.
 #[inline(always)]
 fn narrow(rooms: &mut Lanes, qubes: &QubeLanes, ends: &Ends) {
     for lane in 0..BLOCK {
         let theta = qubes.state.theta[lane];
         let (above, below) = (ends.high_rad - theta, theta - ends.low_rad);
         let room = if above < below { above } else { below };
-        // Not a number stays one, since such a motion does.
+        // A distance that is NaN stays NaN, because the diverged state does.
         rooms[lane] = if room >= rooms[lane] { rooms[lane] } else { room };
     }
 }

@@ -8,41 +8,41 @@ use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
 use crate::estimation::FilterGains;
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, MAX_HISTORY, QubeLanes, SUBSTEPS, State};
 
-/// After so many periods the prediction begins anew from the estimate: long enough for two Qubes to part,
-/// short enough for a pendulum that stands.
+/// Control periods after which the prediction restarts from the estimate: long enough for the motions of two
+/// different Qubes to part, short enough that a balancing pendulum stays predictable.
 const WINDOW_PERIODS: u32 = 10;
 
-/// A sample so much sooner or later than its period, s, begins the prediction anew.
+/// Deviation of a sample from its time at which the prediction restarts, s.
 const LATE_S: f64 = 0.002;
 
-/// How far outside of all particles an angle may be seen, rad: a degree of play between motor and arm, and two
-/// counts.
+/// Allowed distance of a measured angle from all particles, rad: one degree of play between motor and arm, plus
+/// two counts.
 const PLAY_RAD: f64 = 0.025;
 
-/// And for each rad/s of its velocity, s: by so much may a sample's time be wrong.
+/// Additional distance for each rad/s of velocity, s: the allowed error of a sample's time.
 const JITTER_S: f64 = 0.0005;
 
-/// Follows the Qube with every particle, some periods at a time, and says whether it moves as one of them
-/// may.
+/// Simulates every particle beside the Qube, ten periods at a time, and compares the Qube's motion with theirs.
 ///
-/// Nothing is allocated after [`Self::of`]; the same bits on every instruction set.
+/// Nothing is allocated after [`Self::of`]. The result has the same bits on every instruction set.
 #[derive(Clone, Debug)]
 pub struct Prediction {
     particles: Vec<ParticleLanes>,
     qubes: Vec<QubeLanes>,
     filter: FilterGains<f32>,
     level: Level,
-    /// Since when and for how many periods the particles have run; none before the first sample.
+    /// The current run of the particles; `None` before the first sample.
     run: Option<Run>,
 }
 
+/// A run of the particles since their last restart from the estimate.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     since_us: u64,
     periods: u32,
 }
 
-/// The least and the most of the particles' angles, rad.
+/// The ranges of the particles' angles, least and largest, rad.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Spread {
     theta: [f32; 2],
@@ -50,7 +50,7 @@ struct Spread {
 }
 
 impl Prediction {
-    /// With the particles of a foresight.
+    /// Predicts with the particles of a foresight.
     #[must_use]
     pub fn of<B>(foresight: &Foresight<B>) -> Self {
         let Foresight { particles, qubes, filter, level, .. } = foresight;
@@ -58,13 +58,13 @@ impl Prediction {
         Self { particles, qubes, filter: *filter, level: *level, run: None }
     }
 
-    /// Begins anew with the next sample: its angles may be counted from another zero.
+    /// Restarts the particles at the next sample, because its angles may be counted from another zero.
     pub fn begin_anew(&mut self) {
         self.run = None;
     }
 
-    /// Takes the estimated state of a sample, its time by the device's clock, and the commands before it (V,
-    /// newest first); whether a particle may have moved so.
+    /// Whether some particle may have moved as the Qube did. Takes the estimated state of the next sample, its
+    /// time by the device's clock, and the commands before it (V, newest first).
     #[must_use]
     pub fn is_kept(
         &mut self,
@@ -102,7 +102,7 @@ impl Prediction {
     }
 }
 
-/// The particles go on from an estimate.
+/// The restart of all particles from an estimate.
 struct Begin<'a> {
     particles: &'a [ParticleLanes],
     qubes: &'a mut [QubeLanes],
