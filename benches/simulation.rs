@@ -80,7 +80,7 @@ fn qube_lanes(criterion: &mut Criterion) {
     for lane in 0..64 {
         let Trajectory { mut model, .. } =
             Trajectory::draw(&DomainDistribution::robust(), 1, lane as u64);
-        model.gap.command_delay_s = 0.02 * lane as f64 / 63.0;
+        model.nonidealities.command_delay_s = 0.02 * lane as f64 / 63.0;
         let state = State { theta: 0.3, alpha: 2.0, theta_dot: 5.0, alpha_dot: -8.0 };
         start[lane / BLOCK].restart(lane % BLOCK, &model, &state);
     }

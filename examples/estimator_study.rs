@@ -25,8 +25,8 @@ use qube_hil::estimation::{
 };
 use qube_hil::policy::{Controller, Policy};
 use qube_hil::qube::{
-    DomainParameter, GapDynamics, Measurement, Profile, QubeModel, RewardWeights, State, counts,
-    runge_kutta_4, wrap_angle,
+    DomainParameter, Measurement, NonidealDynamics, Profile, QubeModel, RewardWeights, State,
+    counts, runge_kutta_4, wrap_angle,
 };
 use qube_hil::recording::return_of;
 use qube_hil::safety::{Guard, SafetyBox};
@@ -99,9 +99,9 @@ struct SwingUp {
 
 /// The policy, shown the true state at the instant at which its command will act, on this Qube.
 fn swing_up(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
-    let (dynamics, mut policy) = (GapDynamics::<f64>::new(model), policy.clone());
+    let (dynamics, mut policy) = (NonidealDynamics::<f64>::new(model), policy.clone());
     policy.start();
-    let mut sent = SentVoltages::new(model.gap.command_delay_s, 0.0);
+    let mut sent = SentVoltages::new(model.nonidealities.command_delay_s, 0.0);
     let mut state = start;
     let mut swing_up = SwingUp { samples: Vec::new(), truth: Vec::new() };
     let moved = |sent: &SentVoltages, mut state: State, from_us: u64, until_us: u64| {
@@ -193,7 +193,7 @@ fn velocity_errors(
 }
 
 fn errors(lab: &QubeModel, policy: &Policy, noises: &[f64]) {
-    let delay_s = lab.gap.command_delay_s;
+    let delay_s = lab.nonidealities.command_delay_s;
     let mut rows = estimators(lab, delay_s);
     for &noise in noises {
         for (name, model) in [("lab", *lab), ("nominal", QubeModel::NOMINAL)] {
@@ -319,7 +319,7 @@ impl Tally {
 fn delays(lab: &QubeModel, policies: &[Policy]) {
     let plants = [0.0, 6.0, 10.0, 16.0, 20.0].map(|delay_ms| {
         let mut plant = *lab;
-        plant.gap.command_delay_s = 1e-3 * delay_ms;
+        plant.nonidealities.command_delay_s = 1e-3 * delay_ms;
         Column { plants: vec![plant], rollouts: ROLLOUTS, delay_s: 1e-3 * delay_ms }
     });
     println!("| estimator | 0 ms | 6 ms | 10 ms | 16 ms | 20 ms |");
@@ -339,7 +339,8 @@ fn plants(lab: &QubeModel, policies: &[Policy]) {
             model
         })
         .collect();
-    let column = |plants, rollouts| Column { plants, rollouts, delay_s: lab.gap.command_delay_s };
+    let column =
+        |plants, rollouts| Column { plants, rollouts, delay_s: lab.nonidealities.command_delay_s };
     let columns =
         [column(vec![*lab], ROLLOUTS), column(around, 1), column(vec![lab.scaled(1.5)], ROLLOUTS)];
     println!(

@@ -70,8 +70,10 @@ fn qube(seed: u64) -> EmulatorSettings {
     let lab =
         Profile::parse(include_str!("../profiles/lab.toml")).expect("the profile lab").model();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut model =
-        QubeModel { gap: lab.scaled(1.5 * rng.random::<f64>()).gap, ..QubeModel::NOMINAL };
+    let mut model = QubeModel {
+        nonidealities: lab.scaled(1.5 * rng.random::<f64>()).nonidealities,
+        ..QubeModel::NOMINAL
+    };
     for parameter in DomainParameter::ALL.into_iter().filter(|p| *p != DomainParameter::Gravity) {
         let nominal = model.parameters.get(parameter);
         model.parameters.set(parameter, nominal * (0.9 + 0.2 * rng.random::<f64>()));

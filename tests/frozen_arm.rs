@@ -12,14 +12,20 @@ use qube_hil::control::{Alarm, Drive, SensorWatch};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::estimation::Calibration;
 use qube_hil::qube::{
-    Gap, GapDynamics, Measurement, QubeModel, RAD_PER_COUNT, State, control_step, counts,
+    Measurement, NonidealDynamics, Nonidealities, QubeModel, RAD_PER_COUNT, State, control_step,
+    counts,
 };
 use qube_hil::telemetry::{Ending, Fault};
 
 /// How many ticks after the freeze (none: the encoder is right all along) the arm is called frozen,
 /// driven to and fro beside a swinging pendulum.
-fn found_after(gap: Gap, alpha: f64, amplitude_v: f64, frozen_at: Option<u32>) -> Option<u32> {
-    let dynamics = GapDynamics::new(&QubeModel { gap, ..QubeModel::NOMINAL });
+fn found_after(
+    nonidealities: Nonidealities,
+    alpha: f64,
+    amplitude_v: f64,
+    frozen_at: Option<u32>,
+) -> Option<u32> {
+    let dynamics = NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL });
     let mut state = State { alpha, ..State::default() };
     let mut watch = SensorWatch::witnessed(Calibration::IDENTITY);
     let (mut theta_counts, mut voltage_v) = (0, 0.0);
@@ -50,7 +56,7 @@ fn found_after(gap: Gap, alpha: f64, amplitude_v: f64, frozen_at: Option<u32>) -
 fn a_freeze_in_a_swing_is_found_within_300_ms() {
     for at in (60..300).step_by(7) {
         for (alpha, amplitude_v) in [(1.5, 2.0), (2.0, 4.0), (2.5, 3.0)] {
-            let found = found_after(Gap::default(), alpha, amplitude_v, Some(at));
+            let found = found_after(Nonidealities::default(), alpha, amplitude_v, Some(at));
             assert!(found.is_some_and(|ticks| ticks <= 30), "{at}, {alpha}: {found:?}");
         }
     }
@@ -58,11 +64,11 @@ fn a_freeze_in_a_swing_is_found_within_300_ms() {
 
 #[test]
 fn an_arm_that_friction_holds_against_a_swinging_pendulum_is_not_frozen() {
-    let sticky = Gap { coulomb_torque_n_m: 4.0 * 4.7e-4, ..Gap::default() };
-    for gap in [Gap::default(), sticky] {
+    let sticky = Nonidealities { coulomb_torque_n_m: 4.0 * 4.7e-4, ..Nonidealities::default() };
+    for nonidealities in [Nonidealities::default(), sticky] {
         for alpha in [0.0, 0.2, 0.5, 1.0, 2.0, 3.0, 3.1] {
             for amplitude_v in [0.0, 0.3, 0.6] {
-                let found = found_after(gap, alpha, amplitude_v, None);
+                let found = found_after(nonidealities, alpha, amplitude_v, None);
                 assert_eq!(found, None, "{alpha} rad, {amplitude_v} V");
             }
         }

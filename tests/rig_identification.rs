@@ -69,7 +69,7 @@ fn the_first_rollouts_say_whether_the_rig_is_as_its_profile() {
     let qube = format!("profile = {:?}\n", lab_path());
     std::fs::write(directory.path().join("qube.toml"), qube).unwrap();
     let mut shifted = lab();
-    shifted.gap.cable_rest_rad += 0.4;
+    shifted.nonidealities.cable_rest_rad += 0.4;
     let shifted = toml::to_string(&shifted).unwrap();
     std::fs::write(directory.path().join("shifted.toml"), shifted).unwrap();
 
@@ -105,7 +105,7 @@ fn the_first_rollouts_say_whether_the_rig_is_as_its_profile() {
     let moved = drift("moved", &["--profile", "shifted.toml"]);
     assert_eq!(moved["cable_rest_rad"]["moved"], true, "{moved}");
     let today = moved["cable_rest_rad"]["today"].as_f64().unwrap();
-    assert!((today - (lab().gap.cable_rest_rad + 0.4)).abs() < 0.15, "{moved}");
+    assert!((today - (lab().nonidealities.cable_rest_rad + 0.4)).abs() < 0.15, "{moved}");
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn a_session_says_that_its_rig_has_moved() {
     std::fs::write(directory.path().join("qube.toml"), qube).unwrap();
     // Three candidates that need no training: the session takes over the policies that are there.
     let mut emulated = lab();
-    emulated.gap.command_delay_s = 0.017;
+    emulated.nonidealities.command_delay_s = 0.017;
     let mut configuration = SessionSettings::quick();
     configuration.extent = Extent {
         initial_candidates: 3,

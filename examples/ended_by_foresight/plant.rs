@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 
 use qube_hil::qube::{
-    CONTROL_PERIOD_S, EquationsOfMotion, GapDynamics, MAX_HISTORY, QubeModel, State, runge_kutta_4,
+    CONTROL_PERIOD_S, EquationsOfMotion, NonidealDynamics, MAX_HISTORY, QubeModel, State, runge_kutta_4,
 };
 
 /// A Qube of a table's row.
@@ -41,7 +41,7 @@ const SLIDING_RAD_S: f64 = 0.05;
 /// A Qube whose commands arrive late.
 pub struct Plant {
     kind: Kind,
-    dynamics: GapDynamics,
+    dynamics: NonidealDynamics,
     /// Arm and pendulum.
     state: State,
     /// The motor's angle, rad, and velocity, rad/s: those of the arm where there is no play.
@@ -57,7 +57,7 @@ impl Plant {
     pub fn at_rest(kind: &Kind, theta: f64) -> Self {
         Self {
             kind: *kind,
-            dynamics: GapDynamics::new(&kind.model),
+            dynamics: NonidealDynamics::new(&kind.model),
             state: State { theta, ..State::default() },
             rotor: [theta, 0.0],
             given_way_rad: 0.0,
@@ -81,7 +81,7 @@ impl Plant {
         let steps = if is_stiff { STIFF_STEPS } else { STEPS };
         let step_s = CONTROL_PERIOD_S / f64::from(steps);
         for step in 0..steps {
-            let sent_s = (f64::from(step) + 0.5) * step_s - self.kind.model.gap.command_delay_s;
+            let sent_s = (f64::from(step) + 0.5) * step_s - self.kind.model.nonidealities.command_delay_s;
             let age = (-sent_s / CONTROL_PERIOD_S).ceil().max(0.0) as usize;
             let voltage_v = self.commands_v.get(age).copied().unwrap_or(0.0);
             match self.kind.beyond_the_model {
@@ -132,7 +132,7 @@ impl Plant {
 
     /// The motor's torque without its back-EMF, which the arm's equation has, N m.
     fn motor_torque(&self, voltage_v: f64) -> f64 {
-        let gap = &self.kind.model.gap;
+        let gap = &self.kind.model.nonidealities;
         let above = (voltage_v - gap.positive_dead_zone_v).max(0.0);
         let below = (voltage_v + gap.negative_dead_zone_v).min(0.0);
         self.dynamics.ideal.torque_per_volt * (above + below)

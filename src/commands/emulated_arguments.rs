@@ -122,12 +122,14 @@ impl EmulatedArguments {
             model = model.scaled(factor);
         }
         if let Some(milliseconds) = self.delay_ms {
-            model.gap.command_delay_s = 1e-3 * milliseconds;
+            model.nonidealities.command_delay_s = 1e-3 * milliseconds;
         }
         if let Some(drift) = self.cable_drift {
-            model.gap.cable_drift_rad_per_min = drift;
+            model.nonidealities.cable_drift_rad_per_min = drift;
         }
-        if model.gap.cable_drift_rad_per_min != 0.0 && model.gap.cable_stiffness_n_m_rad == 0.0 {
+        if model.nonidealities.cable_drift_rad_per_min != 0.0
+            && model.nonidealities.cable_stiffness_n_m_rad == 0.0
+        {
             return Err(Failure::usage(
                 "this Qube has no cable that could drift: give --cable-drift a --profile with a \
                  cable_stiffness_n_m_rad above 0, as lab",

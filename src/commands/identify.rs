@@ -89,7 +89,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let profile = Profile {
         name: arguments.name.clone(),
         parameters: identified.model.parameters,
-        gap: identified.model.gap,
+        nonidealities: identified.model.nonidealities,
         standard_errors: standard_errors(&identified.estimates),
         correlations: Some(Correlations::new(
             unknowns.iter().map(|unknown| unknown.name().to_owned()).collect(),

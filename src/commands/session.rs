@@ -217,7 +217,7 @@ fn described(estimator: &EstimatorSettings) -> String {
     match &estimator.observer {
         None => format!("a filter of {} rad/s", estimator.corner_rad_s),
         Some(observer) => {
-            let delay_ms = 1e3 * observer.model.gap.command_delay_s;
+            let delay_ms = 1e3 * observer.model.nonidealities.command_delay_s;
             format!("an observer with a delay of {delay_ms:.1} ms")
         }
     }

@@ -16,7 +16,7 @@ use super::words_gone::names_but;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
-use crate::qube::{GapTerm, MAX_HISTORY};
+use crate::qube::{MAX_HISTORY, Nonideality};
 use crate::simulation::{
     Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Psi, SensorModel,
     SimulationSettings,
@@ -110,7 +110,7 @@ pub struct Arguments {
 
 impl Arguments {
     /// Whether the simulated Qubes have the nonidealities of real ones.
-    fn has_gap(&self) -> bool {
+    fn has_real_plant(&self) -> bool {
         self.profile.is_some() || self.delay_ms.is_some() || self.model == Model::Robust
     }
 }
@@ -280,8 +280,11 @@ fn simulation(
         (_, None) => {}
     }
     // An observer already compensates for the delay.
-    let default =
-        if arguments.has_gap() && !observes { SimulationSettings::robust().history } else { 0 };
+    let default = if arguments.has_real_plant() && !observes {
+        SimulationSettings::robust().history
+    } else {
+        0
+    };
     simulation.history = arguments.history.map_or(default, usize::from);
     Ok(simulation)
 }
@@ -335,7 +338,7 @@ fn distribution(arguments: &Arguments) -> Result<DomainDistribution, Failure> {
     };
     match arguments.delay_ms {
         Some((from_s, to_s)) => distribution
-            .with(GapTerm::CommandDelay, Distribution::between(from_s, to_s))
+            .with(Nonideality::CommandDelay, Distribution::between(from_s, to_s))
             .map_err(Failure::usage),
         None => Ok(distribution),
     }

@@ -137,7 +137,9 @@ impl AskingPush {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::{CONTROL_PERIOD_S, Gap, GapDynamics, QubeModel, State, control_step};
+    use crate::qube::{
+        CONTROL_PERIOD_S, NonidealDynamics, Nonidealities, QubeModel, State, control_step,
+    };
 
     fn at(tick: u64, theta: f64) -> Measurement {
         Measurement {
@@ -148,8 +150,8 @@ mod tests {
     }
 
     /// The tick at which an arm under a hanging pendulum has not answered, if it does not.
-    fn unanswered(gap: Gap, frozen: bool) -> Option<u64> {
-        let dynamics = GapDynamics::new(&QubeModel { gap, ..QubeModel::NOMINAL });
+    fn unanswered(nonidealities: Nonidealities, frozen: bool) -> Option<u64> {
+        let dynamics = NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL });
         let (mut asking, mut state, mut sent_mv) = (AskingPush::default(), State::default(), 0);
         for tick in 1..100 {
             let theta = if frozen { 0.0 } else { state.theta };
@@ -165,15 +167,19 @@ mod tests {
 
     #[test]
     fn an_arm_that_can_move_answers_also_where_friction_holds_it() {
-        let held = Gap { coulomb_torque_n_m: 2e-3, negative_dead_zone_v: 0.45, ..Gap::default() };
-        for gap in [Gap::default(), held] {
-            assert_eq!(unanswered(gap, false), None);
+        let held = Nonidealities {
+            coulomb_torque_n_m: 2e-3,
+            negative_dead_zone_v: 0.45,
+            ..Nonidealities::default()
+        };
+        for nonidealities in [Nonidealities::default(), held] {
+            assert_eq!(unanswered(nonidealities, false), None);
         }
     }
 
     #[test]
     fn a_frozen_count_is_found_within_200_ms() {
-        let tick = unanswered(Gap::default(), true);
+        let tick = unanswered(Nonidealities::default(), true);
         assert!(tick.is_some_and(|tick| tick <= 20), "{tick:?}");
     }
 

@@ -124,27 +124,27 @@ mod tests {
 
     use super::super::rest::RestDetector;
     use super::*;
-    use crate::qube::{Gap, GapDynamics, HARD_STOP_RAD, QubeModel, control_step};
+    use crate::qube::{HARD_STOP_RAD, NonidealDynamics, Nonidealities, QubeModel, control_step};
 
     #[test]
     fn every_state_that_a_rollout_may_leave_comes_to_rest_within_the_limit() {
-        comes_to_rest(&GapDynamics::new(&QubeModel::NOMINAL));
+        comes_to_rest(&NonidealDynamics::new(&QubeModel::NOMINAL));
     }
 
     /// With the cable of a real Qube the arm would rest 0.3 rad off its target.
     #[test]
     fn a_cable_and_friction_do_not_keep_the_arm_from_its_place() {
-        let gap = Gap {
+        let nonidealities = Nonidealities {
             coulomb_torque_n_m: 5e-4,
             negative_dead_zone_v: 0.3,
             cable_stiffness_n_m_rad: 1e-3,
             cable_rest_rad: -1.2,
-            ..Gap::default()
+            ..Nonidealities::default()
         };
-        comes_to_rest(&GapDynamics::new(&QubeModel { gap, ..QubeModel::NOMINAL }));
+        comes_to_rest(&NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL }));
     }
 
-    fn comes_to_rest(dynamics: &GapDynamics) {
+    fn comes_to_rest(dynamics: &NonidealDynamics) {
         for theta in [-2.2, -1.0, 0.0, 1.5] {
             for alpha in [0.0, 0.5, -1.5, 3.0, PI, 9.0] {
                 for alpha_dot in [-25.0, -3.0, 0.0, 15.0] {

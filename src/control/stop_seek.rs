@@ -13,7 +13,7 @@ const SLOWEST_RAD_S: f64 = 0.35;
 const PUSH_V_RAD: f64 = 6.0;
 
 /// The strongest such push, V: together 2.75 V, which is the examination's strongest push. One and a half
-/// times the gap of the profile `lab` with four times its friction takes 2.5 V to the stop that its cable
+/// times the nonidealities of the profile `lab` with four times its friction takes 2.5 V to the stop that its cable
 /// pulls away from.
 const MOST_PUSH_V: f64 = 1.12;
 

@@ -108,7 +108,9 @@ impl Estimator {
 mod tests {
     use super::super::{ObserverSettings, SentVoltages};
     use super::*;
-    use crate::qube::{DomainParameters, Gap, GapDynamics, QubeModel, counts, runge_kutta_4};
+    use crate::qube::{
+        DomainParameters, NonidealDynamics, Nonidealities, QubeModel, counts, runge_kutta_4,
+    };
 
     #[test]
     fn counts_of_a_steady_turn_become_its_velocity_within_one_count_of_noise() {
@@ -175,13 +177,13 @@ mod tests {
 
     impl Ride {
         fn new(model: &QubeModel) -> Self {
-            let sent = SentVoltages::new(model.gap.command_delay_s, 0.0);
+            let sent = SentVoltages::new(model.nonidealities.command_delay_s, 0.0);
             Self { sent, state: State { theta: 0.2, alpha: 0.1, ..State::default() }, now_us: 0 }
         }
 
         /// The state some time after the last sample, integrated with much finer steps than the observer's.
         fn at(&self, model: &QubeModel, until_us: u64) -> State {
-            let dynamics = GapDynamics::<f64>::new(model);
+            let dynamics = NonidealDynamics::<f64>::new(model);
             let mut state = self.state;
             for piece in self.sent.between(self.now_us, until_us) {
                 for _ in 0..20 {
@@ -205,11 +207,11 @@ mod tests {
     fn real() -> QubeModel {
         QubeModel {
             parameters: DomainParameters { motor_resistance_ohm: 9.1, ..DomainParameters::NOMINAL },
-            gap: Gap {
+            nonidealities: Nonidealities {
                 coulomb_torque_n_m: 4e-4,
                 cable_stiffness_n_m_rad: 9e-4,
                 command_delay_s: 0.0134,
-                ..Gap::default()
+                ..Nonidealities::default()
             },
         }
     }
@@ -254,7 +256,10 @@ mod tests {
     #[test]
     fn what_the_guard_sees_is_the_fast_filter_whatever_the_policy_sees() {
         let nonsense = QubeModel {
-            gap: Gap { cable_stiffness_n_m_rad: -1e6, ..Gap::default() },
+            nonidealities: Nonidealities {
+                cable_stiffness_n_m_rad: -1e6,
+                ..Nonidealities::default()
+            },
             ..QubeModel::NOMINAL
         };
         let mut plain = Estimator::new(EstimatorSettings::default(), Calibration::IDENTITY);

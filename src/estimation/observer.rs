@@ -1,6 +1,6 @@
 use super::{KalmanGains, ObserverSettings, SentVoltages};
 use crate::elementary::Scalar;
-use crate::qube::{GapDynamics, State, runge_kutta_4};
+use crate::qube::{NonidealDynamics, State, runge_kutta_4};
 
 /// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of an
 /// encoder count.
@@ -17,7 +17,7 @@ const SENSELESS: f64 = 1e4;
 /// The observer's equations, for the one Qube of the machine and for the lanes of a simulation.
 #[derive(Clone, Copy, Debug)]
 pub struct ObserverEquations<T = f64> {
-    dynamics: GapDynamics<T>,
+    dynamics: NonidealDynamics<T>,
     astray: T,
 }
 
@@ -26,7 +26,7 @@ impl<T: Scalar> ObserverEquations<T> {
     #[must_use]
     pub fn new(settings: &ObserverSettings) -> Self {
         Self {
-            dynamics: GapDynamics::new(&settings.model),
+            dynamics: NonidealDynamics::new(&settings.model),
             astray: T::from_f64(settings.astray_rad),
         }
     }
@@ -113,7 +113,7 @@ impl Observer {
         Self {
             settings: *settings,
             equations: ObserverEquations::new(settings),
-            sent: SentVoltages::new(settings.model.gap.command_delay_s, 0.0),
+            sent: SentVoltages::new(settings.model.nonidealities.command_delay_s, 0.0),
             estimate,
             observer_resets: 0,
         }

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::qube::{Gap, ParameterError, QubeModel};
+use crate::qube::{Nonidealities, ParameterError, QubeModel};
 
 /// Smallest corner of the guard's velocity filter, rad/s.
 pub const GUARD_CORNER_RAD_S: f64 = 200.0;
@@ -58,7 +58,7 @@ pub enum SettingsError {
     Parameter(#[from] ParameterError),
     /// A nonideality is not a finite number.
     #[error("observer.model.gap has an entry that is not a finite number")]
-    Gap,
+    Nonidealities,
 }
 
 impl EstimatorSettings {
@@ -98,21 +98,21 @@ impl EstimatorSettings {
         within("observer.theta_noise_rad_s2", observer.theta_noise_rad_s2, 1e6)?;
         within("observer.alpha_noise_rad_s2", observer.alpha_noise_rad_s2, 1e6)?;
         within("observer.astray_rad", observer.astray_rad, 10.0)?;
-        let QubeModel { parameters, gap } = &observer.model;
+        let QubeModel { parameters, nonidealities } = &observer.model;
         parameters.check()?;
-        if !(0.0..=0.1).contains(&gap.command_delay_s) {
-            return Err(SettingsError::Delay(gap.command_delay_s));
+        if !(0.0..=0.1).contains(&nonidealities.command_delay_s) {
+            return Err(SettingsError::Delay(nonidealities.command_delay_s));
         }
         let finite = [
-            gap.coulomb_torque_n_m,
-            gap.positive_dead_zone_v,
-            gap.negative_dead_zone_v,
-            gap.cable_stiffness_n_m_rad,
-            gap.cable_rest_rad,
+            nonidealities.coulomb_torque_n_m,
+            nonidealities.positive_dead_zone_v,
+            nonidealities.negative_dead_zone_v,
+            nonidealities.cable_stiffness_n_m_rad,
+            nonidealities.cable_rest_rad,
         ]
         .iter()
         .all(|value| value.is_finite());
-        if finite { Ok(()) } else { Err(SettingsError::Gap) }
+        if finite { Ok(()) } else { Err(SettingsError::Nonidealities) }
     }
 }
 
@@ -140,8 +140,8 @@ impl ObserverSettings {
     /// The same settings with another delay, s.
     #[must_use]
     pub fn with_delay(self, command_delay_s: f64) -> Self {
-        let gap = Gap { command_delay_s, ..self.model.gap };
-        Self { model: QubeModel { gap, ..self.model }, ..self }
+        let nonidealities = Nonidealities { command_delay_s, ..self.model.nonidealities };
+        Self { model: QubeModel { nonidealities, ..self.model }, ..self }
     }
 }
 

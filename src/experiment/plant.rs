@@ -28,33 +28,37 @@ impl Plant {
         }
         let mut random = ChaCha8Rng::seed_from_u64(derived_seed(seed, SeedFor::Qube { policy }));
         let mut varied = |value: f64| value * (1.0 + random.random_range(-self.vary..=self.vary));
-        let QubeModel { mut parameters, mut gap } = self.emulated.model;
+        let QubeModel { mut parameters, mut nonidealities } = self.emulated.model;
         for parameter in DomainParameter::ALL {
             parameters.set(parameter, varied(parameters.get(parameter)));
         }
         // The cable's rest angle is a place, not a strength, so it stays.
         for strength in [
-            &mut gap.coulomb_torque_n_m,
-            &mut gap.positive_dead_zone_v,
-            &mut gap.negative_dead_zone_v,
-            &mut gap.cable_stiffness_n_m_rad,
-            &mut gap.command_delay_s,
+            &mut nonidealities.coulomb_torque_n_m,
+            &mut nonidealities.positive_dead_zone_v,
+            &mut nonidealities.negative_dead_zone_v,
+            &mut nonidealities.cable_stiffness_n_m_rad,
+            &mut nonidealities.command_delay_s,
         ] {
             *strength = varied(*strength);
         }
-        EmulatedQubeSettings { model: QubeModel { parameters, gap }, ..self.emulated }
+        EmulatedQubeSettings { model: QubeModel { parameters, nonidealities }, ..self.emulated }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::Gap;
+    use crate::qube::Nonidealities;
 
     #[test]
     fn each_policy_has_its_own_qube_within_the_range_and_always_the_same() {
-        let gap = Gap { command_delay_s: 0.01, cable_rest_rad: -1.0, ..Gap::default() };
-        let model = QubeModel { gap, ..QubeModel::NOMINAL };
+        let nonidealities = Nonidealities {
+            command_delay_s: 0.01,
+            cable_rest_rad: -1.0,
+            ..Nonidealities::default()
+        };
+        let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
         let emulated =
             EmulatedQubeSettings { model, command_jitter_s: 0.001, ..Default::default() };
         let same = Plant { name: "lab".into(), emulated, vary: 0.0 };
@@ -64,13 +68,15 @@ mod tests {
         for policy in 0..100 {
             let drawn = plant.for_policy(3, policy);
             assert_eq!(drawn, plant.for_policy(3, policy));
-            assert_eq!(drawn.model.gap.cable_rest_rad, -1.0);
+            assert_eq!(drawn.model.nonidealities.cable_rest_rad, -1.0);
             assert_eq!(drawn.command_jitter_s, 0.001);
             assert_eq!(drawn.model.parameters.check(), Ok(()));
             let factors = DomainParameter::ALL.map(|parameter| {
                 drawn.model.parameters.get(parameter) / model.parameters.get(parameter)
             });
-            for factor in factors.into_iter().chain([drawn.model.gap.command_delay_s / 0.01]) {
+            for factor in
+                factors.into_iter().chain([drawn.model.nonidealities.command_delay_s / 0.01])
+            {
                 lowest = lowest.min(factor);
                 highest = highest.max(factor);
             }

@@ -82,8 +82,8 @@ impl RecipeModel {
                 "Masses and lengths by a psi that is searched, the others vary by a fifth"
             }
             Self::OptNominal => "Masses and lengths by a psi that is searched",
-            Self::Robust => "Parameters and gap as for a Qube that nobody has identified",
-            Self::Profile => "Parameters and gap around an identified Qube",
+            Self::Robust => "Parameters and nonidealities as for a Qube that nobody has identified",
+            Self::Profile => "Parameters and nonidealities around an identified Qube",
             Self::OptRobust => "Masses and lengths by a psi that is searched, the rest as robust",
             Self::OptProfile => "Masses and lengths by a psi that is searched, the rest as profile",
         }

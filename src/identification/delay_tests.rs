@@ -4,7 +4,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::qube::{DomainParameter, Gap, GapTerm, QubeModel, State};
+use crate::qube::{DomainParameter, Nonidealities, Nonideality, QubeModel, State};
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
 /// A chirp of 4 s from 5 Hz down, sampled at 100 Hz on a clock that jitters by some microseconds, with
@@ -35,21 +35,21 @@ fn chirp(truth: &QubeModel, seed: u64) -> MotionLog {
 fn the_standard_error_of_the_delay_is_its_scatter_over_recordings() {
     let unknowns: Vec<Unknown> = vec![
         DomainParameter::MotorResistance.into(),
-        GapTerm::CoulombTorque.into(),
-        GapTerm::CableStiffness.into(),
-        GapTerm::CommandDelay.into(),
+        Nonideality::CoulombTorque.into(),
+        Nonideality::CableStiffness.into(),
+        Nonideality::CommandDelay.into(),
     ];
     // The arrival of commands coincides with integration steps of a nominal period and lies within the
     // jitter of the neighbouring samples, so that the number of steps between arrivals and samples differs
     // from sample to sample and from delay to delay.
     for delay_s in [0.0033, 0.0067, 0.01] {
-        let gap = Gap {
+        let nonidealities = Nonidealities {
             coulomb_torque_n_m: 5e-4,
             cable_stiffness_n_m_rad: 1e-3,
             command_delay_s: delay_s,
-            ..Gap::default()
+            ..Nonidealities::default()
         };
-        let mut truth = QubeModel { gap, ..QubeModel::NOMINAL };
+        let mut truth = QubeModel { nonidealities, ..QubeModel::NOMINAL };
         truth.parameters.motor_resistance_ohm *= 1.1;
         let (mut scatter_s, mut error_s) = (0.0, 0.0);
         let seeds = 1000..1024;

@@ -3,13 +3,15 @@ use super::fitness::check_motion;
 use super::stretch::Stretch;
 use super::uncertainty::{Estimate, uncertainty};
 use super::{Unfit, Unknown};
-use crate::qube::{GapTerm, Quantity, QubeModel};
+use crate::qube::{Nonideality, Quantity, QubeModel};
 use crate::replay::MotionLog;
 
 /// The quantities that change from day to day on an unchanged machine: the command delay, and the cable's
 /// rest angle relative to the zero that homing found.
-const CHANGING: [Unknown; 2] =
-    [Unknown(Quantity::Gap(GapTerm::CommandDelay)), Unknown(Quantity::Gap(GapTerm::CableRest))];
+const CHANGING: [Unknown; 2] = [
+    Unknown(Quantity::Nonideality(Nonideality::CommandDelay)),
+    Unknown(Quantity::Nonideality(Nonideality::CableRest)),
+];
 
 /// Length of the fitted stretches, s: short enough for a balancing pendulum, whose motion no model predicts
 /// for long.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::qube::{DomainParameter, Gap, GapTerm, QubeModel, State, quantised};
+use crate::qube::{DomainParameter, Nonidealities, Nonideality, QubeModel, State, quantised};
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
 /// A chirp from 5 Hz down, recorded from `truth` at 250 Hz through encoders.
@@ -30,14 +30,14 @@ fn chirp(truth: &QubeModel, sign: f64, seconds: f64) -> MotionLog {
 /// A Qube that differs from nominal in every quantity that matters.
 fn truth() -> QubeModel {
     let mut truth = QubeModel {
-        gap: Gap {
+        nonidealities: Nonidealities {
             coulomb_torque_n_m: 4e-4,
             positive_dead_zone_v: 0.1,
             negative_dead_zone_v: 0.25,
             cable_stiffness_n_m_rad: 1e-3,
             cable_rest_rad: -0.6,
             command_delay_s: 0.0073,
-            ..Gap::default()
+            ..Nonidealities::default()
         },
         ..QubeModel::NOMINAL
     };
@@ -66,12 +66,12 @@ fn a_qube_that_is_known_is_found_within_its_standard_errors() {
         let off = (estimate.value - expected).abs() / estimate.standard_error;
         assert!(off < 4.0, "{} should be {expected}: {estimate:?}", estimate.unknown.name());
     }
-    let told = |term: GapTerm| {
+    let told = |term: Nonideality| {
         let unknown = Unknown::from(term);
         let estimate = found.estimates.iter().find(|estimate| estimate.unknown == unknown);
         estimate.is_some_and(Estimate::is_told)
     };
-    assert!(told(GapTerm::CommandDelay) && told(GapTerm::CableStiffness));
+    assert!(told(Nonideality::CommandDelay) && told(Nonideality::CableStiffness));
     // Scaling all forces and all inertias by the same factor leaves the motion unchanged.
     let blind: Vec<Unknown> = found.blind.iter().flatten().map(|(unknown, _)| *unknown).collect();
     assert!(blind.contains(&DomainParameter::PendulumMass.into()), "{blind:?}");
@@ -85,10 +85,10 @@ fn a_qube_that_is_known_is_found_within_its_standard_errors() {
 
 #[test]
 fn what_is_fixed_stays() {
-    let moves = [GapTerm::CommandDelay.into(), GapTerm::CoulombTorque.into()];
+    let moves = [Nonideality::CommandDelay.into(), Nonideality::CoulombTorque.into()];
     let found = identify(&[chirp(&truth(), 1.0, 2.0)], &moves, &QubeModel::NOMINAL).unwrap();
     assert_eq!(found.model.parameters, QubeModel::NOMINAL.parameters);
-    assert!(found.model.gap.command_delay_s > 0.0);
+    assert!(found.model.nonidealities.command_delay_s > 0.0);
     assert_eq!(found.estimates.len(), 2);
 }
 

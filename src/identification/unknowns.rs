@@ -1,4 +1,4 @@
-use crate::qube::{DomainParameter, DomainParameters, GapTerm, Quantity, QubeModel};
+use crate::qube::{DomainParameter, DomainParameters, Nonideality, Quantity, QubeModel};
 
 /// A quantity that a fit may move: a parameter by its logarithm, a nonideality linearly. Gravity is known
 /// and never moves.
@@ -33,7 +33,7 @@ impl Unknown {
     #[must_use]
     pub fn prior(self) -> Prior {
         use DomainParameter as P;
-        use GapTerm as G;
+        use Nonideality as G;
         let (mean, std) = match self.0 {
             Quantity::Parameter(parameter) => (
                 DomainParameters::NOMINAL.get(parameter).ln(),
@@ -45,7 +45,7 @@ impl Unknown {
                     P::RotaryDamping | P::PendulumDamping => 2.0,
                 },
             ),
-            Quantity::Gap(term) => (
+            Quantity::Nonideality(term) => (
                 0.0,
                 match term {
                     G::CoulombTorque => 1.5e-3,
@@ -69,7 +69,8 @@ impl Unknown {
     /// Sets the value of a model in the fit's unit, clamped to its meaningful range.
     pub fn set(self, model: &mut QubeModel, moved: f64) {
         // Of the nonidealities only an angle may be negative.
-        let is_strength = matches!(self.0, Quantity::Gap(term) if term != GapTerm::CableRest);
+        let is_strength =
+            matches!(self.0, Quantity::Nonideality(term) if term != Nonideality::CableRest);
         let moved = if is_strength { moved.max(0.0) } else { moved };
         model.set(self.0, self.quantity(moved));
     }

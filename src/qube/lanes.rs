@@ -1,4 +1,4 @@
-use super::{Dynamics, GapDynamics, State};
+use super::{Dynamics, NonidealDynamics, State};
 
 /// Number of Qubes in a block: the lanes of the widest vector register.
 pub const BLOCK: usize = 16;
@@ -76,7 +76,7 @@ in_lanes!(Dynamics {
     pendulum_damping,
 });
 
-in_lanes!(GapDynamics {
+in_lanes!(NonidealDynamics {
     ideal,
     coulomb_torque,
     positive_dead_zone,

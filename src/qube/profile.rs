@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{
-    DomainParameter, DomainParameters, Gap, GapTerm, MAX_CABLE_DRIFT_RAD_PER_MIN, ParameterError,
-    Quantity, QubeModel,
+    DomainParameter, DomainParameters, MAX_CABLE_DRIFT_RAD_PER_MIN, Nonidealities, Nonideality,
+    ParameterError, Quantity, QubeModel,
 };
 
 /// One Qube in a file: its model, the uncertainty of its values, and their provenance. `identify` writes
@@ -20,7 +20,8 @@ pub struct Profile {
     pub parameters: DomainParameters,
     /// The nonidealities; an entry that the file does not name is 0.
     #[serde(default)]
-    pub gap: Gap,
+    #[serde(rename = "gap")]
+    pub nonidealities: Nonidealities,
     /// Standard error by quantity name, each in the unit of its quantity.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub standard_errors: BTreeMap<String, f64>,
@@ -85,7 +86,7 @@ pub enum ProfileError {
     Parameter(#[from] ParameterError),
     /// A nonideality is outside its range.
     #[error("gap.{name} = {value}: give a number from {smallest} to {largest}")]
-    Gap {
+    Nonideality {
         /// Name of the entry.
         name: &'static str,
         /// Its value.
@@ -104,7 +105,7 @@ impl Profile {
         Self {
             name: name.to_owned(),
             parameters: model.parameters,
-            gap: model.gap,
+            nonidealities: model.nonidealities,
             standard_errors: BTreeMap::new(),
             correlations: None,
             provenance: None,
@@ -118,15 +119,16 @@ impl Profile {
     pub fn parse(text: &str) -> Result<Self, ProfileError> {
         let profile: Self = toml::from_str(text).map_err(Box::new)?;
         profile.parameters.check()?;
-        let drift = profile.gap.cable_drift_rad_per_min;
+        let drift = profile.nonidealities.cable_drift_rad_per_min;
         let drifts = -MAX_CABLE_DRIFT_RAD_PER_MIN..=MAX_CABLE_DRIFT_RAD_PER_MIN;
-        let terms = GapTerm::ALL.map(|term| (term.name(), profile.gap.get(term), term.range()));
+        let terms = Nonideality::ALL
+            .map(|term| (term.name(), profile.nonidealities.get(term), term.range()));
         for (name, value, range) in
             terms.into_iter().chain([("cable_drift_rad_per_min", drift, drifts)])
         {
             if !range.contains(&value) {
                 let (smallest, largest) = range.into_inner();
-                return Err(ProfileError::Gap { name, value, smallest, largest });
+                return Err(ProfileError::Nonideality { name, value, smallest, largest });
             }
         }
         for (name, &value) in &profile.standard_errors {
@@ -149,7 +151,7 @@ impl Profile {
     /// The model of the Qube.
     #[must_use]
     pub fn model(&self) -> QubeModel {
-        QubeModel { parameters: self.parameters, gap: self.gap }
+        QubeModel { parameters: self.parameters, nonidealities: self.nonidealities }
     }
 }
 
@@ -229,7 +231,7 @@ mod tests {
         let profile = Profile {
             name: "lab".into(),
             parameters: DomainParameters { motor_resistance_ohm: 9.1, ..DomainParameters::NOMINAL },
-            gap: Gap { command_delay_s: 0.01, ..Gap::default() },
+            nonidealities: Nonidealities { command_delay_s: 0.01, ..Nonidealities::default() },
             standard_errors: BTreeMap::from([("R_m".into(), 0.2)]),
             correlations: Some(Correlations {
                 names: vec!["R_m".into(), "command_delay_s".into()],
@@ -246,11 +248,11 @@ mod tests {
         assert_eq!(Profile::parse(&text).unwrap(), profile);
         let short = Profile::parse("name = \"x\"\n[parameters]\nR_m = 9.1\n").unwrap();
         assert_eq!(short.parameters, profile.parameters);
-        assert_eq!(short.gap, Gap::default());
+        assert_eq!(short.nonidealities, Nonidealities::default());
         // A profile without drift is written without the key.
         assert!(!text.contains("drift"), "{text}");
         let drifting = Profile::parse("name = \"x\"\n[gap]\ncable_drift_rad_per_min = 0.02\n");
-        assert_eq!(drifting.unwrap().gap.cable_drift_rad_per_min, 0.02);
+        assert_eq!(drifting.unwrap().nonidealities.cable_drift_rad_per_min, 0.02);
     }
 
     #[test]

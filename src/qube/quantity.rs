@@ -1,10 +1,10 @@
 use std::ops::RangeInclusive;
 
-use super::{DomainParameter, Gap, QubeModel};
+use super::{DomainParameter, Nonidealities, QubeModel};
 
-/// Names one term of the [`Gap`].
+/// Names one term of the [`Nonidealities`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum GapTerm {
+pub enum Nonideality {
     /// Coulomb friction of the arm, N m.
     CoulombTorque,
     /// Dead zone for positive voltages, V.
@@ -19,7 +19,7 @@ pub enum GapTerm {
     CommandDelay,
 }
 
-impl GapTerm {
+impl Nonideality {
     /// All six, in order.
     pub const ALL: [Self; 6] = [
         Self::CoulombTorque,
@@ -67,29 +67,29 @@ impl GapTerm {
     }
 }
 
-impl Gap {
+impl Nonidealities {
     /// The value of one term, in its unit.
     #[must_use]
-    pub fn get(&self, term: GapTerm) -> f64 {
+    pub fn get(&self, term: Nonideality) -> f64 {
         match term {
-            GapTerm::CoulombTorque => self.coulomb_torque_n_m,
-            GapTerm::PositiveDeadZone => self.positive_dead_zone_v,
-            GapTerm::NegativeDeadZone => self.negative_dead_zone_v,
-            GapTerm::CableStiffness => self.cable_stiffness_n_m_rad,
-            GapTerm::CableRest => self.cable_rest_rad,
-            GapTerm::CommandDelay => self.command_delay_s,
+            Nonideality::CoulombTorque => self.coulomb_torque_n_m,
+            Nonideality::PositiveDeadZone => self.positive_dead_zone_v,
+            Nonideality::NegativeDeadZone => self.negative_dead_zone_v,
+            Nonideality::CableStiffness => self.cable_stiffness_n_m_rad,
+            Nonideality::CableRest => self.cable_rest_rad,
+            Nonideality::CommandDelay => self.command_delay_s,
         }
     }
 
     /// Sets one term, in its unit.
-    pub fn set(&mut self, term: GapTerm, value: f64) {
+    pub fn set(&mut self, term: Nonideality, value: f64) {
         *match term {
-            GapTerm::CoulombTorque => &mut self.coulomb_torque_n_m,
-            GapTerm::PositiveDeadZone => &mut self.positive_dead_zone_v,
-            GapTerm::NegativeDeadZone => &mut self.negative_dead_zone_v,
-            GapTerm::CableStiffness => &mut self.cable_stiffness_n_m_rad,
-            GapTerm::CableRest => &mut self.cable_rest_rad,
-            GapTerm::CommandDelay => &mut self.command_delay_s,
+            Nonideality::CoulombTorque => &mut self.coulomb_torque_n_m,
+            Nonideality::PositiveDeadZone => &mut self.positive_dead_zone_v,
+            Nonideality::NegativeDeadZone => &mut self.negative_dead_zone_v,
+            Nonideality::CableStiffness => &mut self.cable_stiffness_n_m_rad,
+            Nonideality::CableRest => &mut self.cable_rest_rad,
+            Nonideality::CommandDelay => &mut self.command_delay_s,
         } = value;
     }
 }
@@ -100,17 +100,17 @@ pub enum Quantity {
     /// One of the nine domain parameters.
     Parameter(DomainParameter),
     /// One of the nonidealities.
-    Gap(GapTerm),
+    Nonideality(Nonideality),
 }
 
 impl Quantity {
     /// Number of quantities.
-    pub const COUNT: usize = DomainParameter::ALL.len() + GapTerm::ALL.len();
+    pub const COUNT: usize = DomainParameter::ALL.len() + Nonideality::ALL.len();
 
     /// All quantities: the nine parameters, then the nonidealities.
     pub fn all() -> impl Iterator<Item = Self> {
         let parameters = DomainParameter::ALL.into_iter().map(Self::Parameter);
-        parameters.chain(GapTerm::ALL.into_iter().map(Self::Gap))
+        parameters.chain(Nonideality::ALL.into_iter().map(Self::Nonideality))
     }
 
     /// Index among [`Self::all`].
@@ -118,7 +118,7 @@ impl Quantity {
     pub fn index(self) -> usize {
         match self {
             Self::Parameter(parameter) => parameter as usize,
-            Self::Gap(term) => DomainParameter::ALL.len() + term as usize,
+            Self::Nonideality(term) => DomainParameter::ALL.len() + term as usize,
         }
     }
 
@@ -127,7 +127,7 @@ impl Quantity {
     pub fn symbol(self) -> &'static str {
         match self {
             Self::Parameter(parameter) => parameter.symbol(),
-            Self::Gap(term) => term.symbol(),
+            Self::Nonideality(term) => term.symbol(),
         }
     }
 
@@ -136,7 +136,7 @@ impl Quantity {
     pub fn name(self) -> &'static str {
         match self {
             Self::Parameter(parameter) => parameter.symbol(),
-            Self::Gap(term) => term.name(),
+            Self::Nonideality(term) => term.name(),
         }
     }
 
@@ -151,11 +151,11 @@ impl Quantity {
             Self::Parameter(P::RotaryDamping | P::PendulumDamping) => "N m s/rad",
             Self::Parameter(P::RotaryMass | P::PendulumMass) => "kg",
             Self::Parameter(P::RotaryLength | P::PendulumLength) => "m",
-            Self::Gap(GapTerm::CoulombTorque) => "N m",
-            Self::Gap(GapTerm::PositiveDeadZone | GapTerm::NegativeDeadZone) => "V",
-            Self::Gap(GapTerm::CableStiffness) => "N m/rad",
-            Self::Gap(GapTerm::CableRest) => "rad",
-            Self::Gap(GapTerm::CommandDelay) => "s",
+            Self::Nonideality(Nonideality::CoulombTorque) => "N m",
+            Self::Nonideality(Nonideality::PositiveDeadZone | Nonideality::NegativeDeadZone) => "V",
+            Self::Nonideality(Nonideality::CableStiffness) => "N m/rad",
+            Self::Nonideality(Nonideality::CableRest) => "rad",
+            Self::Nonideality(Nonideality::CommandDelay) => "s",
         }
     }
 
@@ -178,9 +178,9 @@ impl From<DomainParameter> for Quantity {
     }
 }
 
-impl From<GapTerm> for Quantity {
-    fn from(term: GapTerm) -> Self {
-        Self::Gap(term)
+impl From<Nonideality> for Quantity {
+    fn from(term: Nonideality) -> Self {
+        Self::Nonideality(term)
     }
 }
 
@@ -190,7 +190,7 @@ impl QubeModel {
     pub fn get(&self, quantity: Quantity) -> f64 {
         match quantity {
             Quantity::Parameter(parameter) => self.parameters.get(parameter),
-            Quantity::Gap(term) => self.gap.get(term),
+            Quantity::Nonideality(term) => self.nonidealities.get(term),
         }
     }
 
@@ -198,7 +198,7 @@ impl QubeModel {
     pub fn set(&mut self, quantity: Quantity, value: f64) {
         match quantity {
             Quantity::Parameter(parameter) => self.parameters.set(parameter, value),
-            Quantity::Gap(term) => self.gap.set(term, value),
+            Quantity::Nonideality(term) => self.nonidealities.set(term, value),
         }
     }
 }
@@ -219,9 +219,9 @@ mod tests {
             assert_eq!(model.get(quantity), 1.0 + index as f64);
         }
         assert_eq!(Quantity::all().count(), Quantity::COUNT);
-        let gap = serde_json::to_value(model.gap).unwrap();
-        for term in GapTerm::ALL {
-            assert_eq!(gap[term.name()], model.gap.get(term));
+        let nonidealities = serde_json::to_value(model.nonidealities).unwrap();
+        for term in Nonideality::ALL {
+            assert_eq!(nonidealities[term.name()], model.nonidealities.get(term));
         }
     }
 }

@@ -5,8 +5,8 @@
 
 use super::command_line::{CommandLine, STEP_S};
 use super::{
-    BLOCK, EquationsOfMotion as _, GapDynamics, InLanes, Lanes, MAX_HISTORY, QubeModel, SUBSTEPS,
-    State, limited_voltage, runge_kutta_4,
+    BLOCK, EquationsOfMotion as _, InLanes, Lanes, MAX_HISTORY, NonidealDynamics, QubeModel,
+    SUBSTEPS, State, limited_voltage, runge_kutta_4,
 };
 use crate::elementary::{InstructionSet, VectorKernel};
 
@@ -21,7 +21,7 @@ use crate::elementary::{InstructionSet, VectorKernel};
 pub struct QubeLanes {
     /// True states of the Qubes.
     pub state: State<Lanes>,
-    dynamics: GapDynamics<Lanes>,
+    dynamics: NonidealDynamics<Lanes>,
     commands: CommandLine,
     /// Lanes that hold the thesis's ideal Qube. A block of these alone is integrated by a shorter path to
     /// the same bits.
@@ -35,7 +35,7 @@ impl QubeLanes {
         let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
         Self {
             state: State::all(&at_rest),
-            dynamics: GapDynamics::all(&GapDynamics::new(&QubeModel::NOMINAL)),
+            dynamics: NonidealDynamics::all(&NonidealDynamics::new(&QubeModel::NOMINAL)),
             commands: CommandLine::EMPTY,
             ideal: [true; BLOCK],
         }
@@ -48,14 +48,14 @@ impl QubeLanes {
     /// Panics if the lane does not exist.
     pub fn restart(&mut self, lane: usize, model: &QubeModel, state: &State<f32>) {
         self.state.set_lane(lane, state);
-        let gap: GapDynamics<f32> = GapDynamics::new(model);
-        self.dynamics.set_lane(lane, &gap);
-        self.commands.restart(lane, model.gap.command_delay_s);
+        let nonidealities: NonidealDynamics<f32> = NonidealDynamics::new(model);
+        self.dynamics.set_lane(lane, &nonidealities);
+        self.commands.restart(lane, model.nonidealities.command_delay_s);
         let forces = [
-            gap.coulomb_torque,
-            gap.positive_dead_zone,
-            gap.negative_dead_zone,
-            gap.cable_stiffness,
+            nonidealities.coulomb_torque,
+            nonidealities.positive_dead_zone,
+            nonidealities.negative_dead_zone,
+            nonidealities.cable_stiffness,
         ];
         self.ideal[lane] = forces == [0.0; 4] && self.commands.is_immediate(lane);
     }
@@ -70,7 +70,7 @@ impl QubeLanes {
     /// The equations of motion of all lanes.
     #[must_use]
     #[inline(always)]
-    pub fn dynamics(&self) -> &GapDynamics<Lanes> {
+    pub fn dynamics(&self) -> &NonidealDynamics<Lanes> {
         &self.dynamics
     }
 

@@ -3,7 +3,7 @@ use std::ops::Range;
 use thiserror::Error;
 
 use super::{MotionLog, MotionSample};
-use crate::qube::{CONTROL_PERIOD_S, GapDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
+use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
 
 /// The simulation of a log's voltages.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,8 +86,8 @@ pub fn simulate_stretch(
     mut each: impl FnMut(State),
 ) {
     let Some(first) = samples.get(stretch.start) else { return };
-    let dynamics = GapDynamics::<f64>::new(model);
-    let arrival_s = |command: &MotionSample| command.time_s + model.gap.command_delay_s;
+    let dynamics = NonidealDynamics::<f64>::new(model);
+    let arrival_s = |command: &MotionSample| command.time_s + model.nonidealities.command_delay_s;
     let (mut state, mut time_s) = (start, first.time_s);
     // The command that acts at the start; none precedes the first.
     let mut command = stretch.start;
@@ -133,7 +133,7 @@ fn steps_over(duration_s: f64) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::{DomainParameters, Dynamics, Gap, control_step};
+    use crate::qube::{DomainParameters, Dynamics, Nonidealities, control_step};
     use crate::replay::MotionSample;
 
     /// A log that the simulator itself made, with uneven times.
@@ -182,7 +182,11 @@ mod tests {
         // The slope over a fit's finite difference equals the slope over a wide one, wherever commands
         // arrive between samples and steps.
         let with_delay = |command_delay_s| QubeModel {
-            gap: Gap { coulomb_torque_n_m: 5e-4, command_delay_s, ..Gap::default() },
+            nonidealities: Nonidealities {
+                coulomb_torque_n_m: 5e-4,
+                command_delay_s,
+                ..Nonidealities::default()
+            },
             ..QubeModel::NOMINAL
         };
         // The clock jitters by 10 us.
@@ -225,7 +229,7 @@ mod tests {
     #[test]
     fn a_delayed_command_arrives_between_samples_and_before_a_stretch() {
         let delayed = |command_delay_s| QubeModel {
-            gap: Gap { command_delay_s, ..Gap::default() },
+            nonidealities: Nonidealities { command_delay_s, ..Nonidealities::default() },
             ..QubeModel::NOMINAL
         };
         // Samples every 10 ms; the voltage is on from the second one.

@@ -144,8 +144,8 @@ mod tests {
         SimulatedGuard, SimulatedSensors, TrainingRecord,
     };
     use crate::qube::{
-        CONTROL_PERIOD_NS, DomainParameters, Dynamics, Gap, Measurement, QubeModel, RAD_PER_COUNT,
-        State, Status, control_step, counts,
+        CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, Nonidealities, QubeModel,
+        RAD_PER_COUNT, State, Status, control_step, counts,
     };
     use crate::recording::samples::{POLICY, header, outcome};
     use crate::recording::{RolloutWriter, parse};
@@ -287,7 +287,7 @@ mod tests {
     #[test]
     fn what_an_observer_or_a_slow_filter_showed_comes_out_again_bit_for_bit() {
         let model = QubeModel {
-            gap: Gap { command_delay_s: 0.0037, ..Gap::default() },
+            nonidealities: Nonidealities { command_delay_s: 0.0037, ..Nonidealities::default() },
             ..QubeModel::NOMINAL
         };
         let fast = recorded_rollout(classical(ClassicalGains::default()), None);

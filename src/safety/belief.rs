@@ -5,8 +5,8 @@ use thiserror::Error;
 use super::Particle;
 use super::places::{NUMBERS, PLACES};
 use crate::qube::{
-    CONTROL_PERIOD_S, DomainParameter, Gap, GapTerm, MAX_HISTORY, ParameterError, Profile,
-    Quantity, QubeModel, RAD_PER_COUNT, State,
+    CONTROL_PERIOD_S, DomainParameter, MAX_HISTORY, Nonidealities, Nonideality, ParameterError,
+    Profile, Quantity, QubeModel, RAD_PER_COUNT, State,
 };
 
 /// How much faster arm and pendulum may be than they are estimated, rad/s: one count in a period.
@@ -32,7 +32,7 @@ const UNKNOWN_SHARE: f64 = 0.3;
 const IDENTIFIED_SHARE: f64 = 0.8;
 
 /// What several numbers at once may be off, in the order of [`Quantity::all`]: of parameters their
-/// logarithms, of the gap's terms their values.
+/// logarithms, of the nonidealities their values.
 type Step = [f64; Quantity::COUNT];
 
 /// How far from where it is counted from the arm's zero may lie, rad: homing finds the stops within this.
@@ -97,7 +97,7 @@ fn are_none(steps: &[Step; Quantity::COUNT]) -> bool {
 
 impl Belief {
     /// Nothing is known but that it is a Qube: each parameter within this share of its nominal value, and
-    /// the gap anything up to twice that of the Qube whose recordings are public.
+    /// the nonidealities anything up to twice that of the Qube whose recordings are public.
     #[must_use]
     pub fn of_any_qube(within: f64) -> Self {
         let (mut low, mut high) = (QubeModel::NOMINAL, QubeModel::NOMINAL);
@@ -108,15 +108,15 @@ impl Belief {
                 high.parameters.set(parameter, (1.0 + within) * nominal);
             }
         }
-        low.gap = Gap { cable_rest_rad: -1.2, ..Gap::default() };
-        high.gap = Gap {
+        low.nonidealities = Nonidealities { cable_rest_rad: -1.2, ..Nonidealities::default() };
+        high.nonidealities = Nonidealities {
             coulomb_torque_n_m: 7e-4,
             positive_dead_zone_v: 0.35,
             negative_dead_zone_v: 0.35,
             cable_stiffness_n_m_rad: 1.4e-3,
             cable_rest_rad: 1.2,
             command_delay_s: 0.02,
-            ..Gap::default()
+            ..Nonidealities::default()
         };
         Self { low, high, least_share: 1.0, steps: no_steps() }
     }
@@ -142,9 +142,9 @@ impl Belief {
                     let off = error.max(MODEL_ERROR * value).min(UNKNOWN_SHARE * value);
                     (value - off, value + off)
                 }
-                Quantity::Gap(term) => {
+                Quantity::Nonideality(term) => {
                     let off = error.max(match term {
-                        GapTerm::CommandDelay => (DELAY_ERROR * value).max(LEAST_DELAY_ERROR_S),
+                        Nonideality::CommandDelay => (DELAY_ERROR * value).max(LEAST_DELAY_ERROR_S),
                         _ => MODEL_ERROR * value.abs(),
                     });
                     (possible(term, value - off), possible(term, value + off))
@@ -171,14 +171,14 @@ impl Belief {
             let [low, high] = [self.low, self.high].map(|end| end.get(quantity));
             let range = match quantity {
                 Quantity::Parameter(_) => 0.0..=f64::MAX,
-                Quantity::Gap(term) => term.range(),
+                Quantity::Nonideality(term) => term.range(),
             };
             if !(range.contains(&low) && range.contains(&high) && low <= high) {
                 return Err(BeliefError::Interval { name: quantity.name(), low, high });
             }
         }
         let longest_s = LONGEST_DELAY_S;
-        let delay_s = self.high.gap.command_delay_s;
+        let delay_s = self.high.nonidealities.command_delay_s;
         if delay_s > longest_s {
             return Err(BeliefError::Delay { delay_s, longest_s });
         }
@@ -221,7 +221,7 @@ impl Belief {
     /// The particle at a place.
     fn at(&self, place: &[f64; NUMBERS], widths: &Step) -> Particle {
         let between = |low: f64, high: f64, place: f64| 0.5 * (low + high + place * (high - low));
-        let mut model = QubeModel { gap: Gap::default(), ..self.low };
+        let mut model = QubeModel { nonidealities: Nonidealities::default(), ..self.low };
         for (quantity, place) in Quantity::all().zip(place) {
             let [low, high] = [self.low, self.high].map(|end| end.get(quantity));
             model.set(quantity, between(low, high, *place));
@@ -243,17 +243,18 @@ impl Belief {
 const LONGEST_DELAY_S: f64 = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
 
 /// The nearest value of a term that a particle may have.
-fn possible(term: GapTerm, value: f64) -> f64 {
+fn possible(term: Nonideality, value: f64) -> f64 {
     let (least, most) = term.range().into_inner();
-    value.clamp(least, if term == GapTerm::CommandDelay { LONGEST_DELAY_S } else { most })
+    value.clamp(least, if term == Nonideality::CommandDelay { LONGEST_DELAY_S } else { most })
 }
 
 /// How far each number of a Qube that is not known may be from the middle: of parameters the logarithm.
 fn unknown_widths() -> Step {
     let Belief { low, high, .. } = Belief::of_any_qube(UNKNOWN_SHARE);
     let mut widths = [UNKNOWN_SHARE; Quantity::COUNT];
-    for term in GapTerm::ALL {
-        widths[Quantity::Gap(term).index()] = 0.5 * (high.gap.get(term) - low.gap.get(term));
+    for term in Nonideality::ALL {
+        widths[Quantity::Nonideality(term).index()] =
+            0.5 * (high.nonidealities.get(term) - low.nonidealities.get(term));
     }
     widths
 }
@@ -269,7 +270,7 @@ fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths: &Step)
             quantity,
             match quantity {
                 Quantity::Parameter(_) => value * step.exp(),
-                Quantity::Gap(term) => possible(term, value + step),
+                Quantity::Nonideality(term) => possible(term, value + step),
             },
         );
     }
@@ -286,7 +287,7 @@ fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
     let error = |quantity: Quantity| {
         let value = match quantity {
             Quantity::Parameter(_) => model.get(quantity),
-            Quantity::Gap(_) => 1.0,
+            Quantity::Nonideality(_) => 1.0,
         };
         if value == 0.0 {
             return 0.0;

@@ -3,7 +3,7 @@ use crate::qube::{QubeModel, State};
 /// One Qube that the one at hand may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Particle {
-    /// Its parameters, gap and delay.
+    /// Its parameters, nonidealities and delay.
     pub model: QubeModel,
     /// The share of a positive voltage that arrives, 0 to 1: a weak supply, an amplifier that is not the
     /// same on both sides.

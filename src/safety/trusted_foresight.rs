@@ -110,7 +110,8 @@ impl TrustedForesight {
 mod tests {
     use super::*;
     use crate::qube::{
-        CONTROL_PERIOD_S, Gap, GapDynamics, Profile, QubeModel, quantised, runge_kutta_4,
+        CONTROL_PERIOD_S, NonidealDynamics, Nonidealities, Profile, QubeModel, quantised,
+        runge_kutta_4,
     };
     use crate::safety::{ForesightSettings, IdentifiedQube};
 
@@ -122,8 +123,11 @@ mod tests {
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };
         let mut foresight = settings.foresight(None);
         foresight.begin_policy();
-        let plant = QubeModel { gap: Gap { command_delay_s: 0.01, ..plant.gap }, ..*plant };
-        let dynamics = GapDynamics::new(&plant);
+        let plant = QubeModel {
+            nonidealities: Nonidealities { command_delay_s: 0.01, ..plant.nonidealities },
+            ..*plant
+        };
+        let dynamics = NonidealDynamics::new(&plant);
         let (mut state, mut sent_v) = (State::default(), [0.0; MAX_HISTORY]);
         let mut before = state;
         let mut contradicted = false;

@@ -332,7 +332,7 @@ fn lay_over(below: &mut Table, above: Table) {
 mod tests {
     use super::*;
     use crate::estimation::{EstimatorSettings, ObserverSettings};
-    use crate::qube::{GapTerm, QubeModel};
+    use crate::qube::{Nonideality, QubeModel};
     use crate::session::retired::table_at;
     use crate::simulation::PsiSpace;
 
@@ -380,7 +380,7 @@ mod tests {
         let again = overridden(&settings.to_toml().unwrap()).unwrap();
         assert_eq!(again, settings);
         let point = [0.02, 50.0];
-        let delay = settings.distribution(&point).unwrap().get(GapTerm::CommandDelay);
+        let delay = settings.distribution(&point).unwrap().get(Nonideality::CommandDelay);
         assert_eq!(delay.mean(), 0.02);
         let sensors = settings.simulation(&point).unwrap().sensors;
         let SensorModel::Encoders { estimator } = sensors else { panic!("{sensors:?}") };

@@ -72,7 +72,7 @@ impl Drift {
         let hanging: Vec<f64> = recordings.iter().filter_map(hanging_rad).collect();
         let count = hanging.len().max(1) as f64;
         let alpha_rad = hanging.iter().sum::<f64>() / count;
-        let gap = &profile.gap;
+        let nonidealities = &profile.nonidealities;
         let compared = |estimate: &crate::identification::Estimate, profile, tolerance| {
             let mut compared =
                 Compared::new(estimate.value, estimate.standard_error, profile, tolerance);
@@ -81,8 +81,16 @@ impl Drift {
             compared
         };
         Ok(Self {
-            command_delay_s: compared(&found.command_delay, gap.command_delay_s, DELAY_TOLERANCE_S),
-            cable_rest_rad: compared(&found.cable_rest, gap.cable_rest_rad, REST_TOLERANCE_RAD),
+            command_delay_s: compared(
+                &found.command_delay,
+                nonidealities.command_delay_s,
+                DELAY_TOLERANCE_S,
+            ),
+            cable_rest_rad: compared(
+                &found.cable_rest,
+                nonidealities.cable_rest_rad,
+                REST_TOLERANCE_RAD,
+            ),
             alpha_zero_rad: Compared::new(alpha_rad, 0.0, 0.0, ALPHA_TOLERANCE_RAD),
             rollouts: found.motions,
         })

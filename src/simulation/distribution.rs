@@ -3,7 +3,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::qube::{CONTROL_PERIOD_S, GapTerm, MAX_HISTORY, Quantity};
+use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, Nonideality, Quantity};
 
 /// Largest distance of a draw from its mean, as a fraction of the mean: draws lie between 0.1 and 1.9 times
 /// the mean.
@@ -79,7 +79,7 @@ pub enum DistributionError {
 pub fn reach(quantity: Quantity, mean: f64) -> f64 {
     match quantity {
         Quantity::Parameter(_) => TRUNCATION * mean,
-        Quantity::Gap(term) => {
+        Quantity::Nonideality(term) => {
             let (smallest, largest) = simulated_range(term);
             (mean - smallest).min(largest - mean)
         }
@@ -91,13 +91,13 @@ pub fn reach(quantity: Quantity, mean: f64) -> f64 {
 pub(super) fn largest_standard_deviation(quantity: Quantity, mean: f64) -> f64 {
     match quantity {
         Quantity::Parameter(_) => mean,
-        Quantity::Gap(_) => reach(quantity, mean),
+        Quantity::Nonideality(_) => reach(quantity, mean),
     }
 }
 
-fn simulated_range(term: GapTerm) -> (f64, f64) {
+fn simulated_range(term: Nonideality) -> (f64, f64) {
     let (smallest, largest) = term.range().into_inner();
-    (smallest, if term == GapTerm::CommandDelay { MAX_COMMAND_DELAY_S } else { largest })
+    (smallest, if term == Nonideality::CommandDelay { MAX_COMMAND_DELAY_S } else { largest })
 }
 
 impl Distribution {
@@ -141,7 +141,7 @@ impl Distribution {
                 ((0.0..f64::INFINITY).contains(&mean), "not below 0".into())
             }
             Quantity::Parameter(_) => (mean > 0.0 && mean.is_finite(), "above 0".into()),
-            Quantity::Gap(term) => {
+            Quantity::Nonideality(term) => {
                 let (smallest, largest) = simulated_range(term);
                 ((smallest..=largest).contains(&mean), format!("from {smallest} to {largest}"))
             }
@@ -269,9 +269,9 @@ mod tests {
     }
 
     #[test]
-    fn terms_of_the_gap_reach_to_zero_and_a_place_to_either_side() {
+    fn strengths_of_nonidealities_reach_to_zero_and_a_place_to_either_side() {
         let uniform = Distribution::Uniform { mean: 0.2, standard_deviation: 0.2 / sqrt(3.0) };
-        let dead_zone = Quantity::Gap(GapTerm::PositiveDeadZone);
+        let dead_zone = Quantity::Nonideality(Nonideality::PositiveDeadZone);
         assert_eq!(uniform.check(dead_zone), Ok(()));
         let values = draws_of(dead_zone, uniform, 100_000);
         let least = values.iter().copied().fold(f64::MAX, f64::min);
@@ -279,14 +279,14 @@ mod tests {
         assert!((0.0..1e-4).contains(&least) && (0.3999..=0.4).contains(&most), "{least} {most}");
 
         let place = Distribution::Normal { mean: -0.1, standard_deviation: 1.0 };
-        let rest = Quantity::Gap(GapTerm::CableRest);
+        let rest = Quantity::Nonideality(Nonideality::CableRest);
         assert_eq!(place.check(rest), Ok(()));
         let (mean, deviation) = moments(&draws_of(rest, place, 100_000));
         assert!((mean + 0.1).abs() < 0.02 && (deviation - 1.0).abs() < 0.02);
 
         for (mean, standard_deviation) in [(-0.001, 0.0), (0.041, 0.0), (0.03, 0.011)] {
             let refused = Distribution::Normal { mean, standard_deviation };
-            let message = refused.check(GapTerm::CommandDelay).unwrap_err().to_string();
+            let message = refused.check(Nonideality::CommandDelay).unwrap_err().to_string();
             assert!(message.contains("delay"), "{message}");
         }
     }

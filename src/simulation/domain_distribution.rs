@@ -2,7 +2,7 @@ use serde::{Deserialize, Serialize};
 
 use super::distribution::largest_standard_deviation;
 use super::{Distribution, DistributionError, Psi, reach};
-use crate::qube::{DomainParameter, GapTerm, Quantity, QubeModel};
+use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
 
 /// Standard deviation of a handcrafted distribution as a fraction of the nominal value (thesis, section
 /// 5.2).
@@ -100,12 +100,12 @@ impl DomainDistribution {
             draw(parameter.into(), normal);
         }
         for (term, lower, upper) in [
-            (GapTerm::CoulombTorque, 0.0, 0.7e-3),
-            (GapTerm::PositiveDeadZone, 0.0, 0.35),
-            (GapTerm::NegativeDeadZone, 0.0, 0.35),
-            (GapTerm::CableStiffness, 0.0, 1.2e-3),
-            (GapTerm::CableRest, -1.2, 1.2),
-            (GapTerm::CommandDelay, 0.0, 0.016),
+            (Nonideality::CoulombTorque, 0.0, 0.7e-3),
+            (Nonideality::PositiveDeadZone, 0.0, 0.35),
+            (Nonideality::NegativeDeadZone, 0.0, 0.35),
+            (Nonideality::CableStiffness, 0.0, 1.2e-3),
+            (Nonideality::CableRest, -1.2, 1.2),
+            (Nonideality::CommandDelay, 0.0, 0.016),
         ] {
             draw(term.into(), Distribution::between(lower, upper));
         }
@@ -264,7 +264,7 @@ mod tests {
             "mean_cable_rest",
             "std_R_m",
         ];
-        let gap = PsiSpace::named(&names).unwrap();
+        let nonidealities = PsiSpace::named(&names).unwrap();
         for corner in 0..256_u32 {
             let at_corner = |space: &PsiSpace| {
                 let ends = space.dimensions().iter().enumerate().map(|(i, dimension)| {
@@ -272,18 +272,18 @@ mod tests {
                 });
                 space.psi(&ends.collect::<Vec<_>>()).unwrap()
             };
-            let (psi, gap) = (at_corner(&thesis), at_corner(&gap));
+            let (psi, nonidealities) = (at_corner(&thesis), at_corner(&nonidealities));
             for family in [Family::Normal, Family::Uniform] {
-                let distribution =
-                    DomainDistribution::opt_handcrafted(&psi, family).shaped_by(&gap, family);
+                let distribution = DomainDistribution::opt_handcrafted(&psi, family)
+                    .shaped_by(&nonidealities, family);
                 for quantity in Quantity::all() {
                     assert_eq!(distribution.get(quantity).check(quantity), Ok(()));
                 }
                 for _ in 0..50 {
                     let model = distribution.sample(&mut rng);
                     assert_eq!(model.parameters.check(), Ok(()));
-                    for term in GapTerm::ALL {
-                        assert!(term.range().contains(&model.gap.get(term)), "{model:?}");
+                    for term in Nonideality::ALL {
+                        assert!(term.range().contains(&model.nonidealities.get(term)), "{model:?}");
                     }
                 }
             }
@@ -299,11 +299,11 @@ mod tests {
             let own = shaped.get(quantity);
             (own.mean(), own.standard_deviation())
         };
-        let deviation = base.get(GapTerm::CommandDelay).standard_deviation();
-        assert_eq!(moments(GapTerm::CommandDelay.into()), (0.01, deviation));
+        let deviation = base.get(Nonideality::CommandDelay).standard_deviation();
+        assert_eq!(moments(Nonideality::CommandDelay.into()), (0.01, deviation));
         assert_eq!(moments(DomainParameter::PendulumMass.into()), (0.024, 0.002));
         for quantity in Quantity::all() {
-            let named = quantity == GapTerm::CommandDelay.into()
+            let named = quantity == Nonideality::CommandDelay.into()
                 || quantity == DomainParameter::PendulumMass.into();
             assert_eq!(shaped.get(quantity) == base.get(quantity), !named, "{quantity:?}");
         }
@@ -312,8 +312,8 @@ mod tests {
     #[test]
     fn around_a_qube_its_values_are_the_means_and_what_is_zero_stays() {
         let mut model = QubeModel::NOMINAL;
-        model.gap.cable_rest_rad = -1.0;
-        model.gap.command_delay_s = 0.01;
+        model.nonidealities.cable_rest_rad = -1.0;
+        model.nonidealities.command_delay_s = 0.01;
         let around = DomainDistribution::around(&model, 0.1, Family::Normal).unwrap();
         for quantity in Quantity::all() {
             let (own, mean) = (around.get(quantity), model.get(quantity));
@@ -323,7 +323,7 @@ mod tests {
         let exact = DomainDistribution::around(&model, 0.0, Family::Normal).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         assert_eq!(exact.sample(&mut rng), model);
-        model.gap.command_delay_s = 0.05;
+        model.nonidealities.command_delay_s = 0.05;
         let refused = DomainDistribution::around(&model, 0.1, Family::Normal).unwrap_err();
         assert!(refused.to_string().contains("delay"), "{refused}");
     }
@@ -336,7 +336,7 @@ mod tests {
         }
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         let delays: Vec<f64> =
-            (0..500).map(|_| robust.sample(&mut rng).gap.command_delay_s).collect();
+            (0..500).map(|_| robust.sample(&mut rng).nonidealities.command_delay_s).collect();
         assert!(delays.iter().any(|&s| s < 0.001) && delays.iter().any(|&s| s > 0.015));
     }
 

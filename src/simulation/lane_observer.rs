@@ -77,7 +77,7 @@ impl LaneObserver {
         const PERIOD_US: u64 = (CONTROL_PERIOD_S * 1e6) as u64;
         // Numbers the commands of a long sequence to find the age of the one that acts at each time.
         let newest = REMEMBERED as u64;
-        let mut sent = SentVoltages::new(settings.model.gap.command_delay_s, 0);
+        let mut sent = SentVoltages::new(settings.model.nonidealities.command_delay_s, 0);
         for command in 0..=newest {
             sent.send(command * PERIOD_US, command);
         }

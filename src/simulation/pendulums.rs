@@ -94,7 +94,7 @@ impl Pendulums {
     pub fn restart(&mut self, lane: usize, trajectory: &Trajectory) {
         let Trajectory { model, start } = trajectory;
         let delays = 0.0..=MAX_COMMAND_DELAY_S;
-        assert!(delays.contains(&model.gap.command_delay_s), "delay: {delays:?} s");
+        assert!(delays.contains(&model.nonidealities.command_delay_s), "delay: {delays:?} s");
         let state: State<f32> = State {
             theta: f32::from_f64(start.theta),
             alpha: f32::from_f64(start.alpha),

@@ -180,7 +180,7 @@ impl From<Psi> for BTreeMap<String, f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::{DomainParameter, GapTerm};
+    use crate::qube::{DomainParameter, Nonideality};
 
     #[test]
     fn a_file_is_read_and_what_is_wrong_with_it_is_said() {
@@ -204,7 +204,7 @@ mod tests {
         );
 
         let short = load("mean_delay = 0.01\nfilter = 50\n").unwrap();
-        assert_eq!(short.moments(GapTerm::CommandDelay.into()), (Some(0.01), None));
+        assert_eq!(short.moments(Nonideality::CommandDelay.into()), (Some(0.01), None));
         assert_eq!(short.filter_corner_rad_s(), Some(50.0));
 
         for (text, words) in [

@@ -3,7 +3,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::PsiError;
-use crate::qube::{DomainParameter, GapTerm, Quantity, QubeModel};
+use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
 
 /// The part of the simulation that an entry of psi sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -37,7 +37,7 @@ impl PsiTarget {
     #[must_use]
     pub fn default_range(self) -> (f64, f64) {
         use DomainParameter as P;
-        use GapTerm as G;
+        use Nonideality as G;
         match self {
             Self::Mean(Quantity::Parameter(P::PendulumMass)) => (0.019, 0.029),
             Self::StandardDeviation(Quantity::Parameter(P::PendulumMass)) => (5e-5, 5e-3),
@@ -54,14 +54,14 @@ impl PsiTarget {
             Self::StandardDeviation(Quantity::Parameter(other)) => {
                 (0.0, 0.3 * QubeModel::NOMINAL.parameters.get(other))
             }
-            Self::Mean(Quantity::Gap(term)) => match term {
+            Self::Mean(Quantity::Nonideality(term)) => match term {
                 G::CoulombTorque => (0.0, 1e-3),
                 G::PositiveDeadZone | G::NegativeDeadZone => (0.0, 0.5),
                 G::CableStiffness => (0.0, 2e-3),
                 G::CableRest => (-1.5, 1.5),
                 G::CommandDelay => (0.0, 0.02),
             },
-            Self::StandardDeviation(Quantity::Gap(term)) => match term {
+            Self::StandardDeviation(Quantity::Nonideality(term)) => match term {
                 G::CoulombTorque => (0.0, 5e-4),
                 G::PositiveDeadZone | G::NegativeDeadZone => (0.0, 0.25),
                 G::CableStiffness => (0.0, 1e-3),

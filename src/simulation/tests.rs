@@ -5,21 +5,23 @@ use super::{
 };
 use crate::device::emulator::{EmulatorSettings, Plant};
 use crate::elementary::Level;
-use crate::qube::{Gap, GapDynamics, GapTerm, QubeModel, RAD_PER_COUNT, State, control_step};
+use crate::qube::{
+    NonidealDynamics, Nonidealities, Nonideality, QubeModel, RAD_PER_COUNT, State, control_step,
+};
 
 /// A Qube with all nonidealities, different in each lane; delays from 0 to 40 ms.
-fn gapped(lane: usize) -> QubeModel {
+fn real_model(lane: usize) -> QubeModel {
     let part = lane as f64 / 63.0;
-    let gap = Gap {
+    let nonidealities = Nonidealities {
         coulomb_torque_n_m: 7e-4 * part,
         positive_dead_zone_v: 0.3 * (1.0 - part),
         negative_dead_zone_v: 0.4 * part,
         cable_stiffness_n_m_rad: 1.2e-3 * part,
         cable_rest_rad: 2.0 * part - 1.0,
         command_delay_s: 0.04 * part,
-        ..Gap::default()
+        ..Nonidealities::default()
     };
-    QubeModel { gap, ..QubeModel::NOMINAL }
+    QubeModel { nonidealities, ..QubeModel::NOMINAL }
 }
 
 /// A square wave whose edges differ between lanes.
@@ -47,17 +49,17 @@ fn run(level: Level, trajectories: &[Trajectory], steps: usize) -> Vec<State<f32
 
 /// The largest distance between lanes and the emulator's plants after 0.8 s, rad. Each lane has its own
 /// delay and these nonidealities.
-fn farthest_from_plants(gapped: impl Fn(usize) -> QubeModel) -> f64 {
+fn farthest_from_plants(real_model: impl Fn(usize) -> QubeModel) -> f64 {
     let steps = 80;
     let plant = |lane: usize| {
         let settings = EmulatorSettings { seed: lane as u64, ..EmulatorSettings::default() };
-        Plant::new(&EmulatorSettings { model: gapped(lane), ..settings })
+        Plant::new(&EmulatorSettings { model: real_model(lane), ..settings })
     };
     let mut plants: Vec<Plant> = (0..64).map(plant).collect();
     let trajectories: Vec<Trajectory> = plants
         .iter()
         .enumerate()
-        .map(|(lane, plant)| Trajectory { model: gapped(lane), start: plant.state() })
+        .map(|(lane, plant)| Trajectory { model: real_model(lane), start: plant.state() })
         .collect();
     let lanes = run(Level::best(), &trajectories, steps);
     let (mut worst, mut compared) = (0.0_f64, 0);
@@ -86,8 +88,8 @@ fn farthest_from_plants(gapped: impl Fn(usize) -> QubeModel) -> f64 {
 #[test]
 fn delay_dead_zone_and_cable_move_a_lane_as_they_move_the_plant() {
     let worst = farthest_from_plants(|lane| {
-        let mut model = gapped(lane);
-        model.gap.coulomb_torque_n_m = 0.0;
+        let mut model = real_model(lane);
+        model.nonidealities.coulomb_torque_n_m = 0.0;
         model
     });
     assert!(worst < 3e-5, "{worst:e} rad");
@@ -97,14 +99,15 @@ fn delay_dead_zone_and_cable_move_a_lane_as_they_move_the_plant() {
 /// are off by up to 7e-4 rad here, and the plant, whose steps are longer, by 2e-3.
 #[test]
 fn friction_moves_a_lane_as_the_plant_within_two_counts() {
-    let worst = farthest_from_plants(gapped);
+    let worst = farthest_from_plants(real_model);
     assert!(worst < 2.0 * RAD_PER_COUNT, "{worst:e} rad");
 }
 
 #[test]
 fn every_instruction_set_computes_the_same_bits() {
-    let trajectories: Vec<Trajectory> =
-        (0..64).map(|lane| Trajectory { model: gapped(lane), start: State::default() }).collect();
+    let trajectories: Vec<Trajectory> = (0..64)
+        .map(|lane| Trajectory { model: real_model(lane), start: State::default() })
+        .collect();
     let expected = run(Level::Plain, &trajectories, 60);
     assert!(expected.iter().any(|state| state.theta.abs() > 0.05));
     for level in Level::ALL {
@@ -113,7 +116,7 @@ fn every_instruction_set_computes_the_same_bits() {
 }
 
 #[test]
-fn an_ideal_lane_computes_the_same_bits_beside_lanes_with_a_gap() {
+fn an_ideal_lane_computes_the_same_bits_beside_real_ones() {
     let ideal = |lane: usize| {
         let start = State { theta: 0.1, alpha: 0.02 * lane as f64, ..State::default() };
         Trajectory { model: QubeModel::NOMINAL, start }
@@ -121,7 +124,7 @@ fn an_ideal_lane_computes_the_same_bits_beside_lanes_with_a_gap() {
     let alone: Vec<Trajectory> = (0..16).map(ideal).collect();
     let mixed: Vec<Trajectory> = (0..16)
         .map(|lane| match lane % 3 {
-            0 => Trajectory { model: gapped(10 + lane), ..ideal(lane) },
+            0 => Trajectory { model: real_model(10 + lane), ..ideal(lane) },
             _ => ideal(lane),
         })
         .collect();
@@ -134,10 +137,10 @@ fn an_ideal_lane_computes_the_same_bits_beside_lanes_with_a_gap() {
 #[test]
 fn a_delay_of_whole_periods_is_the_same_motion_later() {
     let start = State { theta: 0.2, ..State::default() };
-    let dynamics = GapDynamics::<f64>::new(&QubeModel::NOMINAL);
+    let dynamics = NonidealDynamics::<f64>::new(&QubeModel::NOMINAL);
     for periods in 0..=4_usize {
         let mut model = QubeModel::NOMINAL;
-        model.gap.command_delay_s = 0.01 * periods as f64;
+        model.nonidealities.command_delay_s = 0.01 * periods as f64;
         let delayed = run(Level::best(), &[Trajectory { model, start }], 50)[0];
         let mut state = start;
         for step in 0..50 - periods {
@@ -149,15 +152,20 @@ fn a_delay_of_whole_periods_is_the_same_motion_later() {
 }
 
 #[test]
-fn a_distribution_draws_the_gap_and_what_it_does_not_name_is_zero() {
+fn a_distribution_draws_nonidealities_and_what_it_does_not_name_is_zero() {
     let uniform = Distribution::Uniform { mean: 0.008, standard_deviation: 0.0046 };
-    let distribution = DomainDistribution::nominal().with(GapTerm::CommandDelay, uniform).unwrap();
+    let distribution =
+        DomainDistribution::nominal().with(Nonideality::CommandDelay, uniform).unwrap();
     let delays: Vec<f64> = (0..1000)
         .map(|number| {
-            let QubeModel { parameters, gap } = Trajectory::draw(&distribution, 3, number).model;
+            let QubeModel { parameters, nonidealities } =
+                Trajectory::draw(&distribution, 3, number).model;
             assert_eq!(parameters, QubeModel::NOMINAL.parameters);
-            let command_delay_s = gap.command_delay_s;
-            assert_eq!(gap, Gap { command_delay_s, ..Gap::default() });
+            let command_delay_s = nonidealities.command_delay_s;
+            assert_eq!(
+                nonidealities,
+                Nonidealities { command_delay_s, ..Nonidealities::default() }
+            );
             command_delay_s
         })
         .collect();

@@ -1,6 +1,6 @@
 //! The rigs that a check must be right on, and what can be wrong with one of them.
 //!
-//! A rig is drawn by its seed: all eight ways to wire it, 0.5, 1 and 1.5 times the gap of the profile
+//! A rig is drawn by its seed: all eight ways to wire it, 0.5, 1 and 1.5 times the nonidealities of the profile
 //! `lab`, parameters within 10 %, 1 to 4 times the friction, up to 1 degree of play. Half of the rigs
 //! lie in the corners of that domain. Figures are told of seeds from 1000 on; nothing was tuned on them.
 
@@ -37,7 +37,7 @@ pub fn rig(seed: u64) -> EmulatorSettings {
         }
     }
     let friction = between(1.0, 4.0);
-    model.gap.coulomb_torque_n_m *= friction;
+    model.nonidealities.coulomb_torque_n_m *= friction;
     let damping = model.parameters.rotary_damping_n_m_s;
     model.parameters.rotary_damping_n_m_s = damping * friction;
     EmulatorSettings {

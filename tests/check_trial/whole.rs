@@ -43,11 +43,11 @@ fn rollout(rig: &Rig, seed: u64) -> Ending {
 
 /// What a report says of a rig.
 fn about(seed: u64, emulator: &EmulatorSettings) -> String {
-    let QubeModel { parameters, gap } = &emulator.model;
+    let QubeModel { parameters, nonidealities } = &emulator.model;
     format!(
         "{seed} (gap {}, friction {:.1e} N m and {:.1e} N m s, play {:.2} degrees)",
         [0.5, 1.0, 1.5][(seed / 8 % 3) as usize],
-        gap.coulomb_torque_n_m,
+        nonidealities.coulomb_torque_n_m,
         parameters.rotary_damping_n_m_s,
         emulator.play_rad.to_degrees(),
     )

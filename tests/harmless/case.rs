@@ -136,10 +136,11 @@ impl Start {
         random.set_stream(7);
         let model = model(&mut random, seed);
         // Where the cable lets a resting arm rest.
-        let gap = &model.gap;
-        let (rest_rad, reach_rad) = if gap.cable_stiffness_n_m_rad > 0.0 {
-            let holds_rad = gap.coulomb_torque_n_m / gap.cable_stiffness_n_m_rad;
-            (gap.cable_rest_rad, (0.9 * holds_rad).min(1.0))
+        let nonidealities = &model.nonidealities;
+        let (rest_rad, reach_rad) = if nonidealities.cable_stiffness_n_m_rad > 0.0 {
+            let holds_rad =
+                nonidealities.coulomb_torque_n_m / nonidealities.cable_stiffness_n_m_rad;
+            (nonidealities.cable_rest_rad, (0.9 * holds_rad).min(1.0))
         } else {
             (0.0, 1.0)
         };
@@ -236,7 +237,7 @@ impl Start {
     }
 }
 
-/// Nominal, `lab`, one and a half times its gap, and each of them 10 % off, in turn.
+/// Nominal, `lab`, one and a half times its nonidealities, and each of them 10 % off, in turn.
 fn model(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
     let text = std::fs::read_to_string(path).expect("the profile lab");

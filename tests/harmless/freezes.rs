@@ -145,7 +145,7 @@ pub fn qubes() -> [(&'static str, EmulatorSettings); 5] {
     let lab = Profile::parse(include_str!("../../profiles/lab.toml")).expect("the profile lab");
     let lab = lab.model();
     let mut sticky = lab;
-    sticky.gap.coulomb_torque_n_m *= 3.0;
+    sticky.nonidealities.coulomb_torque_n_m *= 3.0;
     let of = |model| EmulatorSettings { model, ..EmulatorSettings::default() };
     [
         ("nominal", of(QubeModel::NOMINAL)),

@@ -1,6 +1,6 @@
 use std::collections::VecDeque;
 
-use qube_hil::qube::{GapDynamics, HARD_STOP_RAD, State, runge_kutta_4};
+use qube_hil::qube::{HARD_STOP_RAD, NonidealDynamics, State, runge_kutta_4};
 
 use super::beliefs::DrawnQube;
 
@@ -18,7 +18,7 @@ pub struct Plant {
     /// The speed at which the arm reached a stop, rad/s.
     pub hit_rad_s: Option<f64>,
     qube: DrawnQube,
-    dynamics: GapDynamics,
+    dynamics: NonidealDynamics,
     delay_ns: u64,
     ahead_s: f64,
     /// The voltage at the motor, and those on their way with the times of their arrival.
@@ -35,8 +35,8 @@ impl Plant {
             farthest_rad: state.theta.abs(),
             headed_rad: 0.0,
             hit_rad_s: None,
-            dynamics: GapDynamics::new(&qube.model),
-            delay_ns: (qube.model.gap.command_delay_s * 1e9).round() as u64,
+            dynamics: NonidealDynamics::new(&qube.model),
+            delay_ns: (qube.model.nonidealities.command_delay_s * 1e9).round() as u64,
             qube,
             ahead_s,
             motor_v: 0.0,

@@ -11,7 +11,7 @@ use super::mishap::{Mishap, TrueReadings};
 use super::play::Play;
 use super::{EmulatorSettings, Finger};
 use crate::qube::{
-    GapDynamics, HARD_STOP_RAD, QubeModel, RAD_PER_COUNT, State, counts, runge_kutta_4,
+    HARD_STOP_RAD, NonidealDynamics, QubeModel, RAD_PER_COUNT, State, counts, runge_kutta_4,
 };
 
 /// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of an
@@ -51,7 +51,7 @@ pub struct Plant {
     model: QubeModel,
     command_jitter_s: f64,
     jitter: ChaCha8Rng,
-    dynamics: GapDynamics,
+    dynamics: NonidealDynamics,
     state: State,
     /// Largest speed at which the arm has touched a stop, rad/s.
     hardest_touch_rad_s: f64,
@@ -82,7 +82,7 @@ impl Plant {
         let mut jitter = random.clone();
         jitter.set_stream(JITTER_STREAM);
         let theta = random.random_range(-START_RANGE_RAD..=START_RANGE_RAD);
-        let dynamics = GapDynamics::new(&model);
+        let dynamics = NonidealDynamics::new(&model);
         let state = start.unwrap_or(State { theta, ..State::default() });
         let play = (play_rad > 0.0).then(|| Play::new(play_rad, &state));
         let mut plant = Self {
@@ -114,7 +114,7 @@ impl Plant {
         while self.mishap.next_us().is_some_and(|next_us| next_us <= self.time_us) {
             let Some(share) = self.mishap.go_on(self.true_readings()) else { continue };
             self.model.parameters.motor_resistance_ohm /= share;
-            self.dynamics = GapDynamics::new(&self.model);
+            self.dynamics = NonidealDynamics::new(&self.model);
         }
     }
 
@@ -138,7 +138,8 @@ impl Plant {
                 self.longest_step_us
             };
             let step_us = longest_us.min(until_us - self.time_us);
-            self.dynamics.cable_rest = self.model.gap.cable_rest_after(self.time_us as f64 * 1e-6);
+            self.dynamics.cable_rest =
+                self.model.nonidealities.cable_rest_after(self.time_us as f64 * 1e-6);
             let before = self.state;
             let step_s = step_us as f64 * 1e-6;
             let push_v = self.mishap.driven_v(self.voltage_v) + self.mishap.pushed_like_v();
@@ -207,7 +208,8 @@ impl Plant {
         let jitter_s = self.command_jitter_s;
         let late_s =
             if jitter_s > 0.0 { self.jitter.random_range(-jitter_s..=jitter_s) } else { 0.0 };
-        let delay_us = ((self.model.gap.command_delay_s + late_s).max(0.0) * 1e6).round() as u64;
+        let delay_us =
+            ((self.model.nonidealities.command_delay_s + late_s).max(0.0) * 1e6).round() as u64;
         if delay_us == 0 && self.under_way.is_empty() {
             self.voltage_v = voltage_v;
             return;
@@ -299,7 +301,7 @@ fn tachometer_register(theta_dot: f64) -> u32 {
 }
 
 /// The longest step with which friction at rest does not make a resting arm oscillate.
-fn stable_step_us(dynamics: &GapDynamics) -> u64 {
+fn stable_step_us(dynamics: &NonidealDynamics) -> u64 {
     let ideal = &dynamics.ideal;
     let arm_inertia = ideal.arm_inertia - ideal.coupling * ideal.coupling / ideal.pendulum_inertia;
     let friction_n_m_s = dynamics.friction_slope() + ideal.arm_damping;
@@ -310,7 +312,7 @@ fn stable_step_us(dynamics: &GapDynamics) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::{Gap, control_step};
+    use crate::qube::{Nonidealities, control_step};
     use firmware_protocol::scaling::{current_ma, tachometer_counts_s};
 
     fn nominal(seed: u64) -> Plant {
@@ -414,13 +416,13 @@ mod tests {
     #[test]
     fn a_drifting_cable_takes_the_arm_along_as_fast_as_it_says() {
         let rests_after = |seed: u64, cable_drift_rad_per_min: f64| {
-            let gap = Gap {
+            let nonidealities = Nonidealities {
                 cable_stiffness_n_m_rad: 1e-3,
                 cable_rest_rad: -0.4,
                 cable_drift_rad_per_min,
-                ..Gap::default()
+                ..Nonidealities::default()
             };
-            let model = QubeModel { gap, ..QubeModel::NOMINAL };
+            let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
             let mut plant = Plant::new(&EmulatorSettings { model, seed, ..Default::default() });
             [2, 7].map(|minutes| {
                 plant.advance_to(minutes * 60_000_000);
@@ -443,8 +445,8 @@ mod tests {
     #[test]
     fn a_command_arrives_after_its_delay_and_none_overtakes_another() {
         let with = |command_delay_s, command_jitter_s| {
-            let gap = Gap { command_delay_s, ..Gap::default() };
-            let model = QubeModel { gap, ..QubeModel::NOMINAL };
+            let nonidealities = Nonidealities { command_delay_s, ..Nonidealities::default() };
+            let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
             Plant::new(&EmulatorSettings { model, command_jitter_s, ..EmulatorSettings::default() })
         };
         let mut plant = with(0.0123, 0.0);

@@ -1,6 +1,6 @@
 //! Backlash between the motor and the arm.
 
-use crate::qube::{EquationsOfMotion, GapDynamics, State, runge_kutta_4};
+use crate::qube::{EquationsOfMotion, NonidealDynamics, State, runge_kutta_4};
 
 /// Inertia of the motor's rotor and hub, kg m^2 (data sheet of the QUBE-Servo 2: 4.0e-6 and 0.6e-6): the
 /// share of the arm's inertia on the motor's side of the backlash.
@@ -40,7 +40,7 @@ impl Play {
     /// Integrates one step of both sides.
     pub(super) fn step(
         &mut self,
-        whole: &GapDynamics,
+        whole: &NonidealDynamics,
         before: State,
         voltage_v: f64,
         step_s: f64,
@@ -73,7 +73,13 @@ impl Play {
 
     /// Moves the motor inside the gap. Friction is applied last and never reverses the velocity; an
     /// explicit step would, with so little inertia.
-    fn turn_motor(&mut self, whole: &GapDynamics, rotor_inertia: f64, voltage_v: f64, step_s: f64) {
+    fn turn_motor(
+        &mut self,
+        whole: &NonidealDynamics,
+        rotor_inertia: f64,
+        voltage_v: f64,
+        step_s: f64,
+    ) {
         let push_v = (voltage_v - whole.positive_dead_zone).max(0.0)
             + (voltage_v + whole.negative_dead_zone).min(0.0);
         let torque =
@@ -85,7 +91,7 @@ impl Play {
     }
 
     /// Applies the impact when the motor has reached one side of the gap.
-    fn meet(&mut self, arm: &GapDynamics, rotor_inertia: f64, state: State) -> State {
+    fn meet(&mut self, arm: &NonidealDynamics, rotor_inertia: f64, state: State) -> State {
         let ahead_rad = self.motor_rad - state.theta;
         if ahead_rad.abs() < self.half_gap_rad {
             return state;
@@ -111,7 +117,7 @@ impl Play {
 }
 
 /// Arm, pendulum and cable without the motor.
-fn arm_alone(whole: &GapDynamics, rotor_inertia: f64) -> GapDynamics {
+fn arm_alone(whole: &NonidealDynamics, rotor_inertia: f64) -> NonidealDynamics {
     let mut arm = *whole;
     arm.ideal.arm_inertia -= rotor_inertia;
     arm.ideal.arm_damping = 0.0;
@@ -123,15 +129,15 @@ fn arm_alone(whole: &GapDynamics, rotor_inertia: f64) -> GapDynamics {
 #[cfg(test)]
 mod tests {
     use crate::device::emulator::{EmulatorSettings, Plant};
-    use crate::qube::{Gap, HARD_STOP_RAD, QubeModel, RAD_PER_COUNT};
+    use crate::qube::{HARD_STOP_RAD, Nonidealities, QubeModel, RAD_PER_COUNT};
 
-    fn plant(play_rad: f64, gap: Gap) -> Plant {
-        let model = QubeModel { gap, ..QubeModel::NOMINAL };
+    fn plant(play_rad: f64, gap: Nonidealities) -> Plant {
+        let model = QubeModel { nonidealities: gap, ..QubeModel::NOMINAL };
         Plant::new(&EmulatorSettings { model, play_rad, ..EmulatorSettings::default() })
     }
 
-    fn friction() -> Gap {
-        Gap { coulomb_torque_n_m: 5e-4, ..Gap::default() }
+    fn friction() -> Nonidealities {
+        Nonidealities { coulomb_torque_n_m: 5e-4, ..Nonidealities::default() }
     }
 
     #[test]

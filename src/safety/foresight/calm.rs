@@ -64,7 +64,7 @@ impl CalmLanes {
             low_j: [0.0; BLOCK],
             high_j: [0.0; BLOCK],
             late_j_s: [0.0; BLOCK],
-            late_s: of(|particle| particle.model.gap.command_delay_s + CONTROL_PERIOD_S),
+            late_s: of(|particle| particle.model.nonidealities.command_delay_s + CONTROL_PERIOD_S),
             stopping_s2: [0.0; BLOCK],
             ends: *ends,
         };

@@ -115,7 +115,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
             let shares = [positive_share, negative_share];
             assert!(shares.iter().all(|share| (0.0..=1.0).contains(*share)), "{shares:?}");
             let delays = 0.0..=MAX_HISTORY as f64 * CONTROL_PERIOD_S;
-            assert!(delays.contains(&model.gap.command_delay_s), "delay: {delays:?} s");
+            assert!(delays.contains(&model.nonidealities.command_delay_s), "delay: {delays:?} s");
             qubes[lane / BLOCK].restart(lane % BLOCK, model, &at_rest);
         }
         let lanes = qubes.iter().enumerate().map(|(block, qubes)| {
@@ -190,7 +190,7 @@ impl ParticleLanes {
             alpha_dot: of(|particle| particle.error.alpha_dot),
         };
         let periods = |particle: &&Particle| {
-            (particle.model.gap.command_delay_s / CONTROL_PERIOD_S).ceil() as u32 + 1
+            (particle.model.nonidealities.command_delay_s / CONTROL_PERIOD_S).ceil() as u32 + 1
         };
         Self {
             error,

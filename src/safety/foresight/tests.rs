@@ -9,8 +9,8 @@ use super::{Ends, Foresight, Outlook, Reach};
 use crate::elementary::Level;
 use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use crate::qube::{
-    CONTROL_PERIOD_S, DomainParameter, EquationsOfMotion as _, Gap, GapDynamics, MAX_HISTORY,
-    QubeModel, State, runge_kutta_4,
+    CONTROL_PERIOD_S, DomainParameter, EquationsOfMotion as _, MAX_HISTORY, NonidealDynamics,
+    Nonidealities, QubeModel, State, runge_kutta_4,
 };
 use crate::safety::{BrakeLaw as _, CentringBrake, Particle};
 
@@ -49,14 +49,14 @@ impl Draw {
                 model.parameters.set(parameter, nominal * self.within(0.7, 1.3));
             }
         }
-        model.gap = Gap {
+        model.nonidealities = Nonidealities {
             coulomb_torque_n_m: self.within(0.0, 7e-4),
             positive_dead_zone_v: self.within(0.0, 0.3),
             negative_dead_zone_v: self.within(0.0, 0.4),
             cable_stiffness_n_m_rad: self.within(0.0, 1.5e-3),
             cable_rest_rad: self.within(-1.2, 1.2),
             command_delay_s: self.within(0.0, 0.025),
-            ..Gap::default()
+            ..Nonidealities::default()
         };
         let error = State {
             theta: self.within(-0.05, 0.05),
@@ -87,7 +87,7 @@ fn look(foresight: &mut Foresight<CentringBrake>, case: &Case) -> Outlook {
 /// How close a particle's arm comes to an end within these periods, rad.
 fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
     let (brake, error) = (CentringBrake::default(), particle.error);
-    let dynamics = GapDynamics::<f64>::new(&particle.model);
+    let dynamics = NonidealDynamics::<f64>::new(&particle.model);
     let arriving = |command_v: f64| {
         let positive = command_v > 0.0;
         let share = if positive { particle.positive_share } else { particle.negative_share };
@@ -109,7 +109,7 @@ fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
         alpha_dot: f64::from(case.state.alpha_dot),
     };
     // The estimate is that of a moment ago.
-    let ago = (particle.model.gap.command_delay_s / CONTROL_PERIOD_S).floor() as usize;
+    let ago = (particle.model.nonidealities.command_delay_s / CONTROL_PERIOD_S).floor() as usize;
     let before_v = commands_v[commands_v.len().saturating_sub(1 + ago).min(commands_v.len() - 1)];
     let then = dynamics.acceleration(&state, before_v);
     let lag_s = CONTROL_PERIOD_S * (0.5 + gains.decay / (1.0 - gains.decay));
@@ -124,7 +124,7 @@ fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
         for step in 0..FINE_STEPS {
             let step_s = CONTROL_PERIOD_S / f64::from(FINE_STEPS);
             // The mean voltage of a step in which it changes.
-            let late = particle.model.gap.command_delay_s / CONTROL_PERIOD_S;
+            let late = particle.model.nonidealities.command_delay_s / CONTROL_PERIOD_S;
             let begin = newest + f64::from(step) / f64::from(FINE_STEPS) - late;
             let end = begin + 1.0 / f64::from(FINE_STEPS);
             let (before, after) = (begin.floor().max(0.0), end.floor().max(0.0));
@@ -271,9 +271,9 @@ fn a_brake_that_is_not_late_takes_energy_from_every_qube() {
     let brake = CentringBrake::default();
     for _ in 0..50 {
         let (mut particle, case) = (draw.particle(), draw.case());
-        particle.model.gap.positive_dead_zone_v = 0.0;
-        particle.model.gap.negative_dead_zone_v = 0.0;
-        let dynamics = GapDynamics::<f64>::new(&particle.model);
+        particle.model.nonidealities.positive_dead_zone_v = 0.0;
+        particle.model.nonidealities.negative_dead_zone_v = 0.0;
+        let dynamics = NonidealDynamics::<f64>::new(&particle.model);
         let energy_j = |state: &State| {
             let stretch = state.theta - dynamics.cable_rest;
             dynamics.ideal.energy(state)

@@ -11,7 +11,7 @@ const FRICTION_VELOCITY_RAD_S: f64 = 0.05;
 /// All zero gives the thesis's Qube.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Gap {
+pub struct Nonidealities {
     /// Friction torque on the arm that is independent of velocity, N m.
     pub coulomb_torque_n_m: f64,
     /// Part of a positive voltage that is lost before the motor turns, V.
@@ -38,7 +38,7 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
-impl Gap {
+impl Nonidealities {
     /// The cable's rest angle this many seconds after the Qube was switched on, rad.
     #[must_use]
     pub fn cable_rest_after(&self, seconds: f64) -> f64 {
@@ -53,14 +53,15 @@ pub struct QubeModel {
     /// The nine domain parameters of the thesis.
     pub parameters: DomainParameters,
     /// The effects that the thesis leaves out.
-    pub gap: Gap,
+    #[serde(rename = "gap")]
+    pub nonidealities: Nonidealities,
 }
 
 impl QubeModel {
     /// The thesis's Qube with the values of the name plate.
     pub const NOMINAL: Self = Self {
         parameters: DomainParameters::NOMINAL,
-        gap: Gap {
+        nonidealities: Nonidealities {
             coulomb_torque_n_m: 0.0,
             positive_dead_zone_v: 0.0,
             negative_dead_zone_v: 0.0,
@@ -84,18 +85,18 @@ impl QubeModel {
                 parameters.set(parameter, nominal + factor * (own - nominal));
             }
         }
-        let gap = &self.gap;
+        let nonidealities = &self.nonidealities;
         Self {
             parameters,
-            gap: Gap {
-                coulomb_torque_n_m: factor * gap.coulomb_torque_n_m,
-                positive_dead_zone_v: factor * gap.positive_dead_zone_v,
-                negative_dead_zone_v: factor * gap.negative_dead_zone_v,
-                cable_stiffness_n_m_rad: factor * gap.cable_stiffness_n_m_rad,
+            nonidealities: Nonidealities {
+                coulomb_torque_n_m: factor * nonidealities.coulomb_torque_n_m,
+                positive_dead_zone_v: factor * nonidealities.positive_dead_zone_v,
+                negative_dead_zone_v: factor * nonidealities.negative_dead_zone_v,
+                cable_stiffness_n_m_rad: factor * nonidealities.cable_stiffness_n_m_rad,
                 // The rest angle is a place, not a strength, so it does not scale.
-                cable_rest_rad: gap.cable_rest_rad,
-                command_delay_s: factor * gap.command_delay_s,
-                cable_drift_rad_per_min: factor * gap.cable_drift_rad_per_min,
+                cable_rest_rad: nonidealities.cable_rest_rad,
+                command_delay_s: factor * nonidealities.command_delay_s,
+                cable_drift_rad_per_min: factor * nonidealities.cable_drift_rad_per_min,
             },
         }
     }
@@ -103,7 +104,7 @@ impl QubeModel {
 
 /// The equations of motion with the forces of the nonidealities.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GapDynamics<T = f64> {
+pub struct NonidealDynamics<T = f64> {
     /// The thesis's equations.
     pub ideal: Dynamics<T>,
     /// Coulomb friction, N m.
@@ -118,18 +119,18 @@ pub struct GapDynamics<T = f64> {
     pub cable_rest: T,
 }
 
-impl<T: Scalar> GapDynamics<T> {
+impl<T: Scalar> NonidealDynamics<T> {
     /// The forces of this Qube. The command delay is not part of them; the caller applies it.
     #[must_use]
     pub fn new(model: &QubeModel) -> Self {
-        let gap = &model.gap;
+        let nonidealities = &model.nonidealities;
         Self {
             ideal: Dynamics::new(&model.parameters),
-            coulomb_torque: T::from_f64(gap.coulomb_torque_n_m),
-            positive_dead_zone: T::from_f64(gap.positive_dead_zone_v),
-            negative_dead_zone: T::from_f64(gap.negative_dead_zone_v),
-            cable_stiffness: T::from_f64(gap.cable_stiffness_n_m_rad),
-            cable_rest: T::from_f64(gap.cable_rest_rad),
+            coulomb_torque: T::from_f64(nonidealities.coulomb_torque_n_m),
+            positive_dead_zone: T::from_f64(nonidealities.positive_dead_zone_v),
+            negative_dead_zone: T::from_f64(nonidealities.negative_dead_zone_v),
+            cable_stiffness: T::from_f64(nonidealities.cable_stiffness_n_m_rad),
+            cable_rest: T::from_f64(nonidealities.cable_rest_rad),
         }
     }
 
@@ -153,7 +154,7 @@ impl<T: Scalar> GapDynamics<T> {
     }
 }
 
-impl GapDynamics {
+impl NonidealDynamics {
     /// Slope of the friction torque at rest, N m s: the stiffest term of the equations.
     #[must_use]
     pub fn friction_slope(&self) -> f64 {
@@ -161,7 +162,7 @@ impl GapDynamics {
     }
 }
 
-impl<T: Scalar> EquationsOfMotion<T> for GapDynamics<T> {
+impl<T: Scalar> EquationsOfMotion<T> for NonidealDynamics<T> {
     #[inline(always)]
     fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T> {
         let motor = self.ideal.torque_per_volt * self.effective_voltage(voltage_v);
@@ -174,48 +175,57 @@ impl<T: Scalar> EquationsOfMotion<T> for GapDynamics<T> {
 mod tests {
     use super::*;
 
-    fn with(gap: Gap) -> GapDynamics {
-        GapDynamics::new(&QubeModel { gap, ..QubeModel::NOMINAL })
+    fn with(nonidealities: Nonidealities) -> NonidealDynamics {
+        NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL })
     }
 
     #[test]
-    fn without_a_gap_the_equations_are_those_of_the_thesis() {
-        let (ideal, gap) = (Dynamics::<f64>::new(&DomainParameters::NOMINAL), with(Gap::default()));
+    fn without_nonidealities_the_equations_are_those_of_the_thesis() {
+        let (ideal, nonidealities) =
+            (Dynamics::<f64>::new(&DomainParameters::NOMINAL), with(Nonidealities::default()));
         for step in 0..1000 {
             let x = f64::from(step);
             let state =
                 State { theta: x.sin(), alpha: x, theta_dot: 9.0 * x.cos(), alpha_dot: -x.sin() };
             let voltage_v = 5.0 * (1.3 * x).sin();
-            assert_eq!(gap.acceleration(&state, voltage_v), ideal.acceleration(&state, voltage_v));
+            assert_eq!(
+                nonidealities.acceleration(&state, voltage_v),
+                ideal.acceleration(&state, voltage_v)
+            );
         }
     }
 
     #[test]
-    fn a_scaled_gap_goes_through_nominal_and_itself() {
+    fn scaled_nonidealities_go_through_nominal_and_itself() {
         let parameters =
             DomainParameters { motor_resistance_ohm: 4.2, ..DomainParameters::NOMINAL };
-        let gap = Gap { command_delay_s: 0.01, cable_rest_rad: 0.2, ..Gap::default() };
-        let model = QubeModel { parameters, gap };
+        let nonidealities = Nonidealities {
+            command_delay_s: 0.01,
+            cable_rest_rad: 0.2,
+            ..Nonidealities::default()
+        };
+        let model = QubeModel { parameters, nonidealities };
         assert_eq!(model.scaled(0.0).parameters, DomainParameters::NOMINAL);
-        assert_eq!(model.scaled(0.0).gap.command_delay_s, 0.0);
+        assert_eq!(model.scaled(0.0).nonidealities.command_delay_s, 0.0);
         let same = model.scaled(1.0);
         assert!((same.parameters.motor_resistance_ohm - 4.2).abs() < 1e-12);
-        assert_eq!(same.gap, gap);
+        assert_eq!(same.nonidealities, nonidealities);
         assert!((model.scaled(2.0).parameters.motor_resistance_ohm - 2.1).abs() < 1e-12);
     }
 
     #[test]
     fn friction_and_cable_take_energy_and_never_give_it() {
-        let gap = Gap {
+        let nonidealities = Nonidealities {
             coulomb_torque_n_m: 1e-3,
             cable_stiffness_n_m_rad: 2e-3,
             cable_rest_rad: 0.3,
-            ..Gap::default()
+            ..Nonidealities::default()
         };
-        let dynamics = with(gap);
+        let dynamics = with(nonidealities);
         let energy = |state: &State| {
-            let stretch = state.theta - gap.cable_rest_rad;
-            dynamics.ideal.energy(state) + 0.5 * gap.cable_stiffness_n_m_rad * stretch * stretch
+            let stretch = state.theta - nonidealities.cable_rest_rad;
+            dynamics.ideal.energy(state)
+                + 0.5 * nonidealities.cable_stiffness_n_m_rad * stretch * stretch
         };
         let mut state = State { theta: 1.5, alpha: 2.0, theta_dot: 3.0, alpha_dot: -2.0 };
         for _ in 0..20_000 {
@@ -224,14 +234,19 @@ mod tests {
             state = next;
         }
         // The cable's pull is no more than friction here, so the arm stays at rest.
-        let pull = gap.cable_stiffness_n_m_rad * (state.theta - gap.cable_rest_rad).abs();
-        assert!(pull < gap.coulomb_torque_n_m, "{state:?}");
+        let pull = nonidealities.cable_stiffness_n_m_rad
+            * (state.theta - nonidealities.cable_rest_rad).abs();
+        assert!(pull < nonidealities.coulomb_torque_n_m, "{state:?}");
     }
 
     #[test]
     fn the_dead_zone_takes_a_part_of_each_sign() {
-        let gap = Gap { positive_dead_zone_v: 0.1, negative_dead_zone_v: 0.3, ..Gap::default() };
-        let dynamics = with(gap);
+        let nonidealities = Nonidealities {
+            positive_dead_zone_v: 0.1,
+            negative_dead_zone_v: 0.3,
+            ..Nonidealities::default()
+        };
+        let dynamics = with(nonidealities);
         for (command_v, expected_v) in
             [(0.05, 0.0), (-0.2, 0.0), (1.1, 1.0), (-1.3, -1.0), (0.0, 0.0)]
         {
