@@ -12,10 +12,10 @@ mod board_clock;
 mod check;
 #[path = "firmware/conformance.rs"]
 mod conformance;
-#[path = "firmware/driver.rs"]
-mod driver;
 #[path = "firmware/faults.rs"]
 mod faults;
+#[path = "firmware/host.rs"]
+mod host;
 #[path = "firmware/latency.rs"]
 mod latency;
 #[path = "firmware/power.rs"]

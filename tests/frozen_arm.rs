@@ -8,7 +8,7 @@ mod freezes;
 mod wire;
 
 use freezes::{freezes, policies, qubes};
-use qube_hil::control::{Alarm, Drive, SensorWatch};
+use qube_hil::control::{Alarm, ArmInput, SensorWatch};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::estimation::Calibration;
 use qube_hil::qube::{
@@ -42,7 +42,7 @@ fn found_after(
         };
         let voltage_mv = (1e3 * voltage_v) as i16;
         let swing_rad_s = state.alpha.cos() * state.alpha_dot;
-        let alarm = watch.check(&sample, Some(Drive { voltage_mv, swing_rad_s }));
+        let alarm = watch.check(&sample, Some(ArmInput { voltage_mv, swing_rad_s }));
         if alarm == Some(Alarm::Zero(Fault::EncoderFrozen)) {
             return Some(tick - frozen_at.unwrap_or(tick));
         }

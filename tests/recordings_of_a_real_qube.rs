@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use qube_hil::control::{Drive, SensorWatch};
+use qube_hil::control::{ArmInput, SensorWatch};
 use qube_hil::estimation::Calibration;
 use qube_hil::identification::{Unknown, horizon_error, identify};
 use qube_hil::qube::{CONTROL_PERIOD_S, Measurement, QubeModel, RAD_PER_COUNT};
@@ -131,7 +131,7 @@ fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
                     tachometer_counts_s: (sample.state.theta_dot / RAD_PER_COUNT) as i32,
                     ..Measurement::default()
                 },
-                Some(Drive {
+                Some(ArmInput {
                     voltage_mv: (1000.0 * sample.voltage_v) as i16,
                     swing_rad_s: sample.state.alpha.cos() * sample.state.alpha_dot,
                 }),

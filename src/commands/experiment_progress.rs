@@ -4,7 +4,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::printable::printable;
 use crate::experiment::{
-    AnswerResult, Behaviour, ExperimentEvent, ExperimentSettings, Judgement, Repetition,
+    Behaviour, ExperimentEvent, ExperimentSettings, Judgement, RecommendationResult, Repetition,
 };
 use crate::session::SessionEvent;
 
@@ -54,21 +54,23 @@ impl ExperimentProgress {
                 self.line(format!("{recipe} {policy} on {plant}: mean return {mean:.0}; {kinds}"));
                 self.bar.inc(1);
             }
-            ExperimentEvent::Judged { repetition, answer } => self.judged(repetition, answer),
+            ExperimentEvent::Judged { repetition, recommendation } => {
+                self.judged(repetition, recommendation)
+            }
             ExperimentEvent::Over { .. } => self.bar.inc(1),
         }
     }
 
-    fn judged(&self, repetition: &Repetition, answer: &AnswerResult) {
-        let what = match &answer.judgement {
+    fn judged(&self, repetition: &Repetition, recommendation: &RecommendationResult) {
+        let what = match &recommendation.judgement {
             Ok(judgement) => {
                 let Judgement { stood, ran } = judgement;
-                let word = if answer.succeeds { "succeeds" } else { "does not succeed" };
-                format!("the answer {word}, {stood} of {ran} judges' rollouts stood")
+                let word = if recommendation.succeeds { "succeeds" } else { "does not succeed" };
+                format!("the recommendation {word}, {stood} of {ran} judges' rollouts stood")
             }
-            Err(reason) => format!("no answer: {reason}"),
+            Err(reason) => format!("no recommendation: {reason}"),
         };
-        let rollouts = answer.real_rollouts;
+        let rollouts = recommendation.real_rollouts;
         self.line(format!("{}, {rollouts} real rollouts: {what}", repetition.name()));
     }
 

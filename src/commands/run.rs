@@ -114,7 +114,7 @@ impl From<ExciteArgument> for ExcitationShape {
 }
 
 /// The controller of the rollouts: its name for the header, and the bytes of its file for each rollout.
-struct Driver {
+struct RunController {
     name: String,
     files: Vec<Vec<u8>>,
     steps: u32,
@@ -122,7 +122,7 @@ struct Driver {
     note: Option<String>,
 }
 
-impl Driver {
+impl RunController {
     fn chosen(arguments: &Arguments) -> Result<Self, Failure> {
         if let Some(argument) = arguments.excite {
             let shape = ExcitationShape::from(argument);
@@ -154,7 +154,7 @@ impl Driver {
 
 /// Runs the rollouts and prints their returns, whatever ends them.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
-    let driver = Driver::chosen(&arguments)?;
+    let controller = RunController::chosen(&arguments)?;
     let stop = Stop::on_signals()?;
 
     let estimator = arguments.estimator.settings()?.unwrap_or_default();
@@ -172,7 +172,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
     folder.check_for_recordings(arguments.rollouts.into())?;
     let directory = folder.path().to_owned();
-    if let Some(note) = &driver.note {
+    if let Some(note) = &controller.note {
         tell(note);
     }
     let keyboard = Keyboard::watch(&stop);
@@ -193,11 +193,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         seed: arguments.seed,
         estimator,
         safety_box,
-        steps: driver.steps,
-        ..RolloutPlan::single("run", &driver.name)
+        steps: controller.steps,
+        ..RolloutPlan::single("run", &controller.name)
     };
     let mut results = Results { excited: arguments.excite.is_some(), ..Results::default() };
-    let mut series = Series { settings, plan, driver, directory, stop: &stop, keyboard: &keyboard };
+    let mut series =
+        Series { settings, plan, controller, directory, stop: &stop, keyboard: &keyboard };
     let ended = series.run(arguments.rollouts, &mut results);
     drop(keyboard);
 
@@ -219,7 +220,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 struct Series<'a> {
     settings: RigSettings,
     plan: RolloutPlan,
-    driver: Driver,
+    controller: RunController,
     directory: PathBuf,
     stop: &'a Stop,
     keyboard: &'a Keyboard,
@@ -272,7 +273,7 @@ impl Series<'_> {
         let path = self.directory.join(format!("rollout-{rollout}.mcap"));
         let mut tries = 0;
         loop {
-            match rig.rollout(&MachineDisk, &path, plan.header(), self.driver.file(rollout)) {
+            match rig.rollout(&MachineDisk, &path, plan.header(), self.controller.file(rollout)) {
                 Ok(recorded) => return Ok(recorded),
                 Err(error @ RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
                     tell(&format!("rollout {rollout} begins again: {error}"));

@@ -2,12 +2,12 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
-use crate::experiment::{AnswerResult, Repetition, StrategyResult, StrategyResults};
+use crate::experiment::{RecommendationResult, Repetition, StrategyResult, StrategyResults};
 
 /// The table for people, 80 columns wide: a line for each method.
 pub fn table(results: &StrategyResults) -> String {
     let mut text = format!(
-        "\nreal rollouts until the answer succeeds, {} on {}\n\n{:10} {:>8} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
+        "\nreal rollouts until the recommendation succeeds, {} on {}\n\n{:10} {:>8} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
         results.recipe,
         results.plant,
         "strategy",
@@ -22,9 +22,9 @@ pub fn table(results: &StrategyResults) -> String {
         let _ = writeln!(text, "{}", line(strategy));
     }
     for strategy in &results.strategies {
-        let refused = strategy.repetitions.iter().flat_map(|it| &it.answers);
+        let refused = strategy.repetitions.iter().flat_map(|it| &it.recommendations);
         let mut reasons: Vec<&String> =
-            refused.filter_map(|answer| answer.judgement.as_ref().err()).collect();
+            refused.filter_map(|recommendation| recommendation.judgement.as_ref().err()).collect();
         reasons.sort_unstable();
         reasons.dedup();
         for reason in reasons {
@@ -88,8 +88,8 @@ pub fn csv(results: &StrategyResults) -> String {
     );
     for strategy in &results.strategies {
         for repetition in &strategy.repetitions {
-            for answer in &repetition.answers {
-                let AnswerResult { real_rollouts, judgement, succeeds } = answer;
+            for recommendation in &repetition.recommendations {
+                let RecommendationResult { real_rollouts, judgement, succeeds } = recommendation;
                 let (stood, ran, refused) = match judgement {
                     Ok(judgement) => (judgement.stood, judgement.ran, String::new()),
                     Err(reason) => (0, 0, format!("\"{}\"", reason.replace('"', "'"))),
@@ -114,13 +114,13 @@ mod tests {
         let repetition = |number| Repetition {
             method: Method::Identify,
             number,
-            answers: vec![
-                AnswerResult {
+            recommendations: vec![
+                RecommendationResult {
                     real_rollouts: 1,
                     judgement: Err("recording 0: it is \"short\"".into()),
                     succeeds: false,
                 },
-                AnswerResult {
+                RecommendationResult {
                     real_rollouts: 2,
                     judgement: Ok(Judgement { stood: 18, ran: 19 }),
                     succeeds: number % 2 == 0,

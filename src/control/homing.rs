@@ -1,8 +1,8 @@
 use super::current_watch::CurrentWatch;
 use super::hanging::Hanging;
+use super::homing_probe::{HomingProbe, PushResponse, STRONGEST_V};
 use super::homing_settings::{HomingMethod, HomingSettings};
 use super::led_arm::{ComingOff, Held, Runaway, Stood};
-use super::probe::{Answer, Probe, STRONGEST_V};
 use super::rest::{StillnessDetector, Swing};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, LEAD_RAD_S};
@@ -12,7 +12,7 @@ use super::witness::{Witness, ZERO_WITHIN_RAD};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, MeasuredRig, MeasuredStops};
 use crate::qube::{Measurement, RAD_PER_COUNT, State};
-use crate::safety::gate;
+use crate::safety::clamp_to_mv;
 use crate::telemetry::{Ending, Fault};
 
 /// Most ticks for the whole of homing: 60 s.
@@ -78,7 +78,7 @@ enum Stage {
     /// Wait at 0 V until the pendulum hardly swings: the middle of that is where it hangs.
     Observe(Hanging),
     /// Push until the arm follows.
-    Probe(Probe),
+    Probe(HomingProbe),
     /// Calm the pendulum about that point, with the arm in the middle as far as it is known.
     Calm,
     /// Look for the stops, which tell the middle.
@@ -193,7 +193,7 @@ impl Homing {
                     self.hangs_at(hung.middle_rad, hung.within_rad);
                     if self.control.take(ControlEvent::AtRest) == ControlAction::Seek {
                         self.place_rad = self.state.theta;
-                        self.stage = Stage::Probe(Probe::new(hung.swing_rad));
+                        self.stage = Stage::Probe(HomingProbe::new(hung.swing_rad));
                     }
                 }
             }
@@ -250,21 +250,21 @@ impl Homing {
     }
 
     /// Goes on where the arm follows a push; gives what is wrong where it does not.
-    fn answered(&mut self, answer: Answer) -> Option<Fault> {
+    fn answered(&mut self, answer: PushResponse) -> Option<Fault> {
         let witness = self.sensors.witness();
         let leads = witness.is_some_and(|own| own.pendulum_seems_to_lead());
         let rather_leads = witness.is_some_and(|own| own.pendulum_rather_leads());
         let wrong_sign = match answer {
-            Answer::Waits => return None,
-            Answer::Moves => return Some(Fault::ArmPushed),
-            Answer::Stays => {
+            PushResponse::Waits => return None,
+            PushResponse::Moves => return Some(Fault::ArmPushed),
+            PushResponse::Stays => {
                 let is_dead = self.current.is_dead(STRONGEST_V);
                 return Some(if is_dead { Fault::MotorDead } else { Fault::ArmHeld });
             }
-            Answer::Follows if leads => Some(Fault::WrongSignAlpha),
-            Answer::Follows => None,
-            Answer::Opposes if rather_leads => Some(Fault::WrongSignTheta),
-            Answer::Opposes => Some(Fault::WrongSignMotor),
+            PushResponse::Follows if leads => Some(Fault::WrongSignAlpha),
+            PushResponse::Follows => None,
+            PushResponse::Opposes if rather_leads => Some(Fault::WrongSignTheta),
+            PushResponse::Opposes => Some(Fault::WrongSignMotor),
         };
         match (self.suspected, wrong_sign) {
             (None, None) => {
@@ -412,7 +412,7 @@ impl Motion for Homing {
             return self.off(Ending::Fault(fault));
         }
         let wanted_v = self.wanted_voltage();
-        self.voltage_mv = gate(wanted_v).unwrap_or(0);
+        self.voltage_mv = clamp_to_mv(wanted_v).unwrap_or(0);
         self.output(Some(wanted_v), None)
     }
 

@@ -9,7 +9,7 @@ const CARRIED_RAD_S: f64 = 2.0;
 
 /// What the arm was driven by since the last sample, in the signs of the convention.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Drive {
+pub struct ArmInput {
     /// The voltage that was sent last. What the device reports between two acts may show one sign of
     /// a voltage that goes to and fro.
     pub voltage_mv: i16,
@@ -33,7 +33,7 @@ impl Push {
     pub(super) fn moves_nothing(
         &mut self,
         sample: &Measurement,
-        drive: Drive,
+        drive: ArmInput,
         (least_mv, most_counts, longest_us): (i16, i32, u64),
     ) -> bool {
         let counts = sample.theta_counts;

@@ -28,14 +28,14 @@ impl RestDetector {
 }
 
 /// An arm that moves over no more than this is brought back, rad.
-const BACK_RANGE_RAD: f64 = 0.05;
+const CENTRED_RANGE_RAD: f64 = 0.05;
 
 /// An arm within this of the middle is brought back, rad.
-const BACK_REACH_RAD: f64 = 0.5;
+const CENTRED_REACH_RAD: f64 = 0.5;
 
 /// How long both must hold, in ticks: longer than a swing of the pendulum, so that what the pendulum
 /// still holds cannot throw the arm far once the amplifier is off.
-const BACK_TICKS: u32 = 60;
+const CENTRED_TICKS: u32 = 60;
 
 /// An arm that rests this far from its nearer stop, rad, need not be any nearer to the middle: a cable may
 /// hold it off for as long as the brake works.
@@ -43,30 +43,30 @@ const OFF_STOPS_RAD: f64 = 1.5;
 
 /// Whether the arm has been brought back and the pendulum no longer moves it.
 #[derive(Clone, Copy, Debug)]
-pub struct BackDetector {
+pub struct CentredDetector {
     stay: Stay,
     reach_rad: f64,
 }
 
-impl Default for BackDetector {
+impl Default for CentredDetector {
     /// Back is near the middle.
     fn default() -> Self {
-        Self { stay: Stay::default(), reach_rad: BACK_REACH_RAD }
+        Self { stay: Stay::default(), reach_rad: CENTRED_REACH_RAD }
     }
 }
 
-impl BackDetector {
+impl CentredDetector {
     /// Back is wherever it is far from a stop; the nearer one is this far from the middle, rad.
     pub fn off_stops(nearer_rad: f64) -> Self {
-        let reach_rad = (nearer_rad - OFF_STOPS_RAD).max(BACK_REACH_RAD);
+        let reach_rad = (nearer_rad - OFF_STOPS_RAD).max(CENTRED_REACH_RAD);
         Self { stay: Stay::default(), reach_rad }
     }
 
     /// Takes the arm's next angle; true once the last 0.6 s stayed within the range.
-    pub fn is_back(&mut self, theta: f64) -> bool {
+    pub fn is_centred(&mut self, theta: f64) -> bool {
         let reach_rad = self.reach_rad;
-        let quiet = |width_rad| width_rad <= BACK_RANGE_RAD && theta.abs() < reach_rad;
-        self.stay.update(theta, quiet) > BACK_TICKS
+        let quiet = |width_rad| width_rad <= CENTRED_RANGE_RAD && theta.abs() < reach_rad;
+        self.stay.update(theta, quiet) > CENTRED_TICKS
     }
 }
 

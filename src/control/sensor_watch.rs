@@ -1,6 +1,6 @@
 use super::current_watch::takes_nothing;
-use super::push::{Drive, Push};
-use super::standing::Standing;
+use super::momentum_watch::MomentumWatch;
+use super::push::{ArmInput, Push};
 use super::still_pendulum::Pendulum;
 use super::watch::Alarm;
 use super::witness::{Contradiction, RIG_SHARE, WHOLE_DOMAIN_SHARE, Witness};
@@ -72,7 +72,7 @@ pub struct SensorWatch {
     /// rules.
     witness: Option<(Calibration, Witness)>,
     /// The arm's count against the whole Qube's momentum.
-    standing: Standing,
+    momentum: MomentumWatch,
     has_taken_current: bool,
     without_current_ticks: u32,
     frozen: Push,
@@ -149,7 +149,7 @@ impl SensorWatch {
     /// What concerns the arm ends with the amplifier off at once: a brake would work with the very
     /// numbers that cannot be believed, or against whatever holds the arm. What concerns the pendulum
     /// brakes: the arm may be under way, and the brake can do without the pendulum.
-    pub fn check(&mut self, sample: &Measurement, drive: Option<Drive>) -> Option<Alarm> {
+    pub fn check(&mut self, sample: &Measurement, drive: Option<ArmInput>) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
             self.pendulum = Pendulum::seen(sample);
             return None;
@@ -198,7 +198,7 @@ impl SensorWatch {
             let (_, alpha) = calibration.angles_rad(sample);
             let sign = if calibration.voltage_inverted { -1.0 } else { 1.0 };
             let voltage_v = f64::from(drive.voltage_mv) * 1e-3;
-            if self.standing.is_frozen(sample, alpha, voltage_v, sign * sample.current_a) {
+            if self.momentum.is_frozen(sample, alpha, voltage_v, sign * sample.current_a) {
                 return Some(Alarm::Zero(Fault::EncoderFrozen));
             }
         }
@@ -251,7 +251,7 @@ impl SensorWatch {
     fn held(
         &mut self,
         sample: &Measurement,
-        drive: Drive,
+        drive: ArmInput,
         counts_s: f64,
         elapsed_s: f64,
     ) -> Option<Fault> {
@@ -322,7 +322,7 @@ mod tests {
             let device_time_us = u64::from(tick) * 10_000;
             let mut sample = Measurement { device_time_us, ..Measurement::default() };
             at(tick, &mut sample);
-            let drive = Drive { voltage_mv: sample.applied_mv, swing_rad_s: 0.0 };
+            let drive = ArmInput { voltage_mv: sample.applied_mv, swing_rad_s: 0.0 };
             match watch.check(&sample, (!may_push).then_some(drive))? {
                 Alarm::Zero(fault) | Alarm::Brake(fault) => Some((tick, fault)),
             }
@@ -339,7 +339,7 @@ mod tests {
                 before.chain([(611_000, 0), (611_000 + close_us, -1), (620_000, -1)])
             {
                 let sample = Measurement { device_time_us, theta_counts, ..Measurement::default() };
-                assert_eq!(watch.check(&sample, Some(Drive::default())), None, "{close_us} us");
+                assert_eq!(watch.check(&sample, Some(ArmInput::default())), None, "{close_us} us");
             }
         }
     }
@@ -365,7 +365,7 @@ mod tests {
         let mut watch = SensorWatch::default();
         for (device_time_us, alpha_counts) in [(0, 0), (20_000, 400), (40_000, 801)] {
             let sample = Measurement { device_time_us, alpha_counts, ..Measurement::default() };
-            let alarm = watch.check(&sample, Some(Drive::default()));
+            let alarm = watch.check(&sample, Some(ArmInput::default()));
             let expected = (alpha_counts == 801).then_some(Alarm::Brake(Fault::PendulumJump));
             assert_eq!(alarm, expected);
         }
@@ -404,7 +404,7 @@ mod tests {
                 let device_time_us = u64::from(tick) * 10_000;
                 let sample = Measurement { device_time_us, ..Measurement::default() };
                 let swing_rad_s = f64::from(tick) * rad_s_each_tick;
-                watch.check(&sample, Some(Drive { voltage_mv, swing_rad_s }))
+                watch.check(&sample, Some(ArmInput { voltage_mv, swing_rad_s }))
             })
         };
         assert_eq!(alarm(0.1, 3000), None);
@@ -469,7 +469,9 @@ mod tests {
                 tachometer_counts_s: (speed_rad_s / RAD_PER_COUNT) as i32,
                 ..Measurement::default()
             };
-            alarms.extend(watch.check(&sample, Some(Drive { voltage_mv: 3000, swing_rad_s: 0.0 })));
+            alarms.extend(
+                watch.check(&sample, Some(ArmInput { voltage_mv: 3000, swing_rad_s: 0.0 })),
+            );
         }
         assert_eq!(alarms[0], Alarm::Brake(Fault::PendulumFrozen));
         assert!(alarms.contains(&Alarm::Zero(Fault::EncoderFrozen)), "{alarms:?}");

@@ -2,7 +2,7 @@ use super::watch::{Alarm, Watch};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::{RAD_PER_COUNT, State};
-use crate::safety::{brake_voltage, gate};
+use crate::safety::{brake_voltage, clamp_to_mv};
 use crate::telemetry::Ending;
 
 /// Ticks without a voltage before the push: what pendulum and arm do by themselves.
@@ -303,7 +303,7 @@ impl Motion for SignProbe {
             return self.off(Ending::Completed);
         }
         let wanted_v = self.stage_v();
-        self.voltage_mv = gate(wanted_v).unwrap_or(0);
+        self.voltage_mv = clamp_to_mv(wanted_v).unwrap_or(0);
         self.ticks += 1;
         self.all_ticks += 1;
         self.output(Some(wanted_v), None)

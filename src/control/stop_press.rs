@@ -2,7 +2,7 @@ use super::watch::{Alarm, Watch};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::{HARD_STOP_RAD, State};
-use crate::safety::gate;
+use crate::safety::clamp_to_mv;
 use crate::telemetry::Ending;
 
 /// An arm within this of where a nominal stop is stands at it, rad.
@@ -150,7 +150,7 @@ impl Motion for StopPress {
             return self.off(Ending::Completed);
         }
         let wanted_v = self.outward * self.push_v;
-        self.voltage_mv = gate(wanted_v).unwrap_or(0);
+        self.voltage_mv = clamp_to_mv(wanted_v).unwrap_or(0);
         self.output(Some(wanted_v), None)
     }
 

@@ -1,6 +1,6 @@
 use super::asking::AskingPush;
-use super::push::Drive;
-use super::rest::{BackDetector, RestDetector};
+use super::push::ArmInput;
+use super::rest::{CentredDetector, RestDetector};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
 use super::watch::{Alarm, Watch};
@@ -9,7 +9,7 @@ use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, State};
-use crate::safety::{Brake, Foreseen, Guard, Limit, TrustedForesight, gate};
+use crate::safety::{Brake, Foreseen, Guard, Limit, TrustedForesight, clamp_to_mv};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
 /// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
@@ -49,7 +49,7 @@ pub struct Tick<C = Policy> {
     settler: Settler,
     gentle: GentleSettler,
     rest: RestDetector,
-    back: BackDetector,
+    centred: CentredDetector,
     control: ControlState,
     phase: Phase,
     periods_in_phase: u32,
@@ -91,10 +91,10 @@ impl<C: Controller> Tick<C> {
             settler: Settler::default(),
             gentle: GentleSettler::default(),
             rest: RestDetector::default(),
-            back: if is_witnessed {
-                BackDetector::off_stops(HARD_STOP_RAD - room_rad)
+            centred: if is_witnessed {
+                CentredDetector::off_stops(HARD_STOP_RAD - room_rad)
             } else {
-                BackDetector::default()
+                CentredDetector::default()
             },
             control: ControlState::Ready,
             phase: Phase::Settling,
@@ -185,13 +185,15 @@ impl<C: Controller> Tick<C> {
         let speed_rad_s = theta_dot.abs();
         let (stands, most_ticks) = match self.settings.safety_box.guard {
             // A count that stands is at rest at once, and is waited for: the arm may not stand.
-            _ if self.damps => (self.back.is_back(theta), MAX_RETURN_TICKS),
+            _ if self.damps => (self.centred.is_centred(theta), MAX_RETURN_TICKS),
             Guard::Box => {
                 let slow = speed_rad_s < STOPPED_RAD_S;
                 self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };
                 (self.stopped_ticks >= STOPPED_TICKS, MAX_BRAKING_TICKS)
             }
-            Guard::Envelope | Guard::Foresight => (self.back.is_back(theta), MAX_RETURN_TICKS),
+            Guard::Envelope | Guard::Foresight => {
+                (self.centred.is_centred(theta), MAX_RETURN_TICKS)
+            }
         };
         let time_is_up = self.periods_in_phase >= most_ticks;
         if !stands && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
@@ -290,7 +292,7 @@ impl<C: Controller> Motion for Tick<C> {
         self.remember_sent(input.skipped_periods);
 
         // Watch the link, the clock, the device's own flags, and the sensors.
-        let drive = Drive {
+        let drive = ArmInput {
             voltage_mv: self.voltage_mv,
             swing_rad_s: Scalar::sin_cos(self.estimates.guarded.alpha).1
                 * self.estimates.guarded.alpha_dot,
@@ -341,12 +343,12 @@ impl<C: Controller> Motion for Tick<C> {
 
         // Decide, and let nothing through that is not a voltage.
         let mut wanted_v = self.wanted_voltage();
-        self.voltage_mv = match gate(wanted_v) {
+        self.voltage_mv = match clamp_to_mv(wanted_v) {
             Ok(voltage_mv) => voltage_mv,
             Err(_) => {
                 self.take(ControlEvent::BrakeFault, Ending::Fault(Fault::NotANumber));
                 wanted_v = self.brake.voltage_v(&self.estimates.guarded);
-                gate(wanted_v).unwrap_or(0)
+                clamp_to_mv(wanted_v).unwrap_or(0)
             }
         };
 
@@ -360,7 +362,7 @@ impl<C: Controller> Motion for Tick<C> {
                 self.take(ControlEvent::LimitLeft, Ending::LeftBox(Limit::Foresight));
             }
             wanted_v = self.brake.voltage_v(&self.estimates.guarded);
-            self.voltage_mv = gate(wanted_v).unwrap_or(0);
+            self.voltage_mv = clamp_to_mv(wanted_v).unwrap_or(0);
         }
         self.estimator.send(f64::from(self.voltage_mv) / 1000.0);
         self.periods_in_phase += 1;

@@ -17,7 +17,7 @@ use crate::storage::{Disk, Hold, MachineDisk};
 /// strategies/STRATEGY/000/search/                 the session of one repetition
 /// strategies/identify/000/recordings/             or the recordings of a repetition without one,
 /// strategies/identify/000/identified-1.toml       and the Qube that was found in the first of them
-/// strategies/STRATEGY/000/judged/003/000/         policies as above, made by the answer so far
+/// strategies/STRATEGY/000/judged/003/000/         policies as above, made by the recommendation so far
 /// ```
 #[derive(Debug)]
 pub struct ExperimentFolder {

@@ -39,7 +39,7 @@ pub use results::{PolicyResult, RecipeResult, Results};
 pub use rollouts::RolloutResult;
 pub use settings::ExperimentSettings;
 pub use strategies::{
-    AnswerResult, Judgement, Method, Repetition, StrategyResult, StrategyResults, StrategySettings,
-    strategies_svg,
+    Judgement, Method, RecommendationResult, Repetition, StrategyResult, StrategyResults,
+    StrategySettings, strategies_svg,
 };
 pub use work::{Experiment, ExperimentEvent};

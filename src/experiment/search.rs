@@ -46,8 +46,9 @@ pub(super) fn found_psi(
     if next_step(&entries, extent) != Step::Done {
         return Ok(None);
     }
-    let answer = candidates(&entries).into_iter().find(|it| it.purpose == Purpose::Verification);
-    Ok(answer.map(|candidate| candidate.psi))
+    let recommendation =
+        candidates(&entries).into_iter().find(|it| it.purpose == Purpose::Verification);
+    Ok(recommendation.map(|candidate| candidate.psi))
 }
 
 /// The searched candidates in order, each with the returns of its rollouts so far. The recommendation is

@@ -6,7 +6,7 @@ use super::queue::Queue;
 use super::search::{found_psi, open_search};
 use super::series::Series;
 use super::{
-    AnswerResult, ExperimentError, ExperimentFolder, ExperimentSettings, Method, Recipe,
+    ExperimentError, ExperimentFolder, ExperimentSettings, Method, Recipe, RecommendationResult,
     Repetition, RolloutResult,
 };
 use crate::rig::{ClockChoice, Rig, RigSettings};
@@ -46,7 +46,7 @@ pub enum ExperimentEvent<'a> {
         /// Repetition of the method.
         repetition: &'a Repetition,
         /// Result of the scoring.
-        answer: &'a AnswerResult,
+        recommendation: &'a RecommendationResult,
     },
     /// A repetition of a method has ended.
     Over {

@@ -35,4 +35,4 @@ pub use motor_heat::{COOLED_LOAD, LARGEST_LOAD, MotorHeat, WARNING_LOAD};
 pub use particle::Particle;
 pub use safety_box::{Limit, SafetyBox};
 pub use trusted_foresight::TrustedForesight;
-pub use voltage_gate::{NotANumber, gate};
+pub use voltage_gate::{NotANumber, clamp_to_mv};

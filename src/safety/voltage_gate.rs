@@ -8,7 +8,7 @@ pub struct NotANumber;
 ///
 /// # Errors
 /// [`NotANumber`] for NaN and infinities: no voltage can be meant by them.
-pub fn gate(voltage_v: f64) -> Result<i16, NotANumber> {
+pub fn clamp_to_mv(voltage_v: f64) -> Result<i16, NotANumber> {
     if !voltage_v.is_finite() {
         return Err(NotANumber);
     }
@@ -22,18 +22,18 @@ mod tests {
 
     #[test]
     fn the_gate_limits_and_refuses() {
-        assert_eq!(gate(1.2344), Ok(1234));
-        assert_eq!(gate(-7.0), Ok(-5000));
-        assert_eq!(gate(f64::MAX), Ok(5000));
+        assert_eq!(clamp_to_mv(1.2344), Ok(1234));
+        assert_eq!(clamp_to_mv(-7.0), Ok(-5000));
+        assert_eq!(clamp_to_mv(f64::MAX), Ok(5000));
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            assert_eq!(gate(bad), Err(NotANumber));
+            assert_eq!(clamp_to_mv(bad), Err(NotANumber));
         }
     }
 
     /// What a policy of 32-bit numbers asked for, and what may come of it.
     fn check(bits: u32) {
         let wanted_v = f32::from_bits(bits);
-        match gate(f64::from(wanted_v)) {
+        match clamp_to_mv(f64::from(wanted_v)) {
             Ok(millivolts) => {
                 assert!(wanted_v.is_finite() && (-5000..=5000).contains(&millivolts), "{bits:#x}");
                 let limited_v = wanted_v.clamp(-5.0, 5.0);

@@ -6,7 +6,7 @@ use firmware_protocol::Request;
 use firmware_protocol::scaling::{motor_counts, motor_word};
 use qube_hil::device::{Device, Transport};
 
-use crate::driver::{Disturbed, scenario};
+use crate::host::{Disturbed, scenario};
 
 const ACTS: i16 = 40;
 
@@ -24,16 +24,16 @@ const CLOCK_US: u64 = 4;
 /// sampling timer would take 2 ms.
 #[test]
 fn the_firmware_passes_an_act_on_at_once() {
-    scenario(|driver| {
-        driver.link.arm().unwrap();
+    scenario(|host| {
+        host.link.arm().unwrap();
         let (mut acts, mut samples_us) = (Vec::new(), Vec::new());
-        let mut before = driver.sample().map_err(|_| Disturbed)?;
+        let mut before = host.sample().map_err(|_| Disturbed)?;
         for act in 0..ACTS {
             // Each another motor word; no voltage for long enough to matter.
             let voltage_mv = 50 * (act - ACTS / 2);
-            let _ = driver.link.act(voltage_mv, before.device_time_us);
+            let _ = host.link.act(voltage_mv, before.device_time_us);
             std::thread::sleep(Duration::from_micros(7_000 + 137 * act as u64));
-            let after = driver.sample().map_err(|_| Disturbed)?;
+            let after = host.sample().map_err(|_| Disturbed)?;
             if !after.status.armed {
                 return Err(Disturbed);
             }
@@ -43,7 +43,7 @@ fn the_firmware_passes_an_act_on_at_once() {
             samples_us.push(after.device_time_us);
             before = after;
         }
-        let qube = driver.board.qube();
+        let qube = host.board.qube();
         // Each sample is of a frame that there was, timed when chip select fell.
         let is_of_a_frame = |time_us: u64| {
             let next = qube.commands.partition_point(|it| it.selected_us < time_us);
@@ -74,18 +74,18 @@ fn the_firmware_passes_an_act_on_at_once() {
 
 #[test]
 fn the_firmware_survives_a_flood_of_requests() {
-    scenario(|driver| {
-        driver.link.arm().unwrap();
+    scenario(|host| {
+        host.link.arm().unwrap();
         for sequence in 0..400 {
             // Seven bytes each, answered by 32: no ring can hold what piles up.
             let sample = Request::Sample.encode(sequence);
-            let _ = driver.link.transport().write(sample.as_bytes());
+            let _ = host.link.transport().write(sample.as_bytes());
         }
-        driver.board.wait_us(200_000);
+        host.board.wait_us(200_000);
         // Whatever came of them, none fed the watchdog, and the next hello is heard.
-        let commands = driver.board.qube().commands.clone();
+        let commands = host.board.qube().commands.clone();
         assert_eq!(commands.last().unwrap().motor_word, 0);
-        driver.link.hello().unwrap();
-        driver.arm_and_drive()
+        host.link.hello().unwrap();
+        host.arm_and_drive()
     });
 }

@@ -4,7 +4,7 @@ use firmware_protocol::{QUBE_MODULE_ID, WATCHDOG_MS, WATCHDOG_POLL_MS};
 use qube_hil::clock::MonotonicClock;
 use qube_hil::device::{Device, DeviceError, SerialLink};
 
-use crate::driver::{Disturbed, scenario};
+use crate::host::{Disturbed, scenario};
 use crate::qube::{Command, Qube};
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
@@ -41,24 +41,24 @@ fn the_first_frame_of_the_firmware_switches_off_what_was_left_on() {
 
 #[test]
 fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
-    scenario(|driver| {
-        let armed_us = driver.board.time_us();
-        driver.arm_and_drive()?;
-        driver.board.wait_us(300_000);
-        let commands = driver.commands_since(armed_us);
+    scenario(|host| {
+        let armed_us = host.board.time_us();
+        host.arm_and_drive()?;
+        host.board.wait_us(300_000);
+        let commands = host.commands_since(armed_us);
         let off_us = off_for_good(&commands);
-        let status = driver.sample().map_err(|_| Disturbed)?.status;
+        let status = host.sample().map_err(|_| Disturbed)?.status;
         assert!(status.watchdog_tripped && !status.armed, "{status:?}");
         // Steady red is the watchdog's colour.
         assert!(commands.iter().filter(|it| it.time_us > off_us).all(Command::is_red));
 
         // The act that came last is not seen on the SPI, which carries the same word for long. So
         // once more from an arm, whose 0 V are seen.
-        driver.link.hello().unwrap();
-        let armed_us = driver.board.time_us();
-        driver.link.arm().unwrap();
-        driver.board.wait_us(100_000);
-        let commands = driver.commands_since(armed_us);
+        host.link.hello().unwrap();
+        let armed_us = host.board.time_us();
+        host.link.arm().unwrap();
+        host.board.wait_us(100_000);
+        let commands = host.commands_since(armed_us);
         let on_us = commands.iter().find(|it| it.motor_is_on()).expect("it was armed").time_us;
         let on_for_us = off_for_good(&commands) - on_us;
         let (least_us, most_us) =
@@ -73,17 +73,17 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
 
 #[test]
 fn the_firmware_latches_an_amplifier_fault() {
-    scenario(|driver| {
-        driver.arm_and_drive()?;
+    scenario(|host| {
+        host.arm_and_drive()?;
         let fault_us = {
-            let mut qube = driver.board.qube();
+            let mut qube = host.board.qube();
             qube.amplifier_fault = true;
             qube.commands.last().unwrap().time_us
         };
-        driver.drive_until(|sample| sample.status.amplifier_fault && !sample.status.armed)?;
-        driver.board.qube().amplifier_fault = false;
-        driver.board.wait_us(600_000);
-        let mut commands = driver.commands_since(fault_us);
+        host.drive_until(|sample| sample.status.amplifier_fault && !sample.status.armed)?;
+        host.board.qube().amplifier_fault = false;
+        host.board.wait_us(600_000);
+        let mut commands = host.commands_since(fault_us);
         // The frame under way may have been the last that drove.
         let last = Command { motor_word: 0x8000, ..commands[0] };
         commands.insert(0, last);
@@ -92,39 +92,39 @@ fn the_firmware_latches_an_amplifier_fault() {
         assert!(blinks, "a fault is told from the watchdog by its blinking");
 
         // While it lasts nothing arms; then a hello and an arm do.
-        driver.board.qube().amplifier_fault = true;
-        driver.board.wait_us(10_000);
-        driver.link.hello().unwrap();
-        assert!(matches!(driver.link.arm(), Err(DeviceError::Refused { .. })));
-        driver.board.qube().amplifier_fault = false;
-        driver.board.wait_us(10_000);
-        driver.link.hello().unwrap();
-        driver.arm_and_drive()
+        host.board.qube().amplifier_fault = true;
+        host.board.wait_us(10_000);
+        host.link.hello().unwrap();
+        assert!(matches!(host.link.arm(), Err(DeviceError::Refused { .. })));
+        host.board.qube().amplifier_fault = false;
+        host.board.wait_us(10_000);
+        host.link.hello().unwrap();
+        host.arm_and_drive()
     });
 }
 
 #[test]
 fn the_firmware_latches_a_stall_and_clears_it_when_it_is_armed_anew() {
-    scenario(|driver| {
-        driver.arm_and_drive()?;
-        driver.board.qube().stall_error = true;
-        let sample = driver.drive_until(|sample| sample.status.stall_error)?;
+    scenario(|host| {
+        host.arm_and_drive()?;
+        host.board.qube().stall_error = true;
+        let sample = host.drive_until(|sample| sample.status.stall_error)?;
         assert!(sample.status.stall_detected);
-        driver.drive_until(|sample| !sample.status.armed)?;
-        driver.board.wait_us(300_000);
-        let before = driver.sample().map_err(|_| Disturbed)?;
+        host.drive_until(|sample| !sample.status.armed)?;
+        host.board.wait_us(300_000);
+        let before = host.sample().map_err(|_| Disturbed)?;
         assert!(before.status.stall_error, "without an arm nothing clears it");
 
-        let cleared_us = driver.board.time_us();
-        driver.link.hello().unwrap();
-        driver.link.arm().unwrap();
-        let after = driver.sample().map_err(|_| Disturbed)?;
+        let cleared_us = host.board.time_us();
+        host.link.hello().unwrap();
+        host.link.arm().unwrap();
+        let after = host.sample().map_err(|_| Disturbed)?;
         assert!(!after.status.stall_error && after.status.armed, "{:?}", after.status);
         // The pendulum hangs still by now, and the presets were the counts themselves.
         let moved = (after.theta_counts - before.theta_counts).abs()
             + (after.alpha_counts - before.alpha_counts).abs();
         assert!(moved < 100, "the counters jumped by {moved}");
-        let clearing: Vec<_> = driver
+        let clearing: Vec<_> = host
             .commands_since(cleared_us)
             .into_iter()
             .filter(|it| it.write_mask != 0x1F)
@@ -148,34 +148,34 @@ fn the_firmware_knows_a_qube_by_its_module_id() {
     assert!(error.contains("0xffff"), "{error}");
     drop((link, board));
 
-    scenario(|driver| {
-        driver.arm_and_drive()?;
-        let gone_us = driver.board.time_us();
-        driver.board.qube().module_id = 0x0308;
-        driver.board.wait_us(300_000);
-        let off_us = off_for_good(&driver.commands_since(gone_us - 50_000));
+    scenario(|host| {
+        host.arm_and_drive()?;
+        let gone_us = host.board.time_us();
+        host.board.qube().module_id = 0x0308;
+        host.board.wait_us(300_000);
+        let off_us = off_for_good(&host.commands_since(gone_us - 50_000));
         assert!(off_us <= gone_us + 2 * TWO_PERIODS_US, "off after {} us", off_us - gone_us);
-        assert!(driver.sample().is_err(), "there is nothing to sample");
-        driver.board.qube().module_id = QUBE_MODULE_ID;
-        driver.board.wait_us(10_000);
-        driver.link.hello().unwrap();
-        driver.arm_and_drive()
+        assert!(host.sample().is_err(), "there is nothing to sample");
+        host.board.qube().module_id = QUBE_MODULE_ID;
+        host.board.wait_us(10_000);
+        host.link.hello().unwrap();
+        host.arm_and_drive()
     });
 }
 
 #[test]
 fn the_firmware_extends_24_bit_counters() {
-    scenario(|driver| {
-        let start = driver.sample().map_err(|_| Disturbed)?;
+    scenario(|host| {
+        let start = host.sample().map_err(|_| Disturbed)?;
         for turn in [5_000_000, 5_000_000, 5_000_000, -8_000_000, -8_000_000, -8_000_000] {
-            let before = driver.sample().map_err(|_| Disturbed)?;
-            driver.board.qube().shift_counters(turn);
-            driver.board.wait_us(10_000);
-            let after = driver.sample().map_err(|_| Disturbed)?;
+            let before = host.sample().map_err(|_| Disturbed)?;
+            host.board.qube().shift_counters(turn);
+            host.board.wait_us(10_000);
+            let after = host.sample().map_err(|_| Disturbed)?;
             assert_eq!(after.theta_counts - before.theta_counts, turn);
             assert_eq!(after.alpha_counts - before.alpha_counts, turn);
         }
-        let end = driver.sample().map_err(|_| Disturbed)?;
+        let end = host.sample().map_err(|_| Disturbed)?;
         assert_eq!(end.theta_counts - start.theta_counts, -9_000_000);
         Ok(())
     });
@@ -184,13 +184,13 @@ fn the_firmware_extends_24_bit_counters() {
 /// The main loop is lost in an endless loop while the interrupts go on as ever.
 #[test]
 fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
-    scenario(|driver| {
-        driver.arm_and_drive()?;
-        driver.board.order(Order::Hang);
-        let hung_us = driver.board.time_us();
+    scenario(|host| {
+        host.arm_and_drive()?;
+        host.board.order(Order::Hang);
+        let hung_us = host.board.time_us();
         // It restarts, so frames come again.
-        driver.board.wait_us(100_000);
-        let commands = driver.commands_since(hung_us - 50_000);
+        host.board.wait_us(100_000);
+        let commands = host.commands_since(hung_us - 50_000);
         let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
         let off = &commands[last_on + 1..];
         assert!(off.iter().all(|it| it.motor_word == 0));
@@ -203,7 +203,7 @@ fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
         // It has restarted and knows of no hello: white.
         let [red, green, blue] = off.last().unwrap().leds;
         assert!(red > 0 && red == green && green == blue, "{:?}", off.last());
-        driver.link.hello().unwrap();
-        driver.arm_and_drive()
+        host.link.hello().unwrap();
+        host.arm_and_drive()
     });
 }

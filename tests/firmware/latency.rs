@@ -8,7 +8,7 @@ use qube_hil::clock::enter_realtime;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::driver::Driver;
+use crate::host::Host;
 use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
@@ -47,7 +47,7 @@ fn latency_on_the_firmware() {
     drop(board);
 
     let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(0));
-    let mut driver = Driver::hello(board);
+    let mut host = Host::hello(board);
     let mut round_trips_us = Vec::new();
     let mut random = ChaCha8Rng::seed_from_u64(0);
     // Last, since it is this thread's for good. Where it is refused the tail is longer.
@@ -56,7 +56,7 @@ fn latency_on_the_firmware() {
         // At all phases of the device's sampling timer.
         std::thread::sleep(Duration::from_micros(random.random_range(5_000..9_000)));
         let asked = Instant::now();
-        if driver.sample().is_ok() {
+        if host.sample().is_ok() {
             round_trips_us.push(asked.elapsed().as_secs_f64() * 1e6);
         }
     }

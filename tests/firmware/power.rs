@@ -6,7 +6,7 @@ use qube_hil::clock::MonotonicClock;
 use qube_hil::device::{Device, Identity, LinkFault, SerialLink};
 use qube_hil::qube::HARD_STOP_RAD;
 
-use crate::driver::{Disturbed, Driver, scenario};
+use crate::host::{Disturbed, Host, scenario};
 use crate::qube::Qube;
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
@@ -22,29 +22,29 @@ const ORDER_US: u64 = 3_000;
 
 /// Drives, restarts the board in the middle of it, and returns for how long the motor stayed on, and
 /// who answered before and after.
-fn restart(driver: &mut Driver, order: Order) -> Result<(u64, Identity, Identity), Disturbed> {
-    let before = driver.link.hello().unwrap();
-    driver.arm_and_drive()?;
-    driver.board.order(order);
-    let ordered_us = driver.board.time_us();
-    driver.board.wait_us(150_000);
-    let commands = driver.commands_since(ordered_us - 10_000);
+fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), Disturbed> {
+    let before = host.link.hello().unwrap();
+    host.arm_and_drive()?;
+    host.board.order(order);
+    let ordered_us = host.board.time_us();
+    host.board.wait_us(150_000);
+    let commands = host.commands_since(ordered_us - 10_000);
     let last_on = commands.iter().rposition(|it| it.motor_is_on()).expect("it was driving");
     let off = &commands[last_on + 1..];
     assert!(off.len() > 10 && off.iter().all(|it| it.motor_word == 0), "{off:?}");
     // Not the firmware's watchdog, which would have needed 50 ms and makes red light.
     assert!(off[0].is_red() && !off[5].is_red(), "the first frame of a start is red, then white");
-    let refused = driver.sample();
+    let refused = host.sample();
     assert_eq!(refused, Err(LinkFault::NotArmed), "a restarted board knows of no hello");
-    let after = driver.link.hello().unwrap();
-    driver.arm_and_drive()?;
+    let after = host.link.hello().unwrap();
+    host.arm_and_drive()?;
     Ok((off[0].time_us - ordered_us, before, after))
 }
 
 #[test]
 fn the_first_thing_a_restarted_board_does_is_to_switch_the_motor_off() {
-    scenario(|driver| {
-        let (on_us, before, after) = restart(driver, Order::Restart)?;
+    scenario(|host| {
+        let (on_us, before, after) = restart(host, Order::Restart)?;
         println!("restart: the motor kept its voltage for {on_us} us");
         assert!(on_us <= FIRST_FRAME_US + ORDER_US, "{on_us} us");
         assert!(before.is_same_board(&after) && !before.is_same_start(&after));
@@ -55,8 +55,8 @@ fn the_first_thing_a_restarted_board_does_is_to_switch_the_motor_off() {
 
 #[test]
 fn a_brown_out_leaves_the_voltage_for_the_chips_start_up_time() {
-    scenario(|driver| {
-        let (on_us, before, after) = restart(driver, Order::BrownOut)?;
+    scenario(|host| {
+        let (on_us, before, after) = restart(host, Order::BrownOut)?;
         println!("brown-out: the motor kept its voltage for {on_us} us");
         let expected_us = START_UP_US..=START_UP_US + FIRST_FRAME_US + ORDER_US;
         assert!(expected_us.contains(&on_us), "{on_us} us");
@@ -68,11 +68,11 @@ fn a_brown_out_leaves_the_voltage_for_the_chips_start_up_time() {
 /// Nothing in a board without supply can switch anything off: the Qube drives the arm into its stop.
 #[test]
 fn a_board_without_supply_leaves_the_motor_on() {
-    scenario(|driver| {
-        driver.arm_and_drive()?;
-        driver.board.order(Order::PowerLoss);
-        driver.board.wait_for_end();
-        let mut qube = driver.board.qube();
+    scenario(|host| {
+        host.arm_and_drive()?;
+        host.board.order(Order::PowerLoss);
+        host.board.wait_for_end();
+        let mut qube = host.board.qube();
         let last = *qube.commands.last().unwrap();
         assert!(last.motor_is_on(), "{last:?}");
         let mut fastest_rad_s = 0.0_f64;
@@ -86,7 +86,7 @@ fn a_board_without_supply_leaves_the_motor_on() {
         println!("1 V, power lost: stop after {slam_us:?} us, up to {fastest_rad_s:.1} rad/s");
         assert!(slam_us.is_some() && fastest_rad_s > 2.0);
         drop(qube);
-        assert_eq!(driver.sample(), Err(LinkFault::Gone));
+        assert_eq!(host.sample(), Err(LinkFault::Gone));
         Ok(())
     });
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use qube_hil::clock::MonotonicClock;
 use qube_hil::device::{Device, DeviceError, SerialLink};
 
-use crate::driver::{Disturbed, Driver, scenario_on};
+use crate::host::{Disturbed, Host, scenario_on};
 use crate::qube::{Command, Qube};
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
@@ -16,32 +16,32 @@ const STOP_US: u64 = 3_000 + 2_000;
 /// When the order was carried out is known to within a frame, and some of the simulator's slices.
 const ORDER_US: u64 = 3_000;
 
-fn close(driver: &mut Driver) {
-    driver.board.order(Order::CloseStop);
-    driver.board.wait_us(150_000);
-    driver.link.hello().unwrap();
+fn close(host: &mut Host) {
+    host.board.order(Order::CloseStop);
+    host.board.wait_us(150_000);
+    host.link.hello().unwrap();
 }
 
 fn stops(chip: Chip) {
-    scenario_on(chip, |driver| {
+    scenario_on(chip, |host| {
         // Without a switch the open pin means nothing.
-        driver.arm_and_drive()?;
-        let bare = driver.sample().map_err(|_| Disturbed)?.status;
+        host.arm_and_drive()?;
+        let bare = host.sample().map_err(|_| Disturbed)?.status;
         assert!(!bare.stop_switch_fitted && !bare.emergency_stop, "{bare:?}");
 
-        close(driver);
-        driver.arm_and_drive()?;
-        let fitted = driver.sample().map_err(|_| Disturbed)?.status;
+        close(host);
+        host.arm_and_drive()?;
+        let fitted = host.sample().map_err(|_| Disturbed)?.status;
         assert!(fitted.stop_switch_fitted && !fitted.emergency_stop, "{fitted:?}");
-        driver.link.hello().unwrap();
-        driver.arm_and_drive()?;
+        host.link.hello().unwrap();
+        host.arm_and_drive()?;
 
-        driver.board.order(Order::OpenStop);
-        let opened_us = driver.board.time_us();
-        let last = driver.drive_until(|sample| sample.status.emergency_stop)?;
+        host.board.order(Order::OpenStop);
+        let opened_us = host.board.time_us();
+        let last = host.drive_until(|sample| sample.status.emergency_stop)?;
         assert!(!last.status.armed && !last.status.watchdog_tripped, "{:?}", last.status);
-        driver.board.wait_us(50_000);
-        let commands = driver.commands_since(opened_us - 10_000);
+        host.board.wait_us(50_000);
+        let commands = host.commands_since(opened_us - 10_000);
         let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
         let off = &commands[last_on + 1..];
         let off_after_us = off[0].time_us - opened_us;
@@ -51,15 +51,15 @@ fn stops(chip: Chip) {
         assert!(red > 0 && green == 0 && red == blue, "magenta: {:?}", off.last());
 
         // Open: refused. Closed again: still latched until a hello.
-        driver.link.hello().unwrap();
-        let refused = driver.link.arm().unwrap_err();
+        host.link.hello().unwrap();
+        let refused = host.link.arm().unwrap_err();
         assert!(matches!(refused, DeviceError::Refused { .. }), "{refused}");
         assert!(refused.to_string().contains("emergency-stop"), "{refused}");
-        driver.board.order(Order::CloseStop);
-        driver.board.wait_us(20_000);
-        assert!(driver.sample().map_err(|_| Disturbed)?.status.emergency_stop);
-        driver.link.hello().unwrap();
-        driver.arm_and_drive()
+        host.board.order(Order::CloseStop);
+        host.board.wait_us(20_000);
+        assert!(host.sample().map_err(|_| Disturbed)?.status.emergency_stop);
+        host.link.hello().unwrap();
+        host.arm_and_drive()
     });
 }
 

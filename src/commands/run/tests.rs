@@ -30,10 +30,12 @@ fn run_within(
 ) -> (Result<(), Failure>, Results) {
     let plan = RolloutPlan { safety_box, ..RolloutPlan::single("run", "classical") };
     let files = vec![policy("classical").unwrap().to_bytes()];
-    let driver = Driver { name: "classical".into(), files, steps: plan.steps, note: None };
+    let controller =
+        RunController { name: "classical".into(), files, steps: plan.steps, note: None };
     let (stop, keyboard) = (Stop::default(), Keyboard::none());
     let directory = directory.to_owned();
-    let mut series = Series { settings, plan, driver, directory, stop: &stop, keyboard: &keyboard };
+    let mut series =
+        Series { settings, plan, controller, directory, stop: &stop, keyboard: &keyboard };
     let mut results = Results::default();
     (series.run(rollouts, &mut results), results)
 }

@@ -23,7 +23,7 @@ fn draw(svg: &mut String, results: &StrategyResults) -> Result<(), PlotError> {
     let (lines, names) = root.split_horizontally(880);
     let budgets = results.strategies.iter().filter_map(StrategyResult::budget);
     let last = f64::from(budgets.max().unwrap_or(1).max(2));
-    let title = format!("{} on {}: answers that succeed", results.recipe, results.plant);
+    let title = format!("{} on {}: recommendations that succeed", results.recipe, results.plant);
     let mut chart = ChartBuilder::on(&lines)
         .margin(10)
         .caption(title, ("sans-serif", 18))

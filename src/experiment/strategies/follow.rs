@@ -18,7 +18,7 @@ pub struct Repetition {
     /// Number of the repetition, from 0.
     pub number: u32,
     /// Scored recommendations in order. An unchanged recommendation is not scored again.
-    pub answers: Vec<AnswerResult>,
+    pub recommendations: Vec<RecommendationResult>,
     /// Whether a recommendation has succeeded or none is left.
     pub is_over: bool,
     /// Largest number of real rollouts.
@@ -27,7 +27,7 @@ pub struct Repetition {
 
 /// The result of one recommendation.
 #[derive(Clone, Debug, PartialEq)]
-pub struct AnswerResult {
+pub struct RecommendationResult {
     /// Number of real rollouts before it; a recording counts as one.
     pub real_rollouts: u32,
     /// Score of its policies, or the reason why there is no recommendation.
@@ -40,7 +40,10 @@ impl Repetition {
     /// Number of real rollouts before the first successful recommendation; `None` without one.
     #[must_use]
     pub fn succeeded_after(&self) -> Option<u32> {
-        self.answers.iter().find(|answer| answer.succeeds).map(|answer| answer.real_rollouts)
+        self.recommendations
+            .iter()
+            .find(|recommendation| recommendation.succeeds)
+            .map(|recommendation| recommendation.real_rollouts)
     }
 
     /// Name such as `bayrn 3`.
@@ -56,7 +59,7 @@ fn name(method: Method, number: u32) -> String {
 
 /// A recommendation: recipe and psi of the policies to be made.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Answer {
+pub(super) struct Recommendation {
     /// Recipe of the policies.
     pub recipe: Recipe,
     /// Psi of the recipe; empty without one.
@@ -64,7 +67,7 @@ pub(super) struct Answer {
 }
 
 /// The sequence of recommendations of a method.
-pub(super) trait Answers {
+pub(super) trait Recommendations {
     /// Largest number of recommendations.
     fn count(&self) -> u32;
 
@@ -76,7 +79,10 @@ pub(super) trait Answers {
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.
-    fn after(&mut self, steps: u32) -> Result<Option<Result<Answer, String>>, ExperimentError>;
+    fn after(
+        &mut self,
+        steps: u32,
+    ) -> Result<Option<Result<Recommendation, String>>, ExperimentError>;
 }
 
 /// One repetition of a method in its folder.
@@ -120,18 +126,18 @@ impl Experiment {
             folder: self.folder().repetition(method.name(), number),
             work,
         };
-        let mut answers: Box<dyn Answers + '_> = match method {
+        let mut recommendations: Box<dyn Recommendations + '_> = match method {
             Method::Search(kind) => Box::new(FromSearch::new(&run, kind)?),
             Method::Identify => Box::new(FromRecordings::new(&run, strategies)),
         };
         let mut repetition = Repetition {
             method,
             number,
-            answers: Vec::new(),
+            recommendations: Vec::new(),
             is_over: false,
-            budget: answers.count() * answers.rollouts_each(),
+            budget: recommendations.count() * recommendations.rollouts_each(),
         };
-        run.follow(answers.as_mut(), &mut repetition)?;
+        run.follow(recommendations.as_mut(), &mut repetition)?;
         Ok(repetition)
     }
 }
@@ -139,29 +145,31 @@ impl Experiment {
 impl MethodRun<'_> {
     fn follow(
         &self,
-        answers: &mut dyn Answers,
+        recommendations: &mut dyn Recommendations,
         repetition: &mut Repetition,
     ) -> Result<(), ExperimentError> {
-        let mut judged: Vec<Answer> = Vec::new();
-        for steps in 1..=answers.count() {
-            let real_rollouts = steps * answers.rollouts_each();
-            let result = match answers.after(steps)? {
+        let mut judged: Vec<Recommendation> = Vec::new();
+        for steps in 1..=recommendations.count() {
+            let real_rollouts = steps * recommendations.rollouts_each();
+            let result = match recommendations.after(steps)? {
                 None => return Ok(()),
                 Some(Err(reason)) => {
-                    AnswerResult { real_rollouts, judgement: Err(reason), succeeds: false }
+                    RecommendationResult { real_rollouts, judgement: Err(reason), succeeds: false }
                 }
-                Some(Ok(answer)) if judged.contains(&answer) => continue,
-                Some(Ok(answer)) => {
-                    let Some((judgement, succeeds)) = self.judge(&answer, steps)? else {
+                Some(Ok(recommendation)) if judged.contains(&recommendation) => continue,
+                Some(Ok(recommendation)) => {
+                    let Some((judgement, succeeds)) = self.judge(&recommendation, steps)? else {
                         return Ok(());
                     };
-                    judged.push(answer);
-                    AnswerResult { real_rollouts, judgement: Ok(judgement), succeeds }
+                    judged.push(recommendation);
+                    RecommendationResult { real_rollouts, judgement: Ok(judgement), succeeds }
                 }
             };
-            repetition.answers.push(result);
-            if let (Some(tell), Some(answer)) = (self.work, repetition.answers.last()) {
-                tell(ExperimentEvent::Judged { repetition, answer });
+            repetition.recommendations.push(result);
+            if let (Some(tell), Some(recommendation)) =
+                (self.work, repetition.recommendations.last())
+            {
+                tell(ExperimentEvent::Judged { repetition, recommendation });
             }
             if repetition.succeeded_after().is_some() {
                 break;
@@ -173,15 +181,15 @@ impl MethodRun<'_> {
 
     fn judge(
         &self,
-        answer: &Answer,
+        recommendation: &Recommendation,
         steps: u32,
     ) -> Result<Option<(Judgement, bool)>, ExperimentError> {
         let settings = self.experiment.settings();
         let folder = self.folder.join("judged").join(format!("{steps:03}"));
         let series = Series {
             experiment: &settings.name,
-            recipe: &answer.recipe,
-            psi: &answer.psi,
+            recipe: &recommendation.recipe,
+            psi: &recommendation.psi,
             seed: self.seed,
             folders: PolicyFolders::within(folder),
             rig: self.experiment.rig(),

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use super::StrategySettings;
-use super::follow::{Answer, Answers, MethodRun};
+use super::follow::{MethodRun, Recommendation, Recommendations};
 use crate::experiment::folder::{make, recording};
 use crate::experiment::rollouts::{Repeated, all_of};
 use crate::experiment::series::virtual_rig;
@@ -129,7 +129,7 @@ impl<'a> FromRecordings<'a> {
     }
 }
 
-impl Answers for FromRecordings<'_> {
+impl Recommendations for FromRecordings<'_> {
     fn count(&self) -> u32 {
         self.settings.recordings
     }
@@ -138,7 +138,10 @@ impl Answers for FromRecordings<'_> {
         1
     }
 
-    fn after(&mut self, steps: u32) -> Result<Option<Result<Answer, String>>, ExperimentError> {
+    fn after(
+        &mut self,
+        steps: u32,
+    ) -> Result<Option<Result<Recommendation, String>>, ExperimentError> {
         if self.run.work.is_some() {
             make(&self.run.folder)?;
             self.record(steps - 1)?;
@@ -153,7 +156,7 @@ impl Answers for FromRecordings<'_> {
             let settings = SessionSettings { profile: Some(around), ..recipe.settings };
             // A profile that cannot be simulated is not a recommendation either.
             settings.base_distribution().map_err(|error| error.to_string())?;
-            Ok(Answer { recipe: Recipe { settings, ..recipe }, psi: Vec::new() })
+            Ok(Recommendation { recipe: Recipe { settings, ..recipe }, psi: Vec::new() })
         })))
     }
 }

@@ -19,7 +19,7 @@ mod search;
 mod settings;
 
 pub use figure::strategies_svg;
-pub use follow::{AnswerResult, Repetition};
+pub use follow::{RecommendationResult, Repetition};
 pub use judge::Judgement;
 pub use method::Method;
 pub use results::{StrategyResult, StrategyResults};

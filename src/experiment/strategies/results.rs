@@ -68,7 +68,11 @@ impl StrategyResult {
     #[must_use]
     pub fn judged(&self) -> usize {
         let is_judged = |repetition: &Repetition| {
-            repetition.answers.iter().filter(|answer| answer.judgement.is_ok()).count()
+            repetition
+                .recommendations
+                .iter()
+                .filter(|recommendation| recommendation.judgement.is_ok())
+                .count()
         };
         self.repetitions.iter().map(is_judged).sum()
     }
@@ -109,13 +113,13 @@ impl StrategyResults {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::experiment::{AnswerResult, Judgement};
+    use crate::experiment::{Judgement, RecommendationResult};
     use crate::search::StrategyKind;
 
     /// A method whose repetitions succeed after these numbers of rollouts, or never.
     pub fn result(needed: &[Option<u32>]) -> StrategyResult {
         let method = Method::Search(StrategyKind::Cem);
-        let answer = |real_rollouts, succeeds| AnswerResult {
+        let recommendation = |real_rollouts, succeeds| RecommendationResult {
             real_rollouts,
             judgement: Ok(Judgement { stood: 0, ran: 2 }),
             succeeds,
@@ -123,10 +127,13 @@ pub(super) mod tests {
         let repetition = |(number, needed): (usize, &Option<u32>)| Repetition {
             method,
             number: number as u32,
-            answers: [Some(answer(5, false)), needed.map(|it| answer(it, true))]
-                .into_iter()
-                .flatten()
-                .collect(),
+            recommendations: [
+                Some(recommendation(5, false)),
+                needed.map(|it| recommendation(it, true)),
+            ]
+            .into_iter()
+            .flatten()
+            .collect(),
             is_over: true,
             budget: 125,
         };

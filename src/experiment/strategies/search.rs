@@ -1,4 +1,4 @@
-use super::follow::{Answer, Answers, MethodRun};
+use super::follow::{MethodRun, Recommendation, Recommendations};
 use crate::experiment::folder::make;
 use crate::experiment::search::{open_search, searched};
 use crate::experiment::{ExperimentError, ExperimentEvent};
@@ -64,7 +64,7 @@ impl<'a> FromSearch<'a> {
     }
 }
 
-impl Answers for FromSearch<'_> {
+impl Recommendations for FromSearch<'_> {
     fn count(&self) -> u32 {
         self.settings.extent.initial_candidates + self.settings.extent.iterations
     }
@@ -73,7 +73,10 @@ impl Answers for FromSearch<'_> {
         self.settings.extent.rollouts
     }
 
-    fn after(&mut self, steps: u32) -> Result<Option<Result<Answer, String>>, ExperimentError> {
+    fn after(
+        &mut self,
+        steps: u32,
+    ) -> Result<Option<Result<Recommendation, String>>, ExperimentError> {
         let steps = steps as usize;
         if self.evaluated.len() < steps {
             self.search_to(steps as u32)?;
@@ -81,6 +84,6 @@ impl Answers for FromSearch<'_> {
         }
         let Some(data) = self.evaluated.get(..steps) else { return Ok(None) };
         let psi = self.strategy.best(data)?.point;
-        Ok(Some(Ok(Answer { recipe: self.run.recipe.clone(), psi })))
+        Ok(Some(Ok(Recommendation { recipe: self.run.recipe.clone(), psi })))
     }
 }

@@ -4,7 +4,7 @@ use super::Interruption;
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError, LinkFault};
 use crate::qube::Measurement;
-use crate::safety::gate;
+use crate::safety::clamp_to_mv;
 use crate::telemetry::CheckResult;
 
 const NAME: &str = "watchdog";
@@ -73,7 +73,7 @@ pub(super) fn check(
 /// None when the computer or the link was too slow.
 fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckResult>, LinkFault> {
     let Some(before) = sampled(device, clock)? else { return Ok(None) };
-    let voltage_mv = gate(VOLTAGE_V).unwrap_or(0);
+    let voltage_mv = clamp_to_mv(VOLTAGE_V).unwrap_or(0);
     match device.act(voltage_mv, before.device_time_us) {
         Ok(()) => {}
         Err(LinkFault::Gone) => return Err(LinkFault::Gone),

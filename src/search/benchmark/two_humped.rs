@@ -69,8 +69,8 @@ impl Method {
     #[must_use]
     pub fn description(self) -> &'static str {
         match self {
-            Self::PlainLuckiest => "plain EI, answer = luckiest candidate",
-            Self::Plain => "plain EI, answer = best posterior mean",
+            Self::PlainLuckiest => "plain EI, recommendation = luckiest candidate",
+            Self::Plain => "plain EI, recommendation = best posterior mean",
             Self::OverPosteriorMean => "own noise, EI over best posterior mean",
             Self::KnowledgeGradient => "own noise, knowledge gradient",
             Self::NoisyExpectedImprovement => "own noise, noisy EI (the default)",
@@ -110,13 +110,13 @@ impl TwoHumped {
                 data.push(Observation { point, returns });
             }
         }
-        let answer = match method {
+        let recommendation = match method {
             Method::PlainLuckiest => {
                 data[crate::search::observation::highest_mean_return(&data)?].point.clone()
             }
             _ => strategy.best(&data)?.point,
         };
-        Ok(landscape.expected_return(&answer))
+        Ok(landscape.expected_return(&recommendation))
     }
 }
 

@@ -52,7 +52,7 @@ const NOMINAL: DomainParameters = DomainParameters::NOMINAL;
 /// The first knows nothing of gravity and the pendulum's period, the second nothing of motor and
 /// masses. An arm that stands makes both sides of both nothing. One that is held fails the first alone.
 #[derive(Clone, Copy, Debug)]
-pub struct Standing {
+pub struct MomentumWatch {
     ring: [Entry; KEPT],
     newest: usize,
     filled: usize,
@@ -75,7 +75,7 @@ struct Entry {
     pulled_rad_s: f64,
 }
 
-impl Default for Standing {
+impl Default for MomentumWatch {
     fn default() -> Self {
         Self {
             ring: [Entry::default(); KEPT],
@@ -90,7 +90,7 @@ impl Default for Standing {
     }
 }
 
-impl Standing {
+impl MomentumWatch {
     /// Takes a sample, the pendulum's angle, the voltage that was sent last and the current it drew,
     /// both in the convention's signs; whether the arm's count stands and the arm does not.
     pub fn is_frozen(

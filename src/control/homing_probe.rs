@@ -50,7 +50,7 @@ const RECOIL_RAD: f64 = 0.57;
 
 /// Pushes that grow from nothing, each in the other direction than the one before.
 #[derive(Clone, Copy, Debug)]
-pub struct Probe {
+pub struct HomingProbe {
     direction: f64,
     reach_rad: f64,
     ramp_v_s: f64,
@@ -67,7 +67,7 @@ pub struct Probe {
 
 /// What a push has shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Answer {
+pub enum PushResponse {
     /// Nothing yet.
     Waits,
     /// The arm goes where it is pushed.
@@ -80,7 +80,7 @@ pub enum Answer {
     Moves,
 }
 
-impl Probe {
+impl HomingProbe {
     /// A push while the pendulum swings over this width, rad.
     pub fn new(swing_rad: f64) -> Self {
         Self {
@@ -112,7 +112,7 @@ impl Probe {
     }
 
     /// Takes the next state, alpha from hanging.
-    pub fn update(&mut self, state: &State) -> Answer {
+    pub fn update(&mut self, state: &State) -> PushResponse {
         self.ticks += 1;
         if self.ticks <= self.wait_ticks() {
             return self.wait(state);
@@ -121,10 +121,10 @@ impl Probe {
         let swing = Scalar::sin_cos(state.alpha).0 - Scalar::sin_cos(self.start.alpha).0;
         let carried_rad = gone_rad + self.direction * RECOIL_RAD * swing;
         if gone_rad >= MOVED_RAD && carried_rad >= self.reach_rad {
-            return Answer::Follows;
+            return PushResponse::Follows;
         }
         if gone_rad <= -MOVED_RAD && carried_rad <= -self.reach_rad {
-            return Answer::Opposes;
+            return PushResponse::Opposes;
         }
         self.voltage_v = (self.voltage_v + self.ramp_v_s * CONTROL_PERIOD_S).min(STRONGEST_V);
         if self.voltage_v >= STRONGEST_V {
@@ -133,11 +133,11 @@ impl Probe {
         if self.strongest_ticks >= STRONGEST_TICKS {
             self.vain_pushes += 1;
             if self.vain_pushes > 1 {
-                return Answer::Stays;
+                return PushResponse::Stays;
             }
             *self = self.turned();
         }
-        Answer::Waits
+        PushResponse::Waits
     }
 
     fn wait_ticks(&self) -> u32 {
@@ -145,7 +145,7 @@ impl Probe {
     }
 
     /// What moves is measured from the end of the wait; an arm that has been moved must have come to rest.
-    fn wait(&mut self, state: &State) -> Answer {
+    fn wait(&mut self, state: &State) -> PushResponse {
         self.waited_ticks += 1;
         let sin = Scalar::sin_cos(state.alpha).0;
         let swing = (sin - Scalar::sin_cos(self.start.alpha).0).abs();
@@ -159,8 +159,8 @@ impl Probe {
             self.start = *state;
         }
         if self.has_moved && self.waited_ticks > MOST_WAIT_TICKS {
-            return Answer::Moves;
+            return PushResponse::Moves;
         }
-        Answer::Waits
+        PushResponse::Waits
     }
 }

@@ -24,12 +24,12 @@ const ATTEMPTS: u32 = 10;
 pub struct Disturbed;
 
 /// A board with a Qube that is greeted, armed and turns with 1 V.
-pub struct Driver {
+pub struct Host {
     pub board: SimulatedBoard,
     pub link: SerialLink<Tty>,
 }
 
-impl Driver {
+impl Host {
     pub const VOLTAGE_MV: i16 = 1000;
 
     pub fn hello(board: SimulatedBoard) -> Self {
@@ -83,17 +83,17 @@ impl Driver {
 }
 
 /// Runs a scenario on a fresh board, again and again while the computer is too slow for it.
-pub fn scenario(run: impl Fn(&mut Driver) -> Result<(), Disturbed>) {
+pub fn scenario(run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
     scenario_on(Chip::Atmega328p, run);
 }
 
 /// The same, on this chip.
-pub fn scenario_on(chip: Chip, run: impl Fn(&mut Driver) -> Result<(), Disturbed>) {
+pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
     let Some(toolchain) = toolchain() else { return };
     for _ in 0..ATTEMPTS {
         let board = SimulatedBoard::start(toolchain, chip, Qube::new(1));
-        let mut driver = Driver::hello(board);
-        if run(&mut driver).is_ok() {
+        let mut host = Host::hello(board);
+        if run(&mut host).is_ok() {
             return;
         }
     }
