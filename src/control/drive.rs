@@ -9,38 +9,38 @@ use crate::qube::{CONTROL_PERIOD_NS, Measurement};
 use crate::safety::MotorHeat;
 use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
 
-/// How long a tick waits for its sample, ns, unless the link was measured and needs longer. Past this
-/// the last voltage is held over, so that the act still leaves well before the next tick.
+/// Time that a tick waits for its sample, ns, unless the link was measured and needs longer. After
+/// it the last voltage is held, so that the act still leaves well before the next tick.
 pub const SAMPLE_TIMEOUT_NS: u64 = 6_000_000;
 
-/// The longest that a tick waits for its sample, whatever the link needs, ns. Of the tick's 10 ms that
-/// leaves 1.5 ms: 0.1 to decide, and 1.3 until an act is at the motor (a frame of USB, 14 bytes on the
-/// line). Then the act is at most 10 ms younger than its sample: within the 20 ms that foresight
-/// allows for and that a device accepts.
+/// Longest time that a tick waits for its sample, ns, whatever the link needs. Of the tick's 10 ms
+/// it leaves 1.5 ms: 0.1 ms to decide, and 1.3 ms until an act reaches the motor (a frame of USB,
+/// 14 bytes on the line). An act then follows its sample within 10 ms, inside the 20 ms that
+/// foresight allows for and that a device accepts.
 pub const LONGEST_SAMPLE_TIMEOUT_NS: u64 = 8_500_000;
 
-/// What came of driving one motion to its end.
+/// The result of driving one motion to its end.
 #[derive(Debug)]
 pub struct DriveReport {
-    /// How it ended, with its latencies.
+    /// Ending and latencies.
     pub outcome: RolloutOutcome,
-    /// The last measurement, if there was any.
+    /// Last measurement, if there was any.
     pub last_measurement: Option<Measurement>,
-    /// The last second before a fault, oldest tick first; empty where there was none.
+    /// The last second before a fault, oldest tick first; empty without a fault.
     pub last_ticks: Vec<TickRecord>,
-    /// Whether the device confirmed that its amplifier is off. Where it did not, its watchdog
-    /// switches it off within 50 ms.
+    /// Whether the device confirmed that its amplifier is off. If it did not, its watchdog switches
+    /// the amplifier off within 50 ms.
     pub disarmed: Result<(), DeviceError>,
 }
 
-/// Arms the device and runs one motion at 100 Hz on absolute deadlines until it ends; then disarms,
-/// whatever happened.
+/// Arms the device, runs one motion at 100 Hz on absolute deadlines until it ends, and disarms the
+/// device on every way out.
 ///
-/// Each turn reads in one order: wait, read, decide, write, record. Nothing in it allocates, locks,
-/// logs or waits for the recorder: `records` is a wait-free ring, and a full one is counted. A
-/// motion that nobody records has none.
+/// Each turn has one order: wait, read, decide, write, record. Nothing in it allocates, locks, logs
+/// or waits for the recorder: `records` is a wait-free ring, and records that find it full are
+/// counted. A motion that is not recorded passes `None`.
 ///
-/// The motor is taken as cold, and what warms it is forgotten.
+/// The motor counts as cold, and its heat afterwards is not returned; see [`drive_warm`].
 ///
 /// # Errors
 /// The device could not be armed; nothing has moved then.
@@ -54,7 +54,7 @@ pub fn drive(
     drive_warm(device, clock, motion, &mut MotorHeat::default(), records, stop)
 }
 
-/// The same with a motor that may be warm: `heat` is what it was before and becomes what it is after.
+/// Drives a motion like [`drive`] with a motor that may be warm: reads and updates `heat`.
 ///
 /// # Errors
 /// As [`drive`].
@@ -73,7 +73,7 @@ pub fn drive_warm(
     let mut voltage_mv = 0;
     let mut largest_motor_load = heat.load;
 
-    // Until the end of this function, on every way out of it.
+    // Held until this function returns, on every way out.
     let _awake = clock.stay_awake();
     let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
     device.arm()?;
@@ -102,9 +102,9 @@ pub fn drive_warm(
         // Decide: estimate, guard, policy, limit.
         let output = motion.decide(&input);
 
-        // Write. An act answers the sample of its own tick: without one nothing is sent, and the
-        // device keeps its last voltage until the next act or its watchdog. An act that does not
-        // get through leaves the last voltage likewise; the next sample says so.
+        // Write. An act answers the sample of its own tick: without a sample nothing is sent, and
+        // the device keeps its last voltage until the next act or its watchdog. The same holds for
+        // an act that is lost; the next sample shows it.
         if output.ending.is_none()
             && let Some(sample) = &input.measurement
         {
@@ -112,7 +112,7 @@ pub fn drive_warm(
         }
         let turnaround_ns = clock.now_ns() - woke_ns;
 
-        // What the voltage until now has warmed the motor by.
+        // Heat the motor by the voltage that it had until now.
         let measurement = input.measurement.as_ref();
         heat.pass(skipped_periods, measurement, voltage_mv, output.state.theta_dot);
         largest_motor_load = largest_motor_load.max(heat.load);
@@ -149,7 +149,7 @@ pub fn drive_warm(
         deadline_ns += u64::from(skipped_periods) * CONTROL_PERIOD_NS;
     };
 
-    // The last act may have left a voltage; the amplifier goes off before anything else happens.
+    // The last act may have left a voltage, so the amplifier goes off before anything else happens.
     let disarmed = device.disarm();
     Ok(DriveReport {
         outcome: RolloutOutcome {
@@ -173,7 +173,7 @@ pub fn drive_warm(
     })
 }
 
-/// What is counted over the turns of one motion.
+/// Counters over the turns of one motion.
 #[derive(Debug, Default)]
 struct Turns {
     ticks: u32,
@@ -209,7 +209,7 @@ mod tests {
     use crate::device::Identity;
     use crate::qube::State;
 
-    /// Virtual time, and a file that stands for `/dev/cpu_dma_latency`.
+    /// Virtual time, with a file in place of `/dev/cpu_dma_latency`.
     struct SleepyClock {
         time: VirtualClock,
         file: PathBuf,
@@ -229,7 +229,7 @@ mod tests {
         }
     }
 
-    /// A Qube that does not arm.
+    /// A Qube that cannot be armed.
     struct Unarmed(PlantDevice);
 
     impl Device for Unarmed {
@@ -258,7 +258,7 @@ mod tests {
         Homing::new(&HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() })
     }
 
-    /// Homes on a device that looks in each tick whether the file is held, and meets `mishap`.
+    /// Homes on a device that checks in each tick whether the file is held, and injects `mishap`.
     fn homed_while_watched(
         file: &Path,
         mishap: impl Fn(u32) -> Option<Mishap> + Send + 'static,
@@ -283,7 +283,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().canonicalize().unwrap().join("cpu_dma_latency");
 
-        // Where it is not allowed, driving goes on without.
+        // If the file cannot be opened, driving continues without it.
         assert_eq!(homed_while_watched(&file, |_| None), (Some(Ending::Completed), 0));
 
         std::fs::write(&file, "").unwrap();

@@ -18,33 +18,34 @@ use crate::telemetry::{Ending, Fault};
 /// Most ticks for the whole of homing: 60 s.
 const MAX_TICKS: u32 = 6000;
 
-/// A pendulum that moves over no more than four counts hangs still, rad.
+/// Largest swing of a still pendulum, rad: four counts.
 const STILL_RAD: f64 = 4.5 * RAD_PER_COUNT;
 
-/// An arm within this of where it should be is there, rad: friction may hold it a little off.
+/// Distance from its target within which the arm counts as arrived, rad: friction may hold it off.
 const NEAR_MIDDLE_RAD: f64 = 0.1;
 
-/// The witness is called anew where the hanging count turns out to be another one by so much, rad.
+/// Change of the hanging angle that restarts the cross-check of the encoders, rad.
 const OTHER_ZERO_RAD: f64 = 1.5 * RAD_PER_COUNT;
 
-/// How fast the arm is led before it is known how far it goes for each of its encoder's counts, rad/s:
-/// twice as far, if the encoder counts half.
+/// Velocity of the arm before the scale of its encoder is known, rad/s; with an encoder that counts
+/// half it is twice this.
 const FIRST_LEAD_RAD_S: f64 = 0.8;
 
-/// How far the travel between the stops may differ from what it should be, as a fraction.
+/// Largest relative error of the distance between the stops.
 const TRAVEL_TOLERANCE: f64 = 0.03;
 
-/// Finds the arm's middle and the count at which the pendulum hangs: encoders count from wherever
-/// they were switched on.
+/// Measures the arm's middle and the count at which the pendulum hangs: encoders count from
+/// wherever they were switched on.
 ///
-/// Nothing is believed before it has been seen. The motor stays at 0 V until the pendulum hardly swings;
-/// a push that grows from nothing shows whether the arm follows; from then on arm and pendulum are
-/// witnesses of each other, and the arm is led so slowly that a witness who falls silent costs no hit.
+/// Homing trusts no sensor before testing it. The motor stays at 0 V until the pendulum hardly
+/// swings; then a push that grows from zero shows whether the arm follows. From then on the two
+/// encoders check each other, and the arm moves so slowly that it does no damage if one of them
+/// fails.
 #[derive(Debug)]
 pub struct Homing {
     settings: HomingSettings,
     estimator: Option<Estimator>,
-    /// Zeros as of the first sample; theta and alpha below are relative to them.
+    /// Zeros at the first sample; `state` is relative to them.
     provisional: Calibration,
     watch: Watch,
     sensors: SensorWatch,
@@ -52,15 +53,15 @@ pub struct Homing {
     control: ControlState,
     stillness: StillnessDetector,
     stage: Stage,
-    /// Where the arm is held while nothing else is known, rad.
+    /// Angle at which the arm is held while no middle is known, rad.
     place_rad: f64,
-    /// The middle between the stops, once it is known.
+    /// Middle between the stops, rad, once known.
     middle_rad: Option<f64>,
-    /// The stops that were touched, the lower first, rad.
+    /// Angles of the stops that were touched, lower first, rad.
     stops_rad: Option<(f64, f64)>,
-    /// Where the pendulum hangs, as far as it is known.
+    /// Best estimate of the angle at which the pendulum hangs, rad.
     hanging_rad: f64,
-    /// The sign that a first push has shown to be wrong: none is named before a second one has.
+    /// Wrong sign that a first push has shown; it is reported once a second push confirms it.
     suspected: Option<Fault>,
     ticks: u32,
     swing: Swing,
@@ -75,15 +76,15 @@ pub struct Homing {
 
 #[derive(Clone, Copy, Debug)]
 enum Stage {
-    /// Wait at 0 V until the pendulum hardly swings: the middle of that is where it hangs.
+    /// Wait at 0 V until the pendulum hardly swings; it hangs in the middle of the swing.
     Observe(Hanging),
-    /// Push until the arm follows.
+    /// Push until the arm responds.
     Probe(HomingProbe),
-    /// Calm the pendulum about that point, with the arm in the middle as far as it is known.
+    /// Calm the pendulum, with the arm at the middle or at its place.
     Calm,
-    /// Look for the stops, which tell the middle.
+    /// Seek the stops, which define the middle.
     Seek(StopSeek),
-    /// Something is wrong: lead the arm back to where it was pushed first, if something lets it go.
+    /// After a fault: lead the arm back to where homing first pushed it, if it can move.
     ComeOff(ComingOff),
 }
 
@@ -122,7 +123,7 @@ impl Homing {
         }
     }
 
-    /// A homing out of a latched fault: first the arm must have been at rest for 1 s.
+    /// A homing after a latched fault: it first waits until the arm has been at rest for 1 s.
     #[must_use]
     pub fn after_fault(settings: &HomingSettings) -> Self {
         Self { control: ControlState::Cleared.on(ControlEvent::Home).0, ..Self::new(settings) }
@@ -134,13 +135,13 @@ impl Homing {
         self.found.map(|rig| rig.calibration)
     }
 
-    /// All that is known of the rig, once homing has completed.
+    /// Everything that homing has measured, once it has completed.
     #[must_use]
     pub fn measured(&self) -> Option<MeasuredRig> {
         self.found
     }
 
-    /// How far apart the stops were that the arm touched, rad, once both were.
+    /// Distance between the stops, rad, once both have been touched.
     #[must_use]
     pub fn travel_rad(&self) -> Option<f64> {
         self.stops_rad.map(|(lowest_rad, highest_rad)| highest_rad - lowest_rad)
@@ -161,12 +162,12 @@ impl Homing {
         estimator.update(measurement).guarded
     }
 
-    /// The state with alpha as seen from hanging.
+    /// The state, with alpha relative to hanging.
     fn seen(&self) -> State {
         State { alpha: self.state.alpha - self.hanging_rad, ..self.state }
     }
 
-    /// From now on the pendulum is known to hang there.
+    /// Takes over the angle at which the pendulum hangs.
     fn hangs_at(&mut self, hanging_rad: f64, within_rad: f64) {
         let is_other = (hanging_rad - self.hanging_rad).abs() > OTHER_ZERO_RAD;
         self.hanging_rad = hanging_rad;
@@ -183,7 +184,7 @@ impl Homing {
         }
     }
 
-    /// Moves on to the next stage where one has reached its end.
+    /// Enters the next stage at the end of the current one; returns the ending of homing.
     fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
         let seen = self.seen();
         let scale_is_known = self.sensors.witness().is_some_and(Witness::scale_is_known);
@@ -202,7 +203,7 @@ impl Homing {
                 return self.answered(answer).map(Ending::Fault);
             }
             Stage::Calm => {
-                // The middle, or the place where it was put by hand.
+                // Target: the middle, or where the operator put the arm by hand.
                 let off_rad = self.state.theta - self.calm_rad();
                 let voltage_v = f64::from(self.voltage_mv) * 1e-3;
                 let is_off = off_rad.abs() >= NEAR_MIDDLE_RAD;
@@ -213,8 +214,8 @@ impl Homing {
                 if let Some(window) = self.swing.update(self.state.alpha)
                     && window.width_rad <= STILL_RAD
                 {
-                    // Where it is still it hangs. While it is believed to hang elsewhere, that
-                    // error holds the arm off its place for good.
+                    // A still pendulum hangs. A wrong hanging angle would hold the arm off its
+                    // target for good.
                     self.hangs_at(window.middle_rad, ZERO_WITHIN_RAD);
                     if !is_off {
                         self.found = Some(self.zeros(measurement, off_rad));
@@ -249,7 +250,7 @@ impl Homing {
         self.stage = Stage::ComeOff(ComingOff::after(fault, self.state.theta, self.place_rad));
     }
 
-    /// Goes on where the arm follows a push; gives what is wrong where it does not.
+    /// Continues if the arm followed the push; otherwise returns the fault.
     fn answered(&mut self, answer: PushResponse) -> Option<Fault> {
         let witness = self.sensors.witness();
         let leads = witness.is_some_and(|own| own.pendulum_seems_to_lead());
@@ -277,7 +278,8 @@ impl Homing {
                 };
                 None
             }
-            // Whoever pushes the arm once makes a sign look wrong, and whoever is told so changes it.
+            // A single touch of the arm makes a sign look wrong, and an operator who is told so
+            // would change a correct sign. So a second push must confirm it.
             (None, Some(sign)) => {
                 self.suspected = Some(sign);
                 self.sensors.forget_signs();
@@ -291,7 +293,8 @@ impl Homing {
         }
     }
 
-    /// The counts at the arm's zero and at the hanging pendulum, and the stops as seen from there.
+    /// Counts at the arm's zero and at the hanging pendulum, and the stops relative to the arm's
+    /// zero.
     fn zeros(&self, measurement: &Measurement, off_middle_rad: f64) -> MeasuredRig {
         let offset_rad = self.settings.theta_offset_rad;
         let off_zero_rad = off_middle_rad - offset_rad;
@@ -318,7 +321,8 @@ impl Homing {
         MeasuredRig { calibration, stops }
     }
 
-    /// Where the arm is held while the pendulum comes to rest: in the middle, or where it was.
+    /// Target of the arm while the pendulum comes to rest, rad: the middle, or the place where
+    /// homing began.
     fn calm_rad(&self) -> f64 {
         self.middle_rad.unwrap_or(self.place_rad)
     }
@@ -351,16 +355,16 @@ impl Homing {
         self.output(None, Some(ending))
     }
 
-    /// What encoders and motor say of each other, if something is wrong.
+    /// The fault that encoders and motor show together, if any.
     fn sensed(&mut self, sample: &Measurement) -> Option<Fault> {
         let alarm = self.sensors.check(sample, None);
         if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = alarm {
             return Some(fault);
         }
-        // While the first push lasts, it is left to that to say which of the signs is wrong.
+        // During the first push its own evaluation decides which sign is wrong.
         let is_led = matches!(self.stage, Stage::Calm | Stage::Seek(_));
         match self.current.check(sample) {
-            // At a stop, a stiff cable throws the arm across as soon as nobody holds it.
+            // A stiff cable would throw an arm that is released at a stop across to the other one.
             Some(Fault::MotorWeak) if is_led => self.come_off(Fault::MotorWeak),
             Some(Fault::MotorWeak) if matches!(self.stage, Stage::ComeOff(_)) => {}
             Some(fault) => return Some(fault),
@@ -377,7 +381,7 @@ impl Motion for Homing {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.ticks += 1 + input.skipped_periods;
 
-        // The arm is slow here: a fault that would brake a rollout can switch off at once.
+        // The arm is slow here, so a fault that would brake a rollout can switch off at once.
         let watched = self.watch.check(input);
         let watched = watched.map(|(Alarm::Zero(fault) | Alarm::Brake(fault))| fault);
         let fault =
@@ -406,7 +410,7 @@ impl Motion for Homing {
         }
         let is_led = !matches!(self.stage, Stage::Observe(_) | Stage::Probe(_));
         if is_led && self.runaway.lasts(&self.seen(), f64::from(self.voltage_mv)) {
-            // What the cable throws runs against the voltage of a dead motor too.
+            // An arm that the cable throws moves against the voltage also with a dead motor.
             let is_dead = self.current.takes_nothing_at_speed(measurement, self.voltage_mv);
             let fault = if is_dead { Fault::MotorDead } else { Fault::ArmPushed };
             return self.off(Ending::Fault(fault));

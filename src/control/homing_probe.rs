@@ -1,62 +1,63 @@
-//! The first pushes of a homing: does the arm follow the voltage, and does anything move at all?
+//! The first pushes of a homing, which show whether the arm follows the voltage and whether
+//! anything moves at all.
 
 use super::led_arm::STANDING_RAD;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, State};
 
-/// How long nothing is pushed before, in ticks: the witness needs both halves of its window.
+/// Ticks at 0 V before a push: the cross-check of the encoders needs both halves of its window.
 const WAIT_TICKS: u32 = 22;
 
-/// How long an arm that has been moved must rest before the next push, in ticks: longer than a swing.
+/// Ticks at rest between a push that moved the arm and the next one: longer than a swing.
 const REST_TICKS: u32 = 60;
 
-/// An arm that goes no farther than this while nothing is pushed has come to rest, rad.
+/// Largest drift of an arm at rest without a push, rad.
 const RESTING_RAD: f64 = 0.03;
 
-/// How much farther an arm at rest may go for each rad of the pendulum's swing, with whichever signs.
+/// Additional motion of an arm at rest for each rad of the pendulum's swing, whatever the signs.
 const RECOIL: f64 = 0.7;
 
-/// A pendulum that is farther off than this throws the arm, sin(alpha).
+/// Deflection of the pendulum above which it throws the arm, |sin(alpha)|.
 const THROWING_SWING: f64 = 0.1;
 
-/// An arm that has not come to rest after so many ticks is moved by something.
+/// Ticks after which an arm that has not come to rest is being moved from outside.
 const MOST_WAIT_TICKS: u32 = 500;
 
-/// How fast the push grows, V/s.
+/// Growth of the push, V/s.
 const RAMP_V_S: f64 = 0.55;
 
-/// How many times slower the push grows for each rad over which the pendulum swings: it is then not known
-/// as well where it hangs, and so not seen as soon that an arm moves which nobody counts.
+/// Factor by which the push grows more slowly for each rad of the pendulum's swing. A wide swing
+/// makes the hanging angle uncertain, and a frozen arm encoder is then found later.
 const SLOWER_PER_SWING: f64 = 12.0;
 
-/// The strongest push, V: cable, friction and dead zone of a real Qube take 1.4 V together.
+/// Largest push, V: cable, friction and dead zone of a real Qube take 1.4 V together.
 pub const STRONGEST_V: f64 = 1.8;
 
-/// How long the strongest push lasts, in ticks.
+/// Duration of the largest push, ticks.
 const STRONGEST_TICKS: u32 = 30;
 
-/// An arm that has gone this far goes somewhere, rad: ten counts.
+/// Least travel that counts as motion, rad: ten counts.
 const MOVED_RAD: f64 = 0.03;
 
-/// So far the arm must have gone, rad, apart from what the pendulum's swing makes of it.
+/// Least travel corrected for the pendulum's recoil, rad.
 const REACH_RAD: f64 = 0.05;
 
-/// How much farther the arm must have gone for each rad over which the pendulum swings: it throws the arm
-/// to and fro.
+/// Additional travel required for each rad of the pendulum's swing, which throws the arm to and
+/// fro.
 const REACH_PER_SWING: f64 = 0.5;
 
-/// How far the arm of a nominal Qube recoils when the pendulum swings by one rad, rad.
+/// Recoil of a nominal Qube's arm for each rad of the pendulum's swing, rad.
 const RECOIL_RAD: f64 = 0.57;
 
-/// Pushes that grow from nothing, each in the other direction than the one before.
+/// Pushes that grow from zero, in alternating directions.
 #[derive(Clone, Copy, Debug)]
 pub struct HomingProbe {
     direction: f64,
     reach_rad: f64,
     ramp_v_s: f64,
-    /// Pushes one after the other that have moved nothing.
+    /// Number of consecutive pushes that have moved nothing.
     vain_pushes: u32,
-    /// Whether a push has moved the arm, which must come to rest before the next.
+    /// Whether a push has moved the arm, which must be at rest before the next one.
     has_moved: bool,
     waited_ticks: u32,
     ticks: u32,
@@ -65,23 +66,23 @@ pub struct HomingProbe {
     start: State,
 }
 
-/// What a push has shown.
+/// The result of a push.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PushResponse {
-    /// Nothing yet.
+    /// No result yet.
     Waits,
-    /// The arm goes where it is pushed.
+    /// The arm moves in the direction of the push.
     Follows,
-    /// The arm goes the other way.
+    /// The arm moves against the push.
     Opposes,
-    /// The arm goes nowhere, in neither direction.
+    /// The arm moves in neither direction.
     Stays,
     /// The arm does not come to rest although nothing pushes it.
     Moves,
 }
 
 impl HomingProbe {
-    /// A push while the pendulum swings over this width, rad.
+    /// A probe for a pendulum that swings over this width, rad.
     pub fn new(swing_rad: f64) -> Self {
         Self {
             direction: -1.0,
@@ -97,12 +98,12 @@ impl HomingProbe {
         }
     }
 
-    /// The push now, V.
+    /// Voltage of the push, V.
     pub fn voltage_v(&self) -> f64 {
         self.direction * self.voltage_v
     }
 
-    /// Asks again, in the other direction, after a push that has moved the arm.
+    /// Starts another push in the other direction, after one that has moved the arm.
     pub fn ask_again(&mut self) {
         *self = Self { vain_pushes: 0, has_moved: true, waited_ticks: 0, ..self.turned() };
     }
@@ -111,7 +112,7 @@ impl HomingProbe {
         Self { direction: -self.direction, ticks: 0, strongest_ticks: 0, voltage_v: 0.0, ..*self }
     }
 
-    /// Takes the next state, alpha from hanging.
+    /// Takes the next state, with alpha relative to hanging.
     pub fn update(&mut self, state: &State) -> PushResponse {
         self.ticks += 1;
         if self.ticks <= self.wait_ticks() {
@@ -144,7 +145,8 @@ impl HomingProbe {
         if self.has_moved { REST_TICKS } else { WAIT_TICKS }
     }
 
-    /// What moves is measured from the end of the wait; an arm that has been moved must have come to rest.
+    /// Waits. Travel counts from the end of the wait; an arm that has been moved must be at rest by
+    /// then.
     fn wait(&mut self, state: &State) -> PushResponse {
         self.waited_ticks += 1;
         let sin = Scalar::sin_cos(state.alpha).0;

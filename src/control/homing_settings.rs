@@ -3,40 +3,40 @@ use serde::{Deserialize, Serialize};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::HARD_STOP_RAD;
 
-/// Where the middle of the arm comes from.
+/// Source of the arm's middle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HomingMethod {
     /// Half-way between the two hard stops, which the arm touches slowly.
     #[default]
     Stops,
-    /// Where the arm is when homing starts: somebody put it into the middle by hand.
+    /// The arm's position at the start of homing, where the operator has put it by hand.
     #[serde(alias = "here")]
     Hand,
 }
 
-/// How homing is done.
+/// Settings of homing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HomingSettings {
-    /// Where the middle comes from.
+    /// Source of the arm's middle.
     pub method: HomingMethod,
-    /// Where the arm's zero lies, seen from that middle, rad: some stops are not where they should be.
+    /// Zero of theta relative to the middle, rad: some rigs have asymmetric stops.
     pub theta_offset_rad: f64,
-    /// How far apart the operator knows this rig's stops to be, rad; without it, as far as a Qube's.
+    /// Distance between this rig's stops, rad; `None` stands for that of a nominal Qube.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub travel_rad: Option<f64>,
-    /// The arm's count where it was put by hand, if it has moved since.
+    /// Count of the arm where the operator put it, if it has moved since.
     #[serde(skip)]
     pub hand_counts: Option<i32>,
-    /// Signs of the rig; the zeros are what homing finds.
+    /// Signs of the rig; homing measures the zeros.
     pub signs: Calibration,
-    /// Velocities for the motion itself.
+    /// Estimator of the velocities during homing.
     pub estimator: EstimatorSettings,
 }
 
 impl HomingSettings {
-    /// How far apart the stops should be, rad.
+    /// Expected distance between the stops, rad.
     #[must_use]
     pub fn expected_travel_rad(&self) -> f64 {
         self.travel_rad.unwrap_or(2.0 * HARD_STOP_RAD)

@@ -1,9 +1,9 @@
 use crate::telemetry::TickRecord;
 
-/// How many ticks travel with a fault: one second.
+/// Number of ticks kept before a fault: one second.
 pub const LAST_TICKS: usize = 100;
 
-/// The last ticks of a motion. Made before the first tick; adding to it does not allocate.
+/// Ring of the last ticks of a motion. Adding a tick does not allocate.
 #[derive(Debug)]
 pub struct LastTicks {
     ring: Vec<TickRecord>,
@@ -11,12 +11,12 @@ pub struct LastTicks {
 }
 
 impl LastTicks {
-    /// An empty one.
+    /// An empty ring.
     pub fn new() -> Self {
         Self { ring: Vec::with_capacity(LAST_TICKS), next: 0 }
     }
 
-    /// Adds one tick, over the oldest once there are enough.
+    /// Adds one tick and drops the oldest if the ring is full.
     pub fn push(&mut self, tick: &TickRecord) {
         match self.ring.get_mut(self.next) {
             Some(oldest) => *oldest = *tick,
@@ -25,7 +25,7 @@ impl LastTicks {
         self.next = (self.next + 1) % LAST_TICKS;
     }
 
-    /// All of them, oldest first.
+    /// All ticks, oldest first.
     pub fn into_ticks(mut self) -> Vec<TickRecord> {
         if self.ring.len() == LAST_TICKS {
             self.ring.rotate_left(self.next);

@@ -2,17 +2,17 @@ use hdrhistogram::Histogram;
 
 use crate::telemetry::LatencySummary;
 
-/// Largest latency that is told apart, ns; what is above counts as this.
+/// Largest latency that is resolved, ns; larger ones count as this.
 const LARGEST_NS: u64 = 10_000_000_000;
 
-/// Latencies of one kind. Made before the first tick; recording into it does not allocate.
+/// Histogram of one kind of latency. Recording into it does not allocate.
 #[derive(Clone, Debug)]
 pub struct LatencyHistogram {
     nanoseconds: Histogram<u64>,
 }
 
 impl LatencyHistogram {
-    /// An empty one, two significant digits.
+    /// An empty histogram with two significant digits.
     #[must_use]
     pub fn new() -> Self {
         let nanoseconds =
@@ -25,7 +25,7 @@ impl LatencyHistogram {
         self.nanoseconds.saturating_record(latency_ns);
     }
 
-    /// Percentiles in microseconds; all 0 where nothing was recorded.
+    /// Percentiles in microseconds; all 0 if nothing was recorded.
     #[must_use]
     pub fn summary(&self) -> LatencySummary {
         let microseconds = |quantile| self.nanoseconds.value_at_quantile(quantile) as f64 / 1000.0;

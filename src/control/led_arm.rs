@@ -1,47 +1,47 @@
-//! Detects an arm that is held or runs away while homing leads it, and leads an arm off its stop after a
+//! Faults of an arm that homing moves: it is held or runs away. Also the way off a stop after a
 //! fault.
 
 use crate::qube::{RAD_PER_COUNT, State};
 use crate::telemetry::Fault;
 
-/// An arm that has more than this to get where it should be, V, and does not move is held.
+/// Voltage towards its target above which an arm that does not move is held, V.
 const HELD_V: f64 = 1.3;
 
-/// An arm within so many counts does not move.
+/// Travel within which an arm counts as not moving, counts.
 const HELD_COUNTS: i32 = 3;
 
-/// An arm is held that has not moved for so many ticks.
+/// Ticks without motion, under that voltage, after which an arm is held.
 const HELD_TICKS: u32 = 200;
 
-/// An arm that has not moved for so many ticks although its pendulum swings is held too.
+/// Ticks without motion after which an arm is held whatever its voltage, because its pendulum
+/// swings.
 const STOOD_TICKS: u32 = 1000;
 
-/// An arm that is led is never faster than this, rad/s.
+/// Velocity that a healthy arm does not reach during homing, rad/s.
 const RUNAWAY_RAD_S: f64 = 4.0;
 
-/// An arm that has been faster for so many ticks runs away.
+/// Ticks above that velocity after which the arm runs away.
 const RUNAWAY_TICKS: u32 = 4;
 
-/// A pendulum that swings wider than this, sin(alpha) and a fifteenth of alpha_dot together, makes the arm
-/// fast by itself.
+/// Swing, as |sin(alpha)| + |alpha_dot| / 15, above which the pendulum itself makes the arm fast.
 const THROWING_SWING: f64 = 0.5;
 
-/// An arm that has come this far has come off, rad.
+/// Travel after which the arm has left the stop, rad.
 const CAME_OFF_RAD: f64 = 0.05;
 
-/// The way off a stop is at least this long, rad.
+/// Shortest way off a stop, rad.
 const LEAST_WAY_RAD: f64 = 0.3;
 
-/// An arm within this of where it was before has come back, rad.
+/// Distance from its former place within which the arm has come back, rad.
 const BACK_RAD: f64 = 0.15;
 
-/// An arm that is slower than this stays where it is left, rad/s.
+/// Velocity below which a released arm stays in place, rad/s.
 const SLOW_RAD_S: f64 = 0.5;
 
-/// Most ticks of coming off.
+/// Most ticks for leaving a stop.
 const MOST_COME_OFF_TICKS: u32 = 600;
 
-/// For how long the arm has stayed where it is although it should go elsewhere.
+/// Counts the ticks for which the arm has not moved although the motor drives it to its target.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Held {
     counts: i32,
@@ -49,8 +49,8 @@ pub struct Held {
 }
 
 impl Held {
-    /// Takes the arm's next count, and how far it is off its place by more than friction explains; whether
-    /// something holds it.
+    /// Takes the arm's next count, the voltage, and whether the arm is off its target by more than
+    /// friction explains; returns whether the arm is held.
     pub fn lasts(&mut self, counts: i32, voltage_v: f64, is_off: bool) -> bool {
         let is_pushed = is_off && voltage_v.abs() >= HELD_V;
         let stays = counts.wrapping_sub(self.counts).wrapping_abs() <= HELD_COUNTS;
@@ -63,7 +63,7 @@ impl Held {
     }
 }
 
-/// For how long the arm has stayed where it is, however little pushes it.
+/// Counts the ticks for which the arm has not moved, whatever its voltage.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Stood {
     counts: i32,
@@ -78,21 +78,22 @@ impl Stood {
             if stays { Self { ticks: self.ticks + 1, ..*self } } else { Self { counts, ticks: 0 } };
     }
 
-    /// Whether it has stood so long, while its pendulum swung, that something holds it.
+    /// Whether the arm has not moved for so long, while its pendulum swung, that it must be held.
     pub fn is_held(&self) -> bool {
         self.ticks >= STOOD_TICKS
     }
 }
 
-/// For how long the arm has been fast against its voltage, though nothing but the motor should move it.
+/// Counts the ticks for which the arm has been fast against its voltage, although only the motor
+/// should move it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Runaway {
     ticks: u32,
 }
 
 impl Runaway {
-    /// Takes the next state, alpha from hanging, and the voltage before it; whether something else than
-    /// the motor moves the arm.
+    /// Takes the next state, with alpha relative to hanging, and the previous voltage; returns
+    /// whether something other than the motor moves the arm.
     pub fn lasts(&mut self, state: &State, voltage_v: f64) -> bool {
         let swings = state.alpha.sin().abs() + state.alpha_dot.abs() / 15.0 > THROWING_SWING;
         let against = state.theta_dot * voltage_v < 0.0;
@@ -102,8 +103,8 @@ impl Runaway {
     }
 }
 
-/// The way off a stop, after a fault that leaves the motor fit to be used: left at the stop, a stiff cable
-/// would throw the arm across to the other one.
+/// The way off a stop after a fault that leaves the motor usable. An arm released at the stop would
+/// be thrown across to the other one by a stiff cable.
 #[derive(Clone, Copy, Debug)]
 pub struct ComingOff {
     fault: Fault,
@@ -113,7 +114,7 @@ pub struct ComingOff {
 }
 
 impl ComingOff {
-    /// From the place where this fault has been found to the one where homing has begun.
+    /// The way from `from_rad`, where the fault was found, to `place_rad`, where homing began.
     pub fn after(fault: Fault, from_rad: f64, place_rad: f64) -> Self {
         // The stop that was touched last is the one at positive theta.
         let is_near = (from_rad - place_rad).abs() < LEAST_WAY_RAD;
@@ -122,12 +123,12 @@ impl ComingOff {
         Self { fault, from_rad, place_rad, ticks: 0 }
     }
 
-    /// Where the arm is led, rad.
+    /// Target angle, rad.
     pub fn place_rad(&self) -> f64 {
         self.place_rad
     }
 
-    /// Takes the next state; gives the fault once the arm is there or comes no farther.
+    /// Takes the next state; returns the fault once the arm has arrived or cannot move farther.
     pub fn update(&mut self, state: &State) -> Option<Fault> {
         self.ticks += 1;
         let came_off = (state.theta - self.from_rad).abs() > CAME_OFF_RAD;
@@ -140,5 +141,5 @@ impl ComingOff {
     }
 }
 
-/// Counts within which an encoder stands, as an angle, rad.
+/// Travel within which an arm counts as not moving, rad.
 pub const STANDING_RAD: f64 = (HELD_COUNTS as f64 + 0.5) * RAD_PER_COUNT;

@@ -1,98 +1,98 @@
-//! The states that control can be in and what leads from one to the next: one table, which the
-//! control thread, homing and the tick run on.
+//! The state table of control: control thread, homing and tick all use it.
 
-/// Where control is.
+/// A state of control.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ControlState {
-    /// Nobody has said who is at the other end of the link.
+    /// No device has answered a hello.
     #[default]
     Idle,
-    /// The device has said hello; its encoders count from anywhere.
+    /// The device has answered a hello; its encoders have no zeros yet.
     Identified,
-    /// Amplifier on where a check needs it: the device is examined before anything relies on it.
+    /// Amplifier on where a check needs it: the device is being examined.
     Checking,
     /// Examined, amplifier off.
     Checked,
-    /// As `Identified`, after a latched fault: nothing moves before the arm has been at rest.
+    /// Like `Identified`, but after a latched fault: the arm must be seen at rest before anything
+    /// moves it.
     Cleared,
     /// Amplifier on: the arm is watched until it has been at rest for 1 s.
     Resting,
-    /// Amplifier on: the arm looks for its stops.
+    /// Amplifier on: the arm is homed.
     Homing,
     /// Homed, amplifier off: a rollout may start.
     Ready,
     /// Amplifier on: arm and pendulum are brought to rest.
     Settling,
-    /// Amplifier on: the policy has the motor.
+    /// Amplifier on: the policy controls the motor.
     Running,
-    /// Amplifier on: the arm is stopped, and all is well.
+    /// Amplifier on: the arm is stopped at the regular end of a rollout.
     Braking,
     /// Amplifier on: the arm is stopped because of a fault.
     Faulting,
-    /// Amplifier off, latched: only a new hello leads out.
+    /// Amplifier off, latched: only a new hello leaves this state.
     Faulted,
 }
 
-/// What happens.
+/// An event that may change the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ControlEvent {
-    /// The operator (or the session's policy) asked who is there, and the device answered.
+    /// The operator or the session asked for a hello, and the device answered.
     Hello,
-    /// It did not, or it would not arm.
+    /// The device did not answer, or did not arm.
     NoAnswer,
-    /// The operator wants the device examined.
+    /// The operator asks for an examination.
     Check,
-    /// That is over.
+    /// The examination is over.
     Checked,
-    /// The operator wants the arm homed.
+    /// The operator asks for homing.
     Home,
-    /// The operator wants a rollout.
+    /// The operator asks for a rollout.
     Rollout,
     /// Arm, or arm and pendulum, have been at rest for long enough.
     AtRest,
-    /// Homing knows both zeros.
+    /// Homing has measured both zeros.
     Homed,
-    /// The policy has had all its steps.
+    /// The policy has used all its steps.
     TimeUp,
-    /// The safety box is left, or the guard ends the rollout.
+    /// The state left the safety box, or the guard ends the rollout.
     LimitLeft,
-    /// Somebody asks to stop.
+    /// A stop is requested.
     Stop,
-    /// The arm stands, or has had the time to.
+    /// The arm has stopped, or its time to stop is over.
     Stands,
     /// A fault while link, amplifier and encoders can be trusted.
     BrakeFault,
-    /// A fault of link, amplifier or encoder.
+    /// A fault of link, amplifier or encoder: none of them can be trusted.
     ZeroFault,
-    /// The arm's count is doubted while link and amplifier can be trusted.
+    /// The arm's count is doubted, while link and amplifier can be trusted.
     CountDoubted,
 }
 
-/// What control does from now on.
+/// The action with which control responds to an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ControlAction {
-    /// What it did before.
+    /// Continue.
     GoOn,
-    /// Lend the device to whoever examines it.
+    /// Lend the device to the examination.
     Lend,
-    /// Hold the arm loosely and watch.
+    /// Keep the motor at 0 V and watch.
     Watch,
-    /// Look for the stops.
+    /// Move the arm to find its zeros.
     Seek,
     /// Bring arm and pendulum to rest.
     Settle,
-    /// Give the motor to the policy.
+    /// Let the policy control the motor.
     RunPolicy,
-    /// Work against the arm.
+    /// Brake the arm.
     Brake,
     /// Switch the amplifier off.
     Off,
-    /// Nothing: it cannot be asked for here.
+    /// Refuse: the command is not allowed in this state.
     Refuse,
 }
 
 impl ControlState {
-    /// All of them, in the order of the table's rows.
+    /// All states, in the order of the table's rows.
     pub const ALL: [Self; 13] = [
         Self::Idle,
         Self::Identified,
@@ -116,13 +116,13 @@ impl ControlState {
         matches!(self, Checking | Resting | Homing | Settling | Running | Braking | Faulting)
     }
 
-    /// What an event does here.
+    /// The next state and the action for an event in this state.
     #[must_use]
     pub fn on(self, event: ControlEvent) -> (Self, ControlAction) {
         TABLE[self as usize][event as usize]
     }
 
-    /// Takes the event in, and says what to do.
+    /// Applies an event and returns the action.
     pub fn take(&mut self, event: ControlEvent) -> ControlAction {
         let (next, action) = self.on(event);
         *self = next;
@@ -131,7 +131,7 @@ impl ControlState {
 }
 
 impl ControlEvent {
-    /// All of them, in the order of the table's columns.
+    /// All events, in the order of the table's columns.
     pub const ALL: [Self; 15] = [
         Self::Hello,
         Self::NoAnswer,
@@ -153,8 +153,8 @@ impl ControlEvent {
 
 type Entry = (ControlState, ControlAction);
 
-/// Rows: states. Columns: Hello, NoAnswer, Check, Checked, Home, Rollout, AtRest, Homed, TimeUp, LimitLeft, Stop,
-/// Stands, BrakeFault, ZeroFault, CountDoubted.
+/// Rows: states. Columns: Hello, NoAnswer, Check, Checked, Home, Rollout, AtRest, Homed, TimeUp,
+/// LimitLeft, Stop, Stands, BrakeFault, ZeroFault, CountDoubted.
 #[rustfmt::skip]
 const TABLE: [[Entry; ControlEvent::ALL.len()]; ControlState::ALL.len()] = {
     use ControlAction as A;
@@ -191,7 +191,7 @@ const TABLE: [[Entry; ControlEvent::ALL.len()]; ControlState::ALL.len()] = {
         [no(S::Resting), LATCH, no(S::Resting), rest(S::Resting), no(S::Resting), no(S::Resting),
          HOME, rest(S::Resting), rest(S::Resting), rest(S::Resting), (S::Cleared, A::Off),
          rest(S::Resting), LATCH, LATCH, LATCH],
-        // Homing: the arm is slow here, and off is a stop.
+        // Homing: the arm is slow here, so that switching off stops it.
         [no(S::Homing), LATCH, no(S::Homing), rest(S::Homing), no(S::Homing), no(S::Homing),
          (S::Homing, A::Seek), (S::Ready, A::Off), rest(S::Homing), rest(S::Homing),
          (S::Identified, A::Off), rest(S::Homing), LATCH, LATCH, LATCH],
@@ -206,7 +206,7 @@ const TABLE: [[Entry; ControlEvent::ALL.len()]; ControlState::ALL.len()] = {
         // Running
         [no(S::Running), LATCH, no(S::Running), rest(S::Running), no(S::Running), no(S::Running),
          rest(S::Running), rest(S::Running), STOP, STOP, STOP, rest(S::Running), FAIL, LATCH, FAIL],
-        // Braking: it is being stopped already, and what it came to stands.
+        // Braking: the arm is being stopped already, and a lesser event does not change the ending.
         [no(S::Braking), LATCH, no(S::Braking), rest(S::Braking), no(S::Braking), no(S::Braking),
          rest(S::Braking), rest(S::Braking), rest(S::Braking), rest(S::Braking), rest(S::Braking),
          (S::Ready, A::Off), rest(S::Braking), LATCH, FAIL],
@@ -221,7 +221,7 @@ const TABLE: [[Entry; ControlEvent::ALL.len()]; ControlState::ALL.len()] = {
     ]
 };
 
-/// The table as a Mermaid state diagram: SAFETY.md shows it, and a test compares.
+/// The table as a Mermaid state diagram, which SAFETY.md shows; a test compares the two.
 #[must_use]
 pub fn state_diagram() -> String {
     let mut text = String::from("stateDiagram-v2\n    [*] --> Idle\n");
@@ -267,14 +267,15 @@ mod tests {
     fn every_event_in_every_state_keeps_the_rules() {
         for (state, event, next, action) in every_pair() {
             let step = format!("{state:?} on {event:?}: {next:?}, {action:?}");
-            // The amplifier goes on by an order of the operator alone, and off by the action Off.
+            // Only a command of the operator switches the amplifier on, and only the action Off
+            // switches it off.
             if !state.is_powered() && next.is_powered() {
                 assert!(matches!(event, E::Check | E::Home | E::Rollout), "{step}");
             }
             if state.is_powered() && !next.is_powered() {
                 assert_eq!(action, A::Off, "{step}");
             }
-            // A fault leads to the latch, or to the brake before it, from everywhere.
+            // A fault leads to the latch from every state, directly or through the brake.
             if event == E::ZeroFault {
                 assert_eq!(next, S::Faulted, "{step}");
             }
@@ -282,12 +283,13 @@ mod tests {
                 let stops = matches!(next, S::Faulted | S::Faulting | S::Braking);
                 assert!(stops && action != A::RunPolicy, "{step}");
             }
-            // A doubted count is damped where the arm may be fast, and switches off everywhere else.
+            // A doubted count is damped in states in which the arm may be fast, and switches off in
+            // all others.
             if event == E::CountDoubted {
                 let damps = matches!(state, S::Running | S::Braking | S::Faulting);
                 assert_eq!(next, if damps { S::Faulting } else { S::Faulted }, "{step}");
             }
-            // The latch gives way to a hello alone, and then nothing moves before 1 s at rest.
+            // Only a hello releases the latch, and then nothing moves before 1 s at rest.
             if state == S::Faulted {
                 assert_eq!(next != S::Faulted, event == E::Hello, "{step}");
                 assert!(event != E::Hello || next == S::Cleared, "{step}");
@@ -301,7 +303,7 @@ mod tests {
             if state == S::Resting && next == S::Homing {
                 assert_eq!(event, E::AtRest, "{step}");
             }
-            // The policy gets the motor after homing and settling, and from nowhere else.
+            // The policy gets the motor only after homing and settling.
             if action == A::RunPolicy {
                 assert_eq!((state, event, next), (S::Settling, E::AtRest, S::Running), "{step}");
             }
@@ -314,7 +316,7 @@ mod tests {
                     "{step}"
                 );
             }
-            // A stop is heard wherever the motor may turn fast.
+            // A stop takes effect in every state in which the motor may turn fast.
             if event == E::Stop && matches!(state, S::Settling | S::Running) {
                 assert_eq!((next, action), (S::Braking, A::Brake), "{step}");
             }

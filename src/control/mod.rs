@@ -6,7 +6,7 @@
 //! Reading order: [`Tick`] decides, [`drive`] runs it against a device and a clock,
 //! [`ControlThread`] gives it a thread of its own.
 
-mod asking;
+mod asking_push;
 mod current_watch;
 mod drive;
 mod hanging;
@@ -51,9 +51,8 @@ pub use tick::Tick;
 pub use undriven::{Moved, RestWatch, RestingCounts};
 pub use watch::Alarm;
 
-/// Records that the ring from the tick to the recorder holds: more than the longest rollout has
-/// ticks (15 s of settling, 6 s of running, 1 s of braking), so that even a stalled recorder
-/// loses nothing.
+/// Capacity of the ring from the tick to the recorder, in records. It holds the longest rollout (15 s of
+/// settling, 6 s of running, 15 s of braking), so that even a stalled recorder loses nothing.
 pub const RING_CAPACITY: usize = 4096;
 
 #[cfg(test)]

@@ -1,56 +1,61 @@
-//! An arm's count that stands although the whole Qube's momentum says that the arm moves.
+//! Detects a frozen arm encoder: the momentum of the whole Qube shows that the arm moves.
 
 use crate::elementary::Scalar;
 use crate::qube::{DomainParameters, Measurement};
 
-/// Ticks that are looked back over at most, and one more.
+/// Samples kept: one more than the longest window.
 const KEPT: usize = 26;
 
-/// A count that has stood for so many ticks is asked after.
+/// Shortest window with a constant count that is tested, ticks.
 const LEAST_TICKS: usize = 5;
 
-/// What friction, cable and dead zone hold of an arm that stands, rad/s^2: four times the friction of
-/// the profile `lab` with its cable at the far stop, and the arm may be 30 % lighter.
+/// Acceleration that friction, cable and dead zone may suppress in an arm at rest, rad/s^2: four
+/// times the friction of the profile `lab`, its cable at the far stop, and an arm that is 30 %
+/// lighter.
 const HOLDS_RAD_S2: f64 = 24.0;
 
-/// What quantisation and a degree of play make of a change of velocity, rad/s.
+/// Change of velocity that quantisation and one degree of play explain, rad/s.
 const LEAST_RAD_S: f64 = 1.0;
 
-/// What masses and lengths that are 30 % off make of the pendulum's share of the momentum.
+/// Relative uncertainty of the pendulum's share of the momentum for masses and lengths that are 30
+/// % off.
 const SWING_SHARE: f64 = 0.4;
 
-/// What an unknown motor makes of its push.
+/// Relative uncertainty of the motor's push.
 const MOTOR_SHARE: f64 = 0.5;
 
-/// What the pendulum's own equation must say besides, rad/s.
+/// Least change of velocity that the pendulum's own equation must show as well, rad/s.
 const FELT_RAD_S: f64 = 0.5;
 
-/// What the pendulum's own equation must say besides, as a share of what is compared.
+/// Relative uncertainty of that equation.
 const FELT_SHARE: f64 = 0.15;
 
-/// A current above this shows that the sensor is alive, A.
+/// Current that proves a working sensor, A.
 const ALIVE_A: f32 = 0.03;
 
-/// A count that has not changed for so many ticks has stood.
+/// Ticks without a change after which a count counts as constant.
 const RESUMES_AFTER_TICKS: usize = 4;
 
-/// An arm that has stood goes no farther than this in its first period: the lightest with the strongest
-/// motor takes up 1200 rad/s^2, which is 32 counts where the first two of its way do not show.
+/// Largest step of an arm in the first period of its motion, counts. The lightest arm with the
+/// strongest motor reaches 1200 rad/s^2, which is 32 counts if the encoder hides the first two of
+/// them.
 const RESUMES_COUNTS: i32 = 40;
 
-/// What the second period has at least of the first.
+/// Least step in the period after that for a count that resumes a motion.
 const GOES_ON_COUNTS: i32 = 12;
 
 const NOMINAL: DomainParameters = DomainParameters::NOMINAL;
 
-/// Watches a standing count by two equations, each of which leaves out what the other one needs:
+/// Tests a constant arm count with two equations, neither of which needs the parameters of the
+/// other:
 ///
 /// ```text
 /// A th'' = k V - d/dt (c cos a a') - friction        cos a th'' = -(2 L_p / 3 L_r) a'' - (g / L_r) sin a
 /// ```
 ///
-/// The first knows nothing of gravity and the pendulum's period, the second nothing of motor and
-/// masses. An arm that stands makes both sides of both nothing. One that is held fails the first alone.
+/// The first contains neither gravity nor the pendulum's period, the second neither motor nor
+/// masses. For an arm at rest both sides of both are zero. An arm that is held violates only the
+/// first.
 #[derive(Clone, Copy, Debug)]
 pub struct MomentumWatch {
     ring: [Entry; KEPT],
@@ -67,11 +72,11 @@ pub struct MomentumWatch {
 struct Entry {
     time_s: f64,
     alpha: f64,
-    /// Integral of the motor's push, rad/s.
+    /// Integral of the acceleration by the motor, rad/s.
     pushed_rad_s: f64,
-    /// Integral of its size.
+    /// Integral of its absolute value, rad/s.
     push_rad_s: f64,
-    /// Integral of the weight, rad/s.
+    /// Integral of the acceleration by the pendulum's weight, rad/s.
     pulled_rad_s: f64,
 }
 
@@ -91,8 +96,9 @@ impl Default for MomentumWatch {
 }
 
 impl MomentumWatch {
-    /// Takes a sample, the pendulum's angle, the voltage that was sent last and the current it drew,
-    /// both in the convention's signs; whether the arm's count stands and the arm does not.
+    /// Takes a sample, the pendulum's angle, the last voltage sent and the current that it drew,
+    /// both in the convention's signs. Returns whether the arm's count is constant although the arm
+    /// moves.
     pub fn is_frozen(
         &mut self,
         sample: &Measurement,
@@ -115,7 +121,7 @@ impl MomentumWatch {
         self.push(time_s, elapsed_s, alpha, self.accelerates_rad_s2(voltage_v, current_a));
         self.has_taken_current |= current_a.abs() > ALIVE_A;
 
-        // A count that goes on from standing as if it had never stood.
+        // A count that resumes in mid-motion was frozen.
         let resumed = self.resumed_counts;
         self.resumed_counts = 0;
         if resumed != 0 && step.signum() == resumed.signum() && step.abs() >= GOES_ON_COUNTS {
@@ -133,7 +139,7 @@ impl MomentumWatch {
         (LEAST_TICKS..=longest).any(|ticks| self.moves_over(ticks))
     }
 
-    /// What the motor does to an arm that is free, rad/s^2.
+    /// Acceleration of a free arm by the motor, rad/s^2.
     fn accelerates_rad_s2(&self, voltage_v: f64, current_a: f32) -> f64 {
         let arm_inertia = arm_inertia();
         let current_a = if self.has_taken_current {
@@ -160,14 +166,14 @@ impl MomentumWatch {
         };
     }
 
-    /// Whether both equations say that the arm has taken up velocity in so many ticks.
+    /// Whether both equations show that the arm has gained velocity within so many ticks.
     fn moves_over(&self, ticks: usize) -> bool {
         let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
         let alpha_dot = |back: usize| {
             let (end, start) = (at(back), at(back + 2));
             (end.alpha - start.alpha) / (end.time_s - start.time_s)
         };
-        // Velocities are those of one tick before.
+        // The velocities are those of one tick earlier.
         let (now, before) = (at(1), at(ticks));
         let (now_rad_s, before_rad_s) = (alpha_dot(0), alpha_dot(ticks - 1));
         let cos = |entry: &Entry| Scalar::sin_cos(entry.alpha).1;
@@ -198,7 +204,7 @@ impl MomentumWatch {
     }
 }
 
-/// Of the arm with the pendulum at its end, kg m^2.
+/// Moment of inertia of the arm with the pendulum's mass at its end, kg m^2.
 fn arm_inertia() -> f64 {
     let DomainParameters { rotary_mass_kg, pendulum_mass_kg, rotary_length_m, .. } = NOMINAL;
     (pendulum_mass_kg + rotary_mass_kg / 12.0) * rotary_length_m * rotary_length_m

@@ -3,68 +3,69 @@ use crate::qube::{Measurement, State};
 use crate::safety::Foreseen;
 use crate::telemetry::{Ending, Phase};
 
-/// What one tick knows. All of it is recorded, so that a recording can be decided again.
+/// Input of one tick. All of it is recorded, so that replay can decide the tick again.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TickInput {
-    /// When the tick was due, by the host's clock, ns.
+    /// Deadline of the tick by the host's clock, ns.
     pub deadline_ns: u64,
-    /// How long after that it woke, ns.
+    /// Time from the deadline until the tick woke, ns.
     pub lateness_ns: u64,
-    /// Whole periods that were skipped before this tick.
+    /// Number of whole periods skipped before this tick.
     pub skipped_periods: u32,
-    /// Whether somebody asks to stop.
+    /// Whether a stop is requested.
     pub stop_requested: bool,
-    /// The sample, or none when no valid one came in time.
+    /// The sample; `None` if no valid one came in time.
     pub measurement: Option<Measurement>,
-    /// The port itself is gone; no later sample will come.
+    /// Whether the port is gone, so that no later sample will come.
     pub link_gone: bool,
-    /// The device knows of no hello any more: it has restarted.
+    /// Whether the device has restarted: it has forgotten the hello.
     pub board_restarted: bool,
-    /// The motor has to cool down, by the samples and voltages before this tick.
+    /// Whether the motor must cool down, by the samples and voltages before this tick.
     pub motor_overheated: bool,
 }
 
-/// What one tick decides.
+/// Decision of one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TickOutput {
-    /// What the tick was doing.
+    /// Phase of the rollout.
     pub phase: Phase,
     /// The estimated state that a policy sees.
     pub state: State,
-    /// What the controller asked for, V; none while held over or switched off.
+    /// Voltage that the controller asked for, V; `None` while the last voltage is held or the
+    /// amplifier is off.
     pub wanted_v: Option<f64>,
-    /// What to send, mV, by the convention's sign.
+    /// Voltage to send, mV, in the convention's sign.
     pub voltage_mv: i16,
-    /// The motion is over: send nothing more, switch the amplifier off.
+    /// Ending of the motion; then nothing more is sent and the amplifier goes off.
     pub ending: Option<Ending>,
 }
 
 impl TickOutput {
-    /// Of a motion that is no rollout: nothing asked for, nothing ended.
+    /// The output of a motion other than a rollout, which asks for nothing and ends nothing.
     pub fn settling(state: State, voltage_mv: i16) -> Self {
         Self { phase: Phase::Settling, state, wanted_v: None, voltage_mv, ending: None }
     }
 }
 
-/// Something that moves the arm tick by tick: a rollout or a homing. Pure: the same inputs give
-/// the same outputs, bit for bit.
+/// A motion of the arm, decided tick by tick: a rollout, a homing or a test. Deterministic: the
+/// same inputs give the same outputs, bit for bit.
 pub trait Motion: Send {
-    /// Decides one tick. Does not allocate, lock, log or wait.
+    /// Decides one tick without allocating, locking, logging or waiting.
     fn decide(&mut self, input: &TickInput) -> TickOutput;
 
-    /// Where the motion has come to in the table of states.
+    /// Current state in the state table.
     fn control_state(&self) -> ControlState;
 
-    /// How often an observer had lost the Qube and started anew.
+    /// Number of times the observer lost track of the Qube and was reset.
     fn observer_resets(&self) -> u32 {
         0
     }
 
-    /// Why foresight ended the motion, if it did.
+    /// Why foresight ended the motion; `None` if it did not.
     fn foreseen(&self) -> Option<Foreseen> {
         None
     }
 
-    /// The voltage as the device's wiring wants it, mV.
+    /// The voltage in the sign of the device's wiring, mV.
     fn device_mv(&self, voltage_mv: i16) -> i16;
 }

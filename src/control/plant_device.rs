@@ -1,4 +1,4 @@
-//! A Qube for this room's tests: the equations of motion behind the device trait, with no wire
+//! A simulated Qube behind the device trait for the tests of this room. There is no wire in
 //! between, so that faults can be placed at chosen ticks.
 
 use crate::clock::{Clock, Nanoseconds, VirtualClock};
@@ -8,14 +8,14 @@ use crate::qube::{
     State, Status, counts, runge_kutta_4,
 };
 
-/// What happens at a tick instead of a clean sample.
+/// A disturbance of a tick's sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mishap {
     /// No answer.
     Lost,
     /// The port is gone.
     Gone,
-    /// The tick's answer takes this long, ns.
+    /// The sample takes this long, ns.
     Slow(u64),
     /// The device reports this status.
     Reports(Status),
@@ -30,9 +30,9 @@ pub struct PlantDevice {
     pub armed: bool,
     pub voltages_mv: Vec<i16>,
     pub furthest_rad: f64,
-    /// Until then no hello is answered.
+    /// Time until which hellos are not answered, ns.
     pub deaf_until_ns: Nanoseconds,
-    /// When hellos came.
+    /// Times of all hellos, ns.
     pub hellos_ns: Vec<Nanoseconds>,
     dynamics: Dynamics,
     simulated_ns: Nanoseconds,

@@ -1,23 +1,23 @@
-//! A drive that moves nothing.
+//! Detects a motor voltage that does not move the arm.
 
 use crate::qube::Measurement;
 
-/// A still arm that is driven this way while cos(alpha) alpha_dot grows by more than this the same way,
-/// rad/s, is held by the pendulum: it takes what the motor gives. One that only seems still lets the
-/// pendulum swing the other way.
+/// Growth of cos(alpha) alpha_dot in the direction of the voltage above which the pendulum absorbs
+/// the push, rad/s. An arm that moves although its count is frozen makes the pendulum swing the
+/// other way.
 const CARRIED_RAD_S: f64 = 2.0;
 
-/// What the arm was driven by since the last sample, in the signs of the convention.
+/// The two inputs that accelerate the arm, in the signs of the convention.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArmInput {
-    /// The voltage that was sent last. What the device reports between two acts may show one sign of
-    /// a voltage that goes to and fro.
+    /// Last voltage sent, mV. The voltage that the device reports between two acts may hide one
+    /// sign of an alternating voltage.
     pub voltage_mv: i16,
-    /// cos(alpha) alpha_dot as estimated then, rad/s: the pendulum's share of the momentum.
+    /// Estimate of cos(alpha) alpha_dot at that time, rad/s: the pendulum's share of the momentum.
     pub swing_rad_s: f64,
 }
 
-/// A drive in one direction against an arm that hardly moves.
+/// A voltage in one direction against an arm that hardly moves.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Push {
     since_us: Option<u64>,
@@ -28,8 +28,8 @@ pub(super) struct Push {
 }
 
 impl Push {
-    /// Whether a drive of at least `least_mv` has lasted for `longest_us` in one direction, the arm
-    /// within `most_counts` all along, and no pendulum took it.
+    /// Whether at least `least_mv` has been applied in one direction for `longest_us` while the arm
+    /// stayed within `most_counts`, and the pendulum has not absorbed the push.
     pub(super) fn moves_nothing(
         &mut self,
         sample: &Measurement,

@@ -5,26 +5,27 @@ use crate::device::{Device, DeviceError, Identity};
 
 const MS: Nanoseconds = 1_000_000;
 
-/// Pauses before the first tries of a lost link; each later try follows the last of them.
+/// Pauses between attempts to reach a silent device, ns; further attempts repeat the last pause.
 const PAUSES_NS: [Nanoseconds; 5] = [100 * MS, 200 * MS, 500 * MS, 1000 * MS, 2000 * MS];
 
-/// How long a pause goes on without a look at the request to stop.
+/// Interval at which a pause checks for a request to stop, ns.
 const LOOK_NS: Nanoseconds = 50 * MS;
 
-/// When and how long a device is asked who it is after a fault.
+/// Timing of the hellos that look for a device after a fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Patience {
-    /// Before the first hello, ns: what was late may be late for some seconds.
+    /// Pause before the first hello, ns: a delayed link may stay delayed for seconds.
     pub pause_ns: Nanoseconds,
-    /// For how long a device that does not answer is asked again, ns.
+    /// Time for which a silent device is asked again, ns.
     pub limit_ns: Nanoseconds,
 }
 
-/// Says hello again and again until the device answers or the patience is over, and opens its port
-/// anew before each further try.
+/// Sends hellos until the device answers or the patience is over, and reopens the port before each
+/// further attempt.
 ///
 /// # Errors
-/// The last hello's, or that of a device that no waiting cures. A request to stop ends the tries.
+/// The error of the last hello. A version mismatch, which waiting cannot cure, and a request to
+/// stop end the attempts.
 pub(super) fn greet_patiently(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -45,7 +46,7 @@ pub(super) fn greet_patiently(
             }
         }
         pause(clock, stop, pauses.next().unwrap_or(PAUSES_NS[4]));
-        // Where the port has not come back, the next hello says so.
+        // If the port has not come back, the next hello reports it.
         let _ = device.reopen();
     }
 }
@@ -63,7 +64,7 @@ mod tests {
     use super::*;
     use crate::qube::State;
 
-    /// The times at which hellos came to a device that never answers, s.
+    /// Times at which a device that never answers received hellos, s.
     fn hellos(patience: Patience, stop: &AtomicBool) -> Vec<f64> {
         let mut device = PlantDevice::new(State::default());
         let clock = device.clock.clone();

@@ -1,19 +1,19 @@
-//! Whether arm and pendulum move, told from the last samples: at rest before a rollout, back in the
-//! middle after one, still before homing, and about which point the pendulum swings.
+//! Detectors of rest: both at rest before a rollout, the arm centred after one, the arm still
+//! before homing. Also the extremes of the pendulum's swing.
 
 use crate::qube::{State, wrap_angle};
 
-/// Ticks that everything must stay at rest before a rollout: 0.3 s.
+/// Ticks at rest that a rollout requires: 0.3 s.
 const REST_TICKS: u32 = 30;
 
-/// Whether arm and pendulum have been at rest for long enough.
+/// Detects when arm and pendulum have been at rest for 0.3 s.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RestDetector {
     quiet_ticks: u32,
 }
 
 impl RestDetector {
-    /// Takes one more state; true once the last 0.3 s were quiet.
+    /// Takes the next state; true once the last 0.3 s were quiet.
     ///
     /// The tolerances leave room for one encoder count (0.003 rad, and 0.3 rad/s as a difference)
     /// and for friction that holds the arm a little off its target.
@@ -27,21 +27,21 @@ impl RestDetector {
     }
 }
 
-/// An arm that moves over no more than this is brought back, rad.
+/// Largest range of a centred arm's motion, rad.
 const CENTRED_RANGE_RAD: f64 = 0.05;
 
-/// An arm within this of the middle is brought back, rad.
+/// Largest distance of a centred arm from the middle, rad.
 const CENTRED_REACH_RAD: f64 = 0.5;
 
-/// How long both must hold, in ticks: longer than a swing of the pendulum, so that what the pendulum
-/// still holds cannot throw the arm far once the amplifier is off.
+/// Ticks for which both must hold: longer than a swing of the pendulum, so that the pendulum's
+/// remaining energy cannot throw the arm far once the amplifier is off.
 const CENTRED_TICKS: u32 = 60;
 
-/// An arm that rests this far from its nearer stop, rad, need not be any nearer to the middle: a cable may
-/// hold it off for as long as the brake works.
+/// Distance from the nearer stop at which an arm at rest counts as centred, rad: a cable may hold
+/// it off the middle for as long as the brake works.
 const OFF_STOPS_RAD: f64 = 1.5;
 
-/// Whether the arm has been brought back and the pendulum no longer moves it.
+/// Detects when the arm is centred and the pendulum no longer moves it.
 #[derive(Clone, Copy, Debug)]
 pub struct CentredDetector {
     stay: Stay,
@@ -49,20 +49,21 @@ pub struct CentredDetector {
 }
 
 impl Default for CentredDetector {
-    /// Back is near the middle.
+    /// Centred means near the middle.
     fn default() -> Self {
         Self { stay: Stay::default(), reach_rad: CENTRED_REACH_RAD }
     }
 }
 
 impl CentredDetector {
-    /// Back is wherever it is far from a stop; the nearer one is this far from the middle, rad.
+    /// Centred means far from both stops; `nearer_rad` is the distance of the nearer stop from the
+    /// middle, rad.
     pub fn off_stops(nearer_rad: f64) -> Self {
         let reach_rad = (nearer_rad - OFF_STOPS_RAD).max(CENTRED_REACH_RAD);
         Self { stay: Stay::default(), reach_rad }
     }
 
-    /// Takes the arm's next angle; true once the last 0.6 s stayed within the range.
+    /// Takes the next arm angle; true once the last 0.6 s stayed within the range.
     pub fn is_centred(&mut self, theta: f64) -> bool {
         let reach_rad = self.reach_rad;
         let quiet = |width_rad| width_rad <= CENTRED_RANGE_RAD && theta.abs() < reach_rad;
@@ -70,26 +71,26 @@ impl CentredDetector {
     }
 }
 
-/// An arm that moves less than this is still, rad.
+/// Largest range of a still arm, rad.
 const STILL_RANGE_RAD: f64 = 0.1;
 
-/// How long an arm must be still, in ticks: 1 s.
+/// Ticks for which a still arm must stay: 1 s.
 const STILL_TICKS: u32 = 100;
 
-/// Whether the arm stays where it is, wherever that may be.
+/// Detects when the arm has been still for 1 s, wherever it is.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StillnessDetector {
     stay: Stay,
 }
 
 impl StillnessDetector {
-    /// Takes the arm's next angle; true once it has been still for 1 s.
+    /// Takes the next arm angle; true once the arm has been still for 1 s.
     pub fn is_still(&mut self, theta: f64) -> bool {
         self.stay.update(theta, |width_rad| width_rad < STILL_RANGE_RAD) > STILL_TICKS
     }
 }
 
-/// For how many ticks, and over what range, the arm has stayed in one place.
+/// Duration and range of the arm's current stay in one place.
 #[derive(Clone, Copy, Debug, Default)]
 struct Stay {
     ticks: u32,
@@ -98,8 +99,8 @@ struct Stay {
 }
 
 impl Stay {
-    /// Takes the arm's next angle and gives the ticks of its stay, which begins anew with an angle that
-    /// makes its range, rad, one that is not `quiet`.
+    /// Takes the next arm angle and returns the ticks of the stay. A stay ends with the angle that
+    /// makes its range, rad, fail `quiet`.
     fn update(&mut self, theta: f64, quiet: impl Fn(f64) -> bool) -> u32 {
         let lowest_rad = self.lowest_rad.min(theta);
         let highest_rad = self.highest_rad.max(theta);
@@ -112,10 +113,10 @@ impl Stay {
     }
 }
 
-/// Ticks over which the pendulum's swing is judged: more than one period of it (0.53 s).
+/// Window for the pendulum's swing, ticks: more than one period (0.53 s).
 const SWING_TICKS: u32 = 80;
 
-/// Extremes of the pendulum's angle over windows of more than one of its periods.
+/// Extremes of the pendulum's angle over consecutive windows, each longer than a period.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Swing {
     ticks: u32,
@@ -123,17 +124,17 @@ pub struct Swing {
     highest_rad: f64,
 }
 
-/// The pendulum's swing over one whole window.
+/// Extent of the pendulum's swing over one window.
 #[derive(Clone, Copy, Debug)]
 pub struct SwingWindow {
-    /// The point about which it swings, rad.
+    /// Middle of the swing, rad.
     pub middle_rad: f64,
-    /// From one extreme to the other, rad.
+    /// Distance between the two extremes, rad.
     pub width_rad: f64,
 }
 
 impl Swing {
-    /// Takes the pendulum's next angle; gives the window that it completes.
+    /// Takes the next angle of the pendulum; returns a window when it is complete.
     pub fn update(&mut self, alpha_rad: f64) -> Option<SwingWindow> {
         if self.ticks == 0 {
             (self.lowest_rad, self.highest_rad) = (alpha_rad, alpha_rad);

@@ -8,81 +8,81 @@ use crate::estimation::Calibration;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, RAD_PER_COUNT};
 use crate::telemetry::Fault;
 
-/// More counts than this in a control period (61 rad/s) are no motion but a jump.
+/// Largest step of a count in a control period (61 rad/s); a larger one is a jump.
 const JUMP_COUNTS: f64 = 200.0;
 
-/// A step of so many counts more than the one before and the one after is a jump too: a hit changes how
-/// fast the arm turns, but for more than one period.
+/// Largest excess of a step over both its neighbours, counts; a larger one is a jump too. A blow
+/// changes the arm's velocity for more than one period.
 const SPIKE_COUNTS: i32 = 40;
 
-/// From this voltage on, mV, no arm is fast enough for long that its back-EMF leaves no current.
+/// Voltage at which no arm stays fast enough for its back-EMF to cancel the current, mV.
 const DRIVEN_MV: i16 = 800;
 
-/// A driven motor that takes less than this takes no current, A.
+/// Current of a driven motor below which it counts as zero, A.
 const LEAST_DRIVEN_A: f32 = 0.012;
 
-/// A motor that has taken no current for so many samples is dead.
+/// Samples without current after which the motor is dead.
 const WITHOUT_CURRENT_TICKS: u32 = 15;
 
-/// A drive of this much moves an arm, mV: friction holds none against 1 V.
+/// Voltage that moves every arm, mV: no friction holds an arm against 1 V.
 const FROZEN_DRIVE_MV: i16 = 1000;
 
-/// How long such a drive lasts in one direction before the arm's count must have moved, us.
+/// Duration of that voltage in one direction by which the arm's count must have moved, us.
 const FROZEN_US: u64 = 300_000;
 
-/// An encoder within so many counts has not moved.
+/// Range within which an encoder counts as not moved, counts.
 const FROZEN_COUNTS: i32 = 2;
 
-/// A drive of this much turns an arm, mV.
+/// Voltage that turns every arm, mV.
 const STALL_DRIVE_MV: i16 = 2000;
 
-/// How long such a drive lasts in one direction before an arm that hardly turns is stalled, us.
+/// Duration of that voltage in one direction after which an arm that hardly turns is stalled, us.
 const STALL_US: u64 = 500_000;
 
-/// An arm that is slower than this hardly turns, rad/s.
+/// Velocity below which an arm hardly turns, rad/s.
 const STALL_RAD_S: f64 = 0.5;
 
-/// Samples that are closer together than this, us, tell no velocity: one count in it is 0.6 rad/s. The tick
-/// after a late one may follow within 0.2 ms, where one count seems to be 15 rad/s.
+/// Shortest interval that gives a velocity, us: one count in it is 0.6 rad/s. The tick after a late
+/// one may follow within 0.2 ms, where one count would be 15 rad/s.
 const LEAST_STEP_US: u64 = 5_000;
 
-/// Counter and tachometer may differ by this much, counts/s (1.5 rad/s).
+/// Absolute tolerance between counter and tachometer, counts/s (1.5 rad/s).
 const TACHOMETER_COUNTS_S: f64 = 500.0;
 
-/// Counter and tachometer may differ by this share of the faster one besides.
+/// Additional tolerance, as a fraction of the faster of the two.
 const TACHOMETER_SHARE: f64 = 0.25;
 
-/// Counter and tachometer may differ by more for less than this, us: a tachometer that measures the time between edges shows the
-/// last velocity for 0.21 s after a sudden stop.
+/// Time for which they may differ by more, us: a tachometer that measures the time between edges
+/// shows the last velocity for 0.21 s after a sudden stop.
 const TACHOMETER_US: u64 = 300_000;
 
-/// A pendulum that felt less than this of a push, rad/s, hangs on an arm that is held.
+/// Velocity below which the pendulum has felt no push, rad/s: the arm is held.
 const FELT_RAD_S: f64 = 0.4;
 
-/// Watches encoders, motor and tachometer against each other, over the device's own time.
+/// Cross-checks encoders, motor current and tachometer, over the device's own time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensorWatch {
     previous: Option<Measurement>,
-    /// The last sample that was far enough from the one before it to tell a step.
+    /// Last sample with a sufficient interval to the one before.
     stepped: Option<Measurement>,
-    /// The last steps of both counts, counts in a period, the newest last.
+    /// Last steps of both counts, counts a period, newest last.
     theta_steps: [i32; 3],
     alpha_steps: [i32; 3],
-    /// Arm and pendulum against each other, and what makes angles of their counts; none by the first
-    /// rules.
+    /// Cross-check of the two encoders, with the calibration of their angles; `None` under the
+    /// first rules.
     witness: Option<(Calibration, Witness)>,
-    /// The arm's count against the whole Qube's momentum.
+    /// Test of the arm's count against the Qube's momentum.
     momentum: MomentumWatch,
     has_taken_current: bool,
     without_current_ticks: u32,
     frozen: Push,
     stall: Push,
     pendulum: Pendulum,
-    /// Since when counter and tachometer disagree.
+    /// Time since which counter and tachometer disagree.
     disagree_since_us: Option<u64>,
 }
 
-/// How far both counts went in some time.
+/// Motion of both counts over an interval.
 #[derive(Clone, Copy, Debug)]
 struct Step {
     theta: f64,
@@ -101,33 +101,33 @@ impl Step {
 }
 
 impl SensorWatch {
-    /// A watch that also holds arm and pendulum against each other.
+    /// A watch that includes the cross-check of the two encoders.
     #[must_use]
     pub fn witnessed(calibration: Calibration) -> Self {
         Self { witness: Some((calibration, Witness::default())), ..Self::default() }
     }
 
-    /// From now on holds arm and pendulum against each other, with these zeros; the pendulum's within
-    /// so much, rad.
+    /// Starts the cross-check of the encoders with these zeros; that of the pendulum is known
+    /// within `zero_within_rad`.
     pub fn call_witness(&mut self, calibration: Calibration, zero_within_rad: f64) {
         self.witness = Some((calibration, Witness::with_zero_within(zero_within_rad, RIG_SHARE)));
     }
 
-    /// From now on a policy moves the arm: no healthy Qube of the whole domain may raise an alarm, which
-    /// would void the rollout and leave a doubt.
+    /// Widens the thresholds for a policy's motion: no healthy Qube of the whole domain may raise
+    /// an alarm, which would void the rollout.
     pub fn allow_the_whole_domain(&mut self) {
         if let Some((_, witness)) = &mut self.witness {
             witness.allow(WHOLE_DOMAIN_SHARE);
         }
     }
 
-    /// What arm and pendulum say of each other, where they are asked.
+    /// The cross-check of the encoders, if it is running.
     #[must_use]
     pub fn witness(&self) -> Option<&Witness> {
         self.witness.as_ref().map(|(_, witness)| witness)
     }
 
-    /// Why an arm's count stands although the motor has this voltage, enough to move any arm.
+    /// The fault of an arm whose count is constant under a voltage that moves any arm.
     #[must_use]
     pub fn why_arm_stands(&self, sample: &Measurement, voltage_mv: i16) -> Fault {
         if takes_nothing(sample, voltage_mv) {
@@ -137,18 +137,18 @@ impl SensorWatch {
         if feels_arm { Fault::EncoderFrozen } else { Fault::ArmHeld }
     }
 
-    /// From now on arm and pendulum say anew which of their signs are right.
+    /// Restarts the test of the encoders' signs.
     pub fn forget_signs(&mut self) {
         if let Some((_, witness)) = &mut self.witness {
             witness.forget_signs();
         }
     }
 
-    /// Looks at one sample; without a `drive` where the arm is meant to push against its stops.
+    /// Checks one sample. Pass no `drive` while the arm is meant to push against its stops.
     ///
-    /// What concerns the arm ends with the amplifier off at once: a brake would work with the very
-    /// numbers that cannot be believed, or against whatever holds the arm. What concerns the pendulum
-    /// brakes: the arm may be under way, and the brake can do without the pendulum.
+    /// A fault of the arm switches the amplifier off: a brake would rely on the doubtful count, or
+    /// work against the hand that holds the arm. A fault of the pendulum brakes: the arm may be
+    /// moving, and the brake can do without the pendulum.
     pub fn check(&mut self, sample: &Measurement, drive: Option<ArmInput>) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
             self.pendulum = Pendulum::seen(sample);
@@ -176,7 +176,7 @@ impl SensorWatch {
             witness.update(sample, theta, alpha)
         });
         if self.witness.is_some() {
-            // What may yet turn out to be a jump is no testimony.
+            // A step that may turn out to be a jump proves nothing.
             let leaps = |steps: &[i32; 3], step: f64| (step - f64::from(steps[2])).abs() > 40.0;
             let step = step.unwrap_or(Step { theta, alpha, elapsed_s: CONTROL_PERIOD_S });
             if leaps(&self.theta_steps, step.theta_of_a_period())
@@ -205,7 +205,7 @@ impl SensorWatch {
         match testimony {
             Some(Contradiction::ArmStands) => return Some(Alarm::Zero(Fault::EncoderFrozen)),
             Some(Contradiction::PendulumStands) => {
-                // The brake goes on without it.
+                // The brake works without the pendulum.
                 self.witness = None;
                 return Some(Alarm::Brake(Fault::PendulumFrozen));
             }
@@ -221,7 +221,8 @@ impl SensorWatch {
         let pendulum_is_frozen = step.is_some_and(|step| {
             self.pendulum.is_frozen(sample, step.theta / step.elapsed_s * RAD_PER_COUNT)
         });
-        // The arm first: a pendulum's fault lasts while the brake works, and may hide none of the arm's.
+        // The arm first: a pendulum's fault lasts while the brake works and must not hide a fault
+        // of the arm.
         let held = drive.and_then(|drive| self.held(sample, drive, counts_s, elapsed_s));
         if let Some(fault) = held {
             return Some(Alarm::Zero(fault));
@@ -232,7 +233,7 @@ impl SensorWatch {
         pendulum_is_frozen.then_some(Alarm::Brake(Fault::PendulumFrozen))
     }
 
-    /// How far both counts went since the last sample that told that; none where that is too short ago.
+    /// Motion of both counts since the last usable sample; `None` while the interval is too short.
     fn step(&mut self, sample: &Measurement, previous: &Measurement) -> Option<Step> {
         let from = *self.stepped.get_or_insert(*previous);
         let elapsed_us = sample.device_time_us.saturating_sub(from.device_time_us);
@@ -247,7 +248,7 @@ impl SensorWatch {
         })
     }
 
-    /// What is wrong with an arm that is driven and does not follow.
+    /// The fault of an arm that is driven and does not follow.
     fn held(
         &mut self,
         sample: &Measurement,
@@ -258,14 +259,15 @@ impl SensorWatch {
         let is_dead = self.witness.is_some() && takes_nothing(sample, drive.voltage_mv);
         if self.frozen.moves_nothing(sample, drive, (FROZEN_DRIVE_MV, FROZEN_COUNTS, FROZEN_US)) {
             return Some(match self.witness {
-                // No witness says that it moves.
+                // The pendulum does not show any motion of the arm.
                 Some(_) if is_dead => Fault::MotorDead,
                 Some(_) => Fault::ArmHeld,
                 None => Fault::EncoderFrozen,
             });
         }
         let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / RAD_PER_COUNT) as i32;
-        // An arm that the pendulum throws to and fro stays near one place too, but not at one speed.
+        // An arm that the pendulum throws to and fro also stays near one place, but not at constant
+        // speed.
         if counts_s.abs() > STALL_RAD_S / RAD_PER_COUNT + 1.0 / elapsed_s {
             self.stall = Push::default();
         }
@@ -274,7 +276,7 @@ impl SensorWatch {
         stalls.then_some(if is_dead { Fault::MotorDead } else { Fault::Stall })
     }
 
-    /// Whether the motor has voltage and takes no current, where it took some before.
+    /// Whether a motor that drew current before now draws none under voltage.
     fn takes_no_current(&mut self, sample: &Measurement) -> bool {
         if sample.applied_mv.saturating_abs() < DRIVEN_MV {
             return false;
@@ -298,7 +300,7 @@ impl SensorWatch {
     }
 }
 
-/// Takes the next step of a count; whether the one before was a jump.
+/// Appends the next step of a count; returns whether the step before it was a jump.
 fn is_spike(steps: &mut [i32; 3], step: f64) -> bool {
     *steps = [steps[1], steps[2], step as i32];
     let [before, between, after] = *steps;
@@ -311,7 +313,7 @@ fn is_spike(steps: &mut [i32; 3], step: f64) -> bool {
 mod tests {
     use super::*;
 
-    /// Samples every 10 ms until the first alarm, and the tick at which it came.
+    /// Samples every 10 ms until the first alarm, and the tick of the alarm.
     fn first_alarm(
         ticks: u32,
         at: impl Fn(u32, &mut Measurement),
@@ -331,7 +333,7 @@ mod tests {
 
     #[test]
     fn one_count_between_two_samples_that_follow_each_other_at_once_is_no_jerk() {
-        // A computer that stood still for 20 ms, and the tick after that.
+        // A computer that stalled for 20 ms, and the tick after that.
         for close_us in [141, 242, 2_000] {
             let mut watch = SensorWatch::default();
             let before = (0..60).map(|tick| (10_000 * tick, 0));
@@ -354,14 +356,14 @@ mod tests {
                         sample.alpha_counts = counts;
                     } else {
                         sample.theta_counts = counts;
-                        // Motion that the pendulum and the tachometer confirm.
+                        // Motion that pendulum and tachometer confirm.
                         sample.alpha_counts = 5 * tick as i32;
                     }
                 };
                 assert_eq!(first_alarm(30, at, false), jumps.then_some((10, fault)));
             }
         }
-        // Over two periods twice as much is motion.
+        // Over two periods, twice as much is a motion.
         let mut watch = SensorWatch::default();
         for (device_time_us, alpha_counts) in [(0, 0), (20_000, 400), (40_000, 801)] {
             let sample = Measurement { device_time_us, alpha_counts, ..Measurement::default() };
@@ -447,7 +449,7 @@ mod tests {
         };
         assert_eq!(jerking(0), Some(Fault::PendulumFrozen));
         assert_eq!(jerking(-3), None);
-        // At a steady velocity a pendulum hangs still.
+        // At constant velocity a pendulum hangs still.
         let steady = |tick: u32, sample: &mut Measurement| {
             sample.theta_counts = 10 * tick as i32;
             sample.tachometer_counts_s = 1000;
@@ -460,7 +462,8 @@ mod tests {
         let mut watch = SensorWatch::default();
         let mut alarms = Vec::new();
         for tick in 0..100_u32 {
-            // From rest to 7 rad/s in 70 ms, the pendulum's count standing; then the arm is held too.
+            // From rest to 7 rad/s in 70 ms with a constant pendulum count; then the arm is held
+            // too.
             let turned = (0..=tick.min(7)).sum::<u32>() + tick.clamp(7, 40) * 7 - 49;
             let speed_rad_s = if tick <= 40 { f64::from(tick.min(7)) } else { 0.0 };
             let sample = Measurement {

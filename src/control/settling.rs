@@ -1,15 +1,15 @@
-//! Bringing arm and pendulum to rest before a rollout. Waiting would take 10 s and the arm would
-//! drift; actively it takes less than two.
+//! Brings arm and pendulum to rest before a rollout. It takes less than 2 s; waiting would take 10
+//! s, and the arm would drift.
 
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, State};
 
 /// State feedback around hanging, V = -k (s - [start_theta, 0, 0, 0]): discrete LQR at 100 Hz on
-/// the nominal parameters, Q = diag(4, 2, 0.05, 0.2), R = 1. The pendulum's entries act on sin(alpha)
-/// and on its velocity along the arm, so that they keep their sense when it swings far.
+/// the nominal parameters, Q = diag(4, 2, 0.05, 0.2), R = 1. The pendulum's gains act on sin(alpha)
+/// and on its velocity along the arm, which keeps their signs right far from hanging.
 const GAINS: [f64; 4] = [1.716, -1.869, 0.46, -0.085];
 
-/// Most volts for settling: nothing is in a hurry here.
+/// Largest settling voltage, V.
 const LIMIT_V: f64 = 4.0;
 
 /// The voltage that brings a state to rest at `target_theta_rad`, V.
@@ -22,27 +22,28 @@ pub fn settling_voltage(state: &State, target_theta_rad: f64) -> f64 {
     wanted_v.clamp(-LIMIT_V, LIMIT_V)
 }
 
-/// How fast the trim grows, V/(rad s): 1 V in 3 s where the arm is held 0.2 rad off its target.
+/// Growth of the trim, V/(rad s): 1 V in 3 s for an arm that is held 0.2 rad off its target.
 const TRIM_RATE: f64 = 1.5;
 
-/// Most volts of trim: what cable, friction and dead zone of a real Qube ask for together.
+/// Largest trim, V: the sum of what cable, friction and dead zone of a real Qube need.
 const LARGEST_TRIM_V: f64 = 1.2;
 
-/// Nearer than this the trim stays: sticking friction would make it hunt, rad.
+/// Distance from the target within which the trim is frozen, rad: static friction would make it
+/// oscillate.
 const TRIM_REACH_RAD: f64 = 0.03;
 
-/// An arm that is faster is on its way and needs no trim, rad/s.
+/// Velocity above which the arm is still moving to its target and the trim is frozen, rad/s.
 const TRIM_SPEED_RAD_S: f64 = 0.5;
 
-/// Brings a Qube to rest where it should be, also one whose cable, friction and dead zone hold the
-/// arm off: what the state feedback leaves over is trimmed away.
+/// Brings a Qube to rest at its target. A slowly growing trim removes the offset that cable,
+/// friction and dead zone leave under state feedback.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Settler {
     trim_v: f64,
 }
 
 impl Settler {
-    /// The next tick's voltage, V.
+    /// The voltage of the next tick, V.
     pub fn voltage(&mut self, state: &State, target_theta_rad: f64) -> f64 {
         let off_rad = target_theta_rad - state.theta;
         if off_rad.abs() > TRIM_REACH_RAD && state.theta_dot.abs() < TRIM_SPEED_RAD_S {
@@ -53,33 +54,34 @@ impl Settler {
     }
 }
 
-/// How fast a target moves that the arm is led to, rad/s: an arm that nobody sees is no faster.
+/// Velocity of the moving target, rad/s: the arm is no faster even if its encoder fails.
 pub const LEAD_RAD_S: f64 = 1.2;
 
-/// Most volts while the pendulum is calm: cable, friction and dead zone take 1.4 V.
+/// Largest voltage while the pendulum is calm, V: cable, friction and dead zone take 1.4 V.
 const GENTLE_V: f64 = 2.0;
 
-/// How fast the voltage may change then, V/s: an encoder that freezes is found before it has grown.
+/// Slew rate of the voltage while the pendulum is calm, V/s: a frozen encoder is found before the
+/// voltage has grown.
 const GENTLE_V_S: f64 = 6.0;
 
-/// How fast it may change while the pendulum swings wide, V/s: at once.
+/// Slew rate while the pendulum swings widely, V/s: practically unlimited.
 const FIRM_V_S: f64 = 400.0;
 
-/// An arm that is faster than this, rad/s, is no longer led but thrown, as by the cable off a stop, and is
-/// caught as fast as it takes.
+/// Velocity above which an arm is thrown, for example by the cable off a stop, rad/s; the slew rate
+/// grows from here on.
 const THROWN_RAD_S: f64 = 1.5;
 
-/// An arm that is thrown this fast is caught at once, rad/s.
+/// Velocity at which the slew rate is largest, rad/s.
 const FAST_RAD_S: f64 = 3.0;
 
-/// From this swing on settling gets firmer, sin(alpha) and a fifteenth of alpha_dot together.
+/// Swing, as |sin(alpha)| + |alpha_dot| / 15, above which the limits grow.
 const CALM_SWING: f64 = 0.35;
 
-/// From this swing on settling is as firm as it gets.
+/// Swing at which the limits are largest.
 const WIDE_SWING: f64 = 0.9;
 
-/// Leads arm and pendulum to rest so gently that an encoder that freezes meanwhile costs no hit: the
-/// target goes ahead slowly, and the voltage grows slowly.
+/// Leads arm and pendulum to rest so gently that an encoder that freezes meanwhile does no damage:
+/// both the target and the voltage move slowly.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct GentleSettler {
     settler: Settler,
@@ -88,7 +90,7 @@ pub struct GentleSettler {
 }
 
 impl GentleSettler {
-    /// The next tick's voltage, V: led to `target_theta_rad`.
+    /// The voltage of the next tick towards `target_theta_rad`, V.
     pub fn voltage(&mut self, state: &State, target_theta_rad: f64) -> f64 {
         let target_rad = self.target_rad.get_or_insert(state.theta);
         let most_rad = LEAD_RAD_S * CONTROL_PERIOD_S;
@@ -97,14 +99,14 @@ impl GentleSettler {
         self.limit(state, wanted_v, GENTLE_V)
     }
 
-    /// The voltage that is drawn to a target which moves by itself, with a push besides, V.
+    /// The voltage of the next tick towards a target that moves by itself, plus a push, V.
     pub fn follow(&mut self, state: &State, target_theta_rad: f64, push_v: f64) -> f64 {
         self.target_rad = None;
         let wanted_v = settling_voltage(state, target_theta_rad) + push_v;
         self.limit(state, wanted_v, GENTLE_V + push_v.abs())
     }
 
-    /// What of a wanted voltage is given now, V, and no more than `gentle_v` while the pendulum is calm.
+    /// Limits a voltage and its slew rate, V; `gentle_v` is the limit while the pendulum is calm.
     fn limit(&mut self, state: &State, wanted_v: f64, gentle_v: f64) -> f64 {
         let swing = Scalar::sin_cos(state.alpha).0.abs() + state.alpha_dot.abs() / 15.0;
         let firm = ((swing - CALM_SWING) / (WIDE_SWING - CALM_SWING)).clamp(0.0, 1.0);
@@ -131,7 +133,7 @@ mod tests {
         comes_to_rest(&NonidealDynamics::new(&QubeModel::NOMINAL));
     }
 
-    /// With the cable of a real Qube the arm would rest 0.3 rad off its target.
+    /// Without trim, the cable of a real Qube would hold the arm 0.3 rad off its target.
     #[test]
     fn a_cable_and_friction_do_not_keep_the_arm_from_its_place() {
         let nonidealities = Nonidealities {

@@ -5,48 +5,50 @@ use crate::qube::{RAD_PER_COUNT, State};
 use crate::safety::{brake_voltage, clamp_to_mv};
 use crate::telemetry::Ending;
 
-/// Ticks without a voltage before the push: what pendulum and arm do by themselves.
+/// Ticks at 0 V before the push, which show how pendulum and arm move by themselves.
 const LISTEN_TICKS: u32 = 20;
 
-/// Most ticks of the push, and of the same the other way.
+/// Longest push, ticks; the push the other way lasts as long.
 const PUSH_TICKS: u32 = 10;
 
-/// Most ticks of the brake.
+/// Longest braking, ticks.
 const BRAKE_TICKS: u32 = 15;
 
-/// Ticks of the whole, so that half a swing of the pendulum is seen after the push.
+/// Length of the whole probe, ticks: half a swing of the pendulum is seen after the push.
 const PROBE_TICKS: u32 = 75;
 
-/// Ticks after the end of a voltage in which the arm may still follow it: a round trip, and a motor
-/// that gets its command 15 ms late.
+/// Ticks after the end of a voltage in which the arm may still respond to it: one round trip, and a
+/// motor that gets its command 15 ms late.
 const LAG_TICKS: usize = 3;
 
-/// A push ends when the arm or the pendulum has gone this far, rad.
+/// Travel of arm or pendulum that ends the push, rad.
 const REACH_RAD: f64 = 0.05;
 
-/// An arm that went at least this far was driven, rad: ten counts.
+/// Least travel that counts as driven, rad: ten counts.
 const MOVED_RAD: f64 = 10.0 * RAD_PER_COUNT;
 
-/// An arm that went no farther than this stood still, rad: play, and the pendulum's pull, move it so far.
+/// Largest travel that counts as standing still, rad: play and the pendulum's pull cause as much.
 const STOOD_RAD: f64 = 4.0 * RAD_PER_COUNT;
 
-/// Below this the arm counts as stopped, rad/s.
+/// Velocity below which the arm counts as stopped, rad/s.
 const STOPPED_RAD_S: f64 = 0.5;
 
-/// The brake gets at least this much, V: what the push had may be within a motor's dead zone.
+/// Least limit of the braking voltage, V: the voltage of the push may lie within the motor's dead
+/// zone.
 const BRAKE_V: f64 = 1.0;
 
-/// Below this no motor's current is judged, A: the smallest push drives 0.02 A through one that stands.
+/// Currents below this are not judged, A: the smallest push drives 0.02 A through a motor at rest.
 const LEAST_CURRENT_A: f64 = 0.02;
 
-/// Two readings of the current may differ by so much without a cause, A: rounding, offset and noise.
+/// Difference between two readings of the current that rounding, offset and noise explain, A.
 const CURRENT_ERROR_A: f64 = 0.005;
 
-/// A short push of the arm that shows how encoders and motor are wired: open loop, because feedback
-/// needs the very signs that are looked for.
+/// A short push of the arm that shows how encoders and motor are wired. It is open-loop, because
+/// feedback needs the signs that are still unknown.
 ///
-/// It listens, pushes until something has moved a little, pushes as long the other way, brakes an arm
-/// whose motion it has seen, and listens again. It records what it sees and judges nothing.
+/// The probe listens at 0 V, pushes until something has moved a little, pushes for as long the
+/// other way, brakes an arm whose motion it has seen, and listens again. It records and does not
+/// judge.
 #[derive(Debug)]
 pub struct SignProbe {
     signs: Calibration,
@@ -54,11 +56,11 @@ pub struct SignProbe {
     estimator: Estimator,
     watch: Watch,
     stage: ProbeStage,
-    /// Ticks of this stage, and of the whole.
+    /// Ticks of this stage, and of the whole probe.
     ticks: u32,
     all_ticks: u32,
     pushed_ticks: u32,
-    /// Where the push began, and how far the arm had gone when it ended.
+    /// State at the start of the push, and the arm's travel at its end.
     push_start: State,
     pushed_rad: f64,
     state: State,
@@ -66,36 +68,36 @@ pub struct SignProbe {
     trace: ProbeTrace,
 }
 
-/// What a probe does in a tick.
+/// The stage of a sign probe.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ProbeStage {
     /// No voltage.
     #[default]
     Listen,
-    /// The push.
+    /// Push.
     Push,
-    /// As long the other way, which leaves a free arm about at rest.
+    /// Push the other way for as long, which leaves a free arm nearly at rest.
     Counter,
-    /// Feedback by the sign that was seen.
+    /// Velocity feedback with the sign that the push has shown.
     Brake,
     /// No voltage.
     Coast,
 }
 
-/// One sample of a probe, in the signs that were assumed.
+/// One sample of a probe, in the assumed signs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProbeSample {
-    /// By the device's clock, s.
+    /// Time by the device's clock, s.
     pub time_s: f64,
-    /// Angle of the arm from where its encoder counts, rad.
+    /// Angle of the arm, rad, from an arbitrary zero.
     pub theta_rad: f64,
-    /// Angle of the pendulum likewise, rad.
+    /// Angle of the pendulum, rad, from an arbitrary zero.
     pub alpha_rad: f64,
-    /// Motor current, A, without its sign.
+    /// Absolute motor current, A.
     pub current_a: f64,
-    /// The voltage that the device reported with it, V, without its sign.
+    /// Absolute voltage that the device reported with the sample, V.
     pub applied_v: f64,
-    /// What was done when it came.
+    /// Stage during which the sample came.
     pub stage: ProbeStage,
 }
 
@@ -107,12 +109,12 @@ pub struct ProbeTrace {
     push_v: f64,
 }
 
-/// How the arm answered a voltage.
+/// The arm's response to a voltage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmResponse {
     /// The voltage, V.
     pub voltage_v: f64,
-    /// How far it turned the arm, rad.
+    /// Travel of the arm, rad.
     pub theta_rad: f64,
 }
 
@@ -121,7 +123,7 @@ impl ProbeTrace {
         Self { samples: [ProbeSample::default(); PROBE_TICKS as usize], length: 0, push_v }
     }
 
-    /// All samples in order.
+    /// All samples, in order.
     #[must_use]
     pub fn samples(&self) -> &[ProbeSample] {
         &self.samples[..self.length]
@@ -133,8 +135,8 @@ impl ProbeTrace {
         self.push_v
     }
 
-    /// What moved the arm: the push, or where that did not the voltage the other way. None where the
-    /// arm went too little for either, or so that it may have been both.
+    /// The arm's response to the push, or to the voltage the other way if the push did not move it.
+    /// `None` if the arm moved too little, or if either voltage may have moved it.
     #[must_use]
     pub fn arm_response(&self) -> Option<ArmResponse> {
         let pushed = self.travel(ProbeStage::Push)?;
@@ -146,7 +148,8 @@ impl ProbeTrace {
             .then_some(ArmResponse { voltage_v: -self.push_v, theta_rad: countered })
     }
 
-    /// How far the arm went by a stage's voltage, rad: each counts from and to a little later.
+    /// Largest travel of the arm in response to a stage's voltage, rad. The response extends
+    /// `LAG_TICKS` beyond the stage; that of the second voltage also begins that much later.
     fn travel(&self, stage: ProbeStage) -> Option<f64> {
         let samples = self.samples();
         let first = samples.iter().position(|sample| sample.stage == stage)?;
@@ -158,15 +161,15 @@ impl ProbeTrace {
         ways.max_by(|a, b| a.abs().total_cmp(&b.abs()))
     }
 
-    /// Largest current during the push, A.
+    /// Largest current during the probe, A.
     #[must_use]
     pub fn current_a(&self) -> f64 {
         self.samples().iter().map(|sample| sample.current_a).fold(0.0, f64::max)
     }
 
-    /// By which part the motor's current had fallen at the end of the push, from its largest value
-    /// for that voltage: a motor that turns draws less. 0 where no current flowed, or where it fell by
-    /// no more than a reading may err. Both values are means of two readings.
+    /// Fraction by which the motor current had fallen at the end of the push from its largest
+    /// value: a turning motor draws less. Both values are means of two readings. 0 if no current
+    /// flowed or if the fall is within the error of a reading.
     #[must_use]
     pub fn current_drop(&self) -> f64 {
         let mut pushed = self.samples().iter().filter(|sample| {
@@ -191,7 +194,7 @@ impl ProbeTrace {
 }
 
 impl SignProbe {
-    /// A push by `push_v`, with these signs taken as right.
+    /// A probe that pushes with `push_v`, V, and assumes these signs.
     #[must_use]
     pub fn new(signs: Calibration, push_v: f64) -> Self {
         Self {
@@ -211,7 +214,7 @@ impl SignProbe {
         }
     }
 
-    /// What was seen so far.
+    /// The samples so far.
     #[must_use]
     pub fn trace(&self) -> &ProbeTrace {
         &self.trace
@@ -230,7 +233,7 @@ impl SignProbe {
         }
     }
 
-    /// Moves on to the next stage at the end of one.
+    /// Enters the next stage at the end of the current one.
     fn advance(&mut self) {
         let theta_rad = self.state.theta - self.push_start.theta;
         let alpha_rad = self.state.alpha - self.push_start.alpha;
@@ -309,7 +312,7 @@ impl Motion for SignProbe {
         self.output(Some(wanted_v), None)
     }
 
-    /// A part of an examination, which judges what came of it.
+    /// A probe is part of an examination, which judges the result.
     fn control_state(&self) -> ControlState {
         ControlState::Checking
     }
@@ -366,7 +369,7 @@ mod tests {
     #[test]
     fn an_arm_that_still_runs_when_the_voltage_turns_is_not_taken_for_the_second_push() {
         let mut trace = ProbeTrace::new(0.5);
-        // Six counts in the push, and on by its momentum in the voltage the other way.
+        // Six counts during the push, then momentum carries the arm on under the opposite voltage.
         for tick in 0..60_i32 {
             let stage = match tick {
                 0..20 => ProbeStage::Listen,
@@ -397,7 +400,7 @@ mod tests {
         assert_eq!(drop(0.056), 0.0, "a reading may err by that much");
     }
 
-    /// A motor without supply reads 1 mA now and then: its converter's rounding.
+    /// A motor without supply reads 1 mA now and then, from rounding in the converter.
     #[test]
     fn a_motor_without_current_does_not_turn() {
         let mut trace = ProbeTrace::new(2.0);

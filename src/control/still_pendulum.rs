@@ -1,19 +1,19 @@
-//! A pendulum's count that stays although the arm throws it.
+//! Detects a frozen pendulum encoder: its count stays although the arm throws the pendulum.
 
 use crate::qube::Measurement;
 
-/// A pendulum within so many counts has not moved.
+/// Range within which a pendulum's count has not moved.
 const STAYS_COUNTS: i32 = 2;
 
-/// An arm whose velocity changes by this much, rad/s, moves the pendulum by more than
-/// [`STAYS_COUNTS`]: the same change of velocity reaches the pendulum, but where it is level, and
-/// there it falls.
+/// Change of the arm's velocity that moves the pendulum by more than [`STAYS_COUNTS`], rad/s: the
+/// change reaches the pendulum in full, except near level, where the pendulum falls.
 const VELOCITY_STEP_RAD_S: f64 = 6.0;
 
-/// How long a pendulum may stay after that, us: a hit may catch it at the instant when it turns round.
+/// Time for which a count may stay after such a change, us: it may hit a pendulum at its turning
+/// point.
 const PENDULUM_US: u64 = 300_000;
 
-/// A pendulum's count that stays, and what the arm's velocity was meanwhile.
+/// A constant pendulum count, and the range of the arm's velocity meanwhile.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pendulum {
     since_us: u64,
@@ -24,7 +24,7 @@ pub(super) struct Pendulum {
 }
 
 impl Pendulum {
-    /// A pendulum whose count is first seen in this sample.
+    /// Starts with the count of this sample.
     pub(super) fn seen(sample: &Measurement) -> Self {
         Self {
             since_us: sample.device_time_us,
@@ -34,7 +34,7 @@ impl Pendulum {
         }
     }
 
-    /// Whether the arm's velocity has changed as no pendulum would let pass.
+    /// Whether the arm's velocity has changed by more than a constant count allows.
     pub(super) fn is_frozen(&mut self, sample: &Measurement, arm_rad_s: f64) -> bool {
         let counts = sample.alpha_counts;
         let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));

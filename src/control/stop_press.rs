@@ -5,29 +5,30 @@ use crate::qube::{HARD_STOP_RAD, State};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::Ending;
 
-/// An arm within this of where a nominal stop is stands at it, rad.
+/// Distance from a nominal stop within which the arm counts as standing at it, rad.
 const NEAR_STOP_RAD: f64 = 0.3;
 
-/// Ticks until the arm has come to rest against its stop and that place is remembered.
+/// Ticks until the arm has come to rest against its stop and its angle is stored.
 const REST_TICKS: u32 = 50;
 
-/// An arm that somebody pushed this far off its stop was pushed, rad: 4 mm at its end.
+/// Distance from the stop that only a push by hand explains, rad: 4 mm at the arm's end.
 const PUSHED_RAD: f64 = 0.05;
 
-/// One that is so near again has come back, rad.
+/// Distance from the stop within which a pushed arm has come back, rad.
 const BACK_RAD: f64 = 0.025;
 
-/// An arm that is this far off is not held by this voltage, rad.
+/// Distance from the stop at which the voltage does not hold the arm, rad.
 const AWAY_RAD: f64 = 0.5;
 
-/// Ticks in which a pushed arm must come back: 3 s.
+/// Ticks within which a pushed arm must come back: 3 s.
 const RETURN_TICKS: u32 = 300;
 
 /// Presses the arm outward against the stop at which it stands.
 ///
-/// Nothing moves meanwhile, and nothing moves far when the voltage stays although nobody is left to
-/// take it back: the arm is at its stop already. It ends when somebody has pushed the arm off its stop
-/// and it came back (a rehearsal), when it does not hold, when its time is up, or with the link.
+/// The arm is at its stop already, so it cannot move far even if the voltage stays on with no host
+/// left to take it back. The press ends in a rehearsal when the arm has been pushed off its stop by
+/// hand and has come back, and otherwise when the arm does not hold, time is up, or the link is
+/// lost.
 #[derive(Debug)]
 pub struct StopPress {
     calibration: Calibration,
@@ -37,7 +38,7 @@ pub struct StopPress {
     estimator: Estimator,
     watch: Watch,
     ticks: u32,
-    /// The direction of the stop, and where the arm rests against it.
+    /// Direction of the stop, and the angle at which the arm rests against it.
     outward: f64,
     rest_rad: Option<f64>,
     pushed_ticks: u32,
@@ -46,23 +47,23 @@ pub struct StopPress {
     seen: PressOutcome,
 }
 
-/// What became of pressing the arm against its stop.
+/// The result of pressing the arm against its stop.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PressOutcome {
-    /// It stayed there until the end.
+    /// The arm stayed at its stop until the end.
     #[default]
     Stayed,
-    /// The arm does not stand at a stop.
+    /// The arm was not at a stop.
     NotAtStop,
-    /// Somebody pushed it off its stop, and the motor brought it back.
+    /// The arm was pushed off its stop by hand, and the motor brought it back.
     CameBack,
-    /// Somebody pushed it off its stop, and there it stayed: the voltage is too small.
+    /// The arm was pushed off its stop by hand and stayed there: the voltage is too small.
     StayedAway,
 }
 
 impl StopPress {
-    /// With `push_v` volts, above 0, for at most `most_ticks`. A rehearsal ends as soon as a pushed arm
-    /// came back or did not.
+    /// Presses with `push_v` volts, above 0, for at most `most_ticks`. A rehearsal ends as soon as
+    /// a pushed arm has come back or has failed to.
     #[must_use]
     pub fn new(calibration: Calibration, push_v: f64, most_ticks: u32, is_rehearsal: bool) -> Self {
         Self {
@@ -82,13 +83,13 @@ impl StopPress {
         }
     }
 
-    /// What became of it.
+    /// The result so far.
     #[must_use]
     pub fn outcome(&self) -> PressOutcome {
         self.seen
     }
 
-    /// Looks where the arm is; true when that ends it.
+    /// Updates the result from the arm's angle; returns whether that ends the press.
     fn judge(&mut self) -> bool {
         let reach_rad = self.state.theta * self.outward;
         if self.outward == 0.0 {
@@ -154,7 +155,7 @@ impl Motion for StopPress {
         self.output(Some(wanted_v), None)
     }
 
-    /// A part of a check.
+    /// A press is part of a check.
     fn control_state(&self) -> ControlState {
         ControlState::Checking
     }
@@ -200,7 +201,7 @@ mod tests {
         assert!(device.voltages_mv.iter().all(|voltage_mv| *voltage_mv == 0));
     }
 
-    /// What a finger does is written into the samples.
+    /// Writes the push of a finger into the samples.
     fn after_a_push(off_rad: impl Fn(u32) -> f64) -> Option<(u32, PressOutcome)> {
         let mut press = StopPress::new(Calibration::IDENTITY, 0.5, 6000, true);
         (0..6000).find_map(|tick| {

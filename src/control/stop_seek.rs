@@ -1,63 +1,63 @@
-//! The arm's middle from its two hard stops: towards the one at negative theta, then the other.
+//! Seeks both hard stops, first the one at negative theta; the arm's middle lies half-way.
 
 use crate::qube::CONTROL_PERIOD_S;
 
-/// How far ahead of the arm its moving target may run, rad: against a stop that pushes with 1.6 V. A
-/// real Qube's cable, friction and dead zone together take 1.2 V.
+/// Largest lead of the moving target over the arm, rad: the arm presses against a stop with 1.6 V.
+/// A real Qube's cable, friction and dead zone together take 1.2 V.
 const LEAD_RAD: f64 = 0.95;
 
-/// An arm that is drawn with all of that and is still slower than this is pushed besides, rad/s.
+/// Velocity below which an arm at the full lead gets an additional push, rad/s.
 const SLOWEST_RAD_S: f64 = 0.35;
 
-/// How much stronger such a push grows for each rad that the arm lags behind, V/rad: at rest 2.1 V/s.
+/// Growth of the additional push for each rad that the arm lags behind, V/rad: 2.1 V/s at rest.
 const PUSH_V_RAD: f64 = 6.0;
 
-/// The strongest such push, V: together 2.75 V, which is the examination's strongest push. One and a half
-/// times the nonidealities of the profile `lab` with four times its friction takes 2.5 V to the stop that its cable
-/// pulls away from.
+/// Largest additional push, V: with the lead 2.75 V, which is also the largest push of the
+/// examination. 1.5 times the nonidealities of the profile `lab` with four times its friction take
+/// 2.5 V towards the stop that its cable pulls away from.
 const MOST_PUSH_V: f64 = 1.12;
 
-/// An arm that gains no more than this against its drive stands at a stop, rad.
+/// Least gain of travel that counts as progress, rad.
 const PROGRESS_RAD: f64 = 0.01;
 
-/// How long an arm at a stop gains nothing, in ticks, the strongest push included: longer than two swings of
-/// the pendulum, whose pull may lift the arm off the stop for a while.
+/// Ticks without progress, at the largest push, after which the arm is at a stop: longer than two
+/// swings of the pendulum, whose pull may lift the arm off the stop for a while.
 const BLOCKED_TICKS: u32 = 100;
 
 /// The seek of both stops, one after the other.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StopSeek {
-    /// Where the stop at negative theta is, once the arm has stood at it.
+    /// Angle of the stop at negative theta, once the arm has stood at it.
     negative_rad: Option<f64>,
-    /// The way to the stop that comes next; it begins with the first angle after the last stop.
+    /// The approach to the next stop; it begins with the first angle after the last stop.
     approach: Option<Approach>,
 }
 
-/// Where the arm stood at its stops, rad.
+/// Angles at which the arm stood at its stops, rad.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
-    /// At the one at negative theta.
+    /// The stop at negative theta.
     pub lowest_rad: f64,
-    /// At the other.
+    /// The stop at positive theta.
     pub highest_rad: f64,
 }
 
-/// The way to one stop.
+/// The approach to one stop.
 #[derive(Clone, Copy, Debug)]
 struct Approach {
-    /// Where the arm is drawn to; it moves ahead of the arm.
+    /// Target angle, which moves ahead of the arm.
     target_rad: f64,
     furthest_rad: f64,
     last_rad: f64,
-    /// What pushes an arm that is drawn and hardly moves, V.
+    /// Additional push for an arm that hardly moves, V.
     push_v: f64,
-    /// Ticks since the arm last gained ground.
+    /// Ticks since the last progress.
     blocked_ticks: u32,
 }
 
 impl StopSeek {
-    /// Takes the arm's next angle and moves its target on by at most `lead_rad_s`; gives the stops once
-    /// both are found.
+    /// Takes the next arm angle and moves the target by at most `lead_rad_s`; returns the stops
+    /// once both are found.
     pub fn update(&mut self, theta: f64, lead_rad_s: f64) -> Option<Found> {
         let direction = if self.negative_rad.is_none() { -1.0 } else { 1.0 };
         let approach = self.approach.get_or_insert(Approach {
@@ -76,12 +76,12 @@ impl StopSeek {
         Some(Found { lowest_rad, highest_rad: stop_rad })
     }
 
-    /// Where the arm is drawn to, rad; nowhere in the tick in which it stands at a stop.
+    /// Target angle of the arm, rad; `None` in the tick in which the arm stands at a stop.
     pub fn target_rad(&self) -> Option<f64> {
         self.approach.map(|approach| approach.target_rad)
     }
 
-    /// What pushes the arm besides, V.
+    /// Additional push, V.
     pub fn push_v(&self) -> f64 {
         let push_v = self.approach.map_or(0.0, |approach| approach.push_v);
         if self.negative_rad.is_none() { -push_v } else { push_v }
@@ -89,7 +89,7 @@ impl StopSeek {
 }
 
 impl Approach {
-    /// Moves the target on; gives where the stop is once the arm stands at it.
+    /// Moves the target; returns the angle of the stop once the arm stands at it.
     fn update(&mut self, theta: f64, direction: f64, lead_rad_s: f64) -> Option<f64> {
         let ahead_rad = direction * (self.target_rad - theta) + lead_rad_s * CONTROL_PERIOD_S;
         self.target_rad = theta + direction * ahead_rad.min(LEAD_RAD);

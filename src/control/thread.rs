@@ -18,52 +18,52 @@ use crate::qube::{CONTROL_PERIOD_NS, Measurement};
 use crate::safety::MotorHeat;
 use crate::telemetry::{TickRecord, TickSettings};
 
-/// The control thread has ended before its time: it panicked.
+/// Error: the control thread has panicked.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 #[error(
     "the control thread has ended unexpectedly; the device's watchdog has switched the motor off"
 )]
 pub struct ThreadGone;
 
-/// How soon a stop is heard while the motor cools down, ns.
+/// Interval at which a cooling pause checks for a request to stop, ns.
 const COOLING_STEP_NS: Nanoseconds = 100_000_000;
 
-/// How long arm and pendulum may take to come to rest while nothing is driven, ns. Where they do not,
+/// Time that arm and pendulum may take to come to rest with the amplifier off, ns. If they do not,
 /// the arm is homed before the next rollout.
 const REST_TIME_NS: Nanoseconds = 15_000_000_000;
 
-/// What can keep control from doing what it is asked for.
+/// A reason why control cannot carry out a command.
 #[derive(Debug, Error)]
 pub enum ControlError {
-    /// The device.
+    /// The device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// The table of states does not allow it.
+    /// The state table does not allow the command.
     #[error(
         "{wanted:?} is not possible while control is {state:?}: after a fault or a start the Qube \
          needs a new hello and homing first"
     )]
     Refused {
-        /// What was asked for.
+        /// The refused command.
         wanted: ControlEvent,
-        /// Where control is.
+        /// The current state.
         state: ControlState,
     },
-    /// The zeros are old ones: nothing has been armed.
+    /// The zeros of the last homing no longer hold; nothing has been armed.
     #[error("{0}: the arm is homed again first")]
     Moved(#[from] Moved),
 }
 
-/// What homing has found.
+/// The result of a homing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Homed {
-    /// Zeros and stops; none where homing did not complete.
+    /// Zeros and stops; `None` unless homing completed.
     pub rig: Option<MeasuredRig>,
-    /// How far apart the stops were, rad, where both were touched.
+    /// Distance between the stops, rad; `None` unless both were touched.
     pub travel_rad: Option<f64>,
 }
 
-/// Prepared work: everything is loaded before the first tick.
+/// A command with everything loaded before the first tick.
 enum Command {
     Hello(Patience),
     Cool,
@@ -73,11 +73,11 @@ enum Command {
     Lend(Borrower),
 }
 
-/// Somebody who needs the device itself for a while, its clock and the request to stop.
+/// A task that uses the device, its clock and the request to stop.
 type Borrower = Box<dyn FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) + Send>;
 
 enum Event {
-    /// Who it is, and whether it is hardware.
+    /// Identity of the device, and whether it is hardware.
     Identified(Result<Identity, DeviceError>, bool),
     Homed(Result<(DriveReport, Homed), ControlError>),
     Finished(Result<DriveReport, ControlError>),
@@ -85,7 +85,8 @@ enum Event {
     Cooled(MotorHeat),
 }
 
-/// The thread that owns the device. One command at a time; in between the amplifier is off.
+/// The thread that owns the device. It executes one command at a time; in between the amplifier is
+/// off.
 pub struct ControlThread {
     commands: Option<Sender<Command>>,
     events: Receiver<Event>,
@@ -95,11 +96,11 @@ pub struct ControlThread {
 }
 
 impl ControlThread {
-    /// Starts the thread. With `realtime` it asks for SCHED_FIFO and locked memory; a virtual clock
-    /// needs neither. A set `stop` ends each motion by braking.
+    /// Starts the thread. With `realtime` it asks for SCHED_FIFO and locked memory, which a virtual
+    /// clock does not need. Setting `stop` ends each motion by braking.
     ///
     /// # Errors
-    /// The operating system gave no thread.
+    /// The operating system cannot start a thread.
     pub fn spawn(
         mut device: Box<dyn Device>,
         clock: Arc<dyn Clock>,
@@ -134,25 +135,24 @@ impl ControlThread {
         })
     }
 
-    /// What the operating system granted.
+    /// The real-time privileges that the operating system granted.
     #[must_use]
     pub fn realtime(&self) -> &RealtimeReport {
         &self.realtime
     }
 
-    /// Asks the device who it is.
+    /// Sends a hello to the device.
     ///
     /// # Errors
-    /// The outer one when the thread is gone, the inner one as [`Device::hello`] says.
+    /// The outer error: the thread is gone. The inner one: as for [`Device::hello`].
     pub fn hello(&self) -> Result<Result<Identity, DeviceError>, ThreadGone> {
         self.hello_patiently(Patience::default())
     }
 
-    /// Asks the device who it is, again and again while it does not answer, until the patience is
-    /// over or somebody asks to stop.
+    /// Sends hellos to the device until it answers, the patience is over, or `stop` is set.
     ///
     /// # Errors
-    /// As [`hello`](Self::hello).
+    /// As for [`hello`](Self::hello).
     pub fn hello_patiently(
         &self,
         patience: Patience,
@@ -166,18 +166,18 @@ impl ControlThread {
         }
     }
 
-    /// Whether what answered the last hello is hardware, as [`Device::is_hardware`] says; true before
-    /// the first.
+    /// Whether the device that answered the last hello is hardware, by [`Device::is_hardware`];
+    /// true before the first answer.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         self.is_hardware.load(Ordering::Relaxed)
     }
 
-    /// Finds the zeros of the encoders, and the stops.
+    /// Measures the zeros of the encoders and the stops.
     ///
     /// # Errors
-    /// The outer one when the thread is gone, the inner one when the device could not be armed, or
-    /// nobody has said hello to it.
+    /// The outer error: the thread is gone. The inner one: the device has not answered a hello or
+    /// could not be armed.
     pub fn home(
         &self,
         settings: HomingSettings,
@@ -188,11 +188,11 @@ impl ControlThread {
         }
     }
 
-    /// Runs one rollout to its end, its records going into `records`.
+    /// Runs one rollout to its end and sends its records to `records`.
     ///
     /// # Errors
-    /// The outer one when the thread is gone, the inner one when the device could not be armed, or
-    /// has not been homed since it said hello.
+    /// The outer error: the thread is gone. The inner one: the device has not been homed since its
+    /// hello or could not be armed.
     pub fn rollout(
         &self,
         settings: TickSettings,
@@ -205,7 +205,7 @@ impl ControlThread {
         }
     }
 
-    /// Says what the motor stands and how warm it is; before, it is a nominal one and cold.
+    /// Sets the motor's rating and heat; at the start the motor is a nominal one and cold.
     ///
     /// # Errors
     /// The thread is gone.
@@ -213,8 +213,8 @@ impl ControlThread {
         self.ask(Command::Motor(heat)).map(|_| ())
     }
 
-    /// Waits until the motor is cool enough for the next motion, and says how warm it is: that is
-    /// what the next motion begins with. A set stop ends the waiting.
+    /// Waits until the motor is cool enough for the next motion, or `stop` is set. Returns the heat
+    /// with which the next motion begins.
     ///
     /// # Errors
     /// The thread is gone.
@@ -225,19 +225,19 @@ impl ControlThread {
         }
     }
 
-    /// Lends the device to a task between motions, on this thread and with its priority: what a
-    /// check measures is then what a tick will see.
+    /// Lends the device to a task between motions. The task runs on this thread with its priority,
+    /// so that a check measures the latencies that a tick will have.
     ///
     /// # Errors
-    /// The outer one when the thread is gone, the inner one when nobody has said hello to the device,
-    /// or a fault is latched.
+    /// The outer error: the thread is gone. The inner one: the device has not answered a hello, or
+    /// a fault is latched.
     pub fn lend<R: Send + 'static>(
         &self,
         task: impl FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) -> R + Send + 'static,
     ) -> Result<Result<R, ControlError>, ThreadGone> {
         let (results, result) = bounded(1);
         let borrower: Borrower = Box::new(move |device, clock, stop| {
-            // Its receiver waits below, and there is room for one.
+            // The receiver waits below, and the channel has room for one result.
             let _ = results.send(task(device, clock, stop));
         });
         match self.ask(Command::Lend(borrower))? {
@@ -263,17 +263,17 @@ impl Drop for ControlThread {
     }
 }
 
-/// The motor's heat from one motion to the next.
+/// The motor's heat between motions.
 #[derive(Debug, Default)]
 struct Motor {
     heat: MotorHeat,
-    /// Since when it has been without current, as far as `heat` does not know of it; none before the
-    /// first motion.
+    /// Time since which the motor has been without current and which `heat` does not include;
+    /// `None` before the first motion.
     off_since_ns: Option<Nanoseconds>,
 }
 
 impl Motor {
-    /// Takes in that the motor was without current since the last motion.
+    /// Cools the motor for the time without current since the last update.
     fn cool(&mut self, clock: &dyn Clock) {
         if let Some(off_since_ns) = &mut self.off_since_ns {
             let now_ns = clock.now_ns();
@@ -283,7 +283,7 @@ impl Motor {
         }
     }
 
-    /// Waits, amplifier off, while the motor is too hot for the next motion.
+    /// Waits with the amplifier off while the motor is too hot for the next motion.
     fn cool_down(&mut self, clock: &dyn Clock, stop: &AtomicBool) {
         self.cool(clock);
         let end_ns = clock.now_ns() + (self.heat.cooling_s() * 1e9) as Nanoseconds;
@@ -294,17 +294,18 @@ impl Motor {
     }
 }
 
-/// What is known of the counts from one motion to the next.
+/// Knowledge about the encoder counts between motions.
 #[derive(Debug, Default)]
 struct Undriven {
-    /// The port, as errors name it.
+    /// Name of the port for errors.
     port: String,
-    /// Where arm and pendulum came to rest after the last motion; none where that was not seen.
+    /// Counts at which arm and pendulum came to rest after the last motion; `None` if they were not
+    /// seen at rest.
     left_at: Option<RestingCounts>,
 }
 
 impl Undriven {
-    /// Watches, amplifier off, where a motion leaves arm and pendulum.
+    /// Watches, with the amplifier off, where arm and pendulum come to rest after a motion.
     fn keep(
         &mut self,
         last: Option<&Measurement>,
@@ -319,7 +320,7 @@ impl Undriven {
         };
     }
 
-    /// Compares, before a rollout arms the device, whether both are where they were left.
+    /// Checks before a rollout arms the device that arm and pendulum are where they were left.
     fn compare(
         &self,
         settings: &TickSettings,
@@ -337,11 +338,11 @@ impl Undriven {
     }
 }
 
-/// Samples at 100 Hz until arm and pendulum rest; none where they do not within the time, or somebody
-/// asks to stop.
+/// Samples at 100 Hz until arm and pendulum are at rest; `None` if they are not in time or `stop`
+/// is set.
 ///
 /// # Errors
-/// The port is gone, or the board has restarted. A lost sample is none.
+/// The port is gone, or the board has restarted. Lost samples are tolerated.
 fn watch_rest(
     watch: &mut RestWatch,
     device: &mut dyn Device,
@@ -438,7 +439,7 @@ fn obey(
     }
 }
 
-/// Takes an order to the table of states.
+/// Applies a command to the state table.
 fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), ControlError> {
     match state.take(wanted) {
         ControlAction::Refuse => Err(ControlError::Refused { wanted, state: *state }),
@@ -446,7 +447,7 @@ fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), Control
     }
 }
 
-/// Drives a motion, and goes where it came to.
+/// Drives a motion and takes over the state in which it ends.
 fn driven(
     state: &mut ControlState,
     motor: &mut Motor,
@@ -515,7 +516,7 @@ mod tests {
 
     #[test]
     fn a_rollout_needs_a_hello_and_homing_and_again_after_a_fault() {
-        // Far enough for homing and the beginning of a rollout.
+        // Enough samples for homing and the beginning of a rollout.
         let (thread, settings) = control(3000);
         assert!(is_refused(&rollout(&thread, settings)));
         assert!(thread.home(HomingSettings::default()).unwrap().is_err());
@@ -529,7 +530,7 @@ mod tests {
                 break ended;
             }
         };
-        // In a rollout, or before one while arm and pendulum come to rest.
+        // During a rollout, or before one while arm and pendulum come to rest.
         assert!(
             matches!(
                 ended,
@@ -538,7 +539,7 @@ mod tests {
             ),
             "{ended:?}"
         );
-        // Latched: neither homing nor a rollout, until there is a new hello and then homing.
+        // Latched: homing and rollouts are refused until a new hello, and rollouts until homing.
         assert!(is_refused(&rollout(&thread, settings)));
         assert!(thread.home(HomingSettings::default()).unwrap().is_err());
         assert!(thread.lend(|_, _, _| ()).unwrap().is_err());
@@ -564,12 +565,12 @@ mod tests {
         clock.advance(20_000_000_000);
         let cooled = thread.cool_motor().unwrap();
         assert!((cooled.load - homed.cooled(20.0).load).abs() < 1e-12, "{cooled:?}");
-        // It can be told, as after the port was opened again.
+        // The heat can be set, as after the port was reopened.
         let told = MotorHeat { load: 0.6, ..cooled };
         thread.set_motor(told).unwrap();
         assert_eq!(thread.cool_motor().unwrap(), told);
         thread.set_motor(cooled).unwrap();
-        // Asking does not cool.
+        // Reading the heat does not cool the motor.
         assert_eq!(thread.cool_motor().unwrap(), cooled);
         let (_, settings) = control(u32::MAX);
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);

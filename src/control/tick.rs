@@ -1,4 +1,4 @@
-use super::asking::AskingPush;
+use super::asking_push::AskingPush;
 use super::push::ArmInput;
 use super::rest::{CentredDetector, RestDetector};
 use super::sensor_watch::SensorWatch;
@@ -12,31 +12,32 @@ use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, Sta
 use crate::safety::{Brake, Foreseen, Guard, Limit, TrustedForesight, clamp_to_mv};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
-/// Most ticks for settling: 15 s. From any state a rollout may leave it takes less than two.
+/// Most ticks for settling: 15 s. It takes less than 2 s from any state in which a rollout may end.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
 /// Most ticks for a brake that only stops the arm: 1 s.
 const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
-/// Most ticks for a brake that brings the arm back to the middle and waits for the pendulum: 15 s.
+/// Most ticks for a brake that centres the arm and waits for the pendulum: 15 s.
 const MAX_RETURN_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
-/// Homing finds the stops within this, rad: so much nearer they are where a nominal Qube has them.
+/// Error with which homing measures the stops, rad: on a nominal Qube it may find them this much
+/// nearer.
 const STOPS_MEASURED_WITHIN_RAD: f64 = 0.02;
 
-/// Below this the arm counts as stopped, rad/s.
+/// Velocity below which the arm counts as stopped, rad/s.
 const STOPPED_RAD_S: f64 = 0.5;
 
-/// How long an arm must stay that slow to count as stopped, in ticks.
+/// Ticks below that velocity after which the arm counts as stopped.
 const STOPPED_TICKS: u32 = 3;
 
-/// An arm that is still faster than this at the end of braking does not obey the motor, rad/s.
+/// Velocity at the end of braking above which the arm does not obey the motor, rad/s.
 const RUNAWAY_RAD_S: f64 = 5.0;
 
-/// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. What leads
-/// from one to the next is the table of [`ControlState`].
+/// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. The table
+/// of [`ControlState`] holds the transitions.
 ///
-/// The same code runs on the machine, beside the emulator, in virtual time and in replay.
+/// The same code drives a real Qube and the emulated one, runs in virtual time and in replay.
 #[derive(Debug)]
 pub struct Tick<C = Policy> {
     settings: TickSettings,
@@ -44,7 +45,8 @@ pub struct Tick<C = Policy> {
     estimator: Estimator,
     watch: Watch,
     sensors: SensorWatch,
-    /// Asks an arm whose count stands; none by the first rules.
+    /// Tests with a push whether an arm with a constant count can move; `None` under the first
+    /// rules.
     asking: Option<AskingPush>,
     settler: Settler,
     gentle: GentleSettler,
@@ -54,24 +56,24 @@ pub struct Tick<C = Policy> {
     phase: Phase,
     periods_in_phase: u32,
     stopped_ticks: u32,
-    /// Tries the brake before each voltage leaves, where that is the guard.
+    /// Simulates the brake before each voltage is sent; `None` unless the guard is foresight.
     foresight: Option<TrustedForesight>,
-    /// Why foresight ended the policy, if it did.
+    /// Why foresight ended the policy; `None` if it did not.
     foreseen: Option<Foreseen>,
     brake: Brake,
-    /// Whether the brake goes by the arm's velocity alone, because its count is doubted.
+    /// Whether the brake uses the arm's velocity alone, because the arm's count is doubted.
     damps: bool,
-    /// The last voltages that were sent, newest first, V: some may still be on their way.
+    /// Last voltages sent, newest first, V; some may not have reached the motor yet.
     sent_v: [f32; MAX_HISTORY],
-    /// What the rollout ends with.
+    /// How the rollout ends.
     reason: Ending,
-    /// What the policy sees; what guard, settling and brake go by.
+    /// State estimates: one for the policy, one for guard, settling and brake.
     estimates: Estimates,
     voltage_mv: i16,
 }
 
 impl<C: Controller> Tick<C> {
-    /// A rollout that starts with settling.
+    /// A rollout that begins with settling.
     #[must_use]
     pub fn new(settings: &TickSettings, policy: C) -> Self {
         let nearer_rad = settings.stops.map_or(HARD_STOP_RAD, |stops| stops.nearer_rad());
@@ -114,8 +116,8 @@ impl<C: Controller> Tick<C> {
         tick
     }
 
-    /// Takes an event to the table and does what it says; `reason` is what the rollout ends with if
-    /// this event ends it. Whether the amplifier goes off now.
+    /// Applies an event to the state table and carries out the action; `reason` is the rollout's
+    /// ending if this event ends it. Returns whether the amplifier goes off.
     fn take(&mut self, event: ControlEvent, reason: Ending) -> bool {
         let before = self.control;
         let action = self.control.take(event);
@@ -126,7 +128,7 @@ impl<C: Controller> Tick<C> {
         match action {
             ControlAction::Settle => self.phase = Phase::Settling,
             ControlAction::RunPolicy => {
-                // The box counts whole turns of the pendulum from the start of each rollout.
+                // The box counts the pendulum's turns from the start of each rollout.
                 self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
                 let is_witnessed = self.settings.rules >= TickRules::Witnessed;
@@ -139,7 +141,7 @@ impl<C: Controller> Tick<C> {
             }
             ControlAction::Brake => {
                 self.phase = Phase::Braking;
-                // Settling may have had its voltage before.
+                // Settling may have used the brake before.
                 self.brake = brake_of(&self.settings, self.damps);
             }
             ControlAction::Off => self.voltage_mv = 0,
@@ -152,7 +154,7 @@ impl<C: Controller> Tick<C> {
         action == ControlAction::Off
     }
 
-    /// What the state or the clock asks for, if anything.
+    /// The event that state or time cause in this phase, if any.
     fn event(&mut self, input: &TickInput, unpredicted: bool) -> Option<(ControlEvent, Ending)> {
         let stopped = input.stop_requested.then_some((ControlEvent::Stop, Ending::Stopped));
         match self.phase {
@@ -179,12 +181,13 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// Whether braking is over.
+    /// The event that ends braking, once the arm has stopped or time is up.
     fn braked(&mut self) -> Option<(ControlEvent, Ending)> {
         let State { theta, theta_dot, .. } = self.estimates.guarded;
         let speed_rad_s = theta_dot.abs();
         let (stands, most_ticks) = match self.settings.safety_box.guard {
-            // A count that stands is at rest at once, and is waited for: the arm may not stand.
+            // A frozen count would look at rest at once although the arm may move, so this waits
+            // for the full time.
             _ if self.damps => (self.centred.is_centred(theta), MAX_RETURN_TICKS),
             Guard::Box => {
                 let slow = speed_rad_s < STOPPED_RAD_S;
@@ -224,7 +227,7 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// What is wrong with an arm that does not answer although any arm would.
+    /// The alarm for an arm that has not responded to a push that moves any arm.
     fn unanswered(&mut self, sample: &Measurement) -> Option<Alarm> {
         let asking = self.asking.as_mut().filter(|_| self.phase == Phase::Running)?;
         let (_, alpha) = self.settings.calibration.angles_rad(sample);
@@ -232,20 +235,20 @@ impl<C: Controller> Tick<C> {
         unanswered.then(|| Alarm::Zero(self.sensors.why_arm_stands(sample, self.voltage_mv)))
     }
 
-    /// Whether the Qube has just moved as the profile that the guard goes by does not allow.
+    /// Whether the last motion of the Qube contradicts the profile that foresight simulates.
     fn contradicts_profile(&mut self, device_time_us: u64) -> bool {
         let Some(foresight) = &mut self.foresight else { return false };
         foresight.is_contradicted(&self.estimates.guarded, device_time_us, &self.sent_v)
     }
 
-    /// A Qube that this one may be and that the brake would stop too late after this voltage, mV.
+    /// A possible Qube that the brake would stop too late after this voltage, mV.
     fn too_late_for(&mut self, voltage_mv: i16) -> Option<Foreseen> {
         let state = self.estimates.guarded.cast();
         let voltage_v = f32::from(voltage_mv) * 1e-3;
         self.foresight.as_mut()?.too_late_for(&state, &self.sent_v, voltage_v)
     }
 
-    /// Remembers what the motor was told for this and so many more periods.
+    /// Appends the last voltage to the history for this period and `more_periods` skipped ones.
     fn remember_sent(&mut self, more_periods: u32) {
         for _ in 0..=more_periods.min(MAX_HISTORY as u32) {
             self.sent_v.rotate_right(1);
@@ -253,10 +256,10 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// While the policy has the motor: what the motor had since the last tick.
+    /// Tells a running policy which voltage the motor has had since the last tick.
     fn tell_policy_what_was_applied(&mut self, skipped_periods: u32) {
         if self.phase == Phase::Running {
-            // Older than the longest history, all is forgotten anyway.
+            // The longest history holds no more than this.
             for _ in 0..=skipped_periods.min(MAX_HISTORY as u32) {
                 self.policy.applied(f64::from(self.voltage_mv) * 1e-3);
             }
@@ -291,7 +294,7 @@ impl<C: Controller> Motion for Tick<C> {
         self.tell_policy_what_was_applied(input.skipped_periods);
         self.remember_sent(input.skipped_periods);
 
-        // Watch the link, the clock, the device's own flags, and the sensors.
+        // Watch link, clock, the device's status flags, and sensors.
         let drive = ArmInput {
             voltage_mv: self.voltage_mv,
             swing_rad_s: Scalar::sin_cos(self.estimates.guarded.alpha).1
@@ -300,8 +303,8 @@ impl<C: Controller> Motion for Tick<C> {
         let seen =
             input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, Some(drive)));
         let unanswered = input.measurement.as_ref().and_then(|sample| self.unanswered(sample));
-        // An arm whose count is doubted wrongly would coast into its stop with the motor off; a count that
-        // does stand asks for 0 V.
+        // With the motor off, a moving arm whose count is doubted wrongly would coast into its
+        // stop; for an arm at rest the damping asks for 0 V anyway.
         let damps = self.settings.rules >= TickRules::Damped;
         let off = match self.watch.check(input).or(seen).or(unanswered) {
             Some(Alarm::Zero(fault)) if damps && fault.doubts_count() => {
@@ -319,7 +322,7 @@ impl<C: Controller> Motion for Tick<C> {
             return self.off();
         }
 
-        // Estimate. Without a sample the last voltage is held over.
+        // Estimate. Without a sample the last voltage is held.
         let Some(measurement) = &input.measurement else {
             self.periods_in_phase += 1;
             return self.output();
@@ -327,8 +330,8 @@ impl<C: Controller> Motion for Tick<C> {
         self.estimates = self.estimator.update(measurement);
         let unpredicted = self.contradicts_profile(measurement.device_time_us);
 
-        // Guard: leave the phase where the state asks for it. A brake that has just begun may find
-        // the arm at rest.
+        // Guard: change the phase if the state demands it. A brake that has just begun may find the
+        // arm at rest, hence the second pass.
         for _ in 0..2 {
             let was = self.phase;
             if let Some((event, reason)) = self.event(input, unpredicted)
@@ -341,7 +344,7 @@ impl<C: Controller> Motion for Tick<C> {
             }
         }
 
-        // Decide, and let nothing through that is not a voltage.
+        // Decide, and send nothing that is not a number.
         let mut wanted_v = self.wanted_voltage();
         self.voltage_mv = match clamp_to_mv(wanted_v) {
             Ok(voltage_mv) => voltage_mv,
@@ -352,8 +355,8 @@ impl<C: Controller> Motion for Tick<C> {
             }
         };
 
-        // Try the brake, unless it works already. Where it would come too late it begins now; settling has
-        // its voltage for this tick and goes on.
+        // Simulate the brake unless it is on. If it would come too late after this voltage, it
+        // takes over: for good while the policy runs, for this tick while settling.
         if self.phase != Phase::Braking
             && let Some(foreseen) = self.too_late_for(self.voltage_mv)
         {

@@ -1,4 +1,4 @@
-//! A rollout against a simulated Qube: its phases, and what each mishap makes of it.
+//! Tests of a rollout against a simulated Qube: its phases, and the effect of each mishap.
 
 use std::f64::consts::PI;
 use std::sync::atomic::AtomicBool;
@@ -28,7 +28,7 @@ fn classical() -> Policy {
     Policy::Classical(ClassicalController::new(ClassicalGains::default()))
 }
 
-/// Drives the arm away from the middle.
+/// A controller that drives the arm away from the middle.
 fn outward() -> ClassicalController {
     ClassicalController::new(ClassicalGains {
         pump_v_per_j: 0.0,
@@ -85,8 +85,8 @@ fn a_policy_that_pushes_outward_leaves_the_box_and_is_braked() {
 
 #[test]
 fn no_observer_however_wrong_moves_the_limits_of_the_box() {
-    // A Qube whose arm is a hundred times as heavy and whose voltages act a tenth of a second
-    // late: what this observer shows is far from where the arm is.
+    // A Qube whose arm is a hundred times as heavy and whose voltages act 0.1 s late: the
+    // observer's state is far from the arm's.
     let parameters = DomainParameters { rotary_mass_kg: 9.5, ..DomainParameters::NOMINAL };
     let model = QubeModel { parameters, ..QubeModel::NOMINAL };
     let astray = ObserverSettings {
@@ -138,7 +138,7 @@ fn foresight_ends_no_swing_up_of_a_nominal_qube() {
     assert_eq!(tick.control_state(), ControlState::Ready);
 }
 
-/// Asks for another voltage each time and notes what it is told.
+/// A controller that asks for another voltage each time and stores what it is told.
 #[derive(Default)]
 struct Listener {
     starts: u32,

@@ -1,42 +1,43 @@
-//! What the counts show while nothing is driven: they say whether zeros that were found before the
-//! amplifier went off may still be used.
+//! Watches the counts while the amplifier is off, to decide whether the zeros of the last motion
+//! still hold.
 
 use thiserror::Error;
 
 use crate::qube::{CONTROL_PERIOD_S, COUNTS_PER_REVOLUTION, Measurement, RAD_PER_COUNT};
 
-/// Arm and pendulum rest once this many samples, 0.6 s, lay close together: more than a swing of the
-/// pendulum, so that a swing shows its width.
+/// Samples within the widths below that count as rest: 0.6 s, more than a swing of the pendulum, so
+/// that a swing shows its full width.
 const REST_SAMPLES: u32 = 60;
 
-/// The width within which the arm's samples lie then, counts: an arm without dry friction that creeps by
-/// that much comes 8 counts on until it stands, and to wait until a cable has pulled an arm further than
-/// it creeps in the next second would take 8 s after each rollout.
+/// Largest range of the arm's samples at rest, counts. An arm without dry friction that still
+/// creeps this much goes on by 8 counts before it stands. A lower limit would cost 8 s after each
+/// rollout with a cable that pulls the arm slowly.
 const ARM_WIDTH: i32 = 5;
 
-/// The width within which the pendulum's samples lie then, counts (0.3 rad to either side). On an arm that dry
-/// friction holds it swings on for a minute, and the middle of a whole swing is where it hangs.
+/// Largest range of the pendulum's samples at rest, counts: 0.3 rad to either side. On an arm held
+/// by dry friction the pendulum swings for a minute, and the middle of a whole swing is where it
+/// hangs.
 const PENDULUM_WIDTH: i32 = 200;
 
-/// A count may be so far off before it is another zero, counts (0.05 rad). An arm that a cable pulls at may
-/// creep further within some seconds: then it is homed before the next rollout, which is always safe.
+/// Largest change of a count that leaves its zero valid, counts: 0.05 rad. A cable may pull the arm
+/// farther within seconds; then the arm is homed before the next rollout, which is always safe.
 const TOLERANCE: i32 = 16;
 
-/// What the velocity of an arm that nothing drives may change by within a tick, counts a tick: 5 rad/s.
-/// More than that is no motion but a jump of the count, or a hit.
+/// Largest change of an undriven arm's velocity within a tick, counts a tick: 5 rad/s. More is a
+/// jump of the count, or a blow.
 const LARGEST_KICK: f64 = 16.0;
 
-/// Counts at which arm and pendulum rest.
+/// Counts at which arm and pendulum are at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RestingCounts {
     theta: i32,
     alpha: i32,
 }
 
-/// Why a zero that was found before must not be used any more.
+/// Reason why the zeros of the last motion no longer hold.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum Moved {
-    /// The arm's count is another one than that at which it was left.
+    /// The arm's count has changed since the last motion.
     #[error(
         "the arm's count moved by {0:.2} rad while nothing was driven (a hand, or its encoder's cable)"
     )]
@@ -44,17 +45,17 @@ pub enum Moved {
     /// The pendulum rests at another count than that of hanging.
     #[error("the pendulum rests {0:.2} rad from where it hung (a hand, or its encoder's cable)")]
     Pendulum(f64),
-    /// It was not seen at rest, before or now.
+    /// Arm and pendulum were not seen at rest, before or now.
     #[error("arm and pendulum were not seen at rest since the last motion")]
     Unseen,
 }
 
 impl RestingCounts {
-    /// Whether the zeros of the rollout before hold for the next: the arm was left at `before`, and the
-    /// pendulum hung at this count, or whole turns from it.
+    /// Checks whether the zeros of the last rollout hold for the next: the arm is still at
+    /// `before`, and the pendulum hangs at this count or whole turns from it.
     ///
     /// # Errors
-    /// They do not: only homing gives new ones.
+    /// They do not hold, and homing must measure them again.
     pub fn compare(self, before: Option<Self>, alpha_zero_counts: i32) -> Result<(), Moved> {
         let before = before.ok_or(Moved::Unseen)?;
         let arm = self.theta.wrapping_sub(before.theta);
@@ -62,7 +63,7 @@ impl RestingCounts {
             return Err(Moved::Arm(f64::from(arm) * RAD_PER_COUNT));
         }
         let half_turn = COUNTS_PER_REVOLUTION / 2;
-        // A power of two divides the counter's range, so that a wrap does no harm.
+        // A power of two divides the counter's range, so that a wrapping counter does no harm.
         let pendulum = self.alpha.wrapping_sub(alpha_zero_counts).wrapping_add(half_turn);
         let pendulum = pendulum.rem_euclid(COUNTS_PER_REVOLUTION) - half_turn;
         if pendulum.abs() > TOLERANCE {
@@ -72,7 +73,7 @@ impl RestingCounts {
     }
 }
 
-/// Watches arm and pendulum, amplifier off, until both rest.
+/// Watches arm and pendulum, with the amplifier off, until both are at rest.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RestWatch {
     last: Option<Last>,
@@ -82,7 +83,7 @@ pub struct RestWatch {
     has_jumped: bool,
 }
 
-/// The sample before, and how fast the arm was, counts a tick.
+/// The previous sample, and the arm's velocity, counts a tick.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     time_us: u64,
@@ -90,7 +91,7 @@ struct Last {
     velocity: Option<f64>,
 }
 
-/// Lowest and highest of some counts, as seen from the first of them.
+/// Range of some counts, relative to the first of them.
 #[derive(Clone, Copy, Debug, Default)]
 struct Spread {
     origin: i32,
@@ -118,7 +119,8 @@ impl Spread {
 }
 
 impl RestWatch {
-    /// A watch that goes on from the last sample of a motion: nothing is missed in between.
+    /// A watch that continues from the last sample of a motion, so that no jump in between is
+    /// missed.
     #[must_use]
     pub fn after(last: Option<&Measurement>) -> Self {
         let last = last.map(|last| Last {
@@ -129,7 +131,7 @@ impl RestWatch {
         Self { last, ..Self::default() }
     }
 
-    /// Takes the next sample, and gives the counts at which both rest, once they do.
+    /// Takes the next sample; returns the resting counts once both are at rest.
     pub fn update(&mut self, sample: &Measurement) -> Option<RestingCounts> {
         self.follow(sample);
         let theta = self.theta.with(sample.theta_counts);
@@ -146,7 +148,7 @@ impl RestWatch {
             .then(|| RestingCounts { theta: self.theta.middle(), alpha: self.alpha.middle() })
     }
 
-    /// Whether the arm's count has done what no arm does.
+    /// Whether the arm's count has jumped by more than an arm can move.
     #[must_use]
     pub fn has_jumped(&self) -> bool {
         self.has_jumped
@@ -196,7 +198,7 @@ mod tests {
         assert!(matches!(now(-57, zero), Err(Moved::Arm(_))));
         assert!(matches!(now(-40, zero - 17), Err(Moved::Pendulum(_))));
         assert_eq!(left.compare(None, zero), Err(Moved::Unseen));
-        // Counters wrap.
+        // Counters that wrap.
         let edge = RestingCounts { theta: i32::MAX, alpha: i32::MIN + 2 };
         let over = RestingCounts { theta: i32::MIN + 3, alpha: i32::MAX };
         assert_eq!(over.compare(Some(edge), i32::MIN + 2), Ok(()));
@@ -204,7 +206,7 @@ mod tests {
 
     #[test]
     fn what_swings_wide_or_creeps_does_not_rest() {
-        // 0.4 rad to either side, and 0.2 rad, twice a second.
+        // Swings of 0.4 rad and of 0.2 rad to either side, at twice a second.
         let swing = |counts: f64, tick: u64| 700 + (counts * (0.126 * tick as f64).sin()) as i32;
         let mut watch = RestWatch::default();
         for tick in 0..200 {
@@ -228,7 +230,7 @@ mod tests {
         let coming = |jump_at: u64, jump: i32| {
             let mut watch = RestWatch::after(Some(&last));
             for tick in 1..80 {
-                // Slows down from 2 rad/s.
+                // The arm slows down from 2 rad/s.
                 let coasted = (150.0 * (1.0 - (-0.045 * tick as f64).exp())) as i32;
                 let jumped = if tick >= jump_at { jump } else { 0 };
                 watch.update(&sample(tick, 1000 + coasted + jumped, 0));

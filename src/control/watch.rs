@@ -1,41 +1,41 @@
 use super::TickInput;
 use crate::telemetry::Fault;
 
-/// Longest time without a valid sample, ns. One late or lost answer is held over: stalls of 13 to
-/// 20 ms have been seen on healthy links.
+/// Longest time without a valid sample, ns. Single late or lost answers are tolerated: stalls of 13
+/// to 20 ms occur on healthy links.
 const MAX_BLIND_NS: u64 = 35_000_000;
 
-/// A tick that wakes later than this after its deadline is too late, ns.
+/// Lateness of a late tick, ns.
 const MAX_LATENESS_NS: u64 = 10_000_000;
 
-/// So many late ticks in a row are a fault.
+/// Consecutive late ticks that are a fault.
 const MAX_LATE_TICKS: u32 = 5;
 
-/// A device's clock that leaps this far ahead of the computer's between two samples is wrong, us.
+/// Lead of the device's clock over the computer's between two samples that is an error, us.
 const CLOCK_LEAP_US: u64 = 1_000_000;
 
-/// One sample may be late on its way and the next early; so many in a row whose times are less than
-/// half as far apart as the computer's, or more than twice, are a wrong clock. At 10 ms a tick that is
-/// less than 5 ms or more than 20 ms.
+/// Consecutive intervals that prove a wrong clock: less than half or more than twice the
+/// computer's, at 10 ms a tick less than 5 ms or more than 20 ms. Fewer can result from one late
+/// and one early sample.
 const MAX_ODD_PACES: u32 = 3;
 
-/// Over so long the two clocks are compared more closely, us.
+/// Interval of the more precise comparison of the clocks, us.
 const LONG_PACE_US: u64 = 500_000;
 
-/// How far the two clocks may differ then, as a share: a crystal is off by 0.005, answers come up to 10 ms
-/// later.
+/// Tolerance of that comparison, as a fraction: a crystal is off by 0.005, and answers come up to
+/// 10 ms later.
 const LONG_PACE_SHARE: f64 = 0.1;
 
-/// What a fault leaves to do.
+/// The reaction that a fault requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alarm {
-    /// The link or the amplifier cannot be trusted: off at once.
+    /// Switch the amplifier off at once, because link or amplifier cannot be trusted.
     Zero(Fault),
-    /// The link lives: stop the arm first.
+    /// Stop the arm first, because the link works.
     Brake(Fault),
 }
 
-/// Watches link, timing and the device's own flags, for each kind of motion alike.
+/// Checks link, timing and the device's status flags, for every kind of motion.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Watch {
     last_valid_ns: Option<u64>,
@@ -44,19 +44,19 @@ pub struct Watch {
     ignores_clock: bool,
 }
 
-/// Compares the times of the samples with the computer's.
+/// Compares the device's clock with the computer's.
 #[derive(Clone, Copy, Debug, Default)]
 struct ClockWatch {
-    /// When the last sample was asked for, and its time by the device's clock.
+    /// Request time and device time of the last sample.
     last: Option<(u64, u64)>,
     odd_in_a_row: u32,
-    /// The same of the sample from which on the two are compared over a longer time.
+    /// Request time and device time of the sample with which the longer comparison began.
     long_since: Option<(u64, u64)>,
 }
 
 impl ClockWatch {
-    /// Whether the device's clock is wrong: it stands still, as where one sample is repeated, goes
-    /// back, or goes at another pace.
+    /// Whether the device's clock is wrong: it stands still (a repeated sample), goes back, or runs
+    /// at another rate.
     fn is_wrong(&mut self, asked_ns: u64, device_us: u64) -> bool {
         let Some((last_ns, last_us)) = self.last.replace((asked_ns, device_us)) else {
             return false;
@@ -71,7 +71,7 @@ impl ClockWatch {
             || self.is_wrong_for_long(asked_ns, device_us)
     }
 
-    /// Whether it goes at a pace that single periods do not show.
+    /// Whether the rate is wrong by less than single periods show.
     fn is_wrong_for_long(&mut self, asked_ns: u64, device_us: u64) -> bool {
         let (since_ns, since_us) = *self.long_since.get_or_insert((asked_ns, device_us));
         let host_us = asked_ns.saturating_sub(since_ns) / 1000;
@@ -85,13 +85,14 @@ impl ClockWatch {
 }
 
 impl Watch {
-    /// By the first rules, which recordings of protocol 1 ran by: the device's clock is not compared.
+    /// Watches by the first rules, those of recordings of protocol 1: the device's clock is not
+    /// compared.
     #[must_use]
     pub fn of_the_first_rules() -> Self {
         Self { ignores_clock: true, ..Self::default() }
     }
 
-    /// Looks at one tick's input.
+    /// Checks one tick's input.
     pub fn check(&mut self, input: &TickInput) -> Option<Alarm> {
         if input.link_gone {
             return Some(Alarm::Zero(Fault::LinkGone));
@@ -150,7 +151,7 @@ mod tests {
         }
     }
 
-    /// Ticks until the clock of a device is found wrong, whose samples bear these times.
+    /// The tick at which a device with these sample times is found to have a wrong clock, if any.
     fn ticks_until_wrong(device_time_us: impl Fn(u64) -> u64) -> Option<u64> {
         let mut watch = Watch::default();
         (0..200).find(|&tick| {
@@ -166,16 +167,16 @@ mod tests {
     #[test]
     fn a_sample_that_repeats_and_a_clock_that_goes_wrong_are_a_fault() {
         assert_eq!(ticks_until_wrong(|tick| 10_000 * tick.min(50)), Some(51));
-        // Back to an older sample, as a 32-bit clock made 64 bits wide shows it.
+        // Back to an older sample, as a 32-bit clock extended to 64 bits shows it.
         let back =
             |tick| if tick < 20 { 10_000 * tick } else { 10_000 * tick + (1 << 32) - 50_000 };
         assert_eq!(ticks_until_wrong(back), Some(20));
         assert_eq!(ticks_until_wrong(|tick| 4_900 * tick), Some(3));
         assert_eq!(ticks_until_wrong(|tick| 20_100 * tick), Some(3));
-        // A pace that each single period may have, but not fifty of them.
+        // A rate that each single period may have, but not fifty of them.
         assert_eq!(ticks_until_wrong(|tick| 19_000 * tick), Some(51));
         assert_eq!(ticks_until_wrong(|tick| 8_900 * tick), Some(51));
-        // A crystal's error, answers that are late in turns, and a wrap of whatever width are none.
+        // A crystal's error, answers that are late in turn, and a single late answer are no error.
         assert_eq!(ticks_until_wrong(|tick| 10_050 * tick), None);
         assert_eq!(ticks_until_wrong(|tick| 10_000 * tick + 5_900 * (tick % 2)), None);
         assert_eq!(ticks_until_wrong(|tick| 10_000 * tick + 9_900 * u64::from(tick > 70)), None);

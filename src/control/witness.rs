@@ -1,138 +1,147 @@
-//! Arm and pendulum as witnesses of each other: the pendulum feels how the arm accelerates.
+//! Cross-check of the two encoders: an acceleration of the arm shows in the motion of the pendulum.
 
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, DomainParameters, Measurement, RAD_PER_COUNT};
 
-/// Control periods of each half of the long window.
+/// Length of each half of the long window, control periods.
 const LONG: usize = 10;
 
-/// Control periods of each half of the short window, which finds strong pushes sooner.
+/// Length of each half of the short window, control periods; it detects strong pushes sooner.
 const SHORT: usize = 3;
 
-/// Samples that are kept.
+/// Number of samples kept.
 const KEPT: usize = DRIFT + 1;
 
-/// A change of velocity from one half of the long window to the other that only one of the two shows,
-/// rad/s, is none of quantisation (0.1) or of a degree of play between motor and arm (0.35).
+/// Threshold for the long window, rad/s: a change of velocity that only one encoder shows.
+/// Quantisation explains 0.1 and one degree of play between motor and arm 0.35.
 const LONG_RAD_S: f64 = 0.5;
 
-/// The same in the short window, rad/s: quantisation makes 0.4 of it, a degree of play 1.2.
+/// Threshold for the short window, rad/s: quantisation explains 0.4, one degree of play 1.2.
 const SHORT_RAD_S: f64 = 1.8;
 
-/// What lengths and gravity that are 30 % off make of what is compared, as a share of it: the domain in
+/// Relative uncertainty of the comparison when lengths or gravity are up to 30 % off: the domain in
 /// which a rollout is safe.
 pub const WIDE_DOMAIN_SHARE: f64 = 0.65;
 
-/// The same where all of them are off at once and a policy moves the arm as fast as it likes. A false alarm
-/// leaves the arm without a brake then: with 0.65 a search for policies that throw the arm against its
-/// stop often finds one, with 0.9 in 3 of 60 attempts, with 1.2 in none. But with 1.2 an arm whose encoder
-/// freezes under the brake touches its stop at 2.1 rad/s.
+/// Relative uncertainty while a policy moves the arm and all lengths may be off at once. Wider
+/// means fewer false alarms, which leave the arm without a brake: with 0.65 a search for policies
+/// that throw the arm against its stop often succeeds, with 0.9 in 3 of 60 attempts, with 1.2 in
+/// none. Narrower means faster detection: with 1.2 an arm whose encoder freezes under the brake
+/// touches its stop at 2.1 rad/s.
 pub const WHOLE_DOMAIN_SHARE: f64 = 0.9;
 
-/// The same for 10 %: while the arm is led slowly, a false alarm costs nothing.
+/// Relative uncertainty for lengths within 10 %, while homing moves the arm slowly and a false
+/// alarm costs nothing.
 pub const RIG_SHARE: f64 = 0.2;
 
-/// A count that has stayed within one for so many periods stands.
+/// Ticks within one count after which a count counts as constant.
 const STANDS_TICKS: u32 = 4;
 
-/// In so many ticks in a row the two must contradict each other.
+/// Consecutive ticks for which the encoders must contradict each other.
 const STREAK: u32 = 2;
 
-/// While the arm's count stands, the pendulum may feel the arm take up this velocity, rad/s.
+/// Largest velocity that the pendulum may report for an arm whose count is constant, rad/s.
 const DRIFT_RAD_S: f64 = 0.45;
 
-/// Control periods over which the pendulum feels such an arm, or half as many: the weight that a zero is
-/// off by adds up.
+/// Longest window of the drift test, control periods; half of it is tested too. The weight from an
+/// error of the pendulum's zero accumulates over it.
 const DRIFT: usize = 80;
 
-/// Samples farther apart than this leave a hole, us: what came before is forgotten.
+/// Interval between samples that counts as a hole, us: what came before it is dropped.
 const HOLE_US: u64 = 15_000;
 
-/// Once the squares of the changes of velocity that the arm has shown sum up to this, it is known
-/// whether the pendulum lags or leads, (rad/s)^2.
+/// Sum of squared changes of the arm's velocity from which on the sign between arm and pendulum is
+/// known, (rad/s)^2.
 const ENOUGH: f64 = 2.0;
 
-/// A change of the arm's velocity below this may be rounding: a long and slow way makes much of it, rad/s.
+/// Changes of the arm's velocity below this may be rounding, which a long and slow motion
+/// accumulates, rad/s.
 const ROUNDING_RAD_S: f64 = 0.15;
 
-/// A pendulum that leads by less than this share of what it should lag by leads nothing: its encoder
-/// may stand.
+/// Least correlation, as a fraction of the expected one, that proves a wrong sign: below it the
+/// pendulum's encoder may be frozen.
 const LEADS: f64 = 0.4;
 
-/// A change of velocity of which more than this share is unknown does not tell how far the arm goes.
+/// Changes of velocity with a larger uncertain fraction than this are left out of the comparison of
+/// scales.
 const UNKNOWN_SHARE: f64 = 0.35;
 
-/// Once the squares of those that do sum up to this for arm and pendulum, it is known whether the arm's
-/// encoder counts as it should, (rad/s)^2.
+/// Sum of squared changes of velocity, of arm and pendulum each, from which on the arm encoder's
+/// scale is known, (rad/s)^2.
 const ENOUGH_FOR_SCALE: f64 = 1.0;
 
-/// So alike, as a square, the changes of both must be otherwise.
+/// Least squared correlation between the two for a verdict about the scale.
 const ALIKE: f64 = 0.85;
 
-/// Lengths that are 10 % off make 1.2 of it, and an encoder of half or twice as many lines 2.
+/// Ratio of scales that proves a wrong arm encoder: lengths that are 10 % off give 1.2, an encoder
+/// with half or twice the lines 2.
 const WRONG_SCALE: f64 = 1.5;
 
-/// Two counts: as well as homing knows where the pendulum hangs.
+/// Error of the pendulum's zero after homing, rad: two counts.
 pub const ZERO_WITHIN_RAD: f64 = 2.0 * RAD_PER_COUNT;
 
-/// A pendulum that goes so many counts in a period and then stands has not come to rest by itself.
+/// Last step of a pendulum's count, in counts a period, above which a pendulum that then stays
+/// still has not come to rest by itself.
 const SWINGING_COUNTS: i32 = 3;
 
-/// What of the pendulum's equation depends on the Qube: lengths and gravity, no mass.
+/// Coefficients of the pendulum's equation: they depend on lengths and gravity, on no mass.
 const LENGTHS: f64 =
     DomainParameters::NOMINAL.pendulum_length_m / DomainParameters::NOMINAL.rotary_length_m;
 const SWING: f64 = 2.0 / 3.0 * LENGTHS;
 const WEIGHT: f64 =
     DomainParameters::NOMINAL.gravity_m_s2 / DomainParameters::NOMINAL.rotary_length_m;
 
-/// How two encoders contradict each other.
+/// A contradiction between the two encoders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Contradiction {
-    /// The arm's count stands, and the pendulum feels that the arm moves.
+    /// The arm's count is constant, but the pendulum's motion shows that the arm moves.
     ArmStands,
-    /// The pendulum's count stands where no pendulum would.
+    /// The pendulum's count is constant where a real pendulum would move.
     PendulumStands,
 }
 
-/// Compares the arm's changes of velocity with what the pendulum feels of them.
+/// Compares changes of the arm's velocity as its encoder counts them with those that the pendulum's
+/// motion implies.
 ///
-/// The pendulum's own equation of motion, divided by 1/2 M_p L_p L_r, knows neither motor nor friction
-/// of the arm, nor any mass:
+/// Divided by 1/2 M_p L_p L_r, the pendulum's equation of motion contains neither motor nor
+/// friction of the arm, nor any mass:
 ///
 /// ```text
 /// cos a th'' + (2 L_p / 3 L_r) a'' - (L_p / 2 L_r) cos a sin a th'^2 + (g / L_r) sin a = 0
 /// ```
 ///
-/// Its two sides, integrated over both halves of a window, give the same change of velocity as long as
-/// both encoders are right: the one from the arm's counts, the other from the pendulum's. An arm
-/// that is held, that meets its stop, or that the pendulum carries along keeps to it too.
+/// Integrated over both halves of a window, the first term gives the change of velocity that the
+/// arm's encoder counts, the others the change that the pendulum's encoder implies. While both
+/// encoders are right the two are equal, also for an arm that is held, that meets its stop, or that
+/// the pendulum carries along.
 #[derive(Clone, Copy, Debug)]
 pub struct Witness {
     ring: [Entry; KEPT],
     filled: usize,
     newest: usize,
     previous: Option<Previous>,
-    /// How far off hanging the zero of the pendulum may be, rad: a weight that pulls all the time.
+    /// Largest error of the pendulum's zero, rad; it acts like a constant weight.
     zero_within_rad: f64,
     unknown_share: f64,
-    /// How far the pendulum's count went when it last moved.
+    /// Size of the pendulum's last step, counts.
     last_step_counts: i32,
-    /// Integral of the pendulum's weight and of its centrifugal terms, rad/s.
+    /// Integral of weight and centrifugal terms, rad/s.
     pull_rad_s: f64,
     arm_stands_ticks: u32,
     pendulum_stands_ticks: u32,
     streak: u32,
-    /// Products of the arm's changes of velocity with those that the pendulum felt, and squares.
+    /// Sums of products of the arm's counted and implied changes of velocity, and of squares of the
+    /// counted ones.
     together: f64,
     squares: f64,
-    /// The same of those alone that are no rounding, while the pendulum's count moved too.
+    /// The same sums over changes above rounding, taken while the pendulum's count moves.
     sure_together: f64,
     sure_squares: f64,
     scale: Scale,
 }
 
-/// How far the arm counts as moving, compared with how far the pendulum feels it move: sums over all
-/// changes of velocity of which lengths and gravity leave little unknown.
+/// Comparison of the arm encoder's scale with the motion that the pendulum implies: sums over all
+/// changes of velocity with a small uncertain fraction.
 #[derive(Clone, Copy, Debug, Default)]
 struct Scale {
     together: f64,
@@ -170,9 +179,9 @@ struct Entry {
     arm_rad: f64,
     /// The pendulum's own angle, scaled.
     swing_rad: f64,
-    /// Twice integrated pull on the pendulum.
+    /// Double integral of the pull on the pendulum.
     pull_rad: f64,
-    /// Integral of its size.
+    /// Integral of the absolute pull.
     strain_rad_s: f64,
     /// Integral of the pull.
     pulled_rad_s: f64,
@@ -183,12 +192,12 @@ struct Previous {
     sample: Measurement,
     theta: f64,
     alpha: f64,
-    /// Counts about which arm and pendulum stand.
+    /// Counts about which arm and pendulum have been constant.
     theta_counts: i32,
     alpha_counts: i32,
 }
 
-/// What the window shows.
+/// Changes of velocity between the two halves of a window.
 #[derive(Clone, Copy, Debug, Default)]
 struct Change {
     arm_rad_s: f64,
@@ -220,62 +229,65 @@ impl Default for Witness {
 }
 
 impl Witness {
-    /// A witness whose pendulum hangs within so much of its zero, rad, and of whose lengths so much is
-    /// unknown.
+    /// A cross-check for a pendulum whose zero is known within `zero_within_rad`, and for lengths
+    /// known up to the fraction `unknown_share`.
     #[must_use]
     pub fn with_zero_within(zero_within_rad: f64, unknown_share: f64) -> Self {
         Self { zero_within_rad, unknown_share, ..Self::default() }
     }
 
-    /// From now on so much of the lengths is unknown, as a share.
+    /// Sets the uncertain fraction.
     pub fn allow(&mut self, unknown_share: f64) {
         self.unknown_share = unknown_share;
     }
 
-    /// Forgets what it knows of who leads.
+    /// Forgets the correlation of signs.
     pub fn forget_signs(&mut self) {
         (self.together, self.squares) = (0.0, 0.0);
     }
 
-    /// Whether the pendulum leads the arm where it should lag behind it; none until enough is known.
+    /// Whether the pendulum leads the arm where it should lag behind it, which means a wrong sign;
+    /// `None` until enough has moved.
     #[must_use]
     pub fn pendulum_leads(&self) -> Option<bool> {
         let leads = self.sure_together < -LEADS * self.sure_squares;
         (self.sure_squares > ENOUGH).then_some(leads)
     }
 
-    /// Whether enough is known to tell how far the arm goes for each of its encoder's counts.
+    /// Whether enough has moved to compare the arm encoder's scale.
     #[must_use]
     pub fn scale_is_known(&self) -> bool {
         self.scale.is_known()
     }
 
-    /// Whether the arm's encoder counts about half or twice as much as the pendulum feels.
+    /// Whether the arm's encoder counts about half or twice the motion that the pendulum implies.
     #[must_use]
     pub fn scale_is_wrong(&self) -> bool {
         self.scale.is_wrong()
     }
 
-    /// Whether the pendulum rather leads the arm than lags behind it.
+    /// Whether the evidence so far favours a pendulum that leads the arm.
     #[must_use]
     pub fn pendulum_rather_leads(&self) -> bool {
         self.together < 0.0
     }
 
-    /// Whether the pendulum seems to lead the arm, as far as is known.
+    /// Whether the evidence so far shows a pendulum that leads the arm, by the same threshold as
+    /// [`Self::pendulum_leads`] but without its amount of evidence.
     #[must_use]
     pub fn pendulum_seems_to_lead(&self) -> bool {
         self.together < -LEADS * self.squares
     }
 
-    /// The largest change of velocity of the arm that the pendulum has just felt, rad/s.
+    /// Largest change of the arm's velocity that the pendulum has implied within the current
+    /// windows, rad/s.
     #[must_use]
     pub fn felt_rad_s(&self) -> f64 {
         let felt = |half| self.change(half).map_or(0.0, |change| change.felt_rad_s.abs());
         felt(SHORT).max(felt(LONG))
     }
 
-    /// Takes the next sample and its angles, rad, the pendulum's from hanging.
+    /// Takes the next sample with its angles, rad; alpha is 0 at hanging.
     pub fn update(
         &mut self,
         sample: &Measurement,
@@ -332,7 +344,7 @@ impl Witness {
         let zero_rad_s = WEIGHT * self.zero_within_rad * LONG as f64 * CONTROL_PERIOD_S;
         let contradicts = |change: &Option<Change>, least_rad_s: f64| {
             change.is_some_and(|change| {
-                // Which way is another question: that of the signs.
+                // Sizes only: a wrong sign has a test of its own.
                 let differ_rad_s = (change.arm_rad_s.abs() - change.felt_rad_s.abs()).abs();
                 differ_rad_s > least_rad_s + change.unknown_rad_s + zero_rad_s
             })
@@ -342,8 +354,9 @@ impl Witness {
         let arm_stands = self.arm_stands_ticks >= STANDS_TICKS;
         let stands = arm_stands || pendulum_stands;
         self.streak = if contradict && stands { self.streak + 1 } else { 0 };
-        // Where both stand, a pendulum that stopped in full swing is the one; else the one that has
-        // stood longer is the cause of the other's rest.
+        // If both counts are constant, a pendulum that stopped in full swing is the frozen one;
+        // otherwise the count that has been constant for longer, because it explains the other's
+        // rest.
         let is_the_arm = !pendulum_stands
             || self.arm_stands_ticks > self.pendulum_stands_ticks
                 && self.last_step_counts < SWINGING_COUNTS;
@@ -354,7 +367,8 @@ impl Witness {
         })
     }
 
-    /// Whether the pendulum has felt the arm take up a velocity while the arm's count stood.
+    /// Whether the pendulum implies that the arm has gained velocity while the arm's count was
+    /// constant.
     fn drifts(&self) -> bool {
         let stood = (self.arm_stands_ticks as usize).min(self.filled.saturating_sub(1)).min(DRIFT);
         self.drifts_over(stood.min(DRIFT / 2)) || self.drifts_over(stood)
@@ -365,7 +379,7 @@ impl Witness {
             return false;
         }
         let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
-        // A velocity over some periods, and the pull up to their middle.
+        // Velocity over `SHORT` periods, and the pull up to their middle.
         let velocity_and_pull = |back: usize| {
             let (end, start) = (at(back), at(back + SHORT));
             let elapsed_s = end.time_s - start.time_s;
@@ -385,7 +399,7 @@ impl Witness {
         let (sin, cos) = Scalar::sin_cos(0.5 * (alpha + previous.alpha));
         let theta_dot = (theta - previous.theta) / elapsed_s;
         let alpha_dot = (alpha - previous.alpha) / elapsed_s;
-        // cos a th'' is the derivative of cos a th', and sin a a' th' beside it.
+        // cos a th'' is the derivative of cos a th' plus sin a a' th'.
         let turning = sin * theta_dot * (alpha_dot - 0.5 * LENGTHS * cos * theta_dot);
         let pull = WEIGHT.mul_add(sin, turning);
         let last = self.ring[self.newest];
@@ -403,7 +417,7 @@ impl Witness {
         };
     }
 
-    /// How the velocities changed from one half of the last `2 half` periods to the other.
+    /// Changes of velocity between the two halves of the last `2 half` periods.
     fn change(&self, half: usize) -> Option<Change> {
         if self.filled <= 2 * half {
             return None;
@@ -424,7 +438,7 @@ impl Witness {
     }
 }
 
-/// The count about which an encoder stands, and for how many ticks it has.
+/// The count about which an encoder is constant; `ticks` counts for how long it has been.
 fn about(now: i32, stood: i32, ticks: &mut u32) -> i32 {
     if now.wrapping_sub(stood).wrapping_abs() <= 1 {
         *ticks = ticks.saturating_add(1);

@@ -1,73 +1,75 @@
-//! A push that asks an arm whose count stands whether it can move.
+//! A growing push that tests whether an arm with a constant count can move.
 //!
-//! While a pendulum is balanced quietly, nothing that the other sensors show tells a frozen count from an
-//! arm that stands: what the arm drifts is less than what is unknown of the Qube. So the motor asks.
+//! While a pendulum is balanced quietly, no other sensor can tell a frozen encoder from an arm at
+//! rest: the arm's drift is smaller than the uncertainty about the Qube. Only a push can.
 
 use crate::elementary::Scalar;
 use crate::qube::{Measurement, RAD_PER_COUNT};
 
-/// An arm whose count stays within one for so long under voltage is asked, us.
+/// Time within one count, under voltage, after which the arm is tested, us.
 const STANDS_US: u64 = 55_000;
 
-/// Below this the motor is not driven, and who stands has no need to move, mV.
+/// Voltage below which the motor counts as not driven, so that an arm at rest is normal, mV.
 const DRIVEN_MV: i16 = 20;
 
-/// How much the push grows in each tick, V.
+/// Growth of the push in each tick, V.
 const GROWS_V: f64 = 0.4;
 
-/// The largest push, V.
+/// Largest push, V.
 const LARGEST_V: f64 = 5.0;
 
-/// What friction, dead zone and cable may swallow, V: four times the friction of the profile `lab` at one
-/// and a half times its dead zone.
+/// Voltage that friction, dead zone and cable may take up, V: four times the friction of the
+/// profile `lab` and 1.5 times its dead zone.
 const SWALLOWED_V: f64 = 0.9;
 
-/// What the weight of a pendulum holds of an arm, V: so much times sin(alpha) cos(alpha), M_p L_r g / 2 over
-/// the motor's torque for a volt.
+/// Voltage with which the pendulum's weight may hold the arm, V, as a factor on sin(alpha)
+/// cos(alpha): M_p L_r g / 2 over the motor's torque per volt.
 const WEIGHT_HOLDS_V: f64 = 3.0;
 
-/// What the swing of a pendulum holds of an arm, V s^2: so much times sin(alpha) alpha_dot^2,
-/// M_p L_r L_p / 2 over the motor's torque for a volt.
+/// Voltage with which the pendulum's swing may hold the arm, V s^2, as a factor on sin(alpha)
+/// alpha_dot^2: M_p L_r L_p / 2 over the motor's torque per volt.
 const SWING_HOLDS_V_S2: f64 = 0.026;
 
-/// Control periods from a command to the motor of the slowest of Qubes: 20 ms.
+/// Longest delay from a command to the motor, control periods: 20 ms.
 const SLOWEST_TICKS: usize = 2;
 
-/// What a volt does at least to an arm whose pendulum is level, rad/s^2: half of what it does to a nominal one.
+/// Least acceleration per volt of an arm whose pendulum is level, rad/s^2/V: half of the nominal
+/// value.
 const LEAST_RAD_S2_V: f64 = 11.0;
 
-/// What of the arm's inertia a pendulum that hangs or stands takes away by giving way.
+/// Fraction of the arm's inertia that a vertical pendulum removes by giving way.
 const GIVES_WAY: f64 = 0.56;
 
-/// An arm that must have gone so far has not moved if its count stands, rad.
+/// Travel of the slowest possible arm at which a constant count proves a fault, rad.
 const MUST_HAVE_GONE_RAD: f64 = 4.0 * RAD_PER_COUNT;
 
-/// Watches whether the arm's count stands, and pushes more and more until it moves.
+/// Watches for a constant count of the arm, and pushes harder and harder until the arm moves.
 ///
-/// While it asks the policy is not heard: a policy that balances would answer the pendulum's tilt and take
-/// the push back. A healthy arm answers within two counts, and the policy goes on.
+/// During a push the policy is not asked: a balancing policy would respond to the pendulum's tilt
+/// and cancel the push. A healthy arm moves within two counts, and the policy continues.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AskingPush {
     counts: i32,
-    /// Since when the count has stood while the motor was driven.
+    /// Time since which the count has been constant under voltage.
     since_us: Option<u64>,
     previous_us: u64,
     previous_alpha: f64,
-    /// What was sent meanwhile, V: its sum and number. Their mean is what holds the arm where it stands.
+    /// Sum and number of the voltages sent meanwhile, V. Their mean is the voltage that holds the
+    /// arm in place.
     sent_v: f64,
     sent_ticks: u32,
     push_v: f64,
-    /// What of the push is still on its way to the slowest of motors, V.
+    /// Part of the push that has not yet reached the slowest possible motor, V.
     under_way_v: [f64; SLOWEST_TICKS],
-    /// How fast and how far the slowest of arms must have gone by now.
+    /// Velocity and travel that the slowest possible arm must have gained by now.
     least_rad_s: f64,
     least_rad: f64,
 }
 
 impl AskingPush {
-    /// Takes a sample, the voltage that was sent before it and the pendulum's angle from hanging, rad, both in
-    /// the convention's signs. Whether the arm has been pushed so that any arm would have moved, and its
-    /// count has not.
+    /// Takes a sample, the voltage sent before it and the pendulum's angle from hanging, rad, both
+    /// in the convention's signs. Returns whether a push that moves any arm has left the count
+    /// constant.
     pub fn is_unanswered(&mut self, sample: &Measurement, sent_mv: i16, alpha: f64) -> bool {
         let now_us = sample.device_time_us;
         let elapsed_s = now_us.saturating_sub(self.previous_us) as f64 * 1e-6;
@@ -108,8 +110,8 @@ impl AskingPush {
         self.least_rad > MUST_HAVE_GONE_RAD
     }
 
-    /// What the motor gets in this tick, V: what is wanted, or a push. It goes away from the nearer stop, or
-    /// to where the voltage still can grow.
+    /// The motor voltage of this tick, V: `wanted_v` or a push. The push is directed away from the
+    /// nearer stop, or to the side on which the voltage can still grow.
     pub fn voltage_v(&mut self, wanted_v: f64, theta: f64) -> f64 {
         let stands = self
             .since_us
@@ -149,7 +151,7 @@ mod tests {
         }
     }
 
-    /// The tick at which an arm under a hanging pendulum has not answered, if it does not.
+    /// The tick at which an arm under a hanging pendulum counts as not responding, if any.
     fn unanswered(nonidealities: Nonidealities, frozen: bool) -> Option<u64> {
         let dynamics = NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL });
         let (mut asking, mut state, mut sent_mv) = (AskingPush::default(), State::default(), 0);
