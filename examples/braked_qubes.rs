@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 
 use qube_hil::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use qube_hil::qube::{
-    CONTROL_PERIOD_S, DomainParameter as P, GapDynamics, GapTerm, HARD_STOP_RAD, Quantity,
+    CONTROL_PERIOD_S, DomainParameter as P, Nonideality, HARD_STOP_RAD, NonidealDynamics, Quantity,
     QubeModel, State, quantised, runge_kutta_4,
 };
 use qube_hil::safety::{Belief, Brake, ForesightSettings};
@@ -55,7 +55,7 @@ impl Case {
                 Quantity::Parameter(
                     P::MotorResistance | P::RotaryMass | P::PendulumMass | P::RotaryLength,
                 )
-                | Quantity::Gap(GapTerm::CoulombTorque)
+                | Quantity::Nonideality(Nonideality::CoulombTorque)
                     if is_strong =>
                 {
                     0.3 * part
@@ -78,9 +78,10 @@ impl Case {
 
     /// What comes of the brake within so many periods.
     fn braked(&self, mut brake: Brake, periods: usize) -> Braked {
-        let dynamics = GapDynamics::new(&self.model);
+        let dynamics = NonidealDynamics::new(&self.model);
         let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
-        let late_ms = self.computing_ms + (1e3 * self.model.gap.command_delay_s).round() as usize;
+        let late_ms =
+            self.computing_ms + (1e3 * self.model.nonidealities.command_delay_s).round() as usize;
         let mut under_way: VecDeque<f64> = std::iter::repeat_n(0.0, late_ms).collect();
         let mut state = self.start;
         let mut seen = State { theta: state.theta + self.zero_rad, ..state };

@@ -9,7 +9,6 @@ use crate::qube::RAD_PER_COUNT;
 /// is that of an encoder, uniform over one count: `sigma_r` = (2 pi / 2048) / sqrt(12). The Riccati
 /// equation then has a closed solution in the tracking index `Lambda = sigma_a T^2 / sigma_r` (P. R.
 /// Kalata, IEEE Trans. AES 20 (1984) 174):
-/// 20 (1984) 174):
 ///
 /// ```text
 /// r = (4 + Lambda - sqrt(8 Lambda + Lambda^2)) / 4

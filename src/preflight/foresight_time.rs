@@ -5,22 +5,23 @@ use thiserror::Error;
 use crate::qube::{MAX_HISTORY, State};
 use crate::safety::ForesightSettings;
 
-/// How often the prediction is timed. The shortest time counts: a busy computer is not a slow processor.
+/// Number of timings. The shortest one counts, because a busy computer is not a slow processor.
 const TRIES: usize = 25;
 
-/// Above this much of a control period's 10 ms the processor is slow, us.
+/// Longest prediction of a fast processor, us, of a control period's 10 ms.
 pub const SLOW_US: f64 = 500.0;
 
-/// Above this the processor is too slow for hardware, us: four tenths of a control period, in which the
-/// sample and the command have to pass the link too.
+/// Longest prediction that is accepted for hardware, us: four tenths of a control period, in which
+/// the sample and the command must also pass the link.
 pub const TOO_SLOW_US: f64 = 4000.0;
 
-/// Measures how long this processor needs for the longest prediction that a tick may ask for, us: one in
-/// which every particle has to be followed to the horizon.
+/// Measures how long this processor needs for the longest prediction that a tick may ask for, us:
+/// one in which every particle is simulated to the horizon.
 #[must_use]
 pub fn foresight_time_us() -> f64 {
     let mut foresight = ForesightSettings::default().foresight(None);
-    // Of 33 696 states on a grid the one with the longest prediction: the pendulum is about to go over the top.
+    // The state with the longest prediction of 33 696 states on a grid: the pendulum is about to go
+    // over the top.
     let swinging = State { theta: -0.5, alpha: 4.0, theta_dot: 0.0, alpha_dot: -8.0 };
     let times_us = (0..TRIES).map(|_| {
         let begin = Instant::now();
@@ -30,21 +31,21 @@ pub fn foresight_time_us() -> f64 {
     times_us.fold(f64::INFINITY, f64::min)
 }
 
-/// A processor on which the guard would make ticks late.
+/// Error: the processor is so slow that the guard would make ticks late.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error(
     "the guard's longest prediction takes {longest_us:.0} us on this processor, and {TOO_SLOW_US:.0} us is the most \
      for a real Qube: use a processor with AVX2 or AVX-512, and see qube-hil doctor"
 )]
 pub struct TooSlow {
-    /// What [`foresight_time_us`] measured, us.
+    /// Result of [`foresight_time_us`], us.
     pub longest_us: f64,
 }
 
-/// Refuses a processor on which the longest prediction takes so long, us, for hardware under foresight.
+/// Refuses hardware under foresight on a processor with this longest prediction, us.
 ///
 /// # Errors
-/// It takes more than [`TOO_SLOW_US`].
+/// The prediction takes more than [`TOO_SLOW_US`].
 pub fn admit_processor(longest_us: f64) -> Result<(), TooSlow> {
     if longest_us <= TOO_SLOW_US { Ok(()) } else { Err(TooSlow { longest_us }) }
 }

@@ -1,18 +1,19 @@
-//! The FTDI driver holds received bytes back until a timer runs out: 16 ms by default.
+//! The latency timer of the FTDI driver, which holds received bytes back until it runs out: 16 ms
+//! by default.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Where Linux shows the settings of terminals.
+/// Folder in which Linux shows the settings of terminals.
 const TERMINALS: &str = "/sys/class/tty";
 
-/// The latency timer behind a port, ms; none where the port has no such timer.
+/// The latency timer of a port, ms; `None` if the port has none.
 #[must_use]
 pub fn latency_timer_ms(port: &str) -> Option<u32> {
     fs::read_to_string(setting(Path::new(TERMINALS), port)?).ok()?.trim().parse().ok()
 }
 
-/// What to type to set it to 1 ms.
+/// The command that sets the timer to 1 ms.
 #[must_use]
 pub fn latency_timer_cure(port: &str) -> String {
     match setting(Path::new(TERMINALS), port) {
@@ -24,7 +25,8 @@ pub fn latency_timer_cure(port: &str) -> String {
     }
 }
 
-/// The file of the setting, by the name that the kernel gave the port: users may use a link to it.
+/// The file of the setting. A link to the port is resolved, because the file is named after the
+/// kernel's name of the port.
 fn setting(terminals: &Path, port: &str) -> Option<PathBuf> {
     let port = fs::canonicalize(port).ok()?;
     let path = terminals.join(port.file_name()?).join("device/latency_timer");

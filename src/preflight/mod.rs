@@ -1,11 +1,11 @@
-//! Is what hangs at the other end of the wire fit to be driven?
+//! Tests of a device, of a Qube and of the computer before the Qube is driven.
 //!
 //! May import `clock`, `device`, `control`, `estimation`, `safety`, `telemetry`, `qube` and the crate
 //! `firmware_protocol`.
 //!
-//! Three questions: [`conformance`] asks whether a device keeps the protocol, [`examine`] whether
-//! this Qube is wired as its settings say and fast enough, before each session, and [`doctor`]
-//! whether this computer can keep time.
+//! [`conformance`] tests whether a device keeps the protocol. [`examine`] tests before each session
+//! whether this Qube is wired as its settings say and answers fast enough. [`doctor`] tests whether
+//! this computer keeps time.
 
 pub mod conformance;
 pub mod doctor;

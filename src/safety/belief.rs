@@ -9,80 +9,80 @@ use crate::qube::{
     Profile, Quantity, QubeModel, RAD_PER_COUNT, State,
 };
 
-/// How much faster arm and pendulum may be than they are estimated, rad/s: one count in a period.
+/// Error of the estimated velocities, rad/s: one count in a period.
 const VELOCITY_RAD_S: f64 = RAD_PER_COUNT / CONTROL_PERIOD_S;
 
-/// By how much a number of an identified Qube may be off whatever its standard error says, as a share:
-/// no model is the Qube.
+/// Least relative error of an identified number, whatever its standard error: no model is exact.
 const MODEL_ERROR: f64 = 0.1;
 
-/// The same of the delay, which changes with computer and link.
+/// Least relative error of an identified delay, which changes with computer and link.
 const DELAY_ERROR: f64 = 0.3;
 
-/// And at least so much, s.
+/// Least absolute error of an identified delay, s.
 const LEAST_DELAY_ERROR_S: f64 = 0.002;
 
-/// By so many standard errors an identified number may be off.
+/// Number of standard errors by which an identified number may be off.
 const STANDARD_ERRORS: f64 = 3.0;
 
-/// A parameter of a Qube is not farther off than this, as a share, identified or not.
+/// Largest relative error of a Qube's parameter, identified or not.
 const UNKNOWN_SHARE: f64 = 0.3;
 
-/// Of what is sent to an identified Qube at least this share arrives: a weak supply, a one-sided amplifier.
+/// Least fraction of a voltage that arrives at an identified Qube's motor, for a weak supply or a
+/// one-sided amplifier.
 const IDENTIFIED_SHARE: f64 = 0.8;
 
-/// What several numbers at once may be off, in the order of [`Quantity::all`]: of parameters their
-/// logarithms, of the nonidealities their values.
+/// Errors of all numbers at once, in the order of [`Quantity::all`]: logarithms for parameters,
+/// values for nonidealities.
 type Step = [f64; Quantity::COUNT];
 
-/// How far from where it is counted from the arm's zero may lie, rad: homing finds the stops within this.
+/// Error of the arm's zero, rad: homing finds the stops within this.
 const ZERO_RAD: f64 = 0.02;
 
-/// What is believed of the Qube at hand: it lies between two Qubes, number by number, or besides by
-/// steps of several numbers at once from there.
+/// The belief about a Qube: a box between two Qubes, and optionally steps from there in which
+/// several numbers change together.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Belief {
-    /// The least of each number.
+    /// Lower end of each number.
     pub low: QubeModel,
-    /// The most of each number.
+    /// Upper end of each number.
     pub high: QubeModel,
-    /// The least share of a voltage that arrives at the motor, on either side: a weak supply, an
-    /// amplifier that is not the same on both sides.
+    /// Least fraction of a voltage that arrives at the motor, for either sign: a weak supply, or an
+    /// amplifier that differs between the signs.
     pub least_share: f64,
-    /// What may be off together, where the errors of a fit are known to go together.
+    /// Correlated errors, if those of a fit are known.
     #[serde(default = "no_steps", skip_serializing_if = "are_none")]
     pub steps: [Step; Quantity::COUNT],
 }
 
-/// Why these are no beliefs of a Qube.
+/// The reason why a belief is invalid.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum BeliefError {
-    /// A share that is none.
+    /// A fraction is not between 0 and 1.
     #[error("least_share = {0}: give a share from 0 to 1")]
     Share(f64),
-    /// A parameter that no Qube has.
+    /// A parameter is not physical.
     #[error(transparent)]
     Parameter(#[from] ParameterError),
-    /// The least of a number is above its most, or no Qube has it.
+    /// The lower end of a number is above its upper end, or outside its range.
     #[error("{name} from {low} to {high}: no Qube lies between")]
     Interval {
-        /// Which number.
+        /// Name of the number.
         name: &'static str,
-        /// Its least value.
+        /// Its lower end.
         low: f64,
-        /// Its most.
+        /// Its upper end.
         high: f64,
     },
-    /// A delay longer than the commands that are remembered.
+    /// The delay is longer than the history of commands.
     #[error("command_delay_s = {delay_s}: give at most {longest_s}")]
     Delay {
         /// The delay, s.
         delay_s: f64,
-        /// The longest, s.
+        /// The longest accepted delay, s.
         longest_s: f64,
     },
-    /// A step that is not a number or leads to no Qube.
+    /// A step is not a finite number or leads outside the range.
     #[error("steps: give numbers from -1 to 1")]
     Step,
 }
@@ -96,8 +96,8 @@ fn are_none(steps: &[Step; Quantity::COUNT]) -> bool {
 }
 
 impl Belief {
-    /// Nothing is known but that it is a Qube: each parameter within this share of its nominal value, and
-    /// the nonidealities anything up to twice that of the Qube whose recordings are public.
+    /// The belief about an unidentified Qube: each parameter within this fraction of its nominal
+    /// value, and the nonidealities up to twice those of the Qube whose recordings are public.
     #[must_use]
     pub fn of_any_qube(within: f64) -> Self {
         let (mut low, mut high) = (QubeModel::NOMINAL, QubeModel::NOMINAL);
@@ -121,10 +121,10 @@ impl Belief {
         Self { low, high, least_share: 1.0, steps: no_steps() }
     }
 
-    /// What a profile says: each number within 10 % of it, or within three standard errors where that is
-    /// more, but no parameter farther off than an unknown Qube's; the delay within 30 % or 2 ms. Where it is
-    /// known how the errors go together, three standard errors in each direction that is independent of
-    /// the others, beside the 10 %.
+    /// The belief from a profile: each number within 10 %, or within three standard errors if that
+    /// is more, but no parameter farther off than an unidentified Qube's; the delay within 30 % or
+    /// 2 ms. If the correlations are known, the belief has three standard errors in each
+    /// independent direction, besides the 10 %.
     #[must_use]
     pub fn of_profile(profile: &Profile) -> Self {
         let model = profile.model();
@@ -156,7 +156,7 @@ impl Belief {
         Self { low, high, least_share: IDENTIFIED_SHARE, steps: independent_steps(profile) }
     }
 
-    /// Whether Qubes lie between the two, and the steps are some.
+    /// Checks that the two ends and the steps describe Qubes.
     ///
     /// # Errors
     /// The first number that is wrong.
@@ -196,7 +196,8 @@ impl Belief {
         let share = |place: &[i8; NUMBERS]| place.map(|percent| f64::from(percent) / 100.0);
         let places = PLACES.iter().map(share).enumerate();
         let both = places.flat_map(|(row, place)| {
-            // In half of them the pendulum goes faster the same way, in half the other way.
+            // In half of them the pendulum's velocity error has the sign of the arm's, in half the
+            // opposite one.
             let swing_rad_s = if row % 2 == 0 { VELOCITY_RAD_S } else { -VELOCITY_RAD_S };
             let error = State {
                 theta: ZERO_RAD,
@@ -218,7 +219,7 @@ impl Belief {
         both.collect()
     }
 
-    /// The particle at a place.
+    /// The particle at these coordinates.
     fn at(&self, place: &[f64; NUMBERS], widths: &Step) -> Particle {
         let between = |low: f64, high: f64, place: f64| 0.5 * (low + high + place * (high - low));
         let mut model = QubeModel { nonidealities: Nonidealities::default(), ..self.low };
@@ -239,16 +240,16 @@ impl Belief {
     }
 }
 
-/// The longest delay of a particle, s.
+/// Longest delay of a particle, s.
 const LONGEST_DELAY_S: f64 = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
 
-/// The nearest value of a term that a particle may have.
+/// The nearest value of a nonideality that a particle may have.
 fn possible(term: Nonideality, value: f64) -> f64 {
     let (least, most) = term.range().into_inner();
     value.clamp(least, if term == Nonideality::CommandDelay { LONGEST_DELAY_S } else { most })
 }
 
-/// How far each number of a Qube that is not known may be from the middle: of parameters the logarithm.
+/// Half-width of each number's range for an unidentified Qube: of the logarithm for parameters.
 fn unknown_widths() -> Step {
     let Belief { low, high, .. } = Belief::of_any_qube(UNKNOWN_SHARE);
     let mut widths = [UNKNOWN_SHARE; Quantity::COUNT];
@@ -259,7 +260,7 @@ fn unknown_widths() -> Step {
     widths
 }
 
-/// Moves a Qube by one step, the way on which the place lies.
+/// Moves a Qube by one step, to the side on which the coordinates lie.
 fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths: &Step) {
     let parts = step.iter().zip(widths).zip(place);
     let along: f64 = parts.map(|((step, width), place)| step / width * place).sum();
@@ -276,14 +277,14 @@ fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths: &Step)
     }
 }
 
-/// Three standard errors of a profile in each direction that is independent of the others: none where it is not
-/// known how errors go together. A direction of which the recordings say nothing (all masses and forces by the
-/// same factor) changes no motion; no step of it is larger than what may be unknown of a Qube.
+/// Three standard errors of a profile in each independent direction; none without correlations. A
+/// direction of which the recordings say nothing (all masses and forces by the same factor) changes
+/// no motion, and no step is larger than the uncertainty about an unidentified Qube.
 fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
     let Some(correlations) = &profile.correlations else { return no_steps() };
     let quantities: Vec<Quantity> = Quantity::all().collect();
     let (model, widths) = (profile.model(), unknown_widths());
-    // In units of what may be unknown of a Qube.
+    // In units of that uncertainty.
     let error = |quantity: Quantity| {
         let value = match quantity {
             Quantity::Parameter(_) => model.get(quantity),
@@ -312,7 +313,7 @@ fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
     steps
 }
 
-/// The place of the same Qube seen in a mirror: positive is negative.
+/// The coordinates of the mirror image, in which positive and negative are exchanged.
 fn mirrored(place: &[f64; NUMBERS]) -> [f64; NUMBERS] {
     let mut other = *place;
     other.swap(10, 11);

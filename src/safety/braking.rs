@@ -85,7 +85,7 @@ impl Brake {
 mod tests {
     use super::*;
     use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
-    use crate::qube::{CONTROL_PERIOD_S, GapDynamics, QubeModel, quantised, runge_kutta_4};
+    use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, quantised, runge_kutta_4};
 
     /// The fastest that the arm is in the fourth second of a brake, rad/s: with the strongest motor and the lightest
     /// arm within 30 % of a nominal Qube, and voltages that arrive two periods late.
@@ -96,7 +96,7 @@ mod tests {
         model.parameters.rotary_mass_kg *= 0.7;
         model.parameters.pendulum_mass_kg *= 0.7;
         model.parameters.rotary_length_m *= 0.7;
-        let dynamics = GapDynamics::new(&model);
+        let dynamics = NonidealDynamics::new(&model);
         let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
         let mut state = State { theta: 1.0, theta_dot: 5.0, ..State::default() };
         let (mut seen, mut under_way_v, mut fastest) = (state, [0.0; 2], 0.0_f64);

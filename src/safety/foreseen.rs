@@ -1,13 +1,14 @@
 use serde::{Deserialize, Serialize};
 
-/// Why foresight ended a rollout: the Qube whose arm the brake would have stopped too late.
+/// Why foresight ended a rollout: the possible Qube whose arm the brake would have stopped too
+/// late.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Foreseen {
-    /// Whether the Qube is one of those that its profile allows, or else one of any Qube's.
+    /// Whether that Qube belongs to the profile's belief; otherwise it is one of any Qube's.
     pub identified: bool,
     /// Its number among those particles, hardest first.
     pub particle: usize,
-    /// How far beyond the end its arm was predicted to be when the prediction stopped, rad; none for an
-    /// arm that left the numbers.
+    /// Distance by which its arm was beyond the end when the prediction stopped, rad; `None` if its
+    /// state was no longer finite.
     pub beyond_rad: Option<f32>,
 }

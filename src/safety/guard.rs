@@ -1,23 +1,23 @@
 use serde::{Deserialize, Serialize};
 
-/// What ends a rollout before a limit is left, and how the arm is stopped then.
+/// The guard of a rollout: what acts before a limit is reached, and how the arm is then stopped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Guard {
-    /// Nothing beside the box, and a brake against the arm's velocity alone: the thesis's set-up.
-    /// A file which does not name its guard is older than any and means this one; its reader says so,
-    /// not [`Default`].
+    /// Only the box, and a brake that opposes the arm's velocity: the thesis's set-up. A file that
+    /// does not name a guard is older than the choice and means this one; the file's reader applies
+    /// that, not [`Default`].
     Box,
-    /// Of recordings before foresight; nothing is driven under it.
+    /// The envelope of recordings made before foresight; nothing is driven under it.
     Envelope,
-    /// A [`super::Foresight`] of the brake before each voltage leaves, and a [`super::Brake`] back to the
-    /// middle.
+    /// A [`super::Foresight`] that simulates the brake before each voltage is sent, and a
+    /// [`super::Brake`] that brings the arm back to the middle.
     #[default]
     Foresight,
 }
 
 impl Guard {
-    /// Whether there is nothing beside the box.
+    /// Whether only the box applies.
     #[must_use]
     pub fn is_box(&self) -> bool {
         *self == Self::Box

@@ -3,51 +3,51 @@ use thiserror::Error;
 use super::{Guard, SafetyBox};
 use crate::qube::MotorRating;
 
-/// The operator's word that the arm may reach its hard stop, given on the command line of the very
+/// The operator's consent that the arm may reach its hard stop, given on the command line of the
 /// process that drives.
 ///
-/// No file holds one: it can be neither read nor defaulted, and [`given`](Self::given) is the only way
-/// to it.
+/// It cannot be read from a file and has no default; [`given`](Self::given) is the only way to
+/// obtain one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GuardConsent(());
 
 impl GuardConsent {
-    /// From the two flags of a command line; none unless both are there.
+    /// Consent from the two flags of a command line; `None` unless both are given.
     #[must_use]
     pub fn given(guard: Option<Guard>, accepts_hard_stop: bool) -> Option<Self> {
         (guard == Some(Guard::Box) && accepts_hard_stop).then_some(Self(()))
     }
 }
 
-/// The widest box that a Qube which is hardware is driven in. Made of a box that is no wider than the
-/// task's, under foresight unless there is a [`GuardConsent`].
+/// The widest box in which hardware may be driven. It is made from a box that is no wider than the
+/// task's and that uses foresight unless there is a [`GuardConsent`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HardwareLimits {
     widest: SafetyBox,
     motor: MotorRating,
 }
 
-/// Why a box is none to drive a Qube in.
+/// The reason why a box is refused.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum TooWide {
-    /// No number, or more than may be.
+    /// A limit is not a number or larger than allowed.
     #[error("safety_box.{name} = {value}: give a number above 0, at most {widest}")]
     Limit {
-        /// Which.
+        /// Name of the limit.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// The largest that it may have.
+        /// Largest accepted value.
         widest: f64,
     },
-    /// The box alone, and nobody has accepted what may come of it.
+    /// The box has no guard, and nobody has consented to that.
     #[error(
         "guard = \"box\" lets a policy drive the arm of a real Qube into its hard stop: leave the \
          guard on (guard = \"foresight\"), or give --guard box and --accept-hard-stop both on this \
          command line"
     )]
     GuardOff,
-    /// The guard of recordings before foresight.
+    /// The guard is that of recordings made before foresight.
     #[error(
         "guard = \"envelope\" is known for the sake of old recordings, and nothing is driven under it any \
          more"
@@ -56,10 +56,10 @@ pub enum TooWide {
 }
 
 impl HardwareLimits {
-    /// A box with the right to it.
+    /// Limits from a box.
     ///
     /// # Errors
-    /// The box is wider than the task's, or leaves foresight out without consent.
+    /// The box is wider than the task's, or has no guard without consent.
     pub fn of(safety_box: SafetyBox, consent: Option<GuardConsent>) -> Result<Self, TooWide> {
         let guard = if consent.is_some() { Guard::Box } else { Guard::Foresight };
         let of_the_task =
@@ -68,22 +68,22 @@ impl HardwareLimits {
         Ok(Self { widest: safety_box, ..Self::default() })
     }
 
-    /// The same for a motor of another rating.
+    /// The same limits with this motor rating.
     #[must_use]
     pub fn with_motor(self, motor: MotorRating) -> Self {
         Self { motor, ..self }
     }
 
-    /// What the motor stands.
+    /// Rating of the motor.
     #[must_use]
     pub fn motor(&self) -> MotorRating {
         self.motor
     }
 
-    /// Says whether a rollout may have this box.
+    /// Checks that a rollout may use this box.
     ///
     /// # Errors
-    /// It is wider than these limits in something.
+    /// The box is wider than these limits.
     pub fn admit(&self, safety_box: &SafetyBox) -> Result<(), TooWide> {
         safety_box.check_within(&self.widest)?;
         safety_box.guard.check_driven()?;
@@ -95,27 +95,28 @@ impl HardwareLimits {
 }
 
 impl Guard {
-    /// Says whether a rollout may begin under this guard, on whatever Qube.
+    /// Checks that a rollout may begin under this guard, on any Qube.
     ///
     /// # Errors
-    /// It is known for the sake of old recordings alone.
+    /// The guard exists only to replay old recordings.
     pub fn check_driven(self) -> Result<(), TooWide> {
         if self == Self::Envelope { Err(TooWide::EnvelopeGone) } else { Ok(()) }
     }
 }
 
 impl Default for HardwareLimits {
-    /// The task's box under foresight, the nominal motor.
+    /// The task's box under foresight, and the nominal motor.
     fn default() -> Self {
         Self { widest: SafetyBox::GUARDED, motor: MotorRating::NOMINAL }
     }
 }
 
 impl SafetyBox {
-    /// Says whether each limit is a number above 0 and no wider than another box's, whatever their
-    /// guards.
+    /// Checks that each limit is a number above 0 and no wider than that of another box, whatever
+    /// the guards.
     ///
     /// # Errors
+    /// The first limit that is not.
     /// The first that is not.
     pub fn check_within(&self, widest: &Self) -> Result<(), TooWide> {
         for (name, value, widest) in [
@@ -124,7 +125,7 @@ impl SafetyBox {
             ("theta_dot", self.theta_dot, widest.theta_dot),
             ("alpha_dot", self.alpha_dot, widest.alpha_dot),
         ] {
-            // What is not a number fails both comparisons.
+            // NaN fails both comparisons.
             if !(value > 0.0 && value <= widest) {
                 return Err(TooWide::Limit { name, value, widest });
             }

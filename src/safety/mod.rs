@@ -1,8 +1,8 @@
-//! What ends a rollout and what the motor is told then: the safety box, the foresight of the brake, the
-//! motor's heat, the braking rules, the last gate.
+//! Conditions that end a rollout, and the motor voltage afterwards: safety box, foresight, motor
+//! heat, brake, and the limit on the voltage.
 //!
-//! [`Foresight`] tries the brake for many Qubes at once before it is needed, wherever nobody has chosen
-//! [`Guard::Box`].
+//! [`Foresight`] simulates the brake for many possible Qubes before each voltage is sent, unless
+//! the guard is [`Guard::Box`].
 //!
 //! Pure state machine, readable alone. May import `qube`, `elementary` and, to simulate what a brake will
 //! see, `estimation`.

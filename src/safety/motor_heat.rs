@@ -6,58 +6,58 @@ use crate::qube::{CONTROL_PERIOD_S, DomainParameters, Measurement, MotorRating};
 /// Load at which the operator is warned.
 pub const WARNING_LOAD: f64 = 0.7;
 
-/// Load at which the arm is braked. Below 1, so that 0.54 A reach it after a set time and not never;
+/// Load at which the arm is braked. It is below 1, so that 0.54 A reach it in finite time, and
 /// above (0.5 / 0.54)^2 = 0.86, the 0.5 A that the Qube's amplifier may give continuously.
 pub const LARGEST_LOAD: f64 = 0.9;
 
-/// A motor above [`WARNING_LOAD`] cools down to this before the next motion begins.
+/// Load to which a motor above [`WARNING_LOAD`] cools before the next motion begins.
 pub const COOLED_LOAD: f64 = 0.5;
 
-/// Smallest winding resistance that is believed, ohm: the smallest that was ever fitted to a Qube is
-/// 3.7. A larger current than it allows is a fault of the sensor.
+/// Smallest accepted winding resistance, ohm: the smallest known fit of a Qube is 3.7. A reading
+/// that needs less is a fault of the sensor.
 const LEAST_RESISTANCE_OHM: f64 = 3.5;
 
-/// Zero error of the current sensor that is allowed for, A.
+/// Allowed zero error of the current sensor, A.
 const CURRENT_OFFSET_A: f64 = 0.1;
 
-/// Estimate of how warm the motor's winding is, beside the temperature that it reaches at its rated
-/// continuous current: a first-order model of (current / rated current)^2, known as I^2 t.
+/// Estimate of the winding's temperature rise, relative to that at the rated continuous current: a
+/// first-order model of (current / rated current)^2, known as I^2 t.
 ///
-/// The motor and its load are at rest in the long run for any current below the rating. Each thermal
-/// model that is a mixture of first-order parts, none of them faster than this one's, stays below 1 as
-/// long as this one does, because its output is an average over what this one has been.
+/// In the long run any current below the rating gives a load below 1. Every thermal model that is a
+/// mixture of first-order parts, none faster than this one, stays below 1 as long as this one does,
+/// because its output is an average over the past of this one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorHeat {
-    /// The motor.
+    /// Rating of the motor.
     pub rating: MotorRating,
-    /// 0 is as warm as its surroundings, 1 as warm as at the rated current for ever.
+    /// Load: 0 at ambient temperature, 1 in equilibrium at the rated current.
     pub load: f64,
 }
 
 impl MotorHeat {
-    /// A motor that is as warm as its surroundings.
+    /// A motor at ambient temperature.
     #[must_use]
     pub fn cold(rating: MotorRating) -> Self {
         Self { rating, load: 0.0 }
     }
 
-    /// Whether the motor has to cool down now.
+    /// Whether the motor must cool down now.
     #[must_use]
     pub fn is_overheated(&self) -> bool {
         self.load >= LARGEST_LOAD
     }
 
-    /// Time constant of the model, s: so short that the rated current reaches [`LARGEST_LOAD`] after
-    /// the motor's time constant, and each larger one sooner.
+    /// Time constant of the model, s: so short that the rated current reaches [`LARGEST_LOAD`]
+    /// after the motor's time constant, and larger currents reach it sooner.
     #[must_use]
     pub fn time_constant_s(&self) -> f64 {
         // ln(1 / (1 - 0.9)).
         self.rating.time_constant_s / std::f64::consts::LN_10
     }
 
-    /// Lets one control period pass, and those that were skipped before it. The voltage is the one
-    /// that the motor had meanwhile, the velocity the arm's, both by the convention's signs.
+    /// Advances the model by one control period and by those skipped before it, under this voltage
+    /// and velocity of the arm, in the convention's signs.
     pub fn pass(
         &mut self,
         skipped_periods: u32,
@@ -73,14 +73,14 @@ impl MotorHeat {
         self.load = (self.load + step * heating) / (1.0 + step);
     }
 
-    /// The same motor after it was without current for so long.
+    /// The motor after this time without current.
     #[must_use]
     pub fn cooled(self, elapsed_s: f64) -> Self {
         Self { load: self.load * Scalar::exp(-elapsed_s / self.time_constant_s()), ..self }
     }
 
-    /// How long the motor must be without current before the next motion begins, s; 0 as long as it
-    /// is not above [`WARNING_LOAD`].
+    /// Time without current that the motor needs before the next motion, s; 0 at loads up to
+    /// [`WARNING_LOAD`].
     #[must_use]
     pub fn cooling_s(&self) -> f64 {
         if self.load <= WARNING_LOAD {
@@ -90,8 +90,8 @@ impl MotorHeat {
     }
 }
 
-/// The motor's current without its sign, A: as measured, or from voltage and speed, whichever is
-/// larger. A reading that no motor could give is left out.
+/// Absolute motor current, A: the larger of the reading and the value from voltage and speed. A
+/// reading that no motor could give is ignored.
 fn current_a(measurement: Option<&Measurement>, voltage_v: f64, theta_dot_rad_s: f64) -> f64 {
     let nominal = DomainParameters::NOMINAL;
     let speed_rad_s = if theta_dot_rad_s.is_finite() { theta_dot_rad_s } else { 0.0 };
@@ -111,7 +111,8 @@ mod tests {
         Measurement { current_a, ..Measurement::default() }
     }
 
-    /// Seconds until a motor that starts cold must be braked; none within ten minutes.
+    /// Seconds until a motor that starts cold must be braked; `None` if it need not within ten
+    /// minutes.
     fn trips_after_s(current_a: f32, voltage_mv: i16, theta_dot_rad_s: f64) -> Option<f64> {
         let mut heat = MotorHeat::default();
         (1..=60_000).find_map(|tick| {
@@ -120,7 +121,7 @@ mod tests {
         })
     }
 
-    /// The time by the closed formula for a constant current.
+    /// The same time by the closed formula for a constant current.
     fn computed_s(current_a: f64) -> f64 {
         let heat = MotorHeat::default();
         let heating = (current_a / heat.rating.continuous_a).powi(2);
@@ -157,7 +158,7 @@ mod tests {
         for stuck_a in [1.0, 5.8, f32::INFINITY, f32::NAN] {
             assert_eq!(trips_after_s(stuck_a, 0, 0.0), None, "{stuck_a} A");
         }
-        // A weak winding draws more than a nominal one: that is believed.
+        // A shorted winding draws more than a nominal one; such a reading is accepted.
         assert!(trips_after_s(1.2, 5000, 0.0).unwrap() < 5.0);
     }
 

@@ -1,22 +1,22 @@
 use crate::qube::{QubeModel, State};
 
-/// One Qube that the one at hand may be.
+/// A possible Qube: one sample of a belief.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Particle {
-    /// Its parameters, nonidealities and delay.
+    /// Parameters, nonidealities and delay.
     pub model: QubeModel,
-    /// The share of a positive voltage that arrives, 0 to 1: a weak supply, an amplifier that is not the
-    /// same on both sides.
+    /// Fraction of a positive voltage that arrives, 0 to 1: a weak supply, or an amplifier that
+    /// differs between the signs.
     pub positive_share: f64,
-    /// The share of a negative voltage that arrives, 0 to 1.
+    /// Fraction of a negative voltage that arrives, 0 to 1.
     pub negative_share: f64,
-    /// True state minus estimated state: quantisation, filter lag, an offset of homing. The angles'
-    /// errors stay, the velocities' pass.
+    /// True state minus estimated state, from quantisation, filter lag and the error of homing. The
+    /// errors of the angles persist, those of the velocities decay.
     pub error: State,
 }
 
 impl Particle {
-    /// This Qube, with a full supply and an estimate without errors.
+    /// A particle with a full supply and without estimation errors.
     #[must_use]
     pub fn exact(model: QubeModel) -> Self {
         let error = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };

@@ -1,17 +1,18 @@
-/// Numbers that tell a particle's place within a belief.
+/// Number of coordinates of a particle within a belief.
 pub(super) const NUMBERS: usize = 17;
 
-/// Half of the particles, in percent of the way from the middle of a belief to its most (100) or its least
-/// (-100); the other half are their mirror images. Hardest first: a heavy Qube with a weak motor.
+/// Half of the particles, as percentages of the way from the middle of a belief to its upper end
+/// (100) or its lower end (-100); the other half are their mirror images. The hardest come first: a
+/// heavy Qube with a weak motor.
 ///
-/// The numbers are the nine parameters in the order of `DomainParameter::ALL`, Coulomb friction, the dead
-/// zones of positive and negative voltages, the cable's stiffness and rest, the delay, the shares
-/// of positive and negative voltages that arrive.
+/// The coordinates are the nine parameters in the order of `DomainParameter::ALL`, Coulomb
+/// friction, the dead zones of positive and negative voltages, the cable's stiffness and rest
+/// angle, the delay, and the fractions of positive and negative voltages that arrive.
 ///
-/// A search for policies that throw the arm against its stop finds weak Qubes alone: a strong motor makes
-/// up for what is unknown of it. So all corners of masses and lengths are here with a weak motor and the
-/// longest delay, every other one with the shortest, every other one with a strong motor; friction of the
-/// joints, which only helps, has its least throughout.
+/// Searches for policies that throw the arm against its stop find only weak Qubes, because a strong
+/// motor makes up for the uncertainty. So every corner of masses and lengths is here with a weak
+/// motor and the longest delay, every other one with the shortest delay, and every other one with a
+/// strong motor. The friction of the joints, which only helps, has its lower end throughout.
 #[rustfmt::skip]
 pub(super) const PLACES: [[i8; NUMBERS]; 32] = [
     [   0,  100, -100, -100, -100,  100,  100,  100,  100, -100,  100,  100, -100,   50,  100,  100,  100],

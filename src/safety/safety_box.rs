@@ -6,9 +6,9 @@ use super::Guard;
 use crate::elementary::Scalar;
 use crate::qube::State;
 
-/// The box a state must stay inside; a rollout ends at once when it is left.
+/// Limits of a state during a rollout, which ends at once when the state leaves them.
 ///
-/// Only theta is close to a hardware stop; the other three keep behaviour safe.
+/// Only the limit of theta is close to a hardware stop; the other three keep the motion moderate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(
     deny_unknown_fields,
@@ -24,11 +24,11 @@ pub struct SafetyBox<T = f64> {
     pub theta_dot: T,
     /// Largest |alpha_dot|, rad/s.
     pub alpha_dot: T,
-    /// What ends a rollout before the box does.
+    /// Guard that acts before a limit is reached.
     pub guard: Guard,
 }
 
-/// Which side of the box was left.
+/// The limit that ended a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Limit {
@@ -40,11 +40,11 @@ pub enum Limit {
     ThetaDot,
     /// |alpha_dot|.
     AlphaDot,
-    /// The guard of recordings before foresight, whose limit was the state's alone.
+    /// The envelope guard of recordings made before foresight.
     Envelope,
-    /// A little later the brake could no longer keep every Qube that this one may be off its stop.
+    /// Foresight: later, the brake could not keep every possible Qube off its stop.
     Foresight,
-    /// The Qube moved as no Qube that its profile may describe.
+    /// The Qube has moved as no Qube within its profile's errors does.
     Unpredicted,
 }
 
@@ -63,12 +63,11 @@ impl std::fmt::Display for Limit {
 }
 
 impl SafetyBox {
-    /// The thesis's limits (section 5.1).
+    /// The limits of the thesis (section 5.1), without a guard.
     pub const THESIS: Self =
         Self { theta: 2.3, alpha: 4.0 * PI, theta_dot: 30.0, alpha_dot: 40.0, guard: Guard::Box };
 
-    /// The thesis's limits under foresight: what every rollout on a Qube runs under unless somebody
-    /// switches the guard off.
+    /// The limits of the thesis under foresight: the default of every rollout on a Qube.
     pub const GUARDED: Self = Self { guard: Guard::Foresight, ..Self::THESIS };
 
     /// The same box in another number type.
@@ -83,7 +82,7 @@ impl SafetyBox {
         }
     }
 
-    /// The first limit that a state does not keep; what is not a number keeps none.
+    /// The first limit that a state violates; NaN violates every limit.
     #[must_use]
     pub fn violation(&self, state: &State) -> Option<Limit> {
         let keeps = |value: f64, limit: f64| value.abs() < limit;
@@ -102,7 +101,7 @@ impl SafetyBox {
 }
 
 impl<T: Scalar> SafetyBox<T> {
-    /// Whether a state keeps all limits; without a branch, for loops over many pendulums.
+    /// Whether a state keeps all limits, computed without a branch for loops over many pendulums.
     #[inline(always)]
     pub fn contains(&self, state: &State<T>) -> bool {
         (state.theta.abs() < self.theta)
@@ -113,15 +112,14 @@ impl<T: Scalar> SafetyBox<T> {
 }
 
 impl<T: Scalar> SafetyBox<T> {
-    /// What a file means that says nothing of a limit or of the guard: it was written before there was
-    /// any guard, and ran in the thesis's box.
+    /// The box that an old file means which names neither limits nor guard: the thesis's.
     fn of_silent_files() -> Self {
         SafetyBox::THESIS.cast()
     }
 }
 
 impl Default for SafetyBox {
-    /// The guarded one: who does not choose is safe.
+    /// The guarded box, so that the default is safe.
     fn default() -> Self {
         Self::GUARDED
     }

@@ -3,12 +3,12 @@ use super::{CentringBrake, Foreseen, Foresight};
 use crate::elementary::Level;
 use crate::qube::{MAX_HISTORY, State};
 
-/// Looks ahead with what is believed of an identified Qube for as long as the Qube moves as that says, and
-/// with what any Qube may be otherwise.
+/// Foresight that uses the belief about an identified Qube as long as the Qube moves accordingly,
+/// and the belief about any Qube otherwise.
 ///
-/// A profile earns its trust anew in each rollout: the arm settles as any Qube's, and if the particles of
-/// the profile predict all of that the policy runs under them. One motion that none of them predicts
-/// ends the trust.
+/// A profile earns its trust anew in each rollout: the arm settles under the belief about any Qube,
+/// and if the profile's particles predict all of that motion, the policy runs under them. One
+/// motion that none of them predicts ends the trust.
 #[derive(Clone, Debug)]
 pub struct TrustedForesight {
     any: Foresight<CentringBrake>,
@@ -22,19 +22,19 @@ struct Identified {
     trust: Trust,
 }
 
-/// How far what is believed of an identified Qube is trusted.
+/// Trust in the belief about an identified Qube.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trust {
-    /// It has predicted everything so far.
+    /// It has predicted every motion so far and does not decide yet.
     Untested,
     /// It decides.
     Earned,
-    /// Something moved as it does not say.
+    /// A motion has contradicted it.
     Lost,
 }
 
 impl TrustedForesight {
-    /// For any Qube, and for the identified one where it is.
+    /// Foresight for any Qube, and for the identified one if there is a profile.
     #[must_use]
     pub fn new(
         any: Foresight<CentringBrake>,
@@ -47,7 +47,7 @@ impl TrustedForesight {
         Self { any, identified }
     }
 
-    /// The same, computed with this instruction set (for comparisons).
+    /// The same foresight with this instruction set, for comparisons.
     #[must_use]
     pub fn at_level(self, level: Level) -> Self {
         let identified = self.identified.map(|Identified { foresight, trust, .. }| {
@@ -57,8 +57,8 @@ impl TrustedForesight {
         Self { any: self.any.at_level(level), identified }
     }
 
-    /// Takes the estimated state of a sample, its time by the device's clock, and the commands before it (V, newest
-    /// first); whether the Qube has just moved as no particle of the profile that decides may.
+    /// Takes the estimated state of a sample, its device time and the commands before it (V, newest
+    /// first). Returns whether the motion contradicts every particle of a deciding profile.
     #[must_use]
     pub fn is_contradicted(
         &mut self,
@@ -75,8 +75,8 @@ impl TrustedForesight {
         decided
     }
 
-    /// The policy gets the motor: from now on what is believed of the identified Qube decides, if it has
-    /// predicted how the arm settled. Angles may be counted from another zero.
+    /// Starts the policy: the belief about the identified Qube decides from now on if it has
+    /// predicted the settling. Angles may have a new zero.
     pub fn begin_policy(&mut self) {
         if let Some(Identified { prediction, trust, .. }) = &mut self.identified {
             prediction.begin_anew();
@@ -86,8 +86,8 @@ impl TrustedForesight {
         }
     }
 
-    /// The Qube that the brake would stop too late after this voltage, if there is one among those that
-    /// decide; [`Foresight::look`] says what the arguments are.
+    /// A particle of the deciding belief that the brake would stop too late after this voltage;
+    /// [`Foresight::look`] explains the arguments.
     #[must_use]
     pub fn too_late_for(
         &mut self,
@@ -115,8 +115,8 @@ mod tests {
     };
     use crate::safety::{ForesightSettings, IdentifiedQube};
 
-    /// Follows a Qube that is pushed to and fro and whose motor gets this share of the voltage; whether it
-    /// contradicted the profile.
+    /// Simulates a Qube that is pushed to and fro and whose motor gets this fraction of the
+    /// voltage; returns whether it contradicted the profile.
     fn follow(plant: &QubeModel, share: f64) -> (TrustedForesight, bool) {
         let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap();
         let identified = Some(IdentifiedQube::of(&Profile::exact("lab", &lab.model())));
@@ -140,7 +140,7 @@ mod tests {
             };
             before = state;
             contradicted |= foresight.is_contradicted(&seen, 10_000 * tick, &sent_v);
-            // What was sent a period ago arrives now.
+            // The voltage of the last period arrives in this one.
             let arriving_v = share * f64::from(sent_v[0]);
             let voltage_v = if tick % 30 < 15 { 3.5 } else { -3.5 };
             for _ in 0..20 {

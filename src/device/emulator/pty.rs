@@ -134,7 +134,6 @@ impl EmulatedQube {
     ///
     /// # Errors
     /// A file of that name exists, or the link cannot be created.
-    /// There is a file of that name, or none may be made there.
     pub fn link_as(&mut self, path: &Path) -> io::Result<()> {
         match std::fs::symlink_metadata(path) {
             Ok(metadata) if metadata.file_type().is_symlink() => std::fs::remove_file(path)?,

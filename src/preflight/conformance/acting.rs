@@ -3,7 +3,7 @@ use firmware_protocol::{NO_ACT_US, RefusalReason};
 
 use super::{Deviation, Speaker, ensure};
 
-/// Up to 1 V, at edges of the motor's counts.
+/// Voltages up to 1 V, at steps of the motor's resolution.
 const VOLTAGES_MV: [i16; 8] = [1000, -1000, 12, 13, -13, 500, -500, 0];
 
 pub(super) fn unarmed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
@@ -22,7 +22,7 @@ pub(super) fn act(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     ensure!(before.sample_to_act_us == NO_ACT_US, "it tells of an act that never was");
     for voltage_mv in VOLTAGES_MV {
         let sequence = speaker.act(voltage_mv)?;
-        // A second one does not change the time from the sample to the first.
+        // A second act does not change the time from the sample to the first one.
         let newer = speaker.act(voltage_mv)?;
         let after = speaker.sample_armed()?;
         let expected_mv = motor_voltage_mv(motor_counts(voltage_mv));

@@ -5,7 +5,7 @@ use super::{Deviation, Speaker, ensure};
 
 const UNKNOWN_TYPES: [u8; 4] = [0x00, 0x06, 0x42, 0x7F];
 
-/// Counts the frames that are dropped meanwhile. The device must be greeted.
+/// Returns the number of frames that the device drops during an action. The device must be greeted.
 fn dropped_during(
     speaker: &mut Speaker<'_>,
     happens: impl FnOnce(&mut Speaker<'_>) -> Result<(), Deviation>,
@@ -61,7 +61,7 @@ pub(super) fn truncated(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     let encoded = Request::Arm { nonce }.encode(sequence);
     let bytes = encoded.as_bytes();
     for length in 1..bytes.len() - 1 {
-        // Cut short by a delimiter, then run into the next frame.
+        // A frame cut off by a delimiter, then one that runs into the next frame.
         speaker.send_bytes(&bytes[..length])?;
         speaker.send_bytes(&[0])?;
         let sample = speaker.sample()?;

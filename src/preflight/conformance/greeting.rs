@@ -2,7 +2,7 @@ use firmware_protocol::{PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Request
 
 use super::{Deviation, Speaker, ensure};
 
-/// How old a sample may be when it is asked for, and what else may lie between two clocks.
+/// Tolerance between the two clocks: the age of a sample and the time on the wire.
 const SLACK_US: u64 = 6_000;
 
 pub(super) fn hello(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {

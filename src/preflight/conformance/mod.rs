@@ -1,9 +1,9 @@
-//! Does a device keep what `PROTOCOL.md` promises? Named checks over a raw wire, for any device:
-//! the emulator, the firmware, a third implementation.
+//! Tests whether a device keeps the promises of `PROTOCOL.md`. The named checks run over a raw wire
+//! against any device: the emulator, the firmware, or another implementation.
 //!
-//! They speak through the protocol crate and a transport only, not through the host's link, whose
-//! own faults could hide a device's. The motor gets at most 1 V for a few milliseconds. What is
-//! timed is timed by the device's clock, so that a busy computer fails no device.
+//! They use the protocol crate and a transport, but not the host's link, whose own faults could
+//! hide those of a device. The motor gets at most 1 V for a few milliseconds. All timing is by the
+//! device's clock, so that a busy computer fails no device.
 
 mod acting;
 mod arming;
@@ -20,30 +20,30 @@ pub use speaker::Speaker;
 
 use crate::device::LinkFault;
 
-/// One promise of the protocol and how it is tested.
+/// A promise of the protocol and its test.
 #[derive(Clone, Copy, Debug)]
 pub struct ConformanceCheck {
-    /// A name that stays.
+    /// Stable name.
     pub name: &'static str,
-    /// What the device must do, in a sentence.
+    /// The promise, in a sentence.
     pub promise: &'static str,
     run: fn(&mut Speaker<'_>) -> Result<(), Deviation>,
 }
 
-/// How a device differs from the protocol.
+/// A deviation of a device from the protocol.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum Deviation {
-    /// It did something else.
+    /// The device did something else.
     #[error("{0}")]
     Wrong(String),
-    /// A request was not answered at all.
+    /// The device did not answer a request.
     #[error("{0} was not answered")]
     Silent(&'static str),
     /// The wire failed.
     #[error("the wire failed: {0}")]
     Link(#[from] LinkFault),
-    /// The computer was too slow, so that the watchdog tripped in the middle, or an act came too late
-    /// after its sample: try again.
+    /// The computer was too slow: the watchdog tripped during the check, or an act came too late
+    /// after its sample. The check may be repeated.
     #[error(
         "the watchdog tripped again and again before the check was through, or acts on fresh samples \
          were refused as stale"
@@ -52,23 +52,23 @@ pub enum Deviation {
     /// An act was refused as stale although it followed its sample at once.
     #[error("an act {elapsed_us} us after its sample was asked for was refused as stale")]
     FreshRefused {
-        /// From asking for the sample to sending the act, by the computer's clock, us.
+        /// Time from the request of the sample to the act, by the computer's clock, us.
         elapsed_us: u64,
     },
 }
 
-/// How often a check is begun anew because the computer was too slow for the watchdog.
+/// Attempts of a check, because the computer may be too slow for the watchdog.
 const ATTEMPTS: u32 = 20;
 
-/// How often a fresh act may be refused: an emulated device on a busy computer can be kept from
-/// reading it for 20 ms, a real one cannot.
+/// Number of fresh acts that may be refused: on a busy computer an emulated device may read an act
+/// 20 ms late, which a real one cannot.
 const FRESH_REFUSALS: usize = 3;
 
 impl ConformanceCheck {
-    /// Puts the device to this check. Leaves its motor off.
+    /// Runs this check and leaves the device's motor off.
     ///
     /// # Errors
-    /// How it differs.
+    /// The deviation.
     pub fn run(&self, speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
         let mut result = Err(Deviation::Disturbed);
         let mut fresh_refusals = 0;
@@ -88,7 +88,7 @@ impl ConformanceCheck {
     }
 }
 
-/// All checks, in an order that begins with what the others need.
+/// All checks; those that others rely on come first.
 pub const CHECKS: &[ConformanceCheck] = &[
     ConformanceCheck {
         name: "hello",

@@ -9,28 +9,28 @@ use super::{Deviation, ensure};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{LinkFault, Transport};
 
-/// How long a request may stay unanswered before the device counts as silent.
+/// Time without an answer after which the device counts as silent.
 const PATIENCE_NS: Nanoseconds = 1_000_000_000;
 
-/// A host that says exactly what it is told, and takes nothing but the expected answer.
+/// A host that sends exactly what a check asks for and accepts only the expected answer.
 pub struct Speaker<'a> {
     transport: &'a mut dyn Transport,
     clock: &'a dyn Clock,
     decoder: Decoder,
     received: VecDeque<Frame>,
     sequence: u16,
-    /// Time of the last sample, which acts answer.
+    /// Device time of the last sample, which acts refer to.
     sampled_at_us: u32,
-    /// When that sample was asked for and when an act answered it last, by the computer's clock.
+    /// Computer time of the request of that sample, and of the last act that answered it.
     sampled_ns: Nanoseconds,
     acted_ns: Nanoseconds,
 }
 
-/// An act that is sent so soon after its sample was asked for is fresh, whatever the line.
+/// Age of a sample up to which it is fresh on any line.
 const SURELY_FRESH_NS: Nanoseconds = 8_000_000;
 
 impl<'a> Speaker<'a> {
-    /// Speaks over this wire; the clock is the one that the transport's deadlines mean.
+    /// Speaks over this wire, with the clock of its deadlines.
     pub fn new(transport: &'a mut dyn Transport, clock: &'a dyn Clock) -> Self {
         let received = VecDeque::new();
         Self {
@@ -45,18 +45,18 @@ impl<'a> Speaker<'a> {
         }
     }
 
-    /// The computer's time, for comparing clocks.
+    /// The computer's time.
     pub(super) fn now_ns(&self) -> Nanoseconds {
         self.clock.now_ns()
     }
 
-    /// Lets time pass.
+    /// Waits.
     pub(super) fn wait_ns(&mut self, duration_ns: Nanoseconds) {
         self.clock.sleep_until(self.clock.now_ns() + duration_ns);
     }
 
-    /// Puts the device into Greeted, whatever it was doing, and forgets what came before that. A
-    /// device that is still booting is waited for.
+    /// Brings the device into the state Greeted from any state and drops earlier replies. Waits for
+    /// a device that is still booting.
     pub(super) fn fence(&mut self) -> Result<(), Deviation> {
         let end_ns = self.clock.now_ns() + self.transport.boot_time_ns();
         loop {
@@ -75,28 +75,28 @@ impl<'a> Speaker<'a> {
         }
     }
 
-    /// Sends bytes as they are.
+    /// Sends raw bytes.
     pub(super) fn send_bytes(&mut self, bytes: &[u8]) -> Result<(), Deviation> {
         Ok(self.transport.write(bytes)?)
     }
 
-    /// A sequence number of its own.
+    /// Takes the next sequence number.
     pub(super) fn next_sequence(&mut self) -> u16 {
         self.sequence = self.sequence.wrapping_add(1);
         self.sequence
     }
 
-    /// Goes on counting from here.
+    /// Sets the sequence number that the next request follows.
     pub(super) fn set_sequence(&mut self, sequence: u16) {
         self.sequence = sequence;
     }
 
-    /// An act that answers the last sample.
+    /// An act that refers to the last sample.
     pub(super) fn act_request(&self, voltage_mv: i16) -> Request {
         Request::Act { voltage_mv, sampled_at_us: self.sampled_at_us }
     }
 
-    /// Sends an act that answers the last sample, which must be fresh to be accepted.
+    /// Sends an act that refers to the last sample, which must be fresh to be accepted.
     pub(super) fn act(&mut self, voltage_mv: i16) -> Result<u16, Deviation> {
         self.acted_ns = self.clock.now_ns();
         self.send(self.act_request(voltage_mv))
@@ -125,7 +125,7 @@ impl<'a> Speaker<'a> {
         Ok(self.received.pop_front())
     }
 
-    /// The next frame that comes, which must answer the request with this sequence number.
+    /// Returns the next frame, which must answer the request with this sequence number.
     pub(super) fn reply_to(
         &mut self,
         sequence: u16,
@@ -137,7 +137,7 @@ impl<'a> Speaker<'a> {
         let reply = Reply::parse(&frame).map_err(|error| {
             Deviation::Wrong(format!("{request} was answered wrongly: {error}"))
         })?;
-        // Acts are sent without waiting for their answer, so what refuses one comes here.
+        // Acts are sent without waiting for an answer, so a refusal of one arrives here.
         if let Reply::Refusal { refused_type, reason } = reply
             && frame.sequence != sequence
             && refused_type == self.act_request(0).message_type()
@@ -145,7 +145,7 @@ impl<'a> Speaker<'a> {
             let elapsed_ns = self.acted_ns.saturating_sub(self.sampled_ns);
             match reason {
                 RefusalReason::WatchdogTripped => return Err(Deviation::Disturbed),
-                // It came more than 20 ms after its sample, or so the device says.
+                // The act came more than 20 ms after its sample, by the device's clock.
                 RefusalReason::StaleSample if elapsed_ns > SURELY_FRESH_NS => {
                     return Err(Deviation::Disturbed);
                 }
@@ -169,12 +169,12 @@ impl<'a> Speaker<'a> {
         self.reply_to(sequence, request_name(request))
     }
 
-    /// Greets by this version.
+    /// Sends a hello of the host's protocol version.
     pub(super) fn greet(&mut self) -> Result<HelloReply, Deviation> {
         self.greet_as(PROTOCOL_VERSION)
     }
 
-    /// Greets by some version.
+    /// Sends a hello of this protocol version.
     pub(super) fn greet_as(&mut self, protocol_version: u16) -> Result<HelloReply, Deviation> {
         match self.ask(Request::Hello { protocol_version })? {
             Reply::Hello(reply) => Ok(reply),
@@ -182,13 +182,13 @@ impl<'a> Speaker<'a> {
         }
     }
 
-    /// Greets and arms; the device's time of arming, and the nonce that was used.
+    /// Greets and arms; returns the device's time of arming and the nonce.
     pub(super) fn arm(&mut self) -> Result<(u32, u32), Deviation> {
         let nonce = self.greet()?.nonce;
         Ok((self.arm_with(nonce)?, nonce))
     }
 
-    /// Arms; the device's time of arming.
+    /// Arms; returns the device's time of arming.
     pub(super) fn arm_with(&mut self, nonce: u32) -> Result<u32, Deviation> {
         match self.ask(Request::Arm { nonce })? {
             Reply::Arm { device_time_us } => Ok(device_time_us),
@@ -196,7 +196,7 @@ impl<'a> Speaker<'a> {
         }
     }
 
-    /// A sample in any state but Idle.
+    /// Requests a sample, which every state but Idle answers.
     pub(super) fn sample(&mut self) -> Result<SampleReply, Deviation> {
         let asked_ns = self.clock.now_ns();
         match self.ask(Request::Sample)? {
@@ -208,7 +208,8 @@ impl<'a> Speaker<'a> {
         }
     }
 
-    /// A sample that should show the device armed. Tripped means that the computer was too slow.
+    /// Requests a sample, which must show the device armed. A tripped watchdog means that the
+    /// computer was too slow.
     pub(super) fn sample_armed(&mut self) -> Result<SampleReply, Deviation> {
         let sample = self.sample()?;
         if sample.status.has(StatusBits::WATCHDOG_TRIPPED) {
@@ -218,7 +219,7 @@ impl<'a> Speaker<'a> {
         Ok(sample)
     }
 
-    /// A request that must be refused for this reason.
+    /// Sends a request that must be refused for this reason.
     pub(super) fn refused(
         &mut self,
         request: Request,
@@ -228,7 +229,7 @@ impl<'a> Speaker<'a> {
         self.refusal_of(sequence, request.message_type(), request_name(request), expected)
     }
 
-    /// The refusal that must come next.
+    /// Expects the refusal of a request as the next frame.
     pub(super) fn refusal_of(
         &mut self,
         sequence: u16,

@@ -4,8 +4,8 @@ use firmware_protocol::{
 
 use super::{Deviation, Speaker, ensure};
 
-/// What an arm may turn and a pendulum swing between two samples of these checks, at 0 V: a sixth of a
-/// revolution. Counts that began anew would hardly stay within it.
+/// Largest motion of arm and pendulum between two samples of these checks, at 0 V: a sixth of a
+/// revolution. Counters that were reset would hardly stay within it.
 const MOST_COUNTS: u32 = 341;
 
 pub(super) fn module_id(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {

@@ -32,7 +32,7 @@ fn a_device_that_does_not_conform_is_found() {
     assert_eq!(failures(Some(EmulatorFault::Silent { after_s: 0.0 })).len(), CHECKS.len());
     let absent = failures(Some(EmulatorFault::QubeAbsent { after_s: 0.0 }));
     assert!(absent.contains(&"hello") && absent.contains(&"arm"), "{absent:?}");
-    // Without a Qube, refusing is what the protocol asks of it.
+    // Without a Qube the protocol requires a refusal.
     assert!(!absent.contains(&"module-id"), "{absent:?}");
     assert!(
         !failures(Some(EmulatorFault::StallError { after_s: 0.0 })).contains(&"arm-clears-stall")
@@ -42,7 +42,7 @@ fn a_device_that_does_not_conform_is_found() {
     assert!(!failures(Some(EmulatorFault::Garble { every: 7 })).is_empty());
 }
 
-/// A device that is right but for what `distort` does to its replies; `false` swallows one.
+/// A correct device whose replies `distort` changes; if it returns `false`, the reply is dropped.
 struct Mutant {
     wire: InProcessWire,
     decoder: Decoder,
@@ -91,7 +91,7 @@ fn distort_sample(reply: &mut Reply, distort: fn(&mut SampleReply)) -> bool {
 
 type Distortion = fn(&mut u16, &mut Reply) -> bool;
 
-/// What a third implementation may get wrong, and the check that must find it.
+/// Mistakes of another implementation, each with the check that must find it.
 const DISTORTIONS: &[(&str, Distortion)] = &[
     ("hello", |_, reply| {
         if let Reply::Hello(hello) = reply {

@@ -8,11 +8,11 @@ use super::{Deviation, Speaker, ensure};
 const WATCHDOG_US: u32 = WATCHDOG_MS as u32 * 1000;
 const LATEST_US: u32 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u32 * 1000;
 
-/// One millisecond: samples in between show when it trips.
+/// Interval of the samples that show when the watchdog trips: 1 ms.
 const PAUSE_NS: u64 = 1_000_000;
 
-/// Does something again and again until the watchdog has tripped, which must be 50 ms after
-/// `fed_us` and at most one poll later, by the device's own clock.
+/// Repeats an action until the watchdog has tripped, which must be 50 ms after `fed_us` and at most
+/// one poll later, by the device's clock.
 pub(super) fn trips_while(
     speaker: &mut Speaker<'_>,
     fed_us: u32,
@@ -29,7 +29,7 @@ pub(super) fn trips_while(
             );
             return Ok(());
         }
-        // A reading may be a little older than the request, hence from before the feeding.
+        // A reading may be a little older than its request, hence from before the feeding.
         ensure!(
             elapsed_us <= LATEST_US || elapsed_us > u32::MAX / 2,
             "it has not tripped after {elapsed_us} us"
@@ -39,7 +39,7 @@ pub(super) fn trips_while(
     }
 }
 
-/// Acts, and says when that was by the device's clock.
+/// Acts; returns the device's time of the act.
 pub(super) fn act_timed(speaker: &mut Speaker<'_>, voltage_mv: i16) -> Result<u32, Deviation> {
     let before: SampleReply = speaker.sample_armed()?;
     speaker.act(voltage_mv)?;
@@ -64,7 +64,7 @@ pub(super) fn not_fed_by_refused(speaker: &mut Speaker<'_>) -> Result<(), Deviat
     let acted_us = act_timed(speaker, 500)?;
     trips_while(speaker, acted_us, |speaker| {
         match speaker.ask(speaker.act_request(6000))? {
-            // From the moment it trips the reason is another; both are right here.
+            // Once the watchdog has tripped the reason is another; both are right here.
             Reply::Refusal {
                 reason: RefusalReason::VoltageOutOfRange | RefusalReason::WatchdogTripped,
                 ..

@@ -1,4 +1,4 @@
-//! Is this computer fit to drive a Qube at 100 Hz? Looks only; changes nothing that outlives it.
+//! Tests whether this computer can drive a Qube at 100 Hz. It leaves no change behind.
 
 mod ports;
 mod processor;
@@ -11,28 +11,28 @@ use serde::Serialize;
 use crate::clock::{CPU_DMA_LATENCY, RealtimeReport};
 use crate::preflight::foresight_time_us;
 
-/// One thing that was looked at.
+/// The result of one test of the computer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Diagnosis {
-    /// What.
+    /// Name of the test.
     pub name: String,
-    /// How serious it is.
+    /// Verdict of the test.
     pub verdict: Fitness,
-    /// What was found.
+    /// Finding, in a few words.
     pub value: String,
-    /// What to type.
+    /// Command or action that helps; `None` if all is well.
     pub cure: Option<String>,
 }
 
-/// How serious something is.
+/// The verdict about one property of the computer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fitness {
     /// As it should be.
     Well,
-    /// It works so, but could be better.
+    /// Sufficient, but it could be better.
     Advice,
-    /// It will not work so.
+    /// Insufficient.
     Unfit,
 }
 
@@ -51,11 +51,11 @@ impl Diagnosis {
     }
 }
 
-/// Looks at everything; keeping time is watched for so many seconds. Where no port is given, those of
-/// USB are looked at. A set `stop` ends the watching early.
+/// Runs all tests; the one of the timer takes this many seconds, or until `stop` is set. Without
+/// ports, all USB serial ports are tested.
 ///
 /// # Errors
-/// The operating system gave no thread.
+/// The operating system cannot start a thread.
 pub fn diagnose(
     ports: &[String],
     seconds: u32,
@@ -70,7 +70,8 @@ pub fn diagnose(
     Ok(found)
 }
 
-/// What an ordinary user needs once: the group `realtime` and its limits.
+/// Installation of the real-time rights, which an ordinary user needs once: the group `realtime`
+/// and its limits.
 const RIGHTS_CURE: &str = "sudo scripts/install (then log out and in)";
 
 fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {

@@ -8,10 +8,10 @@ use super::Diagnosis;
 use crate::device::available_ports;
 use crate::preflight::latency_timer::{latency_timer_cure, latency_timer_ms};
 
-/// Ports of USB; the others of a computer have no Qube at them.
+/// Names of USB serial ports; a Qube is at none of the others.
 const USB: [&str; 2] = ["ttyUSB", "ttyACM"];
 
-/// Looks at these ports; at those of USB where none is given.
+/// Tests these ports, or all USB serial ports if none is given.
 pub(super) fn look(ports: &[String]) -> Vec<Diagnosis> {
     let found: Vec<String> = if ports.is_empty() {
         available_ports()
@@ -29,10 +29,10 @@ pub(super) fn look(ports: &[String]) -> Vec<Diagnosis> {
     found.iter().flat_map(|port| [Some(permission(port)), timer(port)]).flatten().collect()
 }
 
-/// What is known about a port that may or may not be opened.
+/// The group of a port that cannot be opened.
 struct Owner {
     group: String,
-    /// The user is in that group, but logged in before.
+    /// Whether the user is in that group, but only since after the login.
     is_listed: bool,
 }
 
@@ -63,7 +63,7 @@ fn refused(name: &str, owner: &Owner) -> Diagnosis {
     Diagnosis::unfit(name, value, cure)
 }
 
-/// Reads lines such as `dialout:x:20:ada,grace`.
+/// Reads the owner from lines such as `dialout:x:20:ada,grace`.
 fn owner(groups: &str, gid: u32, user: &str) -> Owner {
     let line = groups
         .lines()
@@ -77,7 +77,7 @@ fn owner(groups: &str, gid: u32, user: &str) -> Owner {
     }
 }
 
-/// None where the port has no such timer.
+/// The diagnosis of a port's latency timer; `None` if the port has none.
 fn timer(port: &str) -> Option<Diagnosis> {
     let file = Path::new(port).file_name()?.to_string_lossy().into_owned();
     let name = format!("timer of {file}");

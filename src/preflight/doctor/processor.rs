@@ -9,15 +9,15 @@ const NAME: &str = "processor";
 
 const FORESIGHT: &str = "foresight";
 
-/// Where Linux shows its processors.
+/// Folder in which Linux shows its processors.
 const PROCESSORS: &str = "/sys/devices/system/cpu";
 
-/// A processor that saves power wakes up late.
+/// Tests the governor: a processor that saves power wakes up late.
 pub(super) fn governor() -> Diagnosis {
     judge(&governors(Path::new(PROCESSORS)))
 }
 
-/// A processor on which the guard's prediction takes so long, us, at most.
+/// Judges the longest prediction of the guard on this processor, us.
 pub(super) fn foresight(longest_us: f64) -> Diagnosis {
     let value =
         format!("the guard's longest prediction takes {longest_us:.0} us of a tick's 10 ms");

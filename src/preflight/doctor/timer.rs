@@ -8,13 +8,13 @@ use crate::telemetry::LatencySummary;
 
 const NAME: &str = "timer";
 
-/// What a quiet computer keeps in 99 of 100 ticks, us. More is advice.
+/// Lateness that a quiet computer keeps in 99 of 100 ticks, us; more is advice.
 const GOOD_P99_US: f64 = 1_000.0;
 
-/// A tick this late counts as missed, us; at 1 in 100 rollouts become void.
+/// Lateness of a missed tick, us. With 1 such tick in 100, rollouts become void.
 const PERIOD_US: f64 = CONTROL_PERIOD_NS as f64 * 1e-3;
 
-/// Wakes up 100 times a second, with the rights that the control thread would have, and sees how late.
+/// Wakes up 100 times a second with the rights of the control thread and measures the lateness.
 pub(super) fn watch(
     seconds: u32,
     stop: &AtomicBool,

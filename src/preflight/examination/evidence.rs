@@ -1,51 +1,51 @@
-//! What a series of pushes has shown so far, and whether it is enough for a verdict.
+//! Evidence from a series of pushes, and whether it suffices for a verdict.
 
 use super::swing_fit::{Lag, fit};
 use crate::control::{ArmResponse, ProbeTrace};
 use crate::qube::RAD_PER_COUNT;
 
-/// An arm that moved over no more counts than this, by play or by the pendulum's pull, tells nothing
-/// of the pendulum.
+/// Largest motion of an arm that counts as at rest: play and the pendulum's pull cause as much, and
+/// nothing follows for the pendulum.
 const STOOD_COUNTS: f64 = 4.0;
 
-/// The most that the count of a dead encoder may flicker.
+/// Largest flicker of a dead encoder's count.
 const DEAD_COUNTS: f64 = 2.0;
 
-/// A pendulum that is off its free swing by this many counts was swung by the arm. Rounding alone
-/// leaves 0.3.
+/// Deviation of the pendulum from its free swing that proves a motion of the arm, counts. Rounding
+/// alone gives 0.3.
 const DRIVEN_COUNTS: f64 = 2.0;
 
-/// A pendulum follows the arm by 3 L_r / (2 L_p), 0.99 nominally: one that follows by at least this
-/// is alive, where it is known well enough.
+/// Least lag of a working pendulum encoder; a nominal pendulum follows the arm by 3 L_r / (2 L_p) =
+/// 0.99.
 const ALIVE_LAG: f64 = 0.5;
 
-/// How well that must be known, one standard error.
+/// Largest standard error of a lag that counts.
 const KNOWN_LAG: f64 = 0.15;
 
-/// Standard errors that lie between what was found and nothing.
+/// Least ratio of a lag to its standard error.
 const SIGMAS: f64 = 5.0;
 
-/// A pendulum that surely follows by less than this is not alive.
+/// Largest lag of a dead pendulum encoder, with two standard errors added.
 const DEAD_LAG: f64 = 0.3;
 
-/// Below this no current flows through the motor, A. At 1 V an arm that is held draws 0.1 A.
+/// Current that counts as none, A. At 1 V a motor that is held draws 0.1 A.
 const NO_CURRENT_A: f64 = 0.02;
 
-/// A missing current counts from this voltage on, V: below it, it may be the amplifier's dead zone.
+/// Voltage from which a missing current counts, V: at less it may be the amplifier's dead zone.
 const CURRENT_FROM_V: f64 = 1.0;
 
-/// An arm that stands shows the motor's whole current: less than this for each volt is a bad contact's, A.
-/// Qubes have been found to have 3.7 to 9.1 ohm, and this is 17.
+/// Least current per volt of a motor at rest with a good contact, A/V: 17 ohm. Known Qubes have 3.7
+/// to 9.1 ohm.
 const WEAK_A_V: f64 = 1.0 / 17.0;
 
-/// A motor whose current falls by this part during a push turns: 1.5 rad/s at 0.25 V. That of an arm
-/// that is held stays.
+/// Drop of the current during a push that proves a turning motor: 1.5 rad/s at 0.25 V. The current
+/// of a motor that is held stays constant.
 const TURNING_DROP: f64 = 0.15;
 
-/// So often a defect must show before it counts: one push may have met a passing hand.
+/// Number of times that a defect must show, because a hand may have disturbed one push.
 const DEFECT_SEEN: u32 = 2;
 
-/// What is known of the pendulum.
+/// Verdict about the pendulum's encoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) enum Pendulum {
     #[default]
@@ -54,30 +54,30 @@ pub(super) enum Pendulum {
     Dead,
 }
 
-/// What a push adds.
+/// Effect of a push on the evidence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Progress {
-    /// All that can be known is known.
+    /// The evidence suffices.
     Enough,
-    /// It shows a defect: the same push again.
+    /// The push shows a defect and is repeated.
     SeeAgain,
-    /// Something moved, not enough for a verdict.
+    /// Something moved, but the evidence does not suffice.
     SomethingMoved,
-    /// The next push may come at once.
+    /// Nothing moved: the next push may follow at once.
     NothingMoved,
 }
 
-/// What the pushes have shown so far.
+/// Evidence from the pushes so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Evidence {
-    /// How the arm answered the motor, as far as its encoder shows it.
+    /// Response of the arm to the motor by its encoder.
     pub(super) arm: Option<ArmResponse>,
     pub(super) pendulum: Pendulum,
-    /// The strongest push so far, V.
+    /// Largest push so far, V.
     pub(super) strongest_v: f64,
-    /// The largest current of that push, A.
+    /// Largest current of that push, A.
     pub(super) current_a: f64,
-    /// The largest drop of the current in a push in which no count moved.
+    /// Largest drop of the current in a push during which no count moved.
     pub(super) current_drop: f64,
     dead_arm_seen: u32,
     dead_pendulum_seen: u32,
@@ -147,12 +147,12 @@ impl Evidence {
         }
     }
 
-    /// Whether the arm turned as the voltage wanted it, by the signs that were assumed.
+    /// Whether the arm turned with the voltage, in the assumed signs.
     pub(super) fn arm_follows(&self) -> Option<bool> {
         self.arm.map(|response| response.theta_rad * response.voltage_v > 0.0)
     }
 
-    /// Whether the pendulum went against the arm, by the signs that were assumed.
+    /// Whether the pendulum lagged behind the arm, in the assumed signs.
     pub(super) fn pendulum_lags(&self) -> Option<bool> {
         match self.pendulum {
             Pendulum::Alive(lag) => Some(lag.value > 0.0),
@@ -160,12 +160,12 @@ impl Evidence {
         }
     }
 
-    /// Whether the arm's encoder stood while the arm swung the pendulum.
+    /// Whether the arm's count stayed while the arm swung the pendulum.
     pub(super) fn arm_is_dead(&self) -> bool {
         self.dead_arm_seen >= DEFECT_SEEN && self.arm.is_none()
     }
 
-    /// Whether the motor turns and no encoder shows it.
+    /// Whether the motor turns but no encoder shows it.
     pub(super) fn turns_unseen(&self) -> bool {
         self.unseen_turns >= DEFECT_SEEN && !self.moved
     }
@@ -175,14 +175,14 @@ impl Evidence {
         self.no_current_seen < DEFECT_SEEN
     }
 
-    /// Whether nothing moves and the motor draws far less current than a Qube's that stands.
+    /// Whether nothing moves and the motor draws far less current than one at rest should.
     pub(super) fn is_weak(&self) -> bool {
         !self.something_moved()
             && self.strongest_v >= CURRENT_FROM_V
             && self.current_a < WEAK_A_V * self.strongest_v
     }
 
-    /// Whether anything moved, seen by an encoder or by the motor's current.
+    /// Whether an encoder or the motor's current showed a motion.
     pub(super) fn something_moved(&self) -> bool {
         self.moved || self.turns_unseen()
     }

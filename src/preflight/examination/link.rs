@@ -7,35 +7,35 @@ use crate::device::{Device, DeviceError, Identity, LinkFault};
 use crate::preflight::latency_timer::{latency_timer_cure, latency_timer_ms};
 use crate::telemetry::{CheckResult, LatencySummary, MeasuredLink};
 
-/// Samples that are asked for where the link is checked.
+/// Number of samples for a check of the link.
 pub(super) const SAMPLES: u32 = 600;
 
-/// Samples that are asked for where the link is only measured.
+/// Number of samples for a measurement of the link.
 pub(super) const FEW_SAMPLES: u32 = 200;
 
-/// Longest time for either, ns.
+/// Longest time for either.
 const LONGEST_NS: Nanoseconds = 5_000_000_000;
 
-/// Between two samples there is a pause of a part of this: a USB bridge that hands bytes over by a
-/// timer (4.096 ms in a genuine Uno) would see each request at the same place of its clockwork, where
-/// ticks come at any.
+/// Longest pause between two samples; each is a fraction of it. A USB bridge that hands bytes over
+/// by a timer (4.096 ms in a genuine Uno) would otherwise meet each request at the same phase,
+/// while ticks come at any.
 const LONGEST_PAUSE_NS: f64 = 4_500_000.0;
 
-/// Multiples of it, modulo 1, fill the unit interval evenly.
+/// Golden ratio: its multiples modulo 1 fill the unit interval evenly.
 const GOLDEN_SHARE: f64 = 0.618_033_988_749_895;
 
-/// What a tick waits beyond the slowest of 100 samples, ns.
+/// Margin of a tick's wait over the slowest of 100 samples, ns.
 const MARGIN_NS: f64 = 500_000.0;
 
-/// A sample that takes longer than this is counted as lost.
+/// Time after which a sample counts as lost.
 const PATIENCE_NS: Nanoseconds = 50_000_000;
 
-/// Round trips of samples, from the request to the whole answer, by the computer's clock.
+/// Round trips of samples, from the request to the complete answer, by the computer's clock.
 pub(super) struct RoundTrips {
     asked: u32,
     lost: u32,
     summary_us: LatencySummary,
-    /// Where the arm was before anything moved it.
+    /// Count of the arm before anything moved it.
     pub(super) theta_counts: Option<i32>,
     /// Whether the board knows of an emergency-stop switch.
     has_stop_switch: bool,
@@ -65,7 +65,7 @@ pub(super) fn measure(
     port: &str,
     samples: u32,
 ) -> Result<RoundTrips, Interruption> {
-    // What a tick will see, which is on an awake processor.
+    // Measured on an awake processor, as a tick will be.
     let _awake = clock.stay_awake();
     let mut round_trips = LatencyHistogram::new();
     let (mut asked, mut lost, mut theta_counts) = (0, 0, None);
@@ -92,7 +92,7 @@ pub(super) fn measure(
 }
 
 impl RoundTrips {
-    /// What the control loop makes of this link.
+    /// The link as the control loop uses it.
     pub(super) fn link(&self) -> MeasuredLink {
         let needed_ns = self.summary_us.p99 * 1e3 + MARGIN_NS;
         let most_ns = LONGEST_SAMPLE_TIMEOUT_NS as f64;
@@ -104,20 +104,21 @@ impl RoundTrips {
         }
     }
 
-    /// Whether 99 of 100 samples come while a tick can wait for them.
+    /// Whether 99 of 100 samples arrive within the longest wait of a tick.
     fn is_fast_enough(&self) -> bool {
         let most_us = LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-3;
         self.summary_us.p99 <= most_us && self.lost * 100 <= self.asked
     }
 }
 
-/// The end of an examination by a cable that was pulled.
+/// Interruption of an examination because the port is gone.
 pub(super) fn gone(port: &str) -> Interruption {
     DeviceError::Link { port: port.to_owned(), fault: LinkFault::Gone }.into()
 }
 
-/// The driver's setting, and whether it counts: in the low-latency mode that this program asks for
-/// the driver takes 1 ms whatever is set, but not every driver knows that mode.
+/// Checks the latency timer of the driver. This program asks for the low-latency mode, in which the
+/// driver uses 1 ms whatever the setting, but not every driver has that mode; so the round trips
+/// decide.
 pub(super) fn latency_timer(port: &str, round_trips: &RoundTrips) -> CheckResult {
     const NAME: &str = "latency-timer";
     let p50_ms = round_trips.summary_us.p50 * 1e-3;

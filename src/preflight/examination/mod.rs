@@ -1,8 +1,8 @@
-//! The check before a session: what can be found out about a Qube without driving it far.
+//! The examination of a Qube before a session: it finds faults without driving the arm far.
 //!
-//! Everything here happens on the control thread, between motions. The motor gets 48 mV for 50 ms to
-//! see the watchdog at work, and pushes of 0.1 s that begin with 0.25 V and grow, up to 2.75 V, while
-//! they move nothing; it is off whenever a step is over, however it ended.
+//! It runs on the control thread, between motions. The motor gets 48 mV for 50 ms to test the
+//! watchdog, and pushes of 0.1 s that begin with 0.25 V and grow up to 2.75 V while nothing moves.
+//! It is off after every step, however the step ends.
 
 mod evidence;
 mod link;
@@ -20,44 +20,44 @@ use crate::telemetry::{CheckResult, Fault, MeasuredLink};
 
 const HOMING: &str = "homing";
 
-/// What is taken for granted about a Qube until it has been looked at.
+/// Assumptions about a Qube before its examination.
 #[derive(Clone, Debug)]
 pub struct ExaminationSettings {
     /// Signs of encoders and motor.
     pub signs: Calibration,
-    /// Take on the signs that are found instead of failing.
+    /// Whether to adopt the signs that are found instead of failing.
     pub learn_signs: bool,
-    /// Who answered the hello.
+    /// Identity from the hello.
     pub identity: Identity,
 }
 
-/// What was found.
+/// The result of an examination.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Examination {
-    /// Each check, in the order in which they were done.
+    /// Result of each check, in order.
     pub results: Vec<CheckResult>,
-    /// The signs that were found, where the arm moved; else those that were assumed.
+    /// Signs that were found if the arm moved, else the assumed ones.
     pub signs: Calibration,
-    /// The arm's count before anything moved it: its middle, where somebody had put it there.
+    /// Count of the arm before anything moved it: its middle, if the operator has put it there.
     pub start_theta_counts: Option<i32>,
-    /// The link as it was measured.
+    /// Measured link.
     pub link: Option<MeasuredLink>,
 }
 
 impl Examination {
-    /// Whether nothing failed.
+    /// Whether no check failed.
     #[must_use]
     pub fn passed(&self) -> bool {
         !self.results.iter().any(CheckResult::failed)
     }
 }
 
-/// Why an examination did not come to its end.
+/// Reason why an examination did not finish.
 #[derive(Debug)]
 pub(super) enum Interruption {
-    /// Somebody asked to stop.
+    /// A stop was requested.
     Stopped,
-    /// The device stopped answering.
+    /// The device no longer answers.
     Device(DeviceError),
 }
 
@@ -67,11 +67,11 @@ impl From<DeviceError> for Interruption {
     }
 }
 
-/// Examines a device that has said hello. The motor is off when this returns. `None` when somebody
-/// asked to stop.
+/// Examines a device that has answered a hello. The motor is off when this returns. `None`: a stop
+/// was requested.
 ///
 /// # Errors
-/// The device does not answer any more.
+/// The device no longer answers.
 pub fn examine(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -85,7 +85,7 @@ pub fn examine(
         link: None,
     };
     let outcome = look_at_everything(device, clock, stop, settings, &mut found);
-    // Whatever happened: a device that still answers is left off and greeted.
+    // In every case: a device that still answers is switched off by a hello.
     let left_off = device.hello();
     match outcome {
         Err(Interruption::Stopped) => Ok(None),
@@ -125,11 +125,11 @@ fn look_at_everything(
     motion::check(device, clock, stop, settings, found)
 }
 
-/// Measures a link without an examination, and lets ticks wait for their samples as long as it needs.
-/// None when somebody asked to stop.
+/// Measures a link without an examination, and sets the time for which ticks wait for their samples
+/// to fit it. `None`: a stop was requested.
 ///
 /// # Errors
-/// The device does not answer any more.
+/// The device no longer answers.
 pub fn measure_link(
     device: &mut dyn Device,
     clock: &dyn Clock,

@@ -8,15 +8,15 @@ use crate::device::Device;
 use crate::estimation::Calibration;
 use crate::telemetry::{CheckResult, Ending, Fault};
 
-/// Each push has this much more than the last, V, in either direction: an arm that the last did not
-/// move gets no more than this beyond its friction.
+/// Increment of the push, V, alternating in direction: an arm that the last push did not move gets
+/// at most this much beyond its friction.
 const STEP_V: f64 = 0.25;
 
-/// The strongest push has so many steps: 2.75 V. 0.11 V move a good arm and 0.65 V are reported of a
-/// stiff one; friction, a one-sided dead zone and a cable together may need more than 2 V.
+/// Number of increments, up to 2.75 V. A good arm moves at 0.11 V, and a stiff one is reported to
+/// need 0.65 V; friction, a one-sided dead zone and a cable together may need more than 2 V.
 const STEPS: u32 = 11;
 
-/// How often a push is done again that a late computer or link has ended, which says nothing against the Qube.
+/// Repetitions of a push that a late computer or link has ended, which is no fault of the Qube.
 const DONE_AGAIN: u32 = 2;
 
 const MOTOR: &str = "motor";
@@ -27,10 +27,10 @@ const ARM_SIGN: &str = "arm-sign";
 const PENDULUM_SIGN: &str = "pendulum-sign";
 const MOTOR_SIGN: &str = "motor-sign";
 
-/// All checks with a motion, in the order in which they are told.
+/// All checks with a motion, in the order of the report.
 const ALL: [&str; 7] = [MOTOR, STALL, ARM, PENDULUM, ARM_SIGN, PENDULUM_SIGN, MOTOR_SIGN];
 
-/// Says of each check with a motion that it was not done.
+/// Reports each check with a motion as skipped.
 pub(super) fn skip(found: &mut Examination, why: &str) {
     skip_these(found, &ALL, why);
 }
@@ -39,7 +39,7 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
     found.results.extend(names.iter().map(|name| CheckResult::skipped(name, why)));
 }
 
-/// A fault that ended a push: nothing else can be judged then.
+/// Reports the fault that ended a push; the other checks with a motion are skipped.
 fn give_up(found: &mut Examination, fault: Fault) {
     let value = format!("a fault ended the push: {fault}");
     let cure = format!("{} Then check again", fault.operator_step());
@@ -53,7 +53,7 @@ fn give_up(found: &mut Examination, fault: Fault) {
     }
 }
 
-/// Pushes the arm a little and judges what arm and pendulum did.
+/// Pushes the arm a little and judges the response of arm and pendulum.
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -73,7 +73,7 @@ pub(super) fn check(
     if settings.learn_signs
         && let Some(right) = right_signs(signs, &seen).filter(|right| *right != signs)
     {
-        // What was concluded is put to the test before it counts.
+        // Signs that were concluded must pass a second probe.
         signs = right;
         match probe(device, clock, stop, signs, port)? {
             Ok(again) => seen = again,
@@ -88,8 +88,8 @@ pub(super) fn check(
     Ok(())
 }
 
-/// Pushes to and fro, harder and harder, until the evidence is enough. The inner error is a fault that
-/// ended it.
+/// Pushes to and fro, with growing voltage, until there is enough evidence. The inner error is the
+/// fault that ended a push.
 fn probe(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -125,7 +125,7 @@ fn probe(
                 if progress != Progress::NothingMoved {
                     rest::wait_for_the_arm(device, clock, stop, port)?;
                 }
-                // What a defect shows is seen twice before it counts, and never by a stronger push.
+                // A defect must show twice, under the same voltage, before it counts.
                 if progress != Progress::SeeAgain {
                     break;
                 }
@@ -135,9 +135,10 @@ fn probe(
     Ok(Ok(evidence))
 }
 
-/// The signs under which the arm follows the voltage and the pendulum lags behind the arm, from what
-/// was seen under others. Turning all three round describes the same machine in a mirror; of the two
-/// answers this is the one that changes less. None where something did not move.
+/// The signs under which the arm follows the voltage and the pendulum lags behind the arm,
+/// concluded from a probe under other signs. Two solutions always exist, because inverting all
+/// three signs describes the same machine in a mirror; this is the one that changes fewer signs.
+/// `None` if something did not move.
 fn right_signs(signs: Calibration, seen: &Evidence) -> Option<Calibration> {
     let (theta, alpha, voltage) = match (seen.arm_follows()?, seen.pendulum_lags()?) {
         (true, true) => (false, false, false),

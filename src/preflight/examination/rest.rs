@@ -9,25 +9,27 @@ use crate::telemetry::CheckResult;
 
 const NAME: &str = "rest";
 
-/// Samples over which counts are watched: more than one swing of the pendulum (0.53 s).
+/// Samples of a window: more than one swing of the pendulum (0.53 s).
 const WINDOW_SAMPLES: u32 = 60;
 
-/// So far the arm may creep in that time, and the pendulum swing: a small part of what a push does.
+/// Largest creep of the arm and largest swing of the pendulum within a window, counts: small
+/// compared with the effect of a push.
 const ARM_COUNTS: u32 = 8;
 const PENDULUM_COUNTS: u32 = 6;
 
-/// A pendulum that does not come to rest may swing so far: on an arm that friction holds, one without
-/// friction of its own swings on and on, and what a push adds is still told from that.
+/// Largest swing of a pendulum that does not come to rest, counts. On an arm held by friction a
+/// pendulum without friction of its own swings on and on; the effect of a push can still be told
+/// from that.
 const SWINGING_COUNTS: u32 = 30;
 const PATIENCE_NS: Nanoseconds = 5_000_000_000;
 
-/// An arm that moves over no more than this in one swing of the pendulum is at rest between pushes.
+/// Largest motion of an arm at rest within a window between pushes, counts.
 const STILL_ARM_COUNTS: u32 = 3;
 
-/// How long it may take: a pendulum that was touched needs up to 10 s with the motor off.
+/// Longest wait: a pendulum that was touched needs up to 10 s with the motor off.
 const LONGEST_NS: Nanoseconds = 20_000_000_000;
 
-/// Lowest and highest of a counter.
+/// Range of a counter.
 #[derive(Clone, Copy)]
 struct Span {
     lowest: i32,
@@ -48,8 +50,9 @@ impl Span {
     }
 }
 
-/// Waits, the motor off, until the arm stands still between two pushes, or for as long as the pendulum
-/// may need: what it swings is told from what a push adds, an arm that it moves is not.
+/// Waits between two pushes, with the motor off, until the arm stands still, or for as long as the
+/// pendulum may need. The evaluation separates the pendulum's swing from the effect of a push, but
+/// not the motion of an arm that the pendulum moves.
 pub(super) fn wait_for_the_arm(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -83,7 +86,8 @@ pub(super) fn wait_for_the_arm(
     Ok(())
 }
 
-/// Waits, the motor off, until arm and pendulum hang still: else a push would show nothing.
+/// Waits, with the motor off, until arm and pendulum hang still, so that the effect of a push
+/// shows.
 pub(super) fn wait(
     device: &mut dyn Device,
     clock: &dyn Clock,

@@ -1,33 +1,36 @@
-//! How much of the arm's motion the pendulum shows: the sign of its encoder, and whether it lives.
+//! Estimates how much of the arm's motion the pendulum's encoder shows: its sign, and whether it
+//! works.
 //!
-//! About the bottom the pendulum follows alpha'' = -k theta'' - w^2 (alpha - c), whatever drives the
-//! arm, friction, cable and play included; k = 3 L_r / (2 L_p), 0.99 on a nominal Qube. Integrated
-//! twice, that needs no derivative of counts:
+//! Near the bottom the pendulum follows alpha'' = -k theta'' - w^2 (alpha - c), whatever drives the
+//! arm, including friction, cable and play; k = 3 L_r / (2 L_p), 0.99 on a nominal Qube. Integrated
+//! twice, the equation needs no derivatives of counts:
 //!
 //! ```text
 //! alpha(t) = -k theta(t) - w^2 S(t) + a + b t + d t^2,    S = the double integral of alpha
 //! ```
 //!
-//! which is linear in k, w^2, a, b and d. A pendulum that swings already, and a place where it hangs
-//! that is not known, are in a, b and d.
+//! It is linear in k, w^2, a, b and d. The terms a, b and d absorb a pendulum that already swings
+//! and an unknown hanging angle.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::control::ProbeSample;
 use crate::qube::RAD_PER_COUNT;
 
-/// Standard deviation of a count's rounding.
+/// Standard deviation of the rounding of a count.
 const QUANTISATION_COUNTS: f64 = 0.3;
 
 /// Terms of the fit: theta, S, 1, t, t^2.
 const TERMS: usize = 5;
 
-/// What a probe says of the pendulum.
+/// Result of the fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SwingFit {
-    /// k, by the signs that were assumed; positive where they are right. None where the arm stood.
+    /// Estimate of k in the assumed signs, positive if they are right; `None` if the arm did not
+    /// move.
     pub(super) lag: Option<Lag>,
-    /// What a pendulum on an arm that stands does not explain of alpha, counts (root mean square).
+    /// Residual of alpha under the equation of a pendulum on an arm at rest, counts (root mean
+    /// square).
     pub(super) driven_counts: f64,
 }
 
@@ -38,8 +41,8 @@ pub(super) struct Lag {
     pub(super) standard_error: f64,
 }
 
-/// Fits the pendulum's equation to a probe. An arm that moved over no more than `stood_counts` counts
-/// as one that stood.
+/// Fits the pendulum's equation to a probe. An arm that moved by no more than `stood_counts` counts
+/// as at rest.
 pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64) -> SwingFit {
     let Some(first) = samples.first() else {
         return SwingFit { lag: None, driven_counts: 0.0 };
@@ -75,20 +78,20 @@ pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64) -> SwingFit {
     SwingFit { lag, driven_counts }
 }
 
-/// Below this, for each row, the smallest pivot of the normal matrix is that of a singular one.
+/// Smallest squared pivot of the normal matrix, for each row, below which the matrix is singular.
 const SINGULAR: f64 = 1e-9;
 
 struct Solution {
     coefficients: [f64; TERMS],
-    /// Of the first coefficient, in units of the residuals' variance.
+    /// Variance of the first coefficient, in units of the residuals' variance.
     first_variance: f64,
-    /// Root mean square.
+    /// Root mean square of the residuals.
     residual_rad: f64,
 }
 
-/// Least squares over the terms that are used; None where they do not differ enough.
+/// Least squares over the terms in use; `None` if they are not independent.
 fn least_squares(rows: &[([f64; TERMS], f64)], used: [bool; TERMS]) -> Option<Solution> {
-    // Each column in units of its own size, so that one threshold tells a singular matrix.
+    // Each column is scaled to its own size, so that one threshold detects a singular matrix.
     let mut size = [0.0_f64; TERMS];
     for (row, _) in rows {
         for (size, value) in size.iter_mut().zip(row) {

@@ -9,19 +9,20 @@ use crate::telemetry::CheckResult;
 
 const NAME: &str = "watchdog";
 
-/// Two counts of the amplifier: seen in the device's report, hardly felt by the arm.
+/// Voltage of the test, V: two steps of the amplifier, which its report shows and the arm hardly
+/// feels.
 const VOLTAGE_V: f64 = 0.048;
 
-/// Between two looks; they do not feed the watchdog.
+/// Pause between two samples, which do not feed the watchdog.
 const PAUSE_NS: Nanoseconds = 1_000_000;
 
-/// How long an answer may take before the sample counts as lost.
+/// Time after which a sample counts as lost.
 const PATIENCE_NS: Nanoseconds = 20_000_000;
 
-/// How long it is watched for the motor going off, if samples are lost.
+/// Longest observation, if samples are lost.
 const LONGEST_NS: Nanoseconds = 500_000_000;
 
-/// How often it is tried anew when this computer or the link was too slow to see the motor on.
+/// Attempts, because computer or link may be too slow to see the motor on.
 const ATTEMPTS: u32 = 20;
 
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
@@ -29,11 +30,11 @@ const LATEST_US: u64 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u64 * 1000;
 
 const CURE: &str = "do not run anything with it: flash the firmware of this release, then qube-hil check --conformance";
 
-/// Samples may be this old when they are asked for.
+/// Age of a sample when it is requested, at most.
 const SAMPLE_AGE_US: u64 = 5_000;
 
-/// Arms, gives the motor a little, and says nothing more: by the device's own report and clock the
-/// motor must then go off.
+/// Arms the device, sends a small voltage and then nothing more: by the device's own report and
+/// clock the motor must go off.
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -70,7 +71,7 @@ pub(super) fn check(
     ))
 }
 
-/// None when the computer or the link was too slow.
+/// One attempt; `None` if the computer or the link was too slow.
 fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckResult>, LinkFault> {
     let Some(before) = sampled(device, clock)? else { return Ok(None) };
     let voltage_mv = clamp_to_mv(VOLTAGE_V).unwrap_or(0);
@@ -106,7 +107,7 @@ fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckRe
             }));
         }
         if elapsed_us > LATEST_US + SAMPLE_AGE_US {
-            // Bounded without it: 48 mV, and the hello that follows switches off.
+            // The motor does not stay on: it has 48 mV, and the hello that follows switches it off.
             let value = format!("motor still on {ms:.1} ms after the last act");
             return Ok(Some(CheckResult::fail(NAME, value, CURE)));
         }
@@ -114,7 +115,7 @@ fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckRe
     Ok(None)
 }
 
-/// None when the sample was lost.
+/// A sample; `None` if it was lost.
 fn sampled(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<Measurement>, LinkFault> {
     match device.sample(clock.now_ns() + PATIENCE_NS) {
         Ok(sample) => Ok(Some(sample)),
