@@ -1,5 +1,5 @@
-//! The guard against policies that are searched for one purpose: to throw the arm against
-//! its hard stop. `scripts/adversary` plays 10^6 episodes of this; here is a small count.
+//! Tests the guard against policies that a search optimises to throw the arm against its stop.
+//! `scripts/adversary` plays 10^6 episodes; this is a small number.
 
 #[path = "adversary/mod.rs"]
 mod adversary;
@@ -32,7 +32,7 @@ fn no_adversary_reaches_the_hard_stop_or_more_than_five_volts() {
     }
 }
 
-/// The search is worth something: without the guard it needs no time at all.
+/// The search is effective: without the guard it succeeds at once.
 #[test]
 fn without_the_guard_the_same_search_hits_at_once() {
     let domain = Domain { safety_box: SafetyBox::THESIS, ..PROMISED };

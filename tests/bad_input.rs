@@ -1,5 +1,5 @@
-//! Bad input: one clear sentence on stderr (what, where, what to do), the agreed exit code, and
-//! nothing on stdout.
+//! Tests the messages for bad input: one clear sentence on stderr (what, where, what to do), the
+//! documented exit code, and nothing on stdout.
 
 use std::io::Write;
 use std::path::Path;
@@ -174,7 +174,7 @@ fn values_with_a_dash_are_told_by_their_option() {
     }
 }
 
-/// The last line of stdout is an object that names the cause, whatever went wrong.
+/// The last line of stdout is an object that names the cause of every failure.
 #[test]
 fn scripts_are_told_too() {
     let directory = tempfile::tempdir().unwrap();
@@ -297,7 +297,7 @@ fn folders_that_cannot_be() {
     refused(directory.path(), &out, 2, &["taken", "exists", "--resume"]);
     let resume = ["session", "--clock", "virtual", "--resume", "taken"];
     refused(directory.path(), &resume, 2, &["taken", "no session"]);
-    // What a kill leaves of a session that had not begun yet.
+    // A kill leaves this of a session that has not begun.
     std::fs::create_dir_all(directory.path().join("left/candidates")).unwrap();
     let resume = ["session", "--clock", "virtual", "--resume", "left"];
     refused(directory.path(), &resume, 2, &["nothing to resume", "--out left"]);

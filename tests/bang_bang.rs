@@ -1,5 +1,5 @@
-//! The sensors and the motor of a healthy Qube are not doubted under a policy that knows full voltage alone. The
-//! guard is off, so that the policy goes on as long as it can.
+//! Tests that no fault of sensors or motor is reported for a healthy Qube under a policy that uses
+//! only full voltage. The guard is off, so that the policy runs as long as possible.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -23,13 +23,14 @@ use rand_chacha::ChaCha8Rng;
 /// Rollouts on one Qube.
 const ROLLOUTS: u64 = 20;
 
-/// Full voltage, its sign by chance or by the side of a plane on which the state is.
+/// A policy of full voltage whose sign is random or depends on the side of a plane in state space.
 #[derive(Debug)]
 struct BangBang {
     rng: ChaCha8Rng,
-    /// Normal of the plane: of theta, theta_dot, sin(alpha), alpha_dot; none switches by chance.
+    /// Normal of the plane: weights of theta, theta_dot, sin(alpha) and alpha_dot; `None` switches
+    /// at random.
     plane: Option<[f64; 4]>,
-    /// Most ticks for which chance holds a sign.
+    /// Longest time for which a random sign holds, ticks.
     longest: u32,
     left: u32,
     sign: f64,
@@ -81,7 +82,7 @@ fn qube(seed: u64) -> EmulatorSettings {
     EmulatorSettings { model, seed, ..EmulatorSettings::default() }
 }
 
-/// A rollout that notes how far out the arm was seen.
+/// A controller that records the largest angle of the arm.
 struct Noted<C: Controller> {
     tick: Tick<C>,
     farthest_rad: f64,
@@ -103,16 +104,16 @@ impl<C: Controller> Motion for Noted<C> {
     }
 }
 
-/// What ended rollouts, and on which Qubes.
+/// Endings of rollouts by fault, and the Qubes on which they occurred.
 #[derive(Debug, Default)]
 struct Counted {
     ticks: u64,
     not_homed: Vec<u64>,
-    /// Faults of an arm that had kept off its stops.
+    /// Faults while the arm had kept off its stops.
     faults: BTreeMap<String, Vec<u64>>,
-    /// Faults after the arm had hit a stop, as without a guard it may.
+    /// Faults after the arm had hit a stop, which is possible without a guard.
     after_a_hit: BTreeMap<String, Vec<u64>>,
-    /// Brakes of the box alone that were not done within their second.
+    /// Brakes in the box alone that took longer than a second.
     brakes_timed_out: Vec<u64>,
 }
 
@@ -172,7 +173,7 @@ fn drive_qube(seed: u64) -> Counted {
     counted
 }
 
-/// Drives one Qube after the other, from this seed on, for so many ticks in all.
+/// Drives Qubes one after the other, from this seed on, for this many ticks in all.
 fn no_fault(first_seed: u64, wanted_ticks: u64) {
     let (ticks, seed) = (AtomicU64::new(0), AtomicU64::new(first_seed));
     let work = || {

@@ -1,8 +1,8 @@
-//! Every number of the surrogate beside BoTorch's.
+//! Compares every number of the surrogate with BoTorch's.
 //!
 //! Reads each `botorch_fixture_*.json` in `$QUBE_HIL_FIXTURES`, or else in `../shared/fixtures`
-//! beside the checkout; each says in words what its numbers are. A small one of the same kind
-//! lives in `tests/fixtures`, so that this test never has nothing to compare with.
+//! beside the checkout; each file describes its numbers. `tests/fixtures` has a small one of the
+//! same kind, so that the test always has something to compare with.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ use serde::Deserialize;
 
 #[derive(Deserialize)]
 struct Fixture {
-    /// Absent in BoTorch's own fixtures, which are all Matérn 5/2.
+    /// Absent in BoTorch's own fixtures, which all use Matérn 5/2.
     #[serde(default)]
     kernel: Kernel,
     bounds_lo: Vec<f64>,
@@ -88,7 +88,7 @@ fn botorch_fixtures_from_outside() {
     let folder = named.clone().unwrap_or_else(shared);
     let found = fixtures_in(&folder);
     if found.is_empty() {
-        // a folder that somebody named must not be skipped in silence
+        // A folder that was named explicitly must not be skipped.
         assert!(named.is_none(), "no botorch_fixture_*.json in {}", folder.display());
         eprintln!(
             "skipped: no botorch_fixture_*.json in {}; set QUBE_HIL_FIXTURES to their folder",
@@ -169,8 +169,9 @@ fn at_given_hyperparameters(
     close(name, "log marginal likelihood", evidence.value, theirs.log_marginal_likelihood);
     close(name, "log prior", hyperparameters.log_prior(priors), theirs.log_prior_total);
 
-    // gradients: theirs with respect to raw parameters, l = ln(1 + exp(raw)) for gamma, l = raw else;
-    // near the optimum they are differences of large terms, so the error is relative to those
+    // Gradients: theirs are with respect to raw parameters, l = ln(1 + exp(raw)) for gamma, l = raw
+    // otherwise. Near the optimum they are differences of large terms, so the error is relative to
+    // those.
     let size = theirs.d_lml_d_raw_lengthscale.iter().fold(1.0_f64, |most, g| most.max(g.abs()));
     for ((ours, l), raw) in evidence
         .d_log_lengthscales
@@ -198,7 +199,8 @@ fn at_given_hyperparameters(
             criterion.score(posterior.mean, posterior.deviation()).value
         };
         close_logarithms(name, "log EI", score(&log_improvement), theirs.log_ei[i]);
-        // BoTorch's plain EI is a difference that drowns in rounding far out; its own log EI tells
+        // BoTorch's plain EI is a difference that drowns in rounding far out; its own log EI shows
+        // the correct value.
         let sound = theirs.log_ei[i] > -30.0;
         let expected = if sound { theirs.ei[i] } else { theirs.log_ei[i].exp() };
         close(name, "EI", score(&improvement), expected);
@@ -216,7 +218,8 @@ fn close(name: &str, what: &str, ours: f64, theirs: f64) {
     );
 }
 
-/// Logarithms of numbers that are equal to 1e-9, relative; or equal to that themselves.
+/// Whether two logarithms belong to numbers that are equal to 1e-9, relative, or are equal to that
+/// themselves.
 fn close_logarithms(name: &str, what: &str, ours: f64, theirs: f64) {
     let error = (ours - theirs).abs() / theirs.abs().max(1.0);
     assert!(error < 1e-9, "{name}: {what} is {ours}, BoTorch has {theirs} (relative {error:e})");

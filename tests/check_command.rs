@@ -1,4 +1,4 @@
-//! `check` and `doctor` as commands, and what `run` and `session` do with a Qube that is not fit.
+//! Tests the commands `check` and `doctor`, and that `run` and `session` refuse an unfit Qube.
 
 #[path = "real_time/mod.rs"]
 mod real_time;
@@ -113,7 +113,7 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
             let _held_open = slave;
             serialport::SerialPort::set_timeout(&mut master, Duration::from_secs(60)).unwrap();
             let mut buffer = [0; 256];
-            // Ends with the file that is written when the test is through.
+            // Ends with the file that is written when the test is complete.
             while let Ok(length) = master.read(&mut buffer) {
                 let said = if echoes { &buffer[..length] } else { b"ready\r\n\x00\xf0\x8a\x00" };
                 if buffer[..length].starts_with(b"end") || master.write_all(said).is_err() {
@@ -187,7 +187,7 @@ fn settings_of_a_qube_that_are_none() {
     refused(&["run", "--policy", "classical", "--qube", "my.toml"], &["line 1", "sings"]);
     refused(&["check", "--write"], &["--device"]);
 
-    // The file in the working directory counts with a port, and only with one.
+    // The file in the working directory applies with a port, and only then.
     std::fs::write(directory.path().join("qube.toml"), "[sings]\n").unwrap();
     refused(&["check", "--device", "/dev/ttyNOWHERE"], &["qube.toml", "sings"]);
     let emulated = qube_hil(directory.path(), &["check", "--clock", "virtual"]);

@@ -1,5 +1,5 @@
-//! The check before a session, in virtual time: what is wrong with a Qube is named, the signs that
-//! are found make it swing up, and each recording says what the check came to.
+//! Tests the check before a session, in virtual time: it names the fault of a Qube, finds the signs
+//! with which the Qube swings up, and its result is in every recording.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -155,7 +155,7 @@ fn homing_by_hand_passes_too_and_a_stop_ends_a_check() {
     let mut rig = Rig::connect(&settings, &stop()).unwrap();
     let found = rig.check(false).unwrap();
     assert!(found.passed(), "{:#?}", found.results);
-    // The middle is where the arm was put, not where the push has left it.
+    // The middle is where the operator put the arm, not where the push left it.
     let middle = format!("at count {},", found.start_theta_counts.unwrap());
     assert!(found.results.last().unwrap().value.contains(&middle), "{:#?}", found.results);
     let stopped = Arc::new(AtomicBool::new(true));

@@ -1,5 +1,5 @@
-//! The check on rigs of all kinds, in virtual time: a healthy one passes, its signs are learned, and a
-//! single defect is named and nothing else.
+//! Tests the check on random rigs, in virtual time: a healthy rig passes, its signs are found, and
+//! a single defect is named and nothing else.
 
 #[path = "check_trial/rigs.rs"]
 mod rigs;
@@ -18,7 +18,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rigs::{DEFECTS, FIRST_SEED, failed, number, of_each, rig, signs_of};
 
-/// An examination, and the largest speed at which the arm touched a stop meanwhile.
+/// Runs an examination; returns the largest speed at which the arm touched a stop meanwhile.
 fn examined(
     settings: EmulatorSettings,
     signs: Calibration,
@@ -34,7 +34,7 @@ fn examined(
     (found, touch_rad_s)
 }
 
-/// The verdicts of one rig that are wrong, in words.
+/// The wrong verdicts of one rig, in words.
 fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
     let rig = rig(seed);
     let mut wrong = Vec::new();
@@ -52,7 +52,7 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
     judge("healthy", &found, &[]);
     assert!(touch_rad_s < 2.0, "{seed}: a stop was touched at {touch_rad_s} rad/s");
 
-    // From signs that nobody knows.
+    // Signs that are not known.
     let mut random = ChaCha8Rng::seed_from_u64(seed + 1_000_000);
     let unknown = Calibration {
         theta_inverted: random.random_range(0..2) == 0,
@@ -110,7 +110,7 @@ fn no_verdict_is_wrong_on_many_rigs() {
     trial(first..first + number("RIGS", 2000));
 }
 
-/// Beside a stop, each of its encoders dead or alive, whatever signs the file says.
+/// Rigs at a stop, with each encoder alive or dead, whatever signs the file has.
 #[test]
 fn the_probe_touches_no_stop_hard() {
     for seed in 0..48 {

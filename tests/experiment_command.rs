@@ -1,5 +1,5 @@
-//! An experiment as its users meet it: interrupted, killed and gone on with, on any number of
-//! threads, it comes to the same table, byte for byte, and repeats nothing that was finished.
+//! Tests the command `experiment`: interrupted, killed and resumed, on any number of threads, it
+//! gives the same table, byte for byte, and repeats nothing that was finished.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Policies that have seen two small updates.
+/// Policies with two small updates of training.
 const TINY: &str = "[settings.training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
 
 /// A search of four candidates.
@@ -69,7 +69,7 @@ fn table(directory: &Path) -> String {
     succeeds(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
 }
 
-/// Every policy and recording by its name, without what was put aside.
+/// Every policy and recording by its name, without the files that were put aside.
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -120,18 +120,18 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     same_files(torn.path(), &expected_files);
 }
 
-/// Runs an experiment that is killed and stopped by turns until it is through.
+/// Runs an experiment, killing and stopping it in turn, until it is complete.
 fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
     let mut child = begin(directory, arguments, "1");
     let mut interruptions = 0;
     loop {
-        // Whatever it is doing by then: the times walk through all its phases.
+        // The times cover all its phases.
         std::thread::sleep(Duration::from_millis(60 + 53 * (interruptions % 7)));
         if let Some(status) = child.try_wait().unwrap() {
             assert!(status.success(), "after {interruptions} interruptions: {status}");
             break;
         }
-        // Each leaves more behind, so this ends; the limit only keeps a failure short.
+        // Each attempt leaves more behind, so this ends; the limit only shortens a failure.
         if interruptions < 30 {
             let signal = if interruptions % 2 == 0 { Signal::KILL } else { Signal::INT };
             let _ = kill_process(Pid::from_child(&child), signal);
@@ -159,7 +159,7 @@ fn same_files(directory: &Path, expected: &BTreeMap<String, Vec<u8>>) {
     }
 }
 
-/// In a box that the excitation leaves at once.
+/// A box that the excitation leaves at once.
 const NARROW: &str = "[settings.safety_box]\nalpha_dot = 0.5\n";
 
 #[test]
@@ -193,7 +193,7 @@ fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
     let output = experiment(whole.path(), &arguments).output().unwrap();
     let text = succeeds(&output);
     assert!(text.contains("tiny on lab"), "{text}");
-    // Policies that have seen nothing never stand, and a recording that is cut short shows no Qube.
+    // Untrained policies never succeed, and a recording that is cut short cannot identify a Qube.
     for line in ["bayrn           0/2", "random          0/2", "identify        0/2", "identify: "]
     {
         assert!(text.lines().any(|it| it.starts_with(line)), "{line} in {text}");

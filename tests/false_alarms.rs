@@ -1,5 +1,5 @@
-//! A healthy Qube raises no fault: rollouts in virtual time, with policies that swing up, that push
-//! against the limits, and that know nothing.
+//! Tests that a healthy Qube raises no fault: rollouts in virtual time, with policies that swing
+//! up, that push against the limits, and that are untrained.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -14,7 +14,7 @@ use qube_hil::qube::State;
 use qube_hil::safety::{Limit, SafetyBox};
 use qube_hil::telemetry::{Ending, TickSettings};
 
-/// An untrained policy: smooth nonsense, another for each seed.
+/// An untrained policy, different for each seed.
 struct Untrained {
     seed: f64,
 }

@@ -1,7 +1,7 @@
-//! The firmware as it is flashed, run in simavr on a real pty, with a Qube on its SPI.
+//! Tests the firmware binary, run by simavr on a real pty, with a Qube on its SPI.
 //!
-//! `make` builds it into `target/firmware`. Needs the Debian packages gcc-avr, avr-libc,
-//! libsimavr-dev and libelf-dev; without them each test says that it is skipped, or fails where
+//! `make` builds it into `target/firmware`. It needs the Debian packages gcc-avr, avr-libc,
+//! libsimavr-dev and libelf-dev. Without them each test reports that it is skipped, or fails if
 //! they are required (`CI` or `QUBE_HIL_REQUIRE_FIRMWARE` is set).
 
 #[path = "firmware/acting.rs"]

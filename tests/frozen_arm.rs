@@ -1,4 +1,5 @@
-//! An arm's encoder that freezes while arm and pendulum are in motion, and an arm that friction holds.
+//! Tests that an arm encoder that freezes during a motion is found, and that an arm held by
+//! friction is not taken for one.
 
 #[path = "harmless/freezes.rs"]
 #[allow(dead_code)] // The test and the example read different parts of it.
@@ -17,8 +18,8 @@ use qube_hil::qube::{
 };
 use qube_hil::telemetry::{Ending, Fault};
 
-/// How many ticks after the freeze (none: the encoder is right all along) the arm is called frozen,
-/// driven to and fro beside a swinging pendulum.
+/// Ticks from the freeze to the alarm, while the arm is driven to and fro beside a swinging
+/// pendulum. Without a freeze (`None`) any alarm counts.
 fn found_after(
     nonidealities: Nonidealities,
     alpha: f64,
@@ -75,7 +76,7 @@ fn an_arm_that_friction_holds_against_a_swinging_pendulum_is_not_frozen() {
     }
 }
 
-/// Whole rollouts, most of which are quiet balancing, where only the asking push tells.
+/// Whole rollouts that mostly balance quietly, where only the asking push finds the freeze.
 #[test]
 fn a_freeze_anywhere_in_a_rollout_is_found_within_300_ms_and_a_healthy_qube_is_left_alone() {
     for (qube, settings) in qubes() {

@@ -1,5 +1,5 @@
-//! The fuzzers' corpus, replayed: what once was found stays found. `fuzz/README.md` says how it is
-//! grown.
+//! Replays the fuzzers' corpus, so that faults found once stay fixed. `fuzz/README.md` explains how
+//! to extend it.
 
 #[path = "../fuzz/bodies.rs"]
 mod bodies;
@@ -13,8 +13,8 @@ fn corpus(target: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target)
 }
 
-/// Runs a body on each file of its corpus, on each of them cut off, and with each of its first bytes
-/// changed.
+/// Runs a body on each file of its corpus, on truncated copies, and on copies with one of the first
+/// bytes changed.
 fn replay(target: &str, body: fn(&[u8])) {
     let mut files: Vec<_> = std::fs::read_dir(corpus(target))
         .unwrap_or_else(|error| panic!("{target}: {error}"))
@@ -59,7 +59,7 @@ fn ledger() {
     replay("ledger", bodies::ledger);
 }
 
-/// Makes the seeds of the corpus anew, from what this program writes.
+/// Rebuilds the seeds of the corpus from what this program writes.
 #[test]
 #[ignore = "writes into fuzz/; run it when a format has changed"]
 fn make_seeds() {

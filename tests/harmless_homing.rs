@@ -1,5 +1,5 @@
-//! Starts with one thing wrong each: no stop is touched hard while homing and settling, and what is wrong
-//! is named. `scripts/harmless-homing` plays 10^4 of them; here is a small count.
+//! Tests starts with one fault each: while homing and settling no stop is touched hard, and the
+//! fault is named. `scripts/harmless-homing` plays 10^4 of them; this is a small number.
 
 #[path = "harmless/mod.rs"]
 mod harmless;
@@ -8,7 +8,7 @@ use harmless::case::{Case, Start};
 use harmless::table::Row;
 use harmless::trial::play;
 
-/// Of each of the 26 cases: 260 starts.
+/// Starts of each of the 26 cases: 260 in all.
 const SEEDS: std::ops::Range<u64> = 0..10;
 
 #[test]
@@ -25,8 +25,8 @@ fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
             if trial.falls_short(start) {
                 println!("falls short: {because}");
             }
-            // Where the fault is there from the start, or none is, homing names it or none; and no sign
-            // is named because of a hand.
+            // A fault that exists from the start is named by homing, or there is none; and a hand
+            // never leads to a wrong sign.
             let from_the_start = matches!(
                 case,
                 Case::Healthy

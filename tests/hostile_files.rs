@@ -1,5 +1,5 @@
-//! Small files that ask for much memory do not get it: the largest that is ever in use while a
-//! recording is read is counted.
+//! Tests that small files which ask for much memory do not get it, by the largest amount in use
+//! while a recording is read.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::Write;
@@ -9,15 +9,15 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use crc::{CRC_32_ISO_HDLC, Crc};
 use qube_hil::recording::{Completeness, parse};
 
-/// Most memory for a file of a few megabytes: the file's blocks one at a time, and ticks.
+/// Largest amount for a file of a few megabytes: one block at a time, and the ticks.
 const ENOUGH_BYTES: usize = 32 << 20;
 
 static IN_USE: AtomicUsize = AtomicUsize::new(0);
 static PEAK: AtomicUsize = AtomicUsize::new(0);
-/// One measurement at a time.
+/// Lock: one measurement at a time.
 static TURN: Mutex<()> = Mutex::new(());
 
-/// The system's allocator, counting what is in use.
+/// The system's allocator, which counts the bytes in use.
 struct Counting;
 
 // SAFETY: every call is handed on unchanged to the system's allocator, which keeps the contract.

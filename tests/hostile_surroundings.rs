@@ -1,5 +1,5 @@
-//! What others have prepared: names that a terminal would obey, links where files are written, and
-//! things without an end where files are read.
+//! Tests hostile input around the program: names with terminal control characters, links at the
+//! places of output files, and input files without an end.
 
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -8,20 +8,19 @@ use std::time::{Duration, Instant};
 
 use qube_hil::session::SessionSettings;
 
-/// ESC [ and CSI in one character, OSC with BEL, an override of the direction of writing, and a line
-/// of its own, as JSON writes them.
+/// ESC [ and CSI as one character, OSC with BEL, a change of the writing direction, and a line of
+/// its own, as JSON strings.
 const HOSTILE_JSON: &str = "x\\u001b[2J\\u009b31m\\u001b]0;owned\\u0007\\u202egnp\\n\
                             rollout 0: return  600.0  success";
 
-/// Whoever takes longer waits for something that never comes; a short training on a busy computer may
-/// take a minute.
+/// Time after which a run counts as blocked; a short training on a busy computer may take a minute.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors")
 }
 
-/// Runs the program, which must end by itself soon.
+/// Runs the program, which must end by itself.
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
     let mut program = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)
@@ -43,7 +42,7 @@ fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
     program.wait_with_output().unwrap()
 }
 
-/// A policy with `change` made to the text of its header.
+/// A policy file with `change` applied to the text of its header.
 fn policy(change: impl Fn(&str) -> String) -> Vec<u8> {
     let whole = std::fs::read(shipped()).unwrap();
     let length = u64::from_le_bytes(whole[..8].try_into().unwrap()) as usize;
@@ -106,7 +105,7 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
     let small = "[extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\n\
                  verification_rollouts = 1\n[training]\nupdates = 1\npendulums = 16\nepochs = 1\n";
     std::fs::write(at("small.toml"), small).unwrap();
-    // Where each command writes, and what somebody has put there before.
+    // The output of each command, and what already exists there.
     let cases: [(&str, &[&str], &[&str]); 5] = [
         (
             "session",
@@ -187,7 +186,7 @@ fn what_has_no_end_is_refused_at_once() {
         }
     }
     assert!(!directory.path().join("session").exists());
-    // What a session goes on with is somebody's file too.
+    // A resumed session reads files that somebody else may have written.
     let root = directory.path().join("resumed");
     let whole = SessionSettings::quick().to_toml().unwrap();
     drop(qube_hil::session::SessionFolder::create(&root, &whole).unwrap());

@@ -1,4 +1,4 @@
-//! The installer is safe to repeat, and what it installs says what the manual says.
+//! Tests that the installer can be repeated, and that it installs what the manual says.
 
 use std::fs;
 use std::path::Path;
@@ -45,7 +45,7 @@ fn a_second_installation_changes_nothing() {
     assert_eq!(second.matches("unchanged:").count(), FILES.len(), "{second}");
     assert_eq!(modified(), before);
 
-    // A file that somebody has changed is put right, and only that.
+    // A changed file is restored, and no other.
     fs::write(directory.path().join(FILES[1]), "mine").unwrap();
     let third = stdout(&install(&["--prefix", prefix]));
     assert!(third.contains(": 1 (groups"), "{third}");
@@ -67,7 +67,7 @@ fn what_cannot_be_is_refused() {
         &["--nonsense"],
         &["--binary", "/no/such/file"],
         &["--board"],
-        // Each would be more than one board's serial number in a rule.
+        // Each of these is more than one board's serial number in a rule.
         &["--board", "*"],
         &["--board", "A\", RUN+=\"/bin/sh"],
         &["--board", "A|B"],
@@ -79,15 +79,15 @@ fn what_cannot_be_is_refused() {
     }
 }
 
-/// One port with what udev sees of it and of the board above it.
+/// A port, with the properties of the port and its board that udev sees.
 struct Port<'a> {
     vendor: &'a str,
     product: &'a str,
     serial: Option<&'a str>,
 }
 
-/// The names that rules give a port: as much of udev's language as ours are written in. What they use
-/// beyond that fails.
+/// The names that rules give a port. It implements the subset of udev's language that our rules use
+/// and fails on the rest.
 fn names(rules: &str, port: &Port) -> Vec<String> {
     let mut names = Vec::new();
     let mut wanted: Option<String> = None;

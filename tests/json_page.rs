@@ -1,4 +1,5 @@
-//! `docs/reference/json.md` beside the program: what it lists is printed, and what is printed is listed.
+//! Compares `docs/reference/json.md` with the program: every listed field is printed, and every
+//! printed field is listed.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -8,7 +9,7 @@ use serde_json::Value;
 
 const PAGE: &str = include_str!("../docs/reference/json.md");
 
-/// The last line of what a command prints, and its exit code.
+/// The last line that a command prints, and its exit code.
 fn told(directory: &Path, arguments: &[&str]) -> (Value, Option<i32>) {
     let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)
@@ -22,7 +23,7 @@ fn told(directory: &Path, arguments: &[&str]) -> (Value, Option<i32>) {
     (serde_json::from_str(last).unwrap(), output.status.code())
 }
 
-/// The fields of a section of the page, each with whether only some results have it.
+/// The fields in a section of the page, each with whether it is optional.
 fn listed(section: &str) -> Vec<(&'static str, bool)> {
     let title = format!("\n## {section}\n");
     let after = PAGE.split(title.as_str()).nth(1).unwrap_or_else(|| panic!("no {section}"));
@@ -35,7 +36,7 @@ fn listed(section: &str) -> Vec<(&'static str, bool)> {
     .collect()
 }
 
-/// The paths of all values that hold no others.
+/// The paths of all values that contain no others.
 fn printed(value: &Value, path: &str, found: &mut BTreeSet<String>) {
     match value {
         Value::Object(fields) if !fields.is_empty() => {
@@ -51,7 +52,7 @@ fn printed(value: &Value, path: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-/// Whether a printed path is that of a field, or of something without a value above it.
+/// Whether a printed path is that of a field, or of an element without a value above it.
 fn is_of(path: &str, field: &str) -> bool {
     let above = |rest: &str| rest.starts_with('.') || rest.starts_with("[]");
     match field.strip_suffix(".*") {
@@ -140,7 +141,7 @@ fn a_training_prints_the_fields_of_the_page() {
 
 #[test]
 fn a_computer_that_is_looked_at_prints_the_fields_of_the_page() {
-    // Whether this computer is fit is no matter here.
+    // Whether this computer is fit does not matter here.
     let directory = tempfile::tempdir().unwrap();
     agrees("`doctor`", &told(directory.path(), &["doctor"]).0);
 }

@@ -1,5 +1,5 @@
-//! A process that records in wall-clock time is killed with SIGKILL: every tick that is older than
-//! 250 ms must be in its file.
+//! Tests that a process that is killed with SIGKILL while recording has every tick older than 250
+//! ms in its file.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
@@ -19,8 +19,8 @@ const CHILD: &str = "QUBE_HIL_TEST_RECORD_TO";
 const PROMISE_NS: u64 = 250_000_000;
 const TICKS: u32 = 47;
 
-/// On a machine that is so busy that it keeps the recorder from running for a tenth of a second no
-/// program can keep the promise; then it is tried again. A recorder that does not flush fails all.
+/// Attempts. No program can keep the promise on a computer that keeps the recorder from running for
+/// 0.1 s; a recorder that does not flush fails all attempts.
 const ATTEMPTS: u64 = 8;
 
 fn header() -> RolloutHeader {
@@ -54,7 +54,7 @@ fn header() -> RolloutHeader {
     }
 }
 
-/// The process that is killed: this test by itself does nothing.
+/// The process that is killed; run as a test it does nothing.
 #[test]
 fn child() {
     let Some(path) = std::env::var_os(CHILD) else { return };
@@ -63,7 +63,7 @@ fn child() {
         Recorder::start(&MachineDisk, Path::new(&path), header(), b"policy", consumer).unwrap();
     let clock = MonotonicClock;
     let mut deadline_ns = clock.now_ns();
-    // Ticks at 100 Hz, then none for good: the last ones wait in a block that does not fill up.
+    // Ticks at 100 Hz, then none: the last ones wait in a block that is not full.
     for number in 0..TICKS {
         clock.sleep_until(deadline_ns);
         let record = TickRecord {
@@ -80,13 +80,13 @@ fn child() {
     std::thread::sleep(Duration::from_secs(60));
 }
 
-/// Number and time of a tick that the child says it has handed over.
+/// Number and time of a tick that the child has handed over.
 fn tick(line: String) -> Option<(u32, u64)> {
     let (number, time_ns) = line.split_once("tick ")?.1.split_once(' ')?;
     Some((number.parse().ok()?, time_ns.parse().ok()?))
 }
 
-/// Kills the child after so many ticks and a pause. Returns the promised ticks that are missing.
+/// Kills the child after this many ticks and a pause; returns the promised ticks that are missing.
 fn missing_after_kill(ticks: usize, pause: Duration) -> Vec<u32> {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("killed.mcap");
@@ -133,7 +133,7 @@ fn killed_in_the_middle_all_but_the_last_quarter_second_is_readable() {
     nothing_is_missing(45, Duration::ZERO);
 }
 
-/// Many kills, each after another number of ticks; `scripts/durability recorder-kills` asks for them.
+/// Many kills after different numbers of ticks, for `scripts/durability recorder-kills`.
 #[test]
 fn killed_again_and_again_all_but_the_last_quarter_second_is_readable() {
     let kills = std::env::var("QUBE_HIL_RECORDER_KILLS").unwrap_or_else(|_| "1".to_owned());

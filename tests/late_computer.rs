@@ -1,5 +1,5 @@
-//! A computer that stands still for a moment again and again leaves no doubt about a healthy Qube: what
-//! it ends is told as late. In virtual time.
+//! Tests that a computer that stalls again and again raises no doubt about a healthy Qube: motions
+//! that it ends are reported as late. In virtual time.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -18,13 +18,13 @@ use qube_hil::telemetry::{Ending, Fault};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// How often computers stand still, s between two times on the average, and for how long at the most, s: up
-/// to a tick that is skipped, nearly the longest that a motion survives, and longer than that.
+/// Mean time between stalls, and their longest duration, s: up to a skipped tick, nearly the
+/// longest that a motion survives, and longer.
 const EVERY_S: [f64; 3] = [0.5, 1.0, 2.0];
 const LONGEST_S: [f64; 3] = [0.012, 0.034, 0.06];
 const SHORTEST_S: f64 = 0.004;
 
-/// A clock on which a wait may end late, and a moment after it another one.
+/// A clock on which a wait may end late, followed by a second late one.
 #[derive(Debug)]
 struct LateClock {
     time: VirtualClock,

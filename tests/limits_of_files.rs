@@ -1,5 +1,5 @@
-//! A file may narrow a limit and never widen one; on a real Qube it cannot switch the guard off
-//! either. Exit code 2, one sentence, and nothing has begun: no folder, no port was touched.
+//! Tests that a file may narrow a limit but not widen one, and cannot switch off the guard of a
+//! real Qube: exit code 2, one sentence, and nothing has begun (no folder, no port).
 
 use std::path::Path;
 use std::process::Output;
@@ -10,7 +10,7 @@ use qube_hil::recording::read;
 use qube_hil::safety::{Guard, SafetyBox};
 use qube_hil::session::{EmulatedQubeSettings, SessionFolder, SessionSettings};
 
-/// A port that does not exist: who comes as far as this has passed all limits.
+/// A port that does not exist: the message about it shows that all limits were passed.
 const PORT: [&str; 2] = ["--device", "/dev/ttyNOWHERE"];
 const EMULATED: [&str; 2] = ["--clock", "virtual"];
 
@@ -84,7 +84,7 @@ fn both_words_on_one_command_line_lead_to_the_port() {
     assert!(!directory.path().join("session").exists(), "a session without a Qube was begun");
     let settings = SessionSettings::quick().with_guard(Guard::Box).to_toml().unwrap();
     drop(SessionFolder::create(&directory.path().join("session"), &settings).unwrap());
-    // It is the session's guard now, and consent is asked for again by each process that drives.
+    // The guard is the session's now, and every process that drives asks for consent again.
     let resume = ["session", "--resume", "session"];
     let named = ["session.toml", "guard", "--accept-hard-stop"];
     refused(directory.path(), &[&resume, &PORT[..]].concat(), &named);
@@ -126,7 +126,7 @@ fn a_session_that_is_resumed_widens_nothing() {
     }
 }
 
-/// Nothing begins or goes on under the guard of the past, whatever asks for it.
+/// Nothing starts or resumes under the guard of old recordings, whatever asks for it.
 #[test]
 fn the_guard_of_the_past_is_refused_with_what_is_in_its_place() {
     let directory = tempfile::tempdir().unwrap();
@@ -171,7 +171,7 @@ fn the_guard_of_the_past_is_refused_with_what_is_in_its_place() {
     }
     assert!(!directory.path().join("begun").exists());
 
-    // What a session and an experiment of that time have written.
+    // Files that a session and an experiment of that version wrote.
     let root = directory.path().join("session");
     let whole = SessionSettings::quick().to_toml().unwrap();
     drop(SessionFolder::create(&root, &whole).unwrap());
@@ -263,7 +263,7 @@ fn a_rigs_own_file_widens_nothing() {
         let run = ["run", "--policy", "classical", "--qube", "qube.toml"];
         refused(directory.path(), &run, &["qube.toml", "line 3", "at most 2.3"]);
     }
-    // It knows no guard at all.
+    // A file that names no guard.
     std::fs::write(directory.path().join("qube.toml"), "[limits]\nguard = \"box\"\n").unwrap();
     let run = ["run", "--policy", "classical", "--qube", "qube.toml"];
     refused(directory.path(), &run, &["qube.toml", "guard"]);
@@ -276,7 +276,7 @@ fn a_soak_runs_under_foresight() {
     let output = qube_hil(directory.path(), &soak);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let recording = read(&directory.path().join("kept/rollout-0.mcap")).unwrap();
-    // The stops that homing measured may lie a count inside of where a Qube's are.
+    // The measured stops may lie one count inside a Qube's nominal ones.
     let SafetyBox { theta, .. } = recording.header.settings.safety_box;
     assert!(
         theta <= SafetyBox::GUARDED.theta && theta > SafetyBox::GUARDED.theta - 0.01,

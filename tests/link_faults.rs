@@ -1,5 +1,5 @@
-//! A link that is late, silent or gone for a while, and a board that restarts: in virtual time, over a
-//! wire that does so when it is told.
+//! Tests a link that is late, silent or gone for a while, and a board that restarts, in virtual
+//! time over a wire with planned faults.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -19,16 +19,16 @@ use qube_hil::telemetry::Fault;
 
 const MS: Nanoseconds = 1_000_000;
 
-/// What becomes of a wire for a while.
+/// The fault of a wire for some time.
 #[derive(Clone, Copy, Debug)]
 enum Trouble {
-    /// What the device says comes so much later.
+    /// Bytes from the device arrive this much later.
     Late(Nanoseconds),
-    /// The port is gone; it can be opened again afterwards.
+    /// The port is gone and can be reopened afterwards.
     Gone,
 }
 
-/// An emulated board on a wire that is in trouble from one time to another.
+/// An emulated board on a wire with a fault between two times.
 struct TroubledWire {
     wire: InProcessWire,
     clock: VirtualClock,

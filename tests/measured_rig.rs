@@ -1,5 +1,5 @@
-//! The rig as homing measured it: counts that moved while nothing was driven mean homing again, and the
-//! box follows the stops that were found. In virtual time, with a look at where the Qube really is.
+//! Tests the rig as homing measured it: counts that move while nothing is driven require a new
+//! homing, and the box follows the measured stops. In virtual time, with access to the true state.
 
 use std::path::Path;
 use std::sync::atomic::AtomicU32;
@@ -25,7 +25,7 @@ use wire::SharedWire;
 
 const MS: Nanoseconds = 1_000_000;
 
-/// An emulated Qube whose plant the test can look at.
+/// An emulated Qube whose plant the test can inspect.
 #[derive(Clone, Debug, Default)]
 struct Bench {
     clock: VirtualClock,
@@ -35,7 +35,7 @@ struct Bench {
     armed: Arc<AtomicU32>,
 }
 
-/// A Qube whose last sample the test can look at, or which says its first one again and again.
+/// A Qube whose last sample the test can inspect, or which repeats its first one.
 struct Watched {
     device: Box<dyn Device>,
     last: Arc<Mutex<Option<Measurement>>>,
@@ -129,15 +129,16 @@ fn lab() -> QubeModel {
     Profile::parse(&std::fs::read_to_string(path).unwrap()).unwrap().model()
 }
 
-/// How far the angle of the arm, by the rollout's zero, is from the true one where it rests, rad.
+/// Error of the arm's angle at rest, by the rollout's zero, rad.
 fn theta_error_rad(bench: &Bench, recording: &Recording) -> f64 {
     let last = bench.last.lock().unwrap().unwrap();
     let (theta_rad, _) = recording.header.settings.calibration.angles_rad(&last);
     (theta_rad - bench.wire().state().theta).abs()
 }
 
-/// A rollout, a fault of an encoder, and the next rollout as `run` does it: why it did not begin at
-/// first, if so, and its recording. The fault comes this long after the end of the first.
+/// A rollout, a fault of an encoder, and the next rollout as `run` does it: returns why the second
+/// did not begin at first, and its recording. The fault occurs this long after the end of the
+/// first.
 fn next_rollout(kind: &str, counts: i32, after_ms: i64) -> (Option<Moved>, Recording, f64) {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
@@ -221,7 +222,7 @@ fn a_healthy_qube_is_not_homed_again_for_nothing() {
             let ticks_s = recording.ticks.len() as f64 * 0.01;
             driven_s += ticks_s;
             between_s += (bench.clock.now_ns() - begin_ns) as f64 * 1e-9 - ticks_s;
-            // Somebody does something else meanwhile.
+            // Another client uses the Qube meanwhile.
             if number % 10 == 5 {
                 let before_rad = bench.wire().state().theta;
                 bench.clock.advance(500 * MS);
@@ -235,7 +236,7 @@ fn a_healthy_qube_is_not_homed_again_for_nothing() {
              to {largest_creep_rad:.3} rad in 0.5 s"
         );
         assert!(largest_error_rad < 0.02, "{name}: {largest_error_rad} rad");
-        // By the rollout and not by what was driven: a guard may end many of them soon.
+        // Judged by rollouts, not by driven time, because the guard may end many of them early.
         assert!(between_s < 5.0 * 50.0, "{name}: {between_s} s");
     }
 }
@@ -249,7 +250,7 @@ fn a_device_whose_clock_is_really_broken_ends_after_three_tries_with_its_name() 
     assert_eq!(bench.armed.load(Relaxed), 3);
 }
 
-/// A policy that pushes the arm outward, the harder the further it is, to the side on which it is.
+/// A policy that pushes the arm outward, harder the farther it is out.
 fn outward() -> Policy {
     Policy::Classical(ClassicalController::new(ClassicalGains {
         pump_limit_v: 0.0,
@@ -293,7 +294,7 @@ fn stops_that_are_not_a_qubes_ask_the_operator_and_accepted_ones_are_the_rigs() 
                 let ending = recording.outcome.as_ref().unwrap().ending;
                 assert!(!matches!(ending, Ending::Fault(_)), "{stops_rad:?}: {ending:?}");
 
-                // The zero is off the middle by the offset, and each stop is outside of the box.
+                // The zero is off the middle by the offset, and both stops are outside the box.
                 let middle_rad = 0.5 * (stops_rad[0] + stops_rad[1]);
                 let zero_rad = middle_rad + theta_offset_rad;
                 let settings = &recording.header.settings;

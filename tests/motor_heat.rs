@@ -1,5 +1,5 @@
-//! The motor's heat in virtual time: rollouts back to back as an operator would run them warm the
-//! motor and never warn; a policy that burns current is braked in the computed time.
+//! Tests the motor's heat in virtual time: consecutive rollouts warm the motor without a warning,
+//! and a policy that wastes current is braked at the computed time.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -14,7 +14,7 @@ use qube_hil::qube::{Profile, QubeModel, State};
 use qube_hil::safety::{LARGEST_LOAD, MotorHeat, SafetyBox, WARNING_LOAD};
 use qube_hil::telemetry::{Ending, Fault, RolloutOutcome, TickSettings};
 
-/// An emulated Qube that is homed, its motor as warm as homing makes it.
+/// An emulated Qube after homing, with its motor's heat.
 struct Rig {
     device: SerialLink<qube_hil::device::InProcessWire>,
     clock: VirtualClock,
@@ -36,7 +36,7 @@ impl Rig {
         Self { device, clock, homing, heat }
     }
 
-    /// The next rollout, without a pause after the one before.
+    /// The next rollout, without a pause.
     fn rollout(
         &mut self,
         controller: impl Controller,
@@ -61,8 +61,8 @@ impl Rig {
     }
 }
 
-/// Full voltage, the other way after each second tick: the arm trembles by some counts, and the winding burns
-/// 5 V / 8.4 ohm.
+/// Full voltage that changes its sign every second tick: the arm moves by a few counts, and the
+/// winding dissipates at 5 V / 8.4 ohm.
 #[derive(Default)]
 struct Trembling {
     ticks: u32,
@@ -80,14 +80,14 @@ fn policy(file: &str) -> Policy {
     Policy::load(&path).expect("a shipped policy")
 }
 
-/// The profile of a real Qube, so many times as far from the nominal one.
+/// The profile `lab`, scaled in its distance from the nominal Qube.
 fn lab(gap: f64) -> QubeModel {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
     Profile::parse(&std::fs::read_to_string(path).unwrap()).unwrap().model().scaled(gap)
 }
 
-/// Runs `rollouts` of the classical controller and of two trained policies on three Qubes, and says
-/// how warm the motors got.
+/// Runs `rollouts` rollouts of the classical controller and of two trained policies on three Qubes;
+/// returns the motors' heat.
 fn rollouts_back_to_back(rollouts: u64) {
     let classical = || Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     let mut warmest: f64 = 0.0;

@@ -1,9 +1,10 @@
-//! Where results go: refused before anything is trained or moves, and nothing that is there is lost.
+//! Tests the places of results: a bad place is refused before a training or a motion, and existing
+//! files are not lost.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-/// A port that does not exist: a command that names it has come further than its `--out`.
+/// A port that does not exist: the message about it shows that `--out` was accepted.
 const PORT: &str = "/dev/ttyNOWHERE";
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
@@ -61,7 +62,7 @@ fn a_place_that_cannot_be_written_is_bad_usage_of_every_command() {
         &["experiment", "--device", PORT, "--models", "nominal"],
     ];
     for command in commands {
-        // Not even root can make anything in the first; the second is no folder.
+        // In the first not even root can create a file; the second is not a folder.
         for (out, name) in [("/proc/nowhere/out", "nowhere"), ("file/out", "file")] {
             let output = qube_hil(directory.path(), &[command, &["--out", out]].concat());
             refused(&output, 2, &[name]);
@@ -84,7 +85,7 @@ fn a_full_disk_is_found_before_the_work() {
     let directory = tempfile::tempdir().unwrap();
     let run = format!("run --policy classical --device {PORT} --out new/run");
     for command in ["train --preset thesis --out p.safetensors", "identify no.mcap", &run] {
-        // A limit on the size of files stands for the disk; without the trap it is a signal.
+        // A limit on file sizes stands for a full disk; without the trap it is a signal.
         let script = format!("trap '' XFSZ; ulimit -f 8; exec {} {command}", binary());
         let output = Command::new("sh")
             .args(["-c", &script])
@@ -131,7 +132,7 @@ fn a_port_that_is_none_leaves_nothing_behind() {
         }
     }
     assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "something was left");
-    // A folder that was there before stays.
+    // An existing folder stays.
     std::fs::create_dir(directory.path().join("mine")).unwrap();
     let session = ["session", "--device", PORT, "--out", "mine"];
     refused(&qube_hil(directory.path(), &session), 2, &[PORT]);

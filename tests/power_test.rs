@@ -1,5 +1,6 @@
-//! `check --power-test` with an emulated Qube on a pty and an operator who does as he is told: the plug
-//! is pulled, the answer is written to `qube.toml`, and the warning ends where the motor goes off.
+//! Tests `check --power-test` with an emulated Qube on a pty and a simulated operator: the plug is
+//! pulled, the result is written to `qube.toml`, and a Qube whose motor goes off no longer causes a
+//! warning.
 
 #[path = "real_time/mod.rs"]
 mod real_time;
@@ -16,13 +17,14 @@ use real_time::in_real_time;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-/// When the arm is carried to its stop, s of the board's clock: a check and a homing are over by then.
+/// Time at which the arm is carried to its stop, by the board's clock, s: after a check and a
+/// homing.
 const AT_STOP_S: u64 = 20;
 
-/// From a word to a hand at the plug: the motor presses by then.
+/// Delay of the operator's hand: the motor presses by then.
 const AN_OPERATOR_TAKES: Duration = Duration::from_millis(500);
 
-/// A Qube with an operator's finger at its arm or none, under a name that lasts.
+/// A Qube with or without an operator's finger at its arm, under a stable name.
 fn qube(link: &Path, finger: Option<Finger>) -> EmulatedQube {
     let start = Some(State::default());
     let settings = EmulatorSettings { seed: 5, start, finger, ..EmulatorSettings::default() };
@@ -37,24 +39,24 @@ fn program(directory: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// What happens as the operator is asked to pull the plug.
+/// The operator's action at the request to pull the plug.
 enum AtThePlug {
-    /// He pulls it, and answers so.
+    /// Pulls the plug and answers this.
     Pulled(&'static str),
-    /// The program stands still for a while, and the plug stays where it is.
+    /// Leaves the plug in while the program stalls.
     Stopped,
 }
 
-/// What the program came to.
+/// The result of the program.
 struct Told {
     code: Option<i32>,
     told: String,
     text: String,
-    /// The Qube at its end, if any.
+    /// The Qube that is connected at the end, if any.
     connected: Option<EmulatedQube>,
 }
 
-/// The whole test with an operator who does what he is told as he is told it.
+/// The whole test with an operator who follows each instruction.
 fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
     let link = directory.join("qube");
     let finger = Finger { from_us: AT_STOP_S * 1_000_000, every_us: 2_500_000, counts: 40 };
@@ -103,7 +105,7 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
     Told { code: output.status.code(), told, text, connected }
 }
 
-/// The same where the plug is pulled: the Qube that is connected again, and the object that it printed.
+/// The same with the plug pulled: returns the reconnected Qube and the printed object.
 fn pulled(directory: &Path, answer: &'static str) -> (EmulatedQube, Value) {
     let Told { code, told, text, connected } = tested(directory, &AtThePlug::Pulled(answer));
     assert_eq!(code, Some(0), "{told}\n{text}");
@@ -138,14 +140,14 @@ fn the_power_test_is_done_once_a_rig_and_its_result_ends_the_warning() {
         assert_eq!(Some(power.board), file.board);
         assert_eq!(power.date.len(), "2026-01-31".len());
 
-        // Known now, and not known without the file: one line each time.
+        // Known with the file and unknown without it, in one line each.
         let arguments = ["run", "--device", "qube", "--policy", "classical", "--out"];
         let warns = |out: &str, rename: bool| {
             if rename {
                 std::fs::rename(directory.path().join("qube.toml"), directory.path().join("kept"))
                     .unwrap();
             }
-            // Ended at once: what counts is said before anything is driven.
+            // It ends at once: the verdict is announced before anything is driven.
             let arguments = [&arguments[..], &[out, "--rollouts", "1"]].concat();
             let mut child = program(directory.path(), &arguments)
                 .stdout(Stdio::null())

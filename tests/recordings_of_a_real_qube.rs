@@ -1,7 +1,7 @@
-//! The simulator beside recordings of a real Qube.
+//! Compares the simulator with recordings of a real Qube.
 //!
-//! The recordings are not part of the repository: they are looked for in `$QUBE_HIL_RECORDINGS`,
-//! then in `../shared/data/qube-recordings` beside it. Without them these tests say so and pass.
+//! The recordings are not part of the repository: they are searched in `$QUBE_HIL_RECORDINGS`, then
+//! in `../shared/data/qube-recordings` beside it. Without them these tests report that and pass.
 
 use std::path::{Path, PathBuf};
 
@@ -35,9 +35,8 @@ fn rmse_of_chirps(folder: &Path) -> Vec<(String, AngleError)> {
     chirps
 }
 
-/// Nominal physics is not the real machine, and the program can say by how much. An independent
-/// implementation found 0.55 rad (starting at +1.5 V) and 0.49 rad (at -1.5 V) for theta, and
-/// 0.48 rad for alpha.
+/// Nominal physics differs from the real machine by a known amount. An independent implementation
+/// found 0.55 rad (start at +1.5 V) and 0.49 rad (-1.5 V) for theta, and 0.48 rad for alpha.
 #[test]
 fn nominal_physics_is_half_a_radian_off_on_real_chirps() {
     let Some(folder) = recordings() else { return };
@@ -48,7 +47,7 @@ fn nominal_physics_is_half_a_radian_off_on_real_chirps() {
     }
 }
 
-/// The recordings have no current: it is computed from voltage and speed.
+/// The recordings have no current; it is computed from voltage and speed.
 #[test]
 fn the_motor_of_a_real_qube_stays_cool() {
     let Some(folder) = recordings() else { return };
@@ -87,7 +86,7 @@ fn every_recording_can_be_read() {
     assert!(count > 0);
 }
 
-/// An independent fit of the same terms came to 0.061 rad (theta) and 0.025 rad (alpha).
+/// An independent fit of the same terms gave 0.061 rad (theta) and 0.025 rad (alpha).
 #[test]
 fn a_model_with_friction_cable_and_delay_predicts_chirps_that_it_was_not_fitted_to() {
     let Some(folder) = recordings() else { return };
@@ -105,7 +104,7 @@ fn a_model_with_friction_cable_and_delay_predicts_chirps_that_it_was_not_fitted_
     assert!(error.rms.theta_rad <= 0.07 && error.rms.alpha_rad <= 0.03, "{error:?}");
 }
 
-/// A real Qube's swing-ups and chirps, sample by sample: nothing in them looks like a fault.
+/// Swing-ups and chirps of a real Qube, sample by sample, raise no fault.
 #[test]
 fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
     let Some(folder) = recordings() else { return };

@@ -1,4 +1,4 @@
-//! `replay` and `recover` as their users meet them: exit codes, JSON, one clear sentence.
+//! Tests the commands `replay` and `recover`: exit codes, JSON, and clear messages.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -52,7 +52,7 @@ fn a_rollout_comes_out_again_bit_for_bit() {
 
     assert!(recording.get("note").is_none(), "{recording}");
 
-    // Under foresight too, with all that decides what it says in the recording.
+    // Under foresight too, whose settings are in the recording.
     let foreseen = recorded_under("foresight", &folder.path().join("foreseen"));
     let header = qube_hil::recording::read(&foreseen).unwrap().header;
     assert!(header.settings.foresight.is_some());
@@ -73,7 +73,7 @@ fn a_rollout_comes_out_again_bit_for_bit() {
 fn a_rollout_that_foresight_ended_says_for_which_qube() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().to_str().unwrap();
-    // Of a Qube of which nothing is known hardly any swing-up can be braked in time.
+    // The guard of an unidentified Qube ends almost every swing-up.
     let run =
         ["run", "--policy", "classical", "--clock", "virtual", "--unidentified", "--out", out];
     let run = qube_hil(&run);
@@ -93,15 +93,16 @@ fn a_rollout_that_foresight_ended_says_for_which_qube() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.contains(&format!("the arm of particle {}", foreseen.particle)), "{text}");
 
-    // With a wider margin the same decisions would have another reason.
+    // A wider margin gives other reasons for the same decisions.
     let known = recording.header.settings.foresight.as_mut().unwrap();
     known.margin_rad = 0.2;
     let policy = Policy::from_bytes(&recording.policy).unwrap();
     assert_ne!(rerun(&recording, policy).foreseen, Some(foreseen));
 }
 
-/// A recording of a program whose guard was the speed envelope, which its policy left. Its blocks were packed
-/// into one since, to be small, and its index left out; every message is as that program wrote it.
+/// A recording of an older program that guarded the speed envelope, which the policy left. To keep
+/// it small, its blocks were merged into one and its index was dropped; every message is as that
+/// program wrote it.
 #[test]
 fn a_rollout_under_the_guard_of_the_past_is_compared_until_it_brakes() {
     let fixture =
@@ -116,7 +117,7 @@ fn a_rollout_under_the_guard_of_the_past_is_compared_until_it_brakes() {
     let again = rerun(&recording, policy());
     assert!(again.agrees() && again.ending_of_the_file, "{again:?}");
     assert_eq!((again.actions_compared, again.ending), (braking, Some(left)));
-    // Compared they are.
+    // They are compared.
     let mut changed = recording.clone();
     changed.ticks[braking - 1].voltage_mv += 1;
     assert_eq!(rerun(&changed, policy()).actions_different, 1);

@@ -1,5 +1,5 @@
-//! From a rig to its profile and back: excitations make recordings that `identify` turns into the
-//! profile they were made with, and the first rollouts of a day are compared with it.
+//! Tests identification end to end: recordings of excitations give the profile they were made with,
+//! and the first rollouts of a day are compared with it.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -41,7 +41,7 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
         assert!(text.contains("10.0 s recorded, fit for identify"), "{text}");
     }
     let files = ["chirp/rollout-0.mcap", "steps/rollout-0.mcap"];
-    // Excitations replay as policies do.
+    // Excitations can be replayed like policies.
     qube_hil(directory.path(), &["replay", files[0], files[1]]);
     let found = json(&qube_hil(directory.path(), &["identify", files[0], files[1], "--json"]));
     let lab = lab();
@@ -53,8 +53,8 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
         let (value, standard_error) = (number("value"), number("standard_error"));
         let in_table = |table: &str| expected[table].get(name).and_then(toml::Value::as_float);
         let expected = in_table("parameters").or_else(|| in_table("gap")).unwrap();
-        // What the recordings see of a delay begins with the sample: the wire's own time, 1 ms and
-        // a half at the most, comes on top of the profile's.
+        // The measured delay begins with the sample, so the time on the wire, at most 1.5 ms, adds
+        // to the profile's.
         let wire = if name == "command_delay_s" { 0.0015 } else { 0.0 };
         let off = (value - expected).abs();
         assert!(off < 4.0 * standard_error + wire, "{name} = {value}, not {expected}: {estimate}");
@@ -74,8 +74,8 @@ fn the_first_rollouts_say_whether_the_rig_is_as_its_profile() {
     std::fs::write(directory.path().join("shifted.toml"), shifted).unwrap();
 
     let drift = |out: &str, more: &[&str]| {
-        // The classical controller balances in a limit cycle, on which the fit of the delay may settle
-        // elsewhere.
+        // The classical controller balances in a limit cycle, for which the fit of the delay may
+        // converge elsewhere.
         let policy = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/robust.safetensors");
         let common = ["run", "--policy", policy, "--qube", "qube.toml", "--device", "emulated"];
         // In the box, where rollouts last. Of some seeds the fit of the delay is up to 3 ms too long.
@@ -113,7 +113,7 @@ fn a_session_says_that_its_rig_has_moved() {
     let directory = tempfile::tempdir().unwrap();
     let qube = format!("profile = {:?}\n", lab_path());
     std::fs::write(directory.path().join("qube.toml"), qube).unwrap();
-    // Three candidates that need no training: the session takes over the policies that are there.
+    // Three candidates without training: the session adopts the existing policies.
     let mut emulated = lab();
     emulated.nonidealities.command_delay_s = 0.017;
     let mut configuration = SessionSettings::quick();

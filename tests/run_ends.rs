@@ -1,8 +1,8 @@
-//! What ends a run on a port: whole processes, a real pty, an emulated Qube with a fault. What was
-//! measured is printed each time, and nothing that is in doubt moves again by itself.
+//! Tests the ends of a `run` on a port: whole processes, a real pty, an emulated Qube with a fault.
+//! Measured returns are always printed, and nothing that is in doubt moves again by itself.
 //!
-//! A rollout is longer than some computers keep up: what ends one, and what the run says of it, is tested
-//! in virtual time beside the command.
+//! A complete rollout would demand a computer that keeps up with real time; the endings of rollouts
+//! and their reports are tested in virtual time beside the command.
 
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -16,21 +16,21 @@ use qube_hil::telemetry::{Fault, Preflight};
 use real_time::in_real_time;
 use serde_json::Value;
 
-/// Long enough for any machine that is merely busy.
+/// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What an emulated Qube's serial number comes from.
+/// The number from which an emulated Qube's serial number follows.
 const SEED: u64 = 5;
 
 fn program(directory: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
     command.current_dir(directory).args(arguments).stdin(Stdio::null());
-    // What is remembered about a board stays in the test.
+    // The cache of known boards stays within the test.
     command.env("XDG_STATE_HOME", directory).env_remove("STATE_DIRECTORY");
     command
 }
 
-/// An emulated Qube in a process of its own, which goes with the test.
+/// An emulated Qube in a process that ends with the test.
 struct Qube(Child);
 
 impl Qube {
@@ -78,13 +78,13 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let directory = directory.path();
-        // As a run before has left it.
+        // State after an earlier run.
         let memory = DoubtMemory::new(directory.join("qube-hil"));
         let board = format!("{SEED:016x}");
         memory.keep(&Doubt { fault: Some(Fault::StallError), board: board.clone(), unix_s: None });
         let _qube = Qube::with(directory, None);
 
-        // Started again without a word: refused, before anything has moved.
+        // Restarted without a word: refused before anything has moved.
         for flags in [&[][..], &["--skip-check"]] {
             let (output, result, told) = run(directory, "two", flags);
             assert_eq!(code(&output), Some(4), "{told}");
@@ -96,7 +96,7 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
             assert!(!directory.join("two").exists());
             assert!(memory.recall(&board).is_some());
         }
-        // With it the Qube is examined, whatever else is asked for: a busy computer may end that.
+        // With it, the Qube is examined; a busy computer may end that.
         let (_, result, told) = run(directory, "three", &["--skip-check", "--acknowledge"]);
         assert!(!told.contains("doubt"), "{told}");
         let rollout = directory.join("three/rollout-0.mcap");
@@ -144,7 +144,7 @@ fn a_cable_that_stays_out_is_a_fault_and_no_bad_usage() {
         let returns = result["returns"].as_array().unwrap();
         let recordings = std::fs::read_dir(directory.join("out")).map_or(0, Iterator::count);
         assert_eq!(recordings, returns.len(), "{result}");
-        // The program is told of no port: that is bad usage.
+        // Without a port the command line is wrong.
         let (output, _, told) = run(directory, "again", &["--skip-check"]);
         assert_eq!(code(&output), Some(2), "{told}");
     });

@@ -1,5 +1,5 @@
-//! What may be driven how: whether something is hardware is declared and never guessed, and on
-//! hardware no file and no caller widens a limit. In virtual time.
+//! Tests the permission to drive: hardware is declared and never guessed, and on hardware neither a
+//! file nor a caller can widen a limit. In virtual time.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, IdentifiedQube, Safe
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 
-/// A Qube of which nobody has said whether it is hardware.
+/// A Qube that does not declare whether it is hardware.
 struct Undeclared(SerialLink<InProcessWire>);
 
 impl Device for Undeclared {
@@ -41,7 +41,7 @@ impl Device for Undeclared {
     }
 }
 
-/// A way to it that declares nothing either, or that it is an emulator.
+/// A transport that does not declare it either, or declares an emulator.
 #[derive(Debug)]
 struct Way {
     declares_emulated: bool,
@@ -59,7 +59,7 @@ impl Connect for Way {
     }
 }
 
-/// As [`Way`], with nothing said at all.
+/// A transport like [`Way`] that declares nothing at all.
 #[derive(Debug)]
 struct SilentWay;
 
@@ -77,7 +77,7 @@ fn what_declares_nothing_is_hardware_before_and_after_it_has_answered() {
     assert!(!RigSettings::in_virtual_time(DeviceChoice::Emulated).is_hardware());
     let rig = Rig::connect(&silent, &Arc::default()).unwrap();
     assert!(rig.is_hardware());
-    // The device's own word counts, whatever the way to it says.
+    // The device's own declaration counts, whatever the transport declares.
     let way = Way { declares_emulated: true };
     let rig = Rig::connect(
         &RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(way))),
@@ -96,7 +96,7 @@ fn a_link_is_hardware_until_an_emulator_has_answered() {
     link.hello().unwrap();
     assert!(!link.is_hardware());
 
-    /// A port at which nobody answers.
+    /// A port at which no device answers.
     struct Silence(VirtualClock);
 
     impl Transport for Silence {
@@ -139,7 +139,8 @@ fn what_is_hardware_is_examined_before_its_first_motion() {
     }
 }
 
-/// A short rollout of the classical controller in this box; what its recording says of the consent.
+/// Runs a short rollout of the classical controller in this box; returns the consent that its
+/// recording contains.
 fn rollout(rig: &Rig, safety_box: SafetyBox) -> Result<bool, RigError> {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
@@ -174,7 +175,7 @@ fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
     assert!(rollout(&rig, SafetyBox::THESIS).unwrap(), "the recording does not say it");
     assert!(!rollout(&rig, SafetyBox::GUARDED).unwrap());
 
-    // An experiment on an emulated Qube chooses its box, and no guard of the past.
+    // An experiment on an emulated Qube may choose its box, but not the guard of old recordings.
     let rig =
         Rig::open(&RigSettings::in_virtual_time(DeviceChoice::Emulated), &Arc::default()).unwrap();
     assert!(!rollout(&rig, SafetyBox::THESIS).unwrap());
@@ -194,7 +195,7 @@ fn files_that_name_no_guard_mean_the_box_as_they_ran() {
     for name in ["recording/block", "recording/two-blocks"] {
         let bytes = old(name);
         assert!(!bytes.windows(7).any(|word| word == b"\"guard\""), "{name} names a guard");
-        // A file of the corpus may be torn; a header that reads says what it ran under.
+        // A file of the corpus may be torn; a readable header names the guard.
         let Ok(recording) = parse(&bytes) else { continue };
         assert_eq!(recording.header.settings.safety_box, SafetyBox::THESIS, "{name}");
         assert!(!recording.header.hard_stop_accepted);

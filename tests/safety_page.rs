@@ -1,4 +1,4 @@
-//! No promise without its test: every test that SAFETY.md names is there.
+//! Tests that every promise in SAFETY.md names an existing test.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The fourth column of the tables of promises: what stands between backticks there.
+/// The names between backticks in the fourth column of the tables of promises.
 fn named_tests(page: &str) -> Vec<String> {
     let tables = page.split("\n| promise |").skip(1);
     let lines = tables.flat_map(|table| table.lines().skip(2).take_while(|l| l.starts_with('|')));

@@ -1,5 +1,5 @@
-//! What a session hands on: the search's answer or the best candidate's policy, whichever earned more
-//! when both were verified.
+//! Tests the result of a session: the policy of the recommended psi or the best candidate's,
+//! whichever earned more when both were verified.
 
 use std::path::Path;
 
@@ -48,6 +48,6 @@ fn the_best_candidates_own_policy_is_verified_beside_the_answer_and_the_better_i
     let better = if mean(incumbent) > mean(answer) { incumbent } else { answer };
     assert_eq!(told["best"]["candidate"], better["candidate"]);
     assert!(Path::new(told["best"]["policy"].as_str().unwrap()).ends_with("policy.safetensors"));
-    // What is finished is only read again.
+    // A finished session is only read.
     assert_eq!(session(directory.path(), &["--resume", "s"])["best"], told["best"]);
 }

@@ -1,5 +1,5 @@
-//! A fault in the middle of a session: the motor is off, the rollout is void and kept, and the
-//! session can be resumed once the fault is mended. In virtual time.
+//! Tests a fault during a session, in virtual time: the motor is off, the rollout is void and kept,
+//! and the session can be resumed once the fault is mended.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -52,8 +52,8 @@ fn begin(root: &Path) -> SessionFolder {
 
 #[test]
 fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
-    // Each rollout has a new Qube, which is homed within 16 s; a policy that knows nothing is
-    // braked soon after that, and braking takes some seconds.
+    // Each rollout has a new Qube, which is homed within 16 s; an untrained policy is braked soon
+    // after that, and braking takes some seconds.
     for fault in ["silent@16.5", "unplug@16.5"] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("session");
@@ -97,7 +97,7 @@ fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
         let before = entries();
         assert!(matches!(before.last(), Some(Entry::RolloutVoid { attempt: 0, .. })), "{before:?}");
 
-        // Nothing is done again by itself, however often it is started.
+        // Nothing is repeated, however often the session is started.
         for _ in 0..2 {
             let error = run(SessionFolder::open(&root).unwrap(), None).unwrap_err();
             assert!(matches!(error, SessionError::InDoubt { .. }), "{fault}: {error}");
@@ -105,7 +105,7 @@ fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
         }
         let acknowledged = Recovery { acknowledged: true, ..Recovery::default() };
         run_with(SessionFolder::open(&root).unwrap(), None, acknowledged).unwrap();
-        // The Qube was examined first, an emulated one too.
+        // The Qube was examined first; an emulated one is too.
         let Some(&Entry::RolloutVoid { candidate, rollout, .. }) = before.last() else { panic!() };
         let path = SessionFolder::open(&root).unwrap().rollout(candidate, rollout, 1);
         let preflight = read(&path).unwrap().header.preflight;

@@ -1,5 +1,5 @@
-//! A session is killed, stopped and resumed: nothing finished is lost or repeated, and the ledger is
-//! that of an undisturbed run, byte for byte.
+//! Tests that a session that is killed, stopped and resumed loses and repeats nothing, and writes
+//! the ledger of an undisturbed run, byte for byte.
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// A session of a few seconds: six candidates, policies that have seen one small update.
+/// A session of a few seconds: six candidates, policies with one small update.
 const SMALL: &str = "seed = 5\n\
     [extent]\ninitial_candidates = 3\niterations = 2\nrollouts = 2\nverification_rollouts = 2\n\
     [training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
@@ -33,7 +33,7 @@ fn ledger(directory: &Path, name: &str) -> Vec<u8> {
     std::fs::read(directory.join(name).join("ledger.jsonl")).unwrap_or_default()
 }
 
-/// A ledger without its first line, the checksum of settings that have the session's name in them.
+/// A ledger without its first line, the checksum of the settings, which include the session's name.
 fn decisions(ledger: &[u8]) -> String {
     let text = String::from_utf8_lossy(ledger);
     let (first, decisions) = text.split_once('\n').unwrap();
@@ -43,7 +43,7 @@ fn decisions(ledger: &[u8]) -> String {
 
 fn signal(child: &Child, signal: Signal) {
     let id = Pid::from_child(child);
-    // It may have ended of itself by now.
+    // It may have ended by itself.
     let _ = kill_process(id, signal);
 }
 
@@ -54,19 +54,19 @@ fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
     let whole = ledger(directory.path(), "whole");
     assert!(whole.iter().filter(|&&byte| byte == b'\n').count() >= 6 * 2 + 12);
 
-    // As a first kill leaves it that comes before the session has its session.toml.
+    // State after a kill before the session has written its session.toml.
     std::fs::create_dir_all(directory.path().join("killed/candidates")).unwrap();
     std::fs::write(directory.path().join("killed/session.unfinished"), "seed").unwrap();
     let mut child = begin(directory.path(), "killed");
     let mut kills = 0;
     loop {
-        // Whatever it is doing by then: the times walk through all its phases.
+        // The times cover all its phases.
         std::thread::sleep(Duration::from_millis(40 + 37 * (kills % 9)));
         if let Some(status) = child.try_wait().unwrap() {
             assert!(status.success(), "after {kills} kills: {status}");
             break;
         }
-        // Each kill leaves more behind, so this ends; the limit only keeps a failure short.
+        // Each kill leaves more behind, so this ends; the limit only shortens a failure.
         if kills < 40 {
             signal(&child, Signal::KILL);
             kills += 1;
@@ -99,7 +99,7 @@ fn signals_end_a_session_with_their_exit_code_and_it_can_be_resumed() {
     }
 }
 
-/// Ends a session of this folder, and says how and with which words.
+/// Runs a session in this folder; returns its exit code and messages.
 fn resumed(directory: &Path, name: &str) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)
@@ -129,7 +129,7 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     let (code, told) = resumed(directory.path(), "mine");
     assert_eq!(code, Some(0), "{told}");
 
-    // A ledger of a program that wrote nothing of its settings.
+    // A ledger of a program that stored no checksum of its settings.
     let ledger = directory.path().join("mine/ledger.jsonl");
     let lines = std::fs::read_to_string(&ledger).unwrap();
     let (first, others) = lines.split_once('\n').unwrap();

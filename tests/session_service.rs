@@ -1,5 +1,5 @@
-//! Under systemd a session says when it begins, that it goes on, and when it ends; and one that
-//! crashes again and again is not started for ever.
+//! Tests a session under systemd: it reports its start, its progress and its end, and a session
+//! that crashes repeatedly is not restarted for ever.
 
 use std::os::unix::net::UnixDatagram;
 use std::process::{Command, Stdio};
@@ -23,7 +23,7 @@ fn the_service_manager_is_told() {
         .spawn()
         .unwrap();
 
-    // Read as it comes, as systemd does: the socket holds only some datagrams.
+    // Read continuously, as systemd does: the socket holds only some datagrams.
     let mut told = Vec::new();
     let mut buffer = [0; 256];
     socket.set_read_timeout(Some(Duration::from_millis(50))).unwrap();
@@ -43,7 +43,7 @@ fn the_service_manager_is_told() {
     assert!(told.iter().filter(|word| *word == "WATCHDOG=1").count() >= 6, "{told:?}");
 }
 
-/// The value of a setting in its section of the unit; the last one counts, as in systemd.
+/// The value of a setting in its section of the unit file; the last one counts, as in systemd.
 fn of_unit(section: &str, name: &str) -> Option<String> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scripts/qube-hil@.service");
     let unit = std::fs::read_to_string(path).unwrap();
@@ -72,8 +72,8 @@ fn seconds(section: &str, name: &str) -> u64 {
 fn a_loop_of_crashes_ends() {
     let (interval, burst) =
         (seconds("Unit", "StartLimitIntervalSec"), seconds("Unit", "StartLimitBurst"));
-    // The longest life of a session that does nothing but check, home and hang: what the manager waits
-    // for it to begin (90 s unless the unit says more), its watchdog, its time to stop.
+    // The longest life of a session that only checks, homes and hangs: the manager's timeout for
+    // its start (90 s unless the unit says otherwise), its watchdog, and its time to stop.
     let start = 90;
     let hangs = start + seconds("Service", "WatchdogSec") + seconds("Service", "TimeoutStopSec");
     let between_starts = hangs + seconds("Service", "RestartSec");
@@ -92,7 +92,7 @@ fn what_somebody_must_look_at_is_not_started_again() {
     for code in ["1", "2", "3", "4"] {
         assert!(prevented.contains(&code), "{code} starts again");
     }
-    // Whoever sends a signal has asked it to stop: 128 + SIGHUP, SIGINT, SIGTERM.
+    // Exit codes after a signal, which is a request to stop: 128 + SIGHUP, SIGINT, SIGTERM.
     let stopped = of_unit("Service", "SuccessExitStatus").unwrap();
     for code in ["129", "130", "143"] {
         assert!(stopped.split(' ').any(|stopped| stopped == code), "{code} starts again");

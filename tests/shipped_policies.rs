@@ -1,4 +1,5 @@
-//! The policies in `policies/` do what their page says: in virtual time, in the box.
+//! Tests that the policies in `policies/` earn the returns on their page, in virtual time and in
+//! the box.
 
 use assert_cmd::Command;
 use serde_json::Value;

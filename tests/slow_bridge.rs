@@ -1,5 +1,5 @@
-//! A genuine Uno's USB bridge hands samples over by a timer of 4.096 ms: `check` measures that, ticks
-//! wait for it, and nothing is lost. A link that is too slow is refused.
+//! Tests a genuine Uno's USB bridge, which passes samples on by a timer of 4.096 ms: `check`
+//! measures it, ticks wait for it, and no sample is lost. A slower link is refused.
 
 #[path = "real_time/mod.rs"]
 mod real_time;
@@ -43,8 +43,8 @@ fn plan() -> RolloutPlan {
     }
 }
 
-/// Of so many ticks those without a sample, when each waits so long. They drift through the bridge's
-/// clockwork, as two clocks do.
+/// Number of ticks without a sample for this wait. The ticks drift through the bridge's phases, as
+/// those of two clocks do.
 fn lost_ticks(ticks: u64, sample_time_ns: u64) -> u32 {
     let clock = VirtualClock::default();
     let bridge = Some(UsbBridge::Atmega16u2);
@@ -90,7 +90,7 @@ fn a_rollout_through_it_is_recorded_with_its_link_and_replays_the_same() {
     assert_eq!(recording.header.device["sample_time_us"], link.sample_time_us.to_string());
     assert!(rerun(&recording, classical()).agrees());
     let outcome = recording.outcome.as_ref().unwrap();
-    // An act is younger than what foresight allows for and a device accepts: 20 ms from its sample.
+    // An act follows its sample within the 20 ms that foresight allows for and a device accepts.
     assert!(outcome.sample_to_act_us.max < 12_000.0, "{outcome:?}");
     let ticks = recording.ticks.len() as u32;
     assert!(outcome.missed_deadlines * 200 <= ticks, "{} of {ticks}", outcome.missed_deadlines);
@@ -121,7 +121,7 @@ fn on_a_pty_the_check_passes_through_it_too() {
         let output = command.args(["check", "--device", qube.port().to_str().unwrap()]).output();
         let output = output.unwrap();
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
-        // A busy computer may be too late for all the rest; that the bridge is there it cannot hide.
+        // A busy computer may fail the other checks, but not hide the bridge.
         let words: Vec<&str> = text.split_whitespace().collect();
         let place = words.iter().position(|word| *word == "p50").unwrap();
         let p50_ms: f64 = words[place + 1].trim_end_matches(',').parse().unwrap();

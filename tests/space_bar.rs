@@ -1,5 +1,5 @@
-//! The space bar at a terminal: it brakes as Ctrl-C does, and the terminal is given back on every way
-//! out. On a real pty that is the program's controlling terminal.
+//! Tests the space bar at a terminal: it brakes like Ctrl-C, and the terminal is restored on every
+//! way out. The terminal is a real pty and the program's controlling terminal.
 
 #[path = "real_time/mod.rs"]
 mod real_time;
@@ -16,13 +16,13 @@ use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
 use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt};
 use rustix::termios::{LocalModes, tcgetattr};
 
-/// Long enough for any machine that is merely busy.
+/// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A terminal with the program in its foreground.
 struct Terminal {
     keyboard: OwnedFd,
-    /// The program's side, kept open so that its modes can be looked at.
+    /// The program's end of the pty, kept open to inspect its modes.
     screen: OwnedFd,
     child: Child,
     shown: String,
@@ -153,7 +153,7 @@ fn a_terminal_is_given_back_by_ctrl_c_twice_sigterm_and_while_stopped() {
         let mut terminal = Terminal::start(directory.path(), &RUN);
         terminal.wait_for_text("space bar or Ctrl-C");
         terminal.wait_until("single keys", |it| !it.is_cooked());
-        // Ctrl-Z: the terminal is the shell's while the program is stopped.
+        // Ctrl-Z: the shell owns the terminal while the program is stopped.
         let process = Pid::from_child(&terminal.child);
         kill_process(process, Signal::TSTP).unwrap();
         terminal.wait_until("it stops", |_| {

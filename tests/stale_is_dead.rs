@@ -1,5 +1,5 @@
-//! No act without a fresh sample of its own: through lost samples, from a host that hangs, and on a
-//! device that repeats one sample for ever.
+//! Tests that every act needs a fresh sample of its own: with lost samples, with a host that hangs,
+//! and with a device that repeats one sample.
 
 use std::sync::atomic::AtomicBool;
 
@@ -13,12 +13,12 @@ use qube_hil::qube::{Measurement, State};
 use qube_hil::safety::SafetyBox;
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
-/// What becomes of a sample that the device gave.
+/// What happens to a sample that the device gave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fate {
     Comes,
     Lost,
-    /// The first one that met this fate comes again instead.
+    /// The first sample with this fate is delivered again instead.
     Repeats,
 }
 
@@ -29,7 +29,7 @@ struct Fateful {
     fate: fn(u32) -> Fate,
     ticks: u32,
     repeated: Option<Measurement>,
-    /// Per act: the tick, and what became of it.
+    /// Tick and result of each act.
     acts: Vec<(u32, Result<(), LinkFault>)>,
 }
 
@@ -80,7 +80,7 @@ impl Device for Fateful {
     }
 }
 
-/// A constant voltage, and what the device said of itself meanwhile.
+/// A controller of constant voltage that records the device's status.
 struct Constant {
     ticks: u32,
     /// The tick in which the host hangs for 25 ms before it acts.
@@ -125,8 +125,8 @@ fn drives(device: &mut Fateful, motion: &mut dyn Motion) -> Ending {
     report.outcome.ending
 }
 
-/// Three samples of four are lost, which is as much as is tolerated: last act in tick 0, the next one in
-/// tick 4. The device's watchdog of 50 ms leaves room for that.
+/// Three of four samples are lost, the most that is tolerated: one act in tick 0, the next in tick
+/// 4. That is within the device's watchdog of 50 ms.
 #[test]
 fn a_voltage_that_is_held_through_lost_samples_is_no_new_act() {
     let mut device = Fateful::new(|tick| if tick % 4 == 0 { Fate::Comes } else { Fate::Lost });
@@ -153,7 +153,8 @@ fn a_host_that_hangs_between_sample_and_act_sends_no_act() {
     assert!(motion.seen.iter().all(|it| it.status.armed), "25 ms are no reason for the watchdog");
 }
 
-/// Nothing else would end it: counts that stay, no motion, and a constant voltage for as long as it lasts.
+/// Without this fault nothing would end the motion: constant counts, no motion, and a constant
+/// voltage.
 #[test]
 fn a_device_that_repeats_one_sample_is_a_fault_in_the_next_tick() {
     let mut device = Fateful::new(|tick| if tick < 30 { Fate::Comes } else { Fate::Repeats });

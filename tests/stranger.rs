@@ -1,7 +1,8 @@
-//! An adversary who knows nothing of foresight but its promise, in a search small enough for every day.
+//! Tests foresight against an adversary that knows only its promise, in a search small enough for
+//! every run of the tests.
 //!
-//! `cargo run --release --example strangers_adversary` searches in earnest; this search has no mishaps on the
-//! link, where lost samples still bring an arm to its stop.
+//! `cargo run --release --example strangers_adversary` searches at full size. This search has no
+//! mishaps on the link; with lost samples an arm can still reach its stop.
 
 #[path = "stranger/mod.rs"]
 mod stranger;
@@ -9,10 +10,11 @@ mod stranger;
 use qube_hil::safety::Guard;
 use stranger::{Effort, Hunt, Known, Method};
 
-/// Far fewer episodes than the example plays.
+/// Far fewer episodes than in the example.
 const EFFORT: Effort = Effort { generations: 3, population: 16 };
 
-/// A seed whose attack is linear feedback in three stages on a link without mishaps, the Qube sought too.
+/// A seed whose attack is linear feedback in three stages on a link without mishaps; the Qube is
+/// searched too.
 const SEED: u64 = 7;
 
 /// The search of that seed on an identified Qube.

@@ -1,5 +1,5 @@
-//! The tick is sacred: from its first deadline to its last act nothing on the control thread
-//! allocates, over a real pty as well as in virtual time.
+//! Tests that the control thread allocates nothing from the first deadline of a motion to its last
+//! act, over a real pty as well as in virtual time.
 
 #[path = "real_time/mod.rs"]
 mod real_time;
@@ -26,7 +26,7 @@ thread_local! {
     static ALLOCATIONS: Cell<u32> = const { Cell::new(0) };
 }
 
-/// The system's allocator, counting what this thread asks for while it is in the loop.
+/// The system's allocator, which counts this thread's allocations while the loop runs.
 struct Counting;
 
 fn count() {
@@ -59,7 +59,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// A device that knows when the loop is running: from the end of arming to the start of disarming.
+/// A device that marks the time of the loop: from the end of arming to the start of disarming.
 struct Watched<D>(D);
 
 impl<D: Device> Device for Watched<D> {
@@ -91,7 +91,7 @@ impl<D: Device> Device for Watched<D> {
     }
 }
 
-/// Drives a motion to its end and returns how it ended and what the loop allocated.
+/// Drives a motion to its end; returns its ending and the allocations of the loop.
 fn driven(device: impl Device, clock: &dyn Clock, motion: &mut dyn Motion) -> (Ending, u32) {
     let mut device = Watched(device);
     device.hello().expect("an emulated Qube answers");
@@ -111,7 +111,7 @@ fn network() -> Policy {
     Policy::load(&path).expect("the shipped policy")
 }
 
-/// The shipped policy with a history that it looks at a little.
+/// The shipped policy, extended by a history with a small weight.
 fn network_with_history() -> Policy {
     let Policy::Network(mut policy) = network() else { unreachable!("it is a network") };
     let (mut sizes, mut layers) = (policy.network.sizes().to_vec(), policy.network.layers());
@@ -152,7 +152,7 @@ fn an_allocation_in_the_loop_is_counted() {
 #[test]
 fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
     in_real_time(|| {
-        // As the control thread asks for.
+        // As the control thread requests it.
         let _ = enter_realtime();
         for homing in [true, false] {
             let qube = EmulatedQube::spawn(EmulatorSettings::default()).expect("a pty");
@@ -165,7 +165,8 @@ fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
             } else {
                 driven(device, &MonotonicClock, &mut rollout(network(), 100))
             };
-            // Uncalibrated counts may lie outside the box: that ends the rollout early and is no fault.
+            // Uncalibrated counts may lie outside the box, which ends the rollout early and is no
+            // fault.
             if let Ending::Fault(fault @ (Fault::NoSample | Fault::LinkGone)) = ending {
                 panic!("{fault}. {}", fault.operator_step());
             }

@@ -1,5 +1,5 @@
-//! `train` as its users meet it: the policy is the same whatever it was computed on, and however
-//! often the training was stopped.
+//! Tests the command `train`: the policy does not depend on the number of threads, the instruction
+//! set, or interruptions.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -24,7 +24,7 @@ fn succeeds(output: &Output) {
 fn the_policy_is_the_same_on_two_threads_and_with_the_instructions_of_an_older_processor() {
     let directory = tempfile::tempdir().unwrap();
     let bytes = |out: &str, more: &[&str]| {
-        // A bare name: the file goes where the command runs.
+        // A bare file name: the file goes into the working directory.
         succeeds(&train(directory.path(), out, more).output().unwrap());
         std::fs::read(directory.path().join(out)).unwrap()
     };

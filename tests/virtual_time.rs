@@ -1,4 +1,4 @@
-//! Under the virtual clock everything repeats: recordings, byte for byte.
+//! Tests that recordings under the virtual clock repeat, byte for byte.
 
 use std::path::Path;
 

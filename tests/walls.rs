@@ -1,9 +1,10 @@
-//! The walls of the house: which room may import which.
+//! Tests the walls between the rooms: which room may import which.
 //!
-//! Every source file is read as tokens, so that a path is seen wherever it stands: in a `use` with
-//! groups inside groups, in an expression, in a type, in the arguments or the definition of a macro,
-//! in an attribute's text. What cannot be followed (another name for the crate's root, everything of
-//! the root at once) is a breach of its own, and so is a room that hands on what another one owns.
+//! Every source file is read as tokens, so that a path is found wherever it is written: in nested
+//! groups of a `use`, in an expression, in a type, in the arguments or the definition of a macro,
+//! in an attribute's text. A path that cannot be followed (an alias of the crate's root, a glob
+//! import of the root) is a breach of its own, and so is a room that re-exports an item of another
+//! one.
 
 #[path = "walls/import_paths.rs"]
 mod import_paths;
@@ -17,7 +18,7 @@ use std::str::FromStr;
 use import_paths::{Import, imports, is_ident};
 use proc_macro2::{TokenStream, TokenTree};
 
-/// A room, what it may import, and what only its tests may import beside that.
+/// A room, the rooms that it may import, and those that only its tests may import in addition.
 struct Room {
     name: &'static str,
     may_import: &'static [&'static str],
@@ -30,8 +31,8 @@ const fn room(name: &'static str, may_import: &'static [&'static str]) -> Room {
 
 const EVERY_ROOM: &[&str] = &["*"];
 
-/// Who may import whom: an allow-list, so that a new way through a wall has to be written here.
-/// `firmware_protocol` is the other crate of the workspace.
+/// The permitted imports. A new way through a wall must be added here. `firmware_protocol` is the
+/// other crate of the workspace.
 #[rustfmt::skip]
 const ROOMS: &[Room] = &[
     room("clock", &[]),
@@ -67,10 +68,10 @@ const ROOMS: &[Room] = &[
     room("replay", &["recording", "control", "policy", "safety", "estimation", "simulation",
                      "telemetry", "qube", "elementary", "storage"]),
     room("identification", &["replay", "qube"]),
-    // The check measures with the tick's own clock and drive, and speaks of signs and faults.
+    // The check measures with the tick's clock and drive, and reports signs and faults.
     room("preflight", &["clock", "device", "control", "estimation", "safety", "telemetry", "qube",
                         "firmware_protocol"]),
-    // Sessions, experiments and single runs use a rig alike.
+    // Sessions, experiments and single runs all use a rig.
     room("rig", &["clock", "qube", "estimation", "safety", "policy", "device", "telemetry", "control",
                   "recording", "preflight", "storage"]),
     room("session", &["qube", "estimation", "safety", "policy", "simulation", "learning", "surrogate",
@@ -81,20 +82,20 @@ const ROOMS: &[Room] = &[
     room("commands", EVERY_ROOM),
 ];
 
-/// Rooms of pure computation: the same input gives the same output, whatever the machine does.
+/// Rooms of pure computation: equal inputs give equal outputs on every machine.
 const PURE: &[&str] =
     &["elementary", "qube", "estimation", "safety", "surrogate", "search", "telemetry"];
 
-/// What of the standard library a pure room may not touch.
+/// Parts of the standard library that a pure room may not use.
 const WORLD: &[&str] = &["fs", "net", "process", "env", "thread", "time"];
 
-/// What of the standard library may not come near the tick.
+/// Parts of the standard library that the tick may not use.
 const FORBIDDEN_IN_CONTROL: &[&str] = &["fs", "net", "process", "env"];
 
-/// Rooms that must not even draw from a seed.
+/// Rooms that may not even draw from a seed.
 const WITHOUT_RANDOMNESS: &[&str] = &["elementary", "qube", "estimation", "safety", "telemetry"];
 
-/// One way in which a file breaks a wall.
+/// A breach of a wall.
 #[derive(Debug, PartialEq, Eq)]
 struct Breach {
     file: PathBuf,
@@ -150,7 +151,7 @@ fn source_files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The module that a file is, from the crate's root.
+/// The module of a file, from the crate's root.
 fn module_of(file: &Path) -> Vec<String> {
     let mut module: Vec<String> =
         file.with_extension("").iter().map(|part| part.to_string_lossy().into_owned()).collect();
@@ -179,7 +180,7 @@ fn check_file(file: &Path, source: &str) -> Vec<Breach> {
     }
 }
 
-/// What is wrong with one import.
+/// The breaches of one import.
 fn check_import(room: &Room, module: &[String], import: &Import) -> Option<String> {
     let name = room.name;
     let is_allowed = |target: &str| {
@@ -221,14 +222,15 @@ fn check_import(room: &Room, module: &[String], import: &Import) -> Option<Strin
     }
 }
 
-/// The emulator speaks the wire from the other side: shared code would hide faults of the protocol.
+/// The emulator implements the other side of the wire; shared code would hide faults of the
+/// protocol.
 fn check_emulator(module: &[String], target: &[String]) -> Option<String> {
     let part_of = |path: &[String]| path.get(1).map(String::as_str) == Some("emulator");
     (module[0] == "device" && part_of(module) && !part_of(target))
         .then(|| format!("the emulator may not import `{}` of the host's side", target.join("::")))
 }
 
-/// `lib.rs` declares the rooms and nothing else; `main.rs` calls the commands.
+/// `lib.rs` only declares the rooms; `main.rs` calls the commands.
 fn check_root(file: &Path, source: &str) -> Vec<String> {
     if file == Path::new("main.rs") {
         return imports(&[], source)
@@ -268,7 +270,7 @@ fn check_protocol(file: &Path, source: &str) -> Vec<Breach> {
         .collect()
 }
 
-/// The checker itself: each planted breach is found, and what only looks like one is not.
+/// Tests of the checker: it finds each planted breach and accepts look-alikes.
 mod the_checker {
     use super::*;
 

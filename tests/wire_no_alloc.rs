@@ -1,4 +1,5 @@
-//! `sample` and `act` run inside the tick, so they allocate nothing: on a pty nor in process.
+//! Tests that `sample` and `act`, which run inside the tick, allocate nothing on a pty or in
+//! process.
 
 use std::sync::Arc;
 
@@ -10,7 +11,7 @@ use qube_hil::device::{Device, SerialLink};
 #[global_allocator]
 static ALLOCATOR: AllocDisabler = AllocDisabler;
 
-/// Ticks of a device that answers, does not answer in time, refuses, and disappears.
+/// Ticks of a device that answers, answers too late, refuses, and disappears.
 fn tick_often(device: &mut dyn Device, clock: &dyn Clock) {
     for patience_ns in [2_000_000_000, 0, 100_000, 2_000_000_000] {
         for voltage_mv in [100, -100, 6000] {

@@ -1,6 +1,6 @@
-//! The wire over a real pty and the real serial port library, against the emulated Qube.
+//! Tests the wire over a real pty and the serial port library, against the emulated Qube.
 //!
-//! Nothing here depends on how busy the machine is: what is judged is judged by the device's clock.
+//! Nothing here depends on the load of the machine: everything is judged by the device's clock.
 
 use std::io::{Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd};
@@ -12,7 +12,7 @@ use qube_hil::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, LinkFault, SerialLink, Tty};
 use qube_hil::qube::Measurement;
 
-/// Long enough for any machine that is merely busy.
+/// Time that suffices on any computer that is merely busy.
 const PATIENCE_NS: Nanoseconds = 5_000_000_000;
 
 fn qube(fault: Option<EmulatorFault>) -> EmulatedQube {
