@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 
 use qube_hil::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use qube_hil::qube::{
-    CONTROL_PERIOD_S, DomainParameter as P, Nonideality, HARD_STOP_RAD, NonidealDynamics, Quantity,
+    CONTROL_PERIOD_S, DomainParameter as P, HARD_STOP_RAD, NonidealDynamics, Nonideality, Quantity,
     QubeModel, State, quantised, runge_kutta_4,
 };
 use qube_hil::safety::{Belief, Brake, ForesightSettings};

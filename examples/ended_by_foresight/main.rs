@@ -13,7 +13,8 @@ use std::path::Path;
 use qube_hil::estimation::{Calibration, Estimator, EstimatorSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use qube_hil::qube::{
-    DomainParameter, Nonidealities, MAX_HISTORY, Measurement, Profile, QubeModel, State, counts, wrap_angle,
+    DomainParameter, MAX_HISTORY, Measurement, Nonidealities, Profile, QubeModel, State, counts,
+    wrap_angle,
 };
 use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube, SafetyBox};
 
@@ -79,7 +80,11 @@ fn around(kind: &Kind) -> Vec<Kind> {
 
 /// Another Qube, known as well as this one.
 fn around_model(profile: &Profile, model: &QubeModel) -> Profile {
-    let mut other = Profile { parameters: model.parameters, nonidealities: model.nonidealities, ..profile.clone() };
+    let mut other = Profile {
+        parameters: model.parameters,
+        nonidealities: model.nonidealities,
+        ..profile.clone()
+    };
     for parameter in DomainParameter::ALL {
         let grown = model.parameters.get(parameter) / profile.parameters.get(parameter);
         if let Some(error) = other.standard_errors.get_mut(parameter.symbol()) {
@@ -92,8 +97,12 @@ fn around_model(profile: &Profile, model: &QubeModel) -> Profile {
 /// The rows' Qubes, and their names.
 fn kinds(lab: QubeModel) -> Vec<(&'static str, Kind)> {
     let plain = |model| Kind { model, beyond_the_model: Beyond::Nothing };
-    let late =
-        |delay_s| plain(QubeModel { nonidealities: Nonidealities { command_delay_s: delay_s, ..lab.nonidealities }, ..lab });
+    let late = |delay_s| {
+        plain(QubeModel {
+            nonidealities: Nonidealities { command_delay_s: delay_s, ..lab.nonidealities },
+            ..lab
+        })
+    };
     let beyond = |beyond_the_model| Kind { model: lab, beyond_the_model };
     vec![
         ("ideal", plain(QubeModel::NOMINAL)),

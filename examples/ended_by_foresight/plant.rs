@@ -4,7 +4,8 @@
 use std::collections::VecDeque;
 
 use qube_hil::qube::{
-    CONTROL_PERIOD_S, EquationsOfMotion, NonidealDynamics, MAX_HISTORY, QubeModel, State, runge_kutta_4,
+    CONTROL_PERIOD_S, EquationsOfMotion, MAX_HISTORY, NonidealDynamics, QubeModel, State,
+    runge_kutta_4,
 };
 
 /// A Qube of a table's row.
@@ -81,7 +82,8 @@ impl Plant {
         let steps = if is_stiff { STIFF_STEPS } else { STEPS };
         let step_s = CONTROL_PERIOD_S / f64::from(steps);
         for step in 0..steps {
-            let sent_s = (f64::from(step) + 0.5) * step_s - self.kind.model.nonidealities.command_delay_s;
+            let sent_s =
+                (f64::from(step) + 0.5) * step_s - self.kind.model.nonidealities.command_delay_s;
             let age = (-sent_s / CONTROL_PERIOD_S).ceil().max(0.0) as usize;
             let voltage_v = self.commands_v.get(age).copied().unwrap_or(0.0);
             match self.kind.beyond_the_model {
