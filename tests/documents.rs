@@ -1,5 +1,5 @@
-//! The pages: every link leads somewhere, every page is in the book, and every block of commands runs or says why
-//! it does not.
+//! The pages: every link leads somewhere, every file that they name exists, every page is in the book, and every
+//! block of commands runs or says why it does not.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -142,6 +142,32 @@ fn the_book_has_every_page_of_docs_and_every_page_that_its_pages_link_to() {
     }
     let missing: Vec<_> = wanted.difference(&book).collect();
     assert!(missing.is_empty(), "docs/SUMMARY.md lacks {missing:?}");
+}
+
+#[test]
+fn every_source_file_that_a_page_names_exists() {
+    const FOLDERS: [&str; 7] =
+        ["src", "tests", "scripts", "examples", "benches", "firmware-protocol", "profiles"];
+    let (mut lost, mut looked_at) = (Vec::new(), 0);
+    // The list of changes names files of its time.
+    for page in pages().iter().filter(|page| !page.ends_with("CHANGELOG.md")) {
+        let prose = parts(page).1;
+        let words = prose.split('`').skip(1).step_by(2).flat_map(str::split_whitespace);
+        for word in words {
+            let is_path = FOLDERS.iter().any(|it| word.starts_with(&format!("{it}/")));
+            // ROOM and NNN stand for any name.
+            let is_one =
+                !word.contains(['*', '<']) && !word.contains("ROOM") && !word.contains("NNN");
+            if is_path && is_one {
+                looked_at += 1;
+                if !root().join(word.trim_end_matches([',', '.', ':', ';'])).exists() {
+                    lost.push(format!("{}: {word}", page.display()));
+                }
+            }
+        }
+    }
+    assert!(looked_at > 50, "the names of files were not found");
+    assert!(lost.is_empty(), "files that do not exist:\n{}", lost.join("\n"));
 }
 
 /// The commands of a block: all of a script, or what follows the prompts of a console.

@@ -1,0 +1,69 @@
+//! What is handed out: the package for Debian holds what the installer installs, and the crates name each other's
+//! version.
+
+use std::fs;
+use std::path::Path;
+
+use toml::Value;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn manifest() -> Value {
+    fs::read_to_string(root().join("Cargo.toml")).unwrap().parse::<toml::Table>().unwrap().into()
+}
+
+/// Sources and targets of what the package for Debian holds.
+fn assets() -> Vec<(String, String)> {
+    let manifest = manifest();
+    let assets = manifest["package"]["metadata"]["deb"]["assets"].as_array().unwrap();
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    assets.iter().map(|asset| (text(&asset[0]), text(&asset[1]))).collect()
+}
+
+#[test]
+fn everything_in_the_debian_package_exists_or_is_built_by_its_script() {
+    let script = fs::read_to_string(root().join("scripts/deb")).unwrap();
+    for (source, _) in assets() {
+        let path = source.trim_end_matches("/*");
+        let is_built = source == "target/dist/qube-hil" || script.contains(&source);
+        assert!(is_built || root().join(path).exists(), "{source} does not exist");
+    }
+    let scripts = manifest()["package"]["metadata"]["deb"]["maintainer-scripts"].clone();
+    assert!(root().join(scripts.as_str().unwrap()).join("postinst").exists());
+}
+
+#[test]
+fn the_debian_package_holds_what_the_installer_installs() {
+    let script = fs::read_to_string(root().join("scripts/install")).unwrap();
+    let installed: Vec<&str> = script
+        .lines()
+        .filter_map(|line| line.strip_prefix("put \"$here/"))
+        .map(|rest| rest.split('"').next().unwrap())
+        .collect();
+    assert_eq!(installed.len(), 4, "{installed:?}");
+    let sources: Vec<String> = assets().into_iter().map(|(source, _)| source).collect();
+    for file in installed {
+        let is_packed = |source: &String| source.rsplit('/').next() == Some(file);
+        assert!(sources.iter().any(is_packed), "the package lacks {file}");
+    }
+}
+
+#[test]
+fn both_make_the_groups_and_the_user_that_the_rules_and_the_unit_name() {
+    for script in ["scripts/install", "scripts/debian/postinst"] {
+        let text = fs::read_to_string(root().join(script)).unwrap();
+        for name in ["dialout", "realtime", "qube-hil"] {
+            assert!(text.contains(name), "{script} does not make {name}");
+        }
+    }
+}
+
+#[test]
+fn the_crates_of_the_workspace_have_one_version_and_name_it() {
+    let manifest = manifest();
+    let version = &manifest["workspace"]["package"]["version"];
+    assert_eq!(&manifest["dependencies"]["firmware-protocol"]["version"], version);
+    assert_eq!(version.as_str(), Some(env!("CARGO_PKG_VERSION")));
+}
