@@ -202,7 +202,7 @@ const TABLE: [[Entry; ControlEvent::ALL.len()]; ControlState::ALL.len()] = {
         // Settling
         [no(S::Settling), LATCH, no(S::Settling), rest(S::Settling), no(S::Settling),
          no(S::Settling), (S::Running, A::RunPolicy), rest(S::Settling), rest(S::Settling),
-         rest(S::Settling), STOP, rest(S::Settling), FAIL, LATCH, LATCH],
+         rest(S::Settling), STOP, rest(S::Settling), FAIL, LATCH, FAIL],
         // Running
         [no(S::Running), LATCH, no(S::Running), rest(S::Running), no(S::Running), no(S::Running),
          rest(S::Running), rest(S::Running), STOP, STOP, STOP, rest(S::Running), FAIL, LATCH, FAIL],
@@ -286,7 +286,7 @@ mod tests {
             // A doubted count is damped in states in which the arm may be fast, and switches off in
             // all others.
             if event == E::CountDoubted {
-                let damps = matches!(state, S::Running | S::Braking | S::Faulting);
+                let damps = matches!(state, S::Settling | S::Running | S::Braking | S::Faulting);
                 assert_eq!(next, if damps { S::Faulting } else { S::Faulted }, "{step}");
             }
             // Only a hello releases the latch, and then nothing moves before 1 s at rest.

@@ -305,7 +305,9 @@ impl<C: Controller> Motion for Tick<C> {
         let unanswered = input.measurement.as_ref().and_then(|sample| self.unanswered(sample));
         // With the motor off, a moving arm whose count is doubted wrongly would coast into its
         // stop; for an arm at rest the damping asks for 0 V anyway.
-        let damps = self.settings.rules >= TickRules::Damped;
+        let since =
+            if self.phase == Phase::Settling { TickRules::Yielding } else { TickRules::Damped };
+        let damps = self.settings.rules >= since;
         let off = match self.watch.check(input).or(seen).or(unanswered) {
             Some(Alarm::Zero(fault)) if damps && fault.doubts_count() => {
                 if !self.damps {

@@ -46,7 +46,8 @@ pub enum TickRules {
     /// As [`Witnessed`](Self::Witnessed); in addition, an arm whose count is in doubt under a policy is
     /// damped before the motor goes off.
     Damped,
-    /// As [`Damped`](Self::Damped); in addition, a brake that rings loses gain.
+    /// As [`Damped`](Self::Damped); in addition, a brake that rings loses gain, and an arm whose count
+    /// is in doubt is damped while it settles, too.
     Yielding,
 }
 

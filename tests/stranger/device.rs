@@ -81,6 +81,8 @@ pub enum Part {
     Running,
     Braking,
     Coasting,
+    /// While it coasts, and the cable alone brings it there: nobody promises to hold an arm with the amplifier off.
+    Pulled,
 }
 
 /// A healthy Qube behind a link on which mishaps happen.
@@ -101,6 +103,8 @@ pub struct Qube {
     /// A line for each tick, where somebody looks.
     pub lines: Option<Vec<String>>,
     armed: bool,
+    /// The Qube without its cable, from the last switching off on.
+    free: Option<Plant>,
     tripped: bool,
     dead: bool,
     fed_ns: u64,
@@ -123,6 +127,7 @@ impl Qube {
             went_wrong: false,
             lines: None,
             armed: false,
+            free: None,
             tripped: false,
             dead: false,
             fed_ns: 0,
@@ -156,9 +161,15 @@ impl Qube {
         }
     }
 
-    fn part(&self) -> Part {
+    fn part(&mut self) -> Part {
         match (self.armed, self.progress.steps(), self.progress.brakes()) {
-            (false, ..) => Part::Coasting,
+            (false, ..) => match &mut self.free {
+                Some(free) => {
+                    free.go_on_until(self.plant.now_ns);
+                    if free.hit_rad_s.is_none() { Part::Pulled } else { Part::Coasting }
+                }
+                None => Part::Coasting,
+            },
             (true, 0, 0) => Part::Settling,
             (true, _, 0) => Part::Running,
             (true, ..) => Part::Braking,
@@ -169,6 +180,7 @@ impl Qube {
         self.armed = false;
         self.applied_mv = 0;
         self.plant.command(0.0);
+        self.free = Some(self.plant.without_cable());
     }
 
     fn moment(&self) -> Moment {

@@ -164,6 +164,11 @@ fn run(scenario: &Scenario, settings: &TickSettings, genes: &[f64], shows: bool)
 }
 
 impl Outcome {
+    /// Whether the arm reached its stop, and not by its cable alone after the amplifier went off.
+    pub fn is_hit(&self) -> bool {
+        self.hit_rad_s.is_some() && self.hit_in != Some(Part::Pulled)
+    }
+
     /// The fault that a healthy Qube on a link that lived should not have had.
     pub fn false_fault(&self, mishap: MishapKind) -> Option<Fault> {
         if mishap == MishapKind::LinkDead {

@@ -8,6 +8,7 @@ use super::beliefs::DrawnQube;
 const STEP_NS: u64 = 1_000_000;
 
 /// The true Qube: its commands arrive late, its amplifier is weak, its arm has stops.
+#[derive(Clone)]
 pub struct Plant {
     pub state: State,
     pub now_ns: u64,
@@ -42,6 +43,13 @@ impl Plant {
             motor_v: 0.0,
             under_way: VecDeque::new(),
         }
+    }
+
+    /// The same Qube with no cable on its arm.
+    pub fn without_cable(&self) -> Self {
+        let mut free = self.clone();
+        free.dynamics.cable_stiffness = 0.0;
+        free
     }
 
     /// Gives the amplifier a voltage at this instant.

@@ -97,7 +97,7 @@ impl SearchRecord {
             self.kept_faults.entry(name.clone()).or_insert_with(found);
             *self.false_faults.entry(name).or_default() += 1;
         }
-        if outcome.hit_rad_s.is_some() {
+        if outcome.is_hit() {
             self.hits += 1;
             self.clean_hits += u64::from(!outcome.went_wrong);
             if self.kept_hits.len() < keep {
