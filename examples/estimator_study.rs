@@ -28,8 +28,8 @@ use qube_hil::qube::{
     DomainParameter, Measurement, NonidealDynamics, Profile, QubeModel, RewardWeights, State,
     counts, runge_kutta_4, wrap_angle,
 };
-use qube_hil::recording::return_of;
 use qube_hil::safety::{Guard, SafetyBox};
+use qube_hil::scoring::return_of;
 use qube_hil::telemetry::{Ending, Phase, TickRecord, TickSettings};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

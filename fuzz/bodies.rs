@@ -157,8 +157,8 @@ pub fn recording(bytes: &[u8]) {
         _ => qube_hil::recording::parse(bytes),
     };
     if let Ok(recording) = parsed {
-        let _ = qube_hil::recording::return_of(&recording.ticks, &recording.header.reward);
-        let _ = qube_hil::session::judge_recording(&recording);
+        let _ = qube_hil::scoring::return_of(&recording.ticks, &recording.header.reward);
+        let _ = qube_hil::scoring::score_recording(&recording);
     }
 }
 

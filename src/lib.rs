@@ -16,6 +16,7 @@
 //! use qube_hil::learning::{Origin, TrainSettings, train};
 //! use qube_hil::recording;
 //! use qube_hil::rig::{Rig, RigSettings};
+//! use qube_hil::scoring::return_of;
 //! use qube_hil::session::RolloutPlan;
 //! use qube_hil::simulation::DomainDistribution;
 //! use qube_hil::storage::MachineDisk;
@@ -38,7 +39,7 @@
 //!
 //! // Read the recording.
 //! let recording = recording::read(&recorded.path)?;
-//! let return_ = recording::return_of(&recording.ticks, &recording.header.reward);
+//! let return_ = return_of(&recording.ticks, &recording.header.reward);
 //! assert!((0.0..600.0).contains(&return_));
 //! # std::fs::remove_file(&path)?;
 //! # Ok(())
@@ -61,6 +62,7 @@ pub mod recording;
 pub mod replay;
 pub mod rig;
 pub mod safety;
+pub mod scoring;
 pub mod search;
 pub mod session;
 pub mod simulation;

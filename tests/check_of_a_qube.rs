@@ -15,7 +15,8 @@ use qube_hil::preflight::{Examination, ExaminationSettings, examine};
 use qube_hil::recording::read;
 use qube_hil::rig::{Rig, RigError, RigSettings};
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::{QubeFile, RolloutPlan, Verdict, judge};
+use qube_hil::scoring::{Verdict, score};
+use qube_hil::session::{QubeFile, RolloutPlan};
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{CheckVerdict, Ending, Fault, Phase, Preflight};
 
@@ -134,7 +135,7 @@ fn the_signs_that_are_found_make_a_flipped_qube_swing_up() {
         let rig = Rig::open(&settings, &stop()).unwrap();
         let recording = directory.path().join(format!("{fault}.mcap"));
         rig.rollout(&MachineDisk, &recording, plan().header(), &classical()).unwrap();
-        let verdict = judge(&MachineDisk, &recording).unwrap();
+        let verdict = score(&MachineDisk, &recording).unwrap();
         assert!(matches!(verdict, Verdict::Result { success: true, .. }), "{fault}: {verdict:?}");
     }
 }
@@ -197,6 +198,6 @@ fn a_cable_that_is_pulled_is_named_in_each_phase() {
         let recorded = rig.rollout(&MachineDisk, &path, plan().header(), &classical()).unwrap();
         assert_eq!(recorded.outcome.ending, Ending::Fault(Fault::LinkGone), "{phase:?}");
         assert_eq!(recorded.outcome.phase, phase);
-        assert!(matches!(judge(&MachineDisk, &path).unwrap(), Verdict::Void { .. }), "{phase:?}");
+        assert!(matches!(score(&MachineDisk, &path).unwrap(), Verdict::Void { .. }), "{phase:?}");
     }
 }

@@ -13,7 +13,8 @@ use qube_hil::device::{Device, DeviceError, InProcessWire, LinkFault, SerialLink
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::{RolloutPlan, Verdict, judge};
+use qube_hil::scoring::{Verdict, score};
+use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Fault;
 
@@ -193,7 +194,7 @@ fn a_port_that_is_gone_for_a_moment_or_for_seconds_is_opened_again() {
         for number in 0..3 {
             let path = directory.path().join(format!("{away_s}-{number}.mcap"));
             rollout(&rig, &path).unwrap();
-            if let Verdict::Void { reason } = judge(&MachineDisk, &path).unwrap() {
+            if let Verdict::Void { reason } = score(&MachineDisk, &path).unwrap() {
                 assert_eq!(reason, Fault::LinkGone.to_string());
                 rig.start_again().unwrap_or_else(|error| panic!("{away_s} s: {error}"));
                 voided += 1;
@@ -242,7 +243,7 @@ fn a_board_that_restarts_between_two_rollouts_is_homed_again() {
     assert!(!path.exists(), "a rollout that never began leaves no file");
     rig.start_again().unwrap();
     rollout(&rig, &path).unwrap();
-    let verdict = judge(&MachineDisk, &path).unwrap();
+    let verdict = score(&MachineDisk, &path).unwrap();
     assert!(matches!(verdict, Verdict::Result { success: true, .. }), "{verdict:?}");
 }
 

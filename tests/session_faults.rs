@@ -8,8 +8,9 @@ use std::sync::atomic::AtomicBool;
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::recording::read;
 use qube_hil::rig::{Recovery, RigSettings};
+use qube_hil::scoring::{Verdict, score};
 use qube_hil::session::{
-    Entry, Extent, Ledger, Session, SessionError, SessionFolder, SessionSettings, Verdict, judge,
+    Entry, Extent, Ledger, Session, SessionError, SessionFolder, SessionSettings,
 };
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Fault, Preflight};
@@ -71,7 +72,7 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
             })
             .collect();
         let [candidate] = voids[..] else { panic!("{fault}: {entries:?}") };
-        let kept = judge(&MachineDisk, &folder.rollout(candidate, 0, 0)).unwrap();
+        let kept = score(&MachineDisk, &folder.rollout(candidate, 0, 0)).unwrap();
         assert!(matches!(kept, Verdict::Void { .. }), "{fault}: {kept:?}");
 
         run(folder, None).unwrap();

@@ -18,7 +18,8 @@ use qube_hil::recording::read;
 use qube_hil::replay::rerun;
 use qube_hil::rig::{Rig, RigSettings};
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::{RolloutPlan, Verdict, judge};
+use qube_hil::scoring::{Verdict, score};
+use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::MeasuredLink;
 use real_time::in_real_time;
@@ -84,7 +85,7 @@ fn a_rollout_through_it_is_recorded_with_its_link_and_replays_the_same() {
     let rig = Rig::open(&settings(Some(UsbBridge::Atmega16u2), 3), &stop()).unwrap();
     let link = *rig.link().unwrap();
     rig.rollout(&MachineDisk, &path, plan().header(), &classical().to_bytes()).unwrap();
-    let verdict = judge(&MachineDisk, Path::new(&path)).unwrap();
+    let verdict = score(&MachineDisk, Path::new(&path)).unwrap();
     assert!(matches!(verdict, Verdict::Result { .. }), "{verdict:?}");
     let recording = read(&path).unwrap();
     assert_eq!(recording.header.device["sample_time_us"], link.sample_time_us.to_string());

@@ -52,8 +52,7 @@ const ROOMS: &[Room] = &[
         may_import: &["qube", "elementary", "estimation", "safety", "storage"],
         tests_may_import: &["device"],
     },
-    room("learning", &["simulation", "policy", "estimation", "safety", "qube", "elementary",
-                       "storage"]),
+    room("learning", &["simulation", "policy", "estimation", "qube", "elementary", "storage"]),
     room("surrogate", &[]),
     room("search", &["surrogate"]),
     room("device", &["clock", "qube", "firmware_protocol"]),
@@ -65,8 +64,10 @@ const ROOMS: &[Room] = &[
         may_import: &["telemetry", "qube", "storage"],
         tests_may_import: &["estimation", "safety"],
     },
-    room("replay", &["recording", "control", "policy", "safety", "estimation", "simulation",
-                     "telemetry", "qube", "elementary", "storage"]),
+    // Sessions, experiments, runs and replays score a rollout alike.
+    room("scoring", &["recording", "telemetry", "qube", "storage"]),
+    room("replay", &["scoring", "recording", "control", "policy", "safety", "estimation", "telemetry",
+                     "qube", "storage"]),
     room("identification", &["replay", "qube"]),
     // The check measures with the tick's clock and drive, and reports signs and faults.
     room("preflight", &["clock", "device", "control", "estimation", "safety", "telemetry", "qube",
@@ -76,9 +77,9 @@ const ROOMS: &[Room] = &[
                   "recording", "preflight", "storage"]),
     room("session", &["qube", "estimation", "safety", "policy", "simulation", "learning", "surrogate",
                       "search", "device", "telemetry", "control", "recording", "replay",
-                      "identification", "rig", "storage"]),
-    room("experiment", &["qube", "estimation", "safety", "policy", "simulation", "learning", "search",
-                         "recording", "telemetry", "rig", "session", "storage", "identification", "replay"]),
+                      "identification", "rig", "scoring", "storage"]),
+    room("experiment", &["qube", "policy", "simulation", "learning", "search",
+                         "recording", "telemetry", "rig", "session", "scoring", "storage", "identification", "replay"]),
     room("commands", EVERY_ROOM),
 ];
 
@@ -118,6 +119,81 @@ fn every_room_keeps_to_its_walls() {
         breaches.extend(check_file(file.strip_prefix(&source).unwrap(), &text));
     }
     assert!(breaches.is_empty(), "{}", list(&breaches));
+}
+
+#[test]
+fn no_room_may_import_what_it_does_not() {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    for room in ROOMS.iter().filter(|room| room.may_import != EVERY_ROOM) {
+        let mut used = BTreeSet::new();
+        for file in source_files(&source.join(room.name)) {
+            let module = module_of(file.strip_prefix(&source).unwrap());
+            for import in imports(&module, &fs::read_to_string(&file).unwrap()) {
+                match import.path.as_slice() {
+                    [root, target, ..] if root == "crate" => used.insert(target.clone()),
+                    [root, ..] => used.insert(root.clone()),
+                    [] => false,
+                };
+            }
+        }
+        for &target in room.may_import {
+            assert!(used.contains(target), "`{}` does not import `{target}`", room.name);
+        }
+    }
+}
+
+#[test]
+fn the_table_of_rooms_in_architecture_is_these_walls() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let text = fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap();
+    let rows: Vec<(String, String)> = text
+        .lines()
+        .skip_while(|line| !line.starts_with("| room |"))
+        .skip(2)
+        .take_while(|line| line.starts_with('|'))
+        .map(|line| {
+            let cells: Vec<&str> = line.trim_matches('|').split(" | ").collect();
+            (cells[0].trim_matches([' ', '`', '/']).to_owned(), cells[2].to_owned())
+        })
+        .filter(|(room, _)| room != "firmware-protocol")
+        .collect();
+    let drawn: BTreeSet<&str> = rows.iter().map(|(room, _)| room.as_str()).collect();
+    assert_eq!(drawn, ROOMS.iter().map(|room| room.name).collect());
+    for (name, cell) in &rows {
+        let room = ROOMS.iter().find(|room| room.name == name).unwrap();
+        if room.may_import == EVERY_ROOM {
+            assert!(cell.contains("everything"), "{name}: {cell}");
+        } else {
+            assert_eq!(rooms_named_in(cell), room.may_import.iter().copied().collect(), "{name}");
+        }
+    }
+}
+
+#[test]
+fn the_page_of_each_room_states_its_walls() {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    for room in ROOMS.iter().filter(|room| room.may_import != EVERY_ROOM) {
+        let text = fs::read_to_string(source.join(room.name).join("mod.rs")).unwrap();
+        let page: Vec<&str> =
+            text.lines().filter_map(|line| line.strip_prefix("//!")).map(str::trim).collect();
+        let page = page.join(" ");
+        let stated = page.split_once("ay import ").map_or("", |(_, list)| list);
+        let list = stated.split([';', '.']).next().unwrap_or_default();
+        assert_eq!(
+            rooms_named_in(list),
+            room.may_import.iter().copied().collect(),
+            "{}",
+            room.name
+        );
+    }
+}
+
+/// The rooms, and the wire, that a text names in backticks.
+fn rooms_named_in(text: &str) -> BTreeSet<&'static str> {
+    let names: Vec<String> =
+        text.split('`').skip(1).step_by(2).map(|name| name.replace('-', "_")).collect();
+    let known = ROOMS.iter().map(|room| room.name).chain(["firmware_protocol"]);
+    known.filter(|room| names.iter().any(|name| name == room)).collect()
 }
 
 #[test]

@@ -4,8 +4,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::printable::printable;
 use crate::experiment::{
-    Behaviour, ExperimentEvent, ExperimentSettings, Judgement, RecommendationResult, Repetition,
+    ExperimentEvent, ExperimentSettings, RecommendationResult, Repetition, Score,
 };
+use crate::scoring::Behaviour;
 use crate::session::SessionEvent;
 
 /// The display on stderr of a running experiment: a line for each finished piece of work, and a bar over
@@ -54,19 +55,18 @@ impl ExperimentProgress {
                 self.line(format!("{recipe} {policy} on {plant}: mean return {mean:.0}; {kinds}"));
                 self.bar.inc(1);
             }
-            ExperimentEvent::Judged { repetition, recommendation } => {
-                self.judged(repetition, recommendation)
+            ExperimentEvent::Scored { repetition, recommendation } => {
+                self.scored(repetition, recommendation);
             }
             ExperimentEvent::Over { .. } => self.bar.inc(1),
         }
     }
 
-    fn judged(&self, repetition: &Repetition, recommendation: &RecommendationResult) {
-        let what = match &recommendation.judgement {
-            Ok(judgement) => {
-                let Judgement { stood, ran } = judgement;
+    fn scored(&self, repetition: &Repetition, recommendation: &RecommendationResult) {
+        let what = match &recommendation.score {
+            Ok(Score { balanced, ran }) => {
                 let word = if recommendation.succeeds { "succeeds" } else { "does not succeed" };
-                format!("the recommendation {word}, {stood} of {ran} judges' rollouts stood")
+                format!("the recommendation {word}, {balanced} of {ran} scored rollouts balanced")
             }
             Err(reason) => format!("no recommendation: {reason}"),
         };

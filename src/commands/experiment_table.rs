@@ -2,8 +2,8 @@ use std::fmt::Write;
 
 use serde_json::{Map, Value, json};
 
-use crate::experiment::{Behaviour, RecipeResult, Results};
-use crate::session::Quietness;
+use crate::experiment::{RecipeResult, Results};
+use crate::scoring::{Behaviour, Quietness};
 
 /// Width of the column of names.
 const NAME: usize = 20;
@@ -31,18 +31,18 @@ pub fn table(results: &Results) -> String {
         let _ = writeln!(
             text,
             "\n{:NAME$} {:>8} {:>6} {:>9} {:>10} {:>6} {:>6}",
-            "rollouts, %", "stood", "late", "left box", "chattered", "fell", "fault"
+            "rollouts, %", "balanced", "late", "left box", "chattered", "fell", "fault"
         );
         for recipe in &recipes {
             let share = |behaviour| match recipe.policies.is_empty() {
                 true => "-".into(),
                 false => format!("{:.0}", 100.0 * recipe.share(behaviour)),
             };
-            let [stood, late, left, chattered, fell, fault]: [String; 6] =
+            let [balanced, late, left, chattered, fell, fault]: [String; 6] =
                 Behaviour::ALL.map(share);
             let _ = writeln!(
                 text,
-                "{:NAME$} {stood:>8} {late:>6} {left:>9} {chattered:>10} {fell:>6} {fault:>6}",
+                "{:NAME$} {balanced:>8} {late:>6} {left:>9} {chattered:>10} {fell:>6} {fault:>6}",
                 short(&recipe.recipe)
             );
         }
@@ -183,7 +183,7 @@ mod tests {
         let policies = (0..policies).map(|number| PolicyResult {
             number,
             simulated_return: 555.4 + f64::from(number % 3),
-            rollouts: vec![rollout(541.2, Behaviour::Stood), rollout(0.4, Behaviour::LeftBox)],
+            rollouts: vec![rollout(541.2, Behaviour::Balanced), rollout(0.4, Behaviour::LeftBox)],
         });
         Results {
             recipes: vec![RecipeResult {

@@ -50,7 +50,7 @@ use output::Output;
 
 use crate::clock::RealtimeReport;
 use crate::safety::{LARGEST_LOAD, WARNING_LOAD};
-use crate::session::{Latencies, Quietness};
+use crate::scoring::{Latencies, Quietness};
 use crate::telemetry::LatencySummary;
 
 /// Hardware-in-the-loop for the Quanser Qube: train policies over a distribution of simulations, run them

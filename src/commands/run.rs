@@ -29,9 +29,8 @@ use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
 use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
 use crate::safety::SafetyBox;
-use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Latencies, Quietness, RolloutPlan, Verdict, judge_recording,
-};
+use crate::scoring::{Latencies, Quietness, Verdict, score_recording};
+use crate::session::{DRIFT_ROLLOUTS, Drift, RolloutPlan};
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
 
@@ -388,7 +387,7 @@ impl Results {
         }
         let rollout = self.returns.len();
         (self.fault, self.void) = (None, None);
-        let _ = match judge_recording(&recording) {
+        let _ = match score_recording(&recording) {
             Verdict::Result { return_, success, outcome } => {
                 let ended_early = match outcome.ending {
                     Ending::LeftBox(limit) => Some(format!("left the box: {limit}")),

@@ -5,7 +5,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::printable::printable;
 use super::warn_without_realtime;
-use crate::session::{Purpose, SessionEvent, SessionSettings, Verdict};
+use crate::scoring::Verdict;
+use crate::session::{Purpose, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;
 
 /// The display on stderr of a running session: a line for each finished piece of work, and one live line

@@ -8,9 +8,8 @@ use super::printable::one_line;
 use super::{astray_line, quietness_line, timing_lines};
 use crate::policy::Policy;
 use crate::recording::read;
-use crate::session::{
-    Candidate, Latencies, Purpose, Quietness, Session, SessionError, Verdict, mean_return,
-};
+use crate::scoring::{Latencies, Quietness, Verdict, mean_return};
+use crate::session::{Candidate, Purpose, Session, SessionError};
 use crate::simulation::PsiSpace;
 
 /// The table of a session: its candidates and the verified policies, read from its folder.
@@ -89,10 +88,10 @@ impl SessionTable {
                 Some(mean) => format!("{mean:11.1}"),
                 None => format!("{:>11}", "-"),
             };
-            let stood = verdicts.iter().filter(|verdict| succeeded(verdict)).count();
+            let successes = verdicts.iter().filter(|verdict| verdict.is_success()).count();
             let _ = writeln!(
                 text,
-                "{:4}  {purpose:8} {mean}  {stood:2} of {:<2}  {}",
+                "{:4}  {purpose:8} {mean}  {successes:2} of {:<2}  {}",
                 candidate.number,
                 verdicts.len(),
                 digits(&self.psi, &candidate.psi),
@@ -105,11 +104,11 @@ impl SessionTable {
                 Purpose::Incumbent => format!("that of candidate {}", self.incumbent(candidate)),
                 _ => "that of the search's recommendation".into(),
             };
-            let stood = verdicts.iter().filter(|verdict| succeeded(verdict)).count();
+            let successes = verdicts.iter().filter(|verdict| verdict.is_success()).count();
             let _ = writeln!(
                 text,
-                "\nbest policy: {}\n{whose}: mean return {:.1} over {} rollouts, {stood} of \
-                 them stand",
+                "\nbest policy: {}\n{whose}: mean return {:.1} over {} rollouts, {successes} of \
+                 them balance",
                 policy.display(),
                 mean_return(verdicts).unwrap_or(0.0),
                 verdicts.len(),
@@ -194,10 +193,6 @@ fn best(candidates: &[(Candidate, Vec<Verdict>)]) -> Option<usize> {
         }
     }
     best.map(|(index, _)| index)
-}
-
-fn succeeded(verdict: &Verdict) -> bool {
-    matches!(verdict, Verdict::Result { success: true, .. })
 }
 
 /// Position of each entry of psi within its box, as a digit.

@@ -17,7 +17,8 @@ use crate::qube::CONTROL_PERIOD_NS;
 use crate::recording::{Recording, read};
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError};
 use crate::safety::SafetyBox;
-use crate::session::{RolloutPlan, Verdict, judge_recording};
+use crate::scoring::{Verdict, score_recording};
+use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
 
@@ -193,7 +194,7 @@ impl Soaked {
         let latest = recording.ticks.iter().map(|tick| tick.lateness_ns).max();
         self.largest_lateness_ns = self.largest_lateness_ns.max(latest.unwrap_or(0));
         let stopped = recording.outcome.as_ref().is_some_and(|it| it.ending == Ending::Stopped);
-        self.last_was_void = match judge_recording(recording) {
+        self.last_was_void = match score_recording(recording) {
             Verdict::Void { reason } => {
                 self.void += 1;
                 self.last_fault = Some(reason);

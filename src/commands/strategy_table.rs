@@ -2,7 +2,7 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
-use crate::experiment::{RecommendationResult, Repetition, StrategyResult, StrategyResults};
+use crate::experiment::{RecommendationResult, Repetition, Score, StrategyResult, StrategyResults};
 
 /// The table for people, 80 columns wide: a line for each method.
 pub fn table(results: &StrategyResults) -> String {
@@ -16,15 +16,15 @@ pub fn table(results: &StrategyResults) -> String {
         "quarter",
         "median",
         "three q.",
-        "judged"
+        "scored"
     );
     for strategy in &results.strategies {
         let _ = writeln!(text, "{}", line(strategy));
     }
     for strategy in &results.strategies {
-        let refused = strategy.repetitions.iter().flat_map(|it| &it.recommendations);
+        let recommendations = strategy.repetitions.iter().flat_map(|it| &it.recommendations);
         let mut reasons: Vec<&String> =
-            refused.filter_map(|recommendation| recommendation.judgement.as_ref().err()).collect();
+            recommendations.filter_map(|it| it.score.as_ref().err()).collect();
         reasons.sort_unstable();
         reasons.dedup();
         for reason in reasons {
@@ -53,7 +53,7 @@ fn line(strategy: &StrategyResult) -> String {
         within(0.25),
         within(0.5),
         within(0.75),
-        strategy.judged()
+        strategy.scored()
     )
 }
 
@@ -71,7 +71,7 @@ pub fn value(results: &StrategyResults) -> Value {
             "median": strategy.rollouts_within_which(0.5),
             "three_quarters": strategy.rollouts_within_which(0.75),
             "budget": strategy.budget(),
-            "answers_judged": strategy.judged(),
+            "answers_judged": strategy.scored(),
         })
     };
     json!({
@@ -89,14 +89,14 @@ pub fn csv(results: &StrategyResults) -> String {
     for strategy in &results.strategies {
         for repetition in &strategy.repetitions {
             for recommendation in &repetition.recommendations {
-                let RecommendationResult { real_rollouts, judgement, succeeds } = recommendation;
-                let (stood, ran, refused) = match judgement {
-                    Ok(judgement) => (judgement.stood, judgement.ran, String::new()),
+                let RecommendationResult { real_rollouts, score, succeeds } = recommendation;
+                let (balanced, ran, refused) = match score {
+                    Ok(Score { balanced, ran }) => (*balanced, *ran, String::new()),
                     Err(reason) => (0, 0, format!("\"{}\"", reason.replace('"', "'"))),
                 };
                 let _ = writeln!(
                     text,
-                    "{},{},{},{real_rollouts},{stood},{ran},{succeeds},{refused}",
+                    "{},{},{},{real_rollouts},{balanced},{ran},{succeeds},{refused}",
                     strategy.method, repetition.number, repetition.budget
                 );
             }
@@ -108,7 +108,7 @@ pub fn csv(results: &StrategyResults) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{Judgement, Method};
+    use crate::experiment::Method;
 
     fn results(repetitions: u32) -> StrategyResults {
         let repetition = |number| Repetition {
@@ -117,12 +117,12 @@ mod tests {
             recommendations: vec![
                 RecommendationResult {
                     real_rollouts: 1,
-                    judgement: Err("recording 0: it is \"short\"".into()),
+                    score: Err("recording 0: it is \"short\"".into()),
                     succeeds: false,
                 },
                 RecommendationResult {
                     real_rollouts: 2,
-                    judgement: Ok(Judgement { stood: 18, ran: 19 }),
+                    score: Ok(Score { balanced: 18, ran: 19 }),
                     succeeds: number % 2 == 0,
                 },
             ],

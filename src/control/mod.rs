@@ -1,6 +1,6 @@
 //! The real-time thread: one tick (read, estimate, decide, guard, write, record), deadlines, homing.
 //!
-//! May import `clock`, `device`, `estimation`, `policy`, `safety`, `telemetry`, `qube`; never
+//! May import `clock`, `device`, `estimation`, `policy`, `safety`, `telemetry`, `qube`, `elementary`; never
 //! anything that allocates, locks or touches a file.
 //!
 //! Reading order: [`Tick`] decides, [`drive`] runs it against a device and a clock,

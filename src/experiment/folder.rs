@@ -17,7 +17,7 @@ use crate::storage::{Disk, Hold, MachineDisk};
 /// strategies/STRATEGY/000/search/                 the session of one repetition
 /// strategies/identify/000/recordings/             or the recordings of a repetition without one,
 /// strategies/identify/000/identified-1.toml       and the Qube that was found in the first of them
-/// strategies/STRATEGY/000/judged/003/000/         policies as above, made by the recommendation so far
+/// strategies/STRATEGY/000/judged/003/000/         policies as above, of the third recommendation
 /// ```
 #[derive(Debug)]
 pub struct ExperimentFolder {
@@ -102,10 +102,10 @@ impl ExperimentFolder {
 pub struct PolicyFolders(PathBuf);
 
 impl PolicyFolders {
-    /// Policy folders within this folder.
+    /// Folders of the policies that score the recommendation of this number, in a repetition's folder.
     #[must_use]
-    pub fn within(folder: PathBuf) -> Self {
-        Self(folder)
+    pub fn of_recommendation(repetition: &Path, number: u32) -> Self {
+        Self(repetition.join("judged").join(format!("{number:03}")))
     }
 
     /// Folder of a policy.

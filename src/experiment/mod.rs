@@ -9,11 +9,11 @@
 //! [`StrategySettings`] select another experiment: the number of real rollouts until a search's
 //! recommendation succeeds.
 //!
-//! The room may import `session` and the rooms that it assembles. Reading order: [`ExperimentSettings`],
+//! The room may import `session`, `rig`, `scoring`, `recording`, `learning`, `simulation`, `search`,
+//! `identification`, `replay`, `policy`, `telemetry`, `storage` and `qube`. Reading order: [`ExperimentSettings`],
 //! then [`Experiment`], which does the work and can be interrupted and resumed, then [`Results`], which are
 //! computed from policies and recordings; nothing else is stored.
 
-mod behaviour;
 mod error;
 mod figures;
 mod folder;
@@ -29,7 +29,6 @@ pub mod statistics;
 mod strategies;
 mod work;
 
-pub use behaviour::Behaviour;
 pub use error::ExperimentError;
 pub use figures::{densities_svg, searches_svg};
 pub use folder::{ExperimentFolder, PolicyFolders};
@@ -39,7 +38,7 @@ pub use results::{PolicyResult, RecipeResult, Results};
 pub use rollouts::RolloutResult;
 pub use settings::ExperimentSettings;
 pub use strategies::{
-    Judgement, Method, RecommendationResult, Repetition, StrategyResult, StrategyResults,
+    Method, RecommendationResult, Repetition, Score, StrategyResult, StrategyResults,
     StrategySettings, strategies_svg,
 };
 pub use work::{Experiment, ExperimentEvent};

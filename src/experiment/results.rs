@@ -6,18 +6,12 @@ use std::sync::atomic::AtomicBool;
 use super::queue::Queue;
 use super::rollouts::all_of;
 use super::statistics::{Interval, bootstrap_interval, mean, standard_deviation, wilson_interval};
-use super::{Behaviour, Experiment, ExperimentError, Plant, Recipe, RolloutResult};
+use super::{Experiment, ExperimentError, Plant, Recipe, RolloutResult};
 use crate::learning::evaluate_afresh;
 use crate::policy::Policy;
-use crate::session::Quietness;
+use crate::scoring::{Behaviour, Quietness, criterion};
 use crate::simulation::{DomainDistribution, SimulationSettings};
 use crate::storage::{Disk, MachineDisk};
-
-/// Smallest return of a successful rollout.
-const SUCCESS_RETURN: f64 = 400.0;
-
-/// Smallest share of successful rollouts of a successful policy: four of five.
-const SUCCESS_SHARE: f64 = 0.8;
 
 /// Seed of the fresh starts in simulation, the same for every policy.
 const FRESH_SEED: u64 = 1_000_003;
@@ -78,9 +72,8 @@ impl PolicyResult {
     /// Whether the mean return is at least 400 and at least four of five rollouts succeed.
     #[must_use]
     pub fn succeeds(&self) -> bool {
-        let stood = self.count(Behaviour::Stood) as f64;
-        self.mean_return().is_some_and(|it| it >= SUCCESS_RETURN)
-            && stood >= SUCCESS_SHARE * self.rollouts.len() as f64
+        self.mean_return().is_some_and(|it| it >= criterion::SUCCESS_RETURN)
+            && criterion::is_policy_share(self.count(Behaviour::Balanced), self.rollouts.len())
     }
 }
 
@@ -249,10 +242,10 @@ impl Experiment {
 mod tests {
     use super::*;
 
-    fn policy(returns: [f64; 5], stood: usize) -> PolicyResult {
+    fn policy(returns: [f64; 5], balanced: usize) -> PolicyResult {
         let rollouts = returns.into_iter().enumerate().map(|(index, return_)| RolloutResult {
             return_: Some(return_),
-            behaviour: if index < stood { Behaviour::Stood } else { Behaviour::Fell },
+            behaviour: if index < balanced { Behaviour::Balanced } else { Behaviour::Fell },
             quietness: Quietness::NONE,
         });
         PolicyResult { number: 0, simulated_return: 500.0, rollouts: rollouts.collect() }

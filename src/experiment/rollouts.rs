@@ -1,11 +1,12 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use super::ExperimentError;
 use super::folder::{make, recording};
-use super::{Behaviour, ExperimentError};
 use crate::recording::{RecordingError, read};
 use crate::rig::Rig;
-use crate::session::{Quietness, RolloutPlan, SessionError, Verdict, judge_recording, put_aside};
+use crate::scoring::{Behaviour, Quietness, Verdict, score_recording};
+use crate::session::{RolloutPlan, SessionError, put_aside};
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
 
@@ -54,7 +55,7 @@ fn state_of(
             Err(RecordingError::Unreadable { .. }) => return Ok(RolloutState::Due { attempt }),
             Err(error) => return Err(error.into()),
         };
-        match (judge_recording(&recorded), Behaviour::of(&recorded)) {
+        match (score_recording(&recorded), Behaviour::of(&recorded)) {
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
                 let quietness = Quietness::of(&recorded.ticks);
                 let result = RolloutResult { return_: Some(return_), behaviour, quietness };

@@ -4,10 +4,11 @@ use std::sync::atomic::AtomicBool;
 
 use super::ExperimentError;
 use crate::rig::RigSettings;
+use crate::scoring::{Verdict, score};
 use crate::search::Observation;
 use crate::session::{
-    Entry, Extent, LedgerError, Purpose, Session, SessionFolder, SessionSettings, Step, Verdict,
-    candidates, judge, next_step, parse_ledger,
+    Entry, Extent, LedgerError, Purpose, Session, SessionFolder, SessionSettings, Step, candidates,
+    next_step, parse_ledger,
 };
 use crate::storage::{Disk, MachineDisk};
 
@@ -64,7 +65,7 @@ pub(super) fn searched(folder: &Path, skip: usize) -> Result<Vec<Observation>, E
             let rollouts = candidate.finished.iter().map(|&(rollout, attempt)| {
                 let name = format!("rollout-{rollout}-attempt-{attempt}.mcap");
                 let number = format!("{:03}", candidate.number);
-                judge(&MachineDisk, &folder.join("candidates").join(number).join(name))
+                score(&MachineDisk, &folder.join("candidates").join(number).join(name))
             });
             let verdicts = rollouts.collect::<Result<Vec<_>, _>>()?;
             let returns = verdicts.iter().filter_map(Verdict::return_).collect();

@@ -5,6 +5,7 @@ use super::folder::make;
 use super::queue::Queue;
 use super::search::{found_psi, open_search};
 use super::series::Series;
+use super::strategies::Access;
 use super::{
     ExperimentError, ExperimentFolder, ExperimentSettings, Method, Recipe, RecommendationResult,
     Repetition, RolloutResult,
@@ -42,7 +43,7 @@ pub enum ExperimentEvent<'a> {
         results: &'a [RolloutResult],
     },
     /// A recommendation has been scored, or a recording was refused.
-    Judged {
+    Scored {
         /// Repetition of the method.
         repetition: &'a Repetition,
         /// Result of the scoring.
@@ -198,7 +199,8 @@ impl Experiment {
             }
             WorkItem::Repetition { method, repetition } => {
                 if let Some(strategies) = &self.settings.strategies {
-                    let repetition = self.follow(strategies, (method, repetition), Some(tell))?;
+                    let repetition =
+                        self.follow(strategies, (method, repetition), Access::Work(tell))?;
                     tell(ExperimentEvent::Over { repetition: &repetition });
                 }
                 Ok(Vec::new())

@@ -1,7 +1,7 @@
 //! PPO: collects trajectories, estimates advantages, and improves policy and value network.
 //!
 //! [`train()`] is the whole algorithm; docs/learning.md explains its settings and why some differ from the
-//! thesis. The room may import `simulation`, `policy`, `estimation`, `safety`, `qube`, `elementary` and
+//! thesis. The room may import `simulation`, `policy`, `estimation`, `qube`, `elementary` and
 //! `storage`. It imports neither `device` nor `control`, so that training cannot move the motor.
 //!
 //! ```

@@ -17,7 +17,6 @@ mod not_finite;
 mod reader;
 mod recorder;
 mod recover;
-mod return_of;
 mod scan;
 mod scene;
 mod tick_messages;
@@ -28,7 +27,6 @@ pub use error::{RecordingError, Unreadable};
 pub use reader::{Completeness, Recording, parse, read, read_on};
 pub use recorder::Recorder;
 pub use recover::{Recovered, recover};
-pub use return_of::return_of;
 pub use writer::{RolloutWriter, Sink};
 
 /// The version that [`crate::telemetry::RolloutHeader::format`] carries in files of this program.

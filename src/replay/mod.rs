@@ -4,8 +4,8 @@
 //! and every voltage must come out again, bit for bit. [`simulate_beside`] measures the model: it gives the
 //! simulator the recorded voltages alone and compares the motions.
 //!
-//! The room may import `recording`, `control`, `policy`, `safety`, `estimation`, `simulation`, `telemetry`,
-//! `qube`, `elementary` and `storage`.
+//! The room may import `scoring`, `recording`, `control`, `policy`, `safety`, `estimation`,
+//! `telemetry`, `qube` and `storage`.
 
 mod csv;
 mod motion_log;

@@ -1,7 +1,8 @@
 use crate::control::{Motion, Tick, TickInput};
 use crate::policy::Policy;
-use crate::recording::{Recording, return_of};
+use crate::recording::Recording;
 use crate::safety::{Foreseen, Guard};
+use crate::scoring::return_of;
 use crate::telemetry::{Ending, Fault, Phase, TickRecord};
 
 /// The result of a replay.

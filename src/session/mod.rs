@@ -1,34 +1,30 @@
 //! Sessions: the method's algorithm, its ledger on disk, and resuming after a crash.
 //!
-//! The room may import `rig`, `learning`, `simulation`, `search`, `surrogate`, `identification`, `replay`,
+//! The room may import `rig`, `scoring`, `learning`, `simulation`, `search`, `surrogate`, `identification`, `replay`,
 //! `recording`, `control`, `device`, `policy`, `estimation`, `safety`, `telemetry`, `storage` and `qube`.
 //! Reading order: [`next_step`] computes the next step from the ledger, [`Session`] performs it with a
-//! [`Rig`](crate::rig::Rig), and [`judge`] scores a recording.
+//! [`Rig`](crate::rig::Rig), and [`score`](crate::scoring::score) scores a recording.
 
 mod configuration;
 mod drift;
 mod error;
 mod folder;
 mod header;
-mod latencies;
 mod ledger;
 mod orchestrator;
 mod plan;
 mod power_test;
 mod qube_file;
-mod quietness;
 mod retired;
 mod seeds;
 mod settings;
 mod training;
-mod verdict;
 
 pub use configuration::ConfigurationError;
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use error::SessionError;
 pub use folder::{FolderError, SessionFolder, put_aside, write_whole};
 pub use header::RolloutPlan;
-pub use latencies::Latencies;
 pub use ledger::{
     DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger,
     settings_checksum,
@@ -37,8 +33,6 @@ pub use orchestrator::{Session, SessionEvent};
 pub use plan::{Candidate, Extent, Step, candidates, next_step};
 pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
-pub use quietness::{ABOUT_UPRIGHT_RAD, Quietness, QuietnessFigures};
 pub use retired::{Retired, take_retired};
 pub use seeds::{SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, Model, ProfileSettings, SessionSettings};
-pub use verdict::{Verdict, judge, judge_recording, mean_return};

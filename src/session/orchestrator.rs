@@ -8,8 +8,7 @@ use super::seeds::{SeedFor, derived_seed};
 use super::training::{TrainingEvent, TrainingJob, train_all};
 use super::{
     Candidate, DRIFT_ROLLOUTS, Drift, Entry, FolderError, Ledger, Purpose, RolloutPlan,
-    SessionError, SessionFolder, SessionSettings, Step, Verdict, candidates, judge,
-    judge_recording, mean_return, next_step, settings_checksum,
+    SessionError, SessionFolder, SessionSettings, Step, candidates, next_step, settings_checksum,
 };
 use crate::identification::Unfit;
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
@@ -17,6 +16,7 @@ use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, Doubt, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
+use crate::scoring::{Verdict, mean_return, score, score_recording};
 use crate::search::{Observation, SearchError};
 use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
@@ -378,7 +378,7 @@ impl Session {
         // unfinished or unreadable one, which a crash or a loss of power cut off, is put aside, because
         // nothing refers to it yet.
         if self.folder.disk().exists(&path) {
-            match judge(self.folder.disk(), &path) {
+            match score(self.folder.disk(), &path) {
                 Ok(Verdict::Unfinished) | Err(RecordingError::Unreadable { .. }) => {
                     put_aside(self.folder.disk(), &path)?;
                 }
@@ -396,7 +396,7 @@ impl Session {
             }
         }
         let recording = read_on(self.folder.disk(), &path)?;
-        let verdict = judge_recording(&recording);
+        let verdict = score_recording(&recording);
         tell(SessionEvent::Rollout { candidate, rollout, attempt, verdict: &verdict });
         match &verdict {
             Verdict::Result { .. } => {
@@ -540,14 +540,14 @@ impl Session {
         if let Some(verdict) = self.verdicts.get(&key) {
             return Ok(verdict.clone());
         }
-        let verdict = judge(self.folder.disk(), &self.folder.rollout(candidate, rollout, attempt))?;
+        let verdict = score(self.folder.disk(), &self.folder.rollout(candidate, rollout, attempt))?;
         self.verdicts.insert(key, verdict.clone());
         Ok(verdict)
     }
 
     fn given_up(&mut self, candidate: u32, rollout: u32) -> SessionError {
         let tries = self.settings.extent.repetitions + 1;
-        let last = judge(self.folder.disk(), &self.folder.rollout(candidate, rollout, tries - 1));
+        let last = score(self.folder.disk(), &self.folder.rollout(candidate, rollout, tries - 1));
         let reason = match last {
             Ok(Verdict::Void { reason }) => reason,
             Ok(_) | Err(_) => "its recording cannot be read".into(),

@@ -18,7 +18,8 @@ use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::qube::Measurement;
 use qube_hil::recording::RecordingError;
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
-use qube_hil::session::{Session, SessionEvent, SessionFolder, Verdict, judge};
+use qube_hil::scoring::{Verdict, score};
+use qube_hil::session::{Session, SessionEvent, SessionFolder};
 use qube_hil::storage::{Disk, DiskFile, Hold};
 
 use crate::schedules;
@@ -151,7 +152,7 @@ fn a_disk_that_stalls_for_five_seconds_costs_no_tick() {
     rollout(&rig, &disk).unwrap();
     assert!(woke.lock().unwrap().is_some(), "it never stalled");
     assert!(!armed_then.load(Ordering::SeqCst), "the tick waited for the disk");
-    let verdict = judge(&disk, Path::new(PATH)).unwrap();
+    let verdict = score(&disk, Path::new(PATH)).unwrap();
     assert!(matches!(verdict, Verdict::Result { .. }), "{verdict:?}");
 }
 
@@ -186,11 +187,11 @@ fn a_recorder_that_dies_does_not_stop_the_rollout_and_is_named() {
         other => panic!("{other:?}"),
     }
     assert_ne!(wiring.last_wire().unwrap().state(), DeviceState::Armed);
-    assert_eq!(judge(&disk, Path::new(PATH)).unwrap(), Verdict::Unfinished);
+    assert_eq!(score(&disk, Path::new(PATH)).unwrap(), Verdict::Unfinished);
     // Nothing is latched: the next rollout runs.
     let disk = SimulatedDisk::default();
     rollout(&rig, &disk).unwrap();
-    assert!(matches!(judge(&disk, Path::new(PATH)).unwrap(), Verdict::Result { .. }));
+    assert!(matches!(score(&disk, Path::new(PATH)).unwrap(), Verdict::Result { .. }));
 }
 
 /// A session that hangs in any of its steps hangs with the amplifier off: it goes on only between

@@ -4,7 +4,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use qube_hil::session::{SessionError, Verdict, judge};
+use qube_hil::scoring::{Verdict, score};
+use qube_hil::session::SessionError;
 
 use crate::count_from;
 use crate::schedules::{Undisturbed, ledger_path, live, recordings};
@@ -63,7 +64,7 @@ fn a_recording_cut_at_any_byte_is_done_again_and_counted_once() {
     each_of(length, count_from("QUBE_HIL_CUT_STRIDE", 13), |cut| {
         let disk = SimulatedDisk::default();
         disk.put(&path, &whole[..cut as usize]);
-        let verdict = judge(&disk, &path);
+        let verdict = score(&disk, &path);
         assert!(matches!(verdict, Ok(Verdict::Unfinished) | Err(_)), "cut at {cut}: {verdict:?}");
     });
 

@@ -7,7 +7,8 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use qube_hil::recording::read;
-use qube_hil::session::{Entry, Verdict, judge, parse_ledger};
+use qube_hil::scoring::{Verdict, score};
+use qube_hil::session::{Entry, parse_ledger};
 use qube_hil::storage::MachineDisk;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -134,7 +135,7 @@ fn a_process_that_is_stopped_in_a_rollout_finds_the_watchdog_tripped_and_says_so
         assert_eq!(status.code(), Some(4), "{stderr}");
         assert!(stderr.contains("watchdog"), "{stderr}");
         let recording = directory.path().join("out/rollout-0.mcap");
-        match judge(&MachineDisk, &recording).unwrap() {
+        match score(&MachineDisk, &recording).unwrap() {
             Verdict::Void { reason } => assert!(reason.contains("watchdog"), "{reason}"),
             other => panic!("{other:?}"),
         }

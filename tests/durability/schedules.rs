@@ -11,10 +11,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use qube_hil::control::HomingMethod;
 use qube_hil::safety::SafetyBox;
+use qube_hil::scoring::{Verdict, score};
 use qube_hil::search::StrategyKind;
 use qube_hil::session::{
-    Entry, Extent, Session, SessionError, SessionFolder, SessionSettings, Verdict, judge,
-    parse_ledger,
+    Entry, Extent, Session, SessionError, SessionFolder, SessionSettings, parse_ledger,
 };
 use qube_hil::storage::Disk;
 use rand::{RngExt, SeedableRng};
@@ -275,7 +275,7 @@ impl Schedule {
             };
             let name =
                 format!("candidates/{candidate:03}/rollout-{rollout}-attempt-{attempt}.mcap");
-            let verdict = judge(disk, &root().join(name)).unwrap();
+            let verdict = score(disk, &root().join(name)).unwrap();
             if matches!(entry, Entry::RolloutFinished { .. }) {
                 assert!(matches!(verdict, Verdict::Result { .. }), "{verdict:?}");
                 finished.push((candidate, rollout));

@@ -10,7 +10,8 @@ use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::recording::read_on;
 use qube_hil::rig::{Rig, RigError};
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::{RolloutPlan, Verdict, judge};
+use qube_hil::scoring::{Verdict, score};
+use qube_hil::session::RolloutPlan;
 use qube_hil::storage::Disk;
 use qube_hil::telemetry::{Ending, Phase};
 
@@ -98,7 +99,7 @@ fn rollout(rig: &Rig, disk: &SimulatedDisk) -> Outcome {
         })
         .sum();
     assert_eq!(missed, recorded.outcome.missed_deadlines, "what was missed is marked");
-    match (judge(disk, path).unwrap(), recorded.outcome.ending) {
+    match (score(disk, path).unwrap(), recorded.outcome.ending) {
         (Verdict::Result { .. }, Ending::Completed | Ending::LeftBox(_)) => Outcome::Finished,
         (Verdict::Void { reason }, Ending::Fault(fault)) => {
             assert_eq!(reason, fault.to_string());

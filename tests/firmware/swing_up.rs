@@ -7,7 +7,8 @@ use std::sync::atomic::AtomicBool;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Profile, QubeModel};
 use qube_hil::rig::{Rig, RigSettings};
-use qube_hil::session::{RolloutPlan, Verdict, judge};
+use qube_hil::scoring::{Verdict, score};
+use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 
 use crate::board_clock::rig_settings;
@@ -46,7 +47,7 @@ fn swings_up(chip: Chip, policy: &Policy) {
             100.0 * board.processor_s() / simulated_s,
             board.given_up_us(),
         );
-        if let Verdict::Result { success: true, .. } = judge(&MachineDisk, &path).unwrap() {
+        if let Verdict::Result { success: true, .. } = score(&MachineDisk, &path).unwrap() {
             println!("{}: {told}", chip.name());
             assert_eq!(board.lost_bytes(), 0);
             return;

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use super::StrategySettings;
-use super::follow::{MethodRun, Recommendation, Recommendations};
+use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::{make, recording};
 use crate::experiment::rollouts::{Repeated, all_of};
 use crate::experiment::series::virtual_rig;
@@ -21,6 +21,14 @@ const EXCITATION_V: f64 = 1.5;
 
 /// Largest file about a fit that is read, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// The result of fitting a Qube to recordings.
+enum Fit {
+    /// The profile of the identified Qube, as TOML.
+    Found(String),
+    /// The recordings identify no Qube, for this reason.
+    Refused(String),
+}
 
 /// The recommendations of the method `identify`: after each recording, the distribution around the Qube
 /// that all recordings so far identify. Policies observe their last commands, because that Qube has a
@@ -79,53 +87,63 @@ impl<'a> FromRecordings<'a> {
         Ok(())
     }
 
-    /// Identifies the Qube from several recordings; returns the profile as text, or the reason of the
-    /// failure.
-    fn fitted(&self, recordings: u32) -> Result<Result<String, String>, ExperimentError> {
+    /// Identifies the Qube from several recordings.
+    fn fit(&self, recordings: u32) -> Result<Fit, ExperimentError> {
         let mut logs = Vec::new();
         for number in 0..recordings {
             // The last attempt counts.
             let tries = (0..=self.repetitions()).rev();
             let mut paths = tries.map(|attempt| recording(&self.recordings(), number, attempt));
             let Some(path) = paths.find(|path| MachineDisk.exists(path)) else {
-                return Ok(Err(format!("recording {number} is missing")));
+                return Ok(Fit::Refused(format!("recording {number} is missing")));
             };
             match MotionLog::read(&path) {
                 Ok(log) => logs.push(log),
                 Err(MotionLogError::Recording(error)) => return Err(error.into()),
-                Err(unfit) => return Ok(Err(unfit.to_string())),
+                Err(unfit) => return Ok(Fit::Refused(unfit.to_string())),
             }
         }
         let unknowns: Vec<Unknown> = Unknown::all().collect();
         let found = match identify(&logs, &unknowns, &QubeModel::NOMINAL) {
             Ok(found) => found.model,
-            Err(why) => return Ok(Err(why.to_string())),
+            Err(why) => return Ok(Fit::Refused(why.to_string())),
         };
         let name = format!("{} from {recordings} recordings", self.run.name);
-        let profile = Profile::exact(&name, &found);
-        Ok(Ok(toml::to_string_pretty(&profile)?))
+        Ok(Fit::Found(toml::to_string_pretty(&Profile::exact(&name, &found))?))
     }
 
-    /// The profile from several recordings. It is stored on disk, because a fit takes longer than a
-    /// training.
-    fn profile(&self, recordings: u32) -> Result<Option<Result<Profile, String>>, ExperimentError> {
+    /// The fit to several recordings. It is stored on disk, because it takes longer than a training. `None`:
+    /// the run is read-only, and the fit is not on disk.
+    fn stored_fit(&self, recordings: u32) -> Result<Option<Fit>, ExperimentError> {
         let named = |what: &str| self.run.folder.join(format!("{what}-{recordings}"));
         let (found, refused) =
             (named("identified").with_extension("toml"), named("refused").with_extension("txt"));
         if !MachineDisk.exists(&found) && !MachineDisk.exists(&refused) {
-            if self.run.work.is_none() {
+            if !self.run.access.works() {
                 return Ok(None);
             }
-            match self.fitted(recordings)? {
-                Ok(profile) => write_whole(&MachineDisk, &found, profile.as_bytes())?,
-                Err(reason) => write_whole(&MachineDisk, &refused, reason.as_bytes())?,
+            match self.fit(recordings)? {
+                Fit::Found(profile) => write_whole(&MachineDisk, &found, profile.as_bytes())?,
+                Fit::Refused(reason) => write_whole(&MachineDisk, &refused, reason.as_bytes())?,
             }
         }
-        if MachineDisk.exists(&refused) {
-            return Ok(Some(Err(read(refused)?)));
-        }
+        Ok(Some(if MachineDisk.exists(&refused) {
+            Fit::Refused(read(refused)?)
+        } else {
+            Fit::Found(read(found)?)
+        }))
+    }
+
+    /// The recommendation around the Qube of a profile, or the reason why there is none.
+    fn recommendation(&self, profile: &str) -> Result<Recommendation, String> {
         // A fit may find a value that no Qube has.
-        Ok(Some(Profile::parse(&read(found)?).map_err(|error| error.to_string())))
+        let profile = Profile::parse(profile).map_err(|error| error.to_string())?;
+        let recipe = Recipe::of(RecipeModel::Profile, &self.run.recipe.settings);
+        let around = ProfileSettings { model: profile.model(), spread: self.settings.spread };
+        let settings = SessionSettings { profile: Some(around), ..recipe.settings };
+        // A profile that cannot be simulated is not a recommendation either.
+        settings.base_distribution().map_err(|error| error.to_string())?;
+        Ok(Recommendation { recipe: Recipe { settings, ..recipe }, psi: Vec::new() })
     }
 }
 
@@ -138,26 +156,22 @@ impl Recommendations for FromRecordings<'_> {
         1
     }
 
-    fn after(
-        &mut self,
-        steps: u32,
-    ) -> Result<Option<Result<Recommendation, String>>, ExperimentError> {
-        if self.run.work.is_some() {
+    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
+        if self.run.access.works() {
             make(&self.run.folder)?;
             self.record(steps - 1)?;
         }
         if all_of(&self.recordings(), steps, self.repetitions())?.is_none() {
-            return Ok(None);
+            return Ok(Recommended::NotOnDisk);
         }
-        let Some(profile) = self.profile(steps)? else { return Ok(None) };
-        Ok(Some(profile.and_then(|profile| {
-            let recipe = Recipe::of(RecipeModel::Profile, &self.run.recipe.settings);
-            let around = ProfileSettings { model: profile.model(), spread: self.settings.spread };
-            let settings = SessionSettings { profile: Some(around), ..recipe.settings };
-            // A profile that cannot be simulated is not a recommendation either.
-            settings.base_distribution().map_err(|error| error.to_string())?;
-            Ok(Recommendation { recipe: Recipe { settings, ..recipe }, psi: Vec::new() })
-        })))
+        Ok(match self.stored_fit(steps)? {
+            None => Recommended::NotOnDisk,
+            Some(Fit::Refused(reason)) => Recommended::Refused(reason),
+            Some(Fit::Found(profile)) => match self.recommendation(&profile) {
+                Ok(recommendation) => Recommended::Found(Box::new(recommendation)),
+                Err(reason) => Recommended::Refused(reason),
+            },
+        })
     }
 }
 

@@ -7,20 +7,22 @@
 //! policies whose rollouts do not count, until one succeeds.
 //!
 //! Reading order: [`StrategySettings`]; `follow` runs one [`Repetition`]; `search` and `identified` give
-//! its recommendations; `judge` scores them; [`StrategyResults`] summarises.
+//! its recommendations; `score` scores them; [`StrategyResults`] summarises.
 
 mod figure;
 mod follow;
 mod identified;
-mod judge;
 mod method;
 mod results;
+mod run;
+mod score;
 mod search;
 mod settings;
 
 pub use figure::strategies_svg;
-pub use follow::{RecommendationResult, Repetition};
-pub use judge::Judgement;
 pub use method::Method;
 pub use results::{StrategyResult, StrategyResults};
+pub(super) use run::Access;
+pub use run::{RecommendationResult, Repetition};
+pub use score::Score;
 pub use settings::StrategySettings;

@@ -1,7 +1,7 @@
 use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 
-use super::{Method, Repetition};
+use super::{Access, Method, Repetition};
 use crate::experiment::queue::Queue;
 use crate::experiment::statistics::{Interval, wilson_interval};
 use crate::experiment::{Experiment, ExperimentError};
@@ -66,15 +66,11 @@ impl StrategyResult {
 
     /// Number of scored recommendations; each is one more chance to succeed by luck.
     #[must_use]
-    pub fn judged(&self) -> usize {
-        let is_judged = |repetition: &Repetition| {
-            repetition
-                .recommendations
-                .iter()
-                .filter(|recommendation| recommendation.judgement.is_ok())
-                .count()
+    pub fn scored(&self) -> usize {
+        let scored = |repetition: &Repetition| {
+            repetition.recommendations.iter().filter(|it| it.score.is_ok()).count()
         };
-        self.repetitions.iter().map(is_judged).sum()
+        self.repetitions.iter().map(scored).sum()
     }
 }
 
@@ -91,7 +87,7 @@ impl StrategyResults {
         // Results are needed after a stop request too.
         let never = AtomicBool::new(false);
         Queue::new(strategies.repetitions(), &never).run(experiment.threads(), |job| {
-            let repetition = experiment.follow(strategies, job, None)?;
+            let repetition = experiment.follow(strategies, job, Access::ReadOnly)?;
             read.lock().unwrap_or_else(PoisonError::into_inner).push(repetition);
             Ok(Vec::new())
         })?;
@@ -113,7 +109,7 @@ impl StrategyResults {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::experiment::{Judgement, RecommendationResult};
+    use crate::experiment::{RecommendationResult, Score};
     use crate::search::StrategyKind;
 
     /// A method whose repetitions succeed after these numbers of rollouts, or never.
@@ -121,7 +117,7 @@ pub(super) mod tests {
         let method = Method::Search(StrategyKind::Cem);
         let recommendation = |real_rollouts, succeeds| RecommendationResult {
             real_rollouts,
-            judgement: Ok(Judgement { stood: 0, ran: 2 }),
+            score: Ok(Score { balanced: 0, ran: 2 }),
             succeeds,
         };
         let repetition = |(number, needed): (usize, &Option<u32>)| Repetition {
@@ -148,7 +144,7 @@ pub(super) mod tests {
         assert_eq!(found.rollouts_within_which(0.5), Some(20));
         assert_eq!(found.rollouts_within_which(0.75), Some(40));
         assert_eq!(found.rollouts_within_which(1.0), None);
-        assert_eq!(found.judged(), 7);
+        assert_eq!(found.scored(), 7);
         let none = result(&[None, None]);
         assert_eq!((none.reached(), none.rollouts_within_which(0.25)), (0, None));
         let empty = result(&[]);

@@ -1,4 +1,4 @@
-use super::follow::{MethodRun, Recommendation, Recommendations};
+use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::search::{open_search, searched};
 use crate::experiment::{ExperimentError, ExperimentEvent};
@@ -36,7 +36,7 @@ impl<'a> FromSearch<'a> {
 
     /// Continues the search until this many candidates are evaluated.
     fn search_to(&mut self, candidates: u32) -> Result<(), ExperimentError> {
-        let Some(tell) = self.run.work else { return Ok(()) };
+        let Access::Work(tell) = self.run.access else { return Ok(()) };
         let folder = self.run.folder.join("search");
         let session = match self.session.take() {
             Some(session) => session,
@@ -73,17 +73,15 @@ impl Recommendations for FromSearch<'_> {
         self.settings.extent.rollouts
     }
 
-    fn after(
-        &mut self,
-        steps: u32,
-    ) -> Result<Option<Result<Recommendation, String>>, ExperimentError> {
+    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
         let steps = steps as usize;
         if self.evaluated.len() < steps {
             self.search_to(steps as u32)?;
             self.read_evaluated()?;
         }
-        let Some(data) = self.evaluated.get(..steps) else { return Ok(None) };
+        let Some(data) = self.evaluated.get(..steps) else { return Ok(Recommended::NotOnDisk) };
         let psi = self.strategy.best(data)?.point;
-        Ok(Some(Ok(Recommendation { recipe: self.run.recipe.clone(), psi })))
+        let recipe = self.run.recipe.clone();
+        Ok(Recommended::Found(Box::new(Recommendation { recipe, psi })))
     }
 }

@@ -1,27 +1,24 @@
+use super::run::Access;
 use crate::experiment::rollouts::all_of;
 use crate::experiment::series::Series;
-use crate::experiment::{Behaviour, ExperimentError, Plant, RolloutResult};
-
-/// Smallest share of successful rollouts of a successful recommendation, over all its policies: the next
-/// policy that somebody trains with it is a random one of them.
-const SUCCESS_SHARE: f64 = 0.9;
+use crate::experiment::{ExperimentError, Plant, RolloutResult};
+use crate::scoring::{Behaviour, criterion};
 
 /// The score of a recommendation, as far as it was needed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Judgement {
+pub struct Score {
     /// Number of successful rollouts.
-    pub stood: u32,
+    pub balanced: u32,
     /// Number of rollouts run.
     pub ran: u32,
 }
 
-impl Judgement {
+impl Score {
     /// Whether the recommendation succeeds over `rollouts` rollouts; `None` while that is open.
     fn decided(self, rollouts: u32) -> Option<bool> {
-        // Rounding must not turn nine of ten into ten of ten.
-        let needed = (SUCCESS_SHARE * f64::from(rollouts) - 1e-9).ceil() as u32;
-        let failed = self.ran - self.stood;
-        if self.stood >= needed {
+        let needed = criterion::needed_of(rollouts);
+        let failed = self.ran - self.balanced;
+        if self.balanced >= needed {
             Some(true)
         } else if failed > rollouts - needed {
             Some(false)
@@ -31,27 +28,35 @@ impl Judgement {
     }
 
     fn add(&mut self, results: &[RolloutResult]) {
-        let stood = results.iter().filter(|it| it.behaviour == Behaviour::Stood).count();
-        self.stood += stood as u32;
+        let balanced = results.iter().filter(|it| it.behaviour == Behaviour::Balanced).count();
+        self.balanced += balanced as u32;
         self.ran += results.len() as u32;
     }
 }
 
-/// Evaluates up to `policies` × `rollouts`; stops once the verdict cannot change. Without `works` the run
-/// is read-only and returns `Ok(None)` where a result is missing.
+/// The score of a recommendation, and whether it succeeds.
+pub(super) struct Decision {
+    /// Score when the decision could not change any more.
+    pub score: Score,
+    /// Whether the recommendation succeeds.
+    pub succeeds: bool,
+}
+
+/// Evaluates up to `policies` × `rollouts`; stops once the decision cannot change. `None`: the run is
+/// read-only, and a result is missing on disk.
 ///
 /// # Errors
 /// The work ends early, or a file cannot be read.
-pub(super) fn judge(
+pub(super) fn score(
     series: &Series,
     plant: &Plant,
     policies: u32,
     rollouts: u32,
-    works: bool,
-) -> Result<Option<(Judgement, bool)>, ExperimentError> {
-    let mut judgement = Judgement::default();
+    access: Access,
+) -> Result<Option<Decision>, ExperimentError> {
+    let mut score = Score::default();
     for policy in 0..policies {
-        let results = if works {
+        let results = if access.works() {
             series.train(policy)?;
             series.run_in_virtual_time(policy, plant, rollouts)?
         } else {
@@ -61,9 +66,9 @@ pub(super) fn judge(
                 None => return Ok(None),
             }
         };
-        judgement.add(&results);
-        if let Some(succeeds) = judgement.decided(policies * rollouts) {
-            return Ok(Some((judgement, succeeds)));
+        score.add(&results);
+        if let Some(succeeds) = score.decided(policies * rollouts) {
+            return Ok(Some(Decision { score, succeeds }));
         }
     }
     Ok(None)
@@ -73,8 +78,8 @@ pub(super) fn judge(
 mod tests {
     use super::*;
 
-    fn decided(stood: u32, ran: u32, rollouts: u32) -> Option<bool> {
-        Judgement { stood, ran }.decided(rollouts)
+    fn decided(balanced: u32, ran: u32, rollouts: u32) -> Option<bool> {
+        Score { balanced, ran }.decided(rollouts)
     }
 
     #[test]
@@ -93,12 +98,12 @@ mod tests {
     #[test]
     fn when_all_rollouts_are_run_it_is_decided() {
         for rollouts in 1..60 {
-            for stood in 0..=rollouts {
-                let succeeds = f64::from(stood) / f64::from(rollouts) > 0.9 - 1e-9;
+            for balanced in 0..=rollouts {
+                let succeeds = f64::from(balanced) / f64::from(rollouts) > 0.9 - 1e-9;
                 assert_eq!(
-                    decided(stood, rollouts, rollouts),
+                    decided(balanced, rollouts, rollouts),
                     Some(succeeds),
-                    "{stood}/{rollouts}"
+                    "{balanced}/{rollouts}"
                 );
             }
         }

@@ -1,20 +1,15 @@
-use std::f64::consts::PI;
-
 use serde::Serialize;
 
-use crate::qube::wrap_angle;
+use super::criterion::{UPRIGHT_STEPS, balanced_to_the_end, is_about_upright, running};
+use super::{Quietness, Verdict, score_recording};
 use crate::recording::Recording;
-use crate::session::{ABOUT_UPRIGHT_RAD, Quietness, Verdict, judge_recording};
-use crate::telemetry::{Phase, TickRecord};
+use crate::telemetry::{Ending, TickRecord};
 
 /// Number of final steps that classify a rollout: 3 s, by which time any swing-up is over.
 const LAST_STEPS: usize = 300;
 
 /// Share of the final steps in which a chattering pendulum is near upright.
 const CHATTERING_SHARE: f64 = 0.5;
-
-/// Number of final steps over which the pendulum must be held quietly: the last second.
-const HOLDING_STEPS: usize = 100;
 
 /// Root mean square voltage from which a pendulum is held by force, V; quiet balancing takes less.
 const CHATTERING_RMS_V: f64 = 1.0;
@@ -28,9 +23,11 @@ const CHATTERING_CHANGES_PER_S: f64 = 6.0;
 #[serde(rename_all = "snake_case")]
 pub enum Behaviour {
     /// Success: within 0.2 rad of upright in each of the last 100 steps, and a return of at least 400.
-    Stood,
+    #[serde(rename = "stood")]
+    Balanced,
     /// Balanced quietly at the end, but too late to earn a return of 400.
-    StoodLate,
+    #[serde(rename = "stood_late")]
+    BalancedLate,
     /// Left the safety box, or was ended by the guard.
     LeftBox,
     /// Kept the pendulum near upright (within 0.5 rad in half of the last 300 steps) without holding it
@@ -45,25 +42,29 @@ pub enum Behaviour {
 
 impl Behaviour {
     /// Every behaviour, in the order of tables.
-    pub const ALL: [Self; 6] =
-        [Self::Stood, Self::StoodLate, Self::LeftBox, Self::Chattered, Self::Fell, Self::Fault];
+    pub const ALL: [Self; 6] = [
+        Self::Balanced,
+        Self::BalancedLate,
+        Self::LeftBox,
+        Self::Chattered,
+        Self::Fell,
+        Self::Fault,
+    ];
 
     /// The behaviour that a recording shows; `None` if the rollout has no result.
     #[must_use]
     pub fn of(recording: &Recording) -> Option<Self> {
-        let Verdict::Result { success, outcome, .. } = judge_recording(recording) else {
+        let Verdict::Result { success, outcome, .. } = score_recording(recording) else {
             return None;
         };
-        let running: Vec<&TickRecord> =
-            recording.ticks.iter().filter(|tick| tick.phase == Phase::Running).collect();
         Some(match outcome.ending {
-            crate::telemetry::Ending::LeftBox(_) => Self::LeftBox,
-            _ if success => Self::Stood,
-            _ => of_a_failure(&running),
+            Ending::LeftBox(_) => Self::LeftBox,
+            _ if success => Self::Balanced,
+            _ => of_a_failure(&running(&recording.ticks)),
         })
     }
 
-    /// The name in tables and files.
+    /// The name in files and for scripts.
     #[must_use]
     pub fn name(self) -> &'static str {
         ["stood", "stood_late", "left_box", "chattered", "fell", "fault"][self as usize]
@@ -73,15 +74,13 @@ impl Behaviour {
 /// Classifies a rollout that took all steps without success.
 fn of_a_failure(running: &[&TickRecord]) -> Behaviour {
     let last = |count: usize| &running[running.len().saturating_sub(count)..];
-    let from_upright_rad = |tick: &TickRecord| wrap_angle(tick.state.alpha - PI).abs();
-    let up = last(LAST_STEPS).iter().filter(|tick| from_upright_rad(tick) < ABOUT_UPRIGHT_RAD);
+    let up = last(LAST_STEPS).iter().filter(|tick| is_about_upright(&tick.state));
     let is_about_up = up.count() as f64 >= CHATTERING_SHARE * LAST_STEPS as f64;
-    let holds = running.len() > HOLDING_STEPS
-        && last(HOLDING_STEPS).iter().all(|tick| from_upright_rad(tick) < 0.2);
     // A change of voltage needs one tick more.
-    let chatters = chatters(last(HOLDING_STEPS + 1));
+    let chatters = chatters(last(UPRIGHT_STEPS + 1));
+    let holds = running.len() > UPRIGHT_STEPS && balanced_to_the_end(running);
     match (holds, is_about_up) {
-        (true, _) if !chatters => Behaviour::StoodLate,
+        (true, _) if !chatters => Behaviour::BalancedLate,
         (true, _) | (false, true) => Behaviour::Chattered,
         (false, false) => Behaviour::Fell,
     }
@@ -98,8 +97,11 @@ fn chatters(ticks: &[&TickRecord]) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
     use crate::qube::State;
+    use crate::telemetry::Phase;
 
     /// The behaviour of 600 steps with this pendulum angle and voltage.
     fn behaviour(alpha: impl Fn(u32) -> f64, voltage_v: impl Fn(u32) -> f64) -> Behaviour {
@@ -133,6 +135,6 @@ mod tests {
         assert_eq!(behaviour(|_| PI + 0.1, alternating), Behaviour::Chattered);
         // The pendulum is held quietly from the fifth second on.
         let late = |tick: u32| if tick < 450 { 0.0 } else { PI };
-        assert_eq!(behaviour(late, |tick| f64::from(tick % 2) * 0.4), Behaviour::StoodLate);
+        assert_eq!(behaviour(late, |tick| f64::from(tick % 2) * 0.4), Behaviour::BalancedLate);
     }
 }

@@ -1,12 +1,8 @@
-use std::f64::consts::PI;
-
 use serde::Serialize;
 
-use crate::qube::{CONTROL_PERIOD_S, DomainParameters, wrap_angle};
-use crate::telemetry::{Phase, TickRecord};
-
-/// Angle from upright within which a pendulum is nearly upright, rad: 30 degrees.
-pub const ABOUT_UPRIGHT_RAD: f64 = 0.5;
+use super::criterion::{is_about_upright, running};
+use crate::qube::{CONTROL_PERIOD_S, DomainParameters};
+use crate::telemetry::TickRecord;
 
 /// Number of ticks nearly upright before balancing begins: half a second, after which swing-up and catch
 /// are over.
@@ -15,8 +11,8 @@ const CATCH_TICKS: usize = 50;
 /// The quietness of balancing over the recorded ticks of any number of rollouts: size and frequency of
 /// voltage changes, and their cost.
 ///
-/// A tick counts when the policy has the motor and the pendulum has been within [`ABOUT_UPRIGHT_RAD`] of
-/// upright for half a second before it.
+/// A tick counts when the policy has the motor and the pendulum has been nearly upright for
+/// half a second before it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quietness {
     ticks: u64,
@@ -60,12 +56,9 @@ impl Quietness {
 
     /// Adds the balancing part of one rollout.
     pub fn add(&mut self, ticks: &[TickRecord]) {
-        let running: Vec<&TickRecord> =
-            ticks.iter().filter(|tick| tick.phase == Phase::Running).collect();
         let mut ticks_up = 0;
-        for pair in running.windows(2) {
-            let is_up = wrap_angle(pair[1].state.alpha - PI).abs() < ABOUT_UPRIGHT_RAD;
-            ticks_up = if is_up { ticks_up + 1 } else { 0 };
+        for pair in running(ticks).windows(2) {
+            ticks_up = if is_about_upright(&pair[1].state) { ticks_up + 1 } else { 0 };
             if ticks_up > CATCH_TICKS {
                 self.add_tick(pair[0], pair[1]);
             }
@@ -73,7 +66,7 @@ impl Quietness {
     }
 
     /// Adds every tick but the first of a stretch, whatever the pendulum does in it.
-    pub(crate) fn add_stretch(&mut self, ticks: &[&TickRecord]) {
+    pub(super) fn add_stretch(&mut self, ticks: &[&TickRecord]) {
         for pair in ticks.windows(2) {
             self.add_tick(pair[0], pair[1]);
         }
@@ -130,8 +123,11 @@ fn copper_loss_w(voltage_v: f64, theta_dot_rad_s: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
     use crate::qube::State;
+    use crate::telemetry::Phase;
 
     /// Running ticks with these pendulum angles and voltages.
     fn rollout(

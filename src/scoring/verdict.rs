@@ -1,19 +1,10 @@
-use std::f64::consts::PI;
 use std::path::Path;
 
-use crate::qube::wrap_angle;
-use crate::recording::{Completeness, Recording, RecordingError, read_on, return_of};
+use super::criterion::{SUCCESS_RETURN, balanced_to_the_end, running};
+use super::return_of;
+use crate::recording::{Completeness, Recording, RecordingError, read_on};
 use crate::storage::Disk;
-use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
-
-/// Smallest return of a successful rollout (method of the thesis, section 5.2).
-const SUCCESS_RETURN: f64 = 400.0;
-
-/// Largest distance from upright of a balancing pendulum, rad.
-const UPRIGHT_RAD: f64 = 0.2;
-
-/// Number of final steps in each of which the pendulum must balance.
-const UPRIGHT_STEPS: usize = 100;
+use crate::telemetry::{Ending, RolloutOutcome};
 
 /// The verdict on a recording, computed from its ticks each time.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +38,12 @@ impl Verdict {
             Self::Void { .. } | Self::Unfinished => None,
         }
     }
+
+    /// Whether the rollout has a result and succeeded.
+    #[must_use]
+    pub fn is_success(&self) -> bool {
+        matches!(self, Self::Result { success: true, .. })
+    }
 }
 
 /// Mean of the returns; `None` without any result.
@@ -60,13 +57,13 @@ pub fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
 ///
 /// # Errors
 /// The file cannot be read, or one of its bytes has changed.
-pub fn judge(disk: &dyn Disk, path: &Path) -> Result<Verdict, RecordingError> {
-    Ok(judge_recording(&read_on(disk, path)?))
+pub fn score(disk: &dyn Disk, path: &Path) -> Result<Verdict, RecordingError> {
+    Ok(score_recording(&read_on(disk, path)?))
 }
 
 /// Computes the verdict on a recording.
 #[must_use]
-pub fn judge_recording(recording: &Recording) -> Verdict {
+pub fn score_recording(recording: &Recording) -> Verdict {
     let (Some(outcome), Completeness::Whole) = (&recording.outcome, &recording.completeness) else {
         return Verdict::Unfinished;
     };
@@ -78,20 +75,8 @@ pub fn judge_recording(recording: &Recording) -> Verdict {
             let return_ = return_of(&recording.ticks, &recording.header.reward);
             let success = outcome.ending == Ending::Completed
                 && return_ >= SUCCESS_RETURN
-                && stands(&recording.ticks);
+                && balanced_to_the_end(&running(&recording.ticks));
             Verdict::Result { return_, success, outcome: outcome.clone() }
         }
     }
-}
-
-/// Whether the pendulum balanced in each of the last steps.
-fn stands(ticks: &[TickRecord]) -> bool {
-    let last: Vec<_> = ticks
-        .iter()
-        .rev()
-        .filter(|tick| tick.phase == Phase::Running)
-        .take(UPRIGHT_STEPS)
-        .collect();
-    last.len() == UPRIGHT_STEPS
-        && last.iter().all(|tick| wrap_angle(tick.state.alpha - PI).abs() < UPRIGHT_RAD)
 }

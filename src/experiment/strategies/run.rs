@@ -1,0 +1,119 @@
+use std::path::PathBuf;
+
+use super::Method;
+use super::score::Score;
+use crate::experiment::work::Tell;
+use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
+
+/// One repetition of a method, as far as it has come.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Repetition {
+    /// Method of the repetition.
+    pub method: Method,
+    /// Number of the repetition, from 0.
+    pub number: u32,
+    /// Scored recommendations in order. An unchanged recommendation is not scored again.
+    pub recommendations: Vec<RecommendationResult>,
+    /// Whether a recommendation has succeeded or none is left.
+    pub is_over: bool,
+    /// Largest number of real rollouts.
+    pub budget: u32,
+}
+
+/// The result of one recommendation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecommendationResult {
+    /// Number of real rollouts before it; a recording counts as one.
+    pub real_rollouts: u32,
+    /// Score of its policies, or the reason why there is no recommendation.
+    pub score: Result<Score, String>,
+    /// Whether the recommendation succeeds.
+    pub succeeds: bool,
+}
+
+impl Repetition {
+    /// Number of real rollouts before the first successful recommendation; `None` without one.
+    #[must_use]
+    pub fn succeeded_after(&self) -> Option<u32> {
+        self.recommendations.iter().find(|it| it.succeeds).map(|it| it.real_rollouts)
+    }
+
+    /// Name such as `bayrn 3`.
+    #[must_use]
+    pub fn name(&self) -> String {
+        name(self.method, self.number)
+    }
+}
+
+/// Name of a repetition, such as `bayrn 3`.
+pub(super) fn name(method: Method, number: u32) -> String {
+    format!("{method} {number}")
+}
+
+/// The recipe and psi that a method recommends for training policies.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Recommendation {
+    /// Recipe of the policies.
+    pub recipe: Recipe,
+    /// Psi of the recipe; empty without one.
+    pub psi: Vec<f64>,
+}
+
+/// What a method has after some candidates or recordings.
+pub(super) enum Recommended {
+    /// A recommendation, whose policies can be scored.
+    Found(Box<Recommendation>),
+    /// No recommendation, for this reason.
+    Refused(String),
+    /// The run is read-only, and the result is not on disk.
+    NotOnDisk,
+}
+
+/// The sequence of recommendations of a method.
+pub(super) trait Recommendations {
+    /// Largest number of recommendations.
+    fn count(&self) -> u32;
+
+    /// Number of real rollouts before each recommendation.
+    fn rollouts_each(&self) -> u32;
+
+    /// The recommendation after `steps` candidates or recordings, from 1 on.
+    ///
+    /// # Errors
+    /// The work ends early, or a file cannot be read.
+    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError>;
+}
+
+/// Whether a run makes the results that are missing on disk.
+#[derive(Clone, Copy)]
+pub(in crate::experiment) enum Access<'a> {
+    /// Missing results are made, and the receiver is told of them.
+    Work(&'a Tell<'a>),
+    /// The run ends at the first missing result.
+    ReadOnly,
+}
+
+impl Access<'_> {
+    /// Whether missing results are made.
+    pub fn works(self) -> bool {
+        matches!(self, Self::Work(_))
+    }
+}
+
+/// One repetition of a method in its folder.
+pub(super) struct MethodRun<'a> {
+    /// Experiment that it belongs to.
+    pub experiment: &'a Experiment,
+    /// Name for messages.
+    pub name: String,
+    /// Recipe whose psi is searched.
+    pub recipe: &'a Recipe,
+    /// Seed from which every random number follows.
+    pub seed: u64,
+    /// Qube of this repetition.
+    pub plant: Plant,
+    /// Folder of the repetition.
+    pub folder: PathBuf,
+    /// Whether missing results are made.
+    pub access: Access<'a>,
+}

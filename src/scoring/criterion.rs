@@ -1,0 +1,63 @@
+//! The criterion of success, for a rollout, a policy and a recommendation of a search.
+
+use std::f64::consts::PI;
+
+use crate::qube::{State, wrap_angle};
+use crate::telemetry::{Phase, TickRecord};
+
+/// Smallest return of a successful rollout, and smallest mean return of a successful policy (method of the
+/// thesis, section 5.2).
+pub const SUCCESS_RETURN: f64 = 400.0;
+
+/// Smallest share of successful rollouts of a successful policy: four of five.
+pub const POLICY_SHARE: f64 = 0.8;
+
+/// Smallest share of successful rollouts of a successful recommendation, over all its policies: the next
+/// policy that somebody trains with it is a random one of them.
+pub const RECOMMENDATION_SHARE: f64 = 0.9;
+
+/// Largest distance from upright of a balancing pendulum, rad.
+const UPRIGHT_RAD: f64 = 0.2;
+
+/// Angle from upright within which a pendulum is nearly upright, rad: 30 degrees.
+const ABOUT_UPRIGHT_RAD: f64 = 0.5;
+
+/// Number of final steps in each of which the pendulum must balance: the last second.
+pub(super) const UPRIGHT_STEPS: usize = 100;
+
+/// Whether the pendulum of this state balances.
+pub(super) fn is_upright(state: &State) -> bool {
+    from_upright_rad(state) < UPRIGHT_RAD
+}
+
+/// Whether the pendulum of this state is nearly upright.
+pub(super) fn is_about_upright(state: &State) -> bool {
+    from_upright_rad(state) < ABOUT_UPRIGHT_RAD
+}
+
+/// Whether the pendulum balanced in each of the last [`UPRIGHT_STEPS`] steps of the policy.
+pub(super) fn balanced_to_the_end(running: &[&TickRecord]) -> bool {
+    running.len() >= UPRIGHT_STEPS
+        && running[running.len() - UPRIGHT_STEPS..].iter().all(|tick| is_upright(&tick.state))
+}
+
+/// The ticks in which the policy had the motor.
+pub(super) fn running(ticks: &[TickRecord]) -> Vec<&TickRecord> {
+    ticks.iter().filter(|tick| tick.phase == Phase::Running).collect()
+}
+
+/// Distance from upright, rad, whichever way the pendulum went up.
+fn from_upright_rad(state: &State) -> f64 {
+    wrap_angle(state.alpha - PI).abs()
+}
+
+/// Whether so many successful rollouts of so many make a policy successful, by their share alone.
+pub(crate) fn is_policy_share(successes: usize, rollouts: usize) -> bool {
+    successes as f64 >= POLICY_SHARE * rollouts as f64
+}
+
+/// Smallest number of successful rollouts of a successful recommendation.
+pub(crate) fn needed_of(rollouts: u32) -> u32 {
+    // Rounding must not turn nine of ten into ten of ten.
+    (RECOMMENDATION_SHARE * f64::from(rollouts) - 1e-9).ceil() as u32
+}

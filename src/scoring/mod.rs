@@ -1,0 +1,20 @@
+//! Scores of rollouts, each computed from the recording and stored nowhere: return, verdict, success,
+//! behaviour, quietness of balancing, timing.
+//!
+//! Sessions, experiments, single runs and their tables use the same definitions. [`criterion`] states when a
+//! rollout, a policy and a recommendation succeed; [`score`] reads a recording and gives its [`Verdict`].
+//!
+//! The room may import `recording`, `telemetry`, `qube` and `storage`.
+
+mod behaviour;
+pub mod criterion;
+mod latencies;
+mod quietness;
+mod return_of;
+mod verdict;
+
+pub use behaviour::Behaviour;
+pub use latencies::Latencies;
+pub use quietness::{Quietness, QuietnessFigures};
+pub use return_of::return_of;
+pub use verdict::{Verdict, mean_return, score, score_recording};
