@@ -144,7 +144,8 @@ fn a_session_on_a_qube_that_is_not_fit_stops_before_anything_is_trained() {
             }
         }
         let folder = SessionFolder::open(&directory.path().join("session")).unwrap();
-        let ledger = Ledger::open(&qube_hil::storage::MachineDisk, &folder.ledger()).unwrap();
+        let ledger =
+            Ledger::open(&qube_hil::storage::MachineDisk, &folder.paths().ledger()).unwrap();
         assert!(matches!(ledger.entries(), [Entry::Begun { .. }]), "{:?}", ledger.entries());
     });
 }

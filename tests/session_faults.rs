@@ -63,7 +63,8 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
         assert!(matches!(error, SessionError::NotStartedAgain { .. }), "{fault}: {error}");
 
         let folder = SessionFolder::open(&root).unwrap();
-        let entries = Ledger::open(&MachineDisk, &folder.ledger()).unwrap().entries().to_vec();
+        let entries =
+            Ledger::open(&MachineDisk, &folder.paths().ledger()).unwrap().entries().to_vec();
         let voids: Vec<u32> = entries
             .iter()
             .filter_map(|entry| match *entry {
@@ -72,12 +73,13 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
             })
             .collect();
         let [candidate] = voids[..] else { panic!("{fault}: {entries:?}") };
-        let kept = score(&MachineDisk, &folder.rollout(candidate, 0, 0)).unwrap();
+        let kept = score(&MachineDisk, &folder.paths().candidate(candidate).rollout(0, 0)).unwrap();
         assert!(matches!(kept, Verdict::Void { .. }), "{fault}: {kept:?}");
 
         run(folder, None).unwrap();
         let folder = SessionFolder::open(&root).unwrap();
-        let entries = Ledger::open(&MachineDisk, &folder.ledger()).unwrap().entries().to_vec();
+        let entries =
+            Ledger::open(&MachineDisk, &folder.paths().ledger()).unwrap().entries().to_vec();
         let again = Entry::RolloutFinished { candidate, rollout: 0, attempt: 1 };
         assert!(entries.contains(&again), "{fault}: {entries:?}");
     }
@@ -93,7 +95,7 @@ fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
         assert_eq!(error.fault(), Some(name));
         let entries = || {
             let folder = SessionFolder::open(&root).unwrap();
-            Ledger::open(&MachineDisk, &folder.ledger()).unwrap().entries().to_vec()
+            Ledger::open(&MachineDisk, &folder.paths().ledger()).unwrap().entries().to_vec()
         };
         let before = entries();
         assert!(matches!(before.last(), Some(Entry::RolloutVoid { attempt: 0, .. })), "{before:?}");
@@ -108,7 +110,8 @@ fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
         run_with(SessionFolder::open(&root).unwrap(), None, acknowledged).unwrap();
         // The Qube was examined first; an emulated one is too.
         let Some(&Entry::RolloutVoid { candidate, rollout, .. }) = before.last() else { panic!() };
-        let path = SessionFolder::open(&root).unwrap().rollout(candidate, rollout, 1);
+        let path =
+            SessionFolder::open(&root).unwrap().paths().candidate(candidate).rollout(rollout, 1);
         let preflight = read(&path).unwrap().header.preflight;
         assert!(matches!(preflight, Preflight::Done(_)), "{preflight:?}");
     }

@@ -21,7 +21,7 @@ use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
 use crate::qube::Profile;
 use crate::safety::{Guard, GuardConsent};
-use crate::session::{Session, SessionError, SessionFolder, SessionSettings};
+use crate::session::{Session, SessionError, SessionFolder, SessionReport, SessionSettings};
 use crate::simulation::SensorModel;
 
 /// Run the whole method: search for the distribution of simulations whose policies earn most on the Qube
@@ -124,7 +124,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             begun(place, settings)?
         }
     };
-    let configuration = folder.configuration().display().to_string();
+    let configuration = folder.paths().configuration().display().to_string();
     let limits = device.limits(&configuration, &settings.safety_box, consent)?;
     if let Some(difference) = estimators_differ(&settings) {
         tell(&difference);
@@ -140,10 +140,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             arguments.check,
         )
     };
-    let resume = format!("qube-hil session --resume {}", folder.root().display());
+    let resume = format!("qube-hil session --resume {}", folder.paths().root().display());
     let keyboard = Keyboard::watch(&stop);
     eprintln!("{}", keyboard.hint());
-    tell(&format!("session in {}", folder.root().display()));
+    tell(&format!("session in {}", folder.paths().root().display()));
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
     }
@@ -179,14 +179,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         && failure.is_usage()
         && !session.has_decided()
     {
-        let root = session.folder().root().to_owned();
-        drop(session);
         if begins {
-            withdraw(&root);
+            session.into_folder().withdraw();
         }
         return ended;
     }
-    match SessionTable::read(&mut session) {
+    match SessionReport::read(&mut session).map(SessionTable) {
         Ok(table) => {
             let ended = ended.and_then(|()| table.check_best_policy());
             let mut result: Value = table.json();
@@ -268,21 +266,14 @@ fn begun(
     Ok((folder, settings))
 }
 
-/// Removes the files of a new session that has decided nothing yet.
-fn withdraw(root: &Path) {
-    for file in ["session.toml", "ledger.jsonl"] {
-        let _ = std::fs::remove_file(root.join(file));
-    }
-    let _ = std::fs::remove_dir(root.join("candidates"));
-}
-
 fn resumed(
     directory: &Path,
     guard: Option<GuardArgument>,
     device: &ChosenDevice,
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let folder = SessionFolder::open(directory).map_err(|error| failures::folder(&error))?;
-    let settings = SessionSettings::load(&folder.configuration()).map_err(Failure::usage)?;
+    let settings =
+        SessionSettings::load(&folder.paths().configuration()).map_err(Failure::usage)?;
     if guard.is_some_and(|guard| Guard::from(guard) != settings.safety_box.guard) {
         return Err(Failure::usage(
             "a session goes on with the guard that it began with: leave --guard out",

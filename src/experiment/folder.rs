@@ -2,7 +2,7 @@ use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 
 use super::ExperimentError;
-use crate::session::{FolderError, write_whole};
+use crate::session::{FolderError, PolicyPaths, write_whole};
 use crate::storage::{Disk, Hold, MachineDisk};
 
 /// The folder of an experiment, which one process holds at a time. The files in it are the only record of
@@ -51,7 +51,7 @@ impl ExperimentFolder {
     /// # Errors
     /// The folder is not an experiment, or another process holds it.
     pub fn open(root: &Path) -> Result<Self, ExperimentError> {
-        if !MachineDisk.exists(&root.join("experiment.toml")) {
+        if !MachineDisk.exists(&settings_in(root)) {
             return Err(ExperimentError::NotAnExperiment { path: root.to_owned() });
         }
         Self::hold(root)
@@ -75,13 +75,19 @@ impl ExperimentFolder {
     /// Path of the resolved settings.
     #[must_use]
     pub fn settings(&self) -> PathBuf {
-        self.root.join("experiment.toml")
+        settings_in(&self.root)
+    }
+
+    /// Folder of the searches.
+    #[must_use]
+    pub fn searches(&self) -> PathBuf {
+        self.root.join("searches")
     }
 
     /// Folder of the session that searches for a recipe's psi.
     #[must_use]
     pub fn search(&self, recipe: &str) -> PathBuf {
-        self.root.join("searches").join(recipe)
+        self.searches().join(recipe)
     }
 
     /// Folders of a recipe's policies.
@@ -97,6 +103,11 @@ impl ExperimentFolder {
     }
 }
 
+/// Path of the resolved settings of an experiment in this folder.
+fn settings_in(root: &Path) -> PathBuf {
+    root.join("experiment.toml")
+}
+
 /// The folders of policies of one kind, by policy number.
 #[derive(Clone, Debug)]
 pub struct PolicyFolders(PathBuf);
@@ -108,35 +119,17 @@ impl PolicyFolders {
         Self(repetition.join("judged").join(format!("{number:03}")))
     }
 
-    /// Folder of a policy.
+    /// Paths of a policy.
     #[must_use]
-    pub fn folder(&self, policy: u32) -> PathBuf {
-        self.0.join(format!("{policy:03}"))
-    }
-
-    /// Path of a policy file.
-    #[must_use]
-    pub fn policy(&self, policy: u32) -> PathBuf {
-        self.folder(policy).join("policy.safetensors")
-    }
-
-    /// Path of a policy's training curve.
-    #[must_use]
-    pub fn curve(&self, policy: u32) -> PathBuf {
-        self.folder(policy).join("curve.csv")
+    pub fn policy(&self, policy: u32) -> PolicyPaths {
+        PolicyPaths::numbered(&self.0, policy)
     }
 
     /// Folder of a policy's recordings on a plant.
     #[must_use]
     pub fn rollouts(&self, policy: u32, plant: &str) -> PathBuf {
-        self.folder(policy).join(plant)
+        self.policy(policy).folder().join(plant)
     }
-}
-
-/// Path of the recording of one attempt of one rollout.
-#[must_use]
-pub(super) fn recording(rollouts: &Path, rollout: u32, attempt: u32) -> PathBuf {
-    rollouts.join(format!("rollout-{rollout}-attempt-{attempt}.mcap"))
 }
 
 /// Creates a folder if it does not exist.

@@ -162,7 +162,8 @@ impl Results {
                 None => None,
             };
             let is_trained = |policy: &u32| {
-                MachineDisk.exists(&experiment.folder().policies(&recipe.name).policy(*policy))
+                MachineDisk
+                    .exists(&experiment.folder().policies(&recipe.name).policy(*policy).policy())
             };
             if simulations.is_some() {
                 jobs.extend((0..settings.policies).filter(is_trained).map(|it| (index, it)));
@@ -227,7 +228,7 @@ impl Experiment {
         distribution: &DomainDistribution,
         simulation: &SimulationSettings,
     ) -> Result<f64, ExperimentError> {
-        let path = self.folder().policies(&recipe.name).policy(policy);
+        let path = self.folder().policies(&recipe.name).policy(policy).policy();
         let Policy::Network(policy) = Policy::load(&path)? else {
             return Ok(f64::NAN);
         };

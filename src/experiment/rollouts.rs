@@ -2,11 +2,11 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::ExperimentError;
-use super::folder::{make, recording};
+use super::folder::make;
 use crate::recording::{RecordingError, read};
 use crate::rig::Rig;
 use crate::scoring::{Behaviour, Quietness, Verdict, score_recording};
-use crate::session::{RolloutPlan, SessionError, put_aside};
+use crate::session::{RolloutPlan, SessionError, put_aside, recording_in};
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
 
@@ -46,7 +46,7 @@ fn state_of(
     repetitions: u32,
 ) -> Result<RolloutState, ExperimentError> {
     for attempt in 0..=repetitions {
-        let path = recording(rollouts, rollout, attempt);
+        let path = recording_in(rollouts, rollout, attempt);
         if !MachineDisk.exists(&path) {
             return Ok(RolloutState::Due { attempt });
         }
@@ -120,7 +120,7 @@ impl Repeated<'_> {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped.into());
             }
-            let path = recording(self.folder, self.plan.rollout, attempt);
+            let path = recording_in(self.folder, self.plan.rollout, attempt);
             if MachineDisk.exists(&path) {
                 put_aside(&MachineDisk, &path)?;
             }

@@ -38,12 +38,13 @@ impl Series<'_> {
     /// # Errors
     /// The training fails, or the policy cannot be stored.
     pub fn train(&self, policy: u32) -> Result<Option<f64>, ExperimentError> {
-        let path = self.folders.policy(policy);
+        let paths = self.folders.policy(policy);
+        let path = paths.policy();
         // Policy files appear atomically.
         if MachineDisk.exists(&path) {
             return Ok(None);
         }
-        make(&self.folders.folder(policy))?;
+        make(paths.folder())?;
         let simulation = self.recipe.simulation(self.psi)?;
         let training = self.recipe.settings.training.clone();
         let settings = TrainSettings { threads: 1, simulation, ..training };
@@ -52,7 +53,7 @@ impl Series<'_> {
         let trained = train(&distribution, &settings, seed, None, self.stop, |_| {})?;
         let best_return = trained.best_return;
         let curve = curve_csv(&trained.curve);
-        write_whole(&MachineDisk, &self.folders.curve(policy), curve.as_bytes())?;
+        write_whole(&MachineDisk, &paths.curve(), curve.as_bytes())?;
         let file = trained.into_policy(self.recipe.origin(self.psi)).to_bytes();
         write_whole(&MachineDisk, &path, &file)?;
         Ok(Some(best_return))
@@ -124,7 +125,7 @@ impl Series<'_> {
         rollouts: u32,
         mut with_rig: impl FnMut(u32, u32, &mut Record<'_>) -> Result<(), ExperimentError>,
     ) -> Result<Vec<RolloutResult>, ExperimentError> {
-        let file = Policy::load(&self.folders.policy(policy))?.to_bytes();
+        let file = Policy::load(&self.folders.policy(policy).policy())?.to_bytes();
         let folder = self.folders.rollouts(policy, &plant.name);
         (0..rollouts)
             .map(|rollout| {

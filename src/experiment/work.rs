@@ -209,7 +209,7 @@ impl Experiment {
     }
 
     fn search(&self, recipe: &Recipe, cores: usize, tell: &Tell) -> Result<(), ExperimentError> {
-        make(&self.folder.root().join("searches"))?;
+        make(&self.folder.searches())?;
         let emulated = self.settings.plants[0].emulated;
         let settings = SessionSettings {
             name: format!("{} of {}", recipe.name, self.settings.name),

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
+use super::SessionPaths;
 use crate::storage::{self, Disk, Hold, MachineDisk};
 
 /// An error of a session's folder.
@@ -52,18 +53,10 @@ pub enum FolderError {
     },
 }
 
-/// The folder of a session and the paths of its files. One process holds it at a time.
-///
-/// ```text
-/// session.toml                            the resolved configuration
-/// ledger.jsonl                            what was decided and finished
-/// candidates/000/policy.safetensors       the trained policy
-/// candidates/000/curve.csv              its training
-/// candidates/000/rollout-0-attempt-0.mcap its rollouts
-/// ```
+/// The folder of a session, which one process holds at a time.
 #[derive(Debug)]
 pub struct SessionFolder {
-    root: PathBuf,
+    paths: SessionPaths,
     disk: Arc<dyn Disk>,
     _hold: Hold,
 }
@@ -90,13 +83,15 @@ impl SessionFolder {
         if disk.exists(root) && !has_not_begun(disk.as_ref(), root)? {
             return Err(FolderError::Exists { path: root.to_owned() });
         }
-        disk.create_folder(&root.join("candidates")).map_err(io(root))?;
-        let folder = Self::hold(disk, root)?;
+        let paths = SessionPaths::new(root);
+        disk.create_folder(&paths.candidates()).map_err(io(root))?;
+        let folder = Self::hold(disk, paths)?;
+        let settings = folder.paths.configuration();
         // Another process may have begun there before this one held the folder.
-        if folder.disk().exists(&folder.configuration()) {
+        if folder.disk().exists(&settings) {
             return Err(FolderError::Exists { path: root.to_owned() });
         }
-        write_whole(folder.disk(), &folder.configuration(), configuration.as_bytes())?;
+        write_whole(folder.disk(), &settings, configuration.as_bytes())?;
         Ok(folder)
     }
 
@@ -113,7 +108,8 @@ impl SessionFolder {
     /// # Errors
     /// The folder is not a session, or another process holds it.
     pub fn open_on(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, FolderError> {
-        if !disk.exists(&root.join("session.toml")) {
+        let paths = SessionPaths::new(root);
+        if !disk.exists(&paths.configuration()) {
             let path = root.to_owned();
             return Err(if disk.exists(root) && has_not_begun(disk.as_ref(), root)? {
                 FolderError::NotBegun { path }
@@ -121,16 +117,15 @@ impl SessionFolder {
                 FolderError::NotASession { path }
             });
         }
-        Self::hold(disk, root)
+        Self::hold(disk, paths)
     }
 
-    fn hold(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, FolderError> {
-        match disk.hold(root) {
-            Ok(hold) => Ok(Self { root: root.to_owned(), disk, _hold: hold }),
-            Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path: root.to_owned() }),
-            Err(TryLockError::Error(source)) => {
-                Err(FolderError::Io { path: root.to_owned(), source })
-            }
+    fn hold(disk: Arc<dyn Disk>, paths: SessionPaths) -> Result<Self, FolderError> {
+        let path = paths.root().to_owned();
+        match disk.hold(&path) {
+            Ok(hold) => Ok(Self { paths, disk, _hold: hold }),
+            Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path }),
+            Err(TryLockError::Error(source)) => Err(FolderError::Io { path, source }),
         }
     }
 
@@ -145,40 +140,10 @@ impl SessionFolder {
         Arc::clone(&self.disk)
     }
 
-    /// Path of the folder.
+    /// The paths of the session's files.
     #[must_use]
-    pub fn root(&self) -> &Path {
-        &self.root
-    }
-
-    /// Path of the resolved configuration.
-    #[must_use]
-    pub fn configuration(&self) -> PathBuf {
-        self.root.join("session.toml")
-    }
-
-    /// Path of the ledger.
-    #[must_use]
-    pub fn ledger(&self) -> PathBuf {
-        self.root.join("ledger.jsonl")
-    }
-
-    /// Path of a candidate's policy.
-    #[must_use]
-    pub fn policy(&self, candidate: u32) -> PathBuf {
-        self.candidate(candidate).join("policy.safetensors")
-    }
-
-    /// Path of a candidate's training curve.
-    #[must_use]
-    pub fn curve(&self, candidate: u32) -> PathBuf {
-        self.candidate(candidate).join("curve.csv")
-    }
-
-    /// Path of the recording of one attempt of one rollout.
-    #[must_use]
-    pub fn rollout(&self, candidate: u32, rollout: u32, attempt: u32) -> PathBuf {
-        self.candidate(candidate).join(format!("rollout-{rollout}-attempt-{attempt}.mcap"))
+    pub fn paths(&self) -> &SessionPaths {
+        &self.paths
     }
 
     /// Creates a candidate's folder if it does not exist.
@@ -186,12 +151,16 @@ impl SessionFolder {
     /// # Errors
     /// The folder cannot be created.
     pub fn make_candidate(&self, candidate: u32) -> Result<(), FolderError> {
-        let path = self.candidate(candidate);
-        self.disk.create_folder(&path).map_err(io(&path))
+        let paths = self.paths.candidate(candidate);
+        self.disk.create_folder(paths.folder()).map_err(io(paths.folder()))
     }
 
-    fn candidate(&self, candidate: u32) -> PathBuf {
-        self.root.join("candidates").join(format!("{candidate:03}"))
+    /// Removes the files of a session that has decided nothing yet. What cannot be removed stays.
+    pub fn withdraw(self) {
+        for file in [self.paths.configuration(), self.paths.ledger()] {
+            let _ = self.disk.remove(&file);
+        }
+        let _ = std::fs::remove_dir(self.paths.candidates());
     }
 }
 
@@ -257,7 +226,7 @@ mod tests {
         assert!(matches!(SessionFolder::open(&root), Err(FolderError::InUse { .. })));
         drop(folder);
         let folder = SessionFolder::open(&root).unwrap();
-        assert_eq!(std::fs::read_to_string(folder.configuration()).unwrap(), "seed = 1\n");
+        assert_eq!(std::fs::read_to_string(folder.paths().configuration()).unwrap(), "seed = 1\n");
     }
 
     #[test]
@@ -277,7 +246,10 @@ mod tests {
             assert!(matches!(refused, FolderError::NotBegun { .. }), "{refused}");
             assert!(refused.to_string().contains("--out"), "{refused}");
             let folder = SessionFolder::create(&root, "seed = 1\n").unwrap();
-            assert_eq!(std::fs::read_to_string(folder.configuration()).unwrap(), "seed = 1\n");
+            assert_eq!(
+                std::fs::read_to_string(folder.paths().configuration()).unwrap(),
+                "seed = 1\n"
+            );
             assert!(!root.join("session.unfinished").exists());
             std::fs::remove_dir_all(&root).unwrap();
         }

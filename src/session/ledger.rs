@@ -4,6 +4,7 @@ use crc::{CRC_32_ISO_HDLC, CRC_64_XZ, Crc};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::SessionState;
 use crate::storage::{Disk, DiskFile, sync_name};
 
 /// Of whole files, which are longer than a line.
@@ -102,10 +103,18 @@ pub enum LedgerError {
         /// Defect of the line.
         reason: String,
     },
+    /// An entry cannot follow the earlier ones; it was not written.
+    #[error("{path}: an entry was refused: {reason}")]
+    OutOfOrder {
+        /// Path of the ledger.
+        path: PathBuf,
+        /// Rule that the entry breaks.
+        reason: &'static str,
+    },
 }
 
 /// Largest ledger that is read, bytes; the longest session's has less than 10 MB.
-const MAX_FILE_BYTES: u64 = 64 << 20;
+pub(super) const MAX_FILE_BYTES: u64 = 64 << 20;
 
 /// The append-only record of a session, `ledger.jsonl`: one entry a line, each with a checksum and synced
 /// before work continues. A crash leaves at most a torn last line, which is cut.
@@ -118,6 +127,7 @@ pub struct Ledger {
     /// Whether a failed append left bytes after the complete lines that could not be cut yet.
     torn: bool,
     entries: Vec<Entry>,
+    state: SessionState,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -139,9 +149,8 @@ impl Ledger {
         } else {
             Vec::new()
         };
-        let Parsed { entries, whole_bytes } = parse(&bytes).map_err(|damage| {
-            LedgerError::Damaged { path: path.to_owned(), line: damage.line, reason: damage.reason }
-        })?;
+        let Parsed { entries, state, whole_bytes } =
+            parse(&bytes).map_err(|damage| damage.in_file(path))?;
         let mut file = disk.append(path).map_err(io)?;
         if whole_bytes < bytes.len() {
             file.cut_to(whole_bytes as u64).and_then(|()| file.sync()).map_err(io)?;
@@ -149,7 +158,7 @@ impl Ledger {
         // The file's name must survive a loss of power too.
         sync_name(disk, path).map_err(io)?;
         let length = whole_bytes as u64;
-        Ok(Self { path: path.to_owned(), file, length, torn: false, entries })
+        Ok(Self { path: path.to_owned(), file, length, torn: false, entries, state })
     }
 
     /// The entries in order.
@@ -158,12 +167,22 @@ impl Ledger {
         &self.entries
     }
 
+    /// The state that the entries give.
+    #[must_use]
+    pub fn state(&self) -> &SessionState {
+        &self.state
+    }
+
     /// Adds one entry; it is on disk when the call returns.
     ///
     /// # Errors
-    /// The disk is full or failing. The entry is then not recorded here, but may be on disk: the effect of
+    /// The entry cannot follow the earlier ones. Or the disk is full or failing. The entry is then not recorded here, but may be on disk: the effect of
     /// a failed sync is unknown.
     pub fn append(&mut self, entry: Entry) -> Result<(), LedgerError> {
+        let mut state = self.state.clone();
+        state
+            .apply(&entry)
+            .map_err(|reason| LedgerError::OutOfOrder { path: self.path.clone(), reason })?;
         let line = encode(&entry).map_err(|error| self.failed(error.into()))?;
         if self.torn {
             self.file.cut_to(self.length).map_err(|source| self.failed(source))?;
@@ -176,6 +195,7 @@ impl Ledger {
         }
         self.length += line.len() as u64;
         self.entries.push(entry);
+        self.state = state;
         Ok(())
     }
 
@@ -211,6 +231,8 @@ fn decode(line: &str) -> Result<Entry, String> {
 pub struct Parsed {
     /// Entries in order.
     pub entries: Vec<Entry>,
+    /// State that the entries give.
+    pub state: SessionState,
     /// Length of the complete lines in bytes; later bytes are the remains of a crash.
     pub whole_bytes: usize,
 }
@@ -224,6 +246,14 @@ pub struct DamagedLine {
     pub reason: String,
 }
 
+impl DamagedLine {
+    /// The error of a ledger at this path.
+    #[must_use]
+    pub fn in_file(self, path: &Path) -> LedgerError {
+        LedgerError::Damaged { path: path.to_owned(), line: self.line, reason: self.reason }
+    }
+}
+
 /// Reads the bytes of a ledger. Safe for bytes of any origin.
 ///
 /// Only the last line may be broken: cut off before its newline, because lines are written in one piece
@@ -234,7 +264,6 @@ pub struct DamagedLine {
 /// Another line is broken, its checksum does not match, or it cannot follow the lines before it.
 pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
     let mut parsed = Parsed::default();
-    let mut story = Story::default();
     for (index, line) in bytes.split_inclusive(|&byte| byte == b'\n').enumerate() {
         let is_last = parsed.whole_bytes + line.len() == bytes.len();
         if is_last && (line.last() != Some(&b'\n') || line.contains(&0)) {
@@ -243,62 +272,11 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
         let damaged = |reason| DamagedLine { line: index + 1, reason };
         let text = std::str::from_utf8(line).map_err(|error| damaged(error.to_string()))?;
         let entry = decode(text).map_err(damaged)?;
-        story.goes_on_with(&entry).map_err(|reason| damaged(reason.to_owned()))?;
+        parsed.state.apply(&entry).map_err(|reason| damaged(reason.to_owned()))?;
         parsed.entries.push(entry);
         parsed.whole_bytes += line.len();
     }
     Ok(parsed)
-}
-
-/// The order of a ledger's entries, on which the rest of the program relies.
-#[derive(Default)]
-struct Story {
-    lines: usize,
-    candidates: Vec<CandidateState>,
-}
-
-#[derive(Default)]
-struct CandidateState {
-    trained: bool,
-    finished: u32,
-    void: u32,
-}
-
-impl Story {
-    fn goes_on_with(&mut self, entry: &Entry) -> Result<(), &'static str> {
-        self.lines += 1;
-        let next_number = self.candidates.len() as u32;
-        let number = match *entry {
-            Entry::Begun { .. } if self.lines == 1 => return Ok(()),
-            Entry::Begun { .. } => return Err("a session begins in the first line"),
-            Entry::Proposed { candidate, .. } if candidate == next_number => {
-                self.candidates.push(CandidateState::default());
-                return Ok(());
-            }
-            Entry::Proposed { .. } => return Err("candidates are not numbered in their order"),
-            Entry::Trained { candidate }
-            | Entry::RolloutFinished { candidate, .. }
-            | Entry::RolloutVoid { candidate, .. } => candidate,
-        };
-        let it = self.candidates.get_mut(number as usize).ok_or("there is no such candidate")?;
-        match *entry {
-            Entry::Begun { .. } | Entry::Proposed { .. } => {}
-            Entry::Trained { .. } if it.trained => return Err("the candidate is trained already"),
-            Entry::Trained { .. } => it.trained = true,
-            Entry::RolloutFinished { rollout, attempt, .. }
-            | Entry::RolloutVoid { rollout, attempt, .. } => {
-                if !it.trained || (rollout, attempt) != (it.finished, it.void) {
-                    return Err("this is not the rollout or the try that was due");
-                }
-                if matches!(entry, Entry::RolloutVoid { .. }) {
-                    it.void += 1;
-                } else {
-                    (it.finished, it.void) = (it.finished + 1, 0);
-                }
-            }
-        }
-        Ok(())
-    }
 }
 
 #[cfg(test)]

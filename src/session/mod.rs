@@ -2,7 +2,7 @@
 //!
 //! The room may import `rig`, `scoring`, `learning`, `simulation`, `search`, `surrogate`, `identification`, `replay`,
 //! `recording`, `control`, `device`, `policy`, `estimation`, `safety`, `telemetry`, `storage` and `qube`.
-//! Reading order: [`next_step`] computes the next step from the ledger, [`Session`] performs it with a
+//! Reading order: [`SessionState`] folds the ledger, [`next_step`] computes the next step from it, [`Session`] performs it with a
 //! [`Rig`](crate::rig::Rig), and [`score`](crate::scoring::score) scores a recording.
 
 mod configuration;
@@ -12,13 +12,17 @@ mod folder;
 mod header;
 mod ledger;
 mod orchestrator;
+mod paths;
 mod plan;
 mod power_test;
 mod qube_file;
+mod report;
 mod retired;
 mod seeds;
 mod settings;
+mod state;
 mod training;
+mod view;
 
 pub use configuration::ConfigurationError;
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
@@ -30,9 +34,13 @@ pub use ledger::{
     settings_checksum,
 };
 pub use orchestrator::{Session, SessionEvent};
-pub use plan::{Candidate, Extent, Step, candidates, next_step};
+pub use paths::{PolicyPaths, SessionPaths, recording_in};
+pub use plan::{Extent, Step, next_step};
 pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
+pub use report::{BestPolicy, SessionReport};
 pub use retired::{Retired, take_retired};
 pub use seeds::{SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, Model, ProfileSettings, SessionSettings};
+pub use state::{Candidate, Finished, SessionState};
+pub use view::{ScoredCandidate, SessionView};

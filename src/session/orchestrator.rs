@@ -1,5 +1,5 @@
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -8,7 +8,8 @@ use super::seeds::{SeedFor, derived_seed};
 use super::training::{TrainingEvent, TrainingJob, train_all};
 use super::{
     Candidate, DRIFT_ROLLOUTS, Drift, Entry, FolderError, Ledger, Purpose, RolloutPlan,
-    SessionError, SessionFolder, SessionSettings, Step, candidates, next_step, settings_checksum,
+    ScoredCandidate, SessionError, SessionFolder, SessionSettings, SessionState, Step, next_step,
+    settings_checksum,
 };
 use crate::identification::Unfit;
 use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
@@ -16,7 +17,7 @@ use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, Doubt, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
-use crate::scoring::{Verdict, mean_return, score, score_recording};
+use crate::scoring::{Verdict, score, score_recording};
 use crate::search::{Observation, SearchError};
 use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
@@ -91,12 +92,10 @@ impl Session {
         rig_settings: RigSettings,
         stop: Arc<AtomicBool>,
     ) -> Result<Self, SessionError> {
-        let mut ledger = Ledger::open(folder.disk(), &folder.ledger())?;
+        let mut ledger = Ledger::open(folder.disk(), &folder.paths().ledger())?;
         bind(&mut ledger, &folder)?;
-        for entry in ledger.entries() {
-            if let Entry::Proposed { psi, .. } = entry {
-                settings.psi.psi(psi)?;
-            }
+        for candidate in ledger.state().candidates() {
+            settings.psi.psi(&candidate.psi)?;
         }
         Ok(Self {
             folder,
@@ -146,25 +145,23 @@ impl Session {
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let rollouts = self.settings.extent.rollouts as usize;
-        let is_evaluated =
-            |it: &Candidate| it.purpose.is_searched() && it.finished.len() == rollouts;
-        let count =
-            |entries: &[Entry]| candidates(entries).iter().filter(|it| is_evaluated(it)).count();
-        self.run_while(|entries| count(entries) < evaluated as usize, tell)
+        let is_evaluated = |it: &&Candidate| it.finished.len() == rollouts;
+        let count = |state: &SessionState| state.searched().filter(is_evaluated).count();
+        self.run_while(|state| count(state) < evaluated as usize, tell)
     }
 
     fn run_while(
         &mut self,
-        goes_on: impl Fn(&[Entry]) -> bool,
+        goes_on: impl Fn(&SessionState) -> bool,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         self.heed_doubt()?;
         self.connect_early(tell)?;
-        while goes_on(self.ledger.entries()) {
+        while goes_on(self.ledger.state()) {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped);
             }
-            match next_step(self.ledger.entries(), &self.settings.extent) {
+            match next_step(self.ledger.state(), &self.settings.extent) {
                 Step::Propose { count, purpose } => self.propose(count, purpose, tell)?,
                 Step::Train { candidates } => self.train(&candidates, tell)?,
                 Step::Rollout { candidate, rollout, attempt } => {
@@ -193,7 +190,7 @@ impl Session {
         else {
             return Ok(());
         };
-        let path = self.folder.rollout(candidate, rollout, attempt);
+        let path = self.recording(candidate, rollout, attempt);
         // A missing recording leaves no doubt that could be named; the port's memory holds its own.
         let Some(recording) = read_on(self.folder.disk(), &path).ok() else { return Ok(()) };
         let Some(doubt) = doubt_of(&recording) else { return Ok(()) };
@@ -207,7 +204,7 @@ impl Session {
     /// Connects, checks and homes a real Qube before any training, so that its defects do not show after
     /// hours.
     fn connect_early(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
-        let is_over = next_step(self.ledger.entries(), &self.settings.extent) == Step::Done;
+        let is_over = next_step(self.ledger.state(), &self.settings.extent) == Step::Done;
         if !is_over && self.rig_settings.is_hardware() {
             let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
             self.ready_rig(first, tell)?;
@@ -236,23 +233,46 @@ impl Session {
     /// Whether anything was decided yet.
     #[must_use]
     pub fn has_decided(&self) -> bool {
-        self.entries().iter().any(|entry| !matches!(entry, Entry::Begun { .. }))
+        !self.ledger.state().candidates().is_empty()
+    }
+
+    /// The session's folder, without the session.
+    #[must_use]
+    pub fn into_folder(self) -> SessionFolder {
+        self.folder
     }
 
     /// The candidates so far, each with the verdicts on its rollouts.
     ///
     /// # Errors
     /// A recording cannot be read.
-    pub fn valued_candidates(&mut self) -> Result<Vec<(Candidate, Vec<Verdict>)>, SessionError> {
-        let mut valued = Vec::new();
-        for candidate in candidates(self.ledger.entries()) {
+    pub fn scored_candidates(&mut self) -> Result<Vec<ScoredCandidate>, SessionError> {
+        let mut scored = Vec::new();
+        for candidate in self.ledger.state().candidates().to_vec() {
             let mut verdicts = Vec::new();
-            for &(rollout, attempt) in &candidate.finished {
-                verdicts.push(self.verdict(candidate.number, rollout, attempt)?);
+            for finished in &candidate.finished {
+                verdicts.push(self.verdict(
+                    candidate.number,
+                    finished.rollout,
+                    finished.attempt,
+                )?);
             }
-            valued.push((candidate, verdicts));
+            scored.push(ScoredCandidate { candidate, verdicts });
         }
-        Ok(valued)
+        Ok(scored)
+    }
+
+    fn searched(&mut self) -> Result<impl Iterator<Item = ScoredCandidate>, SessionError> {
+        let scored = self.scored_candidates()?.into_iter();
+        Ok(scored.filter(|it| it.candidate.purpose.is_searched()))
+    }
+
+    fn recording(&self, candidate: u32, rollout: u32, attempt: u32) -> PathBuf {
+        self.folder.paths().candidate(candidate).rollout(rollout, attempt)
+    }
+
+    fn policy_path(&self, candidate: u32) -> PathBuf {
+        self.folder.paths().candidate(candidate).policy()
     }
 
     fn propose(
@@ -275,7 +295,7 @@ impl Session {
             Purpose::Incumbent => vec![self.incumbent()?.psi],
         };
         for psi in chosen {
-            let candidate = candidates(self.ledger.entries()).len() as u32;
+            let candidate = self.ledger.state().candidates().len() as u32;
             self.ledger.append(Entry::Proposed { candidate, purpose, psi })?;
             tell(SessionEvent::Proposed { candidate, purpose });
         }
@@ -284,26 +304,14 @@ impl Session {
 
     /// The surrogate's data set, computed from ledger and recordings and stored nowhere.
     fn observations(&mut self) -> Result<Vec<Observation>, SessionError> {
-        let returns = |verdicts: Vec<Verdict>| {
-            verdicts.iter().filter_map(Verdict::return_).collect::<Vec<f64>>()
-        };
-        Ok(self
-            .valued_candidates()?
-            .into_iter()
-            .filter(|(candidate, verdicts)| candidate.purpose.is_searched() && !verdicts.is_empty())
-            .map(|(candidate, verdicts)| Observation {
-                point: candidate.psi,
-                returns: returns(verdicts),
-            })
-            .collect())
+        let with_results = self.searched()?.filter(|it| !it.verdicts.is_empty());
+        Ok(with_results.map(|it| it.observation()).collect())
     }
 
     /// The searched candidate with the highest mean return.
     fn incumbent(&mut self) -> Result<Candidate, SessionError> {
-        let valued = self.valued_candidates()?;
-        let searched = valued.into_iter().filter(|(candidate, _)| candidate.purpose.is_searched());
-        searched
-            .filter_map(|(candidate, verdicts)| Some((mean_return(&verdicts)?, candidate)))
+        self.searched()?
+            .filter_map(|it| Some((it.mean_return()?, it.candidate)))
             .max_by(|(one, _), (other, _)| one.total_cmp(other))
             .map(|(_, candidate)| candidate)
             .ok_or(SearchError::NothingEvaluated.into())
@@ -314,17 +322,17 @@ impl Session {
         numbers: &[u32],
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let all = candidates(self.ledger.entries());
+        let all = self.ledger.state().candidates().to_vec();
         let mut jobs = Vec::new();
         for &number in numbers {
             self.folder.make_candidate(number)?;
             // Policy files appear atomically: an existing file was trained before a crash.
-            if !self.folder.disk().exists(&self.folder.policy(number)) {
+            if !self.folder.disk().exists(&self.policy_path(number)) {
                 let candidate = &all[number as usize];
                 if candidate.purpose == Purpose::Incumbent {
                     let incumbent = self.incumbent()?.number;
                     let policy = self.policy(incumbent)?;
-                    write_whole(self.folder.disk(), &self.folder.policy(number), &policy)?;
+                    write_whole(self.folder.disk(), &self.policy_path(number), &policy)?;
                     continue;
                 }
                 jobs.push(TrainingJob {
@@ -373,7 +381,7 @@ impl Session {
         attempt: u32,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let path = self.folder.rollout(candidate, rollout, attempt);
+        let path = self.recording(candidate, rollout, attempt);
         // An existing recording was made before a crash or a stop. A complete one is taken over. An
         // unfinished or unreadable one, which a crash or a loss of power cut off, is put aside, because
         // nothing refers to it yet.
@@ -473,7 +481,7 @@ impl Session {
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let policy = self.policy(candidate)?;
-        let psi = candidates(self.ledger.entries())[candidate as usize].psi.clone();
+        let psi = self.ledger.state().candidates()[candidate as usize].psi.clone();
         let plan = RolloutPlan {
             session: self.settings.name.clone(),
             candidate: Some(candidate),
@@ -494,7 +502,7 @@ impl Session {
 
     /// The bytes of a candidate's policy, checked.
     fn policy(&self, candidate: u32) -> Result<Vec<u8>, SessionError> {
-        let path = self.folder.policy(candidate);
+        let path = self.policy_path(candidate);
         let bytes = self
             .folder
             .disk()
@@ -540,14 +548,14 @@ impl Session {
         if let Some(verdict) = self.verdicts.get(&key) {
             return Ok(verdict.clone());
         }
-        let verdict = score(self.folder.disk(), &self.folder.rollout(candidate, rollout, attempt))?;
+        let verdict = score(self.folder.disk(), &self.recording(candidate, rollout, attempt))?;
         self.verdicts.insert(key, verdict.clone());
         Ok(verdict)
     }
 
     fn given_up(&mut self, candidate: u32, rollout: u32) -> SessionError {
         let tries = self.settings.extent.repetitions + 1;
-        let last = score(self.folder.disk(), &self.folder.rollout(candidate, rollout, tries - 1));
+        let last = score(self.folder.disk(), &self.recording(candidate, rollout, tries - 1));
         let reason = match last {
             Ok(Verdict::Void { reason }) => reason,
             Ok(_) | Err(_) => "its recording cannot be read".into(),
@@ -559,7 +567,7 @@ impl Session {
 /// Writes into an empty ledger which settings it belongs to, and compares those of another with the
 /// folder's. A ledger of a program that wrote no such line belongs to any.
 fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError> {
-    let path = folder.configuration();
+    let path = folder.paths().configuration();
     let bytes = folder
         .disk()
         .read(&path, SETTINGS_BYTES)
@@ -588,7 +596,8 @@ fn save(
     trained: Trained,
     origin: Origin,
 ) -> Result<(), SessionError> {
-    write_whole(folder.disk(), &folder.curve(candidate), curve_csv(&trained.curve).as_bytes())?;
-    write_whole(folder.disk(), &folder.policy(candidate), &trained.into_policy(origin).to_bytes())?;
+    let paths = folder.paths().candidate(candidate);
+    write_whole(folder.disk(), &paths.curve(), curve_csv(&trained.curve).as_bytes())?;
+    write_whole(folder.disk(), &paths.policy(), &trained.into_policy(origin).to_bytes())?;
     Ok(())
 }

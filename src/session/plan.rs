@@ -1,9 +1,9 @@
-//! Computes the next step from the ledger alone: a session that was killed at any instant continues exactly
+//! Computes the next step from the ledger's state alone: a session that was killed at any instant continues exactly
 //! where it was.
 
 use serde::{Deserialize, Serialize};
 
-use super::{Entry, Purpose};
+use super::{Purpose, SessionState};
 use crate::qube::MAX_STEPS;
 
 /// The extent of a session.
@@ -85,63 +85,10 @@ pub enum Step {
     Done,
 }
 
-/// A candidate according to the ledger.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Candidate {
-    /// Number of the candidate.
-    pub number: u32,
-    /// Reason of its proposal.
-    pub purpose: Purpose,
-    /// Psi of the candidate.
-    pub psi: Vec<f64>,
-    /// Whether its policy is on disk.
-    pub trained: bool,
-    /// Finished rollouts in order: number and attempt.
-    pub finished: Vec<(u32, u32)>,
-    /// Number of attempts of the current rollout that a fault ended.
-    void: u32,
-}
-
-/// The candidates of a ledger, in order.
+/// The next step of a session in this state.
 #[must_use]
-pub fn candidates(entries: &[Entry]) -> Vec<Candidate> {
-    let mut candidates: Vec<Candidate> = Vec::new();
-    for entry in entries {
-        match *entry {
-            Entry::Begun { .. } => {}
-            Entry::Proposed { candidate, purpose, ref psi } => candidates.push(Candidate {
-                number: candidate,
-                purpose,
-                psi: psi.clone(),
-                trained: false,
-                finished: Vec::new(),
-                void: 0,
-            }),
-            Entry::Trained { candidate } => {
-                if let Some(it) = candidates.get_mut(candidate as usize) {
-                    it.trained = true;
-                }
-            }
-            Entry::RolloutFinished { candidate, rollout, attempt } => {
-                if let Some(it) = candidates.get_mut(candidate as usize) {
-                    it.finished.push((rollout, attempt));
-                    it.void = 0;
-                }
-            }
-            Entry::RolloutVoid { candidate, .. } => {
-                if let Some(it) = candidates.get_mut(candidate as usize) {
-                    it.void += 1;
-                }
-            }
-        }
-    }
-    candidates
-}
-
-/// The next step after these entries.
-#[must_use]
-pub fn next_step(entries: &[Entry], extent: &Extent) -> Step {
-    let candidates = candidates(entries);
+pub fn next_step(state: &SessionState, extent: &Extent) -> Step {
+    let candidates = state.candidates();
     let searched = extent.initial_candidates + extent.iterations;
     let count = candidates.len() as u32;
 
@@ -155,7 +102,7 @@ pub fn next_step(entries: &[Entry], extent: &Extent) -> Step {
     if !untrained.is_empty() {
         return Step::Train { candidates: untrained };
     }
-    for it in &candidates {
+    for it in candidates {
         let wanted = match it.purpose {
             Purpose::Verification | Purpose::Incumbent => extent.verification_rollouts,
             Purpose::Initial | Purpose::Search => extent.rollouts,
@@ -184,6 +131,11 @@ pub fn next_step(entries: &[Entry], extent: &Extent) -> Step {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session::Entry;
+
+    fn next_step_after(entries: &[Entry], extent: &Extent) -> Step {
+        next_step(&SessionState::of(entries).unwrap(), extent)
+    }
 
     const EXTENT: Extent = Extent {
         initial_candidates: 3,
@@ -200,10 +152,11 @@ mod tests {
         let mut entries: Vec<Entry> = Vec::new();
         let mut tries = 0;
         loop {
-            match next_step(&entries, &EXTENT) {
+            match next_step_after(&entries, &EXTENT) {
                 Step::Propose { count, purpose } => {
                     for _ in 0..count {
-                        let candidate = candidates(&entries).len() as u32;
+                        let candidate =
+                            SessionState::of(&entries).unwrap().candidates().len() as u32;
                         entries.push(Entry::Proposed { candidate, purpose, psi: vec![0.0] });
                     }
                 }
@@ -229,7 +182,8 @@ mod tests {
     #[test]
     fn every_candidate_gets_its_rollouts_and_what_came_of_them_is_verified_last() {
         for fault_every in [2, 5, 1000] {
-            let candidates = candidates(&session(fault_every));
+            let state = SessionState::of(&session(fault_every)).unwrap();
+            let candidates = state.candidates();
             assert_eq!(candidates.len(), 7);
             assert!(candidates[..5].iter().all(|it| it.finished.len() == 2));
             assert_eq!(candidates[5].purpose, Purpose::Verification);
@@ -246,18 +200,18 @@ mod tests {
         let asked = |entry: &Entry| matches!(entry, Entry::Proposed { candidate: 6, .. });
         let until = whole.iter().position(asked).unwrap();
         assert_eq!(
-            next_step(&whole[..until], &EXTENT),
+            next_step_after(&whole[..until], &EXTENT),
             Step::Propose { count: 1, purpose: Purpose::Incumbent }
         );
         let without = Extent { verifies_incumbent: false, ..EXTENT };
-        assert_eq!(next_step(&whole[..until], &without), Step::Done);
+        assert_eq!(next_step_after(&whole[..until], &without), Step::Done);
     }
 
     #[test]
     fn each_prefix_of_a_ledger_goes_on_to_the_same_end() {
         let whole = session(1000);
         for length in 0..whole.len() {
-            let next = next_step(&whole[..length], &EXTENT);
+            let next = next_step_after(&whole[..length], &EXTENT);
             let (candidate, ok) = match (&whole[length], next) {
                 (Entry::Proposed { purpose, .. }, Step::Propose { purpose: wanted, .. }) => {
                     (0, *purpose == wanted)
@@ -280,10 +234,10 @@ mod tests {
         let mut entries = session(1000)[..6].to_vec();
         let (candidate, rollout) = (0, 0);
         for attempt in 0..4 {
-            let step = next_step(&entries, &EXTENT);
+            let step = next_step_after(&entries, &EXTENT);
             assert_eq!(step, Step::Rollout { candidate, rollout, attempt });
             entries.push(Entry::RolloutVoid { candidate, rollout, attempt });
         }
-        assert_eq!(next_step(&entries, &EXTENT), Step::GiveUp { candidate, rollout });
+        assert_eq!(next_step_after(&entries, &EXTENT), Step::GiveUp { candidate, rollout });
     }
 }

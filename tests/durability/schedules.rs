@@ -14,7 +14,8 @@ use qube_hil::safety::SafetyBox;
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::search::StrategyKind;
 use qube_hil::session::{
-    Entry, Extent, Session, SessionError, SessionFolder, SessionSettings, parse_ledger,
+    Entry, Extent, Session, SessionError, SessionFolder, SessionPaths, SessionSettings,
+    parse_ledger,
 };
 use qube_hil::storage::Disk;
 use rand::{RngExt, SeedableRng};
@@ -273,9 +274,8 @@ impl Schedule {
             else {
                 continue;
             };
-            let name =
-                format!("candidates/{candidate:03}/rollout-{rollout}-attempt-{attempt}.mcap");
-            let verdict = score(disk, &root().join(name)).unwrap();
+            let paths = SessionPaths::new(&root()).candidate(candidate);
+            let verdict = score(disk, &paths.rollout(rollout, attempt)).unwrap();
             if matches!(entry, Entry::RolloutFinished { .. }) {
                 assert!(matches!(verdict, Verdict::Result { .. }), "{verdict:?}");
                 finished.push((candidate, rollout));

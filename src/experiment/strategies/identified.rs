@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use super::StrategySettings;
 use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
-use crate::experiment::folder::{make, recording};
+use crate::experiment::folder::make;
 use crate::experiment::rollouts::{Repeated, all_of};
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, Recipe, RecipeModel};
@@ -12,7 +12,7 @@ use crate::qube::{Profile, QubeModel};
 use crate::replay::{MotionLog, MotionLogError};
 use crate::rig::RigSettings;
 use crate::session::{
-    ProfileSettings, RolloutPlan, SeedFor, SessionSettings, derived_seed, write_whole,
+    ProfileSettings, RolloutPlan, SeedFor, SessionSettings, derived_seed, recording_in, write_whole,
 };
 use crate::storage::{Disk, MachineDisk};
 
@@ -93,7 +93,7 @@ impl<'a> FromRecordings<'a> {
         for number in 0..recordings {
             // The last attempt counts.
             let tries = (0..=self.repetitions()).rev();
-            let mut paths = tries.map(|attempt| recording(&self.recordings(), number, attempt));
+            let mut paths = tries.map(|attempt| recording_in(&self.recordings(), number, attempt));
             let Some(path) = paths.find(|path| MachineDisk.exists(path)) else {
                 return Ok(Fit::Refused(format!("recording {number} is missing")));
             };

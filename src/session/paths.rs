@@ -1,0 +1,101 @@
+use std::path::{Path, PathBuf};
+
+/// The paths of a session's files.
+///
+/// ```text
+/// session.toml                            the resolved configuration
+/// ledger.jsonl                            what was decided and finished
+/// candidates/000/                         the files of candidate 0's policy
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SessionPaths {
+    root: PathBuf,
+}
+
+impl SessionPaths {
+    /// The paths of a session in this folder.
+    #[must_use]
+    pub fn new(root: &Path) -> Self {
+        Self { root: root.to_owned() }
+    }
+
+    /// Path of the folder.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Path of the resolved configuration.
+    #[must_use]
+    pub fn configuration(&self) -> PathBuf {
+        self.root.join("session.toml")
+    }
+
+    /// Path of the ledger.
+    #[must_use]
+    pub fn ledger(&self) -> PathBuf {
+        self.root.join("ledger.jsonl")
+    }
+
+    /// Folder of the candidates.
+    #[must_use]
+    pub fn candidates(&self) -> PathBuf {
+        self.root.join("candidates")
+    }
+
+    /// Paths of a candidate's policy.
+    #[must_use]
+    pub fn candidate(&self, candidate: u32) -> PolicyPaths {
+        PolicyPaths::numbered(&self.candidates(), candidate)
+    }
+}
+
+/// The paths of the files of one trained policy.
+///
+/// ```text
+/// policy.safetensors                      the trained policy
+/// curve.csv                               its training
+/// rollout-0-attempt-0.mcap                a rollout of it
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PolicyPaths {
+    folder: PathBuf,
+}
+
+impl PolicyPaths {
+    /// The paths of the policy with this number among the policies in a folder.
+    #[must_use]
+    pub fn numbered(policies: &Path, number: u32) -> Self {
+        Self { folder: policies.join(format!("{number:03}")) }
+    }
+
+    /// Path of the folder.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Path of the policy file.
+    #[must_use]
+    pub fn policy(&self) -> PathBuf {
+        self.folder.join("policy.safetensors")
+    }
+
+    /// Path of the training curve.
+    #[must_use]
+    pub fn curve(&self) -> PathBuf {
+        self.folder.join("curve.csv")
+    }
+
+    /// Path of the recording of one attempt of one rollout.
+    #[must_use]
+    pub fn rollout(&self, rollout: u32, attempt: u32) -> PathBuf {
+        recording_in(&self.folder, rollout, attempt)
+    }
+}
+
+/// Path, in a folder of recordings, of the recording of one attempt of one rollout.
+#[must_use]
+pub fn recording_in(folder: &Path, rollout: u32, attempt: u32) -> PathBuf {
+    folder.join(format!("rollout-{rollout}-attempt-{attempt}.mcap"))
+}

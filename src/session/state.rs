@@ -1,0 +1,120 @@
+use super::{Entry, Purpose};
+
+/// A candidate according to the ledger.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    /// Number of the candidate.
+    pub number: u32,
+    /// Reason of its proposal.
+    pub purpose: Purpose,
+    /// Psi of the candidate.
+    pub psi: Vec<f64>,
+    /// Whether its policy is on disk.
+    pub trained: bool,
+    /// Finished rollouts in order.
+    pub finished: Vec<Finished>,
+    /// Number of attempts of the current rollout that a fault ended.
+    pub void: u32,
+}
+
+/// A rollout that has a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Finished {
+    /// Number of the rollout for its candidate.
+    pub rollout: u32,
+    /// Number of the attempt that has the result.
+    pub attempt: u32,
+}
+
+/// The state of a session: its ledger's entries, folded one at a time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SessionState {
+    entries: usize,
+    candidates: Vec<Candidate>,
+}
+
+impl SessionState {
+    /// The state after these entries.
+    ///
+    /// # Errors
+    /// Names the rule that an entry breaks.
+    pub fn of<'a>(entries: impl IntoIterator<Item = &'a Entry>) -> Result<Self, &'static str> {
+        let mut state = Self::default();
+        entries.into_iter().try_for_each(|entry| state.apply(entry))?;
+        Ok(state)
+    }
+
+    /// The candidates in order.
+    #[must_use]
+    pub fn candidates(&self) -> &[Candidate] {
+        &self.candidates
+    }
+
+    /// The candidates of the search, without those that verify its result.
+    pub fn searched(&self) -> impl Iterator<Item = &Candidate> {
+        self.candidates.iter().filter(|candidate| candidate.purpose.is_searched())
+    }
+
+    /// Takes the next entry in. An entry that cannot follow the earlier ones changes nothing.
+    ///
+    /// # Errors
+    /// Names the rule that the entry breaks.
+    pub fn apply(&mut self, entry: &Entry) -> Result<(), &'static str> {
+        match *entry {
+            Entry::Begun { .. } if self.entries > 0 => {
+                return Err("a session begins in the first line");
+            }
+            Entry::Begun { .. } => {}
+            Entry::Proposed { candidate, purpose, ref psi } => {
+                if candidate as usize != self.candidates.len() {
+                    return Err("candidates are not numbered in their order");
+                }
+                self.candidates.push(Candidate {
+                    number: candidate,
+                    purpose,
+                    psi: psi.clone(),
+                    trained: false,
+                    finished: Vec::new(),
+                    void: 0,
+                });
+            }
+            Entry::Trained { candidate } => {
+                let candidate = self.candidate(candidate)?;
+                if candidate.trained {
+                    return Err("the candidate is trained already");
+                }
+                candidate.trained = true;
+            }
+            Entry::RolloutFinished { candidate, rollout, attempt } => {
+                let candidate = self.candidate_due(candidate, rollout, attempt)?;
+                candidate.finished.push(Finished { rollout, attempt });
+                candidate.void = 0;
+            }
+            Entry::RolloutVoid { candidate, rollout, attempt } => {
+                self.candidate_due(candidate, rollout, attempt)?.void += 1;
+            }
+        }
+        self.entries += 1;
+        Ok(())
+    }
+
+    fn candidate(&mut self, number: u32) -> Result<&mut Candidate, &'static str> {
+        self.candidates.get_mut(number as usize).ok_or("there is no such candidate")
+    }
+
+    /// The candidate of which this attempt is due.
+    fn candidate_due(
+        &mut self,
+        number: u32,
+        rollout: u32,
+        attempt: u32,
+    ) -> Result<&mut Candidate, &'static str> {
+        let candidate = self.candidate(number)?;
+        let due = (candidate.finished.len() as u32, candidate.void);
+        if candidate.trained && (rollout, attempt) == due {
+            Ok(candidate)
+        } else {
+            Err("this is not the rollout or the try that was due")
+        }
+    }
+}

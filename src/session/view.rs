@@ -1,0 +1,101 @@
+use super::{
+    Candidate, LedgerError, SessionPaths, SessionState, ledger::MAX_FILE_BYTES, parse_ledger,
+};
+use crate::recording::RecordingError;
+use crate::scoring::{Verdict, mean_return, score};
+use crate::search::Observation;
+use crate::storage::Disk;
+
+/// A session's ledger and recordings for reading only: nothing is written, and the folder is not held.
+pub struct SessionView<'a> {
+    disk: &'a dyn Disk,
+    paths: SessionPaths,
+    state: SessionState,
+}
+
+impl<'a> SessionView<'a> {
+    /// Reads the ledger; a session that has not begun has an empty one.
+    ///
+    /// # Errors
+    /// The ledger cannot be read or is damaged.
+    pub fn read(disk: &'a dyn Disk, paths: SessionPaths) -> Result<Self, LedgerError> {
+        let path = paths.ledger();
+        let mut state = SessionState::default();
+        if disk.exists(&path) {
+            let bytes = disk
+                .read(&path, MAX_FILE_BYTES)
+                .map_err(|source| LedgerError::Io { path: path.clone(), source })?;
+            state = parse_ledger(&bytes).map_err(|damage| damage.in_file(&path))?.state;
+        }
+        Ok(Self { disk, paths, state })
+    }
+
+    /// The state that the ledger gives.
+    #[must_use]
+    pub fn state(&self) -> &SessionState {
+        &self.state
+    }
+
+    /// Reads a candidate's recordings and scores them.
+    ///
+    /// # Errors
+    /// A recording cannot be read.
+    pub fn scored(&self, candidate: &Candidate) -> Result<ScoredCandidate, RecordingError> {
+        let paths = self.paths.candidate(candidate.number);
+        let verdicts = candidate
+            .finished
+            .iter()
+            .map(|it| score(self.disk, &paths.rollout(it.rollout, it.attempt)))
+            .collect::<Result<_, _>>()?;
+        Ok(ScoredCandidate { candidate: candidate.clone(), verdicts })
+    }
+}
+
+/// A candidate with the verdicts on its finished rollouts, in their order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScoredCandidate {
+    /// Candidate.
+    pub candidate: Candidate,
+    /// Verdict on each finished rollout.
+    pub verdicts: Vec<Verdict>,
+}
+
+impl ScoredCandidate {
+    /// Returns of the rollouts.
+    #[must_use]
+    pub fn returns(&self) -> Vec<f64> {
+        self.verdicts.iter().filter_map(Verdict::return_).collect()
+    }
+
+    /// Mean return; `None` without a rollout.
+    #[must_use]
+    pub fn mean_return(&self) -> Option<f64> {
+        mean_return(&self.verdicts)
+    }
+
+    /// Number of successful rollouts.
+    #[must_use]
+    pub fn successes(&self) -> usize {
+        self.verdicts.iter().filter(|verdict| verdict.is_success()).count()
+    }
+
+    /// The psi with its returns, as the search sees them.
+    #[must_use]
+    pub fn observation(&self) -> Observation {
+        Observation { point: self.candidate.psi.clone(), returns: self.returns() }
+    }
+
+    /// The index of the verified candidate with the highest mean return; the recommendation in a tie.
+    #[must_use]
+    pub fn best_verified(candidates: &[Self]) -> Option<usize> {
+        let mut best: Option<(usize, f64)> = None;
+        for (index, it) in candidates.iter().enumerate() {
+            let verified = !it.candidate.purpose.is_searched();
+            let Some(mean) = it.mean_return().filter(|_| verified) else { continue };
+            if best.is_none_or(|(_, so_far)| mean > so_far) {
+                best = Some((index, mean));
+            }
+        }
+        best.map(|(index, _)| index)
+    }
+}
