@@ -54,6 +54,7 @@ pub mod elementary;
 pub mod estimation;
 pub mod experiment;
 pub mod identification;
+pub mod jobs;
 pub mod learning;
 pub mod policy;
 pub mod preflight;

@@ -53,6 +53,8 @@ const ROOMS: &[Room] = &[
         tests_may_import: &["device"],
     },
     room("learning", &["simulation", "policy", "estimation", "qube", "elementary", "storage"]),
+    // Sessions, experiments and the command train hand their trainings to one executor.
+    room("jobs", &["learning", "simulation"]),
     room("surrogate", &[]),
     room("search", &["surrogate"]),
     room("device", &["clock", "qube", "firmware_protocol"]),
@@ -75,10 +77,10 @@ const ROOMS: &[Room] = &[
     // Sessions, experiments and single runs all use a rig.
     room("rig", &["clock", "qube", "estimation", "safety", "policy", "device", "telemetry", "control",
                   "recording", "preflight", "storage"]),
-    room("session", &["qube", "estimation", "safety", "policy", "simulation", "learning", "surrogate",
+    room("session", &["qube", "estimation", "safety", "policy", "simulation", "learning", "jobs", "surrogate",
                       "search", "device", "telemetry", "control", "recording", "replay",
                       "identification", "rig", "scoring", "storage"]),
-    room("experiment", &["qube", "policy", "simulation", "learning", "search",
+    room("experiment", &["qube", "policy", "simulation", "learning", "jobs", "search",
                          "recording", "telemetry", "rig", "session", "scoring", "storage", "identification", "replay"]),
     room("commands", EVERY_ROOM),
 ];

@@ -15,7 +15,8 @@ use super::stop::Stop;
 use super::words_gone::names_but;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
-use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate, train};
+use crate::jobs::{Executor, LocalExecutor, TrainingJob};
+use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate};
 use crate::qube::{MAX_HISTORY, Nonideality};
 use crate::simulation::{
     Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Psi, SensorModel,
@@ -203,7 +204,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
     Level::from(arguments.instruction_set).forbid_better();
     let stop = Stop::on_signals()?;
-    let bar = ProgressBar::new(u64::from(settings.updates));
+    let job = TrainingJob { distribution, settings, seed: arguments.seed };
+    let bar = ProgressBar::new(u64::from(job.settings.updates));
     if let Ok(style) =
         ProgressStyle::with_template("{bar:30} update {pos} of {len}, {eta} left  {msg}")
     {
@@ -213,13 +215,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 
     let started = Instant::now();
     let mut best_return = f64::NEG_INFINITY;
-    let tell = |update: &TrainUpdate| {
+    let mut tell = |update: &TrainUpdate| {
         best_return = best_return.max(update.mean_return);
         bar.set_position(u64::from(update.update) + 1);
         bar.set_message(format!("best return {best_return:.1}"));
     };
-    let seed = arguments.seed;
-    let trained = train(&distribution, &settings, seed, checkpointing.as_ref(), &stop.flag, tell);
+    let executor = LocalExecutor::on_cores(1).checkpointed(checkpointing);
+    let trained = executor.train_one(&job, &stop.flag, &mut tell);
     bar.finish_and_clear();
     let trained = trained.map_err(|error| match error {
         TrainError::Stopped => stop.failure(match &arguments.checkpoint {

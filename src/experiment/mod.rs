@@ -9,7 +9,7 @@
 //! [`StrategySettings`] select another experiment: the number of real rollouts until a search's
 //! recommendation succeeds.
 //!
-//! The room may import `session`, `rig`, `scoring`, `recording`, `learning`, `simulation`, `search`,
+//! The room may import `session`, `rig`, `scoring`, `recording`, `jobs`, `learning`, `simulation`, `search`,
 //! `identification`, `replay`, `policy`, `telemetry`, `storage` and `qube`. Reading order: [`ExperimentSettings`],
 //! then [`Experiment`], which does the work and can be interrupted and resumed, then [`Results`], which are
 //! computed from policies and recordings; nothing else is stored.

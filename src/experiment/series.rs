@@ -4,7 +4,8 @@ use std::sync::atomic::AtomicBool;
 use super::folder::{PolicyFolders, make};
 use super::rollouts::{Record, Repeated};
 use super::{ExperimentError, Plant, Recipe, RolloutResult};
-use crate::learning::{TrainSettings, curve_csv, train};
+use crate::jobs::{Executor, LocalExecutor, TrainingJob};
+use crate::learning::{TrainSettings, curve_csv};
 use crate::policy::Policy;
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::session::{
@@ -49,8 +50,8 @@ impl Series<'_> {
         let training = self.recipe.settings.training.clone();
         let settings = TrainSettings { threads: 1, simulation, ..training };
         let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy });
-        let distribution = self.recipe.distribution(self.psi)?;
-        let trained = train(&distribution, &settings, seed, None, self.stop, |_| {})?;
+        let job = TrainingJob { distribution: self.recipe.distribution(self.psi)?, settings, seed };
+        let trained = LocalExecutor::on_cores(1).train_one(&job, self.stop, &mut |_| ())?;
         let best_return = trained.best_return;
         let curve = curve_csv(&trained.curve);
         write_whole(&MachineDisk, &paths.curve(), curve.as_bytes())?;

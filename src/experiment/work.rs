@@ -10,6 +10,7 @@ use super::{
     ExperimentError, ExperimentFolder, ExperimentSettings, Method, Recipe, RecommendationResult,
     Repetition, RolloutResult,
 };
+use crate::jobs::LocalExecutor;
 use crate::rig::{ClockChoice, Rig, RigSettings};
 use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
 
@@ -226,7 +227,7 @@ impl Experiment {
         let tell = &mut |progress: SessionEvent| {
             tell(ExperimentEvent::Search { name: &recipe.name, progress: &progress });
         };
-        session.on_cores(cores).run(tell).map_err(failed)
+        session.trained_by(Arc::new(LocalExecutor::on_cores(cores))).run(tell).map_err(failed)
     }
 
     /// The psi of an optimised recipe, empty for others; `None` while it is not found.

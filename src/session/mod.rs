@@ -1,6 +1,6 @@
 //! Sessions: the method's algorithm, its ledger on disk, and resuming after a crash.
 //!
-//! The room may import `rig`, `scoring`, `learning`, `simulation`, `search`, `surrogate`, `identification`, `replay`,
+//! The room may import `rig`, `scoring`, `jobs`, `learning`, `simulation`, `search`, `surrogate`, `identification`, `replay`,
 //! `recording`, `control`, `device`, `policy`, `estimation`, `safety`, `telemetry`, `storage` and `qube`.
 //! Reading order: [`SessionState`] folds the ledger, [`next_step`] computes the next step from it, [`Session`] performs it with a
 //! [`Rig`](crate::rig::Rig), and [`score`](crate::scoring::score) scores a recording.
@@ -21,7 +21,6 @@ mod retired;
 mod seeds;
 mod settings;
 mod state;
-mod training;
 mod view;
 
 pub use configuration::ConfigurationError;

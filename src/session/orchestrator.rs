@@ -5,14 +5,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::folder::{put_aside, write_whole};
 use super::seeds::{SeedFor, derived_seed};
-use super::training::{TrainingEvent, TrainingJob, train_all};
 use super::{
     Candidate, DRIFT_ROLLOUTS, Drift, Entry, FolderError, Ledger, Purpose, RolloutPlan,
     ScoredCandidate, SessionError, SessionFolder, SessionSettings, SessionState, Step, next_step,
     settings_checksum,
 };
 use crate::identification::Unfit;
-use crate::learning::{Origin, TrainUpdate, Trained, curve_csv};
+use crate::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
+use crate::learning::{Origin, TrainSettings, TrainUpdate, Trained, curve_csv};
 use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
@@ -71,7 +71,7 @@ pub struct Session {
     rig: Option<Rig>,
     verdicts: HashMap<(u32, u32, u32), Verdict>,
     stop: Arc<AtomicBool>,
-    cores: usize,
+    executor: Arc<dyn Executor>,
     /// Model in the rig's profile, until today's drift is known.
     profile: Option<QubeModel>,
     /// Today's recordings, until there are enough for the drift.
@@ -105,7 +105,7 @@ impl Session {
             rig: None,
             verdicts: HashMap::new(),
             stop,
-            cores: std::thread::available_parallelism().map_or(1, usize::from),
+            executor: Arc::new(LocalExecutor::on_all_cores()),
             profile: None,
             today: Vec::new(),
             not_begun: 0,
@@ -119,10 +119,10 @@ impl Session {
         self
     }
 
-    /// Limits training to a number of cores; the policies do not depend on it.
+    /// Trains on an executor other than this computer's cores; the policies do not depend on it.
     #[must_use]
-    pub fn on_cores(mut self, cores: usize) -> Self {
-        self.cores = cores.max(1);
+    pub fn trained_by(mut self, executor: Arc<dyn Executor>) -> Self {
+        self.executor = executor;
         self
     }
 
@@ -323,7 +323,7 @@ impl Session {
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let all = self.ledger.state().candidates().to_vec();
-        let mut jobs = Vec::new();
+        let (mut due, mut jobs) = (Vec::new(), Vec::new());
         for &number in numbers {
             self.folder.make_candidate(number)?;
             // Policy files appear atomically: an existing file was trained before a crash.
@@ -335,21 +335,23 @@ impl Session {
                     write_whole(self.folder.disk(), &self.policy_path(number), &policy)?;
                     continue;
                 }
+                let simulation = self.settings.simulation(&candidate.psi)?;
+                due.push(number);
                 jobs.push(TrainingJob {
-                    candidate: number,
                     distribution: self.settings.distribution(&candidate.psi)?,
-                    simulation: self.settings.simulation(&candidate.psi)?,
+                    settings: TrainSettings { simulation, ..self.settings.training.clone() },
                     seed: derived_seed(self.settings.seed, SeedFor::Training { candidate: number }),
                 });
             }
         }
         let mut failed = None;
         let (folder, settings) = (&self.folder, &self.settings);
-        train_all(&jobs, &self.settings.training, self.cores, &self.stop, |news| match news {
-            TrainingEvent::Update { candidate, update } => {
-                tell(SessionEvent::Training { candidate, update: &update });
+        self.executor.train(&jobs, &self.stop, &mut |event| match event {
+            JobEvent::Update { job, update } => {
+                tell(SessionEvent::Training { candidate: due[job], update: &update });
             }
-            TrainingEvent::Finished { candidate, result } => {
+            JobEvent::Finished { job, result } => {
+                let candidate = due[job];
                 let saved = result.map_err(SessionError::from).and_then(|trained| {
                     let best_return = trained.best_return;
                     let psi = &all[candidate as usize].psi;

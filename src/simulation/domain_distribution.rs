@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use super::distribution::largest_standard_deviation;
@@ -42,7 +44,8 @@ impl Family {
 /// nonidealities, each independently. A nonideality without a distribution is zero.
 ///
 /// Constructors check the distributions, so every draw is physical.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "BTreeMap<String, Distribution>", into = "BTreeMap<String, Distribution>")]
 pub struct DomainDistribution {
     /// One distribution a quantity, in the order of [`Quantity::all`].
     distributions: [Distribution; Quantity::COUNT],
@@ -202,6 +205,32 @@ impl DomainDistribution {
                 family.with_moments(nominal, HANDCRAFTED_SPREAD * nominal);
         }
         self
+    }
+}
+
+/// The distributions by the names that quantities have in profiles.
+impl From<DomainDistribution> for BTreeMap<String, Distribution> {
+    fn from(distribution: DomainDistribution) -> Self {
+        Quantity::all()
+            .map(|quantity| (quantity.name().to_owned(), distribution.get(quantity)))
+            .collect()
+    }
+}
+
+impl TryFrom<BTreeMap<String, Distribution>> for DomainDistribution {
+    type Error = String;
+
+    fn try_from(mut named: BTreeMap<String, Distribution>) -> Result<Self, String> {
+        let mut all = Self::nominal();
+        for quantity in Quantity::all() {
+            let name = quantity.name();
+            let distribution = named.remove(name).ok_or_else(|| format!("{name} is missing"))?;
+            all = all.with(quantity, distribution).map_err(|error| error.to_string())?;
+        }
+        match named.into_keys().next() {
+            Some(name) => Err(format!("there is no quantity {name}")),
+            None => Ok(all),
+        }
     }
 }
 

@@ -1,7 +1,10 @@
+use std::sync::Arc;
+
 use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::search::{open_search, searched};
 use crate::experiment::{ExperimentError, ExperimentEvent};
+use crate::jobs::LocalExecutor;
 use crate::search::{Observation, Strategy, StrategyKind};
 use crate::session::{SeedFor, Session, SessionEvent, SessionSettings, derived_seed};
 
@@ -44,7 +47,8 @@ impl<'a> FromSearch<'a> {
                 make(&self.run.folder)?;
                 let experiment = self.run.experiment;
                 let settings = self.settings.clone();
-                open_search(&folder, settings, experiment.rig(), experiment.stop())?.on_cores(1)
+                open_search(&folder, settings, experiment.rig(), experiment.stop())?
+                    .trained_by(Arc::new(LocalExecutor::on_cores(1)))
             }
         };
         let name = &self.run.name;

@@ -1,0 +1,133 @@
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use crossbeam_channel::unbounded;
+
+use super::{Executor, JobEvent, TrainingJob};
+use crate::learning::{Checkpointing, train};
+
+/// Trains on this computer, one policy on each of several cores at a time. A policy's bytes do not depend on
+/// the number of cores.
+#[derive(Clone, Debug)]
+pub struct LocalExecutor {
+    cores: usize,
+    checkpointing: Option<Checkpointing>,
+}
+
+impl LocalExecutor {
+    /// An executor on all cores.
+    #[must_use]
+    pub fn on_all_cores() -> Self {
+        Self::on_cores(std::thread::available_parallelism().map_or(1, usize::from))
+    }
+
+    /// An executor on a number of cores.
+    #[must_use]
+    pub fn on_cores(cores: usize) -> Self {
+        Self { cores: cores.max(1), checkpointing: None }
+    }
+
+    /// Writes checkpoints of a single job, from which it resumes. Several jobs at once have none, because
+    /// they would share the file.
+    #[must_use]
+    pub fn checkpointed(mut self, checkpointing: Option<Checkpointing>) -> Self {
+        self.checkpointing = checkpointing;
+        self
+    }
+
+    fn carry_out(
+        &self,
+        jobs: &[TrainingJob],
+        index: usize,
+        stop: &AtomicBool,
+        tell: &mut dyn FnMut(JobEvent),
+    ) {
+        let TrainingJob { distribution, settings, seed } = &jobs[index];
+        let checkpointing = self.checkpointing.as_ref().filter(|_| jobs.len() == 1);
+        let result = train(distribution, settings, *seed, checkpointing, stop, |update| {
+            tell(JobEvent::Update { job: index, update: *update });
+        });
+        tell(JobEvent::Finished { job: index, result: result.map(Box::new) });
+    }
+}
+
+impl Executor for LocalExecutor {
+    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
+        let workers = self.cores.min(jobs.len());
+        if workers <= 1 {
+            (0..jobs.len()).for_each(|index| self.carry_out(jobs, index, stop, tell));
+            return;
+        }
+        let (sender, receiver) = unbounded();
+        let next = AtomicUsize::new(0);
+        std::thread::scope(|scope| {
+            for _ in 0..workers {
+                let (sender, next) = (sender.clone(), &next);
+                scope.spawn(move || {
+                    loop {
+                        let index = next.fetch_add(1, Ordering::Relaxed);
+                        if index >= jobs.len() {
+                            break;
+                        }
+                        self.carry_out(jobs, index, stop, &mut |event| {
+                            let _ = sender.send(event);
+                        });
+                    }
+                });
+            }
+            drop(sender);
+            receiver.iter().for_each(tell);
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::learning::{TrainError, TrainSettings, Trained};
+    use crate::simulation::DomainDistribution;
+
+    fn job(seed: u64) -> TrainingJob {
+        let settings = TrainSettings {
+            updates: 2,
+            epochs: 1,
+            evaluation_starts: 16,
+            ..TrainSettings::quick()
+        };
+        TrainingJob { distribution: DomainDistribution::nominal(), settings, seed }
+    }
+
+    /// The results in the order of the jobs, and the number of updates.
+    fn train_on(cores: usize, stop: &AtomicBool) -> (Vec<Result<Trained, TrainError>>, usize) {
+        let jobs = [job(1), job(2), job(3)];
+        let mut results: Vec<Option<_>> = vec![None, None, None];
+        let mut updates = 0;
+        LocalExecutor::on_cores(cores).train(&jobs, stop, &mut |event| match event {
+            JobEvent::Update { .. } => updates += 1,
+            JobEvent::Finished { job, result } => {
+                assert!(results[job].replace(result.map(|trained| *trained)).is_none());
+            }
+        });
+        (results.into_iter().map(Option::unwrap).collect(), updates)
+    }
+
+    #[test]
+    fn the_policies_of_jobs_do_not_depend_on_the_number_of_cores() {
+        let never = AtomicBool::new(false);
+        let (one, updates) = train_on(1, &never);
+        let one: Vec<Trained> = one.into_iter().map(Result::unwrap).collect();
+        assert_eq!(updates, 6);
+        assert_ne!(one[0].network, one[1].network);
+        let (two, _) = train_on(2, &never);
+        assert_eq!(two.into_iter().map(Result::unwrap).collect::<Vec<_>>(), one);
+        let alone = LocalExecutor::on_cores(1).train_one(&job(2), &never, &mut |_| ()).unwrap();
+        assert_eq!(alone, one[1]);
+    }
+
+    #[test]
+    fn every_job_ends_after_a_stop() {
+        for cores in [1, 2] {
+            let (results, _) = train_on(cores, &AtomicBool::new(true));
+            assert!(results.iter().all(|result| matches!(result, Err(TrainError::Stopped))));
+        }
+    }
+}

@@ -1,0 +1,32 @@
+//! Trainings as data, and the executors that carry them out.
+//!
+//! A [`TrainingJob`] holds everything that its policy depends on, so the same job gives the same policy and
+//! learning curve wherever it runs. The command `train`, sessions and experiments hand jobs to an
+//! [`Executor`]; [`LocalExecutor`] trains on this computer's cores. An executor on other computers sends a
+//! job as JSON and may look up its [`fingerprint`](TrainingJob::fingerprint) among finished ones.
+//!
+//! The room may import `learning` and `simulation`.
+//!
+//! ```
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use qube_hil::jobs::{Executor, LocalExecutor, TrainingJob};
+//! use qube_hil::learning::TrainSettings;
+//! use qube_hil::simulation::DomainDistribution;
+//!
+//! // Far too small to learn a swing-up.
+//! let settings = TrainSettings { updates: 1, epochs: 1, ..TrainSettings::quick() };
+//! let job = TrainingJob { distribution: DomainDistribution::nominal(), settings, seed: 1 };
+//! let never = AtomicBool::new(false);
+//! let trained = LocalExecutor::on_cores(1).train_one(&job, &never, &mut |_| ())?;
+//! assert_eq!(trained.curve.len(), 1);
+//! # Ok::<(), qube_hil::learning::TrainError>(())
+//! ```
+
+mod executor;
+mod local;
+mod training_job;
+
+pub use executor::{Executor, JobEvent};
+pub use local::LocalExecutor;
+pub use training_job::TrainingJob;

@@ -1,0 +1,70 @@
+use crc::{CRC_64_XZ, Crc};
+use serde::{Deserialize, Serialize};
+
+use crate::learning::TrainSettings;
+use crate::simulation::DomainDistribution;
+
+const CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
+
+/// A training as data: the same job gives the same policy and learning curve, bit for bit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainingJob {
+    /// Distribution of the simulations.
+    pub distribution: DomainDistribution,
+    /// Settings of the training, with sensors, reward and box of the simulations.
+    pub settings: TrainSettings,
+    /// Seed of every random number.
+    pub seed: u64,
+}
+
+impl TrainingJob {
+    /// A checksum of everything that the policy depends on, as 16 hexadecimal digits.
+    #[must_use]
+    pub fn fingerprint(&self) -> String {
+        let mut job = self.clone();
+        // The number of threads does not change the result.
+        job.settings.threads = 1;
+        let json = serde_json::to_vec(&job).unwrap_or_default();
+        format!("{:016x}", CHECKSUM.checksum(&json))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job() -> TrainingJob {
+        TrainingJob {
+            distribution: DomainDistribution::robust(),
+            settings: TrainSettings::robust(),
+            seed: u64::MAX - 1,
+        }
+    }
+
+    #[test]
+    fn a_job_reads_back_as_it_was_written() {
+        let written = serde_json::to_string(&job()).unwrap();
+        let read: TrainingJob = serde_json::from_str(&written).unwrap();
+        assert_eq!(read, job());
+        let negative = written.replacen("\"value\":9.81", "\"value\":-9.81", 1);
+        assert_ne!(negative, written);
+        let refused = serde_json::from_str::<TrainingJob>(&negative).unwrap_err();
+        assert!(refused.to_string().contains('g'), "{refused}");
+    }
+
+    #[test]
+    fn a_fingerprint_follows_what_the_policy_depends_on_and_nothing_else() {
+        let first = job().fingerprint();
+        let mut threads = job();
+        threads.settings.threads = 2;
+        assert_eq!(threads.fingerprint(), first);
+        let mut others = [job(), job(), job()];
+        others[0].seed += 1;
+        others[1].settings.simulation.history += 1;
+        others[2].distribution = DomainDistribution::nominal();
+        for other in others {
+            assert_ne!(other.fingerprint(), first);
+        }
+    }
+}
