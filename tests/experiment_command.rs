@@ -125,8 +125,8 @@ fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
     let mut child = begin(directory, arguments, "1");
     let mut interruptions = 0;
     loop {
-        // The times cover all its phases.
-        std::thread::sleep(Duration::from_millis(60 + 53 * (interruptions % 7)));
+        // The times cover all its phases; the first interruption comes at once, on any computer.
+        std::thread::sleep(Duration::from_millis(53 * (interruptions % 7)));
         if let Some(status) = child.try_wait().unwrap() {
             assert!(status.success(), "after {interruptions} interruptions: {status}");
             break;
@@ -244,6 +244,8 @@ fn what_cannot_be_is_refused_before_anything_is_made() {
         (vec!["--strategies", "cem", "--device", "/dev/ttyACM0"], "emulated Qube only"),
         (vec!["--repetitions", "3"], "--strategies"),
         (vec!["--models", "nominl"], "nominal-handcrafted"),
+        (vec!["--recipe", "nominal.toml", "--device", "/dev/ttyNOWHERE"], "no such port"),
+        (vec!["--recipe", "nominal.toml", "--device", "nominal.toml"], "not a serial port"),
     ] {
         let output = experiment(directory.path(), &arguments).args(["--json"]).output().unwrap();
         let message = String::from_utf8_lossy(&output.stderr).into_owned();

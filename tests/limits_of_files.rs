@@ -240,7 +240,8 @@ fn an_experiment_widens_nothing() {
     // The same in the file that an experiment goes on with.
     let small =
         ["--models", "nominal", "--policies", "1", "--rollouts", "1", "--out", "experiment"];
-    let begun = qube_hil(directory.path(), &[&["experiment"], &PORT[..], &small].concat());
+    let guarded = ["experiment", "--guard", "foresight"];
+    let begun = qube_hil(directory.path(), &[&guarded[..], &small].concat());
     let toml = directory.path().join("experiment/experiment.toml");
     assert!(toml.exists(), "{}", String::from_utf8_lossy(&begun.stderr));
     let whole = std::fs::read_to_string(&toml).unwrap();

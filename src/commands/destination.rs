@@ -1,4 +1,5 @@
-//! Where the results of long work go: refused before the work begins where they could not be kept.
+//! Places for the results of long work. A place that cannot be written is refused before the work
+//! begins.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -9,13 +10,12 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::exit::Failure;
 use super::failures;
 use super::printable::tell;
-use crate::session::write_whole;
-use crate::storage::{Disk, MachineDisk};
+use crate::storage::{Disk, MachineDisk, write_whole};
 
-/// Bytes that a disk must still hold when work begins: more than a policy or a profile has.
+/// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
 const ROOM_BYTES: usize = 1 << 18;
 
-/// The file that a command writes when its work is done.
+/// The file that a command writes at the end of its work.
 #[derive(Debug)]
 pub struct OutputFile {
     path: PathBuf,
@@ -23,8 +23,7 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Checks that the file can be written. One that is there already counts as wanted, unless
-    /// `replace` says otherwise.
+    /// Checks that the file can be written. An existing file is refused unless `replace` is set.
     pub fn prepare(path: &Path, replace: bool) -> Result<Self, Failure> {
         let shown = path.display();
         match path.symlink_metadata() {
@@ -45,8 +44,8 @@ impl OutputFile {
         Ok(Self { path: path.to_owned(), replace })
     }
 
-    /// Writes the file whole. Where that fails, the bytes go into the folder for temporary files, and
-    /// the failure says where.
+    /// Writes the file atomically. If that fails, the bytes go into the folder for temporary files,
+    /// and the failure names that file.
     pub fn write(&self, bytes: &[u8]) -> Result<(), Failure> {
         self.write_or_keep_in(&std::env::temp_dir(), bytes)
     }
@@ -55,7 +54,7 @@ impl OutputFile {
         let failure = if self.replace || self.path.symlink_metadata().is_err() {
             match write_whole(&MachineDisk, &self.path, bytes) {
                 Ok(()) => return Ok(()),
-                Err(error) => failures::folder(&error),
+                Err(error) => failures::folder(&error.into()),
             }
         } else {
             Failure::usage(format!("{} has been made by somebody else", self.path.display()))
@@ -75,8 +74,8 @@ impl OutputFile {
     }
 }
 
-/// The folder that a command writes into while it works. Folders that were made for it and stay empty
-/// are removed again.
+/// The folder that a command writes into during its work. Folders that were created for it are
+/// removed again if they stay empty.
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
@@ -84,8 +83,8 @@ pub struct OutputFolder {
 }
 
 impl OutputFolder {
-    /// The folder that was asked for, made where it is missing; without one a new folder under `logs/`
-    /// that is named after the command and the time.
+    /// The requested folder, created if it is missing; without a request a new folder under `logs/`
+    /// with the command and the time as its name.
     pub fn make(asked: Option<&Path>, command: &str) -> Result<Self, Failure> {
         let Some(path) = asked else {
             let now = jiff::Timestamp::now().strftime("%Y%m%d-%H%M%S");
@@ -96,8 +95,8 @@ impl OutputFolder {
         Ok(folder)
     }
 
-    /// A new folder of this name; where there is one already, as of a program that started within the
-    /// same second, a number follows the name.
+    /// A new folder of this name, with a number appended if the name exists, for instance because
+    /// another program started within the same second.
     fn numbered(above: &Path, name: &str) -> Result<Self, Failure> {
         let mut folder = Self { path: above.to_owned(), made: Vec::new() };
         folder.make_missing(above)?;
@@ -134,12 +133,12 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Where it is.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Checks that so many recordings can be written into it beside what is there.
+    /// Checks that the folder has room for this many recordings and none of their names.
     pub fn check_for_recordings(&self, rollouts: u64) -> Result<(), Failure> {
         let names = fs::read_dir(&self.path)
             .map_err(|error| failures::not_written(&self.path, &error))?
@@ -159,7 +158,7 @@ impl OutputFolder {
 impl Drop for OutputFolder {
     fn drop(&mut self) {
         for folder in self.made.iter().rev() {
-            // Only an empty one can be removed so.
+            // This removes empty folders only.
             let _ = fs::remove_dir(folder);
         }
     }
@@ -177,7 +176,7 @@ fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// Checks that a file can be made in a folder, and that there is room for it.
+/// Checks that a file can be created in a folder, and that the disk has enough space.
 pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     if !folder.is_dir() {
         let why = if folder.exists() { "is no folder" } else { "does not exist: make it first" };

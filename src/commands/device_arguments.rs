@@ -1,4 +1,5 @@
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::ValueEnum;
 
@@ -6,7 +7,9 @@ use super::exit::Failure;
 use super::number_arguments::between;
 use super::printable::tell;
 use super::profile;
+use crate::clock::MonotonicClock;
 use crate::control::{HomingMethod, HomingSettings};
+use crate::device::Tty;
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::qube::{MotorRating, Profile};
@@ -151,6 +154,12 @@ impl ChosenDevice {
     pub fn homing(&self, default: HomingSettings) -> HomingSettings {
         let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
         HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
+    }
+
+    /// Checks that a port can be opened, before a command trains or writes anything.
+    pub fn check_port(&self) -> Result<(), Failure> {
+        let DeviceChoice::Port(port) = &self.choice else { return Ok(()) };
+        Tty::open(port, Arc::new(MonotonicClock)).map(drop).map_err(Failure::usage)
     }
 
     /// Narrows a box to the limits of the file.

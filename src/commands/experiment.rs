@@ -29,9 +29,9 @@ use crate::learning::TrainSettings;
 use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
-use crate::session::{Extent, FolderError, SessionError, SessionSettings, write_whole};
+use crate::session::{Extent, FolderError, SessionError, SessionSettings};
 use crate::simulation::{Family, SensorModel};
-use crate::storage::{Disk, MachineDisk};
+use crate::storage::{Disk, MachineDisk, write_whole};
 
 /// Compare recipes: train several policies with each, run them all on the Qube, print the table
 ///
@@ -205,6 +205,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         None => begun(&arguments, consent, &device)?,
     };
     let limits = narrowed(&mut settings, consent, &device)?;
+    if arguments.resume.is_some() && !arguments.table {
+        device.check_port()?;
+    }
     let stop = Stop::on_signals()?;
     let resume = format!("qube-hil experiment --resume {}", folder.root().display());
     tell(&format!("experiment in {}", folder.root().display()));
@@ -259,7 +262,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     if let Some(path) = &arguments.csv {
         write_whole(&MachineDisk, path, summary.csv.as_bytes())
-            .map_err(|error| failures::folder(&error))?;
+            .map_err(|error| failures::folder(&error.into()))?;
     }
     if let Some(folder) = &arguments.figures {
         draw(&experiment, strategies.as_ref(), folder).map_err(failed)?;
@@ -365,6 +368,7 @@ fn begun(
     settings.check().map_err(Failure::usage)?;
     narrowed(&mut settings, consent, device)?;
     let place = OutputFolder::make(arguments.out.as_deref(), "experiment")?;
+    device.check_port()?;
     if let Some(name) = place.path().file_name() {
         settings.name = name.to_string_lossy().into_owned();
     }

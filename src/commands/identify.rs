@@ -15,8 +15,7 @@ use crate::identification::{
 };
 use crate::qube::{Correlations, Profile, Provenance, QubeModel};
 use crate::replay::{MotionLog, plot_svg, simulate_from};
-use crate::session::write_whole;
-use crate::storage::MachineDisk;
+use crate::storage::{MachineDisk, write_whole};
 
 /// Horizons of the predictions in the table, s.
 const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];

@@ -14,8 +14,7 @@ use crate::qube::QubeModel;
 use crate::recording::{Completeness, Recording, RecordingError, read};
 use crate::replay::{AngleError, MotionLog, Rerun, plot_svg, rerun, simulate_beside};
 use crate::safety::Foreseen;
-use crate::session::write_whole;
-use crate::storage::MachineDisk;
+use crate::storage::{MachineDisk, write_whole};
 use crate::telemetry::RolloutOutcome;
 
 /// Replay recordings: recompute the return, feed the recorded measurements to the tick that ran on the

@@ -2,8 +2,8 @@ use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 
 use super::ExperimentError;
-use crate::session::{FolderError, PolicyPaths, write_whole};
-use crate::storage::{Disk, Hold, MachineDisk};
+use crate::session::{FolderError, PolicyPaths};
+use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 
 /// The folder of an experiment, which one process holds at a time. The files in it are the only record of
 /// finished work.

@@ -8,10 +8,8 @@ use crate::jobs::{Executor, LocalExecutor, TrainingJob};
 use crate::learning::{TrainSettings, curve_csv};
 use crate::policy::Policy;
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
-use crate::session::{
-    EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed, write_whole,
-};
-use crate::storage::{Disk, MachineDisk};
+use crate::session::{EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed};
+use crate::storage::{Disk, MachineDisk, write_whole};
 use crate::telemetry::Ending;
 
 /// The policies of one recipe and one psi: each is trained with its own seed and run on plants. Work that

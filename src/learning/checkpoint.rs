@@ -46,7 +46,7 @@ impl Checkpointing {
     /// is either the old one or the new one.
     pub(super) fn write(&self, trainer: &Trainer<'_>) -> Result<(), TrainError> {
         let bytes = to_bytes(trainer).map_err(|error| self.damaged(error.to_string()))?;
-        write_whole(&MachineDisk, &self.path, &bytes).map_err(|error| self.file_error(error))
+        write_whole(&MachineDisk, &self.path, &bytes).map_err(|error| self.file_error(error.source))
     }
 
     /// Restores a new trainer from the file; does nothing when there is no file.

@@ -8,12 +8,12 @@ use toml::{Table, Value};
 
 use super::qube_file::LARGEST_OFFSET_RAD;
 use super::retired::{earlier_name, rename_entries};
-use super::{FolderError, ProfileSettings, SessionSettings, take_retired};
+use super::{ProfileSettings, SessionSettings, take_retired};
 use crate::learning::TrainError;
 use crate::qube::MAX_STEPS;
 use crate::safety::{Guard, SafetyBox};
 use crate::simulation::{PsiTarget, SensorModel, box_file};
-use crate::storage::{SETTINGS_BYTES, read_text};
+use crate::storage::{SETTINGS_BYTES, WriteError, read_text};
 
 /// An error in a configuration.
 #[derive(Debug, Error)]
@@ -49,7 +49,7 @@ pub enum ConfigurationError {
     Unwritable(#[from] toml::ser::Error),
     /// The file could not be written.
     #[error("the settings could not be written: {0}")]
-    NotWritten(FolderError),
+    NotWritten(WriteError),
 }
 
 impl ConfigurationError {
@@ -307,7 +307,7 @@ fn parsed(text: &str, path: &Path) -> Result<Table, ConfigurationError> {
     })
 }
 
-/// What is wrong with a box, by the names of files.
+/// Describes the defect of a box, with the names of the file's entries.
 fn of_file(wrong: impl ToString) -> String {
     let wrong = wrong.to_string();
     let renamed = box_file::NAMES.iter().find_map(|(bare, name)| {

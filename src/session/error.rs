@@ -9,6 +9,7 @@ use crate::recording::RecordingError;
 use crate::rig::{Doubt, RigError};
 use crate::search::SearchError;
 use crate::simulation::PsiError;
+use crate::storage::WriteError;
 use crate::telemetry::Fault;
 
 /// The reason why a session ended early. Finished work is on disk.
@@ -90,6 +91,12 @@ pub enum SessionError {
     /// The training failed.
     #[error(transparent)]
     Training(#[from] TrainError),
+}
+
+impl From<WriteError> for SessionError {
+    fn from(error: WriteError) -> Self {
+        Self::Folder(error.into())
+    }
 }
 
 impl SessionError {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use super::SessionPaths;
-use crate::storage::{self, Disk, Hold, MachineDisk};
+use crate::storage::{Disk, Hold, MachineDisk, WriteError, write_whole};
 
 /// An error of a session's folder.
 #[derive(Debug, Error)]
@@ -199,12 +199,10 @@ pub fn put_aside(disk: &dyn Disk, recording: &Path) -> Result<(), FolderError> {
     disk.rename(recording, &aside).map_err(io(recording))
 }
 
-/// Writes a file by [`storage::write_whole`] and names it in the error.
-///
-/// # Errors
-/// The disk is full or failing; no file of that name appears.
-pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
-    storage::write_whole(disk, path, bytes).map_err(io(path))
+impl From<WriteError> for FolderError {
+    fn from(WriteError { path, source }: WriteError) -> Self {
+        Self::Io { path, source }
+    }
 }
 
 fn io(path: &Path) -> impl Fn(std::io::Error) -> FolderError {

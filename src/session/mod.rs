@@ -26,7 +26,7 @@ mod view;
 pub use configuration::ConfigurationError;
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use error::SessionError;
-pub use folder::{FolderError, SessionFolder, put_aside, write_whole};
+pub use folder::{FolderError, SessionFolder, put_aside};
 pub use header::RolloutPlan;
 pub use ledger::{
     DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger,

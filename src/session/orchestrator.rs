@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::folder::{put_aside, write_whole};
+use super::folder::put_aside;
 use super::seeds::{SeedFor, derived_seed};
 use super::{
     Candidate, DRIFT_ROLLOUTS, Drift, Entry, FolderError, Ledger, Purpose, RolloutPlan,
@@ -19,7 +19,7 @@ use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, Doubt, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::scoring::{Verdict, score, score_recording};
 use crate::search::{Observation, SearchError};
-use crate::storage::SETTINGS_BYTES;
+use crate::storage::{SETTINGS_BYTES, write_whole};
 use crate::telemetry::Ending;
 
 /// An event of a running session.

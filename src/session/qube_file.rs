@@ -7,13 +7,12 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::configuration::read;
-use super::folder::write_whole;
 use super::{ConfigurationError, PowerTest};
 use crate::control::{HomingMethod, HomingSettings};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::MotorRating;
 use crate::safety::SafetyBox;
-use crate::storage::MachineDisk;
+use crate::storage::{MachineDisk, write_whole};
 
 /// Name of the file in the working directory.
 pub const QUBE_FILE: &str = "qube.toml";

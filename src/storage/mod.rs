@@ -13,7 +13,9 @@ use std::ffi::OsString;
 use std::fmt;
 use std::fs::{File, TryLockError};
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
 
 /// The disk operations of sessions and recordings.
 ///
@@ -32,7 +34,6 @@ pub trait Disk: Send + Sync + fmt::Debug {
     ///
     /// # Errors
     /// The operating system refuses.
-    /// The operating system refused.
     fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>>;
 
     /// Opens a file for writing at its end, and creates it if it does not exist. A link is not followed.
@@ -126,11 +127,29 @@ pub fn sync_name(disk: &dyn Disk, path: &Path) -> io::Result<()> {
     }
 }
 
+/// The error of a file that could not be written.
+#[derive(Debug, Error)]
+#[error("{path}: {source}")]
+pub struct WriteError {
+    /// Path of the file.
+    pub path: PathBuf,
+    /// Cause of the failure.
+    pub source: io::Error,
+}
+
 /// Writes a file atomically: after a loss of power it is complete or absent, or the one before it.
+///
+/// The bytes first go into `NAME.unfinished` beside it. A file of that name is what an interrupted write has
+/// left, so it is replaced.
 ///
 /// # Errors
 /// The disk is full or failing; no file of that name appears.
-pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
+    write_and_rename(disk, path, bytes)
+        .map_err(|source| WriteError { path: path.to_owned(), source })
+}
+
+fn write_and_rename(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> io::Result<()> {
     let unfinished = path.with_extension("unfinished");
     let mut file = disk.create(&unfinished, true)?;
     file.write_all(bytes)?;

@@ -16,8 +16,7 @@ use crate::search::benchmark::{
     Comparison, Method, Objective, RegretCurve, TwoHumped, simple_regret,
 };
 use crate::search::{BayRnSettings, StrategyKind};
-use crate::session::write_whole;
-use crate::storage::MachineDisk;
+use crate::storage::{MachineDisk, write_whole};
 
 /// Compare the search strategies on synthetic objectives
 ///

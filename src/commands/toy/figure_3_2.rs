@@ -7,9 +7,9 @@ use crate::surrogate::{
     ProbabilityOfImprovement, UpperConfidenceBound, maximise,
 };
 
-/// Iterations: the rows.
+/// Number of iterations, one a row.
 const ROWS: usize = 4;
-/// Random samples before the first.
+/// Number of random samples before the first iteration.
 const FIRST: usize = 4;
 const GREEN: RGBColor = RGBColor(30, 130, 76);
 

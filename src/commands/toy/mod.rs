@@ -11,8 +11,7 @@ use serde_json::json;
 
 use super::exit::Failure;
 use super::output::Output;
-use crate::session::write_whole;
-use crate::storage::MachineDisk;
+use crate::storage::{MachineDisk, write_whole};
 
 /// Draw the thesis's figures 3.1 and 3.2: how the surrogate and the acquisition functions work
 ///

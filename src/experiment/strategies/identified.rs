@@ -12,9 +12,9 @@ use crate::qube::{Profile, QubeModel};
 use crate::replay::{MotionLog, MotionLogError};
 use crate::rig::RigSettings;
 use crate::session::{
-    ProfileSettings, RolloutPlan, SeedFor, SessionSettings, derived_seed, recording_in, write_whole,
+    ProfileSettings, RolloutPlan, SeedFor, SessionSettings, derived_seed, recording_in,
 };
-use crate::storage::{Disk, MachineDisk};
+use crate::storage::{Disk, MachineDisk, write_whole};
 
 /// Voltage of the excitation, V: the default of `run --excite`.
 const EXCITATION_V: f64 = 1.5;
