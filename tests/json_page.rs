@@ -2,6 +2,7 @@
 //! printed field is listed.
 
 use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -137,6 +138,37 @@ fn a_training_prints_the_fields_of_the_page() {
     let (value, code) = told(directory.path(), &["train", "--preset", "quick"]);
     assert_eq!(code, Some(0), "{value}");
     agrees("`train`", &value);
+}
+
+#[test]
+fn benchmarks_print_the_fields_of_the_page() {
+    let directory = tempfile::tempdir().unwrap();
+    for suite in ["regret", "noise"] {
+        let few = ["--repetitions", "1", "--evaluations", "2"];
+        let (value, code) = told(directory.path(), &[&["benchmark", suite], &few[..]].concat());
+        assert_eq!(code, Some(0), "{value}");
+        assert!(value[suite].as_array().is_some_and(|results| !results.is_empty()), "{value}");
+        agrees("`benchmark`", &value);
+    }
+}
+
+#[test]
+fn an_emulated_qube_prints_the_fields_of_the_page() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut serving = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+        .current_dir(directory.path())
+        .args(["emulate", "--link", "qube", "--json"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(serving.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    serving.kill().unwrap();
+    serving.wait().unwrap();
+    let value: Value = serde_json::from_str(&line).unwrap();
+    assert_eq!(value["link"], "qube", "{value}");
+    agrees("`emulate`", &value);
 }
 
 #[test]

@@ -15,6 +15,8 @@ pub struct SessionProgress {
     bar: ProgressBar,
     candidates: u32,
     updates: u32,
+    /// When this process proposed its first candidate, and that candidate's number.
+    began: Option<(Instant, u32)>,
     /// The candidates in training.
     training: BTreeMap<u32, InTraining>,
     connected: bool,
@@ -29,7 +31,7 @@ struct InTraining {
 }
 
 impl InTraining {
-    /// In words, of so many updates.
+    /// Describes the training, of which there are `updates` updates.
     fn told(&self, candidate: u32, updates: u32) -> String {
         let Self { began, updates: done, best_return } = self;
         let each = began.elapsed().checked_div(done - 1).unwrap_or_default();
@@ -50,7 +52,7 @@ impl SessionProgress {
         let searched = extent.initial_candidates + extent.iterations;
         let candidates = searched + 1 + u32::from(extent.verifies_incumbent);
         let updates = settings.training.updates;
-        Self { bar, candidates, updates, training: BTreeMap::new(), connected: false }
+        Self { bar, candidates, updates, began: None, training: BTreeMap::new(), connected: false }
     }
 
     /// Shows one event.
@@ -63,7 +65,10 @@ impl SessionProgress {
                     Purpose::Verification => "the search's recommendation, to be verified",
                     Purpose::Incumbent => "the best candidate's policy, to be verified too",
                 };
-                self.line(proposed(*candidate, self.candidates, why));
+                let (began, first) = *self.began.get_or_insert((Instant::now(), *candidate));
+                let done = candidate.saturating_sub(first);
+                let left = time_left(began.elapsed(), done, self.candidates - candidate);
+                self.line(proposed(*candidate, self.candidates, why) + &left);
             }
             SessionEvent::Training { candidate, update } => {
                 let it = self.training.entry(*candidate).or_insert_with(|| InTraining {
@@ -129,6 +134,18 @@ fn proposed(candidate: u32, candidates: u32, why: &str) -> String {
     format!("candidate {candidate} ({} of {candidates}): {why}", candidate + 1)
 }
 
+/// The time left for the whole session, from the time that the candidates done by this process took; empty
+/// before the first is done.
+fn time_left(elapsed: Duration, done: u32, to_do: u32) -> String {
+    let Some(each) = elapsed.checked_div(done) else { return String::new() };
+    let left_s = (each * to_do).as_secs();
+    if left_s < 120 {
+        format!("; about {left_s} s left in all")
+    } else {
+        format!("; about {} min left in all", left_s / 60)
+    }
+}
+
 /// A verdict in words.
 fn describe(verdict: &Verdict) -> String {
     match verdict {
@@ -153,7 +170,15 @@ mod tests {
         let settings = SessionSettings::quick();
         let progress = SessionProgress::new(&settings);
         assert_eq!(progress.candidates, 12);
-        assert_eq!(proposed(11, 12, "an answer"), "candidate 11 (12 of 12): an answer");
+        assert_eq!(proposed(11, 12, "the last"), "candidate 11 (12 of 12): the last");
+    }
+
+    #[test]
+    fn the_time_left_is_that_of_the_candidates_to_come() {
+        let seconds = Duration::from_secs;
+        assert_eq!(time_left(seconds(5), 0, 12), "", "nothing is known yet");
+        assert_eq!(time_left(seconds(30), 3, 9), "; about 90 s left in all");
+        assert_eq!(time_left(seconds(600), 2, 10), "; about 50 min left in all");
     }
 
     #[test]
