@@ -14,7 +14,7 @@ const HOSTILE_JSON: &str = "x\\u001b[2J\\u009b31m\\u001b]0;owned\\u0007\\u202egn
                             rollout 0: return  600.0  success";
 
 /// Time after which a run counts as blocked; a short training on a busy computer may take a minute.
-const PATIENCE: Duration = Duration::from_secs(300);
+const PATIENCE: Duration = Duration::from_secs(900);
 
 fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors")

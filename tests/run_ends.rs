@@ -17,7 +17,7 @@ use real_time::in_real_time;
 use serde_json::Value;
 
 /// Time that suffices on any computer that is merely busy.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(600);
 
 /// The number from which an emulated Qube's serial number follows.
 const SEED: u64 = 5;

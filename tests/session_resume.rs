@@ -7,10 +7,18 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// A session of a few seconds: six candidates, policies with one small update.
-const SMALL: &str = "seed = 5\n\
-    [extent]\ninitial_candidates = 3\niterations = 2\nrollouts = 2\nverification_rollouts = 2\n\
-    [training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
+/// Updates of the policies: a session takes a few seconds with the first number. A computer on which it ends
+/// before it can be interrupted tries the next one.
+const UPDATES: [u32; 4] = [2, 16, 128, 1024];
+
+/// A session of six candidates.
+fn small(updates: u32) -> String {
+    format!(
+        "seed = 5\n\
+         [extent]\ninitial_candidates = 3\niterations = 2\nrollouts = 2\nverification_rollouts = 2\n\
+         [training]\nupdates = {updates}\npendulums = 16\nepochs = 1\n"
+    )
+}
 
 fn session(directory: &Path, arguments: &[&str]) -> Child {
     Command::new(env!("CARGO_BIN_EXE_qube-hil"))
@@ -24,8 +32,8 @@ fn session(directory: &Path, arguments: &[&str]) -> Child {
         .expect("the program starts")
 }
 
-fn begin(directory: &Path, name: &str) -> Child {
-    std::fs::write(directory.join("small.toml"), SMALL).unwrap();
+fn begin(directory: &Path, name: &str, updates: u32) -> Child {
+    std::fs::write(directory.join("small.toml"), small(updates)).unwrap();
     session(directory, &["--config", "small.toml", "--out", name])
 }
 
@@ -49,15 +57,20 @@ fn signal(child: &Child, signal: Signal) {
 
 #[test]
 fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
+    assert!(UPDATES.into_iter().any(is_killed_and_resumed), "every session ended before a kill");
+}
+
+/// Kills a session again and again and compares its ledger; whether there was time for a kill.
+fn is_killed_and_resumed(updates: u32) -> bool {
     let directory = tempfile::tempdir().unwrap();
-    assert!(begin(directory.path(), "whole").wait().unwrap().success());
+    assert!(begin(directory.path(), "whole", updates).wait().unwrap().success());
     let whole = ledger(directory.path(), "whole");
     assert!(whole.iter().filter(|&&byte| byte == b'\n').count() >= 6 * 2 + 12);
 
     // State after a kill before the session has written its session.toml.
     std::fs::create_dir_all(directory.path().join("killed/candidates")).unwrap();
     std::fs::write(directory.path().join("killed/session.unfinished"), "seed").unwrap();
-    let mut child = begin(directory.path(), "killed");
+    let mut child = begin(directory.path(), "killed", updates);
     let mut kills = 0;
     loop {
         // The times cover all its phases.
@@ -75,28 +88,38 @@ fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
             child = if begun {
                 session(directory.path(), &["--resume", "killed"])
             } else {
-                begin(directory.path(), "killed")
+                begin(directory.path(), "killed", updates)
             };
         }
     }
-    assert!(kills > 0, "the session was over before it could be killed");
     let killed = ledger(directory.path(), "killed");
     assert_eq!(decisions(&killed), decisions(&whole));
+    kills > 0
 }
 
 #[test]
 fn signals_end_a_session_with_their_exit_code_and_it_can_be_resumed() {
-    let directory = tempfile::tempdir().unwrap();
-    for (name, kind, code) in [("int", Signal::INT, 130), ("term", Signal::TERM, 143)] {
-        let mut child = begin(directory.path(), name);
-        while ledger(directory.path(), name).is_empty() {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        signal(&child, kind);
-        assert_eq!(child.wait().unwrap().code(), Some(code));
-        let status = session(directory.path(), &["--resume", name]).wait().unwrap();
-        assert!(status.success(), "{status}");
+    for (kind, code) in [(Signal::INT, 130), (Signal::TERM, 143)] {
+        let stopped =
+            UPDATES.into_iter().any(|updates| is_stopped_and_resumed(kind, code, updates));
+        assert!(stopped, "every session ended before its signal");
     }
+}
+
+/// Sends a session this signal and resumes it; whether it was still running at the signal.
+fn is_stopped_and_resumed(kind: Signal, expected: i32, updates: u32) -> bool {
+    let directory = tempfile::tempdir().unwrap();
+    let mut child = begin(directory.path(), "stopped", updates);
+    while ledger(directory.path(), "stopped").is_empty() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended without a ledger");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    signal(&child, kind);
+    let code = child.wait().unwrap().code();
+    assert!(code == Some(expected) || code == Some(0), "{code:?}");
+    let status = session(directory.path(), &["--resume", "stopped"]).wait().unwrap();
+    assert!(status.success(), "{status}");
+    code == Some(expected)
 }
 
 /// Runs a session in this folder; returns its exit code and messages.
@@ -114,7 +137,7 @@ fn resumed(directory: &Path, name: &str) -> (Option<i32>, String) {
 #[test]
 fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     let directory = tempfile::tempdir().unwrap();
-    assert!(begin(directory.path(), "mine").wait().unwrap().success());
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
     let path = directory.path().join("mine/session.toml");
     let whole = std::fs::read_to_string(&path).unwrap();
     let other_seed = whole.replacen("seed = 0", "seed = 1", 1);
@@ -143,7 +166,7 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
 #[test]
 fn a_best_policy_that_is_lost_is_data_lost() {
     let directory = tempfile::tempdir().unwrap();
-    assert!(begin(directory.path(), "mine").wait().unwrap().success());
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
     let (_, told) = resumed(directory.path(), "mine");
     let told: serde_json::Value = serde_json::from_str(told.lines().last().unwrap()).unwrap();
     let policy = directory.path().join(told["best"]["policy"].as_str().unwrap());

@@ -237,11 +237,16 @@ fn a_port_is_opened_again_and_shows_whether_the_board_has_restarted() {
     assert!(matches!(link.reopen(), Err(DeviceError::NoSuchPort { .. } | DeviceError::Io { .. })));
     assert_eq!(link.sample(MonotonicClock.now_ns() + PATIENCE_NS), Err(LinkFault::Gone));
 
-    let restarting = qube(Some(EmulatorFault::BrownOut { after_s: 1.0 }));
-    let mut link = open(&restarting);
-    let before = link.hello().unwrap();
-    std::thread::sleep(std::time::Duration::from_millis(1100));
-    link.reopen().unwrap();
-    let after = link.hello().unwrap();
-    assert!(before.is_same_board(&after) && !before.is_same_start(&after), "{before:?} {after:?}");
+    // A busy computer may say the first hello only after the restart: then both are of one start.
+    let saw_the_restart = (0..20).any(|_| {
+        let restarting = qube(Some(EmulatorFault::BrownOut { after_s: 1.0 }));
+        let mut link = open(&restarting);
+        let before = link.hello().unwrap();
+        std::thread::sleep(Duration::from_millis(1100));
+        link.reopen().unwrap();
+        let after = link.hello().unwrap();
+        assert!(before.is_same_board(&after), "{before:?} {after:?}");
+        !before.is_same_start(&after)
+    });
+    assert!(saw_the_restart);
 }

@@ -12,18 +12,18 @@ use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
 const PERIOD: Duration = Duration::from_millis(10);
-/// Between two acts; the device's watchdog is at 50 ms.
+/// Largest time between two acts; the device's watchdog is at 50 ms.
 const TOO_SLOW: Duration = Duration::from_millis(40);
 const PATIENCE_NS: u64 = 30_000_000;
 
-/// How often a scenario is begun anew because the computer was too slow for it.
-const ATTEMPTS: u32 = 10;
+/// Attempts of a scenario, because the computer may be too slow for it.
+const ATTEMPTS: u32 = 50;
 
 /// The computer was too slow, which proves nothing.
 #[derive(Debug)]
 pub struct Disturbed;
 
-/// A board with a Qube that is greeted, armed and turns with 1 V.
+/// A board with a Qube that has been greeted; armed, it turns with 1 V.
 pub struct Host {
     pub board: SimulatedBoard,
     pub link: SerialLink<Tty>,
@@ -42,7 +42,7 @@ impl Host {
         self.link.sample(MonotonicClock.now_ns() + PATIENCE_NS)
     }
 
-    /// Samples and acts until a sample shows what is waited for.
+    /// Samples and acts until a sample satisfies the condition.
     pub fn drive_until(
         &mut self,
         mut done: impl FnMut(&Measurement) -> bool,
@@ -53,7 +53,7 @@ impl Host {
             if done(&sample) {
                 return Ok(sample);
             }
-            // What this act meets is the device's business.
+            // The device may refuse this act.
             let _ = self.link.act(Self::VOLTAGE_MV, sample.device_time_us);
             if last_act.elapsed() > TOO_SLOW {
                 return Err(Disturbed);
@@ -64,7 +64,7 @@ impl Host {
         panic!("what was waited for did not come in 2 s");
     }
 
-    /// Arms and drives for a tenth of a second.
+    /// Arms and drives for 0.1 s.
     pub fn arm_and_drive(&mut self) -> Result<(), Disturbed> {
         self.link.arm().unwrap();
         let mut ticks = 0;
@@ -76,18 +76,18 @@ impl Host {
         Ok(())
     }
 
-    /// What the Qube was told after a simulated time.
+    /// Commands that the Qube received after a simulated time.
     pub fn commands_since(&self, time_us: u64) -> Vec<Command> {
         self.board.qube().commands.iter().filter(|it| it.time_us > time_us).copied().collect()
     }
 }
 
-/// Runs a scenario on a fresh board, again and again while the computer is too slow for it.
+/// Runs a scenario on a fresh board, and repeats it while the computer is too slow.
 pub fn scenario(run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
     scenario_on(Chip::Atmega328p, run);
 }
 
-/// The same, on this chip.
+/// Runs a scenario like [`scenario`], on this chip.
 pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
     let Some(toolchain) = toolchain() else { return };
     for _ in 0..ATTEMPTS {

@@ -1,4 +1,5 @@
-//! A board that runs the firmware: the simulator's process, the Qube on its SPI, its serial port.
+//! A board that runs the firmware: the simulator's process, the Qube on its SPI, and its serial
+//! port.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
@@ -14,7 +15,7 @@ use crate::board_clock::BoardClock;
 use crate::qube::{FRAME_BYTES, Qube};
 use crate::toolchain::{Chip, Toolchain};
 
-/// One simulator at a time: two would not keep real time on a small machine.
+/// Lock: one simulator at a time, because two would not keep real time on a small machine.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 // `struct event` and `struct answer` of simulator.c.
@@ -22,15 +23,15 @@ const EVENT_BYTES: usize = 48;
 const CHIP_SELECT_FALLS: u8 = b'L';
 const GO_ON: u8 = 0;
 
-/// What can be done to a board; numbered as in simulator.c.
+/// An action on a board, numbered as in simulator.c.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Order {
     /// The main loop hangs; interrupts go on.
     Hang = 1,
-    /// The chip starts anew.
+    /// The chip restarts.
     Restart = 2,
-    /// The chip starts anew after a dip of its supply, 65 ms later.
+    /// The chip restarts after a dip of its supply, 65 ms later.
     BrownOut = 3,
     /// The board has no supply any more.
     PowerLoss = 4,
@@ -40,8 +41,8 @@ pub enum Order {
     OpenStop = 6,
 }
 
-/// How long to wait for simulated time to pass, however busy the computer is.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Limit for waiting for simulated time, which no busy computer reaches.
+const PATIENCE: Duration = Duration::from_secs(300);
 
 #[derive(Default)]
 struct Shared {
@@ -61,12 +62,12 @@ pub struct SimulatedBoard {
 }
 
 impl SimulatedBoard {
-    /// Switches a board on. It has a Qube on its SPI.
+    /// Starts a board with a Qube on its SPI.
     pub fn start(toolchain: &Toolchain, chip: Chip, qube: Qube) -> Self {
         Self::start_with_memory(toolchain, chip, qube, 0)
     }
 
-    /// The same, with the memory's content at power-on chosen by a seed.
+    /// Starts a board with memory content at power-on that depends on a seed.
     pub fn start_with_memory(
         toolchain: &Toolchain,
         chip: Chip,
@@ -76,7 +77,7 @@ impl SimulatedBoard {
         Self::start_elf(toolchain, &toolchain.elf(chip), chip, qube, memory_seed)
     }
 
-    /// The same, with another program than the one that is flashed as documented.
+    /// Starts a board with another program than the documented one.
     pub fn start_elf(
         toolchain: &Toolchain,
         elf: &Path,
@@ -102,7 +103,8 @@ impl SimulatedBoard {
         let shared = Arc::<Shared>::default();
         let (peers_qube, peers_shared) = (Arc::clone(&qube), Arc::clone(&shared));
         let peer = std::thread::spawn(move || {
-            // It stands for a machine. Where this is refused, time is given up more often.
+            // The thread stands for a machine. Without real-time priority it loses its processor
+            // more often.
             let _ = enter_realtime();
             serve(events, answers, &peers_qube, &peers_shared);
         });
@@ -114,7 +116,7 @@ impl SimulatedBoard {
         &self.port
     }
 
-    /// The Qube, while the board waits for it.
+    /// Access to the Qube, while the board waits for it.
     pub fn qube(&self) -> MutexGuard<'_, Qube> {
         self.qube.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -124,23 +126,23 @@ impl SimulatedBoard {
         self.shared.time_us.load(Ordering::Relaxed)
     }
 
-    /// The board's own time, for a host that is never late for it.
+    /// The board's own time, for a host that is never late.
     pub fn clock(&self) -> BoardClock {
         let shared = Arc::clone(&self.shared);
         BoardClock::new(move || shared.time_us.load(Ordering::Relaxed))
     }
 
-    /// Real time that the simulation could not follow, because the computer was busy.
+    /// Real time that the simulation lost because the computer was busy.
     pub fn given_up_us(&self) -> u64 {
         self.shared.given_up_us.load(Ordering::Relaxed)
     }
 
-    /// Bytes from the host that came faster than the program fetched them.
+    /// Number of bytes from the host that came faster than the program read them.
     pub fn lost_bytes(&self) -> u64 {
         self.shared.lost_bytes.load(Ordering::Relaxed)
     }
 
-    /// Does something to the board at its next frame.
+    /// Applies an action to the board at its next frame.
     pub fn order(&self, order: Order) {
         self.shared.order.store(order as u8, Ordering::Relaxed);
     }
@@ -153,7 +155,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// Lets simulated time pass.
+    /// Waits for simulated time to pass.
     pub fn wait_us(&self, duration_us: u64) {
         let end_us = self.time_us() + duration_us;
         let begin = Instant::now();
@@ -174,7 +176,7 @@ impl SimulatedBoard {
 
 impl Drop for SimulatedBoard {
     fn drop(&mut self) {
-        // Also where it ended by itself: there is nothing more to be done about it then.
+        // It may have ended by itself.
         let _ = self.simulator.kill();
         let _ = self.simulator.wait();
         if let Some(peer) = self.peer.take() {
