@@ -1,10 +1,10 @@
-//! What the guard costs a tick while a policy has the motor: the prediction of the brake for 64 Qubes, and on
-//! an identified Qube the comparison of each sample with its particles.
+//! Time that the guard adds to a tick while a policy runs: the prediction of the brake for 64
+//! Qubes, and on an identified Qube the comparison of each sample with its particles.
 //!
-//! `cargo bench --bench foresight`; pin it to one core for figures to compare. The rollouts are those of
-//! the shipped policy `robust` on `lab`. For each belief and instruction set: mean, 99th percentile and
-//! maximum of single ticks over fifty rollouts, each tick's shortest time of five; and by criterion a whole
-//! rollout.
+//! `cargo bench --bench foresight`; pin it to one core for comparable figures. The rollouts are
+//! those of the shipped policy `robust` on `lab`. For each belief and instruction set it prints
+//! mean, 99th percentile and maximum of single ticks over fifty rollouts, each tick's shortest time
+//! of five; criterion measures whole rollouts.
 
 use std::path::Path;
 use std::time::Instant;
@@ -63,7 +63,7 @@ fn rollout(model: &QubeModel, seed: u64) -> Vec<Tick> {
     ticks
 }
 
-/// The guard's part of a tick.
+/// Runs the guard's part of a tick.
 fn guard(foresight: &mut TrustedForesight, index: usize, tick: &Tick) -> bool {
     let time_us = 10_000 * index as u64;
     let unpredicted = foresight.is_contradicted(&tick.state, time_us, &tick.sent_v);
@@ -71,7 +71,7 @@ fn guard(foresight: &mut TrustedForesight, index: usize, tick: &Tick) -> bool {
     unpredicted | too_late.is_some()
 }
 
-/// Each tick's shortest time of some, us, and how many ticks end the rollout.
+/// Shortest time of several for each tick, us, and the number of ticks that end the rollout.
 fn times_us(fresh: &TrustedForesight, ticks: &[Tick]) -> (Vec<f64>, usize) {
     let mut shortest_us = vec![f64::INFINITY; ticks.len()];
     let mut ending = 0;

@@ -1,6 +1,6 @@
-//! Time of one inference of a deployed policy: the part of the tick that the network takes.
+//! Time of one inference of a deployed policy, which is the network's part of a tick.
 //!
-//! `cargo bench --bench inference`; pin it to one core for figures to compare.
+//! `cargo bench --bench inference`; pin it to one core for comparable figures.
 
 use std::hint::black_box;
 

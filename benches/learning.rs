@@ -1,7 +1,7 @@
-//! Time of the parts of a training: gradient step of both nets, collection of a batch, evaluation,
-//! whole update.
+//! Time of the parts of a training: gradient step of both networks, collection of a batch,
+//! evaluation, and a whole update.
 //!
-//! `cargo bench --bench learning`; pin it to one core for figures to compare.
+//! `cargo bench --bench learning`; pin it to one core for comparable figures.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use qube_hil::elementary::Level;

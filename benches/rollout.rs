@@ -1,6 +1,7 @@
-//! A whole rollout in virtual time over the in-process wire: settling, 6 s of policy, braking.
+//! Time of a whole rollout in virtual time over the in-process wire: settling, 6 s of policy,
+//! braking.
 //!
-//! Real time is 6 s and more, so 30 ms a rollout is 200 times faster than real time.
+//! In real time it takes more than 6 s, so 30 ms are 200 times faster.
 
 use std::sync::atomic::AtomicBool;
 

@@ -1,7 +1,7 @@
-//! Control steps per second of the randomised simulation, with reward, observation and box; and of
+//! Control steps per second of the randomised simulation, with reward, observation and box, and of
 //! the bare lanes with friction, dead zones, cable and delays, 64 of them over 50 periods.
 //!
-//! `cargo bench --bench simulation`; pin it to one core for figures to compare.
+//! `cargo bench --bench simulation`; pin it to one core for comparable figures.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use qube_hil::elementary::{Level, dispatch_at};
@@ -11,8 +11,8 @@ use qube_hil::simulation::{
     DomainDistribution, Family, LaneStatus, Pendulums, SensorModel, SimulationSettings, Trajectory,
 };
 
-/// Many swing-ups' worth of states: voltages alternate slowly, so that the pendulums keep moving
-/// inside the box, and what leaves it starts again.
+/// Many steps of swing-ups: voltages alternate slowly, so that the pendulums keep moving inside the
+/// box; a pendulum that leaves it starts again.
 fn control_steps(criterion: &mut Criterion) {
     let encoders = SensorModel::Encoders { estimator: EstimatorSettings::default() };
     let handcrafted = DomainDistribution::handcrafted(Family::Normal);
@@ -72,7 +72,7 @@ fn bench_level(
     });
 }
 
-/// Half a second of 64 Qubes, no two of them alike: what a guard that simulates its brake has to do.
+/// Half a second of 64 different Qubes, the work of a guard that simulates its brake.
 fn qube_lanes(criterion: &mut Criterion) {
     const PERIODS: usize = 50;
     let blocks = 64 / BLOCK;

@@ -1,7 +1,7 @@
-//! What the next candidate costs: fitting the surrogate and maximising the acquisition.
+//! Time of the next candidate: fitting the surrogate and maximising the acquisition function.
 //!
-//! `cargo bench --bench surrogate`, pinned to one core (`taskset -c 1`) where ratios matter. The
-//! data are those of a synthetic return over eight dimensions with noise.
+//! `cargo bench --bench surrogate`; pin it to one core (`taskset -c 1`) to compare ratios. The data
+//! are noisy samples of a synthetic return over eight dimensions.
 
 use std::hint::black_box;
 
@@ -14,7 +14,7 @@ use qube_hil::surrogate::{
 
 const DIMENSIONS: usize = 8;
 
-/// A return-like hump over the unit cube with noise of standard deviation 15.
+/// A return-like hump over the unit cube, with noise of standard deviation 15.
 fn data(n: usize) -> Dataset {
     let search_box = SearchBox::unit(DIMENSIONS).expect("eight dimensions");
     let centre = [0.3, 0.6, 0.5, 0.4, 0.7, 0.2, 0.5, 0.5];
@@ -32,7 +32,7 @@ fn data(n: usize) -> Dataset {
     Dataset::new(&search_box, &points, &values, None).expect("finite values inside the box")
 }
 
-/// What BoTorch is timed with: gamma priors, a constant mean.
+/// The set-up with which BoTorch is timed: gamma priors, a constant mean.
 fn settings() -> FitSettings {
     FitSettings { mean: MeanFunction::Constant, priors: PriorSet::Gamma, ..FitSettings::default() }
 }

@@ -1,4 +1,4 @@
-//! How fast the wire is: a tick in virtual time, a round trip on a pty, the codec alone.
+//! Speed of the wire: a tick in virtual time, a round trip on a pty, and the codec alone.
 
 use std::hint::black_box;
 use std::sync::Arc;

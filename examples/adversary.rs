@@ -1,4 +1,4 @@
-//! Searches the worst adversary of the guard: `scripts/adversary` runs it over 10^6 episodes.
+//! Searches for the worst adversary of the guard; `scripts/adversary` runs it over 10^6 episodes.
 //!
 //! `cargo run --release --example adversary -- SEARCHES [SPREAD [DELAY_MS [CORNER [foresight|box [FIRST]]]]]`
 
@@ -10,7 +10,7 @@ use adversary::search::{Worst, search};
 use qube_hil::qube::HARD_STOP_RAD;
 use qube_hil::safety::SafetyBox;
 
-/// Generations of one search.
+/// Generations of a search.
 const GENERATIONS: u32 = 25;
 
 fn main() {

@@ -1,5 +1,5 @@
-//! On how many Qubes within 30 % of a nominal one the brake brings the arm to rest, with and without losing
-//! gain where it rings.
+//! Counts the Qubes within 30 % of the nominal one that the brake brings to rest, with and without
+//! a loss of gain when it rings.
 //!
 //! `cargo run --release --example braked_qubes -- 5000`. Every second Qube has a strong motor and a light arm.
 
@@ -15,27 +15,27 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// Control periods for which a brake is watched: 10 s.
+/// Control periods for which a brake is observed: 10 s.
 const PERIODS: usize = 1000;
 
-/// An arm that moves over no more than this for the last 0.6 s is at rest, rad.
+/// Largest motion of an arm at rest over the last 0.6 s, rad.
 const REST_RANGE_RAD: f64 = 0.05;
 
 const REST_PERIODS: usize = 60;
 
-/// A Qube, and where its brake begins.
+/// A Qube, and the state in which its brake begins.
 struct Case {
     model: QubeModel,
     start: State,
-    /// How far off its place the arm's zero is, rad.
+    /// Error of the arm's zero, rad.
     zero_rad: f64,
-    /// From a sample to its voltage, without the Qube's own delay, ms.
+    /// Delay from a sample to its voltage, without the Qube's own delay, ms.
     computing_ms: usize,
 }
 
 /// How a brake ended.
 enum Braked {
-    /// At rest after so many periods.
+    /// At rest after this many periods.
     AtRest(usize),
     StillMoving,
     HitStop,
@@ -76,7 +76,7 @@ impl Case {
         Self { model, start, zero_rad, computing_ms }
     }
 
-    /// What comes of the brake within so many periods.
+    /// Simulates the brake for this many periods.
     fn braked(&self, mut brake: Brake, periods: usize) -> Braked {
         let dynamics = NonidealDynamics::new(&self.model);
         let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);

@@ -1,5 +1,5 @@
-//! What each estimator costs in lag and noise, and which policies it carries over to a Qube that is
-//! not the one they were trained on: the tables of docs/estimation.md.
+//! Measures lag and noise of each estimator, and the policies that it transfers to a Qube other
+//! than the one they were trained on: the tables of docs/estimation.md.
 //!
 //! ```text
 //! cargo run --release --example estimator_study -- errors POLICY [NOISE ...]
@@ -7,9 +7,9 @@
 //! cargo run --release --example estimator_study -- plants POLICY ...
 //! ```
 //!
-//! `errors`: the policy, shown the true state, swings up the Qube of profiles/lab.toml; every
-//! estimator watches the same samples and commands. `delays` and `plants`: each policy, shown what
-//! each estimator makes of the samples, drives the emulated Qube over its wire in virtual time.
+//! `errors`: the policy, with access to the true state, swings up the Qube of profiles/lab.toml;
+//! every estimator gets the same samples and commands. `delays` and `plants`: each policy, with
+//! each estimator, drives the emulated Qube over its wire in virtual time.
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -40,7 +40,7 @@ const ROLLOUTS: u64 = 5;
 /// Qubes around the profile, each parameter within a tenth of it.
 const PLANTS: u64 = 20;
 
-/// A control period in the grid of true states.
+/// Steps of the grid of true states in a control period.
 const GRID: usize = 20;
 const GRID_US: u64 = 500;
 
@@ -70,7 +70,7 @@ fn all(paths: &[String]) -> anyhow::Result<Vec<Policy>> {
     paths.iter().map(|path| load(path)).collect()
 }
 
-/// The estimators that are compared on a Qube with this delay.
+/// The estimators to compare on a Qube with this delay.
 fn estimators(lab: &QubeModel, delay_s: f64) -> Vec<(String, EstimatorSettings)> {
     let observer = |model: &QubeModel, delay_s: f64| {
         EstimatorSettings::observer(ObserverSettings::of(*model).with_delay(delay_s.max(0.0)))
@@ -97,7 +97,7 @@ struct SwingUp {
     truth: Vec<State>,
 }
 
-/// The policy, shown the true state at the instant at which its command will act, on this Qube.
+/// Runs the policy on this Qube, with the true state at the instant at which its command acts.
 fn swing_up(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
     let (dynamics, mut policy) = (NonidealDynamics::<f64>::new(model), policy.clone());
     policy.start();
@@ -137,7 +137,7 @@ fn swing_up(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
     swing_up
 }
 
-/// What an estimator shows at each sample of a swing-up.
+/// The estimates at each sample of a swing-up.
 fn watch(swing_up: &SwingUp, settings: EstimatorSettings) -> (Vec<State>, u32) {
     let mut estimator = Estimator::new(settings, Calibration::IDENTITY);
     let seen = swing_up
@@ -154,11 +154,11 @@ fn watch(swing_up: &SwingUp, settings: EstimatorSettings) -> (Vec<State>, u32) {
 
 /// Errors of one velocity over all swing-ups.
 struct Errors {
-    /// Against the truth when the command acts, root mean square, rad/s.
+    /// Root mean square error against the true value when the command acts, rad/s.
     at_command: f64,
-    /// By how much the estimate trails that instant, ms.
+    /// Lag of the estimate behind that instant, ms.
     lag_ms: f64,
-    /// What is left when it is shifted by that, root mean square, rad/s.
+    /// Root mean square error that remains after a shift by the lag, rad/s.
     noise: f64,
 }
 
@@ -168,7 +168,7 @@ fn velocity_errors(
     velocity: fn(&State) -> f64,
 ) -> Errors {
     let delay = (delay_s * 1e6 / GRID_US as f64).round() as isize;
-    // The estimates against the truth so many steps of the grid after their samples.
+    // The true values this many steps of the grid after the samples.
     let off = |shift: isize| {
         let (mut sum, mut count) = (0.0, 0.0);
         for (swing_up, seen) in rides {
@@ -237,7 +237,7 @@ fn errors(lab: &QubeModel, policy: &Policy, noises: &[f64]) {
 
 // --- transfer ---
 
-/// What rollouts came to.
+/// The results of rollouts.
 #[derive(Default)]
 struct Tally {
     rollouts: u32,
@@ -257,7 +257,7 @@ impl Tally {
         )
     }
 
-    /// One rollout on the emulated Qube, homed before, within the box alone.
+    /// Runs one rollout on the emulated Qube after homing, within the box alone.
     fn add(&mut self, model: &QubeModel, estimator: EstimatorSettings, policy: &Policy, seed: u64) {
         let clock = VirtualClock::default();
         let emulator = EmulatorSettings { model: *model, seed, ..EmulatorSettings::default() };
@@ -293,7 +293,7 @@ impl Tally {
         self.astray += report.outcome.observer_resets;
     }
 
-    /// One rollout of a policy that is shown the true state at the instant of its command.
+    /// Runs one rollout of a policy with the true state at the instant of its command.
     fn add_exact(&mut self, model: &QubeModel, policy: &Policy, seed: u64) {
         let theta = 0.1 * (seed as f64).sin();
         let ride = swing_up(model, policy, State { theta, ..State::default() });
@@ -353,13 +353,13 @@ fn plants(lab: &QubeModel, policies: &[Policy]) {
 /// Qubes whose rollouts are counted together.
 struct Column {
     plants: Vec<QubeModel>,
-    /// Of each policy on each Qube.
+    /// Rollouts of each policy on each Qube.
     rollouts: u64,
-    /// What the estimators take for their delay.
+    /// Delay that the estimators assume.
     delay_s: f64,
 }
 
-/// One row for each estimator, and one for policies that are shown the true state.
+/// Prints one row for each estimator, and one for policies with the true state.
 fn transfer(lab: &QubeModel, columns: &[Column], policies: &[Policy]) {
     let cells = |rollout: &dyn Fn(&mut Tally, &QubeModel, f64, &Policy, u64)| {
         let cells: Vec<String> = columns

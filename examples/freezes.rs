@@ -1,8 +1,8 @@
-//! How soon an arm's encoder that freezes in a rollout is found, and what the zero is worth where it is
-//! not: `cargo run --release --example freezes -- SEEDS [FIRST_SEED]`.
+//! Measures how soon a frozen arm encoder is found during a rollout, and the error of the zero if
+//! it is not: `cargo run --release --example freezes -- SEEDS [FIRST_SEED]`.
 //!
-//! Each rollout is frozen at an instant at which the policy has the motor: for good, its tachometer at 0
-//! or at its last value, or for 500 ms in which counts are lost.
+//! In each rollout the encoder freezes while the policy runs: for good, with its tachometer at 0 or
+//! at its last value, or for 500 ms in which counts are lost.
 
 #[path = "../tests/harmless/freezes.rs"]
 #[allow(dead_code)] // The test and the example read different parts of it.
@@ -15,7 +15,7 @@ use freezes::{Freeze, KINDS, freezes, policies, qubes};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::telemetry::Ending;
 
-/// Median, 90 % and longest.
+/// Median, 90 % quantile and maximum.
 fn quantiles(found_ms: &mut [f64]) -> String {
     found_ms.sort_by(f64::total_cmp);
     let last = found_ms.len().saturating_sub(1) as f64;

@@ -1,8 +1,8 @@
-//! Starts with one thing wrong each, and how fast the arm met a stop: `scripts/harmless-homing` plays
-//! 10^4 of them.
+//! Runs starts with one fault each and prints the arm's speed at its stops;
+//! `scripts/harmless-homing` runs 10^4 of them.
 //!
-//! `cargo run --release --example harmless_homing -- SEEDS [FIRST_SEED [list [CASES]]]` plays each case with
-//! so many seeds.
+//! `cargo run --release --example harmless_homing -- SEEDS [FIRST_SEED [list [CASES]]]` runs each
+//! case with this many seeds.
 
 #[path = "../tests/harmless/mod.rs"]
 mod harmless;

@@ -1,5 +1,4 @@
-//! Trains one policy for each of many seeds and prints what they earn: the tables of
-//! docs/learning.md.
+//! Trains one policy for each of many seeds and prints the returns: the tables of docs/learning.md.
 //!
 //! ```text
 //! cargo run --release --example learning_study -- MODEL PRESET SEEDS [SETTING=VALUE ...]
@@ -8,9 +7,10 @@
 //! cargo run --release --example learning_study -- specialists quick 60
 //! ```
 //!
-//! SEEDS is a number, or a range as `5..10`. MODEL is `nominal`, `handcrafted`, or `specialists`: for each seed one Qube drawn from
-//! `handcrafted`, and a policy trained for it alone. What no specialist earns, no policy for all
-//! of them can. PRESET is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`.
+//! SEEDS is a number, or a range such as `5..10`. MODEL is `nominal`, `handcrafted`, or
+//! `specialists`: for each seed one Qube drawn from `handcrafted`, with a policy trained for it
+//! alone. A return that no specialist reaches is out of reach for a policy for all of them. PRESET
+//! is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`.
 
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -19,7 +19,7 @@ use qube_hil::learning::{TrainSettings, evaluate_afresh, train};
 use qube_hil::policy::Network;
 use qube_hil::simulation::{DomainDistribution, Family, Trajectory};
 
-/// Starts of the evaluation after training, all of them new to the policy.
+/// New starts of the evaluation after training.
 const FRESH_STARTS: usize = 1000;
 /// Seed of those starts, and of the Qubes of `specialists`.
 const FRESH_SEED: u64 = 1_000_003;
@@ -90,7 +90,8 @@ fn one_of_handcrafted(number: u64) -> DomainDistribution {
     DomainDistribution::constant(&Trajectory::draw(&handcrafted, FRESH_SEED, number).model)
 }
 
-/// What one training gave. Both returns are fresh: evaluations during training flatter the best.
+/// The result of one training. Both returns come from new starts, because evaluations during
+/// training favour the best.
 struct Row {
     fresh: f64,
     fresh_final: f64,

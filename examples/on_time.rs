@@ -1,5 +1,5 @@
-//! Wakes up 100 times a second, as the control thread does, with or without each of the things that
-//! may help a thread to be on time, and prints how late it was: one JSON object, microseconds.
+//! Wakes up 100 times a second like the control thread, with or without each of the measures for
+//! punctuality, and prints the lateness as one JSON object, microseconds.
 //!
 //! `scripts/on-time` runs it beside cyclictest.
 

@@ -1,9 +1,9 @@
-//! How near its stop an adversary brings the arm of a Qube that foresight guards, who knows the promise of
-//! foresight and nothing of how it is kept.
+//! Measures how close an adversary that knows only the promise of foresight, not its
+//! implementation, brings the arm of a guarded Qube to its stop.
 //!
-//! `cargo run --release --example strangers_adversary -- --searches 20 --first 1 --optimiser both --belief
-//! unknown --out FILE`. Each search that is done is a line of FILE; those that are there are not made again.
-//! With `--show SEED` the farthest episode of that seed in FILE is told tick by tick.
+//! `cargo run --release --example strangers_adversary -- --searches 20 --first 1 --optimiser both
+//! --belief unknown --out FILE`. Each finished search is a line of FILE and is not repeated.
+//! `--show SEED` prints the farthest episode of that seed in FILE tick by tick.
 
 #[path = "../tests/stranger/mod.rs"]
 mod stranger;
@@ -118,7 +118,7 @@ fn is_of(record: &SearchRecord, hunt: &Hunt) -> bool {
     scenario.seed == hunt.seed && scenario.known == hunt.known && record.method == hunt.method
 }
 
-/// The searches of a file; a line that was cut off is none.
+/// The searches of a file; a truncated line is skipped.
 fn read(path: &PathBuf) -> anyhow::Result<Vec<SearchRecord>> {
     if !path.exists() {
         return Ok(Vec::new());
@@ -127,7 +127,7 @@ fn read(path: &PathBuf) -> anyhow::Result<Vec<SearchRecord>> {
     Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
 }
 
-/// Tells what is kept of a search: its farthest episode, then one for each false fault.
+/// Prints the stored episodes of a search: its farthest, then one for each false fault.
 fn tell(hunt: &Hunt, record: &SearchRecord) {
     let faults = record.kept_faults.values();
     for found in record.farthest.iter().chain(faults) {

@@ -1,8 +1,8 @@
-//! What is done with bytes of any origin. Run by the fuzzer on what it makes up, and by
-//! `tests/fuzz_corpus.rs` on the corpus.
+//! The bodies of the fuzz targets, which process bytes of any origin. The fuzzer runs them on
+//! generated input and `tests/fuzz_corpus.rs` on the corpus.
 //!
-//! Each body takes the bytes as they are, or, where their first byte says so, puts the checksums
-//! right first: behind a checksum that does not fit a fuzzer never sees anything.
+//! Depending on its first byte, a body takes the bytes as they are or corrects their checksums
+//! first: behind a wrong checksum a fuzzer reaches nothing.
 #![allow(dead_code)]
 
 use std::io::Write;
@@ -19,7 +19,7 @@ use qube_hil::session::{Extent, SessionSettings, next_step, parse_ledger};
 
 const CRC_32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Frames for a device, frames for a host, and what is neither.
+/// Decodes frames for a device, frames for a host, and other bytes.
 pub fn wire(bytes: &[u8]) {
     let Some((&mode, bytes)) = bytes.split_first() else { return };
     match mode % 4 {
@@ -33,7 +33,7 @@ pub fn wire(bytes: &[u8]) {
     }
 }
 
-/// A frame that is taken is the one that its content makes.
+/// A frame that is accepted equals the one built from its content.
 fn decode(bytes: &[u8]) {
     let mut decoder = Decoder::new();
     for &byte in bytes {
@@ -54,7 +54,7 @@ fn decode(bytes: &[u8]) {
     }
 }
 
-/// Pieces of the bytes as the contents of valid frames: the first byte of each says how long it is.
+/// Splits the bytes into contents of valid frames; the first byte of each is its length.
 fn with_checksums(mut bytes: &[u8]) -> impl Iterator<Item = u8> + '_ {
     let mut frames = Vec::new();
     while let [length, message_type, low, high, rest @ ..] = bytes {
@@ -66,7 +66,7 @@ fn with_checksums(mut bytes: &[u8]) -> impl Iterator<Item = u8> + '_ {
     frames.into_iter()
 }
 
-/// Whatever a device hears, its amplifier is on for no more than the watchdog allows and never at
+/// Whatever a device receives, its amplifier is on no longer than the watchdog allows and never at
 /// more than 5 V.
 fn to_board(bytes: impl Iterator<Item = u8>) {
     let mut board = Board::new(EmulatorSettings::default());
@@ -84,7 +84,7 @@ fn to_board(bytes: impl Iterator<Item = u8>) {
     }
 }
 
-/// A port that says the bytes to whatever it is asked.
+/// A port that answers every request with these bytes.
 struct Chatter<'a> {
     bytes: &'a [u8],
     clock: VirtualClock,
@@ -113,7 +113,7 @@ impl Transport for Chatter<'_> {
     }
 }
 
-/// Whatever a port says, the host neither panics nor waits longer than it is told.
+/// Whatever a port sends, the host does not panic and waits no longer than told.
 fn to_host(bytes: &[u8]) {
     let clock = VirtualClock::default();
     let chatter = Chatter { bytes, clock: clock.clone() };
@@ -127,7 +127,7 @@ fn to_host(bytes: &[u8]) {
     let _ = link.disarm();
 }
 
-/// A policy that is taken comes back the same, and decides without a panic.
+/// A policy that is accepted survives a round trip and decides without a panic.
 pub fn policy(bytes: &[u8]) {
     let Ok(mut policy) = Policy::from_bytes(bytes) else { return };
     let again = policy.to_bytes();
@@ -141,7 +141,7 @@ pub fn policy(bytes: &[u8]) {
     }
 }
 
-/// A recording that is read has no more in it than a rollout can have.
+/// A recording that is accepted has no more ticks than a rollout can have.
 pub fn recording(bytes: &[u8]) {
     let Some((&mode, rest)) = bytes.split_first() else { return };
     let parsed = match mode {
@@ -162,7 +162,7 @@ pub fn recording(bytes: &[u8]) {
     }
 }
 
-/// The beginning of a real recording (header, policy, channels), and one record more.
+/// The beginning of a real recording (header, policy, channels), followed by one record.
 fn begun(opcode: u8, body: &[u8]) -> Vec<u8> {
     const BEGUN: &[u8] = include_bytes!("begun.mcap");
     let mut bytes = BEGUN.to_vec();
@@ -186,7 +186,7 @@ fn block(content: &[u8]) -> Vec<u8> {
     chunk
 }
 
-/// A configuration that is taken can be written and read back the same.
+/// A configuration that is accepted survives a round trip.
 pub fn configuration(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let path = Path::new("session.toml");
@@ -197,7 +197,7 @@ pub fn configuration(bytes: &[u8]) {
     }
 }
 
-/// A ledger that is taken tells a story that can go on.
+/// A ledger that is accepted describes a session that can continue.
 pub fn ledger(bytes: &[u8]) {
     let Some((&mode, rest)) = bytes.split_first() else { return };
     let mut text = Vec::new();

@@ -2,23 +2,23 @@ use core::fmt;
 
 use crc::{CRC_16_IBM_SDLC, Crc};
 
-/// Largest payload of any message: the sample reply's.
+/// Largest payload of a message, that of the sample reply.
 pub const MAX_PAYLOAD_BYTES: usize = 25;
 
-/// Type and sequence number before the payload.
+/// Size of type and sequence number before the payload.
 const HEADER_BYTES: usize = 3;
 const CRC_BYTES: usize = 2;
 const MAX_BODY_BYTES: usize = HEADER_BYTES + MAX_PAYLOAD_BYTES + CRC_BYTES;
-/// COBS adds one byte to anything this short.
+/// Bytes that COBS adds to a frame of this length.
 const MAX_ENCODED_BYTES: usize = MAX_BODY_BYTES + 1;
 
-/// Largest frame on the wire, its closing 0x00 included: 32 bytes, 640 microseconds.
+/// Largest frame on the wire with its closing 0x00: 32 bytes, 640 microseconds.
 pub const MAX_FRAME_BYTES: usize = MAX_ENCODED_BYTES + 1;
 
 const DELIMITER: u8 = 0;
 const CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_SDLC);
 
-/// One valid frame, not yet taken apart into a message.
+/// A valid frame whose message has not been parsed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame {
     /// The message's type.
@@ -30,7 +30,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The bytes between sequence number and checksum.
+    /// The payload: the bytes between sequence number and checksum.
     #[must_use]
     pub fn payload(&self) -> &[u8] {
         &self.payload[..self.payload_length]
@@ -51,8 +51,8 @@ impl EncodedFrame {
         &self.bytes[..self.length]
     }
 
-    /// Encodes any type and payload, also such as no message has, which is how other speakers are
-    /// tested. What is beyond [`MAX_PAYLOAD_BYTES`] is cut off.
+    /// Encodes any type and payload, even those that no message has, to test other implementations.
+    /// Payload beyond [`MAX_PAYLOAD_BYTES`] is dropped.
     #[must_use]
     pub fn new(message_type: u8, sequence: u16, payload: &[u8]) -> Self {
         let payload = &payload[..payload.len().min(MAX_PAYLOAD_BYTES)];
@@ -81,18 +81,20 @@ impl fmt::Debug for EncodedFrame {
     }
 }
 
-/// Why bytes between two delimiters are no frame. Each is dropped in silence and counted.
+/// The reason why bytes between two delimiters are not a frame. Each is dropped in silence and
+/// counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
-    /// More bytes than the largest frame has.
+    /// There are more bytes than in the largest frame.
     TooLong,
-    /// No COBS, or fewer bytes than the smallest frame has.
+    /// They are not COBS, or fewer bytes than in the smallest frame.
     Garbled,
     /// The checksum differs.
     Checksum,
 }
 
-/// Cuts a stream of bytes into frames. Fed byte by byte, does no I/O; any bytes are safe.
+/// Splits a stream of bytes into frames. It is fed byte by byte, does no I/O, and accepts any
+/// bytes.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     buffer: [u8; MAX_ENCODED_BYTES],
@@ -107,13 +109,13 @@ impl Default for Decoder {
 }
 
 impl Decoder {
-    /// A decoder between two frames.
+    /// A decoder at the beginning of a frame.
     #[must_use]
     pub const fn new() -> Self {
         Self { buffer: [0; MAX_ENCODED_BYTES], length: 0 }
     }
 
-    /// Takes one byte. At a delimiter it returns what stood before it; an empty frame is nothing.
+    /// Takes one byte. At a delimiter it returns the frame before it; an empty frame gives nothing.
     pub fn push(&mut self, byte: u8) -> Option<Result<Frame, FrameError>> {
         if byte != DELIMITER {
             if let Some(place) = self.buffer.get_mut(self.length) {
@@ -130,7 +132,7 @@ impl Decoder {
         }
     }
 
-    /// Forgets a frame that has begun.
+    /// Drops a partial frame.
     pub fn reset(&mut self) {
         self.length = 0;
     }

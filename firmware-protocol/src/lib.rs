@@ -1,9 +1,9 @@
 //! The wire between a computer and the microcontroller at a Quanser Qube: messages, framing,
 //! scaling, version.
 //!
-//! Why it exists: host and emulator share nothing but this crate, and the microcontroller's
-//! program is written against the same `PROTOCOL.md` and `golden.txt`. It does no I/O, keeps no
-//! clock, allocates nothing and imports nothing of the project.
+//! Host and emulator share only this crate, and the microcontroller's program is written against
+//! the same `PROTOCOL.md` and `golden.txt`. The crate does no I/O, keeps no clock, allocates
+//! nothing and imports nothing of the project.
 //!
 //! ```
 //! use firmware_protocol::{Decoder, Request};
@@ -38,5 +38,5 @@ pub use timing::{
 /// The version of this protocol. Raised whenever anything in `PROTOCOL.md` changes meaning.
 pub const PROTOCOL_VERSION: u16 = 2;
 
-/// What a Qube's first two SPI bytes say; anything else is no Qube.
+/// Module id of a Qube in its first two SPI bytes; any other value means that there is no Qube.
 pub const QUBE_MODULE_ID: u16 = 0x0309;

@@ -9,45 +9,47 @@ const SAMPLE_REPLY: u8 = 0x83;
 const DISARM_REPLY: u8 = 0x85;
 const REFUSAL: u8 = 0x8F;
 
-/// What the device sends. Each carries the sequence number of the request that it answers.
+/// A message of the device. It carries the sequence number of the request that it answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
-    /// To a hello.
+    /// Answer to a hello.
     Hello(HelloReply),
-    /// To an arm that was accepted.
+    /// Answer to an accepted arm.
     Arm {
-        /// When the watchdog began to count, by the device's clock, microseconds.
+        /// Time at which the watchdog began to count, by the device's clock, microseconds.
         device_time_us: u32,
     },
-    /// To a sample.
+    /// Answer to a sample request.
     Sample(SampleReply),
-    /// To a disarm.
+    /// Answer to a disarm.
     Disarm(DisarmReply),
-    /// To a request that was not carried out.
+    /// Answer to a request that was not carried out.
     Refusal {
-        /// Type of the request.
+        /// Type of that request.
         refused_type: u8,
-        /// Why.
+        /// Reason.
         reason: RefusalReason,
     },
 }
 
-/// Who is there. Type, length and first field are the same in every version of the protocol.
+/// Identity of the device. Type, length and first field are the same in every version of the
+/// protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HelloReply {
-    /// The version that the device speaks.
+    /// Protocol version of the device.
     pub protocol_version: u16,
-    /// Its firmware's version: major, minor, patch.
+    /// Version of its firmware: major, minor, patch.
     pub firmware_version: [u8; 3],
-    /// What it is: a [`DeviceKind`], or a number that this version has no name for.
+    /// Kind of device: a [`DeviceKind`], or a number that this version has no name for.
     pub kind: u8,
-    /// What its Qube answers; [`QUBE_MODULE_ID`](crate::QUBE_MODULE_ID) or there is no Qube.
+    /// Module id that the Qube reports; any other than [`QUBE_MODULE_ID`](crate::QUBE_MODULE_ID)
+    /// means that there is no Qube.
     pub module_id: u16,
     /// Serial number of the board.
     pub serial: [u8; 8],
-    /// For the next arm; 0 when there is none.
+    /// Nonce for the next arm; 0 if there is none.
     pub nonce: u32,
-    /// The same from one start of the device to the next, and another number after it.
+    /// Number that stays the same from one start of the device to the next, and then changes.
     pub boot_id: u16,
     /// Frames dropped since the device started, modulo 2^16.
     pub dropped_frames: u16,
@@ -56,11 +58,11 @@ pub struct HelloReply {
 /// One sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SampleReply {
-    /// When the encoders were read, by the device's clock, microseconds modulo 2^32.
+    /// Time at which the encoders were read, by the device's clock, microseconds modulo 2^32.
     pub device_time_us: u32,
-    /// Encoder of the arm.
+    /// Count of the arm's encoder.
     pub theta_counts: i32,
-    /// Encoder of the pendulum.
+    /// Count of the pendulum's encoder.
     pub alpha_counts: i32,
     /// Velocity of the arm by the tachometer, counts/s.
     pub tachometer_counts_s: i32,
@@ -68,28 +70,28 @@ pub struct SampleReply {
     pub current_ma: i16,
     /// The device's flags.
     pub status: StatusBits,
-    /// The voltage at the motor, mV, as the motor word has it; 0 while the amplifier is off.
+    /// Voltage at the motor, mV, as in the motor word; 0 while the amplifier is off.
     pub applied_mv: i16,
-    /// Sequence number of the last act that was accepted, or of the arm when none was since; 0 from
-    /// a hello to the next arm.
+    /// Sequence number of the last accepted act, or of the arm if there was none since; 0 from a
+    /// hello to the next arm.
     pub last_act_sequence: u16,
-    /// From the previous sample to the first act accepted after it, microseconds, at most 65 534;
-    /// [`NO_ACT_US`](crate::NO_ACT_US) when there was none.
+    /// Time from the previous sample to the first act accepted after it, microseconds, at most 65
+    /// 534; [`NO_ACT_US`](crate::NO_ACT_US) if there was none.
     pub sample_to_act_us: u16,
 }
 
 /// The answer to a disarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DisarmReply {
-    /// The state after it.
+    /// State of the device afterwards.
     pub state: DeviceState,
-    /// For the next arm; 0 when a hello must come first.
+    /// Nonce for the next arm; 0 if a hello must come first.
     pub nonce: u32,
     /// Frames dropped since the device started, modulo 2^16.
     pub dropped_frames: u16,
 }
 
-/// One bit each; bit 7 is 0.
+/// Flags of the device, one bit each; bit 7 is 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StatusBits(pub u8);
 
@@ -126,10 +128,10 @@ macro_rules! wire_enum {
         pub enum $name { $($(#[$variant_meta])* $variant = $value,)* }
 
         impl $name {
-            /// All of them, in the order of their numbers.
+            /// All values, in the order of their numbers.
             pub const ALL: &[Self] = &[$(Self::$variant),*];
 
-            /// The one with this number on the wire.
+            /// The value with this number on the wire.
             #[must_use]
             pub fn from_wire(value: u8) -> Option<Self> {
                 match value { $($value => Some(Self::$variant),)* _ => None }
@@ -139,7 +141,7 @@ macro_rules! wire_enum {
 }
 
 wire_enum! {
-    /// What kind of device speaks.
+    /// The kind of a device.
     DeviceKind {
         /// A program that behaves like a Qube.
         Emulator = 1,
@@ -167,7 +169,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// Why a request was not carried out.
+    /// The reason why a request was not carried out.
     RefusalReason {
         /// No hello of this version came before.
         NotGreeted = 1,
@@ -199,7 +201,7 @@ wire_enum! {
 }
 
 impl RefusalReason {
-    /// A few words for a message.
+    /// A short description for messages.
     #[must_use]
     pub fn describe(self) -> &'static str {
         match self {
@@ -235,7 +237,7 @@ impl Reply {
         }
     }
 
-    /// The bytes to send in answer to the request with this sequence number.
+    /// The bytes of the reply to the request with this sequence number.
     #[must_use]
     pub fn encode(&self, sequence: u16) -> EncodedFrame {
         let mut payload = Writer::new();
@@ -272,10 +274,10 @@ impl Reply {
         EncodedFrame::new(self.message_type(), sequence, payload.as_bytes())
     }
 
-    /// The reply that a frame holds.
+    /// Parses the reply in a frame.
     ///
     /// # Errors
-    /// A type that no reply has, a payload of another length, a number without a meaning.
+    /// A type that no reply has, a payload of another length, or a number without a meaning.
     pub fn parse(frame: &Frame) -> Result<Self, ParseError> {
         let message_type = frame.message_type;
         let bad_field = ParseError::BadField(message_type);

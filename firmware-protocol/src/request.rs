@@ -10,33 +10,33 @@ const SAMPLE: u8 = 0x03;
 const ACT: u8 = 0x04;
 const DISARM: u8 = 0x05;
 
-/// What the computer sends.
+/// A message of the computer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// Who is there? Switches the motor off, whatever the state.
+    /// Asks for the identity, and switches the motor off in any state.
     Hello {
-        /// The version that the computer speaks.
+        /// Protocol version of the computer.
         protocol_version: u16,
     },
     /// Lets the amplifier follow acts, starting at 0 V.
     Arm {
-        /// From the last hello or disarm reply; good for one arm.
+        /// Nonce from the last hello or disarm reply; valid for one arm.
         nonce: u32,
     },
     /// Asks for one sample.
     Sample,
-    /// A motor voltage. Not answered, unless refused.
+    /// Sets the motor voltage. It is answered only if it is refused.
     Act {
-        /// In mV, -5000 to 5000.
+        /// Voltage in mV, -5000 to 5000.
         voltage_mv: i16,
-        /// `device_time_us` of the sample that it was decided from.
+        /// `device_time_us` of the sample from which it was decided.
         sampled_at_us: u32,
     },
     /// Switches the amplifier off.
     Disarm,
 }
 
-/// Why a valid frame is no message.
+/// The reason why a valid frame is not a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParseError {
     /// No message of this direction has this type.
@@ -94,7 +94,7 @@ impl Request {
         EncodedFrame::new(self.message_type(), sequence, payload.as_bytes())
     }
 
-    /// The request that a frame holds.
+    /// Parses the request in a frame.
     ///
     /// # Errors
     /// A type that no request has, or a payload of another length.

@@ -8,9 +8,9 @@ pub fn is_newer(candidate: u16, last: u16) -> bool {
     candidate.wrapping_sub(last) as i16 > 0
 }
 
-/// Whether an act may be carried out at `now_us` that names the sample of `sampled_at_us`: it must be
-/// the last sample that the device gave, and no older than [`MAX_SAMPLE_AGE_US`]. All three by the
-/// device's clock, modulo 2^32.
+/// Whether an act at `now_us` that names the sample of `sampled_at_us` may be carried out: it must
+/// name the last sample that the device gave, which must be no older than [`MAX_SAMPLE_AGE_US`].
+/// All times are by the device's clock, modulo 2^32.
 ///
 /// In C: `given && sampled_at == given_at && (uint32_t)(now - sampled_at) <= MAX_SAMPLE_AGE_US`.
 #[must_use]

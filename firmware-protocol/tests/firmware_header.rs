@@ -1,7 +1,7 @@
-//! The firmware's constants are this crate's: `firmware/wire.h` is written from here, and this test
-//! fails when it is not what is committed.
+//! Tests that the firmware's constants are those of this crate: `firmware/wire.h` is generated here
+//! and compared with the committed file.
 //!
-//! `UPDATE_FIRMWARE_HEADER=1 cargo test -p firmware-protocol --test firmware_header` writes it anew.
+//! `UPDATE_FIRMWARE_HEADER=1 cargo test -p firmware-protocol --test firmware_header` rewrites it.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -16,7 +16,7 @@ use firmware_protocol::{
     RefusalReason, Reply, Request, SampleReply, StatusBits, WATCHDOG_MS, WATCHDOG_POLL_MS,
 };
 
-/// `WatchdogTripped` as C writes it: `WATCHDOG_TRIPPED`.
+/// The C name of a variant: `WATCHDOG_TRIPPED` for `WatchdogTripped`.
 fn c_name(name: &str) -> String {
     let mut c_name = String::new();
     for (at, letter) in name.char_indices() {
@@ -114,7 +114,7 @@ fn header() -> String {
     define(h, "TACHOMETER_COUNTS_S_TICKS", format_args!("{TACHOMETER_COUNTS_S_TICKS}ul"));
 
     c_enum(h, "request_type", "REQUEST", &request_types());
-    // A device drops what is of a reply's type; the smallest is the lowest with bit 7.
+    // A device drops the reply types; the lowest one has bit 7 set and no other.
     define(h, "FIRST_REPLY_TYPE", "0x80u");
     c_enum(h, "reply_type", "REPLY", &reply_types());
     let status = [

@@ -1,5 +1,5 @@
-//! The firmware's pure layers, compiled for this computer with every warning and sanitiser on:
-//! they do what `golden.txt` says, and what this crate does with any bytes.
+//! Tests the firmware's pure layers, compiled for this computer with all warnings and sanitisers:
+//! they agree with `golden.txt` and, on arbitrary bytes, with this crate.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ const GOLDEN: &str = include_str!("../golden.txt");
 
 const SANITISERS: &str = "-fsanitize=address,undefined";
 
-/// Compiles the program that answers.
+/// Compiles the C program that answers questions.
 fn compile(flags: &[&str], program: &Path) -> bool {
     let firmware = Path::new(env!("CARGO_MANIFEST_DIR")).join("firmware");
     let sources = ["host_test/layers.c", "device.c", "link.c", "qube_frame.c"];
@@ -27,7 +27,7 @@ fn compile(flags: &[&str], program: &Path) -> bool {
         .success()
 }
 
-/// The program, compiled once a run; without sanitisers where the compiler has none.
+/// The program, compiled once for each run; without sanitisers if the compiler has none.
 fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
@@ -60,7 +60,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A small generator of its own: the same numbers on every run.
+/// A random generator with the same numbers in every run.
 struct Random(u64);
 
 impl Random {
@@ -104,11 +104,11 @@ fn the_firmware_latches_the_emergency_stop_until_hello() {
         // Opened while armed: Faulted, and only a Hello that finds it closed lets it arm again.
         ("1 cacoooocchah", " 1 2 2 2 2 2 4! 4! 4! 1 2 1"),
         ("1 caooooahachcca", " 1 2 2 2 2 4! 4! 1! r 1! 1 1 1 2"),
-        // A spike of 2 ms is none.
+        // A spike of 2 ms does not count.
         ("1 caoocoocooc", " 1 2 2 2 2 2 2 2 2 2 2"),
         // Opened and closed before the arm: still latched.
         ("1 cooooccaha", " 1 1 1 1 1! 1! 1! r 1 2"),
-        // No switch was ever closed: nothing stops, nothing is latched.
+        // No switch was ever closed, so nothing stops and nothing is latched.
         ("0 ooooaoooo", " 1? 1? 1? 1? 2? 2? 2? 2? 2?"),
     ]
     .map(|(question, answer)| (format!("stop {question}"), format!("stop{answer}")))

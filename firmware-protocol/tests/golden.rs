@@ -1,5 +1,5 @@
-//! `golden.txt` holds the wire's bytes for whoever writes a third speaker, in whatever language.
-//! It must be exactly what this crate produces, and this crate must read it back.
+//! Tests `golden.txt`, which holds the wire's bytes for implementations in any language: this crate
+//! produces exactly these bytes and reads them back.
 
 use firmware_protocol::scaling::{
     current_ma, motor_counts, motor_voltage_mv, motor_word, tachometer_counts_s,
@@ -197,7 +197,7 @@ fn number<T: TryFrom<i64>>(word: &str) -> T {
     T::try_from(value).ok().unwrap_or_else(|| panic!("{word} is out of range"))
 }
 
-/// Writes the frames of requests and replies anew; the other lines are kept.
+/// Rewrites the frames of requests and replies; the other lines are kept.
 #[test]
 #[ignore = "writes golden.txt; run it when the wire has changed"]
 fn write_the_frames_anew() {

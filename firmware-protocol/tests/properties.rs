@@ -1,4 +1,4 @@
-//! What must hold for any bytes and any message.
+//! Tests properties that hold for arbitrary bytes and messages.
 
 use firmware_protocol::{
     Decoder, DeviceState, DisarmReply, HelloReply, MAX_FRAME_BYTES, RefusalReason, Reply, Request,
@@ -116,7 +116,7 @@ proptest! {
         }
     }
 
-    /// Random bytes hardly ever pass the checksum; frames of random content do.
+    /// Random bytes hardly ever pass the checksum, unlike frames with random content.
     #[test]
     fn any_content_with_a_right_checksum_is_safe(
         content in prop::collection::vec(any::<u8>(), 0..60),

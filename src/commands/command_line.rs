@@ -1,4 +1,4 @@
-//! Reads the command line. Whatever is wrong with it is told by the name of its option.
+//! Parses the command line; every error names its option.
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -10,8 +10,8 @@ use super::CommandLine;
 use super::exit::Failure;
 use super::output::Output;
 
-/// The command line of these arguments; else it has told what is wrong, or has shown what was asked for
-/// by `--help`.
+/// Parses these arguments. An error is printed, and `Err` has its exit code; `--help` prints and
+/// ends the program.
 pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, ExitCode> {
     let mut command = command();
     let matches = command.try_get_matches_from_mut(&arguments);
@@ -27,7 +27,7 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, ExitCode> {
         Some(message) => command.error(ErrorKind::InvalidValue, message),
         None => error,
     };
-    // Where stderr is gone there is nobody to tell.
+    // If stderr is closed, the error cannot be shown.
     let _ = error.print();
     let told = error.to_string();
     let cause = told.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned();
@@ -36,7 +36,7 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, ExitCode> {
     Err(ExitCode::from(2))
 }
 
-/// The commands, with negative numbers taken for values: no option is a digit.
+/// The commands; negative numbers count as values, because no option is a digit.
 fn command() -> Command {
     CommandLine::command().mut_subcommands(|command| {
         command.mut_args(|argument| {

@@ -77,7 +77,7 @@ impl EmulatedArguments {
         })
     }
 
-    /// A name for these settings that a folder may have: `lab+gap1.5+10ms`.
+    /// A name for these settings that is valid for a folder: `lab+gap1.5+10ms`.
     pub fn name(&self) -> String {
         let profile = self.profile.as_deref().unwrap_or("ideal");
         let stem = Path::new(profile).file_stem().unwrap_or_default().to_string_lossy();

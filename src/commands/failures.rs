@@ -90,13 +90,13 @@ pub fn folder(error: &FolderError) -> Failure {
     }
 }
 
-/// Of a file or folder that could not be written.
+/// The failure for a file or folder that could not be written.
 pub fn not_written(path: &Path, error: &io::Error) -> Failure {
     let message = format!("{} cannot be written: {error}", path.display());
     if is_bad_place(error) { Failure::usage(message) } else { Failure::failed(message) }
 }
 
-/// Whether nothing can ever be written there by this user, in contrast to a disk that is full or fails.
+/// Whether this user can never write there, in contrast to a disk that is full or fails.
 fn is_bad_place(error: &io::Error) -> bool {
     use ErrorKind::*;
     matches!(

@@ -45,7 +45,7 @@ impl Output {
         };
         self.printed.set(true);
         match written.and_then(|()| stdout.flush()) {
-            // A reader that has gone away has seen enough.
+            // The reader has closed the pipe on purpose.
             Err(error) if error.kind() != ErrorKind::BrokenPipe => {
                 *self.error.borrow_mut() = Some(error);
             }
@@ -53,8 +53,8 @@ impl Output {
         }
     }
 
-    /// Ends a command: its outcome, or that its result could not be printed. A script gets an object
-    /// also of a failure that came before any result.
+    /// Completes a command: returns its outcome, or the failure to print its result. For scripts, a
+    /// failure without a result is printed as an object.
     pub fn finish(&self, outcome: Result<(), Failure>) -> Result<(), Failure> {
         let outcome = outcome.and_then(|()| match self.error.take() {
             Some(error) => {
@@ -71,7 +71,7 @@ impl Output {
     }
 }
 
-/// Writes a path as JSON: bytes that are no UTF-8 are replaced, because JSON has no others.
+/// Serialises a path as text; bytes that are not UTF-8 are replaced, because JSON requires UTF-8.
 pub fn path_as_text<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&path.to_string_lossy())
 }

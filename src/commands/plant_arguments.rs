@@ -71,7 +71,7 @@ impl PlantEntry {
     fn plant(self, path: &Path) -> Result<Plant, Failure> {
         let Self { name, profile, gap, delay_ms, jitter_ms, cable_drift_rad_per_min, scale, vary } =
             self;
-        // By the rules of the command line, which are written once.
+        // The rules of the command line apply here too.
         let emulated = EmulatedArguments::checked(
             profile,
             gap,

@@ -117,7 +117,7 @@ struct RunController {
     name: String,
     files: Vec<Vec<u8>>,
     steps: u32,
-    /// What is to be known of it before it drives.
+    /// Note for the operator before the first rollout.
     note: Option<String>,
 }
 

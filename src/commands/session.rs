@@ -197,7 +197,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
 }
 
-/// A note where policies train on other states than they will see.
+/// A note for a session whose policies train on other states than the Qube's estimates.
 fn estimators_differ(settings: &SessionSettings) -> Option<String> {
     let trained_on = match settings.training.simulation.sensors {
         SensorModel::Encoders { estimator } if estimator == settings.estimator => return None,
@@ -221,7 +221,7 @@ fn described(estimator: &EstimatorSettings) -> String {
     }
 }
 
-/// The settings of a new session; its folder gives it its name.
+/// The settings of a new session.
 fn configured(
     arguments: &Arguments,
     consent: Option<GuardConsent>,

@@ -54,10 +54,10 @@ pub fn drive(
     drive_warm(device, clock, motion, &mut MotorHeat::default(), records, stop)
 }
 
-/// Drives a motion like [`drive`] with a motor that may be warm: reads and updates `heat`.
+/// Drives a motion like [`drive()`] with a motor that may be warm: reads and updates `heat`.
 ///
 /// # Errors
-/// As [`drive`].
+/// As [`drive()`].
 pub fn drive_warm(
     device: &mut dyn Device,
     clock: &dyn Clock,

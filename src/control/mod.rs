@@ -3,7 +3,7 @@
 //! May import `clock`, `device`, `estimation`, `policy`, `safety`, `telemetry`, `qube`, `elementary`; never
 //! anything that allocates, locks or touches a file.
 //!
-//! Reading order: [`Tick`] decides, [`drive`] runs it against a device and a clock,
+//! Reading order: [`Tick`] decides, [`drive()`] runs it against a device and a clock,
 //! [`ControlThread`] gives it a thread of its own.
 
 mod asking_push;

@@ -1,6 +1,6 @@
 //! Identification of a Qube from its recordings.
 //!
-//! [`identify`] estimates parameters and nonidealities by maximum likelihood, with standard errors and with
+//! [`identify()`] estimates parameters and nonidealities by maximum likelihood, with standard errors and with
 //! the combinations that the recordings do not determine; [`drift()`] estimates what changes from day to
 //! day. The room is pure computation over motions that were read before, and may import `qube` and
 //! `replay`.

@@ -4,10 +4,10 @@ use crate::qube::MAX_VOLTAGE_V;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotANumber;
 
-/// The last gate before the wire: a wanted voltage in V to millivolts within the limit.
+/// Converts a wanted voltage, V, to millivolts within the limit: the last step before the wire.
 ///
 /// # Errors
-/// [`NotANumber`] for NaN and infinities: no voltage can be meant by them.
+/// [`NotANumber`] for NaN and infinities.
 pub fn clamp_to_mv(voltage_v: f64) -> Result<i16, NotANumber> {
     if !voltage_v.is_finite() {
         return Err(NotANumber);
@@ -30,7 +30,7 @@ mod tests {
         }
     }
 
-    /// What a policy of 32-bit numbers asked for, and what may come of it.
+    /// Compares the limited voltage with the one that a policy of 32-bit numbers asked for.
     fn check(bits: u32) {
         let wanted_v = f32::from_bits(bits);
         match clamp_to_mv(f64::from(wanted_v)) {

@@ -1,5 +1,5 @@
-//! One episode: the real tick with its estimator, guard, brake and gate, against a plant behind a
-//! delay, from settling until the amplifier is off and the arm has coasted.
+//! One episode of the real tick (estimator, guard, brake and limit) against a plant with a delay,
+//! from settling until the amplifier is off and the arm has coasted.
 
 use std::collections::VecDeque;
 
@@ -14,27 +14,27 @@ use rand_chacha::ChaCha8Rng;
 
 use super::plant::{Plant, Roughness};
 
-/// Numbers that make an adversary: its Qube, its delays, its policy.
+/// Number of genes of an adversary: its Qube, its delays, its policy.
 pub const GENES: usize = 25;
 
 pub type Genome = [f64; GENES];
 
-/// What may be chosen by the adversary.
+/// The domain from which the adversary chooses.
 #[derive(Clone, Copy, Debug)]
 pub struct Domain {
-    /// Parameters within this of nominal, as a fraction.
+    /// Largest relative deviation of the parameters from nominal.
     pub spread: f64,
-    /// Longest time from a sample to the act that it leads to, s.
+    /// Longest time from a sample to its act, s.
     pub longest_delay_s: f64,
     /// Whether there are friction and a cable.
     pub rough: bool,
     /// Corner of the estimator's filter, rad/s.
     pub corner_rad_s: f64,
-    /// What protects the Qube.
+    /// Guard of the Qube.
     pub safety_box: SafetyBox,
 }
 
-/// The promised domain.
+/// The domain for which SAFETY.md promises safety.
 pub const PROMISED: Domain = Domain {
     spread: 0.3,
     longest_delay_s: 0.02,
@@ -43,33 +43,33 @@ pub const PROMISED: Domain = Domain {
     safety_box: SafetyBox::GUARDED,
 };
 
-/// What came of an episode.
+/// Result of an episode.
 #[derive(Clone, Copy, Debug)]
 pub struct Episode {
-    /// The farthest that the arm got, rad.
+    /// Largest |theta|, rad.
     pub farthest_rad: f64,
-    /// When it got there, s.
+    /// Time of the largest |theta|, s.
     pub farthest_at_s: f64,
-    /// The largest voltage sent, mV.
+    /// Largest voltage sent, mV.
     pub largest_mv: i16,
-    /// How the tick ended it.
+    /// Ending by the tick.
     pub ending: Option<Ending>,
     /// Ticks until the amplifier was off.
     pub ticks: u32,
 }
 
-/// The cable begins to pull within this of the middle, rad. (One that pulls a resting arm into its stop
-/// while the amplifier is off is beyond any controller.)
+/// Largest angle at which the cable begins to pull, rad. A cable that pulls a resting arm into its
+/// stop while the amplifier is off is beyond any controller.
 const CABLE_REACH_RAD: f64 = 0.3;
 
-/// Steps that the policy has.
+/// Number of steps of the policy.
 const STEPS: u32 = 250;
 
-/// How long the arm coasts after the amplifier is off, ticks.
+/// Ticks for which the arm coasts with the amplifier off.
 const COASTING_TICKS: u32 = 300;
 
-/// Pumps by the sign of a form in the state, then pushes one way, then the other, then the first
-/// again: the switching times are genes too.
+/// A policy that pumps by the sign of a form in the state, then pushes one way, the other way, and
+/// the first way again; the switching times are genes too.
 struct Adversary {
     genes: Genome,
     step: u32,
@@ -99,7 +99,7 @@ impl Controller for Adversary {
         } else {
             -genes[23]
         };
-        // More than is allowed: the gate has its share.
+        // More than is allowed, so that the limit on the voltage acts.
         if direction > 0.0 { 8.0 } else { -8.0 }
     }
 }

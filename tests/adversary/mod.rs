@@ -1,4 +1,4 @@
-//! Policies that are searched for one purpose: to throw the arm against its hard stop.
+//! Policies that a search optimises to throw the arm against its hard stop.
 
 pub mod episode;
 pub mod plant;

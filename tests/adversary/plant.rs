@@ -1,22 +1,22 @@
-//! The Qube that the adversary plays with: the shared physics, and what a real one adds.
+//! The adversary's Qube: the shared physics with the nonidealities of a real one.
 
 use qube_hil::qube::{DomainParameter, DomainParameters, Dynamics, State, counts, runge_kutta_4};
 
 /// Longest integration step, s.
 const STEP_S: f64 = 0.005;
 
-/// Friction and cable act on the arm; written as the volts that they take from the motor.
+/// Friction and cable of the arm, as the voltages that they take from the motor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Roughness {
     /// Coulomb friction of the arm, V.
     pub coulomb_v: f64,
     /// Stiffness of the encoder's cable, V/rad, on one side of `cable_theta`; its sign says which.
     pub cable_v_rad: f64,
-    /// Where the cable begins to pull, rad.
+    /// Angle at which the cable begins to pull, rad.
     pub cable_theta: f64,
 }
 
-/// A Qube without stops: how far the arm gets is what is asked.
+/// A Qube without stops, because the angle that the arm reaches is the result.
 pub struct Plant {
     pub state: State,
     /// The largest |theta| so far, rad.
@@ -49,7 +49,7 @@ impl Plant {
         }
     }
 
-    /// Lets time pass up to `time_s`.
+    /// Advances to `time_s`.
     pub fn advance_to(&mut self, time_s: f64) {
         while self.time_s < time_s - 1e-9 {
             let step_s = STEP_S.min(time_s - self.time_s);
@@ -80,7 +80,7 @@ impl Plant {
         ((self.voltage_v - back_emf_v) / self.parameters.motor_resistance_ohm) as f32
     }
 
-    /// What the two encoders show.
+    /// Counts of the two encoders.
     pub fn counts(&self) -> (i32, i32) {
         (counts(self.state.theta), counts(self.state.alpha))
     }

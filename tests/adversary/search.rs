@@ -1,5 +1,4 @@
-//! The search for the worst adversary: the cross-entropy method over genomes, started anew again and
-//! again.
+//! The search for the worst adversary: the cross-entropy method over genomes, restarted repeatedly.
 
 use qube_hil::telemetry::Ending;
 use rand::{RngExt, SeedableRng};
@@ -7,11 +6,11 @@ use rand_chacha::ChaCha8Rng;
 
 use super::episode::{Domain, Episode, GENES, Genome, play};
 
-/// Genomes in a generation, and those that the next one is drawn around.
+/// Size of a generation, and number of its best from which the next is drawn.
 const POPULATION: usize = 64;
 const ELITE: usize = 10;
 
-/// The worst that a search came to.
+/// The worst episodes of a search.
 #[derive(Clone, Copy, Debug)]
 pub struct Worst {
     pub genes: Genome,
@@ -20,7 +19,7 @@ pub struct Worst {
     pub episode: Episode,
     pub largest_mv: i16,
     pub episodes: u32,
-    /// Episodes that a fault ended, though nothing was faulty.
+    /// Episodes that a fault ended although nothing was faulty.
     pub false_faults: u32,
 }
 

@@ -1,8 +1,9 @@
-//! The rigs that a check must be right on, and what can be wrong with one of them.
+//! The rigs on which a check must be right, and their possible defects.
 //!
-//! A rig is drawn by its seed: all eight ways to wire it, 0.5, 1 and 1.5 times the nonidealities of the profile
-//! `lab`, parameters within 10 %, 1 to 4 times the friction, up to 1 degree of play. Half of the rigs
-//! lie in the corners of that domain. Figures are told of seeds from 1000 on; nothing was tuned on them.
+//! A rig follows from its seed: all eight wirings, 0.5, 1 and 1.5 times the nonidealities of the
+//! profile `lab`, parameters within 10 %, 1 to 4 times the friction, up to 1 degree of play. Half
+//! of the rigs lie in the corners of that domain. Published figures use seeds from 1000 on, on
+//! which nothing was tuned.
 
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings, Wiring};
 use qube_hil::estimation::Calibration;
@@ -11,10 +12,10 @@ use qube_hil::qube::{DomainParameter, Profile};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Nothing was tuned on rigs from here on.
+/// First seed of the rigs on which nothing was tuned.
 pub const FIRST_SEED: u64 = 1000;
 
-/// Parameters are within this part of the profile's.
+/// Largest relative deviation of the parameters from the profile's.
 const SPREAD: f64 = 0.1;
 
 const MOST_PLAY_DEG: f64 = 1.0;
@@ -53,7 +54,7 @@ pub fn rig(seed: u64) -> EmulatorSettings {
     }
 }
 
-/// The signs of a rig that is wired like this.
+/// The signs of a rig with this wiring.
 pub fn signs_of(wiring: Wiring) -> Calibration {
     Calibration {
         theta_inverted: wiring.theta_inverted,
@@ -73,7 +74,7 @@ pub fn failed(found: &Examination) -> Vec<&str> {
         .collect()
 }
 
-/// What can be wrong with a rig, one at a time.
+/// A defect of a rig.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Defect {
     ThetaSign,
@@ -113,7 +114,7 @@ impl Defect {
         }
     }
 
-    /// A rig with this defect, and the signs that its file says.
+    /// A rig with this defect, and the signs in its file.
     pub fn of(self, mut rig: EmulatorSettings) -> (EmulatorSettings, Calibration) {
         let mut signs = signs_of(rig.wiring);
         let after_s = 0.0;
@@ -126,8 +127,8 @@ impl Defect {
             Self::HeldArm => rig.fault = Some(EmulatorFault::BlockedArm { after_s }),
             Self::DeadMotor => rig.fault = Some(EmulatorFault::DeadMotor { after_s }),
             Self::NoPendulum | Self::HeldPendulum => {
-                // Its shaft stays where the arm takes it; a pendulum that is held to the arm adds its
-                // mass to it (J_r = M_r L_r^2 / 12).
+                // The shaft stays with the arm; a pendulum that is fixed to the arm adds its mass
+                // to it (J_r = M_r L_r^2 / 12).
                 rig.fault = Some(EmulatorFault::FrozenAlpha { after_s });
                 let parameters = &mut rig.model.parameters;
                 if self == Self::HeldPendulum {
@@ -145,7 +146,7 @@ pub fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
 }
 
-/// What each of these seeds gives, in their order, on all processors.
+/// The results of these seeds in their order, computed on all processors.
 pub fn of_each<T: Send>(seeds: std::ops::Range<u64>, play: impl Fn(u64) -> T + Sync) -> Vec<T> {
     let threads = std::thread::available_parallelism().map_or(1, |count| count.get()) as u64;
     let (seeds, play) = (&seeds, &play);

@@ -1,4 +1,4 @@
-//! The whole check, homing included, and what follows it: a settling and a rollout.
+//! The whole check with homing, followed by a settling and a rollout.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -24,7 +24,7 @@ fn connected(emulator: EmulatorSettings, signs: Calibration) -> Rig {
     Rig::connect(&settings, &Arc::new(AtomicBool::new(false))).unwrap()
 }
 
-/// The checks that failed, each with what it says.
+/// The checks that failed, each with its message.
 fn refusals(rig: &mut Rig) -> Vec<(String, String)> {
     let found = rig.check(false).unwrap();
     let failed = found.results.into_iter().filter(|result| result.failed());
@@ -41,7 +41,7 @@ fn rollout(rig: &Rig, seed: u64) -> Ending {
     rig.rollout(&MachineDisk, &path, plan.header(), &policy.to_bytes()).unwrap().outcome.ending
 }
 
-/// What a report says of a rig.
+/// Description of a rig for reports.
 fn about(seed: u64, emulator: &EmulatorSettings) -> String {
     let QubeModel { parameters, nonidealities } = &emulator.model;
     format!(
@@ -53,7 +53,7 @@ fn about(seed: u64, emulator: &EmulatorSettings) -> String {
     )
 }
 
-/// What goes wrong as a healthy rig is checked and gives its first rollout, in words.
+/// The failures of a healthy rig's check and first rollout, in words.
 fn false_faults(seed: u64) -> Option<String> {
     let emulator = rig(seed);
     let mut opened = connected(emulator, signs_of(emulator.wiring));
@@ -67,17 +67,17 @@ fn false_faults(seed: u64) -> Option<String> {
     }
 }
 
-/// What fails at some instant while a rig is examined and homed: the check of the examination that may
-/// name it, and the faults of homing.
+/// A defect that begins during a check: the check of the examination that may name it, and the
+/// faults of homing.
 const LATER: [(&str, &str, &[Fault]); 4] = [
-    // Of an arm that stands nobody can tell: the second name says both.
+    // A motor at rest does not show it: the second name covers both.
     ("frozen-theta", "arm", &[Fault::EncoderFrozen, Fault::ArmHeld]),
     ("frozen-alpha", "pendulum", &[Fault::PendulumFrozen]),
     ("dead-motor", "motor", &[Fault::MotorDead]),
     ("blocked-arm", "stall", &[Fault::ArmHeld, Fault::Stall]),
 ];
 
-/// Whether a check refuses for one reason, and by one of these names.
+/// Whether a check fails for one reason, under one of these names.
 fn names(told: &[(String, String)], of_the_examination: &str, of_homing: &[Fault]) -> bool {
     match told {
         [(name, value)] if name == "homing" => {
@@ -88,8 +88,8 @@ fn names(told: &[(String, String)], of_the_examination: &str, of_homing: &[Fault
     }
 }
 
-/// The whole checks of a rig with a single defect that is called by another name, in words: one that is
-/// there from the start, and one that begins in the middle.
+/// The checks of a rig with a single defect that give another name, in words: one defect from the
+/// start, and one that begins during the check.
 #[derive(Default)]
 struct Misnamed {
     from_the_start: Vec<String>,
@@ -117,7 +117,8 @@ fn misnamed(seed: u64) -> Misnamed {
     }
     let mut random = ChaCha8Rng::seed_from_u64(seed + 2_000_000);
     for (fault, of_the_examination, of_homing) in LATER {
-        // An examination takes 4 to 15 s, homing 15 to 30 s: a few come too late to be seen.
+        // An examination takes 4 to 15 s, homing 15 to 30 s, so some defects begin too late to be
+        // seen.
         let text = format!("{fault}@{:.2}", random.random_range(3.0..25.0));
         let told = with(&text);
         if !told.is_empty() && !names(&told, of_the_examination, of_homing) {
@@ -127,8 +128,8 @@ fn misnamed(seed: u64) -> Misnamed {
     misnamed
 }
 
-/// Not yet kept: of 100 encoders that freeze in the middle so many may be taken for the other one. Where
-/// both counts stand, that of the pendulum and that of the arm, what is left is which stood first.
+/// Accepted confusions for each 100 encoders that freeze during a check. If both counts are
+/// constant, only the order in which they became so tells them apart.
 const LATER_PERCENT: usize = 8;
 
 fn single_defects_are_named(seeds: std::ops::Range<u64>) {

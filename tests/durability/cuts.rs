@@ -1,5 +1,5 @@
-//! Ledger and recordings cut off at every byte, disks that fail at every operation: the session goes
-//! on to the same ledger.
+//! Tests ledgers and recordings cut off at every byte, and disks that fail at every operation: the
+//! session still ends with the same ledger.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,7 +12,7 @@ use crate::schedules::{Undisturbed, ledger_path, live, recordings};
 use crate::simulated_disk::{DiskFault, SimulatedDisk, Stopped};
 use crate::world::Wiring;
 
-/// Does something for each number below a count, on all processors.
+/// Calls a function for each number below a count, on all processors.
 fn each_of(count: u64, stride: u64, action: impl Fn(u64) + Sync) {
     let next = AtomicU64::new(0);
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
@@ -31,8 +31,8 @@ fn each_of(count: u64, stride: u64, action: impl Fn(u64) + Sync) {
     });
 }
 
-/// Resumes without faults. The ledger at the end must be the undisturbed one; gives how many rigs
-/// were opened, that is, how many rollouts were done again.
+/// Resumes without faults and compares the ledger with the undisturbed one. Returns the number of
+/// rigs that were opened, which is the number of repeated rollouts.
 fn resumes_to_the_same_ledger(world: &Undisturbed, disk: &SimulatedDisk, what: &str) -> usize {
     let life = live(&world.settings, disk, Wiring::default(), Arc::default());
     life.result.unwrap_or_else(|error| panic!("{what}: {error}"));
@@ -60,7 +60,7 @@ fn a_recording_cut_at_any_byte_is_done_again_and_counted_once() {
     let whole = world.disk.bytes(&path).unwrap();
     let length = whole.len() as u64;
 
-    // No cut is ever taken for a result ...
+    // No cut file counts as a result ...
     each_of(length, count_from("QUBE_HIL_CUT_STRIDE", 13), |cut| {
         let disk = SimulatedDisk::default();
         disk.put(&path, &whole[..cut as usize]);
@@ -68,8 +68,8 @@ fn a_recording_cut_at_any_byte_is_done_again_and_counted_once() {
         assert!(matches!(verdict, Ok(Verdict::Unfinished) | Err(_)), "cut at {cut}: {verdict:?}");
     });
 
-    // ... and each is put aside and done again. The ledger ends where the crash left it: before
-    // this rollout was counted.
+    // ... and each is put aside and repeated. The ledger ends where the crash left it, before this
+    // rollout.
     let text = String::from_utf8(world.ledger.clone()).unwrap();
     let before = text.find("rollout_finished").unwrap();
     let before = text[..before].rfind('\n').unwrap() + 1;
@@ -102,7 +102,7 @@ fn a_disk_that_fails_at_any_operation_ends_the_session_with_a_sentence_and_keeps
     resumes_to_the_same_ledger(world, &after_training, "undisturbed");
     let operations = after_training.operations() - before;
     let stride = count_from("QUBE_HIL_DISK_STRIDE", 5);
-    // From the first rollout on, and, less densely, from the very beginning.
+    // From the first rollout on, and with fewer samples from the beginning.
     for (disk, operations, stride) in [
         (world.trained_disk(), operations, stride),
         (SimulatedDisk::default(), world.disk_operations, stride * 16 + 1),

@@ -1,5 +1,4 @@
-//! A wire that fails at a chosen operation: a proxy between the host's end of the link and the
-//! emulated board.
+//! A wire that fails at a chosen operation: a proxy between the host's link and the emulated board.
 
 use std::collections::VecDeque;
 
@@ -8,12 +7,12 @@ use qube_hil::device::{LinkFault, Transport};
 
 const MS: Nanoseconds = 1_000_000;
 
-/// What goes wrong with an operation.
+/// A failure of an operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Its bytes are lost.
     Drop,
-    /// Its bytes, and all behind them, come so much later.
+    /// Its bytes and all later ones are delayed by this time.
     Delay(Nanoseconds),
     /// A bit of it is flipped.
     Garble,
@@ -23,20 +22,20 @@ pub enum Kind {
     Reorder,
     /// Its second half is lost.
     Truncate,
-    /// A read gives one byte now and the others to the next; a write takes half and says so.
+    /// A read returns one byte now and the rest later; a write takes half and reports that.
     Short,
     /// The operating system reports an error.
     InputOutputError,
     /// Reads find the end of the file; writes go nowhere.
     EndOfFile,
-    /// Nothing comes and nothing is taken, without an error.
+    /// Nothing arrives and nothing is accepted, without an error.
     Hang,
-    /// The port is gone for good; the device has come back under another name.
+    /// The port is gone; the device is back under another name.
     Rename,
 }
 
-/// All of them, delays as short and as long as they come on a healthy link, and longer than the
-/// device's watchdog.
+/// All failures, with delays from those of a healthy link to those longer than the device's
+/// watchdog.
 pub const KINDS: [Kind; 13] = [
     Kind::Drop,
     Kind::Delay(13 * MS),
@@ -54,7 +53,7 @@ pub const KINDS: [Kind; 13] = [
 ];
 
 impl Kind {
-    /// Whether a healthy link does this now and then: once is no reason to end anything.
+    /// Whether a healthy link shows it now and then, so that a single one must not end a motion.
     pub fn is_ordinary(self) -> bool {
         match self {
             Self::Drop
@@ -70,16 +69,16 @@ impl Kind {
     }
 }
 
-/// Which operation fails, and how. Reads and writes are counted together, from 0.
+/// The failing operation and its failure. Reads and writes are counted together, from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Plan {
     pub operation: u64,
     pub kind: Kind,
-    /// All operations from there on, and not only that one.
+    /// Whether all later operations fail too.
     pub lasting: bool,
 }
 
-/// Bytes under way in one direction, each piece with the time at which it arrives.
+/// Bytes in transit in one direction, each piece with its time of arrival.
 #[derive(Debug, Default)]
 struct Held {
     pieces: VecDeque<(Nanoseconds, Vec<u8>)>,
@@ -88,7 +87,7 @@ struct Held {
 }
 
 impl Held {
-    /// Pieces arrive in their order, whatever the delay of each.
+    /// Adds a piece; pieces keep their order, whatever their delays.
     fn push(&mut self, arrival_ns: Nanoseconds, bytes: Vec<u8>) {
         let earliest_ns = self.pieces.back().map_or(0, |(arrival_ns, _)| *arrival_ns);
         self.pieces.push_back((arrival_ns.max(earliest_ns), bytes));
@@ -106,8 +105,8 @@ impl Held {
     }
 }
 
-/// The proxy. A read brings a whole frame, as a USB adapter does, so that an operation is a message
-/// and not a byte.
+/// The proxy. A read delivers a whole frame, as a USB adapter does, so that an operation is a
+/// message.
 pub struct FaultPort<T> {
     wire: T,
     clock: VirtualClock,
@@ -116,7 +115,7 @@ pub struct FaultPort<T> {
     gone: bool,
     to_device: Held,
     to_host: Held,
-    /// What has arrived and the host has not taken yet.
+    /// Bytes that have arrived and wait for the host.
     arrived: VecDeque<u8>,
 }
 
@@ -134,12 +133,12 @@ impl<T: Transport> FaultPort<T> {
         }
     }
 
-    /// How many operations there were.
+    /// Number of operations so far.
     pub fn operations(&self) -> u64 {
         self.operations
     }
 
-    /// Counts an operation and says what goes wrong with it.
+    /// Counts an operation; returns its failure, if any.
     fn next_fault(&mut self) -> Option<Kind> {
         let operation = self.operations;
         self.operations += 1;
@@ -214,7 +213,7 @@ impl<T: Transport> Transport for FaultPort<T> {
             let frame = self.frame_from_device(deadline_ns)?;
             let now_ns = self.clock.now_ns();
             if !frame.is_empty() {
-                // A single fault strikes the first frame of the read and leaves those behind it.
+                // A single fault affects the first frame of the read only.
                 let lasting = self.plan.is_some_and(|plan| plan.lasting);
                 let strikes = if lasting { fault } else { fault.take() };
                 match strikes {

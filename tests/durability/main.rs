@@ -1,8 +1,8 @@
-//! Nothing is lost: the wire fails at every operation, sessions live through seeded schedules of
-//! faults, files are cut at every byte, processes are killed at any instant, disks fail.
+//! Tests that nothing is lost: the wire fails at every operation, sessions survive seeded schedules
+//! of faults, files are cut at every byte, processes are killed at random instants, and disks fail.
 //!
-//! Everything but the processes runs in virtual time. The counts here are small; `scripts/durability`
-//! sets the environment to the large ones.
+//! Everything except the processes runs in virtual time. The numbers here are small;
+//! `scripts/durability` sets the environment to the large ones.
 
 mod bystanders;
 mod cuts;
@@ -16,7 +16,7 @@ mod sweep;
 mod watched_wire;
 mod world;
 
-/// A count from the environment, or the small one for every day.
+/// A number from the environment, or the small default.
 fn count_from(variable: &str, small: u64) -> u64 {
     match std::env::var(variable) {
         Ok(text) => text.parse().unwrap_or_else(|_| panic!("{variable}={text} is no number")),

@@ -1,8 +1,8 @@
-//! Whole sessions in simulated time under seeded schedules of faults: on the wire, on the disk,
-//! crashes, losses of power, requests to stop; as many lives of the process as it takes.
+//! Tests whole sessions in virtual time under seeded schedules of faults: on the wire, on the disk,
+//! crashes, losses of power, requests to stop; the process is restarted as often as necessary.
 //!
-//! Everything follows from the seed of a schedule. Most begin with policies that are trained
-//! already, as a session finds them after a crash; one in sixteen trains.
+//! Everything follows from the seed of a schedule. Most schedules begin with trained policies, as a
+//! session finds them after a crash; one in sixteen trains.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -26,10 +26,10 @@ use crate::fault_port::{KINDS, Plan};
 use crate::simulated_disk::{DiskFault, SimulatedDisk, Stopped};
 use crate::world::{STEPS, Wiring};
 
-/// Different sessions that schedules are laid over.
+/// Number of different sessions.
 const WORLDS: u64 = 4;
 
-/// Lives with faults; those after it have none, so that a schedule ends.
+/// Lives with faults; later lives have none, so that a schedule ends.
 const DISTURBED_LIVES: u32 = 3;
 
 /// Three candidates with one rollout each, trained on next to nothing.
@@ -48,7 +48,7 @@ pub fn settings(seed: u64) -> SessionSettings {
         repetitions: 3,
     };
     settings.homing.method = HomingMethod::Hand;
-    // What is asked here is what remains on disk; the guard's trials would take most of the time.
+    // The files are under test here; the guard's simulations would take most of the time.
     settings.safety_box = SafetyBox::THESIS;
     settings.training.updates = 1;
     settings.training.num_envs = 16;
@@ -65,7 +65,7 @@ pub fn ledger_path() -> PathBuf {
     root().join("ledger.jsonl")
 }
 
-/// A session that nothing has disturbed.
+/// An undisturbed session.
 pub struct Undisturbed {
     pub settings: SessionSettings,
     pub disk: SimulatedDisk,
@@ -86,14 +86,14 @@ impl Undisturbed {
         Self { settings, disk, ledger, disk_operations, wire_operations }
     }
 
-    /// The same for each test, made once.
+    /// The same session for all tests, made once.
     pub fn world(number: u64) -> &'static Self {
         static MADE: [OnceLock<Undisturbed>; WORLDS as usize] =
             [const { OnceLock::new() }; WORLDS as usize];
         MADE[(number % WORLDS) as usize].get_or_init(|| Self::new(number % WORLDS))
     }
 
-    /// A disk with this session's policies and nothing else of it.
+    /// A disk with this session's policies only.
     pub fn trained_disk(&self) -> SimulatedDisk {
         let disk = SimulatedDisk::default();
         let configuration = self.settings.to_toml().unwrap();
@@ -108,7 +108,7 @@ impl Undisturbed {
     }
 }
 
-/// One life of the process: how it ended, and what it had recorded for sure.
+/// One life of the process: its ending, and the entries that were recorded for certain.
 pub struct Life {
     pub result: Result<(), SessionError>,
     pub entries: Vec<Entry>,
@@ -116,7 +116,7 @@ pub struct Life {
     pub longest_on_us: u64,
 }
 
-/// Begins the session or goes on with it, until it ends in one way or another.
+/// Starts or resumes the session and runs it until it ends.
 pub fn live(
     settings: &SessionSettings,
     disk: &SimulatedDisk,
@@ -144,7 +144,7 @@ pub fn live(
     Life { result, entries, wire_operations, longest_on_us: wiring.must_end_safe() }
 }
 
-/// What a schedule came to.
+/// The result of a schedule.
 #[derive(Default)]
 struct Told {
     lives: u64,
@@ -239,7 +239,7 @@ impl Schedule {
             }
             let crashed = disk.crashed().load(Ordering::SeqCst);
             told.crashes += u64::from(crashed);
-            // Also a process that ended by itself may lose the power before the next one.
+            // A process that ended by itself may lose the power before the next one too.
             let stopped = if self.chance(if crashed { 5 } else { 2 }) {
                 told.power_losses += 1;
                 Stopped::PowerLost(self.random.random())
@@ -247,12 +247,12 @@ impl Schedule {
                 Stopped::Killed
             };
             disk = disk.restarted(stopped);
-            // Nothing that was recorded is gone.
+            // Nothing that was recorded is lost.
             let bytes = disk.bytes(&ledger_path()).unwrap_or_default();
             let found = parse_ledger(&bytes).unwrap_or_else(|damage| panic!("{damage:?}"));
             assert!(found.entries.starts_with(&recorded), "a recorded entry is lost");
             if !disk.exists(&root().join("session.toml")) {
-                // It was stopped before it had begun: whoever sees that begins anew.
+                // It was stopped before its first entry, so the next life begins anew.
                 assert!(recorded.is_empty());
                 disk = SimulatedDisk::default();
             }
@@ -261,8 +261,8 @@ impl Schedule {
         told
     }
 
-    /// Each rollout is counted once, its recording is whole, and where no attempt was void the
-    /// ledger is that of an undisturbed session, byte for byte.
+    /// Checks that each rollout is counted once and that its recording is complete, and that a
+    /// session without void attempts has the ledger of an undisturbed one, byte for byte.
     fn check_end(&self, disk: &SimulatedDisk, recorded: &[Entry], given_up: bool) {
         let bytes = disk.bytes(&ledger_path()).unwrap_or_default();
         let entries = parse_ledger(&bytes).unwrap().entries;
@@ -294,7 +294,7 @@ impl Schedule {
     }
 }
 
-/// Says how to run the one schedule again that failed.
+/// Prints how to repeat the schedule that failed.
 struct Seed(u64);
 
 impl Drop for Seed {

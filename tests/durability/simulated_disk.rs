@@ -1,7 +1,7 @@
 //! A disk in memory that fails at chosen operations and can lose its power.
 //!
-//! It is as unkind as POSIX allows: until a file is synced its new bytes may be lost, or read as
-//! zeros; until a folder is synced the names in it are the old ones or the new ones.
+//! It makes full use of what POSIX permits: until a file is synced, its new bytes may be lost or
+//! read as zeros; until a folder is synced, its names may be the old or the new ones.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -16,28 +16,28 @@ use qube_hil::storage::{Disk, DiskFile, Hold};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// What goes wrong with an operation that changes something.
+/// A failure of an operation that changes the disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DiskFault {
-    /// No room: a write takes half of its bytes and then fails. Lasts.
+    /// The disk is full: a write takes half of its bytes and then fails. Permanent.
     Full,
-    /// The file system has become read-only. Lasts.
+    /// The file system has become read-only. Permanent.
     ReadOnly,
     /// A write or a change of names fails with EIO, once.
     WriteFails,
-    /// From here on the next sync fails with EIO, once; what it was to save may be lost.
+    /// The next sync fails with EIO, once; its data may be lost.
     SyncFails,
-    /// The process is killed, or the power goes, in the middle of the operation. Nothing works
-    /// any more until [`SimulatedDisk::restarted`].
+    /// The process is killed, or the power fails, during the operation. Nothing works until
+    /// [`SimulatedDisk::restarted`].
     Crash,
 }
 
 /// How a machine stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stopped {
-    /// The process is gone; what the operating system was given stays.
+    /// The process is gone; the operating system keeps what it was given.
     Killed,
-    /// The machine is off; the seed decides what of the unsynced has got through.
+    /// The machine is off; the seed decides which unsynced data survive.
     PowerLost(u64),
 }
 
@@ -95,29 +95,29 @@ impl SimulatedDisk {
         self.content.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Operations so far that changed something.
+    /// Number of operations so far that changed the disk.
     pub fn operations(&self) -> u64 {
         self.content().operations
     }
 
-    /// Another disk with the same content, all of it synced, and no faults.
+    /// A copy of the disk, all of it synced, without faults.
     pub fn copied(&self) -> Self {
         self.restarted(Stopped::Killed)
     }
 
-    /// Plans faults, each at the operation of this number from now on.
+    /// Plans faults at operations, counted from now on.
     pub fn plan(&self, faults: impl IntoIterator<Item = (u64, DiskFault)>) {
         let mut content = self.content();
         let now = content.operations;
         content.faults = faults.into_iter().map(|(after, fault)| (now + after, fault)).collect();
     }
 
-    /// Set once a crash has struck: whatever else the process did is over at that moment too.
+    /// A flag that is set once a crash has struck; the whole process is over at that moment.
     pub fn crashed(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.crashed)
     }
 
-    /// What is found when the machine runs again, on a disk without faults.
+    /// The disk after a restart of the machine, without faults.
     pub fn restarted(&self, stopped: Stopped) -> Self {
         let before = self.content().clone();
         let mut after = Content { nodes: before.nodes.clone(), ..Content::default() };
@@ -128,7 +128,7 @@ impl SimulatedDisk {
                 for node in &mut after.nodes {
                     node.bytes = got_through(node, &mut random);
                 }
-                // Of each folder the old names, or the new ones.
+                // Each folder has its old or its new names.
                 let mut is_new: BTreeMap<PathBuf, bool> = BTreeMap::new();
                 let mut pick = |path: &Path| {
                     let folder = path.parent().unwrap_or(path).to_owned();
@@ -145,7 +145,7 @@ impl SimulatedDisk {
                     }
                 }
                 after.names.insert(PathBuf::from("/"), Name::Folder);
-                // What is in a folder that is not there is not there.
+                // Files in a missing folder are missing.
                 let known = after.names.clone();
                 after.names.retain(|path, _| {
                     path.ancestors().skip(1).all(|folder| known.contains_key(folder))
@@ -185,8 +185,8 @@ impl SimulatedDisk {
         files.map(|(path, _)| path.clone()).collect()
     }
 
-    /// Counts an operation and fails it where that is planned. A crash is an error of its own kind
-    /// that comes back from every later operation too.
+    /// Counts an operation, and fails it if that is planned. A crash has an error of its own, which
+    /// all later operations return.
     fn begin(&self, is_sync: bool) -> Result<MutexGuard<'_, Content>, (io::Error, bool)> {
         let mut content = self.content();
         if self.crashed.load(Ordering::SeqCst) {
@@ -224,14 +224,14 @@ impl SimulatedDisk {
     }
 }
 
-/// What of a file has got to the disk: all that was synced, and some of the rest, its last bytes
-/// perhaps as zeros.
+/// The bytes of a file that have reached the disk: all synced ones, and some of the others, the
+/// last of them perhaps as zeros.
 fn got_through(node: &Node, random: &mut ChaCha8Rng) -> Vec<u8> {
     if node.bytes == node.synced {
         return node.bytes.clone();
     }
     if !node.bytes.starts_with(&node.synced) {
-        // Cut off or begun anew: one or the other.
+        // A truncated or restarted file has its old or its new content.
         return if random.random() { node.bytes.clone() } else { node.synced.clone() };
     }
     let length = random.random_range(node.synced.len()..=node.bytes.len());
@@ -379,7 +379,7 @@ impl DiskFile for SimulatedFile {
     }
 }
 
-/// The disk itself keeps its promises, and no others.
+/// Tests of the simulated disk.
 #[test]
 fn what_is_synced_survives_and_what_is_not_may_be_lost() {
     let disk = SimulatedDisk::default();

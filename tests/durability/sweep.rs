@@ -1,5 +1,5 @@
-//! The wire fails at the i-th operation, for each i of a whole run and in each way: every run ends
-//! with the amplifier off, and with a recording that is right.
+//! Tests a failure of the wire at the i-th operation, for each i of a whole run and each kind:
+//! every run ends with the amplifier off and a correct recording.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -20,21 +20,22 @@ use crate::fault_port::{KINDS, Kind, Plan};
 use crate::simulated_disk::SimulatedDisk;
 use crate::world::{STEPS, Wiring};
 
-/// What became of one run.
+/// The result of one run.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Outcome {
     /// The device could not be opened or homed; nothing was begun.
     NotOpened(String),
-    /// It could not be armed; there is no recording, and the rollout is done again.
+    /// The device could not be armed; there is no recording, and the rollout is repeated.
     NotArmed(String),
-    /// A result.
+    /// A valid rollout.
     Finished,
-    /// A fault ended it, and is named.
+    /// A fault, which is named.
     Void(String),
 }
 
-/// One run: hello, homing, settling, 60 steps, braking. Gives what became of it, the operations on
-/// the wire, and how long after the last valid command the amplifier went off, us.
+/// One run: hello, homing, settling, 60 steps, braking. Returns its result, the number of
+/// operations on the wire, and the time from the last valid command until the amplifier went off,
+/// us.
 fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
     let disk = SimulatedDisk::default();
     let wiring = Wiring::new(vec![plan], None, Arc::default());
@@ -49,7 +50,7 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
         }
         Ok(mut rig) => {
             let outcome = rollout(&rig, &disk);
-            // Whatever struck once is over: the machine must come back without anybody's help.
+            // A single fault is over, so the rig must recover by itself.
             if matches!(outcome, Outcome::Void(_))
                 && plan.is_some_and(|plan| !plan.lasting && plan.kind != Kind::Rename)
             {
@@ -62,7 +63,7 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
     (outcome, operations, wiring.must_end_safe())
 }
 
-/// A rollout of 60 steps by the classical controller, and its policy file.
+/// A rollout of 60 steps by the classical controller, with its policy file.
 pub fn plan() -> (RolloutPlan, Vec<u8>) {
     let plan = RolloutPlan {
         safety_box: SafetyBox::THESIS,
@@ -84,7 +85,7 @@ fn rollout(rig: &Rig, disk: &SimulatedDisk) -> Outcome {
         }
         Err(error) => panic!("{error}"),
     };
-    // The record tells the same story as the control thread.
+    // The recording must agree with the control thread's report.
     let recording = read_on(disk, path).unwrap();
     assert_eq!(recording.outcome.as_ref(), Some(&recorded.outcome));
     assert!(!recording.has_gaps() && recorded.outcome.records_lost == 0);
@@ -115,7 +116,7 @@ fn named(error: &RigError) -> String {
     text
 }
 
-/// What a sweep found.
+/// The results of a sweep.
 #[derive(Default)]
 struct Tally {
     runs: u64,
@@ -125,7 +126,7 @@ struct Tally {
     longest_on_us: u64,
 }
 
-/// Runs a sample of one in `stride` of all (operation, kind, once or lasting), or all of them.
+/// Runs all combinations (operation, kind, single or permanent), or one in `stride`.
 fn sweep(method: HomingMethod, stride: u64) -> Tally {
     let (outcome, operations, _) = run(None, method);
     assert_eq!(outcome, Outcome::Finished, "nothing was wrong");
@@ -140,7 +141,7 @@ fn sweep(method: HomingMethod, stride: u64) -> Tally {
                 if case >= cases {
                     return tally;
                 }
-                // Each kind, once and lasting, in turn; so a sample has all of them everywhere.
+                // Kinds alternate, so that a sample has all of them everywhere.
                 let kind = KINDS[(case % KINDS.len() as u64) as usize];
                 let rest = case / KINDS.len() as u64;
                 let plan = Plan { operation: rest / 2, kind, lasting: rest % 2 == 1 };
@@ -167,7 +168,7 @@ fn sweep(method: HomingMethod, stride: u64) -> Tally {
     sum
 }
 
-/// Says which case it was when a run panics.
+/// Prints the combination of a run that panics.
 struct Case(Plan);
 
 impl Drop for Case {
@@ -195,7 +196,7 @@ impl Tally {
 
 #[test]
 fn a_wire_that_fails_anywhere_in_any_way_leaves_the_amplifier_off_and_the_record_right() {
-    // A prime, so that the sample walks through all combinations.
+    // A prime, so that the sample covers all combinations.
     let stride = count_from("QUBE_HIL_FAULT_SWEEP_STRIDE", 97);
     let tally = sweep(HomingMethod::Hand, stride);
     assert!(tally.finished > 0 && tally.void > 0 && tally.not_begun > 0);
@@ -203,8 +204,8 @@ fn a_wire_that_fails_anywhere_in_any_way_leaves_the_amplifier_off_and_the_record
     sweep(HomingMethod::Stops, stride);
 }
 
-/// The port is pulled at any moment and comes back under another name: a new link to the same board
-/// arms and runs.
+/// Tests that a port that is pulled and returns under another name can be used: a new link to the
+/// same board arms and runs.
 #[test]
 fn a_device_that_comes_back_under_another_name_runs_again() {
     let (_, operations, _) = run(None, HomingMethod::Hand);

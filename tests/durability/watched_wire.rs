@@ -1,5 +1,5 @@
-//! The emulated board's wire, watched: after each operation its amplifier must be where the promise
-//! has it.
+//! The emulated board's wire with checks: after each operation the amplifier must be in the
+//! promised state.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,12 +8,12 @@ use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{InProcessWire, LinkFault, Transport};
 
-/// Without a valid command the amplifier goes off after this, us.
+/// Time without a valid command after which the amplifier goes off, us.
 const WATCHDOG_US: u64 = 50_000;
-/// The device looks at that so often, us: the amplifier goes off so much later at most.
+/// Interval at which the device checks its watchdog, us, which adds to that.
 const POLL_US: u64 = 5_000;
 
-/// A board and its wire, shared between the link that uses it and the test that looks at it.
+/// A board with its wire, shared between the link and the test.
 #[derive(Clone)]
 pub struct WatchedWire {
     wire: Arc<Mutex<InProcessWire>>,
@@ -21,7 +21,7 @@ pub struct WatchedWire {
 }
 
 impl WatchedWire {
-    /// The time that board and link share.
+    /// Clock of board and link.
     pub fn clock(&self) -> VirtualClock {
         self.clock.clone()
     }
@@ -40,8 +40,8 @@ impl WatchedWire {
         self.with(|wire| wire.board().state())
     }
 
-    /// What must hold at any time; gives how long after the last valid command the amplifier went
-    /// off, us, where it is off.
+    /// Checks the promises that always hold; returns the time from the last valid command until the
+    /// amplifier went off, us, if it is off.
     fn check(&self) -> Option<u64> {
         let now_us = self.clock.now_ns() / 1000;
         self.with(|wire| {
@@ -60,8 +60,8 @@ impl WatchedWire {
         })
     }
 
-    /// Lets a second pass in which nobody says anything: the amplifier must be off then. How long
-    /// after the last valid command it went off, us; none where it never was on.
+    /// Advances by a second without traffic, after which the amplifier must be off; returns the
+    /// time after the last valid command at which it went off, us, or `None` if it never was on.
     pub fn must_end_safe(&self) -> Option<u64> {
         self.clock.advance(1_000_000_000);
         let later_us = self.check();

@@ -1,5 +1,5 @@
-//! A Qube in virtual time behind a wire that may fail, and rollouts on it that are as short as they
-//! can be and still go through every phase.
+//! A Qube in virtual time behind a wire with planned faults, and rollouts that are as short as
+//! possible and still pass through every phase.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,24 +13,24 @@ use qube_hil::rig::{Connect, DeviceChoice, RigSettings, TimedDevice};
 use crate::fault_port::{FaultPort, Plan};
 use crate::watched_wire::WatchedWire;
 
-/// Steps of the policy in a rollout.
+/// Number of steps of the policy in a rollout.
 pub const STEPS: u32 = 60;
 
-/// What is to go wrong on the wires of a process, one plan for each rig that it opens.
+/// Planned faults of a process's wires, one plan for each rig that it opens.
 #[derive(Clone, Debug, Default)]
 pub struct Wiring {
     state: Arc<Mutex<State>>,
-    /// The process has crashed: its end of the wire falls silent.
+    /// Set when the process has crashed: its end of the wire falls silent.
     crashed: Arc<AtomicBool>,
 }
 
 #[derive(Default)]
 struct State {
     plans: Vec<Option<Plan>>,
-    /// Somebody asks to stop at this operation of the rig of this number.
+    /// Requests a stop at this operation of this rig.
     stop: Option<(usize, u64, Arc<AtomicBool>)>,
     opened: Vec<WatchedWire>,
-    /// A board that is there already, for the next rig instead of a new one.
+    /// An existing board for the next rig.
     waiting: Option<WatchedWire>,
     operations: Vec<Arc<std::sync::atomic::AtomicU64>>,
 }
@@ -55,24 +55,24 @@ impl Wiring {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The longest that an amplifier stayed on after the last valid command, us, over all rigs.
-    /// Panics where one is still on.
+    /// Longest time for which an amplifier stayed on after the last valid command, us, over all
+    /// rigs. Panics if one is still on.
     pub fn must_end_safe(&self) -> u64 {
         let opened = std::mem::take(&mut self.state().opened);
         opened.iter().filter_map(WatchedWire::must_end_safe).max().unwrap_or(0)
     }
 
-    /// Operations on the wire of each rig.
+    /// Number of operations on each rig's wire.
     pub fn operations(&self) -> Vec<u64> {
         self.state().operations.iter().map(|count| count.load(Ordering::Relaxed)).collect()
     }
 
-    /// The wire of the last rig, for one who opens its port again.
+    /// Wire of the last rig, to reopen its port.
     pub fn last_wire(&self) -> Option<WatchedWire> {
         self.state().opened.last().cloned()
     }
 
-    /// A new port, without faults, to a board that is there already.
+    /// A new port without faults to an existing board.
     pub fn reopened(&self, wire: WatchedWire) -> Self {
         let state = State { waiting: Some(wire), ..State::default() };
         Self { state: Arc::new(Mutex::new(state)), crashed: Arc::default() }
@@ -113,8 +113,7 @@ impl Connect for Wiring {
     }
 }
 
-/// The process's end of a wire: it goes silent with the process, and somebody may ask to stop while
-/// it is in use.
+/// The process's end of a wire. It falls silent with the process, and may request a stop.
 struct HostEnd {
     port: FaultPort<WatchedWire>,
     stop: Option<(u64, Arc<AtomicBool>)>,

@@ -1,4 +1,4 @@
-//! How fast an act reaches the Qube, and what a flood of requests does.
+//! Tests the delay of an act to the Qube, and a flood of requests.
 
 use std::time::Duration;
 
@@ -10,18 +10,18 @@ use crate::host::{Disturbed, scenario};
 
 const ACTS: i16 = 40;
 
-/// 17 bytes at 1 MHz, and an interrupt between two of them.
+/// Time of 17 bytes at 1 MHz, with an interrupt between two of them.
 const FRAME_US: u64 = 17 * 11;
 
-/// From the chip's start to the start of the firmware's clock: at the first start it writes its serial
-/// number into the EEPROM.
+/// Time from the chip's start to the start of the firmware's clock: at its first start it writes
+/// its serial number into the EEPROM.
 const BOOT_US: u64 = 60_000;
 
-/// What may lie between the firmware's look at its clock and the fall of chip select.
+/// Time between the firmware's reading of its clock and the fall of chip select, at most.
 const CLOCK_US: u64 = 4;
 
-/// An act begins a frame in that moment, or directly after the one under way. To wait for the
-/// sampling timer would take 2 ms.
+/// An act starts a frame at once, or directly after the current one. The sampling timer would add 2
+/// ms.
 #[test]
 fn the_firmware_passes_an_act_on_at_once() {
     scenario(|host| {
@@ -29,7 +29,7 @@ fn the_firmware_passes_an_act_on_at_once() {
         let (mut acts, mut samples_us) = (Vec::new(), Vec::new());
         let mut before = host.sample().map_err(|_| Disturbed)?;
         for act in 0..ACTS {
-            // Each another motor word; no voltage for long enough to matter.
+            // Each act has another motor word; no voltage lasts long enough to matter.
             let voltage_mv = 50 * (act - ACTS / 2);
             let _ = host.link.act(voltage_mv, before.device_time_us);
             std::thread::sleep(Duration::from_micros(7_000 + 137 * act as u64));
@@ -44,7 +44,7 @@ fn the_firmware_passes_an_act_on_at_once() {
             before = after;
         }
         let qube = host.board.qube();
-        // Each sample is of a frame that there was, timed when chip select fell.
+        // Each sample comes from an existing frame and is timed at the fall of chip select.
         let is_of_a_frame = |time_us: u64| {
             let next = qube.commands.partition_point(|it| it.selected_us < time_us);
             qube.commands.get(next).is_some_and(|it| it.selected_us <= time_us + CLOCK_US)
@@ -77,12 +77,12 @@ fn the_firmware_survives_a_flood_of_requests() {
     scenario(|host| {
         host.link.arm().unwrap();
         for sequence in 0..400 {
-            // Seven bytes each, answered by 32: no ring can hold what piles up.
+            // Requests of seven bytes with answers of 32: no buffer can hold what accumulates.
             let sample = Request::Sample.encode(sequence);
             let _ = host.link.transport().write(sample.as_bytes());
         }
         host.board.wait_us(200_000);
-        // Whatever came of them, none fed the watchdog, and the next hello is heard.
+        // No request of the flood fed the watchdog, and the next hello is answered.
         let commands = host.board.qube().commands.clone();
         assert_eq!(commands.last().unwrap().motor_word, 0);
         host.link.hello().unwrap();

@@ -1,4 +1,5 @@
-//! A host's clock that goes with the simulated board's: where the computer stands still, both do.
+//! A clock of the host that follows the simulated board's clock: if the computer stalls, both stand
+//! still.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,13 +12,13 @@ use qube_hil::rig::{ClockChoice, Connect, DeviceChoice, RigSettings, TimedDevice
 
 use crate::simulated_board::SimulatedBoard;
 
-/// How far this clock goes on by itself without a sign of the board.
+/// Time that this clock runs on by itself without a sign of the board.
 const AHEAD: Duration = Duration::from_millis(3);
 
-/// How long a wait sleeps at a time.
+/// Interval of polling while waiting.
 const NAP: Duration = Duration::from_micros(200);
 
-/// The time of a simulated board, us, which its frames tell; between them the computer's own time.
+/// Time of a simulated board, us, from its frames; the computer's time interpolates between them.
 #[derive(Clone)]
 pub struct BoardClock {
     board_us: Arc<dyn Fn() -> u64 + Send + Sync>,
@@ -62,7 +63,7 @@ impl Clock for BoardClock {
     }
 }
 
-/// The way to a simulated board in its own time.
+/// Connection to a simulated board in its own time.
 #[derive(Debug)]
 struct Connection {
     port: String,

@@ -1,4 +1,4 @@
-//! The firmware with a healthy Qube behind it passes the check that precedes a session, in the board's
+//! Tests that the firmware with a healthy Qube passes the check before a session, in the board's
 //! own time.
 
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// How often the check is repeated because the computer was late with answers.
+/// Attempts, because the computer may answer late.
 const ATTEMPTS: u32 = 4;
 
 #[test]
@@ -34,7 +34,7 @@ fn the_firmware_passes_the_check_of_a_qube() {
             assert_eq!(found.results.last().map(|last| last.name.as_str()), Some("homing"));
             return;
         }
-        // How long an answer takes is the computer's affair.
+        // The time of an answer depends on the computer.
         let complaint = format!("{:#?}\n{} us not simulated", found.results, board.given_up_us());
         assert_eq!(failed, ["latency"], "{complaint}");
         if attempt == ATTEMPTS {

@@ -1,4 +1,4 @@
-//! The firmware keeps every promise of the protocol, on both chips.
+//! Tests that the firmware keeps every promise of the protocol, on both chips.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// How often a check is repeated because the computer could not run the simulator in real time.
+/// Attempts, because the computer may not run the simulator in real time.
 const ATTEMPTS: u32 = 10;
 
 fn conforms(chip: Chip) {

@@ -1,4 +1,4 @@
-//! Whatever fails, the motor goes off, stays off, and says so in red.
+//! Tests that after every fault the motor goes off and stays off, and the LED turns red.
 
 use firmware_protocol::{QUBE_MODULE_ID, WATCHDOG_MS, WATCHDOG_POLL_MS};
 use qube_hil::clock::MonotonicClock;
@@ -9,14 +9,15 @@ use crate::qube::{Command, Qube};
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
 
-/// Two of the firmware's sampling periods: what it may be late to see, or to tell the Qube.
+/// Two of the firmware's sampling periods: its largest delay in detecting a fault or telling the
+/// Qube.
 const TWO_PERIODS_US: u64 = 2 * 2_000;
 
-/// The chip's watchdog waits 16 ms.
+/// Timeout of the chip's watchdog.
 const CHIP_WATCHDOG_US: u64 = 16_384;
 
-/// When the motor went off for good, and checks that what follows is off and red, or dark between
-/// two blinks.
+/// The time at which the motor went off for good; also checks that all later frames are off and
+/// red, or dark between two blinks.
 fn off_for_good(commands: &[Command]) -> u64 {
     let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
     let off = &commands[last_on + 1..];
@@ -49,11 +50,11 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
         let off_us = off_for_good(&commands);
         let status = host.sample().map_err(|_| Disturbed)?.status;
         assert!(status.watchdog_tripped && !status.armed, "{status:?}");
-        // Steady red is the watchdog's colour.
+        // Steady red is the colour of the watchdog.
         assert!(commands.iter().filter(|it| it.time_us > off_us).all(Command::is_red));
 
-        // The act that came last is not seen on the SPI, which carries the same word for long. So
-        // once more from an arm, whose 0 V are seen.
+        // The last act does not show on the SPI, which repeats the same word for long. So this is
+        // repeated from an arm, whose 0 V show.
         host.link.hello().unwrap();
         let armed_us = host.board.time_us();
         host.link.arm().unwrap();
@@ -84,14 +85,14 @@ fn the_firmware_latches_an_amplifier_fault() {
         host.board.qube().amplifier_fault = false;
         host.board.wait_us(600_000);
         let mut commands = host.commands_since(fault_us);
-        // The frame under way may have been the last that drove.
+        // The current frame may have been the last that drove.
         let last = Command { motor_word: 0x8000, ..commands[0] };
         commands.insert(0, last);
         assert!(off_for_good(&commands) <= fault_us + 2 * TWO_PERIODS_US, "{:?}", &commands[..5]);
         let blinks = commands.iter().any(|it| it.leds == [0; 3]);
         assert!(blinks, "a fault is told from the watchdog by its blinking");
 
-        // While it lasts nothing arms; then a hello and an arm do.
+        // While the fault lasts the device refuses to arm; afterwards a hello and an arm succeed.
         host.board.qube().amplifier_fault = true;
         host.board.wait_us(10_000);
         host.link.hello().unwrap();
@@ -181,14 +182,14 @@ fn the_firmware_extends_24_bit_counters() {
     });
 }
 
-/// The main loop is lost in an endless loop while the interrupts go on as ever.
+/// The main loop hangs in an endless loop while the interrupts continue.
 #[test]
 fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
     scenario(|host| {
         host.arm_and_drive()?;
         host.board.order(Order::Hang);
         let hung_us = host.board.time_us();
-        // It restarts, so frames come again.
+        // The chip restarts, so frames appear again.
         host.board.wait_us(100_000);
         let commands = host.commands_since(hung_us - 50_000);
         let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
@@ -200,7 +201,7 @@ fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
             "off {off_after_us} us after the program hung"
         );
         assert!(off[0].is_red(), "the watchdog's own frame: {:?}", off[0]);
-        // It has restarted and knows of no hello: white.
+        // The chip has restarted and knows of no hello: white.
         let [red, green, blue] = off.last().unwrap().leds;
         assert!(red > 0 && red == green && green == blue, "{:?}", off.last());
         host.link.hello().unwrap();

@@ -1,4 +1,5 @@
-//! What the Qube does when the board loses its supply, browns out or restarts, and what is kept.
+//! Tests the Qube while its board loses its supply, browns out or restarts, and which values
+//! persist.
 
 use std::sync::Arc;
 
@@ -14,14 +15,14 @@ use crate::toolchain::{Chip, toolchain};
 /// The chip's start-up time after a brown-out.
 const START_UP_US: u64 = 65_000;
 
-/// From the chip's start to the end of the program's first frame.
+/// Time from the chip's start to the end of the program's first frame.
 const FIRST_FRAME_US: u64 = 1_000;
 
-/// When the order was carried out is known to within a frame, and some of the simulator's slices.
+/// Error of the time of an order: a frame, and some of the simulator's slices.
 const ORDER_US: u64 = 3_000;
 
-/// Drives, restarts the board in the middle of it, and returns for how long the motor stayed on, and
-/// who answered before and after.
+/// Drives, restarts the board meanwhile, and returns the time for which the motor stayed on, and
+/// the identities before and after.
 fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), Disturbed> {
     let before = host.link.hello().unwrap();
     host.arm_and_drive()?;
@@ -32,7 +33,7 @@ fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), D
     let last_on = commands.iter().rposition(|it| it.motor_is_on()).expect("it was driving");
     let off = &commands[last_on + 1..];
     assert!(off.len() > 10 && off.iter().all(|it| it.motor_word == 0), "{off:?}");
-    // Not the firmware's watchdog, which would have needed 50 ms and makes red light.
+    // Not by the firmware's watchdog, which needs 50 ms and turns the LED red.
     assert!(off[0].is_red() && !off[5].is_red(), "the first frame of a start is red, then white");
     let refused = host.sample();
     assert_eq!(refused, Err(LinkFault::NotArmed), "a restarted board knows of no hello");
@@ -65,7 +66,7 @@ fn a_brown_out_leaves_the_voltage_for_the_chips_start_up_time() {
     });
 }
 
-/// Nothing in a board without supply can switch anything off: the Qube drives the arm into its stop.
+/// Without supply the board cannot switch anything off: the Qube drives the arm into its stop.
 #[test]
 fn a_board_without_supply_leaves_the_motor_on() {
     scenario(|host| {

@@ -1,5 +1,5 @@
-//! A QUBE-Servo 2 Embedded panel at the other end of the SPI: the datasheet's 17-byte frame around
-//! the emulator's plant. Whatever a real one would not understand is noted as a violation.
+//! A QUBE-Servo 2 Embedded panel on the SPI: the data sheet's 17-byte frame around the emulator's
+//! plant. Input that a real one would not understand counts as a violation.
 
 use firmware_protocol::QUBE_MODULE_ID;
 use firmware_protocol::scaling::{MOTOR_ENABLE, motor_voltage_mv};
@@ -26,7 +26,7 @@ const STALL_ERROR: u8 = 1 << 2;
 const CLEARS_STALL: (u8, u16) = (0x7F, 0x0000);
 
 const LED_MAX: u16 = 999;
-/// Duty counts that a motor word may carry.
+/// Largest duty in a motor word, counts.
 const MOTOR_MAX: i16 = 999;
 
 // The AVR's SPI registers: enabled, master, MSB first, clock idles high (mode 2), and 16 MHz / 16.
@@ -35,10 +35,10 @@ const SPCR_MASK: u8 = 0b0111_1111;
 const SPCR_EXPECTED: u8 = 0b0101_1001;
 const SPSR_DOUBLE_SPEED: u8 = 1 << 0;
 
-/// What one frame told the Qube.
+/// The content of one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Command {
-    /// When chip select fell and when it rose, simulated time.
+    /// Times of the falling and rising edges of chip select, simulated.
     pub selected_us: u64,
     pub time_us: u64,
     pub write_mask: u8,
@@ -60,11 +60,11 @@ impl Command {
 
 pub struct Qube {
     plant: Plant,
-    /// 777, or something that is no Qube.
+    /// 777, or another module id for an absent Qube.
     pub module_id: u16,
     pub amplifier_fault: bool,
     pub stall_error: bool,
-    /// What presets have added to the plant's own counts.
+    /// Offsets that presets have added to the plant's counts.
     theta_preset: i32,
     alpha_preset: i32,
     motor_word: u16,
@@ -75,7 +75,7 @@ pub struct Qube {
 }
 
 impl Qube {
-    /// A Qube at rest whose amplifier was left on, as after a crash of whoever drove it before.
+    /// A Qube at rest with its amplifier left on, as after a crash of its last user.
     pub fn new(seed: u64) -> Self {
         Self {
             plant: Plant::new(&EmulatorSettings { seed, ..EmulatorSettings::default() }),
@@ -101,19 +101,19 @@ impl Qube {
         self.plant.alpha_counts().wrapping_add(self.alpha_preset)
     }
 
-    /// Moves both counters, as if the Qube had been switched on somewhere else.
+    /// Shifts both counters, as if the Qube had been switched on elsewhere.
     pub fn shift_counters(&mut self, counts: i32) {
         self.theta_preset += counts;
         self.alpha_preset += counts;
     }
 
-    /// Lets time pass without a frame; where the plant is then.
+    /// Advances without a frame; returns the plant's state.
     pub fn state_at(&mut self, time_us: u64) -> State {
         self.plant.advance_to(time_us);
         self.plant.state()
     }
 
-    /// Chip select falls: everything is latched.
+    /// Chip select falls, which latches everything.
     pub fn selected(&mut self, time_us: u64) -> [u8; FRAME_BYTES] {
         self.selected_us = time_us;
         self.plant.advance_to(time_us);
@@ -129,7 +129,7 @@ impl Qube {
         bytes
     }
 
-    /// Chip select rises: what was sent takes effect.
+    /// Chip select rises, and the received data take effect.
     pub fn deselected(&mut self, time_us: u64, sent: &[u8], spcr: u8, spsr: u8) {
         self.plant.advance_to(time_us);
         let Ok(frame) = <[u8; FRAME_BYTES]>::try_from(sent) else {

@@ -1,4 +1,4 @@
-//! The emergency-stop input: a normally closed contact between D2 and ground.
+//! Tests the emergency-stop input: a normally closed contact between D2 and ground.
 
 use std::sync::Arc;
 
@@ -10,10 +10,10 @@ use crate::qube::{Command, Qube};
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
 
-/// The firmware wants to see a contact open for 3 ms, and may be one sampling period late to see it.
+/// Longest reaction: the contact must be open for 3 ms, and sampling adds one period.
 const STOP_US: u64 = 3_000 + 2_000;
 
-/// When the order was carried out is known to within a frame, and some of the simulator's slices.
+/// Error of the time of an order: a frame, and some of the simulator's slices.
 const ORDER_US: u64 = 3_000;
 
 fn close(host: &mut Host) {
@@ -24,7 +24,7 @@ fn close(host: &mut Host) {
 
 fn stops(chip: Chip) {
     scenario_on(chip, |host| {
-        // Without a switch the open pin means nothing.
+        // Without a switch an open pin means nothing.
         host.arm_and_drive()?;
         let bare = host.sample().map_err(|_| Disturbed)?.status;
         assert!(!bare.stop_switch_fitted && !bare.emergency_stop, "{bare:?}");
@@ -73,7 +73,7 @@ fn an_open_stop_switch_switches_the_motor_off_on_the_mega() {
     stops(Chip::Atmega2560);
 }
 
-/// A wire that breaks while the board is off must stop it too.
+/// Tests that a wire that breaks while the board is off stops it too.
 #[test]
 fn a_board_remembers_its_stop_switch_over_a_restart() {
     let Some(toolchain) = toolchain() else { return };

@@ -1,4 +1,4 @@
-//! A swing-up on the firmware, homing and recording included, in the board's own time.
+//! Tests a swing-up on the firmware with homing and recording, in the board's own time.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// How often a rollout is repeated because the policy left the box.
+/// Attempts, because the policy may leave the box.
 const ATTEMPTS: u32 = 4;
 
 fn plan() -> RolloutPlan {
@@ -30,11 +30,11 @@ fn swings_up(chip: Chip, policy: &Policy) {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("rollout.mcap");
         let board = SimulatedBoard::start(toolchain, chip, Qube::new(0));
-        // The check has a test of its own.
+        // The check has its own test.
         let settings = RigSettings { skip_check: true, ..rig_settings(&board) };
         let stop = Arc::new(AtomicBool::new(false));
         let serial = Rig::connect(&settings, &stop).unwrap().identity().serial.clone();
-        // An identified Qube: the guard of any Qube ends good swing-ups.
+        // The Qube is identified, because the guard of an unidentified one ends good swing-ups.
         let profile = Some(Profile::exact("nominal", &QubeModel::NOMINAL));
         let settings = RigSettings { board: Some(serial), profile, ..settings };
         let rig = Rig::open(&settings, &stop).unwrap();

@@ -1,4 +1,4 @@
-//! Builds the firmware and the simulator once a run, or says why not.
+//! Builds the firmware and the simulator once for each run, or reports why not.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ pub enum Chip {
 }
 
 impl Chip {
-    /// As avr-gcc and simavr call it.
+    /// Name of the chip for avr-gcc and simavr.
     pub fn name(self) -> &'static str {
         match self {
             Self::Atmega328p => "atmega328p",
@@ -24,7 +24,7 @@ impl Chip {
     }
 }
 
-/// What `make` has built.
+/// The products of `make`.
 pub struct Toolchain {
     directory: PathBuf,
 }
@@ -34,7 +34,7 @@ impl Toolchain {
         self.directory.join(chip.name()).with_extension("elf")
     }
 
-    /// Builds the firmware into another folder; what `make` said.
+    /// Builds the firmware into another folder; returns make's output.
     pub fn make(&self, directory: &Path, variables: &[String]) -> Vec<u8> {
         make(directory, variables)
     }
@@ -44,7 +44,7 @@ impl Toolchain {
     }
 }
 
-/// Whether a program runs without complaint.
+/// Whether a program runs successfully.
 fn works(program: &str, arguments: &[&str]) -> bool {
     Command::new(program)
         .args(arguments)
@@ -95,8 +95,8 @@ fn make(directory: &Path, arguments: &[String]) -> Vec<u8> {
     made.stdout
 }
 
-/// The built firmware; none where a test has to be skipped, which is said even when the test's
-/// output is captured.
+/// The built firmware; `None` if a test must be skipped, which is printed even if the test's output
+/// is captured.
 pub fn toolchain() -> Option<&'static Toolchain> {
     static TOOLCHAIN: OnceLock<Option<Toolchain>> = OnceLock::new();
     TOOLCHAIN
@@ -107,7 +107,7 @@ pub fn toolchain() -> Option<&'static Toolchain> {
                 .any(|name| std::env::var_os(name).is_some_and(|value| !value.is_empty()));
             let message = format!("{missing} is missing: apt-get install {PACKAGES}");
             assert!(!required, "the firmware must be tested here, but {message}");
-            // Not eprintln, which the test harness captures.
+            // Not with eprintln, which the test harness captures.
             let _ = writeln!(std::io::stderr(), "\nSKIPPED: all tests of the firmware. {message}");
             None
         })

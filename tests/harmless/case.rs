@@ -1,4 +1,4 @@
-//! What may be wrong with a start, and with which Qube.
+//! The possible faults of a start, and the Qubes.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use qube_hil::telemetry::Fault;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// What is wrong.
+/// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Case {
     Healthy,
@@ -69,7 +69,7 @@ impl Case {
         Self::PendulumHeld,
     ];
 
-    /// Whether the arm's encoder is the one that fails for good or for a while.
+    /// Whether the arm's encoder fails, permanently or for a while.
     pub fn is_of_theta_encoder(self) -> bool {
         matches!(
             self,
@@ -81,7 +81,7 @@ impl Case {
         )
     }
 
-    /// Whether a start of this case may end by this fault.
+    /// Whether a start of this case may end with this fault.
     #[allow(clippy::enum_glob_use)]
     pub fn names_rightly(self, fault: Fault) -> bool {
         use Fault::*;
@@ -106,36 +106,37 @@ impl Case {
             Self::ArmHeld | Self::ArmHeldLater => matches!(fault, ArmHeld | Stall),
             Self::ThetaHalf | Self::ThetaDouble => fault == EncodersDisagree,
             Self::MotorOneSided => matches!(fault, MotorDead | MotorWeak),
-            // Whoever reads of a wrong sign changes it.
+            // An operator who is told of a wrong sign would change it.
             Self::ArmPushed | Self::PendulumHeld => {
                 !matches!(fault, WrongSignTheta | WrongSignAlpha | WrongSignMotor)
             }
         }
     }
 
-    /// Whether a hand moves or holds something: it may throw the arm into a stop by itself.
+    /// Whether a hand moves or holds something; it may throw the arm into a stop by itself.
     pub fn is_by_hand(self) -> bool {
         matches!(self, Self::ArmPushed | Self::PendulumHeld)
     }
 }
 
-/// One start: a Qube, where it stands, and what is wrong.
+/// One start: a Qube, its initial state, and its fault.
 #[derive(Clone, Copy, Debug)]
 pub struct Start {
     pub case: Case,
     pub seed: u64,
     pub settings: EmulatorSettings,
-    /// When the fault begins, s of the device's clock.
+    /// Onset of the fault, s of the device's clock.
     pub onset_s: f64,
 }
 
 impl Start {
-    /// The start of this case and seed: every second one fails in the first 15 s, which is homing.
+    /// The start of this case and seed; every second one fails within the first 15 s, during
+    /// homing.
     pub fn new(case: Case, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(7);
         let model = model(&mut random, seed);
-        // Where the cable lets a resting arm rest.
+        // Angle at which the cable lets a resting arm rest.
         let nonidealities = &model.nonidealities;
         let (rest_rad, reach_rad) = if nonidealities.cable_stiffness_n_m_rad > 0.0 {
             let holds_rad =
@@ -162,7 +163,7 @@ impl Start {
         let hand_lasts_s = random.random_range(0.2..1.5);
         let hand_like_v = random.random_range(0.5..3.0) * side;
         if matches!(case, Case::ArmPushed | Case::PendulumHeld | Case::MotorOneSided) {
-            // All of them while homing, every second one in its first seconds.
+            // All of them during homing, every second one in its first seconds.
             onset_s = if early { 0.4 * onset_s } else { 0.25 * onset_s };
         }
         let fault = match case {
@@ -237,7 +238,8 @@ impl Start {
     }
 }
 
-/// Nominal, `lab`, one and a half times its nonidealities, and each of them 10 % off, in turn.
+/// Nominal, `lab`, and 1.5 times its nonidealities, each exact or with parameters 10 % off, in
+/// turn.
 fn model(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
     let text = std::fs::read_to_string(path).expect("the profile lab");

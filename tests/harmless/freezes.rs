@@ -1,4 +1,5 @@
-//! Rollouts in which the arm's encoder freezes: when that is found, and what the zero is worth after it.
+//! Rollouts in which the arm's encoder freezes: the time until that is found, and the error of the
+//! zero after it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,7 +19,7 @@ use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 
 use super::wire::SharedWire;
 
-/// A motion that notes when the policy got the motor and when it lost it.
+/// A motion that records when the policy got the motor and when it lost it.
 struct Noted<'a> {
     tick: &'a mut Tick,
     clock: VirtualClock,
@@ -49,16 +50,16 @@ impl Motion for Noted<'_> {
     }
 }
 
-/// What came of a rollout, in the emulated Qube's own time.
+/// The result of a rollout, in the emulated Qube's time.
 pub struct Outcome {
     pub ending: Ending,
-    /// When the policy got the motor and when it lost it, s.
+    /// Times at which the policy got the motor and lost it, s.
     pub ran_s: (f64, f64),
-    /// How far the zero of the arm was off in the end, rad.
+    /// Final error of the arm's zero, rad.
     pub zero_off_rad: f64,
 }
 
-/// Homes such a Qube and runs a rollout, perhaps with a fault; none where homing fails.
+/// Homes such a Qube and runs a rollout, optionally with a fault; `None` if homing fails.
 pub fn rollout(
     qube: EmulatorSettings,
     policy: &Policy,
@@ -93,10 +94,10 @@ pub fn rollout(
     Some(Outcome { ending: report.outcome.ending, ran_s: ran_s?, zero_off_rad })
 }
 
-/// A fault of the emulated Qube from some time on, s.
+/// A fault of the emulated Qube from this time on, s.
 type FaultFrom = fn(f64) -> EmulatorFault;
 
-/// How an encoder of the arm freezes, and the same from some time on.
+/// A kind of freeze of the arm's encoder, with a constructor for its onset.
 pub const KINDS: [(&str, FaultFrom); 3] = [
     ("dead", |after_s| EmulatorFault::FrozenTheta { after_s }),
     ("stuck", |after_s| EmulatorFault::StuckTheta { after_s }),
@@ -110,7 +111,8 @@ pub struct Freeze {
 }
 
 impl Freeze {
-    /// From the freeze until the policy has lost the motor; none where the rollout counts as a result.
+    /// Time from the freeze until the policy lost the motor; `None` if the rollout counts as a
+    /// result.
     pub fn found_ms(&self) -> Option<f64> {
         let is_fault = matches!(self.outcome.ending, Ending::Fault(_));
         is_fault.then_some(1e3 * (self.outcome.ran_s.1 - self.onset_s).max(0.0))
@@ -126,8 +128,8 @@ impl Freeze {
     }
 }
 
-/// A rollout that nothing ails, and the same with a freeze of each of the [`KINDS`] at one instant, spread
-/// evenly over the rollout by the seed. None where the Qube is not homed.
+/// An undisturbed rollout, and the same rollout with a freeze of each of the [`KINDS`] at an
+/// instant that the seed spreads evenly over the rollout. `None` if the Qube is not homed.
 pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<Freeze>)> {
     let healthy = rollout(qube, policy, None)?;
     let (from_s, to_s) = healthy.ran_s;
@@ -140,7 +142,7 @@ pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<
     Some((healthy, frozen.into_iter().flatten().collect()))
 }
 
-/// Qubes by name: as published, as a real one is, and farther from the ideal than that.
+/// Qubes by name: nominal, like a real one, and farther from nominal.
 pub fn qubes() -> [(&'static str, EmulatorSettings); 5] {
     let lab = Profile::parse(include_str!("../../profiles/lab.toml")).expect("the profile lab");
     let lab = lab.model();

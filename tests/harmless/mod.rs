@@ -1,4 +1,4 @@
-//! Seeded starts with one thing wrong: how fast the arm meets a stop, and what is named.
+//! Seeded starts with one fault each: the arm's speed at a stop, and the fault that is named.
 
 pub mod case;
 pub mod table;

@@ -1,4 +1,4 @@
-//! What came of many starts of one case, as a line of a table.
+//! The results of many starts of one case, as a line of a table.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,19 +9,19 @@ use qube_hil::telemetry::Ending;
 use super::case::{Case, Start};
 use super::trial::Trial;
 
-/// No contact is faster than this while homing or settling, rad/s.
+/// Largest speed of a contact while homing or settling, rad/s.
 const FASTEST_CONTACT_RAD_S: f64 = 2.0;
 
-/// A freeze in a rollout is found within this, s ...
+/// Longest time until a freeze in a rollout is found, s ...
 const FOUND_WITHIN_S: f64 = 0.3;
 
 impl Trial {
-    /// Whether no stop was touched faster than it may be, or than with the amplifier off.
+    /// Whether no stop was touched faster than allowed, or than with the amplifier off.
     pub fn is_harmless(&self) -> bool {
         self.gentle_contact_rad_s <= FASTEST_CONTACT_RAD_S.max(1.01 * self.contact_off_rad_s)
     }
 
-    /// Whether the fault was named as it should be, or none was there to be named.
+    /// Whether the fault was named correctly, or there was none.
     pub fn is_named_rightly(&self, start: &Start) -> bool {
         match self.ending {
             Ending::Fault(fault) => start.case.names_rightly(fault),
@@ -29,7 +29,7 @@ impl Trial {
         }
     }
 
-    /// Whether something about it is not as it should be.
+    /// Whether anything about it is wrong.
     pub fn falls_short(&self, start: &Start) -> bool {
         !self.is_harmless() && !start.case.is_by_hand()
             || !self.is_named_rightly(start)
@@ -38,7 +38,7 @@ impl Trial {
 }
 
 impl Start {
-    /// Whether a run on this start may not end without a fault.
+    /// Whether a run on this start must end with a fault.
     fn must_be_named(&self) -> bool {
         !matches!(
             self.case,

@@ -1,5 +1,5 @@
-//! One start, played as a rig plays it: hello, homing, then rollout after rollout until a fault ends
-//! it or its time is over.
+//! One start, executed as a rig does it: hello, homing, then rollouts until a fault ends them or
+//! time is up.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -18,36 +18,37 @@ use qube_hil::telemetry::{Ending, TickSettings};
 use super::case::{Case, Start};
 use super::wire::SharedWire;
 
-/// A start is over after this long, s: every fault has begun 15 s before.
+/// Duration of a start, s; every fault has begun 15 s before.
 const LONGEST_S: f64 = 75.0;
 
-/// A zero that is this far off, rad, makes a result a false one.
+/// Error of the zero that makes a result false, rad.
 const ZERO_WITHIN_RAD: f64 = 0.05;
 
-/// What came of a start.
+/// The result of a start.
 #[derive(Clone, Copy, Debug)]
 pub struct Trial {
-    /// The fastest contact with a stop while homing or settling, and as the arm coasted after it, rad/s.
+    /// Fastest contact with a stop while homing or settling, and while the arm coasted after it,
+    /// rad/s.
     pub gentle_contact_rad_s: f64,
-    /// The fastest contact in a rollout, in its braking, and as the arm coasted after it, rad/s.
+    /// Fastest contact in a rollout, its braking, and while the arm coasted after it, rad/s.
     pub rollout_contact_rad_s: f64,
-    /// The fastest contact of the same start with the amplifier off, rad/s.
+    /// Fastest contact of the same start with the amplifier off, rad/s.
     pub contact_off_rad_s: f64,
-    /// How long homing took, s; none where it did not end well.
+    /// Duration of homing, s; `None` if it did not succeed.
     pub homed_after_s: Option<f64>,
-    /// How the last motion ended.
+    /// Ending of the last motion.
     pub ending: Ending,
-    /// What control did when the fault began.
+    /// State of control when the fault began.
     pub struck_in: Option<ControlState>,
-    /// How long it lasted in all, s.
+    /// Total duration, s.
     pub lasted_s: f64,
-    /// How long after the fault's beginning the amplifier was off, s.
+    /// Time from the fault until the amplifier was off, s.
     pub off_after_s: f64,
     /// Rollouts that counted as results although the fault began before they ended.
     pub false_results: u32,
 }
 
-/// A motion whose contacts are noted, with what control did then.
+/// A motion that records its contacts with the state of control.
 struct Watched<'a, M> {
     motion: M,
     notes: &'a mut Notes,
@@ -61,11 +62,11 @@ struct Notes {
     gentle_rad_s: f64,
     rollout_rad_s: f64,
     struck_in: Option<ControlState>,
-    /// What control did last while it had the motor.
+    /// Last state of control in which it had the motor.
     last_state: ControlState,
-    /// When the policy last had the motor, s.
+    /// Time at which the policy last had the motor, s.
     ran_until_s: f64,
-    /// From when on the motor has 0 V, as with the amplifier off, and until when this lasts, s.
+    /// Interval in which the motor has 0 V, as with the amplifier off, s.
     off: Option<(f64, f64)>,
 }
 
@@ -92,7 +93,7 @@ impl Notes {
         }
     }
 
-    /// Drives a motion to its end, and lets the arm coast after it.
+    /// Drives a motion to its end and lets the arm coast.
     fn drive(&mut self, device: &mut dyn Device, motion: &mut dyn Motion) -> Ending {
         let clock = self.clock.clone();
         let stop = AtomicBool::new(false);
@@ -133,14 +134,14 @@ impl Motion for Watched<'_, &mut dyn Motion> {
     }
 }
 
-/// Plays a start; the same start gives the same trial.
+/// Executes a start; the same start gives the same trial.
 pub fn play(start: &Start) -> Trial {
     let trial = play_until(start, None);
     let contact_off_rad_s = contact_off_rad_s(start, &trial);
     Trial { contact_off_rad_s, ..trial }
 }
 
-/// Plays a start, with the amplifier off from some instant on until another.
+/// Executes a start, with the amplifier off from one instant until another.
 fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     let clock = VirtualClock::default();
     let wire = SharedWire::new(start.settings, clock.clone());
@@ -184,12 +185,12 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
             if matches!(ending, Ending::Fault(_) | Ending::Stopped) {
                 break;
             }
-            // Counts that were lost while the arm stood are none.
+            // No counts are lost while the arm stands still.
             let sample = device.sample(clock.now_ns() + 6_000_000).expect("it answers");
             let zero_error_rad = rig.angles_rad(&sample).0 - notes.wire.state().theta;
             let strikes = start.settings.fault.is_some() && notes.ran_until_s > start.onset_s;
             false_results += u32::from(strikes && zero_error_rad.abs() > ZERO_WITHIN_RAD);
-            // What a session does between two rollouts.
+            // The work of a session between two rollouts.
             clock.advance(20 * CONTROL_PERIOD_NS);
         }
     }
@@ -207,10 +208,10 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     }
 }
 
-/// The fastest contact of the same start with the amplifier off, rad/s: from the beginning where the
-/// pendulum falls, from the instant at which the motor dies where it does.
+/// Fastest contact of the same start with the amplifier off, rad/s: from the beginning if the
+/// pendulum falls, from the instant of the fault if the motor dies.
 ///
-/// It is played and watched in the same ticks: a falling pendulum forgives no rounding.
+/// It is computed with the same ticks, because a falling pendulum amplifies every rounding.
 fn contact_off_rad_s(start: &Start, trial: &Trial) -> f64 {
     let from_s = match start.case {
         Case::MotorDeadLater => start.onset_s,

@@ -1,4 +1,4 @@
-//! The emulated board's wire, shared between the link that uses it and whoever looks at the plant.
+//! The emulated board's wire, shared between the link and the code that inspects the plant.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -24,7 +24,7 @@ impl SharedWire {
         self.with(|wire| wire.board().plant().hardest_touch_rad_s())
     }
 
-    /// Where the Qube really is.
+    /// The true state of the Qube.
     pub fn state(&self) -> State {
         self.with(|wire| wire.board().plant().state())
     }

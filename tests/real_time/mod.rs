@@ -1,4 +1,4 @@
-//! Tests in real time, on a computer that does not always keep up.
+//! Repeats tests in real time on a computer that does not always keep up.
 
 use std::any::Any;
 use std::io::Write;
@@ -9,31 +9,31 @@ use std::time::{Duration, Instant};
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// What the program says where the computer was too late for a Qube.
+/// Words with which the program reports that the computer was too late.
 const TOO_LATE: &str = "keeps this computer busy";
 
-/// How often a test is begun again.
+/// Number of repetitions of a test.
 const AGAIN: u32 = 6;
 
-/// A computer that wakes a thread so much later than it asked for stands still: longer than a control
-/// period, and than what the system's scheduler takes between threads that are ready.
+/// Lateness of a thread that shows a stalled computer: longer than a control period and than the
+/// scheduling of ready threads.
 const STANDS_STILL: Duration = Duration::from_millis(15);
 
-/// How long the witness sleeps at a time.
+/// Interval at which the witness wakes.
 const NAP: Duration = Duration::from_millis(2);
 
-/// A computer that has kept up for so long may go on doing so.
+/// Time without a stall after which the computer counts as calm.
 const CALM: Duration = Duration::from_secs(2);
 
-/// How often a calm of that length is waited for before a test begins again.
+/// Number of such intervals to wait for before a repetition.
 const CALMS: u32 = 15;
 
-/// The Qubes of a test are served in real time: one test after the other.
+/// Lock: the Qubes of a test are served in real time, so one test runs at a time.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// Runs a test whose emulated Qube is served in real time. Where it fails and the computer stood still
-/// meanwhile, or the program says that the computer is too busy, it is begun again; what fails on a
-/// computer that kept up fails at once.
+/// Runs a test whose emulated Qube is served in real time. If it fails and the computer stalled
+/// meanwhile, or the program reports a busy computer, the test is repeated; a failure on a computer
+/// that kept up is final.
 pub fn in_real_time(test: impl Fn()) {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     for again in 1..=AGAIN {
@@ -44,7 +44,7 @@ pub fn in_real_time(test: impl Fn()) {
             resume_unwind(panic);
         }
         let says = if says_too_late { ", and the program calls it too busy" } else { "" };
-        // Past the test harness, which shows nothing of a test that passes.
+        // Bypasses the test harness, which hides the output of a test that passes.
         let _ = writeln!(
             std::io::stderr(),
             "begun again, {again} of at most {AGAIN} times: the computer stood still for {} ms{says}",
@@ -55,7 +55,7 @@ pub fn in_real_time(test: impl Fn()) {
     test();
 }
 
-/// Waits until the computer keeps up, half a minute at most: stalls come in bursts.
+/// Waits until the computer keeps up, at most half a minute: stalls come in bursts.
 fn wait_for_calm() {
     for _ in 0..CALMS {
         let (_, stood) = witnessed(&|| std::thread::sleep(CALM));
@@ -65,7 +65,7 @@ fn wait_for_calm() {
     }
 }
 
-/// How a test ended, and the longest time for which a processor stood still meanwhile.
+/// The result of a test, and the longest stall of a processor meanwhile.
 fn witnessed(test: &impl Fn()) -> (std::thread::Result<()>, Duration) {
     let is_over = AtomicBool::new(false);
     let processors = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
@@ -86,7 +86,7 @@ fn witnessed(test: &impl Fn()) -> (std::thread::Result<()>, Duration) {
     })
 }
 
-/// How much later than asked for a thread on this processor wakes, at most, until the test is over.
+/// Largest lateness of a thread on this processor until the test is over.
 fn longest_stand(processor: usize, is_over: &AtomicBool) -> Duration {
     let mut here = CpuSet::new();
     here.set(processor);
@@ -100,7 +100,7 @@ fn longest_stand(processor: usize, is_over: &AtomicBool) -> Duration {
     longest
 }
 
-/// What a panic says.
+/// The message of a panic.
 fn text(panic: &(dyn Any + Send)) -> &str {
     let owned = panic.downcast_ref::<String>().map(String::as_str);
     owned.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or_default()

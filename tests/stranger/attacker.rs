@@ -4,18 +4,18 @@ use qube_hil::qube::State;
 use super::genes::Genes;
 use super::moves::{Moves, MovesKind, Segment, features, weigh};
 
-/// A policy that attacks: it moves the arm somehow and may strike once, when it is worst.
+/// A policy that attacks: it moves the arm and may strike once, at the worst moment.
 pub struct Attacker {
     moves: Moves,
     strike: Option<Strike>,
     step: u32,
 }
 
-/// Full pushes, one after the other, from an instant on.
+/// A strike: full pushes, one after the other.
 struct Strike {
-    /// From this step on it waits for its state.
+    /// Step from which on the strike waits for its state.
     from: u32,
-    /// The state has come when these weights make more than nothing of it.
+    /// The strike begins when the state, with these weights, becomes positive.
     state: [f64; 6],
     segments: Vec<Segment>,
     since: Option<u32>,
@@ -45,7 +45,7 @@ impl Strike {
 }
 
 impl Attacker {
-    /// What the genes say.
+    /// Reads the policy from the genes.
     pub fn new(kind: MovesKind, strikes: bool, genes: &mut Genes, steps: u32) -> Self {
         let moves = Moves::new(kind, genes, steps);
         let strike = strikes.then(|| Strike::new(genes, steps));

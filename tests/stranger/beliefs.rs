@@ -5,17 +5,17 @@ use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube};
 
 use super::genes::Genes;
 
-/// What is known of the Qube that is driven.
+/// Knowledge about the Qube that is driven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Known {
-    /// Nothing but that it is a Qube.
+    /// It is any Qube.
     Unknown,
-    /// It has been identified: it lies around `lab`.
+    /// It is identified: it lies around `lab`.
     Identified,
 }
 
-/// A Qube of a belief: its parameters and the shares of a voltage that arrive.
+/// A Qube of a belief: its parameters and the fractions of a voltage that arrive.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnQube {
     pub model: QubeModel,
@@ -24,7 +24,7 @@ pub struct DrawnQube {
 }
 
 impl Known {
-    /// What the guard is told.
+    /// Settings of the guard.
     pub fn settings(self) -> ForesightSettings {
         let identified = match self {
             Self::Unknown => None,
@@ -33,14 +33,14 @@ impl Known {
         ForesightSettings { identified, ..ForesightSettings::default() }
     }
 
-    /// Between which Qubes the one at hand lies: 10 % of each number to either side of an identified one, 30 % of
-    /// its delay or 2 ms.
+    /// The belief from which the Qube is drawn: that about the identified Qube, or that about any
+    /// Qube.
     fn belief(self) -> Belief {
         let ForesightSettings { belief, identified, .. } = self.settings();
         identified.map_or(belief, |identified| identified.belief)
     }
 
-    /// A Qube that lies within the belief: each number where a gene says.
+    /// A Qube within the belief, each number chosen by a gene.
     pub fn qube(self, genes: &mut Genes) -> DrawnQube {
         let belief = self.belief();
         let mut model = belief.low;
@@ -56,7 +56,7 @@ impl Known {
         DrawnQube { model, positive_share, negative_share }
     }
 
-    /// A model for an observer, as a session would have it.
+    /// The model that a session would give an observer.
     pub fn observed(self) -> QubeModel {
         match self {
             Self::Unknown => QubeModel::NOMINAL,

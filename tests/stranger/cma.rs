@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use super::genes::normal;
 use super::optimiser::Optimiser;
 
-/// Where a step's length is kept, in deviations of the start.
+/// Limits of the step size, in standard deviations of the start.
 const STEPS: std::ops::RangeInclusive<f64> = 0.02..=2.0;
 
 /// Covariance matrix adaptation with the full matrix (Hansen 2016, arXiv:1604.00772, figure 6).
@@ -21,7 +21,7 @@ pub struct Cma {
 }
 
 impl Cma {
-    /// Begins about zero with a deviation of one.
+    /// Starts at zero with a standard deviation of one.
     pub fn new(genes: usize) -> Self {
         let identity = DMatrix::identity(genes, genes);
         Self {

@@ -3,23 +3,24 @@ use rand_chacha::ChaCha8Rng;
 use super::genes::normal;
 use super::optimiser::Optimiser;
 
-/// The share of a generation that the next one is drawn like.
+/// Fraction of a generation from which the next is drawn.
 const ELITE: f64 = 0.15;
 
-/// The weight of the elite against the distribution before it.
+/// Weight of the elite against the previous distribution.
 const SMOOTHING: f64 = 0.7;
 
-/// The least standard deviation: the search never stands still.
+/// Smallest standard deviation, so that the search never stops.
 const LEAST_DEVIATION: f64 = 0.05;
 
-/// The cross-entropy method: independent normal numbers that move to the best of each generation.
+/// The cross-entropy method: independent normal distributions that follow the best of each
+/// generation.
 pub struct CrossEntropy {
     mean: Vec<f64>,
     deviation: Vec<f64>,
 }
 
 impl CrossEntropy {
-    /// Begins about zero with a deviation of one.
+    /// Starts at zero with a standard deviation of one.
     pub fn new(genes: usize) -> Self {
         Self { mean: vec![0.0; genes], deviation: vec![1.0; genes] }
     }

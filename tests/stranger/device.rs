@@ -13,23 +13,23 @@ use serde::{Deserialize, Serialize};
 use super::mishap::{Mishap, Moment, Wrong};
 use super::plant::Plant;
 
-/// Without an accepted act for so long the device switches its amplifier off, ns.
+/// Time without an accepted act after which the device switches its amplifier off, ns.
 const WATCHDOG_NS: u64 = 50_000_000;
 
-/// A device takes no act that answers a sample older than this, us.
+/// Largest age of the sample that an act may answer, us.
 const STALE_US: u64 = 20_000;
 
-/// A settling that takes longer than this is stopped, ns: only attacks are of interest.
+/// Longest settling, ns: only attacks are of interest.
 const PATIENCE_NS: u64 = 9_000_000_000;
 
-/// How far the motion has come, told by [`Watched`].
+/// Progress of the motion, which [`Watched`] reports.
 #[derive(Clone, Debug, Default)]
 pub struct SessionEvent {
     steps: Arc<AtomicU32>,
     brakes: Arc<AtomicU32>,
 }
 
-/// A motion that tells how far it has come.
+/// A motion that reports its progress.
 pub struct Watched<M> {
     pub motion: M,
     pub progress: SessionEvent,
@@ -73,7 +73,7 @@ impl<M: Motion> Motion for Watched<M> {
     }
 }
 
-/// In which part of an episode something happens.
+/// Part of an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
@@ -85,22 +85,22 @@ pub enum Part {
     Pulled,
 }
 
-/// A healthy Qube behind a link on which mishaps happen.
+/// A healthy Qube behind a link with mishaps.
 pub struct Qube {
     pub plant: Plant,
     pub clock: VirtualClock,
     pub mishap: Mishap,
     pub progress: SessionEvent,
     pub stop: Arc<AtomicBool>,
-    /// Where the arm's zero is taken to be, rad.
+    /// Assumed zero of the arm, rad.
     pub zero_rad: f64,
-    /// By how much samples come sooner or later, ns.
+    /// Jitter of the samples, ns.
     pub jitter: Option<(ChaCha8Rng, u64)>,
-    /// Whether any mishap has happened while the arm was off its stops.
+    /// Whether a mishap has happened while the arm was off its stops.
     pub went_wrong: bool,
-    /// In which part the arm reached its stop.
+    /// Part of the episode in which the arm reached its stop.
     pub hit_in: Option<Part>,
-    /// A line for each tick, where somebody looks.
+    /// A line for each tick, if requested.
     pub lines: Option<Vec<String>>,
     armed: bool,
     /// The Qube without its cable, from the last switching off on.
@@ -113,7 +113,7 @@ pub struct Qube {
 }
 
 impl Qube {
-    /// A Qube that nobody has armed.
+    /// A Qube that is not armed.
     pub fn new(plant: Plant, mishap: Mishap, zero_rad: f64) -> Self {
         Self {
             plant,
@@ -136,7 +136,7 @@ impl Qube {
         }
     }
 
-    /// Lets the arm coast for so long, or until it lies still; nobody speaks to the device.
+    /// Lets the arm coast for this time, or until it is at rest; the device gets no requests.
     pub fn coast(&mut self, duration_ns: u64) {
         let until_ns = self.plant.now_ns + duration_ns;
         while self.plant.now_ns < until_ns {

@@ -17,27 +17,27 @@ use super::mishap::{Mishap, MishapKind};
 use super::plant::Plant;
 use super::scenario::{Scenario, Start};
 
-/// How far off homing may find the arm's middle, rad.
+/// Largest error of the arm's middle after homing, rad.
 const ZERO_RAD: f64 = 0.02;
 
-/// Until so long after its end an episode is watched, ns.
+/// Time for which an episode is observed after its end, ns.
 const AFTER_NS: u64 = 3_000_000_000;
 
-/// What came of an episode.
+/// The result of an episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outcome {
-    /// The true arm's largest |theta|, rad.
+    /// Largest true |theta|, rad.
     pub farthest_rad: f64,
-    /// The speed at which it reached its stop, rad/s; none where it did not.
+    /// Speed at which the arm reached its stop, rad/s; `None` if it did not.
     pub hit_rad_s: Option<f64>,
-    /// In which part it did.
+    /// Part in which it did.
     pub hit_in: Option<Part>,
-    /// Whether a sample was lost, an act came late or somebody asked to stop before its end.
+    /// Whether a sample was lost, an act was late or a stop was requested before its end.
     #[serde(default)]
     pub went_wrong: bool,
     /// How each rollout ended.
     pub endings: Vec<Ending>,
-    /// How good it is as an attack.
+    /// Quality as an attack.
     pub score: f64,
 }
 
@@ -45,12 +45,12 @@ pub struct Outcome {
 #[derive(Clone, Debug)]
 pub struct Trace {
     pub outcome: Outcome,
-    /// The Qube, where it starts and what may go wrong.
+    /// The Qube, its initial state and its mishaps.
     pub told: String,
     pub lines: Vec<String>,
 }
 
-/// Everything that the genes of an episode say.
+/// The content of an episode's genes.
 struct Cast {
     qube: DrawnQube,
     zero_rad: f64,
@@ -87,7 +87,7 @@ impl Cast {
     }
 }
 
-/// How many genes a scenario has.
+/// Number of genes of a scenario.
 pub fn gene_count(scenario: &Scenario) -> usize {
     let mut genes = Genes::new(&[]);
     let _ = Cast::new(scenario, &mut genes);
@@ -108,12 +108,12 @@ pub fn settings(scenario: &Scenario, guard: Guard) -> TickSettings {
     }
 }
 
-/// Plays the episode of these genes.
+/// Runs the episode of these genes.
 pub fn play(scenario: &Scenario, settings: &TickSettings, genes: &[f64]) -> Outcome {
     run(scenario, settings, genes, false).outcome
 }
 
-/// Plays it and tells of every tick.
+/// Runs it with a line for each tick.
 pub fn show(scenario: &Scenario, settings: &TickSettings, genes: &[f64]) -> Trace {
     run(scenario, settings, genes, true)
 }
@@ -132,7 +132,7 @@ fn run(scenario: &Scenario, settings: &TickSettings, genes: &[f64], shows: bool)
         if rollout > 0 {
             qube.coast(cast.pause_ns);
             stop.store(false, Ordering::Relaxed);
-            // The same may go wrong in each rollout.
+            // The same mishap may occur in each rollout.
             qube.mishap = cast.mishap;
         }
         progress.start();
@@ -169,7 +169,7 @@ impl Outcome {
         self.hit_rad_s.is_some() && self.hit_in != Some(Part::Pulled)
     }
 
-    /// The fault that a healthy Qube on a link that lived should not have had.
+    /// A fault of a healthy Qube on a working link, which should not occur.
     pub fn false_fault(&self, mishap: MishapKind) -> Option<Fault> {
         if mishap == MishapKind::LinkDead {
             return None;

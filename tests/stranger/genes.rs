@@ -1,6 +1,7 @@
 use rand::{Rng, RngExt};
 
-/// Genes read one after the other; each is about normal, and beyond the last one all are zero.
+/// Reads genes one after the other; each is about normally distributed, and those beyond the last
+/// are zero.
 pub struct Genes<'a> {
     rest: std::slice::Iter<'a, f64>,
     read: usize,
@@ -12,18 +13,18 @@ impl<'a> Genes<'a> {
         Self { rest: genes.iter(), read: 0 }
     }
 
-    /// The next gene as it is.
+    /// The next gene, unscaled.
     pub fn normal(&mut self) -> f64 {
         self.read += 1;
         self.rest.next().copied().unwrap_or(0.0)
     }
 
-    /// The next gene, from 0 to 1; one in three begins at one of the ends.
+    /// The next gene as a number from 0 to 1; one in three is at one of the ends.
     pub fn unit(&mut self) -> f64 {
         (0.5 + 0.5 * self.normal()).clamp(0.0, 1.0)
     }
 
-    /// The next gene, from -1 to 1.
+    /// The next gene as a number from -1 to 1.
     pub fn signed(&mut self) -> f64 {
         self.normal().clamp(-1.0, 1.0)
     }
@@ -33,13 +34,13 @@ impl<'a> Genes<'a> {
         low + (self.unit() * f64::from(high - low)).round() as u32
     }
 
-    /// How many were asked for.
+    /// Number of genes read.
     pub fn read(&self) -> usize {
         self.read
     }
 }
 
-/// A number drawn from the normal distribution, by operations that are the same on every machine.
+/// A normally distributed number, computed by operations that give the same bits on every machine.
 pub fn normal(random: &mut impl Rng) -> f64 {
     let radius = (-2.0 * libm::log(1.0 - random.random::<f64>())).sqrt();
     radius * libm::cos(std::f64::consts::TAU * random.random::<f64>())

@@ -2,7 +2,7 @@ use qube_hil::qube::{CONTROL_PERIOD_NS, State};
 
 use super::genes::Genes;
 
-/// What the link or the computer does beside the policy.
+/// A disturbance by the link or the computer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MishapKind {
@@ -10,45 +10,45 @@ pub enum MishapKind {
     Clean,
     /// Up to three samples in a row are lost.
     Lost,
-    /// The same twice, with good samples between.
+    /// The same twice, with good samples in between.
     LostTwice,
     /// One act comes up to 20 ms late.
     Stalled,
     /// Samples are lost, and elsewhere an act comes late.
     LostAndStalled,
-    /// Somebody asks to stop.
+    /// A stop is requested.
     StopAsked,
-    /// No sample comes any more: the device's watchdog switches off.
+    /// Samples stop for good, and the device's watchdog switches off.
     LinkDead,
 }
 
 impl MishapKind {
-    /// Whether the guard can still brake: no more than three samples are lost in a row, and no act is late
-    /// beside them.
+    /// Whether the guard can still brake: at most three consecutive samples are lost, and no act is
+    /// late in addition.
     pub fn is_promised(self) -> bool {
         !matches!(self, Self::LinkDead | Self::LostAndStalled)
     }
 }
 
-/// At which instant a mishap begins.
+/// Onset of a mishap.
 #[derive(Clone, Copy, Debug)]
 enum Instant {
     /// In this step of the policy.
     Step(u32),
-    /// When the arm first comes this far out, its velocity over 50 ms counted in, rad.
+    /// At the first time the arm is this far out, with its velocity over 50 ms added, rad.
     Outward(f64),
-    /// So many ticks after the brake began.
+    /// This many ticks after the brake began.
     Brake(u32),
 }
 
-/// An instant, and the ticks since then.
+/// An onset, and the ticks since.
 #[derive(Clone, Copy, Debug)]
 struct Since {
     instant: Instant,
     ticks: Option<u32>,
 }
 
-/// What goes wrong in an episode, tick by tick.
+/// The mishaps of an episode, tick by tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Mishap {
     kind: MishapKind,
@@ -59,18 +59,18 @@ pub struct Mishap {
     stall_ns: u64,
 }
 
-/// What a tick knows when it begins.
+/// Knowledge at the beginning of a tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
-    /// Steps of the policy so far; none before its first.
+    /// Steps of the policy so far; `None` before its first.
     pub step: Option<u32>,
-    /// Ticks of the brake so far; none before its first.
+    /// Ticks of the brake so far; `None` before its first.
     pub brake: Option<u32>,
     /// The true state.
     pub state: State,
 }
 
-/// What goes wrong in a tick.
+/// The mishap of a tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Wrong {
     pub lost: bool,
@@ -92,7 +92,7 @@ impl Since {
         Self { instant, ticks: None }
     }
 
-    /// Counts one more tick; how many there were since the instant.
+    /// Counts one more tick; returns the ticks since the onset.
     fn tick(&mut self, moment: &Moment) -> Option<u32> {
         let State { theta, theta_dot, .. } = moment.state;
         let begins = match self.instant {
@@ -111,7 +111,7 @@ impl Since {
 }
 
 impl Mishap {
-    /// What the genes say of this kind.
+    /// Reads a mishap of this kind from the genes.
     pub fn new(kind: MishapKind, genes: &mut Genes, steps: u32) -> Self {
         Self {
             kind,
@@ -123,7 +123,7 @@ impl Mishap {
         }
     }
 
-    /// What goes wrong in the tick that begins.
+    /// The mishap of the tick that begins.
     pub fn tick(&mut self, moment: &Moment) -> Wrong {
         let (loss, stall) = (self.loss.tick(moment), self.stall.tick(moment));
         let burst = loss.is_some_and(|ticks| ticks < self.lost);

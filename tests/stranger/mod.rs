@@ -1,8 +1,8 @@
-//! An adversary by somebody who knows the promise of foresight and nothing of how it is kept.
+//! An adversary that knows the promise of foresight and not its implementation.
 //!
-//! A scenario says which kind of attack a seed makes; an optimiser looks for the genes with which the arm
-//! comes nearest to its stop, the true one. Every episode runs by the library's own `drive` and `Tick` in
-//! virtual time, and comes out the same bit for bit whenever it is played again.
+//! A scenario determines the kind of attack of a seed; an optimiser searches the genes with which
+//! the arm comes closest to its true stop. Every episode uses the library's `drive` and `Tick` in
+//! virtual time and can be repeated bit for bit.
 
 mod attacker;
 mod beliefs;

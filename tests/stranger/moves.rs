@@ -5,7 +5,7 @@ use rand_chacha::rand_core::SeedableRng;
 
 use super::genes::{Genes, normal};
 
-/// How an attack moves the arm.
+/// A way in which an attack moves the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MovesKind {
@@ -13,11 +13,11 @@ pub enum MovesKind {
     Feedback,
     /// A small neural network.
     Net,
-    /// Full voltage to and fro at switching times.
+    /// Full voltage in either direction, with switching times.
     BangBang,
     /// Pumps energy into the pendulum.
     Pump,
-    /// Full voltage to and fro as fast as ticks allow, between pushes.
+    /// Full voltage that alternates as fast as ticks allow, between pushes.
     Chatter,
     /// The shipped policy `robust` with other weights.
     Robust,
@@ -25,13 +25,13 @@ pub enum MovesKind {
     Nominal,
 }
 
-/// Numbers that a linear law weighs.
+/// Number of features of a linear law.
 const FEATURES: usize = 6;
 
 /// Hidden units of the small network.
 const HIDDEN: usize = 6;
 
-/// Directions in which a shipped policy's weights may go.
+/// Number of directions in which a shipped policy's weights may move.
 const DIRECTIONS: usize = 16;
 
 /// The moves of one attack.
@@ -44,14 +44,14 @@ pub enum Moves {
     Shipped { network: Box<Network> },
 }
 
-/// When one stage gives way to the next.
+/// Condition on which one stage gives way to the next.
 #[derive(Clone, Copy, Debug)]
 pub enum Switch {
     Step(u32),
     Angle(f64),
 }
 
-/// A voltage for some steps; with a period it goes to and fro.
+/// A voltage for some steps; with a period it alternates.
 #[derive(Clone, Copy, Debug)]
 pub struct Segment {
     pub steps: u32,
@@ -67,7 +67,7 @@ impl Segment {
         }
     }
 
-    /// The voltage in a step of segments that follow each other; none after the last.
+    /// The voltage of consecutive segments in a step; `None` after the last.
     pub fn of(segments: &[Self], mut step: u32) -> Option<f64> {
         for segment in segments {
             if step < segment.steps {
@@ -79,7 +79,7 @@ impl Segment {
     }
 }
 
-/// What a law sees of a state, each about one.
+/// Features of a state, each of order one.
 pub fn features(state: &State) -> [f64; FEATURES] {
     let (sin, cos) = (libm::sin(state.alpha), libm::cos(state.alpha));
     [1.0, state.theta, sin, cos, 0.1 * state.theta_dot, 0.1 * state.alpha_dot]
@@ -95,7 +95,7 @@ fn weights(genes: &mut Genes, scale: f64) -> [f64; FEATURES] {
 }
 
 impl Moves {
-    /// What the genes say of this kind.
+    /// Reads moves of this kind from the genes.
     pub fn new(kind: MovesKind, genes: &mut Genes, steps: u32) -> Self {
         match kind {
             MovesKind::Feedback => Self::Feedback {
@@ -145,7 +145,7 @@ impl Moves {
         }
     }
 
-    /// A shipped policy, its weights moved along directions that are always the same.
+    /// A shipped policy with its weights moved along fixed directions.
     fn shipped(bytes: &[u8], genes: &mut Genes) -> Self {
         let policy = Policy::from_bytes(bytes).expect("a shipped policy");
         let Policy::Network(policy) = policy else { panic!("a shipped network") };
@@ -205,7 +205,7 @@ impl Moves {
     }
 }
 
-/// Moves weights by a share of their own mean size.
+/// Moves weights by a fraction of their mean absolute value.
 fn move_along(layer: &mut LayerWeights, along: f64, random: &mut ChaCha8Rng) {
     for numbers in [&mut layer.weight, &mut layer.bias] {
         let sum: f64 = numbers.iter().map(|number| f64::from(number.abs())).sum();

@@ -4,16 +4,16 @@ use serde::{Deserialize, Serialize};
 use super::cma::Cma;
 use super::cross_entropy::CrossEntropy;
 
-/// Looks for the genes with the highest score, a generation at a time.
+/// A search for the genes with the highest score, one generation at a time.
 pub trait Optimiser {
     /// The next genes to try.
     fn ask(&mut self, count: usize, random: &mut ChaCha8Rng) -> Vec<Vec<f64>>;
 
-    /// What came of them, the best first.
+    /// Takes the scores of the genes, best first.
     fn tell(&mut self, best_first: &[Vec<f64>]);
 }
 
-/// The optimisers there are.
+/// The available optimisers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
@@ -24,7 +24,7 @@ pub enum Method {
 }
 
 impl Method {
-    /// An optimiser of so many genes.
+    /// An optimiser for this many genes.
     pub fn optimiser(self, genes: usize) -> Box<dyn Optimiser> {
         match self {
             Self::Ce => Box::new(CrossEntropy::new(genes)),

@@ -4,17 +4,17 @@ use qube_hil::qube::{HARD_STOP_RAD, NonidealDynamics, State, runge_kutta_4};
 
 use super::beliefs::DrawnQube;
 
-/// The longest integration step, ns: friction at rest is stable with it in every Qube of the beliefs.
+/// Longest integration step, ns: friction at rest is stable with it for every Qube of the beliefs.
 const STEP_NS: u64 = 1_000_000;
 
-/// The true Qube: its commands arrive late, its amplifier is weak, its arm has stops.
+/// The true Qube: its commands arrive late, its amplifier is weak, and its arm has stops.
 #[derive(Clone)]
 pub struct Plant {
     pub state: State,
     pub now_ns: u64,
     /// The largest |theta| so far, rad.
     pub farthest_rad: f64,
-    /// The largest |theta| that the arm was heading for, rad: where it would be a little later.
+    /// Largest |theta| towards which the arm was heading, rad: its position a little later.
     pub headed_rad: f64,
     /// The speed at which the arm reached a stop, rad/s.
     pub hit_rad_s: Option<f64>,
@@ -22,7 +22,7 @@ pub struct Plant {
     dynamics: NonidealDynamics,
     delay_ns: u64,
     ahead_s: f64,
-    /// The voltage at the motor, and those on their way with the times of their arrival.
+    /// Voltage at the motor, and those in transit with their times of arrival.
     motor_v: f64,
     under_way: VecDeque<(u64, f64)>,
 }
@@ -52,7 +52,7 @@ impl Plant {
         free
     }
 
-    /// Gives the amplifier a voltage at this instant.
+    /// Sends the amplifier a voltage at this instant.
     pub fn command(&mut self, voltage_v: f64) {
         let positive = voltage_v > 0.0;
         let share = if positive { self.qube.positive_share } else { self.qube.negative_share };
@@ -66,7 +66,7 @@ impl Plant {
             / motor.motor_resistance_ohm
     }
 
-    /// Lets time pass.
+    /// Advances the time.
     pub fn go_on_until(&mut self, until_ns: u64) {
         while self.now_ns < until_ns {
             while let Some(&(at_ns, voltage_v)) = self.under_way.front()
@@ -84,7 +84,7 @@ impl Plant {
         }
     }
 
-    /// Whether arm and pendulum lie still.
+    /// Whether arm and pendulum are at rest.
     pub fn is_at_rest(&self) -> bool {
         let State { alpha, theta_dot, alpha_dot, .. } = self.state;
         theta_dot.abs() < 0.02

@@ -7,14 +7,14 @@ use super::episode::Outcome;
 use super::optimiser::Method;
 use super::scenario::Scenario;
 
-/// An episode worth keeping: its genes play it again.
+/// An episode that is kept: its genes repeat it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Found {
     pub genes: Vec<f64>,
     pub outcome: Outcome,
 }
 
-/// What a search found: a line of the file.
+/// The result of a search: a line of the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SearchRecord {
     pub method: Method,
@@ -22,13 +22,13 @@ pub struct SearchRecord {
     pub genes: usize,
     pub episodes: u64,
     pub hits: u64,
-    /// Hits before which nothing went wrong on the link.
+    /// Hits on an undisturbed link.
     #[serde(default)]
     pub clean_hits: u64,
     pub farthest_rad: f64,
-    /// How rollouts ended, and how often.
+    /// Endings of the rollouts, with their numbers.
     pub endings: BTreeMap<String, u64>,
-    /// Faults of healthy Qubes on links that lived, and how often.
+    /// Faults of healthy Qubes on working links, with their numbers.
     pub false_faults: BTreeMap<String, u64>,
     pub farthest: Option<Found>,
     pub kept_hits: Vec<Found>,
@@ -36,7 +36,7 @@ pub struct SearchRecord {
     pub kept_faults: BTreeMap<String, Found>,
 }
 
-/// What many searches found, as text.
+/// The results of many searches, as text.
 pub fn summary(records: &[SearchRecord]) -> String {
     let mut text = String::new();
     let total = |of: fn(&SearchRecord) -> u64| records.iter().map(of).sum::<u64>();
@@ -98,7 +98,7 @@ pub fn summary(records: &[SearchRecord]) -> String {
     text
 }
 
-/// Searches, hits and farthest of each kind.
+/// Searches, hits and farthest angle of each kind.
 fn by(records: &[SearchRecord], text: &mut String, kind: impl Fn(&SearchRecord) -> String) {
     let mut kinds = BTreeMap::<String, (u64, u64, f64)>::new();
     for record in records {

@@ -9,19 +9,19 @@ use super::genes::normal;
 use super::mishap::MishapKind;
 use super::moves::MovesKind;
 
-/// Where the arm and the pendulum are when a rollout begins.
+/// Initial state of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Start {
     /// At rest near the middle.
     Rest,
-    /// Moved, as if somebody had pushed them while they settle.
+    /// Disturbed, as if pushed while settling.
     Disturbed,
-    /// Wherever the rollout before left them.
+    /// Where the last rollout left them.
     AfterAnother,
 }
 
-/// How the state is estimated that the policy sees.
+/// Estimation of the state that the policy sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Seen {
@@ -30,7 +30,7 @@ pub enum Seen {
     Observer,
 }
 
-/// What kind of attack a search looks for the worst of; all of it follows from the seed.
+/// The kind of attack whose worst case a search looks for; all of it follows from the seed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scenario {
     pub seed: u64,
@@ -40,17 +40,17 @@ pub struct Scenario {
     pub mishap: MishapKind,
     pub start: Start,
     pub seen: Seen,
-    /// Samples come up to 2 ms sooner or later than each other.
+    /// Whether samples have a jitter of up to 2 ms.
     pub jitters: bool,
     /// Steps of the policy.
     pub steps: u32,
-    /// How far ahead of the arm the optimiser's aim is, s.
+    /// Time ahead at which the optimiser aims the arm, s.
     pub ahead_s: f64,
-    /// The Qube of the whole search, as genes; none where the optimiser looks for it too.
+    /// The Qube of the whole search, as genes; `None` if the optimiser chooses it too.
     pub qube: Option<Vec<f64>>,
 }
 
-/// Numbers that make a Qube.
+/// Number of genes of a Qube.
 pub const QUBE_GENES: usize = 17;
 
 impl Scenario {
@@ -94,7 +94,7 @@ impl Scenario {
         Self { seed, known, moves, strikes, mishap, start, seen, jitters, steps, ahead_s, qube }
     }
 
-    /// The settings of what the policy sees.
+    /// Settings of the policy's estimator.
     pub fn estimator(&self) -> EstimatorSettings {
         match self.seen {
             Seen::Filter => EstimatorSettings::default(),

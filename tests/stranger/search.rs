@@ -10,17 +10,17 @@ use super::optimiser::Method;
 use super::report::{Found, SearchRecord};
 use super::scenario::Scenario;
 
-/// How much a search tries.
+/// Extent of a search.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
     pub generations: u32,
     pub population: usize,
 }
 
-/// Hits whose genes a record keeps; the farthest episode is kept beside them.
+/// Number of hits whose genes a record keeps, in addition to the farthest episode.
 const KEPT_HITS: usize = 3;
 
-/// A search to be made: seed, belief, optimiser and guard say everything.
+/// A search: seed, belief, optimiser and guard determine it completely.
 #[derive(Clone, Copy, Debug)]
 pub struct Hunt {
     pub seed: u64,
@@ -35,7 +35,7 @@ impl Hunt {
         self.run_scenario(Scenario::new(self.seed, self.known), effort)
     }
 
-    /// Searches within a scenario of somebody's own.
+    /// Searches within a given scenario.
     pub fn run_scenario(&self, scenario: Scenario, effort: Effort) -> SearchRecord {
         let settings = settings(&scenario, self.guard);
         let genes = gene_count(&scenario);
@@ -62,7 +62,7 @@ impl Hunt {
         record
     }
 
-    /// Plays an episode of a record again, with a line for each tick.
+    /// Repeats an episode of a record, with a line for each tick.
     pub fn show(&self, scenario: &Scenario, genes: &[f64]) -> Trace {
         show(scenario, &settings(scenario, self.guard), genes)
     }

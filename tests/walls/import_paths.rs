@@ -1,10 +1,10 @@
-//! Every path of a source file that leaves its module, read from its tokens.
+//! Finds every path of a source file that leaves its module, from the file's tokens.
 
 use std::str::FromStr;
 
 use proc_macro2::{Delimiter, LineColumn, Spacing, TokenStream, TokenTree};
 
-/// A path as it is written, from the crate's root or from outside.
+/// A path, from the crate's root or from outside.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Import {
     /// `crate` or the name of another crate, then the segments after it.
@@ -26,7 +26,7 @@ struct Walk {
     imports: Vec<Import>,
     in_tests: bool,
     is_public_use: bool,
-    /// The line of an attribute's text; the tokens in it start again at 1.
+    /// Line of an attribute's text, whose tokens start again at 1.
     line: Option<usize>,
 }
 
@@ -34,7 +34,7 @@ impl Walk {
     fn tokens(&mut self, module: &[String], tokens: TokenStream) {
         let tokens: Vec<TokenTree> = tokens.into_iter().collect();
         let outside_tests = self.in_tests;
-        // Tests as a file of their own are `mod tests;` under the attribute, seen by their name.
+        // A file of tests is `mod tests;` under the attribute and is recognised by its name.
         self.in_tests |= module.iter().any(|part| part == "tests" || part == "samples");
         let mut position = 0;
         while position < tokens.len() {
@@ -43,10 +43,10 @@ impl Walk {
         self.in_tests = outside_tests;
     }
 
-    /// Reads what starts here and returns how many tokens that were.
+    /// Reads the item that starts here; returns its number of tokens.
     fn item(&mut self, module: &[String], rest: &[TokenTree]) -> usize {
         match rest {
-            // An item under #[cfg(test)] is test code until its braces or its semicolon.
+            // An item under #[cfg(test)] is test code up to its braces or its semicolon.
             [hash, TokenTree::Group(attribute), item @ ..]
                 if is_punct(hash, '#') && is_cfg_test(&attribute.stream()) =>
             {
@@ -108,7 +108,7 @@ impl Walk {
         }
     }
 
-    /// Follows one path, into its groups.
+    /// Follows one path and its groups.
     fn path(&mut self, module: &[String], base: &Base, tokens: &[TokenTree]) {
         let tokens = if is_separator(tokens) { &tokens[2..] } else { tokens };
         let Some((head, rest)) = tokens.split_first() else { return };
@@ -145,12 +145,12 @@ impl Walk {
     }
 }
 
-/// Where a path has got to.
+/// Position of a path.
 #[derive(Clone, Debug)]
 enum Base {
-    /// Nowhere yet.
+    /// Not started.
     Unknown,
-    /// At a module of this crate.
+    /// In a module of this crate.
     Inside(Vec<String>),
     /// In another crate, or at a name of the module itself.
     Outside(Vec<String>),
@@ -203,7 +203,7 @@ fn is_cfg_test(attribute: &TokenStream) -> bool {
     attribute.to_string().replace(' ', "") == "cfg(test)"
 }
 
-/// Tokens of the item that starts here: up to its braces or its semicolon.
+/// Number of tokens of the item that starts here, up to its braces or its semicolon.
 fn item_length(tokens: &[TokenTree]) -> usize {
     let is_end = |token: &TokenTree| {
         is_punct(token, ';')
@@ -216,7 +216,7 @@ fn item_length(tokens: &[TokenTree]) -> usize {
     }
 }
 
-/// First token and end of what a `use` item with any visibility imports.
+/// First and last token of the imports of a `use` item with any visibility.
 fn use_item(tokens: &[TokenTree]) -> Option<(usize, usize)> {
     let start = match tokens {
         [first, ..] if is_ident(first, "use") => 1,
@@ -228,7 +228,7 @@ fn use_item(tokens: &[TokenTree]) -> Option<(usize, usize)> {
     Some((start, start + length))
 }
 
-/// Tokens of the path that starts here.
+/// Number of tokens of the path that starts here.
 fn path_length(tokens: &[TokenTree]) -> usize {
     let mut length = 1;
     while is_separator(&tokens[length..]) {
