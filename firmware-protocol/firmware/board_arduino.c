@@ -1,7 +1,8 @@
-/* Arduino Uno and Nano (ATmega328P) and Mega (ATmega2560), both at 16 MHz.
+/* The board layer for Arduino Uno and Nano (ATmega328P) and Mega (ATmega2560), both at 16 MHz.
  *
- * UART0 through the board's USB converter, SPI to the Qube, Timer 1 as clock and sampling timer; in
- * the EEPROM boot number, serial number, and whether there is an emergency-stop switch. */
+ * UART0 connects to the board's USB converter, SPI to the Qube; timer 1 is clock and sampling
+ * timer. The EEPROM holds boot number, serial number, and whether there is an emergency-stop
+ * switch. */
 #include "board.h"
 
 #include <avr/boot.h>
@@ -18,7 +19,7 @@
 
 #include "wire.h"
 
-/* Chip select is the pin named SS: as an output it cannot throw the SPI out of master mode. */
+/* Chip select is the pin SS, which as an output cannot switch the SPI out of master mode. */
 #if defined(__AVR_ATmega328P__)
 const uint8_t BOARD_KIND = KIND_ATMEGA328P;
 #define PIN_CHIP_SELECT _BV(PB2) /* D10 */
@@ -45,13 +46,13 @@ const uint8_t BOARD_KIND = KIND_ATMEGA2560;
 #error "this board has no pin table yet"
 #endif
 
-/* Double speed: UBRR = 3, exactly 500 000 baud. */
+/* Double speed: UBRR = 3 gives exactly 500 000 baud. */
 #define UBRR_VALUE (F_CPU / 8ul / BAUD_RATE - 1ul)
 #if F_CPU / 8ul / (UBRR_VALUE + 1ul) != BAUD_RATE
 #error "this clock does not divide down to the baud rate"
 #endif
 
-/* Timer 1 counts half microseconds and starts again every sampling period. */
+/* Timer 1 counts half microseconds and restarts with every sampling period. */
 #define TICKS_PER_US 2u
 #define SAMPLING_PERIOD_US 2000u
 #define SAMPLING_PERIOD_TICKS (SAMPLING_PERIOD_US * TICKS_PER_US)
@@ -59,14 +60,14 @@ const uint8_t BOARD_KIND = KIND_ATMEGA2560;
 #error "the timer's prescaler is for 16 MHz"
 #endif
 
-/* Mode 2 (clock idles high, data taken at its falling edge), MSB first, 16 MHz / 16 = 1 MHz. */
+/* Mode 2 (clock idles high, data sampled at its falling edge), MSB first, 16 MHz / 16 = 1 MHz. */
 #define SPI_SETTINGS (_BV(SPE) | _BV(MSTR) | _BV(CPOL) | _BV(SPR0))
 
 /* Powers of two, so that an index wraps by a mask. */
 #define RECEIVE_RING_BYTES 128u
 #define SEND_RING_BYTES 128u
 
-/* Set by every interrupt: there may be something to do. */
+/* Set by every interrupt, because there may be work. */
 static volatile bool has_event;
 
 static volatile uint32_t period_start_us;
@@ -83,12 +84,12 @@ static volatile uint8_t send_tail;
 
 static volatile uint8_t qube_command[QUBE_FRAME_BYTES];
 static volatile uint8_t qube_answer[QUBE_FRAME_BYTES];
-/* The byte that is on the wire. */
+/* Index of the byte in transfer. */
 static volatile uint8_t qube_index;
 static volatile bool qube_busy;
 static volatile bool qube_ended;
 
-/* What is kept over power-off. An EEPROM that was never written is all ones. */
+/* Persistent data. An EEPROM that was never written is all ones. */
 static struct {
     uint16_t boot_number;
     uint8_t serial[8];
@@ -96,18 +97,19 @@ static struct {
     uint8_t stop_switch;
 } stored EEMEM;
 
-/* A board that knows of an emergency-stop switch has this in `stop_switch`. */
+/* Value of `stop_switch` on a board that has an emergency-stop switch. */
 #define STOP_SWITCH_KNOWN 0x53u
 
-/* `make STOP_SWITCH=never`: D2 is not looked at, and a switch that was known is forgotten. */
+/* `make STOP_SWITCH=never`: D2 is ignored, and a stored switch is forgotten. */
 #ifndef STOP_SWITCH_NEVER
 #define STOP_SWITCH_NEVER 0
 #endif
 
-/* The linker's: where memory begins that no variable lies in. */
+/* Symbol of the linker: the beginning of the memory without variables. */
 extern uint8_t __heap_start;
 
-/* After a restart by the watchdog it still runs, at its shortest time: off before anything else. */
+/* After a restart by the watchdog it still runs with its shortest time, so it is switched off
+ * first. */
 static void stop_watchdog_early(void) __attribute__((naked, used, section(".init3")));
 static void stop_watchdog_early(void)
 {
@@ -124,13 +126,14 @@ ISR(TIMER1_COMPA_vect)
     has_event = true;
 }
 
-/* With interrupts off. */
+/* Must be called with interrupts off. */
 static uint32_t time_us(void)
 {
     uint16_t ticks = TCNT1;
     uint32_t start_us = period_start_us;
     if (TIFR1 & _BV(OCF1A)) {
-        /* It has begun a new period, perhaps after it was read, and the interrupt waits. */
+        /* The timer has begun a new period, perhaps after it was read, and its interrupt is
+         * pending. */
         ticks = TCNT1;
         start_us += SAMPLING_PERIOD_US;
     }
@@ -148,7 +151,7 @@ uint32_t board_time_us(void)
 
 bool board_sampling_is_due(void)
 {
-    /* Cleared only when it was set: the interrupt may set it between the two. */
+    /* Cleared only if it was set, because the interrupt may set it in between. */
     if (!sampling_is_due) {
         return false;
     }
@@ -247,8 +250,8 @@ ISR(SPI_STC_vect)
 
 bool board_qube_is_busy(void)
 {
-    /* Also while the end of a frame is not known to the program yet: the next one would write over
-     * its answer. Once `qube_busy` is seen false, its interrupt has set `qube_ended`. */
+    /* Also busy until the program has seen the end of a frame, because the next frame would
+     * overwrite its answer. Once `qube_busy` is false, the interrupt has set `qube_ended`. */
     return qube_busy || qube_ended;
 }
 
@@ -278,7 +281,7 @@ bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES])
 
 /* --- the chip's own watchdog --- */
 
-/* One frame with the motor word 0x0000, byte by byte without interrupts: the one that needs neither
+/* Sends one frame with the motor word 0x0000, byte by byte without interrupts. It needs neither
  * the main loop nor anything that the program has set up. */
 static void send_off_frame(void)
 {
@@ -304,19 +307,19 @@ static void send_off_frame(void)
 
 void board_switch_qube_off(void)
 {
-    /* High before it is an output: chip select must not fall for a moment. */
+    /* Set high before it becomes an output, because chip select must not fall. */
     PORTB |= PIN_CHIP_SELECT | PIN_CLOCK;
     DDRB |= PIN_CHIP_SELECT | PIN_CLOCK | PIN_MOSI;
     DDRB &= ~PIN_MISO;
     send_off_frame();
 }
 
-/* The program hangs. The Qube would keep its last motor word, through the restart and for as long
- * as a boot loader pleases (some on the Mega never get past a watchdog's restart). So one frame
- * switches its motor off first; this is the one interrupt that waits, 0.2 ms, for nothing is left
- * to be kept waiting. At the watchdog's second time-out, 16 ms later, the chip restarts; with
- * interrupts disabled by the hang itself it restarts then without this frame, and the program's
- * first frame switches off. */
+/* The program hangs. The Qube would keep its last motor word through the restart and through a
+ * boot loader (some on the Mega never get past a restart by the watchdog). So one frame switches
+ * its motor off first; this interrupt alone waits, for 0.2 ms, because nothing else can be
+ * delayed any more. At the watchdog's second time-out, 16 ms later, the chip restarts. If the
+ * hang itself has disabled interrupts, the chip restarts then without this frame, and the
+ * program's first frame switches the motor off. */
 ISR(WDT_vect)
 {
     send_off_frame();
@@ -328,7 +331,7 @@ static void start_watchdog(void)
 {
     wdt_reset();
     WDTCSR = _BV(WDCE) | _BV(WDE);
-    /* First time-out: interrupt. Second: restart. 16 ms each. */
+    /* First time-out: interrupt. Second time-out: restart. 16 ms each. */
     WDTCSR = _BV(WDIE) | _BV(WDE);
 }
 
@@ -355,9 +358,9 @@ static uint16_t crc_of(const uint8_t serial[8])
     return crc;
 }
 
-/* Eight bytes that no other board has: what its memory came up with at power-on, where no variable
- * and no stack lies, differs from chip to chip in a few of a hundred cells; the signature row names
- * lot, wafer and place on it where the chip has that. Four checksums of it, side by side. */
+/* Eight bytes that differ between boards. The content of unused memory at power-on differs from
+ * chip to chip in a few of a hundred cells, and the signature row holds lot, wafer and position
+ * on chips that have it. The bytes are four checksums of both. */
 static void draw_serial(uint8_t serial[8])
 {
     uint16_t lanes[4] = {0xFFFFu, 0xFFFFu, 0xFFFFu, 0xFFFFu};
@@ -407,7 +410,7 @@ void board_start(void)
 {
     SPCR = SPI_SETTINGS | _BV(SPIE);
 
-    /* An input with its pull-up: a broken wire reads as an open contact. */
+    /* Input with its pull-up: a broken wire reads as an open contact. */
     STOP_PORT |= STOP_BIT;
 
     UCSR0A = _BV(U2X0);
@@ -430,7 +433,7 @@ void board_sleep(void)
     cli();
     if (!has_event) {
         sleep_enable();
-        /* The instruction after sei is still carried out before any interrupt. */
+        /* The instruction after sei runs before any interrupt. */
         sei();
         sleep_cpu();
         sleep_disable();

@@ -4,15 +4,15 @@
 
 #define WATCHDOG_US (WATCHDOG_MS * 1000ul)
 
-/* A contact that is open for this long is open: shorter is a spike on the wire. */
+/* Time for which a contact must be open to count as open, us: a shorter opening is a spike. */
 #define STOP_OPEN_US 3000ul
-/* A contact that is closed for this long belongs to a switch. */
+/* Time for which a contact must be closed to belong to a switch, us. */
 #define STOP_FITTED_US 100000ul
 
-/* Red that blinks at 2 Hz: bit 18 of the clock changes every 262 ms. */
+/* Bit of the clock that makes red blink at 2 Hz: it changes every 262 ms. */
 #define BLINK_BIT_US (1ul << 18)
 
-/* Bright enough to be seen by daylight, dim enough to look into. */
+/* Brightness of the LED: visible in daylight, and not dazzling. */
 #define LED_ON (QUBE_LED_MAX / 2u)
 
 static bool is_newer(uint16_t candidate, uint16_t last)
@@ -20,7 +20,7 @@ static bool is_newer(uint16_t candidate, uint16_t last)
     return (int16_t)(uint16_t)(candidate - last) > 0;
 }
 
-/* The last sample given, and no older than 20 ms: what an act may answer. */
+/* Whether an act may answer this sample: the last one given, no older than 20 ms. */
 static bool answers_fresh_sample(const struct device *device, uint32_t sampled_at_us, uint32_t now_us)
 {
     return device->sample_given && sampled_at_us == device->previous_sample_us &&
@@ -30,14 +30,14 @@ static bool answers_fresh_sample(const struct device *device, uint32_t sampled_a
 static void give_nonce(struct device *device)
 {
     if (++device->nonces_given == 0) {
-        /* All numbers under this boot number are used up: take another one. */
+        /* All numbers under this boot number are used up, so a new one is needed. */
         device->boot_number = device->next_boot_number();
         device->nonces_given = 1;
     }
     device->nonce = ((uint32_t)device->boot_number << 16) | device->nonces_given;
 }
 
-/* Switches the motor off and takes another state. */
+/* Switches the motor off and enters another state. */
 static void leave_armed(struct device *device, enum device_state next)
 {
     device->motor_word = MOTOR_OFF;
@@ -56,7 +56,7 @@ void device_start(struct device *device, const struct device_identity *identity,
     device->stop_switch_fitted = stop_switch_fitted;
     device->state = STATE_IDLE;
     device->motor_word = MOTOR_OFF;
-    /* What a Qube was told before this start is not known: anything but off. */
+    /* The command that the Qube had before this start is unknown; it may be anything but off. */
     device->motor_word_at_qube = MOTOR_ENABLE;
     device->sample_to_act_us = NO_ACT_US;
 }
@@ -109,7 +109,7 @@ static bool hello(struct device *device, uint16_t host_version, struct link_fram
     return true;
 }
 
-/* Why this state follows no arm and no act; 0 when it does. */
+/* The reason why this state refuses arms and acts; 0 if it does not. */
 static uint8_t state_refuses(const struct device *device, uint8_t request)
 {
     switch (device->state) {
@@ -232,7 +232,7 @@ static bool answer_sample(struct device *device, struct link_frame *reply)
     return true;
 }
 
-/* A sample must show what the requests before it have done, and be fresh, so it waits for a frame. */
+/* A sample must be fresh and show the effect of earlier requests, so it waits for a frame. */
 static bool sample_is_ready(const struct device *device)
 {
     return !device->qube_present || device->sample.change == device->change;
@@ -244,8 +244,8 @@ static bool sample(struct device *device, const struct link_frame *request,
     if (device->state == STATE_IDLE) {
         return refuse(reply, REQUEST_SAMPLE, REFUSAL_NOT_GREETED);
     }
-    /* The sampling timer's last reading is up to a period old, and every act would be as late. A
-     * reading of its own takes a tenth of that. */
+    /* The last reading of the sampling timer is up to a period old, and every act would be as
+     * late. A separate reading takes a tenth of that. */
     device->change++;
     if (!sample_is_ready(device)) {
         device->sample_waits = true;
@@ -270,7 +270,7 @@ bool device_answers_late(struct device *device, struct link_frame *reply)
     return answer_sample(device, reply);
 }
 
-/* Payload bytes of a request; -1 for no request. */
+/* Length of a request's payload; -1 for a type that is not a request. */
 static int8_t payload_length_of(uint8_t type)
 {
     switch (type) {
@@ -404,7 +404,7 @@ void device_compose_frame(struct device *device, uint32_t now_us, struct qube_co
     device->motor_word_under_way = command->motor_word;
     light(device, now_us, command);
 
-    /* What is in force while the encoders are read is what the frames before have brought. */
+    /* The encoders of a frame are read while the commands of earlier frames are in force. */
     struct device_sample *begun = &device->begun;
     bool is_on = device->motor_word_at_qube & MOTOR_ENABLE;
     begun->applied_mv = motor_word_mv(device->motor_word_at_qube);
@@ -462,7 +462,7 @@ void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_B
     bool failed = !device->qube_present;
     if (device->qube_present) {
         take_readings(device, &readings);
-        /* A stall error that is about to be cleared, or is cleared by this frame, is no news. */
+        /* A stall error that this frame or the next one clears is not reported. */
         bool stall_is_known = device->clears_stall || device->clearing_frame;
         failed = (readings.status & QUBE_AMPLIFIER_FAULT) ||
                  ((readings.status & QUBE_STALL_ERROR) && !stall_is_known);

@@ -8,7 +8,7 @@
 #define MAX_ENCODED_BYTES (MAX_FRAME_BYTES - 1u)
 #define MAX_BODY_BYTES (MAX_ENCODED_BYTES - 1u)
 
-/* CRC-16/IBM-SDLC of the sixteen nibbles: a byte costs two look-ups and the table 32 bytes. */
+/* CRC-16/IBM-SDLC of the sixteen nibbles: two look-ups for each byte, and 32 bytes of table. */
 static const uint16_t CRC_OF_NIBBLE[16] = {
     0x0000, 0x1081, 0x2102, 0x3183, 0x4204, 0x5285, 0x6306, 0x7387,
     0x8408, 0x9489, 0xA50A, 0xB58B, 0xC60C, 0xD68D, 0xE70E, 0xF78F,
@@ -46,7 +46,7 @@ uint32_t get_u32(const uint8_t *bytes)
     return get_u16(bytes) | ((uint32_t)get_u16(bytes + 2) << 16);
 }
 
-/* Undoes COBS; returns the body's length, 0 when it is none. */
+/* Decodes COBS; returns the length of the body, or 0 if the bytes are not COBS. */
 static uint8_t uncobs(const uint8_t *encoded, uint8_t length, uint8_t body[MAX_BODY_BYTES])
 {
     uint8_t read = 0;

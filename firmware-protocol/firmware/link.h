@@ -1,5 +1,5 @@
-/* The link layer: CRC, COBS, and cutting a stream of bytes into frames (PROTOCOL.md, section 2).
- * Pure C: no registers, no clock. */
+/* The link layer: CRC, COBS, and frames in a stream of bytes (PROTOCOL.md, section 2). Pure C
+ * without registers or a clock. */
 #ifndef LINK_H
 #define LINK_H
 
@@ -7,7 +7,7 @@
 
 #include "wire.h"
 
-/* One message, in either direction. */
+/* A message in either direction. */
 struct link_frame {
     uint8_t type;
     uint16_t sequence;
@@ -15,7 +15,7 @@ struct link_frame {
     uint8_t payload[MAX_PAYLOAD_BYTES];
 };
 
-/* What has arrived since the last delimiter. All zero at the start. */
+/* Bytes since the last delimiter; initially all zero. */
 struct link_receiver {
     uint8_t length;
     uint8_t encoded[MAX_FRAME_BYTES - 1];
@@ -23,14 +23,14 @@ struct link_receiver {
 
 enum link_event { LINK_NOTHING, LINK_FRAME, LINK_DROPPED };
 
-/* Takes one byte; after LINK_FRAME, `frame` holds what ended with it. */
+/* Takes one byte; after LINK_FRAME, `frame` holds the frame that it ended. */
 enum link_event link_receive(struct link_receiver *receiver, uint8_t byte,
                              struct link_frame *frame);
 
-/* A byte was lost: what is being collected is no frame any more. */
+/* Drops the current frame, because a byte was lost. */
 void link_lose_byte(struct link_receiver *receiver);
 
-/* Lays a frame out for the wire, its closing 0x00 included; returns how many bytes it has. */
+/* Encodes a frame with its closing 0x00; returns the number of bytes. */
 uint8_t link_encode(const struct link_frame *frame, uint8_t bytes[MAX_FRAME_BYTES]);
 
 /* Little-endian fields. */

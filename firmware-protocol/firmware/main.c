@@ -1,14 +1,15 @@
-/* The microcontroller between a computer and a Quanser Qube.
+/* The program of the microcontroller between a computer and a Quanser Qube.
  *
- * Interrupts only move bytes and count time; everything that decides runs here, one thing after
- * the other, so that nothing in it is shared or torn. */
+ * Interrupts only move bytes and count time. All decisions are made here, one after the other, so
+ * that no data are shared or torn. */
 #include "board.h"
 #include "device.h"
 #include "link.h"
 #include "qube_frame.h"
 #include "wire.h"
 
-/* Of the board, most significant byte first: `make SERIAL=0x...`; 0 is the board's own. */
+/* Serial number of the board, most significant byte first: `make SERIAL=0x...`; 0 selects the
+ * board's own. */
 #ifndef BOARD_SERIAL
 #define BOARD_SERIAL 0
 #endif
@@ -35,21 +36,22 @@ static void send(const struct link_frame *reply)
     board_send(bytes, link_encode(reply, bytes));
 }
 
-/* Ends the frame that has arrived, if one has. */
+/* Ends the frame that has arrived, if any. */
 static void end_qube_frame(void)
 {
     uint8_t answer[QUBE_FRAME_BYTES];
     if (board_qube_ended(answer)) {
         device_frame_ended(&device, answer);
-        /* Fed by this alone: it takes the main loop, the sampling timer and the SPI to get here,
-         * and without any of them the Qube would keep its last motor word. */
+        /* The only place that feeds the hardware watchdog. It is reached only while main loop,
+         * sampling timer and SPI work; without any of them the Qube would keep its last motor
+         * word. */
         board_feed_hardware_watchdog();
     }
 }
 
-/* Begins a frame when the sampling timer says so, and at once when there is something new to tell the
- * Qube or to be asked of it. One that is under way is not touched: it ends within 0.2 ms, which is
- * about what it takes to read an act and to compute its motor word. */
+/* Begins a frame when the sampling timer demands it, and at once for a new command or a waiting
+ * sample. A frame in progress is not interrupted: it ends within 0.2 ms, about the time that it
+ * takes to read an act and compute its motor word. */
 static void begin_qube_frame(void)
 {
     if (board_qube_is_busy() || !(board_sampling_is_due() || device_wants_frame(&device))) {
@@ -62,7 +64,7 @@ static void begin_qube_frame(void)
     device_frame_began(&device, board_qube_begin(bytes));
 }
 
-/* Takes bytes up to the end of one request and carries it out. Requests wait in the ring while a
+/* Takes bytes up to the end of one request and executes it. Requests wait in the ring while a
  * sample waits for its frame, and while there is no room for an answer. */
 static bool serve_request(void)
 {

@@ -48,7 +48,7 @@ int32_t extend_counts(int32_t last, uint32_t raw)
     return (int32_t)((uint32_t)last + moved);
 }
 
-/* To nearest, halves away from zero; `denominator` is above 0. */
+/* Rounds to nearest, halves away from zero; `denominator` is above 0. */
 static int16_t round_divide(int32_t numerator, int32_t denominator)
 {
     int32_t half = denominator / 2;

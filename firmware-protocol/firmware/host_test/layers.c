@@ -75,7 +75,7 @@ static bool ask(struct device *device, uint8_t type, uint16_t sequence, uint32_t
     return device_request(device, &request, now_us, reply);
 }
 
-/* A device that has a Qube and is greeted. */
+/* A greeted device with a Qube. */
 static void greet(struct device *device, uint16_t sequence, uint32_t now_us, bool stop_switch_fitted)
 {
     static const struct device_identity IDENTITY = {.kind = KIND_ATMEGA328P};
@@ -89,7 +89,7 @@ static void greet(struct device *device, uint16_t sequence, uint32_t now_us, boo
     ask(device, REQUEST_HELLO, sequence - 1, PROTOCOL_VERSION, 2, now_us, &reply);
 }
 
-/* The same, armed by a request with this sequence number. */
+/* The same device, armed by a request with this sequence number. */
 static void arm(struct device *device, uint16_t sequence, uint32_t now_us)
 {
     struct link_frame reply;

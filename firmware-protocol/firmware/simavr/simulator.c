@@ -36,17 +36,18 @@
 #define FREQUENCY_HZ 16000000u
 #define CYCLES_PER_US 16u
 #define BAUD_RATE 500000u
-/* Start bit, eight data bits, stop bit. simavr itself counts a parity bit that is not there. */
+/* Bits for each byte: start bit, eight data bits, stop bit. simavr itself adds a parity bit that
+ * does not exist. */
 #define CYCLES_PER_BYTE (10u * FREQUENCY_HZ / BAUD_RATE)
-/* A receiver holds two bytes that nobody has fetched; the third is lost. simavr would hold 64. */
+/* A receiver holds two unread bytes; the third is lost. simavr would hold 64. */
 #define UART_HOLDS_BYTES 2u
 
 #define FRAME_BYTES 17u
 
-/* How far time is let run in one go. */
+/* Longest step of the simulation. */
 #define SLICE_US 100u
-/* What the simulation may be behind and still catch up. Beyond that time is given up: the program
- * must not see hours of a silent host because this process was not given the processor. */
+/* Delay that the simulation may catch up. A longer one is skipped, because the program must not
+ * see a silent host only because this process was not scheduled. */
 #define MAX_BEHIND_US 4000u
 #define HOUSEKEEPING_US 100000u
 
@@ -56,21 +57,21 @@ struct event {
     uint8_t kind;
     uint8_t spcr;
     uint8_t spsr;
-    /* How many bytes the program sent since chip select fell, and the first of them. */
+    /* Number of bytes that the program sent since chip select fell, and the first of them. */
     uint8_t sent_bytes;
     uint8_t sent[FRAME_BYTES];
     uint8_t padding[3];
-    /* Simulated time, and how much of real time was given up until now. */
+    /* Simulated time, and the real time skipped so far. */
     uint64_t time_us;
     uint64_t given_up_us;
-    /* Bytes from the host that came faster than the program fetched them. */
+    /* Number of bytes from the host that came faster than the program read them. */
     uint64_t lost_bytes;
 };
 
-/* HANG: the main loop is lost in an endless loop, while interrupts go on. RESTART: the chip starts anew.
- * BROWN_OUT: it does so after a dip of its supply, during which it does nothing and its pins float: the
- * pull-up at chip select keeps the Qube deselected. POWER_LOSS: the board has no supply any more, and the
- * port is gone. CLOSE_STOP and OPEN_STOP: the contact of the emergency-stop switch. */
+/* HANG: the main loop runs in an endless loop while interrupts continue. RESTART: the chip
+ * restarts. BROWN_OUT: it restarts after a dip of its supply, during which its pins float and the
+ * pull-up at chip select keeps the Qube deselected. POWER_LOSS: the board loses its supply, and
+ * the port is gone. CLOSE_STOP and OPEN_STOP: the contact of the emergency-stop switch. */
 enum order {
     GO_ON = 0,
     HANG = 1,
@@ -81,7 +82,7 @@ enum order {
     OPEN_STOP = 6,
 };
 
-/* The chip's start-up time after a brown-out, as Arduino sets its fuses. */
+/* Start-up time of the chip after a brown-out, with Arduino's fuses. */
 #define START_UP_US 65000u
 
 struct answer {
@@ -101,17 +102,17 @@ static enum order pending_order;
 static uint64_t given_up_us;
 static uint64_t lost_bytes;
 
-/* The stop switch: its pin, and whether its contact is closed to ground. */
+/* Stop switch: its pin, and whether its contact is closed to ground. */
 static avr_io_addr_t stop_register;
 static uint8_t stop_mask;
 static bool stop_is_closed;
 
-/* From the host, not yet on the line. */
+/* Bytes from the host that are not yet on the line. */
 static uint8_t incoming[256];
 static size_t incoming_length;
 static size_t incoming_at;
 
-/* From the program, with the cycle at which each is through. */
+/* Bytes from the program, each with the cycle of its end. */
 static struct {
     uint8_t byte;
     avr_cycle_count_t through;
@@ -202,8 +203,8 @@ static void on_spi_byte(struct avr_irq_t *irq, uint32_t value, void *unused)
     avr_raise_irq(spi_input, received);
 }
 
-/* simavr ends every byte on the SPI after 101 us. This runs after its own handler of a write to SPDR
- * and moves that end to where the prescaler has it. */
+/* simavr ends every byte on the SPI after 101 us. This runs after its handler of a write to SPDR
+ * and moves that end to the time that the prescaler gives. */
 static void on_spi_start(avr_t *unused_avr, avr_io_addr_t address, uint8_t value, void *unused)
 {
     (void)unused_avr;
@@ -257,7 +258,7 @@ static void check_baud_rate(void)
     }
 }
 
-/* The line moves a byte each way in CYCLES_PER_BYTE. */
+/* Moves a byte in each direction every CYCLES_PER_BYTE. */
 static avr_cycle_count_t on_line_clock(avr_t *unused_avr, avr_cycle_count_t when, void *unused)
 {
     (void)unused_avr;
@@ -270,7 +271,7 @@ static avr_cycle_count_t on_line_clock(avr_t *unused_avr, avr_cycle_count_t when
             avr_regbit_setto(avr, uart->dor, 1);
             lost_bytes++;
         } else {
-            /* It has been on the line for its time already: arrive in the next cycle. */
+            /* Its time on the line is over, so it arrives in the next cycle. */
             uart->cycles_per_byte = 1;
             avr_raise_irq(uart_input, byte);
             uart->cycles_per_byte = CYCLES_PER_BYTE;
@@ -355,7 +356,7 @@ static void load(const char *elf, const char *mcu, uint32_t memory_seed)
     }
     uart = (avr_uart_t *)find_io("uart", '0');
 
-    /* simavr sleeps while a program polls its UART, and prints what it sends. */
+    /* simavr sleeps while a program polls its UART, and prints its output. */
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     uart_input = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
@@ -380,7 +381,7 @@ static void no_sleep(avr_t *unused_avr, avr_cycle_count_t unused)
     (void)unused;
 }
 
-/* From here on the program is lost in a loop of one instruction, `rjmp .-2`, at flash's end. */
+/* Makes the program hang in a loop of one instruction, `rjmp .-2`, at the end of flash. */
 static void hang(void)
 {
     avr_flashaddr_t trap = avr->flashend - 1u;
@@ -390,7 +391,7 @@ static void hang(void)
     avr->state = cpu_Running;
 }
 
-/* The chip starts anew, `dark_us` from now. simavr counts its cycles from zero then, but time goes on. */
+/* Restarts the chip after `dark_us`. simavr restarts its cycle count then, but time continues. */
 static void restart(uint64_t dark_us)
 {
     avr_cycle_count_t now = avr->cycle;
@@ -401,8 +402,8 @@ static void restart(uint64_t dark_us)
     line_free = 0;
 }
 
-/* An open contact leaves the pin to its pull-up. simavr would say so only once, when the program
- * switches that on. */
+/* An open contact leaves the pin to its pull-up. simavr would report that only once, when the
+ * program enables the pull-up. */
 static void drive_stop_pin(void)
 {
     if (stop_is_closed) {
@@ -416,7 +417,7 @@ static void obey(void)
 {
     enum order order = pending_order;
     if (order == GO_ON || (order == HANG && !avr->sreg[S_I])) {
-        /* The main loop is to be lost, not an interrupt's work. */
+        /* The main loop must hang, not an interrupt. */
         return;
     }
     if ((order == RESTART || order == BROWN_OUT) && selected) {
@@ -448,7 +449,7 @@ static void run_until(avr_cycle_count_t target)
 {
     drive_stop_pin();
     if (!avr_cycle_timer_status(avr, on_line_clock, NULL)) {
-        /* At the start, and after a restart of the chip, which forgets all of simavr's timers. */
+        /* At the start, and after a restart of the chip, which clears all of simavr's timers. */
         avr_cycle_timer_register(avr, CYCLES_PER_BYTE, on_line_clock, NULL);
     }
     while (avr->cycle < target) {
@@ -474,8 +475,8 @@ int main(int count, char **arguments)
     int slave;
     int master = open_line(&slave);
 
-    /* It stands for a chip, which nothing keeps from its work. Where this is refused it runs at
-     * ordinary priority, and gives up time more often. */
+    /* The process stands for a chip, which nothing delays. Without real-time priority it skips
+     * time more often. */
     struct sched_param priority = {.sched_priority = 1};
     sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &priority);
 
@@ -494,7 +495,7 @@ int main(int count, char **arguments)
         flush_outgoing(master);
         fill_incoming(master);
         if (elapsed_us >= housekeeping_us) {
-            /* A killed host leaves the port exclusive: while the pty lives nobody could open it. */
+            /* A killed host leaves the port exclusive: nobody could open it while the pty lives. */
             ioctl(slave, TIOCNXCL);
             housekeeping_us = elapsed_us + HOUSEKEEPING_US;
         }
@@ -502,7 +503,7 @@ int main(int count, char **arguments)
         uint64_t now = now_us() - start_us;
         if (now < next_us) {
             struct timespec wait = {.tv_nsec = (long)(next_us - now) * 1000};
-            /* While a byte waits for the line there is nothing new to be woken for. */
+            /* While a byte waits for the line there is no other reason to wake. */
             struct pollfd ready[] = {
                 {.fd = STDIN_FILENO, .events = 0},
                 {.fd = incoming_at < incoming_length ? -1 : master, .events = POLLIN},
