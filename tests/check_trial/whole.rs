@@ -164,7 +164,7 @@ fn healthy_rigs_pass_the_whole_check_and_give_a_rollout() {
     healthy_rigs_open(FIRST_SEED..FIRST_SEED + 24);
 }
 
-/// `RIGS` from `SEED` on: `cargo test --test check_trial many_healthy -- --ignored --nocapture`.
+/// `RIGS` from `SEED` on: `cargo test --test check_rigs many_healthy -- --ignored --nocapture`.
 #[test]
 #[ignore = "minutes"]
 fn many_healthy_rigs_pass_the_whole_check_and_give_a_rollout() {
@@ -177,7 +177,7 @@ fn the_whole_check_names_a_single_defect() {
     single_defects_are_named(FIRST_SEED..FIRST_SEED + 24);
 }
 
-/// `RIGS` from `SEED` on: `cargo test --test check_trial many_single -- --ignored --nocapture`.
+/// `RIGS` from `SEED` on: `cargo test --test check_rigs many_single -- --ignored --nocapture`.
 #[test]
 #[ignore = "minutes"]
 fn many_single_defects_are_named_by_the_whole_check() {

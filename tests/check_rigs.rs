@@ -102,7 +102,7 @@ fn no_verdict_is_wrong_on_two_hundred_rigs() {
     trial(FIRST_SEED..FIRST_SEED + 216);
 }
 
-/// `RIGS` rigs from `SEED` on: `cargo test --test check_trial -- --ignored --nocapture`.
+/// `RIGS` rigs from `SEED` on: `cargo test --test check_rigs -- --ignored --nocapture`.
 #[test]
 #[ignore = "minutes"]
 fn no_verdict_is_wrong_on_many_rigs() {
