@@ -46,7 +46,10 @@
 //! # }
 //! ```
 
+#[cfg(feature = "cli")]
+pub mod charts;
 pub mod clock;
+#[cfg(feature = "cli")]
 pub mod commands;
 pub mod control;
 pub mod device;

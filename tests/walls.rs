@@ -82,6 +82,8 @@ const ROOMS: &[Room] = &[
                       "identification", "rig", "scoring", "storage"]),
     room("experiment", &["qube", "policy", "simulation", "learning", "jobs", "search",
                          "recording", "telemetry", "rig", "session", "scoring", "storage", "identification", "replay"]),
+    // Drawing, apart from what it shows.
+    room("charts", &["qube", "simulation", "replay", "search", "surrogate"]),
     room("commands", EVERY_ROOM),
 ];
 

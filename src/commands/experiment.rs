@@ -20,17 +20,18 @@ use super::stop::Stop;
 use super::strategy_arguments::{StrategyArguments, check_device};
 use super::words_gone::names_but;
 use super::{experiment_table, strategy_table};
+use crate::charts::{DrawingError, StepLine, densities_svg, searches_svg, strategies_svg};
 use crate::estimation::EstimatorSettings;
 use crate::experiment::{
     Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe, RecipeModel,
-    Results, StrategyResults, densities_svg, searches_svg, strategies_svg,
+    Results, SearchReturns, StrategyResult, StrategyResults,
 };
 use crate::learning::TrainSettings;
 use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
 use crate::session::{Extent, FolderError, SessionError, SessionSettings};
-use crate::simulation::{Family, SensorModel};
+use crate::simulation::{DomainDistribution, Family, SensorModel};
 use crate::storage::{Disk, MachineDisk, write_whole};
 
 /// Compare recipes: train several policies with each, run them all on the Qube, print the table
@@ -265,7 +266,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             .map_err(|error| failures::folder(&error.into()))?;
     }
     if let Some(folder) = &arguments.figures {
-        draw(&experiment, strategies.as_ref(), folder).map_err(failed)?;
+        Figures::read(&experiment, strategies).map_err(failed)?.write(folder)?;
     }
     output.print(&text, &result);
     Ok(())
@@ -290,28 +291,69 @@ impl Summary {
     }
 }
 
-fn draw(
-    experiment: &Experiment,
-    strategies: Option<&StrategyResults>,
-    folder: &Path,
-) -> Result<(), ExperimentError> {
-    let is_optimised = |recipe: &Recipe| recipe.model.is_optimised();
-    let mut figures = Vec::new();
-    if let Some(results) = strategies {
-        figures.push(("strategies.svg", strategies_svg(results)?));
-    } else {
-        figures.push(("figure-5.2.svg", densities_svg(experiment)?));
-        if experiment.settings().recipes.iter().any(is_optimised) {
-            figures.push(("figure-5.3.svg", searches_svg(experiment)?));
+/// The figures of an experiment as data.
+enum Figures {
+    /// Success against real rollouts, of a comparison of strategies.
+    Strategies(StrategyResults),
+    /// The distributions and searches of recipes.
+    Recipes { distributions: Vec<(String, DomainDistribution)>, searches: SearchReturns },
+}
+
+impl Figures {
+    fn read(
+        experiment: &Experiment,
+        strategies: Option<StrategyResults>,
+    ) -> Result<Self, ExperimentError> {
+        Ok(match strategies {
+            Some(results) => Self::Strategies(results),
+            None => Self::Recipes {
+                distributions: experiment.distributions()?,
+                searches: experiment.searches()?,
+            },
+        })
+    }
+
+    /// The figures by the names of their files.
+    fn drawn(&self) -> Result<Vec<(&'static str, String)>, DrawingError> {
+        let mut drawn = Vec::new();
+        match self {
+            Self::Strategies(results) => {
+                let title = format!(
+                    "{} on {}: recommendations that succeed",
+                    results.recipe, results.plant
+                );
+                let line = |it: &StrategyResult| StepLine {
+                    name: it.method.name().into(),
+                    corners: it.corners(),
+                };
+                let lines: Vec<StepLine> = results.strategies.iter().map(line).collect();
+                let budgets = results.strategies.iter().filter_map(StrategyResult::budget);
+                let last = f64::from(budgets.max().unwrap_or(1).max(2));
+                drawn.push(("strategies.svg", strategies_svg(&title, &lines, last)?));
+            }
+            Self::Recipes { distributions, searches } => {
+                drawn.push(("figure-5.2.svg", densities_svg(distributions)?));
+                if !searches.is_empty() {
+                    drawn.push(("figure-5.3.svg", searches_svg(searches)?));
+                }
+            }
         }
+        Ok(drawn)
     }
-    MachineDisk
-        .create_folder(folder)
-        .map_err(|source| FolderError::Io { path: folder.to_owned(), source })?;
-    for (name, svg) in figures {
-        write_whole(&MachineDisk, &folder.join(name), svg.as_bytes())?;
+
+    fn write(&self, folder: &Path) -> Result<(), Failure> {
+        let drawn = self.drawn().map_err(Failure::failed)?;
+        MachineDisk
+            .create_folder(folder)
+            .map_err(|source| FolderError::Io { path: folder.to_owned(), source })
+            .and_then(|()| {
+                drawn.iter().try_for_each(|(name, svg)| {
+                    write_whole(&MachineDisk, &folder.join(name), svg.as_bytes())
+                        .map_err(FolderError::from)
+                })
+            })
+            .map_err(|error| failures::folder(&error))
     }
-    Ok(())
 }
 
 /// Narrows the recipes' boxes to the Qube's own limits, and returns the limits of a rig for all of them.
@@ -380,6 +422,9 @@ fn begun(
 fn folder_failure(error: ExperimentError) -> Failure {
     match error {
         ExperimentError::Session(SessionError::Folder(error)) => failures::folder(&error),
+        error @ ExperimentError::NotAnExperiment { .. } => {
+            Failure::usage(format!("{error}. Give the folder of one to --resume"))
+        }
         other => Failure::usage(other),
     }
 }
@@ -436,7 +481,12 @@ fn resumed(
     let folder = ExperimentFolder::open(directory).map_err(folder_failure)?;
     let load =
         if arguments.table { ExperimentSettings::load } else { ExperimentSettings::load_to_resume };
-    let settings = load(&folder.settings()).map_err(Failure::usage)?;
+    let settings = load(&folder.settings()).map_err(|error| match error {
+        ExperimentError::NotResumable { .. } => {
+            Failure::usage(format!("{error}; --table shows what is finished"))
+        }
+        error => Failure::usage(error),
+    })?;
     let of_another =
         |guard| settings.recipes.iter().all(|it| it.settings.safety_box.guard != guard);
     if arguments.guard.is_some_and(|guard| of_another(Guard::from(guard))) {

@@ -32,14 +32,18 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         // A failing link is a fault, not bad usage.
         RigError::Device(_) if fault.is_some() => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
-        RigError::Emulator(_)
-        | RigError::Thread(_)
-        | RigError::TooSlow(_)
-        | RigError::Unfit { .. } => Failure::failed(error),
-        RigError::VirtualPort { .. }
-        | RigError::OtherBoard { .. }
-        | RigError::TooWide(_)
-        | RigError::Device(_) => Failure::usage(error),
+        RigError::Emulator(_) | RigError::Thread(_) | RigError::TooSlow(_) => {
+            Failure::failed(error)
+        }
+        RigError::Unfit { .. } => Failure::failed(format!(
+            "{error}\nSee the whole table with qube-hil check; --skip-check goes on all the same"
+        )),
+        RigError::VirtualPort { .. } => {
+            Failure::usage(format!("{error}: leave --clock virtual or the port out"))
+        }
+        RigError::OtherBoard { .. } | RigError::TooWide(_) | RigError::Device(_) => {
+            Failure::usage(error)
+        }
         RigError::Policy(_) => Failure::usage(one_line(&error.to_string())),
     };
     failure.of(fault)
@@ -82,12 +86,20 @@ pub fn policy(error: &PolicyError) -> Failure {
     Failure::usage(one_line(&error.to_string()))
 }
 
-/// The failure for an error of a session's folder.
+/// The failure for an error of a session's or an experiment's folder.
 pub fn folder(error: &FolderError) -> Failure {
-    match error {
-        FolderError::Io { source, .. } if !is_bad_place(source) => Failure::failed(error),
-        _ => Failure::usage(error),
-    }
+    let advice = match error {
+        FolderError::Exists { path } => format!(
+            ". Choose another --out, or, if it is a session, go on with it by --resume {}",
+            path.display()
+        ),
+        FolderError::NotASession { .. } => ". Give the folder of a session to --resume".into(),
+        FolderError::NotBegun { path } => format!(". Begin it with --out {}", path.display()),
+        FolderError::InUse { .. } => String::new(),
+        FolderError::Io { source, .. } if !is_bad_place(source) => return Failure::failed(error),
+        FolderError::Io { .. } => String::new(),
+    };
+    Failure::usage(format!("{error}{advice}"))
 }
 
 /// The failure for a file or folder that could not be written.
@@ -118,10 +130,13 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     let failure = match error {
         SessionError::Stopped => stop.failure(format!("stopped; go on with {resume}")),
         _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
-        SessionError::GivenUp { .. } => Failure::fault(error),
+        SessionError::GivenUp { .. } => {
+            Failure::fault(format!("{error}, then go on with {resume}"))
+        }
         SessionError::InDoubt { .. } => Failure::fault(format!("{error}: {resume} --acknowledge")),
         SessionError::NotStartedAgain { ref source, .. } => {
-            Failure::fault(format!("{error}{}", with_last_ticks(source)))
+            let last_ticks = with_last_ticks(source);
+            Failure::fault(format!("{error}. Then go on with {resume}{last_ticks}"))
         }
         SessionError::Rig(error) => rig(error, stop),
         SessionError::Recording(error) => recording(&error),
@@ -142,10 +157,11 @@ pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure 
         _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
         ExperimentError::Search { source, .. } => session(*source, stop, resume),
         ExperimentError::Session(error) => session(error, stop, resume),
-        ExperimentError::Unwritable(_)
-        | ExperimentError::Drawing { .. }
-        | ExperimentError::WorkerGone => Failure::failed(error),
-        ExperimentError::NotAnExperiment { .. }
+        ExperimentError::Unwritable(_) | ExperimentError::WorkerGone => Failure::failed(error),
+        ExperimentError::NotAnExperiment { .. } => {
+            Failure::usage(format!("{error}. Give the folder of one to --resume"))
+        }
+        ExperimentError::NotResumable { .. }
         | ExperimentError::Settings { .. }
         | ExperimentError::Recipe { .. }
         | ExperimentError::Configuration(_) => Failure::usage(error),

@@ -9,12 +9,13 @@ use super::destination::OutputFile;
 use super::exit::Failure;
 use super::output::Output;
 use super::profile;
+use crate::charts::motion_svg;
 use crate::identification::{
     Blind, Estimate, HorizonError, Identified, Unknown, check_recording, horizon_error, identify,
     start_state,
 };
 use crate::qube::{Correlations, Profile, Provenance, QubeModel};
-use crate::replay::{MotionLog, plot_svg, simulate_from};
+use crate::replay::{MotionLog, simulate_from};
 use crate::storage::{MachineDisk, write_whole};
 
 /// Horizons of the predictions in the table, s.
@@ -158,7 +159,7 @@ fn plot(folder: &Path, path: &Path, log: &MotionLog, model: &QubeModel) -> Resul
     let open_loop = simulate_from(log, model, start_state(log, model))
         .map_err(|error| Failure::failed(format!("{}: {error}", path.display())))?;
     let name = file_name(path);
-    let svg = plot_svg(&name, log, &open_loop).map_err(Failure::failed)?;
+    let svg = motion_svg(&name, log, &open_loop).map_err(Failure::failed)?;
     let picture = folder.join(format!("{name}.svg"));
     write_whole(&MachineDisk, &picture, svg.as_bytes()).map_err(Failure::failed)
 }

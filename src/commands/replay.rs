@@ -9,10 +9,11 @@ use super::exit::Failure;
 use super::output::{Output, path_as_text};
 use super::printable::one_line;
 use super::profile;
+use crate::charts::motion_svg;
 use crate::policy::Policy;
 use crate::qube::QubeModel;
 use crate::recording::{Completeness, Recording, RecordingError, read};
-use crate::replay::{AngleError, MotionLog, Rerun, plot_svg, rerun, simulate_beside};
+use crate::replay::{AngleError, MotionLog, Rerun, rerun, simulate_beside};
 use crate::safety::Foreseen;
 use crate::storage::{MachineDisk, write_whole};
 use crate::telemetry::RolloutOutcome;
@@ -282,7 +283,7 @@ fn simulate_file(
     if let Some(folder) = &arguments.plot {
         let name = picture_name(&arguments.files, &report.path);
         let picture = folder.join(format!("{name}.svg"));
-        let svg = plot_svg(&name, log, &open_loop).map_err(Problem::failed)?;
+        let svg = motion_svg(&name, log, &open_loop).map_err(Problem::failed)?;
         write_whole(&MachineDisk, &picture, svg.as_bytes()).map_err(Problem::failed)?;
     }
     Ok(())

@@ -10,9 +10,7 @@ use crate::session::{ConfigurationError, SessionError};
 #[derive(Debug, Error)]
 pub enum ExperimentError {
     /// The folder to resume is not an experiment.
-    #[error(
-        "{path} is not an experiment: it has no experiment.toml. Give the folder of one to --resume"
-    )]
+    #[error("{path} is not an experiment: it has no experiment.toml")]
     NotAnExperiment {
         /// Path of the folder.
         path: PathBuf,
@@ -23,6 +21,14 @@ pub enum ExperimentError {
         /// Path of the file.
         path: PathBuf,
         /// Reason why it is refused.
+        reason: String,
+    },
+    /// The experiment began with a setting that no longer exists, so only its results can be shown.
+    #[error("{path}: {reason}")]
+    NotResumable {
+        /// Path of the file.
+        path: PathBuf,
+        /// Setting that prevents it.
         reason: String,
     },
     /// A recipe is invalid.
@@ -39,14 +45,8 @@ pub enum ExperimentError {
     /// The settings cannot be written as TOML.
     #[error("the experiment's settings cannot be written: {0}")]
     Unwritable(#[from] toml::ser::Error),
-    /// The drawing library failed.
-    #[error("the figure could not be drawn: {reason}")]
-    Drawing {
-        /// Cause of the failure.
-        reason: String,
-    },
     /// A worker thread panicked.
-    #[error("a worker of the experiment has ended unexpectedly; --resume continues it")]
+    #[error("a worker of the experiment has ended unexpectedly; the experiment can be resumed")]
     WorkerGone,
     /// The search for a psi ended early.
     #[error("the search of {name}: {source}")]

@@ -15,7 +15,6 @@
 //! computed from policies and recordings; nothing else is stored.
 
 mod error;
-mod figures;
 mod folder;
 mod plant;
 mod queue;
@@ -30,7 +29,6 @@ mod strategies;
 mod work;
 
 pub use error::ExperimentError;
-pub use figures::{densities_svg, searches_svg};
 pub use folder::{ExperimentFolder, PolicyFolders};
 pub use plant::Plant;
 pub use recipe::{Recipe, RecipeModel};
@@ -39,6 +37,6 @@ pub use rollouts::RolloutResult;
 pub use settings::ExperimentSettings;
 pub use strategies::{
     Method, RecommendationResult, Repetition, Score, StrategyResult, StrategyResults,
-    StrategySettings, strategies_svg,
+    StrategySettings,
 };
-pub use work::{Experiment, ExperimentEvent};
+pub use work::{Experiment, ExperimentEvent, SearchReturns};

@@ -55,10 +55,7 @@ impl ExperimentSettings {
             Some(format!("recipe {}: {gone}", recipe.name))
         });
         match gone.or(retired) {
-            Some(reason) => Err(ExperimentError::Settings {
-                path: path.to_owned(),
-                reason: format!("{reason}; --table shows what is finished"),
-            }),
+            Some(reason) => Err(ExperimentError::NotResumable { path: path.to_owned(), reason }),
             None => Ok(settings),
         }
     }

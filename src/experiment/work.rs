@@ -3,7 +3,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::folder::make;
 use super::queue::Queue;
-use super::search::{found_psi, open_search};
+use super::search::{found_psi, open_search, searched};
 use super::series::Series;
 use super::strategies::Access;
 use super::{
@@ -13,6 +13,7 @@ use super::{
 use crate::jobs::LocalExecutor;
 use crate::rig::{ClockChoice, Rig, RigSettings};
 use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
+use crate::simulation::DomainDistribution;
 
 /// An event of a running experiment, from any thread.
 pub enum ExperimentEvent<'a> {
@@ -89,6 +90,9 @@ enum WorkItem {
         repetition: u32,
     },
 }
+
+/// For each search, by its name, the returns of each candidate's rollouts.
+pub type SearchReturns = Vec<(String, Vec<Vec<f64>>)>;
 
 /// Receives the events of an experiment.
 pub(super) type Tell<'a> = dyn Fn(ExperimentEvent) + Sync + 'a;
@@ -237,6 +241,35 @@ impl Experiment {
         } else {
             Ok(Some(Vec::new()))
         }
+    }
+
+    /// The distribution of each recipe whose psi is known, by the recipe's name.
+    ///
+    /// # Errors
+    /// A search cannot be read.
+    pub fn distributions(&self) -> Result<Vec<(String, DomainDistribution)>, ExperimentError> {
+        let mut known = Vec::new();
+        for recipe in &self.settings.recipes {
+            if let Some(psi) = self.psi(recipe)? {
+                known.push((recipe.name.clone(), recipe.distribution(&psi)?));
+            }
+        }
+        Ok(known)
+    }
+
+    /// The returns of the searches of optimised recipes, by the recipes' names.
+    ///
+    /// # Errors
+    /// A search cannot be read.
+    pub fn searches(&self) -> Result<SearchReturns, ExperimentError> {
+        let optimised = self.settings.recipes.iter().filter(|recipe| recipe.model.is_optimised());
+        optimised
+            .map(|recipe| {
+                let candidates = searched(&self.folder.search(&recipe.name), 0)?;
+                let returns = candidates.into_iter().map(|candidate| candidate.returns);
+                Ok((recipe.name.clone(), returns.collect()))
+            })
+            .collect()
     }
 
     fn series<'a>(&'a self, recipe: &'a Recipe, psi: &'a [f64]) -> Series<'a> {

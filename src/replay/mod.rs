@@ -10,7 +10,6 @@
 mod csv;
 mod motion_log;
 mod open_loop;
-mod plot;
 mod rerun;
 
 pub use csv::CsvError;
@@ -18,5 +17,4 @@ pub use motion_log::{MotionLog, MotionLogError, MotionSample};
 pub use open_loop::{
     AngleError, Diverged, OpenLoop, simulate_beside, simulate_from, simulate_stretch,
 };
-pub use plot::plot_svg;
 pub use rerun::{Difference, Rerun, rerun};

@@ -13,9 +13,7 @@ use crate::telemetry::{CheckResult, Consequence, Fault, TickRecord};
 #[derive(Debug, Error)]
 pub enum RigError {
     /// Virtual time needs the emulated Qube.
-    #[error(
-        "--clock virtual works with the emulated Qube only, not with {port}: leave one of the two out"
-    )]
+    #[error("virtual time works with the emulated Qube only, not with {port}")]
     VirtualPort {
         /// Requested port.
         port: String,
@@ -103,11 +101,7 @@ pub enum RigError {
         during: &'static str,
     },
     /// The check failed.
-    #[error(
-        "the Qube did not pass its check, so nothing was run.{}\nSee the whole table with qube-hil \
-         check; --skip-check goes on all the same",
-        listed(results)
-    )]
+    #[error("the Qube did not pass its check, so nothing was run.{}", listed(results))]
     Unfit {
         /// Results of all checks; at least one failed.
         results: Vec<CheckResult>,

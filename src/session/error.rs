@@ -21,7 +21,7 @@ pub enum SessionError {
     /// A rollout failed as often as allowed.
     #[error(
         "rollout {rollout} of candidate {candidate} was ended by a fault {tries} times, last: {reason}. \
-         The motor is off; look at the Qube, then --resume"
+         The motor is off; look at the Qube"
     )]
     GivenUp {
         /// Number of the candidate.
@@ -36,7 +36,7 @@ pub enum SessionError {
     /// A fault ended a rollout, and the Qube could not be restarted.
     #[error(
         "a fault ended rollout {rollout} of candidate {candidate} ({fault}), and the Qube cannot be \
-         started again: {source}. Then go on with --resume"
+         started again: {source}"
     )]
     NotStartedAgain {
         /// Number of the candidate.

@@ -1,7 +1,6 @@
 //! Compares the search strategies on synthetic objectives.
 
 mod parallel;
-mod picture;
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -12,6 +11,7 @@ use serde_json::json;
 use super::exit::Failure;
 use super::output::Output;
 use super::printable::tell;
+use crate::charts::regret_svg;
 use crate::search::benchmark::{
     Comparison, Method, Objective, RegretCurve, TwoHumped, simple_regret,
 };
@@ -122,7 +122,7 @@ fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             curves.push(curve);
         }
         // The picture of the results so far, so that a long run can be watched.
-        let svg = picture::draw(&curves).map_err(Failure::failed)?;
+        let svg = regret_svg(&curves).map_err(Failure::failed)?;
         arguments.write("regret.svg", &svg)?;
     }
     let value = json!({ "regret": curves });

@@ -9,7 +9,6 @@
 //! Reading order: [`StrategySettings`]; `follow` runs one [`Repetition`]; `search` and `identified` give
 //! its recommendations; `score` scores them; [`StrategyResults`] summarises.
 
-mod figure;
 mod follow;
 mod identified;
 mod method;
@@ -19,7 +18,6 @@ mod score;
 mod search;
 mod settings;
 
-pub use figure::strategies_svg;
 pub use method::Method;
 pub use results::{StrategyResult, StrategyResults};
 pub(super) use run::Access;

@@ -64,6 +64,21 @@ impl StrategyResult {
         self.repetitions.first().map(|it| it.budget)
     }
 
+    /// The corners of the share of repetitions that have succeeded against real rollouts, from 1 rollout to the
+    /// end of the budget; empty before a repetition is over.
+    #[must_use]
+    pub fn corners(&self) -> Vec<(f64, f64)> {
+        let Some(budget) = self.budget() else { return Vec::new() };
+        let share = |count: usize| count as f64 / self.repetitions.len() as f64;
+        let mut corners = vec![(1.0, 0.0)];
+        for (index, rollouts) in self.rollouts_needed().into_iter().enumerate() {
+            corners.push((f64::from(rollouts), share(index)));
+            corners.push((f64::from(rollouts), share(index + 1)));
+        }
+        corners.push((f64::from(budget), share(self.reached())));
+        corners
+    }
+
     /// Number of scored recommendations; each is one more chance to succeed by luck.
     #[must_use]
     pub fn scored(&self) -> usize {
@@ -107,13 +122,13 @@ impl StrategyResults {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
     use crate::experiment::{RecommendationResult, Score};
     use crate::search::StrategyKind;
 
     /// A method whose repetitions succeed after these numbers of rollouts, or never.
-    pub fn result(needed: &[Option<u32>]) -> StrategyResult {
+    fn result(needed: &[Option<u32>]) -> StrategyResult {
         let method = Method::Search(StrategyKind::Cem);
         let recommendation = |real_rollouts, succeeds| RecommendationResult {
             real_rollouts,
@@ -134,6 +149,15 @@ pub(super) mod tests {
             budget: 125,
         };
         StrategyResult { method, repetitions: needed.iter().enumerate().map(repetition).collect() }
+    }
+
+    #[test]
+    fn a_line_climbs_where_recommendations_succeed_and_ends_with_the_budget() {
+        let corners = result(&[Some(40), None, Some(10), Some(20)]).corners();
+        assert_eq!(corners.first(), Some(&(1.0, 0.0)));
+        assert!(corners.contains(&(10.0, 0.25)) && corners.contains(&(20.0, 0.25)));
+        assert_eq!(corners.last(), Some(&(125.0, 0.75)));
+        assert!(corners.is_sorted_by(|a, b| a.0 <= b.0 && a.1 <= b.1));
     }
 
     #[test]

@@ -1,11 +1,8 @@
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::{MotionLog, OpenLoop};
+use super::{DrawingError, Panel, PlotError};
 use crate::qube::State;
-
-type Panel<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type PlotError = DrawingAreaErrorKind<std::io::Error>;
+use crate::replay::{MotionLog, OpenLoop};
 
 const RECORDED: RGBColor = RGBColor(31, 119, 180);
 const SIMULATED: RGBColor = RGBColor(214, 39, 40);
@@ -14,9 +11,13 @@ const SIMULATED: RGBColor = RGBColor(214, 39, 40);
 ///
 /// # Errors
 /// The drawing library failed.
-pub fn plot_svg(title: &str, log: &MotionLog, open_loop: &OpenLoop) -> Result<String, String> {
+pub fn motion_svg(
+    title: &str,
+    log: &MotionLog,
+    open_loop: &OpenLoop,
+) -> Result<String, DrawingError> {
     let mut svg = String::new();
-    draw(&mut svg, title, log, open_loop).map_err(|error| error.to_string())?;
+    draw(&mut svg, title, log, open_loop)?;
     Ok(svg)
 }
 
@@ -93,7 +94,7 @@ mod tests {
             .collect();
         let log = MotionLog { samples };
         let open_loop = simulate_beside(&log, &QubeModel::NOMINAL).unwrap();
-        let svg = plot_svg("a < b & c", &log, &open_loop).unwrap();
+        let svg = motion_svg("a < b & c", &log, &open_loop).unwrap();
         assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
         for text in ["recorded", "simulated", "theta [rad]", "alpha [rad]", "a &lt; b &amp; c"] {
             assert!(svg.contains(text), "{text}");

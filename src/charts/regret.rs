@@ -1,5 +1,6 @@
 use plotters::prelude::*;
 
+use super::{DrawingError, Panel, PlotError};
 use crate::search::StrategyKind;
 use crate::search::benchmark::{Quartiles, RegretCurve};
 
@@ -20,7 +21,10 @@ fn colour(strategy: StrategyKind) -> RGBColor {
 
 /// Draws one panel for each objective: median of the simple regret over evaluations, with a band from
 /// quartile to quartile.
-pub fn draw(curves: &[RegretCurve]) -> anyhow::Result<String> {
+///
+/// # Errors
+/// The drawing library failed.
+pub fn regret_svg(curves: &[RegretCurve]) -> Result<String, DrawingError> {
     let panels: Vec<&[RegretCurve]> = curves.chunk_by(|a, b| a.objective == b.objective).collect();
     let rows = panels.len().div_ceil(3).max(1);
     let mut svg = String::new();
@@ -48,10 +52,7 @@ pub fn draw(curves: &[RegretCurve]) -> anyhow::Result<String> {
     Ok(svg)
 }
 
-fn draw_panel(
-    curves: &[RegretCurve],
-    area: &DrawingArea<SVGBackend, plotters::coord::Shift>,
-) -> anyhow::Result<()> {
+fn draw_panel(curves: &[RegretCurve], area: &Panel<'_>) -> Result<(), PlotError> {
     let Some(first) = curves.first() else {
         return Ok(());
     };
@@ -124,7 +125,7 @@ mod tests {
                 })
             })
             .collect();
-        let svg = draw(&curves).unwrap();
+        let svg = regret_svg(&curves).unwrap();
         for words in ["branin, 2 dimensions", "ackley, 16 dimensions", "cmaes", "evaluations"] {
             assert!(svg.contains(words), "{words}");
         }

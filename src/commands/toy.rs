@@ -1,16 +1,12 @@
 //! Draws the thesis's pictures of its toy problem.
 
-mod figure_3_1;
-mod figure_3_2;
-mod posterior_panel;
-mod problem;
-
 use std::path::PathBuf;
 
 use serde_json::json;
 
 use super::exit::Failure;
 use super::output::Output;
+use crate::charts::toy::{SAMPLES, figure_3_1_svg, figure_3_2_svg};
 use crate::storage::{MachineDisk, write_whole};
 
 /// Draw the thesis's figures 3.1 and 3.2: how the surrogate and the acquisition functions work
@@ -45,13 +41,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         files.push(path.display().to_string());
         Ok(())
     };
-    for samples in figure_3_1::SAMPLES {
-        keep(
-            format!("figure-3.1-{samples}-samples.svg"),
-            figure_3_1::draw(samples, arguments.seed),
-        )?;
+    for samples in SAMPLES {
+        keep(format!("figure-3.1-{samples}-samples.svg"), figure_3_1_svg(samples, arguments.seed))?;
     }
-    keep("figure-3.2.svg".into(), figure_3_2::draw(arguments.seed))?;
+    keep("figure-3.2.svg".into(), figure_3_2_svg(arguments.seed))?;
     output.print(&files.join("\n"), &json!({ "files": files }));
     Ok(())
 }
@@ -62,15 +55,15 @@ mod tests {
 
     #[test]
     fn figures_are_drawn_whole_and_repeat() {
-        let surface = figure_3_1::draw(7, 0).unwrap();
+        let surface = figure_3_1_svg(7, 0).unwrap();
         for words in ["sample seed 3", "log marginal likelihood", "noise deviation", "true curve"] {
             assert!(surface.contains(words), "{words}");
         }
-        let iterations = figure_3_2::draw(0).unwrap();
+        let iterations = figure_3_2_svg(0).unwrap();
         for words in ["PI, iteration 1", "EI, iteration 4", "UCB (β = 2), iteration 4"] {
             assert!(iterations.contains(words), "{words}");
         }
-        assert_eq!(iterations, figure_3_2::draw(0).unwrap());
-        assert_ne!(iterations, figure_3_2::draw(1).unwrap());
+        assert_eq!(iterations, figure_3_2_svg(0).unwrap());
+        assert_ne!(iterations, figure_3_2_svg(1).unwrap());
     }
 }

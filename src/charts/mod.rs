@@ -1,0 +1,38 @@
+//! Figures as SVG: pure drawing, from data that other rooms computed.
+//!
+//! Only the feature `cli` builds this room, so that the library without it needs no drawing library. The room
+//! may import `qube`, `simulation`, `replay`, `search` and `surrogate`.
+
+mod densities;
+mod motion;
+mod regret;
+mod searches;
+mod strategies;
+pub mod toy;
+
+pub use densities::densities_svg;
+pub use motion::motion_svg;
+pub use regret::regret_svg;
+pub use searches::searches_svg;
+pub use strategies::{StepLine, strategies_svg};
+
+use plotters::coord::Shift;
+use plotters::prelude::{DrawingArea, DrawingAreaErrorKind, SVGBackend};
+use thiserror::Error;
+
+type Panel<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type PlotError = DrawingAreaErrorKind<std::io::Error>;
+
+/// The drawing library failed.
+#[derive(Debug, Error)]
+#[error("the figure could not be drawn: {reason}")]
+pub struct DrawingError {
+    /// Cause of the failure.
+    reason: String,
+}
+
+impl From<PlotError> for DrawingError {
+    fn from(error: PlotError) -> Self {
+        Self { reason: error.to_string() }
+    }
+}

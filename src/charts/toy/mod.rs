@@ -1,0 +1,9 @@
+//! The thesis's pictures of its toy problem: how the surrogate and the acquisition functions work.
+
+mod figure_3_1;
+mod figure_3_2;
+mod posterior_panel;
+mod problem;
+
+pub use figure_3_1::{SAMPLES, draw as figure_3_1_svg};
+pub use figure_3_2::draw as figure_3_2_svg;
