@@ -8,6 +8,7 @@
 mod configuration;
 mod drift;
 mod error;
+mod event;
 mod folder;
 mod header;
 mod ledger;
@@ -26,13 +27,14 @@ mod view;
 pub use configuration::ConfigurationError;
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use error::SessionError;
+pub use event::SessionEvent;
 pub use folder::{FolderError, SessionFolder, put_aside};
 pub use header::RolloutPlan;
 pub use ledger::{
     DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger,
     settings_checksum,
 };
-pub use orchestrator::{Session, SessionEvent};
+pub use orchestrator::Session;
 pub use paths::{PolicyPaths, SessionPaths, recording_in};
 pub use plan::{Extent, Step, next_step};
 pub use power_test::{PowerTest, UsbLost, power_warning};

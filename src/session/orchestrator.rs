@@ -7,12 +7,11 @@ use super::folder::put_aside;
 use super::seeds::{SeedFor, derived_seed};
 use super::{
     Candidate, DRIFT_ROLLOUTS, Drift, Entry, FolderError, Ledger, Purpose, RolloutPlan,
-    ScoredCandidate, SessionError, SessionFolder, SessionSettings, SessionState, Step, next_step,
-    settings_checksum,
+    ScoredCandidate, SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState,
+    Step, next_step, settings_checksum,
 };
-use crate::identification::Unfit;
 use crate::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
-use crate::learning::{Origin, TrainSettings, TrainUpdate, Trained, curve_csv};
+use crate::learning::{Origin, TrainSettings, Trained, curve_csv};
 use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
@@ -21,46 +20,6 @@ use crate::scoring::{Verdict, score, score_recording};
 use crate::search::{Observation, SearchError};
 use crate::storage::{SETTINGS_BYTES, write_whole};
 use crate::telemetry::Ending;
-
-/// An event of a running session.
-pub enum SessionEvent<'a> {
-    /// A psi was chosen.
-    Proposed {
-        /// Number of the candidate.
-        candidate: u32,
-        /// Reason of the proposal.
-        purpose: Purpose,
-    },
-    /// A candidate's training has completed one more update.
-    Training {
-        /// Number of the candidate.
-        candidate: u32,
-        /// Statistics of the update.
-        update: &'a TrainUpdate,
-    },
-    /// A candidate's policy is on disk.
-    Trained {
-        /// Number of the candidate.
-        candidate: u32,
-        /// Return in simulation; `None` if an earlier run trained the policy.
-        best_return: Option<f64>,
-    },
-    /// The device is open and homed.
-    Connected(&'a Rig),
-    /// A rollout has ended.
-    Rollout {
-        /// Number of the candidate.
-        candidate: u32,
-        /// Number of the rollout.
-        rollout: u32,
-        /// Number of the attempt.
-        attempt: u32,
-        /// Verdict on the rollout.
-        verdict: &'a Verdict,
-    },
-    /// Drift of the rig from its profile, or the reason why it cannot be estimated.
-    Drift(&'a Result<Drift, Unfit>),
-}
 
 /// A session in its folder: the algorithm of the method's section 1, one step at a time.
 pub struct Session {

@@ -1,0 +1,45 @@
+use super::{Drift, Purpose};
+use crate::identification::Unfit;
+use crate::learning::TrainUpdate;
+use crate::rig::Rig;
+use crate::scoring::Verdict;
+
+/// An event of a running session.
+pub enum SessionEvent<'a> {
+    /// A psi was chosen.
+    Proposed {
+        /// Number of the candidate.
+        candidate: u32,
+        /// Reason of the proposal.
+        purpose: Purpose,
+    },
+    /// A candidate's training has completed one more update.
+    Training {
+        /// Number of the candidate.
+        candidate: u32,
+        /// Statistics of the update.
+        update: &'a TrainUpdate,
+    },
+    /// A candidate's policy is on disk.
+    Trained {
+        /// Number of the candidate.
+        candidate: u32,
+        /// Return in simulation; `None` if an earlier run trained the policy.
+        best_return: Option<f64>,
+    },
+    /// The device is open and homed.
+    Connected(&'a Rig),
+    /// A rollout has ended.
+    Rollout {
+        /// Number of the candidate.
+        candidate: u32,
+        /// Number of the rollout.
+        rollout: u32,
+        /// Number of the attempt.
+        attempt: u32,
+        /// Verdict on the rollout.
+        verdict: &'a Verdict,
+    },
+    /// Drift of the rig from its profile, or the reason why it cannot be estimated.
+    Drift(&'a Result<Drift, Unfit>),
+}
