@@ -88,44 +88,49 @@ fn conformance_of_any_device_is_a_command() {
 
 #[test]
 fn a_port_with_something_else_behind_it_is_bad_input() {
-    let directory = tempfile::tempdir().unwrap();
-    let refused = |port: &str, words: &[&str]| {
-        for command in [&["check"][..], &["run", "--policy", "classical"]] {
-            let output = qube_hil(directory.path(), &[command, &["--device", port]].concat());
-            assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
-            assert!(output.stdout.is_empty());
-            for word in words {
-                let stderr = stderr(&output);
-                assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
-            }
-        }
-    };
-    refused(port(&with_fault("wrong-version")), &["protocol version 1", "Flash"]);
-    refused(port(&with_fault("qube-absent@0")), &["module id 0x0000", "power"]);
-    refused(port(&with_fault("silent@0")), &["no answer to"]);
-
-    // A device of another kind, or one at another baud rate, says something; a modem echoes.
-    for echoes in [false, true] {
-        let (mut master, slave) = serialport::TTYPort::pair().unwrap();
-        let name = serialport::SerialPort::name(&slave).unwrap();
-        let words = if echoes { ["it echoes"] } else { ["another baud rate"] };
-        let talker = std::thread::spawn(move || {
-            let _held_open = slave;
-            serialport::SerialPort::set_timeout(&mut master, Duration::from_secs(60)).unwrap();
-            let mut buffer = [0; 256];
-            // Ends with the file that is written when the test is complete.
-            while let Ok(length) = master.read(&mut buffer) {
-                let said = if echoes { &buffer[..length] } else { b"ready\r\n\x00\xf0\x8a\x00" };
-                if buffer[..length].starts_with(b"end") || master.write_all(said).is_err() {
-                    return;
+    // Alone among the tests of this file: a program whose Qube was unplugged tries to open its port again,
+    // and the kernel gives the number of a closed pty to the next one.
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let refused = |port: &str, words: &[&str]| {
+            for command in [&["check"][..], &["run", "--policy", "classical"]] {
+                let output = qube_hil(directory.path(), &[command, &["--device", port]].concat());
+                assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+                assert!(output.stdout.is_empty());
+                for word in words {
+                    let stderr = stderr(&output);
+                    assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
                 }
             }
-        });
-        refused(&name, &words);
-        let mut last = serialport::new(&name, 9600).open().unwrap();
-        last.write_all(b"end").unwrap();
-        talker.join().unwrap();
-    }
+        };
+        refused(port(&with_fault("wrong-version")), &["protocol version 1", "Flash"]);
+        refused(port(&with_fault("qube-absent@0")), &["module id 0x0000", "power"]);
+        refused(port(&with_fault("silent@0")), &["no answer to"]);
+
+        // A device of another kind, or one at another baud rate, says something; a modem echoes.
+        for echoes in [false, true] {
+            let (mut master, slave) = serialport::TTYPort::pair().unwrap();
+            let name = serialport::SerialPort::name(&slave).unwrap();
+            let words = if echoes { ["it echoes"] } else { ["another baud rate"] };
+            let talker = std::thread::spawn(move || {
+                let _held_open = slave;
+                serialport::SerialPort::set_timeout(&mut master, Duration::from_secs(60)).unwrap();
+                let mut buffer = [0; 256];
+                // Ends with the file that is written when the test is complete.
+                while let Ok(length) = master.read(&mut buffer) {
+                    let said =
+                        if echoes { &buffer[..length] } else { b"ready\r\n\x00\xf0\x8a\x00" };
+                    if buffer[..length].starts_with(b"end") || master.write_all(said).is_err() {
+                        return;
+                    }
+                }
+            });
+            refused(&name, &words);
+            let mut last = serialport::new(&name, 9600).open().unwrap();
+            last.write_all(b"end").unwrap();
+            talker.join().unwrap();
+        }
+    });
 }
 
 #[test]

@@ -223,8 +223,13 @@ fn a_second_name_goes_with_the_qube() {
 
 #[test]
 fn a_port_is_opened_again_and_shows_whether_the_board_has_restarted() {
-    let quiet = qube(None);
-    let mut link = open(&quiet);
+    // Under a name of its own: the kernel gives the number of a closed pty to the next one, which may be
+    // another test's.
+    let folder = tempfile::tempdir().unwrap();
+    let name = folder.path().join("qube");
+    let mut quiet = qube(None);
+    quiet.link_as(&name).unwrap();
+    let mut link = SerialLink::open(name.to_str().unwrap(), Arc::new(MonotonicClock)).unwrap();
     let first = link.hello().unwrap();
     arm(&mut link);
     link.reopen().unwrap();
