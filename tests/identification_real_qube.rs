@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use qube_hil::control::{ArmInput, SensorWatch};
 use qube_hil::estimation::Calibration;
-use qube_hil::identification::{Unknown, horizon_error, identify};
+use qube_hil::identification::{Phase, Unknown, horizon_error, identify, phase_error};
 use qube_hil::qube::{CONTROL_PERIOD_S, Measurement, QubeModel, RAD_PER_COUNT};
 use qube_hil::replay::{AngleError, MotionLog, simulate_beside};
 use qube_hil::safety::MotorHeat;
@@ -102,6 +102,34 @@ fn a_model_with_friction_cable_and_delay_predicts_chirps_that_it_was_not_fitted_
     eprintln!("held out, 9.8 s: {:?}", error.rms);
     assert_eq!(error.predictions, 4);
     assert!(error.rms.theta_rad <= 0.07 && error.rms.alpha_rad <= 0.03, "{error:?}");
+}
+
+/// Fitted to two chirps and two swing-ups; `examples/held_out_recordings.rs` holds out each recording in turn.
+#[test]
+fn a_model_fitted_to_chirps_and_swing_ups_predicts_swing_ups_that_it_was_not_fitted_to() {
+    let Some(folder) = recordings() else { return };
+    let log = |name: &str| MotionLog::read(&folder.join(format!("{name}.csv"))).unwrap();
+    let fitted = [
+        log("chirp_plus1.5V_250Hz_1"),
+        log("chirp_minus1.5V_250Hz_1"),
+        log("swingup_energy_250Hz_10s_1"),
+        log("swingup_energy_500Hz_5s_1"),
+    ];
+    let held_out = [
+        log("swingup_energy_250Hz_10s_2"),
+        log("swingup_energy_250Hz_10s_3"),
+        log("swingup_energy_500Hz_5s_2"),
+        log("swingup_energy_500Hz_5s_3"),
+    ];
+    let all: Vec<Unknown> = Unknown::all().collect();
+    let found = identify(&fitted, &all, &QubeModel::NOMINAL).unwrap();
+    let error = |phase| phase_error(&held_out, &found.model, phase);
+    let (swing, balance) = (error(Phase::Swing), error(Phase::Balance));
+    eprintln!("held out: swing {swing:?}, balance {balance:?}");
+    assert!(swing.rms.theta_rad <= 0.09 && swing.rms.alpha_rad <= 0.14, "{swing:?}");
+    assert!(balance.rms.theta_rad <= 0.025 && balance.rms.alpha_rad <= 0.03, "{balance:?}");
+    let nominal = phase_error(&held_out, &QubeModel::NOMINAL, Phase::Swing);
+    assert!(nominal.rms.theta_rad > 0.3, "{nominal:?}");
 }
 
 /// Swing-ups and chirps of a real Qube, sample by sample, raise no fault.

@@ -64,6 +64,23 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
 }
 
 #[test]
+fn rollouts_of_a_policy_identify_the_emulated_lab() {
+    let directory = tempfile::tempdir().unwrap();
+    let policy = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/robust.safetensors");
+    let run = ["run", "--policy", policy, "--profile", "lab", "--clock", "virtual"];
+    // In the box, where rollouts last.
+    let more = ["--guard", "box", "--seed", "2", "--rollouts", "2", "--out", "swing"];
+    qube_hil(directory.path(), &[&run[..], &more].concat());
+    let files = ["swing/rollout-0.mcap", "--holdout", "swing/rollout-1.mcap", "--json"];
+    let found = json(&qube_hil(directory.path(), &[&["identify"][..], &files].concat()));
+    let balance = &found["held_out_phases"][1];
+    let number = |field: &str| balance[field].as_f64().unwrap();
+    assert_eq!(balance["phase"], "balance");
+    assert!(number("predictions") >= 20.0, "{balance}");
+    assert!(number("theta_rad") < 0.005 && number("alpha_rad") < 0.01, "{balance}");
+}
+
+#[test]
 fn the_first_rollouts_say_whether_the_rig_is_as_its_profile() {
     let directory = tempfile::tempdir().unwrap();
     let qube = format!("profile = {:?}\n", lab_path());

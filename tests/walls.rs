@@ -69,8 +69,8 @@ const ROOMS: &[Room] = &[
     // Sessions, experiments, runs and replays score a rollout alike.
     room("scoring", &["recording", "telemetry", "qube", "storage"]),
     room("replay", &["scoring", "recording", "control", "policy", "safety", "estimation", "telemetry",
-                     "qube", "storage"]),
-    room("identification", &["replay", "qube"]),
+                     "qube", "elementary", "storage"]),
+    room("identification", &["replay", "qube", "elementary"]),
     // The check measures with the tick's clock and drive, and reports signs and faults.
     room("preflight", &["clock", "device", "control", "estimation", "safety", "telemetry", "qube",
                         "firmware_protocol"]),

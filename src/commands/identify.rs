@@ -11,22 +11,24 @@ use super::output::Output;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::identification::{
-    Blind, Estimate, HorizonError, Identified, Unknown, check_recording, horizon_error, identify,
-    start_state,
+    Blind, Estimate, HorizonError, Identified, Phase, Unknown, check_recording, comes_upright,
+    horizon_error, identify, phase_error, start_state,
 };
 use crate::qube::{Correlations, Profile, Provenance, QubeModel};
 use crate::replay::{MotionLog, simulate_from};
 use crate::storage::{MachineDisk, write_whole};
 
-/// Horizons of the predictions in the table, s.
+/// Horizons of the predictions of chirps and steps in the table, s.
 const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 
 /// Identify the Qube that made recordings: parameters, friction, dead zone, cable and delay
 ///
-/// `run --excite chirp` makes such recordings. The result is a profile: `train`, `run`, `session`,
+/// `run --excite chirp` and `--excite steps` make such recordings; swing-ups, balancing and rollouts of policies
+/// serve as well, in any mixture. The result is a profile: `train`, `run`, `session`,
 /// `emulate` and `replay` read it with --profile. Verify it with recordings that it was not fitted to
 /// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then gets the
-/// voltages only.
+/// voltages only. A recording whose pendulum comes upright is predicted piece by piece: 0.5 s of its swing, 0.1 s
+/// of its balance.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil identify chirp-[12].mcap --holdout chirp-3.mcap --out mine.toml\n  \
@@ -80,11 +82,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let identified = identify(&fitted, &unknowns, &first_guess).map_err(Failure::usage)?;
     let seconds = started.elapsed().as_secs_f64();
-    let horizons = |logs: &[MotionLog]| {
-        HORIZONS_S.map(|horizon_s| horizon_error(logs, &identified.model, horizon_s))
-    };
-    let errors = [("fitted", horizons(&fitted)), ("held out", horizons(&held_out))];
-    let [.., (_, [.., long])] = &errors;
+    let errors = [
+        Errors::of("fitted", &fitted, &identified.model),
+        Errors::of("held out", &held_out, &identified.model),
+    ];
+    let [_, held_out_errors] = &errors;
+    let [.., long] = held_out_errors.horizons;
 
     let profile = Profile {
         name: arguments.name.clone(),
@@ -98,7 +101,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         provenance: Some(Provenance {
             recordings: arguments.files.iter().map(|path| file_name(path)).collect(),
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
-            held_out_rms_rad: (!held_out.is_empty())
+            held_out_rms_rad: (long.predictions > 0)
                 .then_some([long.rms.theta_rad, long.rms.alpha_rad]),
             note: None,
         }),
@@ -115,8 +118,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
 
     let mut text = table(&identified);
-    for (name, errors) in errors.iter().filter(|(_, errors)| errors[0].predictions > 0) {
-        text += &error_lines(name, errors);
+    for errors in &errors {
+        text += &errors.lines();
     }
     let _ = write!(text, "\n{} in {seconds:.1} s", arguments.out.display());
     output.print(&text, &result(&identified, &errors, seconds, &arguments.out));
@@ -194,22 +197,50 @@ fn combination(direction: &Blind) -> String {
     direction.iter().map(term).collect::<Vec<_>>().join(" ")
 }
 
-fn error_lines(name: &str, errors: &[HorizonError]) -> String {
-    let mut text = format!("\n{name:9} RMS error of predictions, rad\n");
-    for error in errors {
-        let (theta, alpha) = (error.rms.theta_rad, error.rms.alpha_rad);
-        let _ = writeln!(
-            text,
-            "{:7} s  theta {theta:.4}  alpha {alpha:.4}  ({} predictions)",
-            error.horizon_s, error.predictions
-        );
+/// The errors of predicting some recordings.
+struct Errors {
+    name: &'static str,
+    /// Of the recordings whose pendulum never comes upright.
+    horizons: [HorizonError; 3],
+    /// Of the others, by phase.
+    phases: [(Phase, HorizonError); 2],
+}
+
+impl Errors {
+    fn of(name: &'static str, logs: &[MotionLog], model: &QubeModel) -> Self {
+        let hanging: Vec<MotionLog> =
+            logs.iter().filter(|log| !comes_upright(log)).cloned().collect();
+        Self {
+            name,
+            horizons: HORIZONS_S.map(|horizon_s| horizon_error(&hanging, model, horizon_s)),
+            phases: Phase::ALL.map(|phase| (phase, phase_error(logs, model, phase))),
+        }
     }
-    text
+
+    fn lines(&self) -> String {
+        let horizons = self.horizons.iter().map(|error| ("", error));
+        let phases = self.phases.iter().map(|(phase, error)| (phase.name(), error));
+        let errors: Vec<_> =
+            horizons.chain(phases).filter(|(_, error)| error.predictions > 0).collect();
+        if errors.is_empty() {
+            return String::new();
+        }
+        let mut text = format!("\n{:9} RMS error of predictions, rad\n", self.name);
+        for (phase, error) in errors {
+            let (theta, alpha) = (error.rms.theta_rad, error.rms.alpha_rad);
+            let _ = writeln!(
+                text,
+                "{phase:8}{:5} s  theta {theta:.4}  alpha {alpha:.4}  ({} predictions)",
+                error.horizon_s, error.predictions
+            );
+        }
+        text
+    }
 }
 
 fn result(
     identified: &Identified,
-    errors: &[(&str, [HorizonError; 3])],
+    [fitted, held_out]: &[Errors; 2],
     seconds: f64,
     out: &Path,
 ) -> Value {
@@ -229,11 +260,21 @@ fn result(
             "predictions": error.predictions,
         })
     };
+    let phases = |errors: &Errors| {
+        let of = |(phase, error): &(Phase, HorizonError)| {
+            let mut value = horizon(error);
+            value["phase"] = json!(phase.name());
+            value
+        };
+        errors.phases.iter().map(of).collect::<Vec<_>>()
+    };
     json!({
         "estimates": identified.estimates.iter().map(estimate).collect::<Vec<_>>(),
         "blind": identified.blind.iter().map(combination).collect::<Vec<_>>(),
-        "fitted": errors[0].1.iter().map(horizon).collect::<Vec<_>>(),
-        "held_out": errors[1].1.iter().map(horizon).collect::<Vec<_>>(),
+        "fitted": fitted.horizons.iter().map(horizon).collect::<Vec<_>>(),
+        "held_out": held_out.horizons.iter().map(horizon).collect::<Vec<_>>(),
+        "fitted_phases": phases(fitted),
+        "held_out_phases": phases(held_out),
         "wall_s": seconds,
         "profile": out.to_string_lossy(),
     })

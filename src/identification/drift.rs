@@ -48,7 +48,7 @@ pub fn drift(motions: &[MotionLog], reference: &QubeModel) -> Result<DriftEstima
     if usable.is_empty() {
         return Err(unfit);
     }
-    let stretches = usable.iter().flat_map(|log| Stretch::cut(&log.samples, STRETCH_S));
+    let stretches = usable.iter().flat_map(|log| Stretch::windows(&log.samples, STRETCH_S));
     let mut fit = Fit::new(&CHANGING, *reference, stretches.collect());
     fit.run();
     let found = uncertainty(&fit).estimates;

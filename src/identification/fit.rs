@@ -4,11 +4,13 @@ use std::thread;
 use nalgebra::{DMatrix, DVector, Matrix4, SVector};
 
 use super::Unknown;
-use super::stretch::Stretch;
+use super::residuals::{Noise, Residual, noise_of, robust_cost, robust_weight};
+use super::sensitivity::{STARTS, linearised};
+use super::stretch::{Regime, Stretch};
 use crate::qube::{QubeModel, State};
 
 /// Relative change of the cost below which a fit has converged.
-const ARRIVED: f64 = 1e-6;
+const ARRIVED: f64 = 1e-5;
 
 /// Largest number of steps with one scale of the residuals.
 const MAX_STEPS: usize = 30;
@@ -16,33 +18,21 @@ const MAX_STEPS: usize = 30;
 /// Number of times a step is shortened before the fit counts as converged.
 const MAX_SHORTENINGS: usize = 10;
 
-/// Number of times the scale of the residuals is estimated.
+/// Number of times the scales of the residuals are estimated.
 const SCALES: usize = 4;
 
-/// Step of a finite difference: for an unknown as a fraction of its prior standard deviation, and for each
-/// entry of a start state.
-const UNKNOWN_STEP: f64 = 1e-4;
-const START_STEPS: [f64; 4] = [1e-6, 1e-6, 1e-5, 1e-5];
-
-/// Standard deviations of the residuals of both angles, rad.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ResidualScale {
-    /// Standard deviation of the arm's residuals, rad.
-    pub theta_rad: f64,
-    /// Standard deviation of the pendulum's residuals, rad.
-    pub alpha_rad: f64,
-}
-
-/// The model and start states that explain recordings best: the maximum of the posterior for independent
-/// normal residuals of unknown scale and the priors of [`Unknown::prior`]. Each stretch has its own start
-/// state.
+/// The model and start states that explain recordings best: the maximum of the posterior for normal
+/// residuals of unknown scale and the priors of [`Unknown::prior`] (multiple shooting). Each stretch has its own
+/// start state. Each regime has residuals of its own scale and correlation in time, and a stretch that the model
+/// explains much worse than others of its regime loses weight.
 #[derive(Clone, Debug)]
 pub(super) struct Fit<'a> {
     pub unknowns: &'a [Unknown],
     pub model: QubeModel,
     pub stretches: Vec<Stretch<'a>>,
     pub starts: Vec<State>,
-    pub scale: ResidualScale,
+    /// Scale and correlation of the residuals of each regime, in the order of [`Regime::ALL`].
+    pub noise: [Noise; 3],
 }
 
 /// Blocks of J'J and J'r of one stretch: for the unknowns that all stretches share (g) and its own start
@@ -58,16 +48,29 @@ struct Block {
 impl<'a> Fit<'a> {
     /// A fit that starts at `model`, each stretch in its measured state.
     pub fn new(unknowns: &'a [Unknown], model: QubeModel, stretches: Vec<Stretch<'a>>) -> Self {
-        let starts = stretches.iter().map(|stretch| stretch.samples()[0].state).collect();
-        let scale = ResidualScale { theta_rad: 0.01, alpha_rad: 0.01 };
-        Self { unknowns, model, stretches, starts, scale }
+        let starts = stretches.iter().map(Stretch::measured_start).collect();
+        Self { unknowns, model, stretches, starts, noise: [Noise::default(); 3] }
     }
 
-    /// Fits model, start states and scale in turn until the scale settles.
+    /// A fit of the same unknowns over other stretches, from this one's result; stretches that both have keep
+    /// their start states.
+    pub fn over(&self, stretches: Vec<Stretch<'a>>) -> Self {
+        let mut next = Self::new(self.unknowns, self.model, stretches);
+        next.noise = self.noise;
+        for (stretch, start) in next.stretches.iter().zip(&mut next.starts) {
+            let pairs = || self.stretches.iter().zip(&self.starts);
+            if let Some((_, own)) = pairs().find(|(own, _)| own.is(stretch)) {
+                *start = *own;
+            }
+        }
+        next
+    }
+
+    /// Fits model, start states and scales in turn until the scales settle.
     pub fn run(&mut self) {
         for _ in 0..SCALES {
             self.minimise();
-            self.scale = self.scale_of_residuals();
+            self.noise = noise_of(&self.stretches, &self.residuals_rad(), &self.noise);
         }
     }
 
@@ -101,28 +104,13 @@ impl<'a> Fit<'a> {
     }
 
     /// The residuals of all stretches, in order: theta and alpha of each sample, rad.
-    pub fn residuals_rad(&self) -> Vec<Vec<[f64; 2]>> {
-        let of = |(stretch, start): (&Stretch<'_>, &State)| {
-            let simulated = stretch.simulate(&self.model, *start);
-            let samples = stretch.samples().iter().map(|sample| sample.state);
-            let errors = simulated.iter().zip(samples);
-            errors.map(|(a, b)| [a.theta - b.theta, a.alpha - b.alpha]).collect()
-        };
-        self.stretches.iter().zip(&self.starts).map(of).collect()
-    }
-
-    fn scale_of_residuals(&self) -> ResidualScale {
-        let residuals: Vec<[f64; 2]> = self.residuals_rad().concat();
-        let rms = |angle: usize| {
-            let squares: f64 = residuals.iter().map(|residual| residual[angle].powi(2)).sum();
-            // An encoder's resolution bounds the residuals from below.
-            (squares / residuals.len() as f64).sqrt().max(1e-4)
-        };
-        ResidualScale { theta_rad: rms(0), alpha_rad: rms(1) }
+    pub fn residuals_rad(&self) -> Vec<Vec<Residual>> {
+        let pairs: Vec<_> = self.stretches.iter().zip(&self.starts).collect();
+        side_by_side(&pairs, |(stretch, start)| residuals(stretch, &self.model, **start))
     }
 
     /// The information matrix of the unknowns without the priors: J'J with the start states eliminated, in
-    /// the fit's units and for independent residuals.
+    /// the fit's units; correlated residuals count as fewer.
     pub fn information(&self) -> DMatrix<f64> {
         let count = self.unknowns.len();
         let mut information = DMatrix::zeros(count, count);
@@ -135,77 +123,42 @@ impl<'a> Fit<'a> {
         information
     }
 
-    fn residuals(&self, stretch: &Stretch<'_>, model: &QubeModel, start: State) -> DVector<f64> {
-        let simulated = stretch.simulate(model, start);
-        let scaled = simulated.iter().zip(stretch.samples()).flat_map(|(state, sample)| {
-            [
-                (state.theta - sample.state.theta) / self.scale.theta_rad,
-                (state.alpha - sample.state.alpha) / self.scale.alpha_rad,
-            ]
-        });
-        DVector::from_iterator(2 * simulated.len(), scaled)
+    fn noise(&self, regime: Regime) -> &Noise {
+        &self.noise[regime as usize]
     }
 
     /// The cost; NaN when the motion diverges.
     fn cost(&self, model: &QubeModel, starts: &[State]) -> f64 {
-        let data: f64 = self
-            .stretches
-            .iter()
-            .zip(starts)
-            .map(|(stretch, start)| self.residuals(stretch, model, *start).norm_squared())
-            .sum();
+        let pairs: Vec<_> = self.stretches.iter().zip(starts).collect();
+        let costs = side_by_side(&pairs, |(stretch, start)| {
+            robust_cost(self.noise(stretch.regime), &residuals(stretch, model, **start))
+        });
         let prior_cost = |unknown: &Unknown| {
             let prior = unknown.prior();
             ((unknown.of(model) - prior.mean) / prior.std).powi(2)
         };
-        data + self.unknowns.iter().map(prior_cost).sum::<f64>()
+        costs.iter().sum::<f64>() + self.unknowns.iter().map(prior_cost).sum::<f64>()
     }
 
-    /// One block a stretch, in order, whatever the number of processors.
     fn blocks(&self) -> Vec<Block> {
-        let work: Vec<_> = self.stretches.iter().zip(&self.starts).collect();
-        let threads = thread::available_parallelism().map_or(1, NonZero::get);
-        thread::scope(|scope| {
-            let parts: Vec<_> = work
-                .chunks(work.len().div_ceil(threads).max(1))
-                .map(|part| {
-                    scope.spawn(|| {
-                        part.iter().map(|(stretch, start)| self.block(stretch, **start)).collect()
-                    })
-                })
-                .collect();
-            let join = |part: thread::ScopedJoinHandle<'_, Vec<Block>>| match part.join() {
-                Ok(blocks) => blocks,
-                Err(panic) => std::panic::resume_unwind(panic),
-            };
-            parts.into_iter().flat_map(join).collect()
-        })
+        let pairs: Vec<_> = self.stretches.iter().zip(&self.starts).collect();
+        side_by_side(&pairs, |(stretch, start)| self.block(stretch, **start))
     }
 
     fn block(&self, stretch: &Stretch<'_>, start: State) -> Block {
-        let here = self.residuals(stretch, &self.model, start);
-        let mut shared = DMatrix::zeros(here.len(), self.unknowns.len());
-        for (column, unknown) in self.unknowns.iter().enumerate() {
-            let step = UNKNOWN_STEP * unknown.prior().std;
-            let mut moved = self.model;
-            unknown.set(&mut moved, unknown.of(&self.model) + step);
-            let there = self.residuals(stretch, &moved, start);
-            shared.set_column(column, &((there - &here) / step));
-        }
-        let mut own = DMatrix::zeros(here.len(), 4);
-        for (column, step) in START_STEPS.into_iter().enumerate() {
-            let mut change = SVector::zeros();
-            change[column] = step;
-            let there = self.residuals(stretch, &self.model, moved(start, &change));
-            own.set_column(column, &((there - &here) / step));
-        }
-        let (ss, s) = (own.tr_mul(&own), own.tr_mul(&here));
+        let noise = self.noise(stretch.regime);
+        let scale = [noise.scale.theta_rad, noise.scale.alpha_rad];
+        let (here, slopes) = linearised(stretch, self.unknowns, &self.model, start, scale);
+        let weight = robust_weight(here.norm_squared() / here.len() as f64) / noise.correlated;
+        let count = self.unknowns.len();
+        let (square, gradient) = (weight * slopes.tr_mul(&slopes), weight * slopes.tr_mul(&here));
+        let ss = square.view((count, count), (STARTS, STARTS));
         Block {
-            gg: shared.tr_mul(&shared),
-            gs: shared.tr_mul(&own),
+            gg: square.view((0, 0), (count, count)).into_owned(),
+            gs: square.view((0, count), (count, STARTS)).into_owned(),
             ss: Matrix4::from_iterator(ss.iter().copied()),
-            g: shared.tr_mul(&here),
-            s: SVector::from_iterator(s.iter().copied()),
+            g: gradient.rows(0, count).into_owned(),
+            s: SVector::from_iterator(gradient.rows(count, STARTS).iter().copied()),
         }
     }
 
@@ -235,7 +188,7 @@ impl<'a> Fit<'a> {
             gradient -= &weighted * block.s;
             inverses.push(inverse);
         }
-        let change = if count == 0 { gradient } else { matrix.cholesky()?.solve(&-gradient) };
+        let change = self.change(matrix, gradient)?;
         let mut model = self.model;
         for (unknown, change) in self.unknowns.iter().zip(&change) {
             unknown.set(&mut model, unknown.of(&self.model) + change);
@@ -248,6 +201,73 @@ impl<'a> Fit<'a> {
             });
         Some((model, starts.collect()))
     }
+
+    /// Solves for the change of the unknowns. A strength that is 0 and would become negative stays, and the
+    /// others are solved for without it.
+    fn change(&self, mut matrix: DMatrix<f64>, mut gradient: DVector<f64>) -> Option<DVector<f64>> {
+        let count = self.unknowns.len();
+        if count == 0 {
+            return Some(gradient);
+        }
+        for _ in 0..=count {
+            let change = matrix.clone().cholesky()?.solve(&-&gradient);
+            let leaves = |index: &usize| {
+                let unknown = self.unknowns[*index];
+                change[*index] < 0.0
+                    && unknown.is_strength()
+                    && unknown.of(&self.model) <= 0.0
+                    && gradient[*index] != 0.0
+            };
+            let leaving: Vec<usize> = (0..count).filter(leaves).collect();
+            if leaving.is_empty() {
+                return Some(change);
+            }
+            for index in leaving {
+                matrix.row_mut(index).fill(0.0);
+                matrix.column_mut(index).fill(0.0);
+                matrix[(index, index)] = 1.0;
+                gradient[index] = 0.0;
+            }
+        }
+        None
+    }
+}
+
+/// The residuals of a stretch, rad.
+fn residuals(stretch: &Stretch<'_>, model: &QubeModel, start: State) -> Vec<Residual> {
+    let simulated = stretch.simulate(model, start);
+    let pairs = simulated.iter().zip(stretch.samples());
+    let of = |(a, b): (&State, &crate::replay::MotionSample)| {
+        [a.theta - b.state.theta, a.alpha - b.state.alpha]
+    };
+    pairs.map(of).collect()
+}
+
+/// Maps items on all processors, in order, whatever their number.
+fn side_by_side<T: Sync, R: Send>(items: &[T], map: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    let threads = thread::available_parallelism().map_or(1, NonZero::get).min(items.len());
+    if threads < 2 {
+        return items.iter().map(map).collect();
+    }
+    thread::scope(|scope| {
+        let map = &map;
+        // Neighbouring items differ in length, so each thread takes every n-th.
+        let parts: Vec<_> = (0..threads)
+            .map(|thread| {
+                scope.spawn(move || {
+                    items.iter().skip(thread).step_by(threads).map(map).collect::<Vec<R>>()
+                })
+            })
+            .collect();
+        let mut parts: Vec<_> = parts
+            .into_iter()
+            .map(|part| match part.join() {
+                Ok(results) => results.into_iter(),
+                Err(panic) => std::panic::resume_unwind(panic),
+            })
+            .collect();
+        (0..items.len()).filter_map(|index| parts[index % threads].next()).collect()
+    })
 }
 
 fn moved(start: State, change: &SVector<f64, 4>) -> State {

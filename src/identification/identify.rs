@@ -1,17 +1,20 @@
+use std::fmt;
+
 use thiserror::Error;
 
 use super::Unknown;
-use super::fit::{Fit, ResidualScale};
+use super::fit::Fit;
 use super::fitness::{Unfit, check_recording};
-use super::stretch::Stretch;
+use super::residuals::{ResidualScale, scale_of};
+use super::stretch::{Regime, Stretch, is_upright};
 use super::uncertainty::{Blind, Estimate, Uncertainty, uncertainty};
 use crate::qube::{QubeModel, State};
 use crate::replay::MotionLog;
 
-/// Lengths of the stretches that are fitted before whole recordings, s. Short ones find the neighbourhood,
-/// because their motion depends almost linearly on the unknowns; long ones separate small effects from
-/// noise.
-const STAGES_S: [f64; 2] = [0.5, 2.0];
+/// Lengths of the stretches of chirps and steps, stage by stage, s. Short ones find the neighbourhood, because
+/// their motion depends almost linearly on the unknowns; long ones separate small effects from noise. Windows
+/// of swing-ups are short in every stage, because no model predicts an upright pendulum for long.
+const STAGES_S: [f64; 3] = [0.5, 2.0, f64::INFINITY];
 
 /// Largest residual over the shortest stretches, rad (root mean square), beyond which the fit explains
 /// nothing. The real Qube's chirps leave 0.01.
@@ -21,9 +24,19 @@ const LARGEST_RESIDUAL_RAD: f64 = 0.1;
 /// voltage leaves 0.93 to 1, a correct model a few hundredths.
 const LARGEST_RESIDUAL_SHARE: f64 = 0.8;
 
+/// Largest share of the residuals without a motor that a fit may leave over the windows of swing-ups.
+const LARGEST_MOTORLESS_SHARE: f64 = 0.5;
+
+/// Smallest improvement of the residuals by a reversed sign for which the sign is named.
+const SIGN_FACTOR: f64 = 0.5;
+
 /// Largest distance of a quantity from its prior mean, in standard deviations. The largest of a real Qube
 /// is 2.5.
 const FARTHEST_STDS: f64 = 5.0;
+
+/// Distance of a parameter's logarithm that is always plausible: healthy pendulums are 14 % shorter than the
+/// name plate says, five standard deviations of a ruler.
+const PLAUSIBLE_LOG: f64 = 0.5;
 
 /// The result of an identification.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,7 +67,7 @@ pub enum IdentifyError {
     /// The best fit explains nothing.
     #[error(
         "no Qube explains the recordings: over {STRETCH_S} s the best fit is off by {theta_rad:.2} rad \
-         (arm) and {alpha_rad:.2} rad (pendulum). Is a sign reversed, or the pendulum a different one?",
+         (arm) and {alpha_rad:.2} rad (pendulum). {cause}",
         STRETCH_S = STAGES_S[0]
     )]
     Unexplained {
@@ -62,23 +75,26 @@ pub enum IdentifyError {
         theta_rad: f64,
         /// Root mean square error of the pendulum over stretches of half a second, rad.
         alpha_rad: f64,
+        /// What the recordings say about the signs.
+        cause: Cause,
     },
     /// The best fit is as far off as a Qube that does not move.
     #[error(
         "no Qube explains the recordings: beside the whole of them the best fit is off by {theta_rad:.2} rad \
-         (arm) and {alpha_rad:.2} rad (pendulum), as much as they move. Is a sign reversed, or the \
-         pendulum a different one?"
+         (arm) and {alpha_rad:.2} rad (pendulum), as much as a Qube that the voltage does not move. {cause}"
     )]
     NothingExplained {
-        /// Root mean square error of the arm over whole recordings, rad.
+        /// Root mean square error of the arm, rad.
         theta_rad: f64,
-        /// Root mean square error of the pendulum over whole recordings, rad.
+        /// Root mean square error of the pendulum, rad.
         alpha_rad: f64,
+        /// What the recordings say about the signs.
+        cause: Cause,
     },
     /// The best fit has a value that no Qube has.
     #[error(
         "no Qube explains the recordings: the best fit has {name} = {value:.3e}, where {likely:.3e} is \
-         likely. Is a sign reversed, or the pendulum a different one?"
+         likely. {cause}"
     )]
     Implausible {
         /// Name of the quantity that is farthest from its prior.
@@ -87,14 +103,54 @@ pub enum IdentifyError {
         value: f64,
         /// Most likely value before any data.
         likely: f64,
+        /// What the recordings say about the signs.
+        cause: Cause,
     },
     /// The list of recordings is empty.
     #[error("there are no recordings")]
     NoRecordings,
 }
 
+/// What recordings that no Qube explains say about the signs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cause {
+    /// With this sign reversed, a Qube explains them much better.
+    Reversed(Sign),
+    /// No reversed sign explains them.
+    Unknown,
+}
+
+/// A sign of the rig's calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sign {
+    /// The sign of the voltage.
+    Voltage,
+    /// The sign of the arm's encoder.
+    Arm,
+    /// The sign of the pendulum's encoder.
+    Pendulum,
+}
+
+impl fmt::Display for Cause {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let sign = match self {
+            Self::Unknown => {
+                return f.write_str(
+                    "No reversed sign explains them either: is the pendulum a different one, or does \
+                     something in the drive slip or stick?",
+                );
+            }
+            Self::Reversed(Sign::Voltage) => "the voltage",
+            Self::Reversed(Sign::Arm) => "the arm's angle",
+            Self::Reversed(Sign::Pendulum) => "the pendulum's angle",
+        };
+        write!(f, "With the sign of {sign} reversed, a Qube explains them: check that sign")
+    }
+}
+
 /// Identifies the Qube that made recordings: moves `unknowns` away from `first_guess` by maximum
-/// likelihood, with the weak priors of [`Unknown::prior`] for what the data leave open.
+/// likelihood, with the weak priors of [`Unknown::prior`] for what the data leave open. Any mixture of
+/// chirps, steps, swing-ups and balancing will do.
 ///
 /// # Errors
 /// There is no recording, a recording cannot be fitted, or no Qube explains them.
@@ -109,32 +165,103 @@ pub fn identify(
     for (index, log) in logs.iter().enumerate() {
         check_recording(log).map_err(|why| IdentifyError::Unfit { index, why })?;
     }
-    let stage = |model, duration_s| {
-        let stretches = logs.iter().flat_map(|log| Stretch::cut(&log.samples, duration_s));
-        let mut fit = Fit::new(unknowns, model, stretches.collect());
-        fit.run();
-        fit
-    };
-    let short = stage(*first_guess, STAGES_S[0]);
-    let ResidualScale { theta_rad, alpha_rad } = short.scale;
+    let [first_s, further_s @ ..] = STAGES_S;
+    let mut fit = Fit::new(unknowns, *first_guess, windows(logs, first_s));
+    fit.run();
+    let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
+    let cause = || cause(logs, unknowns, first_guess, theta_rad.max(alpha_rad));
     if theta_rad.max(alpha_rad) > LARGEST_RESIDUAL_RAD {
-        return Err(IdentifyError::Unexplained { theta_rad, alpha_rad });
+        return Err(IdentifyError::Unexplained { theta_rad, alpha_rad, cause: cause() });
     }
-    let near = stage(short.model, STAGES_S[1]).model;
-    let fit = stage(near, f64::INFINITY);
-    plausible(unknowns, &fit.model)?;
-    let ResidualScale { theta_rad, alpha_rad } = fit.scale;
-    let least = (theta_rad / motion_rad(logs, |state| state.theta))
-        .min(alpha_rad / motion_rad(logs, |state| state.alpha));
-    if least > LARGEST_RESIDUAL_SHARE {
-        return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad });
+    if fit.stretches.iter().any(|stretch| stretch.regime == Regime::Hanging) {
+        for duration_s in further_s {
+            fit = fit.over(windows(logs, duration_s));
+            fit.run();
+        }
+    }
+    if let Some((name, value, likely)) = implausible(unknowns, &fit.model) {
+        return Err(IdentifyError::Implausible { name, value, likely, cause: cause() });
+    }
+    if let Some(ResidualScale { theta_rad, alpha_rad }) = unexplained(logs, &fit) {
+        return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad, cause: cause() });
     }
     let Uncertainty { estimates, blind, correlations } = uncertainty(&fit);
-    Ok(Identified { model: fit.model, estimates, blind, correlations, scale: fit.scale })
+    let scale = scale_of(&fit.residuals_rad());
+    Ok(Identified { model: fit.model, estimates, blind, correlations, scale })
+}
+
+fn windows(logs: &[MotionLog], duration_s: f64) -> Vec<Stretch<'_>> {
+    logs.iter().flat_map(|log| Stretch::windows(&log.samples, duration_s)).collect()
+}
+
+/// The residuals of a fit that leaves the motion unexplained: beside whole chirps as large as the motion, or in
+/// the windows of swing-ups as large as without a motor.
+fn unexplained(logs: &[MotionLog], fit: &Fit<'_>) -> Option<ResidualScale> {
+    let part = |hangs: bool| {
+        let is_part = |stretch: &&Stretch<'_>| (stretch.regime == Regime::Hanging) == hangs;
+        let kept = fit.stretches.iter().filter(is_part).copied().collect::<Vec<_>>();
+        (!kept.is_empty()).then(|| fit.over(kept))
+    };
+    if let Some(chirps) = part(true) {
+        let scale = scale_of(&chirps.residuals_rad());
+        let hanging: Vec<&MotionLog> =
+            logs.iter().filter(|log| !is_upright(&log.samples)).collect();
+        let least = (scale.theta_rad / motion_rad(&hanging, |state| state.theta))
+            .min(scale.alpha_rad / motion_rad(&hanging, |state| state.alpha));
+        if least > LARGEST_RESIDUAL_SHARE {
+            return Some(scale);
+        }
+    }
+    let swings = part(false)?;
+    let scale = scale_of(&swings.residuals_rad());
+    let mut motorless = Fit { unknowns: &[], ..swings };
+    // Without current the motor neither drives nor brakes.
+    motorless.model.parameters.motor_resistance_ohm *= 1e6;
+    motorless.minimise();
+    let without = scale_of(&motorless.residuals_rad());
+    (scale.theta_rad > LARGEST_MOTORLESS_SHARE * without.theta_rad).then_some(scale)
+}
+
+/// Tries each sign reversed, over short stretches.
+fn cause(
+    logs: &[MotionLog],
+    unknowns: &[Unknown],
+    first_guess: &QubeModel,
+    residual_rad: f64,
+) -> Cause {
+    let residual = |sign: Sign| {
+        let reversed: Vec<MotionLog> = logs.iter().map(|log| reversed(log, sign)).collect();
+        let mut fit = Fit::new(unknowns, *first_guess, windows(&reversed, STAGES_S[0]));
+        fit.run();
+        let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
+        let plausible = implausible(unknowns, &fit.model).is_none();
+        if plausible { theta_rad.max(alpha_rad) } else { f64::INFINITY }
+    };
+    let best = [Sign::Voltage, Sign::Arm, Sign::Pendulum]
+        .map(|sign| (sign, residual(sign)))
+        .into_iter()
+        .min_by(|a, b| a.1.total_cmp(&b.1));
+    match best {
+        Some((sign, residual)) if residual < SIGN_FACTOR * residual_rad => Cause::Reversed(sign),
+        _ => Cause::Unknown,
+    }
+}
+
+fn reversed(log: &MotionLog, sign: Sign) -> MotionLog {
+    let mut log = log.clone();
+    for sample in &mut log.samples {
+        let state = &mut sample.state;
+        match sign {
+            Sign::Voltage => sample.voltage_v = -sample.voltage_v,
+            Sign::Arm => (state.theta, state.theta_dot) = (-state.theta, -state.theta_dot),
+            Sign::Pendulum => (state.alpha, state.alpha_dot) = (-state.alpha, -state.alpha_dot),
+        }
+    }
+    log
 }
 
 /// Root mean square of an angle about its mean in each recording, rad.
-fn motion_rad(logs: &[MotionLog], angle: fn(&State) -> f64) -> f64 {
+fn motion_rad(logs: &[&MotionLog], angle: fn(&State) -> f64) -> f64 {
     let (mut squares, mut count) = (0.0, 0.0);
     for log in logs {
         let own = log.samples.len() as f64;
@@ -146,19 +273,21 @@ fn motion_rad(logs: &[MotionLog], angle: fn(&State) -> f64) -> f64 {
     (squares / count).sqrt()
 }
 
-/// Checks that every fitted quantity is one of a Qube.
-fn plausible(unknowns: &[Unknown], model: &QubeModel) -> Result<(), IdentifyError> {
-    let stds = |unknown: &Unknown| {
+/// Name, value and likely value of the fitted quantity that is farthest from any Qube's; `None` when all are
+/// plausible.
+fn implausible(unknowns: &[Unknown], model: &QubeModel) -> Option<(&'static str, f64, f64)> {
+    let distance = |unknown: &Unknown| {
         let prior = unknown.prior();
-        (unknown.of(model) - prior.mean).abs() / prior.std
+        let farthest = if unknown.is_parameter() {
+            PLAUSIBLE_LOG.max(FARTHEST_STDS * prior.std)
+        } else {
+            FARTHEST_STDS * prior.std
+        };
+        (unknown.of(model) - prior.mean).abs() / farthest
     };
-    let farthest = unknowns.iter().max_by(|a, b| stds(a).total_cmp(&stds(b)));
-    match farthest {
-        Some(unknown) if stds(unknown) > FARTHEST_STDS => Err(IdentifyError::Implausible {
-            name: unknown.name(),
-            value: unknown.quantity(unknown.of(model)),
-            likely: unknown.quantity(unknown.prior().mean),
-        }),
-        _ => Ok(()),
-    }
+    let farthest = unknowns.iter().max_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+    (distance(farthest) > 1.0).then(|| {
+        let likely = farthest.quantity(farthest.prior().mean);
+        (farthest.name(), farthest.quantity(farthest.of(model)), likely)
+    })
 }

@@ -1,17 +1,21 @@
 //! Identification of a Qube from its recordings.
 //!
-//! [`identify()`] estimates parameters and nonidealities by maximum likelihood, with standard errors and with
+//! [`identify()`] estimates parameters and nonidealities by maximum likelihood over windows with start states of their own
+//! (multiple shooting), with standard errors and with
 //! the combinations that the recordings do not determine; [`drift()`] estimates what changes from day to
-//! day. The room is pure computation over motions that were read before, and may import `qube` and
-//! `replay`.
+//! day. The room is pure computation over motions that were read before, and may import `qube`,
+//! `replay` and `elementary`.
 
 #[cfg(test)]
 mod delay_tests;
 mod drift;
+mod dual;
 mod fit;
 mod fitness;
 mod identify;
 mod prediction;
+mod residuals;
+mod sensitivity;
 mod stretch;
 #[cfg(test)]
 mod tests;
@@ -19,9 +23,10 @@ mod uncertainty;
 mod unknowns;
 
 pub use drift::{DriftEstimate, drift};
-pub use fit::ResidualScale;
 pub use fitness::{Unfit, check_recording};
-pub use identify::{Identified, IdentifyError, identify};
-pub use prediction::{HorizonError, KNOWN_S, horizon_error, start_state};
+pub use identify::{Cause, Identified, IdentifyError, Sign, identify};
+pub use prediction::{HorizonError, KNOWN_S, Phase, horizon_error, phase_error, start_state};
+pub use residuals::ResidualScale;
+pub use stretch::comes_upright;
 pub use uncertainty::{Blind, Estimate};
 pub use unknowns::{Prior, Unknown};

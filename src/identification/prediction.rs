@@ -1,10 +1,17 @@
-use super::fit::{Fit, ResidualScale};
-use super::stretch::{Stretch, duration_of};
+use super::fit::Fit;
+use super::residuals::{Noise, ResidualScale};
+use super::stretch::{Stretch, duration_of, is_upright};
 use crate::qube::{QubeModel, State};
-use crate::replay::{AngleError, MotionLog};
+use crate::replay::{AngleError, MotionLog, MotionSample};
 
 /// Time at the start of a recording from which a prediction's start state is estimated, s.
 pub const KNOWN_S: f64 = 0.2;
+
+/// Time from which the start state of a swing's prediction is estimated, s: short beside a swing-up's own changes.
+const SWING_KNOWN_S: f64 = 0.05;
+
+/// Cosine of the pendulum's angle that separates balancing from swinging: 26 degrees from the top.
+const BALANCING_COS: f64 = -0.9;
 
 /// Interval between the starts of predictions, s.
 const EVERY_S: f64 = 0.1;
@@ -64,10 +71,98 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
     }
 }
 
+/// A phase of a recording whose pendulum comes upright, with the horizon at which its predictions are judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// The pendulum is more than 26 degrees from the top throughout the prediction, of 0.5 s.
+    Swing,
+    /// The pendulum is within 26 degrees of the top throughout the prediction, of 0.1 s.
+    Balance,
+}
+
+impl Phase {
+    /// Both phases.
+    pub const ALL: [Self; 2] = [Self::Swing, Self::Balance];
+
+    /// The name in tables.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Swing => "swing",
+            Self::Balance => "balance",
+        }
+    }
+
+    /// Time from which the start state is estimated, and the horizon, s.
+    fn times_s(self) -> [f64; 2] {
+        match self {
+            Self::Swing => [SWING_KNOWN_S, 0.5],
+            Self::Balance => [KNOWN_S, 0.1],
+        }
+    }
+
+    fn contains(self, sample: &MotionSample) -> bool {
+        let balances = sample.state.alpha.cos() < BALANCING_COS;
+        balances == (self == Self::Balance)
+    }
+}
+
+/// Predicts the recordings whose pendulum comes upright, every 0.1 s of a phase. The error is that of the last
+/// sample of each prediction, unlike [`horizon_error`]'s, which is over all of them.
+#[must_use]
+pub fn phase_error(logs: &[MotionLog], model: &QubeModel, phase: Phase) -> HorizonError {
+    let [known_s, horizon_s] = phase.times_s();
+    let (mut squares, mut predictions) = ([0.0; 2], 0_usize);
+    for log in logs.iter().filter(|log| is_upright(&log.samples)) {
+        for [theta, alpha] in end_errors(&log.samples, model, phase, [known_s, horizon_s]) {
+            squares[0] += theta * theta;
+            squares[1] += alpha * alpha;
+            predictions += 1;
+        }
+    }
+    let [theta_rad, alpha_rad] =
+        squares.map(|square: f64| (square / predictions.max(1) as f64).sqrt());
+    HorizonError { horizon_s, rms: AngleError { theta_rad, alpha_rad }, predictions }
+}
+
+/// Errors of the last sample of each prediction in a phase: theta and alpha, rad.
+fn end_errors(
+    samples: &[MotionSample],
+    model: &QubeModel,
+    phase: Phase,
+    [known_s, horizon_s]: [f64; 2],
+) -> Vec<[f64; 2]> {
+    let last_start_s = samples[samples.len() - 1].time_s - known_s - horizon_s + 1e-9;
+    let mut next_s = samples[0].time_s;
+    let mut errors = Vec::new();
+    for (first, sample) in samples.iter().enumerate() {
+        if sample.time_s > last_start_s {
+            break;
+        }
+        if sample.time_s + 1e-9 < next_s {
+            continue;
+        }
+        next_s += EVERY_S;
+        let known = Stretch::from(samples, first, known_s);
+        let all = Stretch::from(samples, first, known_s + horizon_s);
+        if !samples[known.end - 1..all.end].iter().all(|sample| phase.contains(sample)) {
+            continue;
+        }
+        let (start, _) = state_at(&known, model);
+        let simulated = all.simulate(model, start);
+        if let (Some(simulated), Some(sample)) = (simulated.last(), all.samples().last()) {
+            let measured = &sample.state;
+            errors.push([simulated.theta - measured.theta, simulated.alpha - measured.alpha]);
+        }
+    }
+    errors
+}
+
 /// The start state of a stretch, and its number of samples.
 fn state_at(known: &Stretch<'_>, model: &QubeModel) -> (State, usize) {
     let mut fit = Fit::new(&[], *model, vec![*known]);
-    fit.scale = ResidualScale { theta_rad: 1e-3, alpha_rad: 1e-3 };
+    let scale = ResidualScale { theta_rad: 1e-3, alpha_rad: 1e-3 };
+    fit.noise = [Noise { scale, correlated: 1.0 }; 3];
     fit.minimise();
     (fit.starts[0], known.samples().len())
 }

@@ -1,5 +1,36 @@
+use std::ops::Range;
+
 use crate::qube::{QubeModel, State};
-use crate::replay::{MotionSample, simulate_stretch};
+use crate::replay::{MotionLog, MotionSample, simulate_stretch};
+
+/// Cosine of the pendulum's angle below which a window counts as upright: 60 degrees from the top.
+const UPRIGHT_COS: f64 = -0.5;
+
+/// Length of a window with an upright pendulum, s: about twice the time constant of its fall, beyond which
+/// no model predicts it.
+const UPRIGHT_S: f64 = 0.25;
+
+/// Length of a window of a swing-up whose pendulum is not upright, s.
+const SWINGING_S: f64 = 0.5;
+
+/// Time on both sides of a sample over which velocities are differences of angles, s.
+const SLOPE_S: f64 = 0.012;
+
+/// The motion of the pendulum in a stretch; each kind has residuals of its own size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Regime {
+    /// Any window of a recording whose pendulum never comes upright: chirps and steps.
+    Hanging,
+    /// A window without an upright pendulum in a recording that has one: swing-ups.
+    Swinging,
+    /// A window in which the pendulum comes within 60 degrees of the top.
+    Upright,
+}
+
+impl Regime {
+    /// All regimes, in order.
+    pub const ALL: [Self; 3] = [Self::Hanging, Self::Swinging, Self::Upright];
+}
 
 /// A stretch of a recording with its own start state.
 #[derive(Clone, Copy, Debug)]
@@ -10,22 +41,52 @@ pub(super) struct Stretch<'a> {
     pub first: usize,
     /// Index after the last sample.
     pub end: usize,
+    /// The motion of the pendulum.
+    pub regime: Regime,
 }
 
 impl<'a> Stretch<'a> {
     /// The stretch from a sample on for a duration, or until the recording ends.
     pub fn from(recording: &'a [MotionSample], first: usize, duration_s: f64) -> Self {
-        let last_s = recording[first].time_s + duration_s + 1e-9;
-        let length = recording[first..].partition_point(|sample| sample.time_s <= last_s);
-        Self { recording, first, end: first + length }
+        let end = end_after(recording, first, duration_s);
+        Self { recording, first, end, regime: regime_in(&recording[first..end]) }
     }
 
-    /// Cuts a recording into stretches of about this duration; neighbours share a sample.
-    pub fn cut(recording: &'a [MotionSample], duration_s: f64) -> Vec<Self> {
+    /// Cuts a recording into windows: of `hanging_s` when the pendulum never comes upright, otherwise of 0.5 s,
+    /// and of 0.25 s where the pendulum is upright. Neighbours share a sample.
+    pub fn windows(recording: &'a [MotionSample], hanging_s: f64) -> Vec<Self> {
+        if !is_upright(recording) {
+            return Self::cut(recording, hanging_s, |_| Regime::Hanging);
+        }
+        let (mut windows, mut first) = (Vec::new(), 0);
+        while first + 1 < recording.len() {
+            let mut end = end_after(recording, first, SWINGING_S);
+            let mut regime = regime_in(&recording[first..end]);
+            if regime == Regime::Upright {
+                end = end_after(recording, first, UPRIGHT_S);
+                regime = regime_in(&recording[first..end]);
+            }
+            // A rest too short for a window of its own says nothing beside its start state.
+            if duration_of(&recording[first..end]) >= 0.5 * UPRIGHT_S {
+                windows.push(Self { recording, first, end, regime });
+            }
+            first = end - 1;
+        }
+        windows
+    }
+
+    fn cut(
+        recording: &'a [MotionSample],
+        duration_s: f64,
+        regime: impl Fn(&[MotionSample]) -> Regime,
+    ) -> Vec<Self> {
         let pieces = (duration_of(recording) / duration_s).round().max(1.0) as usize;
         let edge = |piece: usize| (recording.len() - 1) * piece / pieces;
         (0..pieces)
-            .map(|piece| Self { recording, first: edge(piece), end: edge(piece + 1) + 1 })
+            .map(|piece| {
+                let (first, end) = (edge(piece), edge(piece + 1) + 1);
+                Self { recording, first, end, regime: regime(&recording[first..end]) }
+            })
             .collect()
     }
 
@@ -34,14 +95,77 @@ impl<'a> Stretch<'a> {
         &self.recording[self.first..self.end]
     }
 
+    /// Whether both are the same samples of the same recording.
+    pub fn is(&self, other: &Self) -> bool {
+        std::ptr::eq(self.recording, other.recording) && self.range() == other.range()
+    }
+
+    /// The indices of its samples in the recording.
+    pub fn range(&self) -> Range<usize> {
+        self.first..self.end
+    }
+
+    /// The measured angles at the first sample, with velocities from the angles around it: recorded
+    /// velocities lag behind by their filter.
+    pub fn measured_start(&self) -> State {
+        let here = &self.recording[self.first];
+        let before = self.recording[..self.first]
+            .iter()
+            .rev()
+            .take_while(|sample| sample.time_s >= here.time_s - SLOPE_S)
+            .last()
+            .unwrap_or(here);
+        let after = self.recording[self.first + 1..]
+            .iter()
+            .take_while(|sample| sample.time_s <= here.time_s + SLOPE_S)
+            .last()
+            .unwrap_or(here);
+        let duration_s = after.time_s - before.time_s;
+        let slope = |angle: fn(&State) -> f64| {
+            if duration_s > 0.0 {
+                (angle(&after.state) - angle(&before.state)) / duration_s
+            } else {
+                0.0
+            }
+        };
+        State {
+            theta_dot: slope(|state| state.theta),
+            alpha_dot: slope(|state| state.alpha),
+            ..here.state
+        }
+    }
+
     /// The simulated state at each sample of the stretch.
     pub fn simulate(&self, model: &QubeModel, start: State) -> Vec<State> {
         let mut states = Vec::with_capacity(self.end - self.first);
-        simulate_stretch(self.recording, self.first..self.end, model, start, |state| {
+        simulate_stretch(self.recording, self.range(), model, start, |state| {
             states.push(state);
         });
         states
     }
+}
+
+/// The regime of samples that belong to a recording whose pendulum comes upright.
+fn regime_in(samples: &[MotionSample]) -> Regime {
+    if is_upright(samples) { Regime::Upright } else { Regime::Swinging }
+}
+
+/// Whether the pendulum comes within 60 degrees of the top in a recording, so that no model predicts the whole of
+/// it.
+#[must_use]
+pub fn comes_upright(log: &MotionLog) -> bool {
+    is_upright(&log.samples)
+}
+
+/// Whether the pendulum comes within 60 degrees of the top.
+pub(super) fn is_upright(samples: &[MotionSample]) -> bool {
+    samples.iter().any(|sample| sample.state.alpha.cos() < UPRIGHT_COS)
+}
+
+/// Index after the last sample within a duration from a sample on.
+fn end_after(recording: &[MotionSample], first: usize, duration_s: f64) -> usize {
+    let last_s = recording[first].time_s + duration_s + 1e-9;
+    first + recording[first..].partition_point(|sample| sample.time_s <= last_s)
 }
 
 /// Time from the first sample to the last, s.

@@ -1,5 +1,7 @@
 use super::*;
-use crate::qube::{DomainParameter, Nonidealities, Nonideality, QubeModel, State, quantised};
+use crate::qube::{
+    DomainParameter, DomainParameters, Nonidealities, Nonideality, QubeModel, State, quantised,
+};
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
 /// A chirp from 5 Hz down, recorded from `truth` at 250 Hz through encoders.
@@ -181,6 +183,41 @@ fn recordings_with_wrong_times_or_cut_off_angles_are_named() {
 }
 
 #[test]
+fn a_sign_is_named_only_when_it_is_reversed() {
+    let good = chirp(&truth(), 1.0, 4.0);
+    for sign in [Sign::Voltage, Sign::Arm, Sign::Pendulum] {
+        let mut log = good.clone();
+        for sample in &mut log.samples {
+            match sign {
+                Sign::Voltage => sample.voltage_v = -sample.voltage_v,
+                Sign::Arm => sample.state.theta = -sample.state.theta,
+                Sign::Pendulum => sample.state.alpha = -sample.state.alpha,
+            }
+            (sample.state.theta_dot, sample.state.alpha_dot) = (0.0, 0.0);
+        }
+        let refused = identify(&[log], &all(), &QubeModel::NOMINAL).unwrap_err();
+        let message = refused.to_string();
+        let (IdentifyError::Unexplained { cause, .. }
+        | IdentifyError::NothingExplained { cause, .. }
+        | IdentifyError::Implausible { cause, .. }) = refused
+        else {
+            panic!("{sign:?}: {refused:?}");
+        };
+        assert_eq!(cause, Cause::Reversed(sign), "{message}");
+    }
+}
+
+#[test]
+fn a_pendulum_that_is_shorter_than_its_name_plate_says_is_found() {
+    let mut short = truth();
+    short.parameters.pendulum_length_m = 0.86 * DomainParameters::NOMINAL.pendulum_length_m;
+    let logs = [chirp(&short, 1.0, 4.0), chirp(&short, -1.0, 4.0)];
+    let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
+    let ratio = found.model.parameters.pendulum_length_m / short.parameters.pendulum_length_m;
+    assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
+}
+
+#[test]
 fn a_recording_that_no_qube_makes_is_no_silent_fit() {
     // The voltage has the wrong sign.
     for (sign, seconds) in [(1.0, 4.0), (-1.0, 4.0), (1.0, 5.0)] {
@@ -206,5 +243,6 @@ fn a_recording_that_no_qube_makes_is_no_silent_fit() {
     }
     assert_eq!(check_recording(&log), Ok(()));
     let refused = identify(&[log], &all(), &QubeModel::NOMINAL);
-    assert!(matches!(refused, Err(IdentifyError::Unexplained { .. })), "{refused:?}");
+    let Err(IdentifyError::Unexplained { cause, .. }) = refused else { panic!("{refused:?}") };
+    assert_eq!(cause, Cause::Unknown);
 }

@@ -46,11 +46,10 @@ pub(super) struct Uncertainty {
 
 /// Computes estimates, undetermined combinations and correlations of a fit.
 ///
-/// The information matrix assumes independent residuals, but a model's errors persist in time. It is
-/// therefore divided by the integrated autocorrelation time of the residuals: the number of samples worth
-/// one independent sample.
+/// A model's errors persist in time; the information matrix counts as one the samples within the integrated
+/// autocorrelation time of the residuals.
 pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
-    let information = fit.information() / autocorrelation_time(fit);
+    let information = fit.information();
     let stds =
         DVector::from_iterator(fit.unknowns.len(), fit.unknowns.iter().map(|u| u.prior().std));
     // In units of prior standard deviations the prior's information is the identity.
@@ -92,33 +91,4 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
         blind: blind.into_iter().map(|(_, direction)| direction).collect(),
         correlations,
     }
-}
-
-/// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first negative r, averaged
-/// over both angles and all stretches.
-fn autocorrelation_time(fit: &Fit<'_>) -> f64 {
-    let residuals = fit.residuals_rad();
-    let of_angle = |angle: usize| {
-        let (mut total, mut weight) = (0.0, 0.0);
-        for stretch in &residuals {
-            let values: Vec<f64> = stretch.iter().map(|residual| residual[angle]).collect();
-            let power: f64 = values.iter().map(|value| value * value).sum();
-            if power == 0.0 {
-                continue;
-            }
-            let mut time = 1.0;
-            for lag in 1..values.len() {
-                let products = values.iter().zip(&values[lag..]);
-                let correlation = products.map(|(a, b)| a * b).sum::<f64>() / power;
-                if correlation <= 0.0 {
-                    break;
-                }
-                time += 2.0 * correlation;
-            }
-            total += time * values.len() as f64;
-            weight += values.len() as f64;
-        }
-        if weight == 0.0 { 1.0 } else { total / weight }
-    };
-    0.5 * (of_angle(0) + of_angle(1))
 }

@@ -63,31 +63,37 @@ impl Unknown {
     #[must_use]
     pub fn of(self, model: &QubeModel) -> f64 {
         let value = model.get(self.0);
-        if self.moves_by_logarithm() { value.ln() } else { value }
+        if self.is_parameter() { value.ln() } else { value }
     }
 
     /// Sets the value of a model in the fit's unit, clamped to its meaningful range.
     pub fn set(self, model: &mut QubeModel, moved: f64) {
-        // Of the nonidealities only an angle may be negative.
-        let is_strength =
-            matches!(self.0, Quantity::Nonideality(term) if term != Nonideality::CableRest);
-        let moved = if is_strength { moved.max(0.0) } else { moved };
+        let moved = if self.is_strength() { moved.max(0.0) } else { moved };
         model.set(self.0, self.quantity(moved));
+    }
+
+    /// Whether it cannot be negative: of the nonidealities only an angle can. Parameters move by their
+    /// logarithms.
+    #[must_use]
+    pub fn is_strength(self) -> bool {
+        matches!(self.0, Quantity::Nonideality(term) if term != Nonideality::CableRest)
     }
 
     /// Converts a value from the fit's unit to the SI unit of the quantity.
     #[must_use]
     pub fn quantity(self, moved: f64) -> f64 {
-        if self.moves_by_logarithm() { moved.exp() } else { moved }
+        if self.is_parameter() { moved.exp() } else { moved }
     }
 
     /// Converts a small deviation from the fit's unit to the SI unit of the quantity.
     #[must_use]
     pub fn deviation(self, moved: f64, deviation: f64) -> f64 {
-        if self.moves_by_logarithm() { moved.exp() * deviation } else { deviation }
+        if self.is_parameter() { moved.exp() * deviation } else { deviation }
     }
 
-    fn moves_by_logarithm(self) -> bool {
+    /// Whether it is a domain parameter, which moves by its logarithm.
+    #[must_use]
+    pub fn is_parameter(self) -> bool {
         matches!(self.0, Quantity::Parameter(_))
     }
 }

@@ -15,6 +15,7 @@ mod rerun;
 pub use csv::CsvError;
 pub use motion_log::{MotionLog, MotionLogError, MotionSample};
 pub use open_loop::{
-    AngleError, Diverged, OpenLoop, simulate_beside, simulate_from, simulate_stretch,
+    AngleError, Diverged, OpenLoop, simulate_beside, simulate_from, simulate_numbers,
+    simulate_stretch,
 };
 pub use rerun::{Difference, Rerun, rerun};

@@ -3,6 +3,7 @@ use std::ops::Range;
 use thiserror::Error;
 
 use super::{MotionLog, MotionSample};
+use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
 
 /// The simulation of a log's voltages.
@@ -83,15 +84,29 @@ pub fn simulate_stretch(
     stretch: Range<usize>,
     model: &QubeModel,
     start: State,
-    mut each: impl FnMut(State),
+    each: impl FnMut(State),
+) {
+    let dynamics = NonidealDynamics::<f64>::new(model);
+    simulate_numbers(samples, stretch, &dynamics, model.nonidealities.command_delay_s, start, each);
+}
+
+/// [`simulate_stretch`] in any kind of number, such as numbers that carry derivatives.
+#[inline(always)]
+pub fn simulate_numbers<T: Scalar>(
+    samples: &[MotionSample],
+    stretch: Range<usize>,
+    dynamics: &NonidealDynamics<T>,
+    command_delay_s: T,
+    start: State<T>,
+    mut each: impl FnMut(State<T>),
 ) {
     let Some(first) = samples.get(stretch.start) else { return };
-    let dynamics = NonidealDynamics::<f64>::new(model);
-    let arrival_s = |command: &MotionSample| command.time_s + model.nonidealities.command_delay_s;
+    let number = T::from_f64;
+    let arrival_s = |command: &MotionSample| number(command.time_s) + command_delay_s;
     let (mut state, mut time_s) = (start, first.time_s);
     // The command that acts at the start; none precedes the first.
     let mut command = stretch.start;
-    while command > 0 && arrival_s(&samples[command]) > time_s {
+    while command > 0 && arrival_s(&samples[command]) > number(time_s) {
         command -= 1;
     }
     each(state);
@@ -100,21 +115,21 @@ pub fn simulate_stretch(
         let step_s = (sample.time_s - time_s) / f64::from(steps);
         for step in 0..steps {
             let begin_s = time_s + f64::from(step) * step_s;
-            let mut done_s = 0.0;
-            while done_s < step_s {
+            let mut done_s = number(0.0);
+            while done_s < number(step_s) {
                 // A command that arrives with the sample belongs to the next interval, however the sum of
                 // the steps is rounded.
                 let next_s = match samples.get(command + 1).map(arrival_s) {
-                    Some(next_s) if next_s < sample.time_s => next_s - begin_s,
-                    _ => f64::INFINITY,
+                    Some(next_s) if next_s < number(sample.time_s) => next_s - number(begin_s),
+                    _ => number(f64::INFINITY),
                 };
                 if next_s <= done_s {
                     command += 1;
                     continue;
                 }
-                let until_s = next_s.min(step_s);
-                let voltage_v = samples[command].voltage_v;
-                state = runge_kutta_4(&dynamics, state, voltage_v, until_s - done_s);
+                let until_s = if next_s < number(step_s) { next_s } else { number(step_s) };
+                let voltage_v = number(samples[command].voltage_v);
+                state = runge_kutta_4(dynamics, state, voltage_v, until_s - done_s);
                 done_s = until_s;
             }
         }

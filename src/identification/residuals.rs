@@ -1,0 +1,135 @@
+//! The distribution of the residuals of a fit: scale and correlation by regime, and robust weights.
+
+use super::stretch::{Regime, Stretch};
+
+/// Residuals of one sample: theta and alpha, rad.
+pub(super) type Residual = [f64; 2];
+
+/// Root mean square of a stretch's residuals, in scales of its regime, beyond which it loses weight
+/// (Huber's function of whole stretches).
+const BAD_STRETCH: f64 = 2.0;
+
+/// Smallest scale, rad: an encoder's resolution bounds the residuals from below.
+const SMALLEST_SCALE_RAD: f64 = 1e-3;
+
+/// Standard deviations of the residuals of both angles, rad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ResidualScale {
+    /// Standard deviation of the arm's residuals, rad.
+    pub theta_rad: f64,
+    /// Standard deviation of the pendulum's residuals, rad.
+    pub alpha_rad: f64,
+}
+
+/// The residuals of a regime.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Noise {
+    /// Their standard deviations.
+    pub scale: ResidualScale,
+    /// Number of samples worth one independent sample: the integrated autocorrelation time.
+    pub correlated: f64,
+}
+
+impl Default for Noise {
+    fn default() -> Self {
+        let scale = ResidualScale { theta_rad: 0.01, alpha_rad: 0.01 };
+        Self { scale, correlated: 1.0 }
+    }
+}
+
+/// The weight of a stretch whose mean squared residual, in squared scales, is this.
+pub(super) fn robust_weight(mean_square: f64) -> f64 {
+    (BAD_STRETCH / mean_square.sqrt()).min(1.0)
+}
+
+/// The cost of a stretch: Huber's function of its root mean square, times its number of independent
+/// residuals.
+pub(super) fn robust_cost(noise: &Noise, residuals: &[Residual]) -> f64 {
+    let square = mean_square(noise, residuals);
+    let bounded = if square <= BAD_STRETCH * BAD_STRETCH {
+        square
+    } else {
+        2.0 * BAD_STRETCH * square.sqrt() - BAD_STRETCH * BAD_STRETCH
+    };
+    // A diverging motion stays NaN.
+    2.0 * residuals.len() as f64 * bounded / noise.correlated + 0.0 * square
+}
+
+/// The mean squared residual in squared scales.
+pub(super) fn mean_square(noise: &Noise, residuals: &[Residual]) -> f64 {
+    let scaled = |[theta, alpha]: &Residual| {
+        (theta / noise.scale.theta_rad).powi(2) + (alpha / noise.scale.alpha_rad).powi(2)
+    };
+    residuals.iter().map(scaled).sum::<f64>() / (2.0 * residuals.len().max(1) as f64)
+}
+
+/// Estimates scale and correlation of each regime; a regime without stretches keeps its own.
+pub(super) fn noise_of(
+    stretches: &[Stretch<'_>],
+    residuals: &[Vec<Residual>],
+    before: &[Noise; 3],
+) -> [Noise; 3] {
+    let mut noise = *before;
+    for regime in Regime::ALL {
+        let of: Vec<&Vec<Residual>> = stretches
+            .iter()
+            .zip(residuals)
+            .filter(|(stretch, _)| stretch.regime == regime)
+            .map(|(_, residuals)| residuals)
+            .collect();
+        if of.is_empty() {
+            continue;
+        }
+        let own = &mut noise[regime as usize];
+        let rms = |angle: usize| {
+            let (mut squares, mut count) = (0.0, 0.0);
+            for residuals in &of {
+                let weight = robust_weight(mean_square(own, residuals));
+                squares += weight * residuals.iter().map(|r| r[angle].powi(2)).sum::<f64>();
+                count += weight * residuals.len() as f64;
+            }
+            (squares / count).sqrt().max(SMALLEST_SCALE_RAD)
+        };
+        let scale = ResidualScale { theta_rad: rms(0), alpha_rad: rms(1) };
+        *own = Noise { scale, correlated: correlated(&of) };
+    }
+    noise
+}
+
+/// Root mean square of residuals, rad.
+pub(super) fn scale_of(residuals: &[Vec<Residual>]) -> ResidualScale {
+    let count = residuals.iter().map(Vec::len).sum::<usize>().max(1) as f64;
+    let rms = |angle: usize| {
+        let squares: f64 = residuals.iter().flatten().map(|r| r[angle].powi(2)).sum();
+        (squares / count).sqrt()
+    };
+    ResidualScale { theta_rad: rms(0), alpha_rad: rms(1) }
+}
+
+/// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first negative r, averaged
+/// over both angles and all stretches.
+fn correlated(residuals: &[&Vec<Residual>]) -> f64 {
+    let of_angle = |angle: usize| {
+        let (mut total, mut weight) = (0.0, 0.0);
+        for stretch in residuals {
+            let values: Vec<f64> = stretch.iter().map(|residual| residual[angle]).collect();
+            let power: f64 = values.iter().map(|value| value * value).sum();
+            if power == 0.0 {
+                continue;
+            }
+            let mut time = 1.0;
+            for lag in 1..values.len() {
+                let products = values.iter().zip(&values[lag..]);
+                let correlation = products.map(|(a, b)| a * b).sum::<f64>() / power;
+                if correlation <= 0.0 {
+                    break;
+                }
+                time += 2.0 * correlation;
+            }
+            total += time * values.len() as f64;
+            weight += values.len() as f64;
+        }
+        if weight == 0.0 { 1.0 } else { total / weight }
+    };
+    0.5 * (of_angle(0) + of_angle(1))
+}

@@ -1,0 +1,148 @@
+//! Residuals of a stretch with their derivatives.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::Unknown;
+use super::dual::Dual;
+use super::stretch::Stretch;
+use crate::qube::{Dynamics, NonidealDynamics, QubeModel, State};
+use crate::replay::simulate_numbers;
+
+/// Numbers of a start state.
+pub(super) const STARTS: usize = 4;
+
+/// Inputs of a simulation with derivatives: every unknown, and the start state.
+const INPUTS: usize = 14 + STARTS;
+
+/// Step of the differences through the products of the parameters, as a fraction of an unknown's prior
+/// standard deviation. The products are smooth and need no simulation.
+const PRODUCT_STEP: f64 = 1e-5;
+
+/// Smallest delay at which the slope is taken, s: a command without any delay arrives with its sample, and no
+/// integration step ends at its arrival.
+const SMALLEST_DELAY_S: f64 = 1e-7;
+
+/// The residuals of a stretch (theta and alpha of each sample, in units of `scale`) and their derivatives:
+/// one column an unknown, then four of the start state.
+pub(super) fn linearised(
+    stretch: &Stretch<'_>,
+    unknowns: &[Unknown],
+    model: &QubeModel,
+    start: State,
+    scale: [f64; 2],
+) -> (DVector<f64>, DMatrix<f64>) {
+    if unknowns.is_empty() {
+        run::<STARTS>(stretch, unknowns, model, start, scale)
+    } else {
+        run::<INPUTS>(stretch, unknowns, model, start, scale)
+    }
+}
+
+fn run<const N: usize>(
+    stretch: &Stretch<'_>,
+    unknowns: &[Unknown],
+    model: &QubeModel,
+    start: State,
+    scale: [f64; 2],
+) -> (DVector<f64>, DMatrix<f64>) {
+    let (dynamics, delay_s) = with_slopes::<N>(unknowns, model);
+    let input = |value, index| Dual::<N>::input(value, unknowns.len() + index);
+    let start = State {
+        theta: input(start.theta, 0),
+        alpha: input(start.alpha, 1),
+        theta_dot: input(start.theta_dot, 2),
+        alpha_dot: input(start.alpha_dot, 3),
+    };
+    let samples = stretch.samples();
+    let mut residuals = DVector::zeros(2 * samples.len());
+    let mut slopes = DMatrix::zeros(2 * samples.len(), unknowns.len() + STARTS);
+    let mut row = 0;
+    simulate_numbers(stretch.recording, stretch.range(), &dynamics, delay_s, start, |state| {
+        let measured = samples[row / 2].state;
+        for (simulated, measured, scale) in
+            [(state.theta, measured.theta, scale[0]), (state.alpha, measured.alpha, scale[1])]
+        {
+            residuals[row] = (simulated.value - measured) / scale;
+            for column in 0..slopes.ncols() {
+                slopes[(row, column)] = simulated.slopes[column] / scale;
+            }
+            row += 1;
+        }
+    });
+    (residuals, slopes)
+}
+
+/// The equations' products and the delay with their derivatives with respect to the unknowns.
+fn with_slopes<const N: usize>(
+    unknowns: &[Unknown],
+    model: &QubeModel,
+) -> (NonidealDynamics<Dual<N>>, Dual<N>) {
+    let here = numbers(model);
+    let mut with_slopes = here.map(Dual::<N>::constant);
+    for (index, unknown) in unknowns.iter().enumerate() {
+        let step = PRODUCT_STEP * unknown.prior().std;
+        let mut moved = *model;
+        unknown.set(&mut moved, unknown.of(model) + step);
+        for (number, (there, here)) in with_slopes.iter_mut().zip(numbers(&moved).iter().zip(here))
+        {
+            number.slopes[index] = (there - here) / step;
+        }
+    }
+    let [
+        arm_inertia,
+        quarter_inertia,
+        coupling,
+        pendulum_inertia,
+        gravity_torque,
+        torque_per_volt,
+        arm_damping,
+        pendulum_damping,
+        coulomb_torque,
+        positive_dead_zone,
+        negative_dead_zone,
+        cable_stiffness,
+        cable_rest,
+        delay_s,
+    ] = with_slopes;
+    let ideal = Dynamics {
+        arm_inertia,
+        quarter_inertia,
+        coupling,
+        pendulum_inertia,
+        gravity_torque,
+        torque_per_volt,
+        arm_damping,
+        pendulum_damping,
+    };
+    let dynamics = NonidealDynamics {
+        ideal,
+        coulomb_torque,
+        positive_dead_zone,
+        negative_dead_zone,
+        cable_stiffness,
+        cable_rest,
+    };
+    (dynamics, delay_s)
+}
+
+/// The numbers that the equations use, then the delay.
+fn numbers(model: &QubeModel) -> [f64; 14] {
+    let dynamics = NonidealDynamics::<f64>::new(model);
+    let ideal = &dynamics.ideal;
+    [
+        ideal.arm_inertia,
+        ideal.quarter_inertia,
+        ideal.coupling,
+        ideal.pendulum_inertia,
+        ideal.gravity_torque,
+        ideal.torque_per_volt,
+        ideal.arm_damping,
+        ideal.pendulum_damping,
+        dynamics.coulomb_torque,
+        dynamics.positive_dead_zone,
+        dynamics.negative_dead_zone,
+        dynamics.cable_stiffness,
+        dynamics.cable_rest,
+        model.nonidealities.command_delay_s.max(SMALLEST_DELAY_S),
+    ]
+}
