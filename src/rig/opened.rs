@@ -97,6 +97,9 @@ impl Rig {
             return Err(RigError::InDoubt(Box::new(doubt)));
         }
         let is_hardware = settings.is_hardware() || rig.is_hardware();
+        if is_hardware && settings.limits.needs_foresight() {
+            admit_processor(rig.foresight_time_us)?;
+        }
         // After a doubt no flag skips the examination.
         if doubt.is_some() || (is_hardware && !settings.skip_check) {
             let mut results = rig.examine(false)?.results;

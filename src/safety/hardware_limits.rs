@@ -80,6 +80,12 @@ impl HardwareLimits {
         self.motor
     }
 
+    /// Whether every rollout within these limits uses foresight.
+    #[must_use]
+    pub fn needs_foresight(&self) -> bool {
+        self.widest.guard == Guard::Foresight
+    }
+
     /// Checks that a rollout may use this box.
     ///
     /// # Errors
