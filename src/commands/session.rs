@@ -40,7 +40,7 @@ use crate::simulation::SensorModel;
     qube-hil session --clock virtual --seed 3      # as fast as the processor can\n\n\
     The table at the end has a line for each candidate:\n  \
     purpose      initial: a point that the search starts from; search: proposed from the returns so far;\n               \
-    answer: the psi that the search recommends; N again: candidate N's own policy, run once more\n  \
+    recommended: by the search; N again: candidate N's own policy, run once more\n  \
     mean return  of its rollouts: each step of 10 ms earns at most 1 for a pendulum that is upright and\n               \
     quiet in the middle, so that 6 s earn at most 600\n  \
     rollouts     how many ended in success, of how many: upright during the last second\n  \

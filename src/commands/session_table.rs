@@ -25,14 +25,14 @@ impl SessionTable {
     /// The table for people, 80 columns wide.
     pub fn text(&self) -> String {
         let mut text =
-            String::from("\n   #  purpose   mean return  rollouts  psi in its box, 0 to 9\n");
+            String::from("\n   #  purpose      mean return  rollouts  psi in its box, 0 to 9\n");
         let report = &self.0;
         for scored in &report.candidates {
             let candidate = &scored.candidate;
             let purpose = match candidate.purpose {
                 Purpose::Initial => "initial".into(),
                 Purpose::Search => "search".into(),
-                Purpose::Verification => "answer".into(),
+                Purpose::Verification => "recommended".into(),
                 Purpose::Incumbent => format!("{} again", report.incumbent(candidate)),
             };
             let mean = match scored.mean_return() {
@@ -41,7 +41,7 @@ impl SessionTable {
             };
             let _ = writeln!(
                 text,
-                "{:4}  {purpose:8} {mean}  {:2} of {:<2}  {}",
+                "{:4}  {purpose:11} {mean}  {:2} of {:<2}  {}",
                 candidate.number,
                 scored.successes(),
                 scored.verdicts.len(),

@@ -93,8 +93,8 @@ impl BayRn {
                 self.maximise(&LogNoisyExpectedImprovement::new(process, seed)?, &means, index)
             }
             AcquisitionKind::KnowledgeGradient => {
-                let answer = self.maximise(&on(process, PosteriorMean), &means, index);
-                self.maximise(&LogKnowledgeGradient::new(process, &[answer]), &means, index)
+                let recommended = self.maximise(&on(process, PosteriorMean), &means, index);
+                self.maximise(&LogKnowledgeGradient::new(process, &[recommended]), &means, index)
             }
         })
     }
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn poor_data_have_a_defined_answer() {
+    fn poor_data_have_a_defined_recommendation() {
         let mut search = BayRn::new(
             search_box(),
             BayRnSettings { initial_points: 1, ..settings(AcquisitionKind::default()) },

@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_session_that_was_begun_without_it_ends_with_the_answer() {
+    fn a_session_that_was_begun_without_it_ends_with_the_recommendation() {
         let old: Extent = toml::from_str("initial_candidates = 3\niterations = 2").unwrap();
         assert!(!old.verifies_incumbent);
         let whole = session(1000);
