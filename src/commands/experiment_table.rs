@@ -2,6 +2,7 @@ use std::fmt::Write;
 
 use serde_json::{Map, Value, json};
 
+use super::comparison_table;
 use crate::experiment::{RecipeResult, Results};
 use crate::scoring::{Behaviour, Quietness};
 
@@ -10,6 +11,7 @@ const NAME: usize = 20;
 
 /// The table for people, 80 columns wide: a block for each plant.
 pub fn table(results: &Results) -> String {
+    let comparisons = results.comparisons();
     let mut text = String::new();
     let mut plants: Vec<&str> = Vec::new();
     for recipe in &results.recipes {
@@ -59,6 +61,7 @@ pub fn table(results: &Results) -> String {
                 quietness_columns(&recipe.quietness())
             );
         }
+        text.push_str(&comparison_table::table(&comparisons, plant));
     }
     text
 }
@@ -107,7 +110,7 @@ fn short(name: &str) -> &str {
 /// The results as JSON, for scripts.
 pub fn value(results: &Results) -> Value {
     let models: Vec<Value> = results.recipes.iter().map(model).collect();
-    json!({ "models": models })
+    json!({ "models": models, "comparisons": results.comparisons() })
 }
 
 fn model(recipe: &RecipeResult) -> Value {

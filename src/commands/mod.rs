@@ -6,6 +6,7 @@ mod benchmark;
 mod check;
 mod check_table;
 mod command_line;
+mod comparison_table;
 mod destination;
 mod device_arguments;
 mod doctor;

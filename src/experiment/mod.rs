@@ -14,6 +14,7 @@
 //! then [`Experiment`], which does the work and can be interrupted and resumed, then [`Results`], which are
 //! computed from policies and recordings; nothing else is stored.
 
+mod comparison;
 mod error;
 mod folder;
 mod plant;
@@ -28,6 +29,7 @@ pub mod statistics;
 mod strategies;
 mod work;
 
+pub use comparison::Comparison;
 pub use error::ExperimentError;
 pub use folder::{ExperimentFolder, PolicyFolders};
 pub use plant::Plant;

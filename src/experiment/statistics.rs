@@ -7,11 +7,11 @@ use serde::Serialize;
 /// The quantile of the normal distribution that leaves 2.5 % above it.
 const NORMAL_975: f64 = 1.959_963_984_540_054;
 
-/// Number of resamples of a bootstrap. With 10,000 the ends of an interval are reproducible within a
+/// Number of random draws behind an interval of a mean. With 10,000 its ends are reproducible within a
 /// hundredth of its width, whatever the seed.
-const RESAMPLES: usize = 10_000;
+const DRAWS: usize = 10_000;
 
-/// Seed of the resampling: the same sample gives the same interval.
+/// Seed of these draws: the same sample gives the same interval.
 const SEED: u64 = 0x626f_6f74_7374_7261;
 
 /// The 95 % confidence interval.
@@ -67,23 +67,60 @@ pub fn wilson_interval(successes: usize, trials: usize) -> Interval {
     Interval { lower, upper }
 }
 
-/// The percentile bootstrap interval (Efron 1979) of a sample's mean, 95 %. It also holds for bimodal
-/// returns, for which no formula of the normal distribution does. NaN of an empty sample.
+/// The interval of Learned-Miller and Thomas (2020) of the mean of a quantity between 0 and `most`, 95 %.
+/// NaN of an empty sample.
+///
+/// Returns have two humps, one of policies that balance and one of those that fall, and a sample may show
+/// the rarer hump by chance alone. A bootstrap knows nothing of a hump that the sample lacks: at n = 20
+/// and a success rate of 0.95 it covers two thirds of the true means. This interval allows for it, because
+/// it uses the bounds instead; it is wider for that.
 #[must_use]
-pub fn bootstrap_interval(sample: &[f64]) -> Interval {
-    if sample.is_empty() {
-        return Interval { lower: f64::NAN, upper: f64::NAN };
+pub fn bounded_mean_interval(sample: &[f64], most: f64) -> Interval {
+    BoundedMean::of(sample.len()).interval(sample, most)
+}
+
+/// The random order statistics behind the intervals of samples of one size.
+struct BoundedMean {
+    /// Sorted uniform draws, one row of the sample's size for each of [`DRAWS`].
+    ordered: Vec<Vec<f64>>,
+}
+
+impl BoundedMean {
+    fn of(size: usize) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(SEED);
+        let mut row = || {
+            let mut row: Vec<f64> = (0..size).map(|_| random.random::<f64>()).collect();
+            row.sort_by(f64::total_cmp);
+            row
+        };
+        Self { ordered: (0..DRAWS).map(|_| row()).collect() }
     }
-    let mut random = ChaCha8Rng::seed_from_u64(SEED);
-    let mut means: Vec<f64> = (0..RESAMPLES)
-        .map(|_| {
-            let drawn = (0..sample.len()).map(|_| sample[random.random_range(0..sample.len())]);
-            drawn.sum::<f64>() / sample.len() as f64
-        })
-        .collect();
-    means.sort_by(f64::total_cmp);
-    let at = |share: f64| means[(share * (RESAMPLES - 1) as f64).round() as usize];
-    Interval { lower: at(0.025), upper: at(0.975) }
+
+    fn interval(&self, sample: &[f64], most: f64) -> Interval {
+        if sample.is_empty() {
+            return Interval { lower: f64::NAN, upper: f64::NAN };
+        }
+        let mirrored: Vec<f64> = sample.iter().map(|value| most - value).collect();
+        Interval { lower: most - self.upper(&mirrored, most), upper: self.upper(sample, most) }
+    }
+
+    /// The bound that the mean exceeds with a probability of at most 2.5 %: the 97.5 % point of
+    /// the largest mean of a distribution function that passes through the sorted sample at random heights.
+    fn upper(&self, sample: &[f64], most: f64) -> f64 {
+        let mut sorted = sample.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        sorted.push(most);
+        let mut means: Vec<f64> = self
+            .ordered
+            .iter()
+            .map(|heights| {
+                let steps = sorted.windows(2).map(|pair| pair[1] - pair[0]);
+                most - heights.iter().zip(steps).map(|(height, step)| height * step).sum::<f64>()
+            })
+            .collect();
+        means.sort_by(f64::total_cmp);
+        means[(0.975 * (DRAWS - 1) as f64).round() as usize]
+    }
 }
 
 #[cfg(test)]
@@ -117,24 +154,43 @@ mod tests {
         assert_eq!(wilson_interval(0, 0), Interval { lower: 0.0, upper: 1.0 });
     }
 
+    /// For a sample of zeros and ones the bounds are those of Clopper and Pearson (1934).
     #[test]
-    fn a_bootstrap_of_two_values_knows_both() {
-        // The mean of two draws from 0 and 1 is 0, 1/2 or 1 with probability 1/4, 1/2, 1/4.
-        near(bootstrap_interval(&[0.0, 1.0]), 0.0, 1.0, 1e-12);
-        near(bootstrap_interval(&[3.0; 7]), 3.0, 3.0, 1e-12);
-        // 40 draws from 0 and 1: binomial(40, 1/2), whose 2.5 and 97.5 % points are 14 and 26.
-        let sample: Vec<f64> = (0..40).map(|i| f64::from(i % 2)).collect();
-        near(bootstrap_interval(&sample), 14.0 / 40.0, 26.0 / 40.0, 1e-12);
+    fn of_zeros_and_ones_the_bounds_are_exact() {
+        let sample = |ones: usize| {
+            let value = |i| f64::from(u8::from(i < ones));
+            (0..20).map(value).collect::<Vec<f64>>()
+        };
+        // R: binom.test(x, 20)$conf.int. 10,000 draws leave the third digit to chance.
+        near(bounded_mean_interval(&sample(20), 1.0), 0.831_6, 1.0, 4e-3);
+        near(bounded_mean_interval(&sample(10), 1.0), 0.272_0, 0.728_0, 4e-3);
+        near(bounded_mean_interval(&sample(0), 1.0), 0.0, 0.168_4, 4e-3);
+        let found = bounded_mean_interval(&sample(10), 1.0);
+        assert_eq!(bounded_mean_interval(&sample(10), 1.0), found);
+        assert!(bounded_mean_interval(&[], 1.0).lower.is_nan());
     }
 
+    /// Policies that balance earn about 540, and those that fall 0 to 300, below 60 or about 450.
     #[test]
-    fn a_bootstrap_of_many_is_what_the_formula_for_normal_means_says() {
-        // The values are evenly spread, so that the standard deviation is known.
-        let sample: Vec<f64> = (0..200).map(f64::from).collect();
-        let standard_error = standard_deviation(&sample) / 200.0_f64.sqrt();
-        let found = bootstrap_interval(&sample);
-        let (lower, upper) = (99.5 - 1.96 * standard_error, 99.5 + 1.96 * standard_error);
-        near(found, lower, upper, 0.06 * (upper - lower));
-        assert_eq!(bootstrap_interval(&sample), found);
+    fn the_interval_of_twenty_returns_with_two_humps_covers_their_mean() {
+        let intervals = BoundedMean::of(20);
+        let mut random = ChaCha8Rng::seed_from_u64(1000);
+        for (least, greatest) in [(0.0, 300.0), (0.0, 60.0), (400.0, 500.0)] {
+            for success in [0.85, 0.9, 0.95] {
+                let mean = success * 540.0 + (1.0 - success) * 0.5 * (least + greatest);
+                let covers = (0..100).filter(|_| {
+                    let sample: Vec<f64> = (0..20)
+                        .map(|_| match random.random::<f64>() < success {
+                            true => random.random_range(530.0..550.0),
+                            false => random.random_range(least..greatest),
+                        })
+                        .collect();
+                    let found = intervals.interval(&sample, 600.0);
+                    found.lower <= mean && mean <= found.upper
+                });
+                let covered = covers.count() as f64 / 100.0;
+                assert!(covered >= 0.93, "{covered} at {success} and {least} to {greatest}");
+            }
+        }
     }
 }

@@ -1,0 +1,86 @@
+use std::fmt::Write;
+
+use crate::experiment::Comparison;
+
+/// Width of the column of names.
+const NAMES: usize = 30;
+
+/// Most lines of a plant; the JSON has all comparisons.
+const SHOWN: usize = 10;
+
+/// The comparisons of recipes on one plant for people, 80 columns wide: those with the smallest p-values
+/// first. Empty without any.
+pub fn table(comparisons: &[Comparison], plant: &str) -> String {
+    let mut comparisons: Vec<_> = comparisons.iter().filter(|it| it.plant == plant).collect();
+    if comparisons.is_empty() {
+        return String::new();
+    }
+    let smaller = |it: &Comparison| it.success_p.min(it.return_p);
+    comparisons.sort_by(|a, b| smaller(a).total_cmp(&smaller(b)));
+    let mut text = format!(
+        "\n{:NAMES$} {:>8} {:>7} {:>8} {:>7} {:>9}\n",
+        "second less first, paired", "succeed", "p", "return", "p", "higher"
+    );
+    for it in comparisons.iter().take(SHOWN) {
+        let names = format!("{} - {}", it.second, it.first);
+        let _ = writeln!(
+            text,
+            "{names:NAMES$.NAMES$} {:>+6.0} % {:>7} {:>+8.1} {:>7} {:>7.0} %",
+            100.0 * it.success_difference,
+            p_value(it.success_p),
+            it.return_difference,
+            p_value(it.return_p),
+            100.0 * it.superiority,
+        );
+    }
+    if comparisons.len() > SHOWN {
+        let _ = writeln!(text, "and {} more: --json has all", comparisons.len() - SHOWN);
+    }
+    text
+}
+
+fn p_value(p: f64) -> String {
+    if p < 0.001 { "< 0.001".into() } else { format!("{p:.3}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::experiment::{PolicyResult, RecipeResult, Results, RolloutResult};
+    use crate::scoring::{Behaviour, Quietness};
+
+    #[test]
+    fn two_recipes_are_one_line_of_at_most_80_columns() {
+        let recipe = |name: &str, earned: f64, behaviour| RecipeResult {
+            recipe: name.into(),
+            plant: "lab".into(),
+            psi: BTreeMap::new(),
+            policies: (0..10)
+                .map(|number| PolicyResult {
+                    number,
+                    simulated_return: 500.0,
+                    rollouts: vec![RolloutResult {
+                        return_: Some(earned + f64::from(number)),
+                        behaviour,
+                        quietness: Quietness::NONE,
+                    }],
+                })
+                .collect(),
+        };
+        let results = Results {
+            recipes: vec![
+                recipe("nominal", 100.0, Behaviour::Fell),
+                recipe("robust", 540.0, Behaviour::Balanced),
+            ],
+        };
+        let comparisons = results.comparisons();
+        let text = table(&comparisons, "lab");
+        assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
+        let line = text.lines().nth(2).unwrap();
+        assert!(line.starts_with("robust - nominal ") && line.contains("+100 %"), "{text}");
+        assert!(line.contains("0.002") && line.contains("+440.0"), "{text}");
+        assert_eq!(table(&comparisons, "ideal"), "");
+    }
+}

@@ -1,0 +1,195 @@
+//! Comparisons of the recipes of an experiment, pair by pair, on the same plant.
+
+use rand::{RngExt as _, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+
+use super::results::{PolicyResult, RecipeResult, Results};
+use super::statistics::mean;
+
+/// Number of random assignments of signs in a permutation test: p-values down to 0.0001.
+const PERMUTATIONS: usize = 9_999;
+
+/// Seed of these assignments: the same results give the same p-value.
+const SEED: u64 = 0x7065_726d_7574_6531;
+
+/// Two recipes on one plant, compared over the policies of equal number, which have equal seeds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// Name of the plant.
+    pub plant: String,
+    /// Name of the first recipe.
+    pub first: String,
+    /// Name of the second recipe.
+    pub second: String,
+    /// Number of pairs of policies.
+    pub pairs: usize,
+    /// Success rate of the second less that of the first.
+    pub success_difference: f64,
+    /// p-value of that difference: McNemar's exact test (1947), two-sided, corrected by Holm (1979) for the
+    /// number of comparisons in the experiment.
+    pub success_p: f64,
+    /// Mean return of the second less that of the first.
+    pub return_difference: f64,
+    /// p-value of that difference: a permutation test of the signs of the pairs' differences (Fisher 1935),
+    /// two-sided, corrected in the same way.
+    pub return_p: f64,
+    /// Share of all pairs of any number in which the second's return is higher, ties counted half (Vargha and
+    /// Delaney 2000): 0.5 for equal recipes.
+    pub superiority: f64,
+}
+
+impl Results {
+    /// Every pair of recipes on every plant on which both have policies of equal number.
+    #[must_use]
+    pub fn comparisons(&self) -> Vec<Comparison> {
+        let mut comparisons = Vec::new();
+        for (index, first) in self.recipes.iter().enumerate() {
+            let others = self.recipes[index + 1..].iter().filter(|it| it.plant == first.plant);
+            comparisons.extend(others.filter_map(|second| compare(first, second)));
+        }
+        let by_success = holm(&comparisons.iter().map(|it| it.success_p).collect::<Vec<_>>());
+        let by_return = holm(&comparisons.iter().map(|it| it.return_p).collect::<Vec<_>>());
+        for (index, comparison) in comparisons.iter_mut().enumerate() {
+            (comparison.success_p, comparison.return_p) = (by_success[index], by_return[index]);
+        }
+        comparisons
+    }
+}
+
+/// Compares two recipes without a correction; `None` without a common policy.
+fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
+    let pairs: Vec<(&PolicyResult, &PolicyResult)> = first
+        .policies
+        .iter()
+        .filter_map(|one| {
+            let other = second.policies.iter().find(|other| other.number == one.number)?;
+            Some((one, other))
+        })
+        .collect();
+    if pairs.is_empty() {
+        return None;
+    }
+    let gained = pairs.iter().filter(|(one, other)| other.succeeds() && !one.succeeds()).count();
+    let lost = pairs.iter().filter(|(one, other)| one.succeeds() && !other.succeeds()).count();
+    let differences: Vec<f64> = pairs
+        .iter()
+        .filter_map(|(one, other)| Some(other.mean_return()? - one.mean_return()?))
+        .collect();
+    Some(Comparison {
+        plant: first.plant.clone(),
+        first: first.recipe.clone(),
+        second: second.recipe.clone(),
+        pairs: pairs.len(),
+        success_difference: (gained as f64 - lost as f64) / pairs.len() as f64,
+        success_p: mcnemar(gained, lost),
+        return_difference: mean(&differences),
+        return_p: sign_permutation(&differences),
+        superiority: superiority(&first.returns(), &second.returns()),
+    })
+}
+
+/// McNemar's exact p-value, two-sided, of `gained` against `lost` among the pairs that differ.
+fn mcnemar(gained: usize, lost: usize) -> f64 {
+    let differing = gained + lost;
+    // The probability of each count under a fair coin, from the one before it.
+    let mut probability = 0.5_f64.powi(differing as i32);
+    let mut tail = 0.0;
+    for count in 0..=gained.min(lost) {
+        tail += probability;
+        probability *= (differing - count) as f64 / (count + 1) as f64;
+    }
+    (2.0 * tail).min(1.0)
+}
+
+/// The two-sided p-value of the mean of paired differences under random signs; 1 of none.
+fn sign_permutation(differences: &[f64]) -> f64 {
+    let observed = differences.iter().sum::<f64>().abs();
+    let mut random = ChaCha8Rng::seed_from_u64(SEED);
+    let as_extreme = (0..PERMUTATIONS)
+        .filter(|_| {
+            let signed = differences.iter().map(|it| if random.random() { *it } else { -it });
+            // Rounding must not hide an assignment that equals the observed one.
+            signed.sum::<f64>().abs() >= observed * (1.0 - 1e-12)
+        })
+        .count();
+    (as_extreme + 1) as f64 / (PERMUTATIONS + 1) as f64
+}
+
+fn superiority(first: &[f64], second: &[f64]) -> f64 {
+    let score = |one: f64, other: f64| match other.total_cmp(&one) {
+        std::cmp::Ordering::Greater => 1.0,
+        std::cmp::Ordering::Equal => 0.5,
+        std::cmp::Ordering::Less => 0.0,
+    };
+    let sum: f64 =
+        first.iter().flat_map(|one| second.iter().map(|other| score(*one, *other))).sum();
+    sum / (first.len() * second.len()) as f64
+}
+
+/// Corrects p-values for their number by Holm's step-down method.
+fn holm(p_values: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..p_values.len()).collect();
+    order.sort_by(|a, b| p_values[*a].total_cmp(&p_values[*b]));
+    let mut corrected = vec![0.0; p_values.len()];
+    let mut largest: f64 = 0.0;
+    for (rank, index) in order.into_iter().enumerate() {
+        largest = largest.max((p_values.len() - rank) as f64 * p_values[index]).min(1.0);
+        corrected[index] = largest;
+    }
+    corrected
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mcnemar_is_a_binomial_test_of_the_pairs_that_differ() {
+        // R: binom.test(1, 10)$p.value, binom.test(0, 5)$p.value, binom.test(3, 15)$p.value.
+        assert!((mcnemar(1, 9) - 0.021_484_375).abs() < 1e-12);
+        assert!((mcnemar(5, 0) - 0.0625).abs() < 1e-12);
+        assert!((mcnemar(12, 3) - 0.035_156_25).abs() < 1e-12);
+        assert_eq!((mcnemar(0, 0), mcnemar(4, 4)), (1.0, 1.0));
+    }
+
+    #[test]
+    fn signs_of_differences_are_permuted() {
+        // Five differences of one sign: 2 of 32 assignments are as extreme.
+        let p = sign_permutation(&[1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert!((p - 2.0 / 32.0).abs() < 0.01, "{p}");
+        assert_eq!(sign_permutation(&[1.0, -1.0]), 1.0);
+        assert_eq!(sign_permutation(&[]), 1.0);
+    }
+
+    #[test]
+    fn holm_corrects_by_the_number_of_what_is_left() {
+        // R: p.adjust(c(0.01, 0.04, 0.03, 0.005), "holm").
+        let corrected = holm(&[0.01, 0.04, 0.03, 0.005]);
+        for (found, expected) in corrected.iter().zip([0.03, 0.06, 0.06, 0.02]) {
+            assert!((found - expected).abs() < 1e-12, "{corrected:?}");
+        }
+        assert_eq!(holm(&[0.9, 0.8]), [1.0, 1.0]);
+    }
+
+    #[test]
+    fn of_equal_recipes_half_are_better() {
+        assert_eq!(superiority(&[1.0, 2.0], &[1.0, 2.0]), 0.5);
+        assert_eq!(superiority(&[1.0, 2.0], &[3.0, 4.0]), 1.0);
+        assert!(superiority(&[], &[1.0]).is_nan());
+    }
+
+    /// Under equal recipes a test at 5 % may find a difference in one of twenty experiments.
+    #[test]
+    fn equal_recipes_differ_as_often_as_the_level_says() {
+        let mut random = ChaCha8Rng::seed_from_u64(1000);
+        let found = (0..400)
+            .filter(|_| {
+                let mut earned = || if random.random::<f64>() < 0.8 { 540.0 } else { 100.0 };
+                let differences: Vec<f64> = (0..20).map(|_| earned() - earned()).collect();
+                sign_permutation(&differences) < 0.05
+            })
+            .count();
+        assert!(found <= 33, "{found} of 400");
+    }
+}
