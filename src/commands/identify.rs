@@ -11,8 +11,8 @@ use super::output::Output;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::identification::{
-    Blind, Estimate, HorizonError, Identified, Phase, Unknown, check_recording, comes_upright,
-    horizon_error, identify, phase_error, start_state,
+    Blind, Estimate, HorizonError, Identified, Phase, Unknown, Verdict, check_recording,
+    comes_upright, horizon_error, identify, phase_error, start_state,
 };
 use crate::qube::{Correlations, Profile, Provenance, QubeModel};
 use crate::replay::{MotionLog, simulate_from};
@@ -118,9 +118,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
 
     let mut text = table(&identified);
+    text += &correlated(&identified);
     for errors in &errors {
         text += &errors.lines();
     }
+    let _ = write!(text, "\n{}", assessment(&identified));
     let _ = write!(text, "\n{} in {seconds:.1} s", arguments.out.display());
     output.print(&text, &result(&identified, &errors, seconds, &arguments.out));
     Ok(())
@@ -189,6 +191,50 @@ fn table(identified: &Identified) -> String {
         let _ = writeln!(text, "  {}", combination(direction));
     }
     text
+}
+
+/// Correlation from which two estimates are named as hard to tell apart.
+const HARD_TO_TELL: f64 = 0.8;
+
+/// The pairs of estimates that the recordings hardly tell apart.
+fn correlated(identified: &Identified) -> String {
+    let mut text = String::new();
+    let name = |index: usize| identified.estimates[index].unknown.name();
+    for (one, row) in identified.correlations.iter().enumerate() {
+        for (other, &correlation) in row[..one].iter().enumerate() {
+            if correlation.abs() >= HARD_TO_TELL {
+                let also = if correlation > 0.0 { "more" } else { "less" };
+                let _ = writeln!(
+                    text,
+                    "  more {} looks like {also} {} ({correlation:+.2})",
+                    name(other),
+                    name(one)
+                );
+            }
+        }
+    }
+    if text.is_empty() { text } else { format!("\nHard to tell apart (correlation):\n{text}") }
+}
+
+/// The verdict in words.
+fn assessment(identified: &Identified) -> String {
+    let tests = &identified.assessment;
+    let doubts: Vec<String> = tests.doubts.iter().map(ToString::to_string).collect();
+    let doubts = doubts.join("; ");
+    let verdict = match tests.verdict {
+        Verdict::Fits => "The model describes this Qube.".to_owned(),
+        Verdict::FitsBut => format!("The model describes this Qube but for {doubts}."),
+        Verdict::DoesNotFit => format!("The model does not describe this Qube: {doubts}."),
+    };
+    let widened = if identified.inflation > 1.05 {
+        let factor = identified.inflation;
+        format!(
+            " Standard errors are {factor:.1} times those of noise alone, because windows disagree."
+        )
+    } else {
+        String::new()
+    };
+    format!("{verdict}{widened}\n")
 }
 
 /// A combination such as `+0.71 R_m -0.70 k_m`.
@@ -276,6 +322,12 @@ fn result(
         "fitted_phases": phases(fitted),
         "held_out_phases": phases(held_out),
         "wall_s": seconds,
+        "verdict": identified.assessment.verdict.name(),
+        "doubts": identified.assessment.doubts.iter().map(|doubt| doubt.name()).collect::<Vec<_>>(),
+        "noise_ratio": identified.assessment.noise_ratio,
+        "whiteness": identified.assessment.whiteness,
+        "growth": identified.assessment.growth,
+        "inflation": identified.inflation,
         "profile": out.to_string_lossy(),
     })
 }

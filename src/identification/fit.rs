@@ -109,18 +109,16 @@ impl<'a> Fit<'a> {
         side_by_side(&pairs, |(stretch, start)| residuals(stretch, &self.model, **start))
     }
 
-    /// The information matrix of the unknowns without the priors: J'J with the start states eliminated, in
-    /// the fit's units; correlated residuals count as fewer.
-    pub fn information(&self) -> DMatrix<f64> {
-        let count = self.unknowns.len();
-        let mut information = DMatrix::zeros(count, count);
-        for block in self.blocks() {
-            information += &block.gg;
-            if let Some(inverse) = block.ss.try_inverse() {
-                information -= &block.gs * inverse * block.gs.transpose();
-            }
-        }
-        information
+    /// For each stretch its information about the unknowns (J'J) and its gradient (J'r), in the fit's units and
+    /// without the priors; its start state is eliminated, and correlated residuals count as fewer.
+    pub fn reduced(&self) -> Vec<(DMatrix<f64>, DVector<f64>)> {
+        let reduce = |block: Block| {
+            let Some(inverse) = block.ss.try_inverse() else { return (block.gg, block.g) };
+            let weighted = &block.gs * inverse;
+            let information = block.gg - &weighted * block.gs.transpose();
+            (information, block.g - weighted * block.s)
+        };
+        self.blocks().into_iter().map(reduce).collect()
     }
 
     fn noise(&self, regime: Regime) -> &Noise {

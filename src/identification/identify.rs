@@ -3,6 +3,7 @@ use std::fmt;
 use thiserror::Error;
 
 use super::Unknown;
+use super::assessment::{Assessment, assess};
 use super::fit::Fit;
 use super::fitness::{Unfit, check_recording};
 use super::residuals::{ResidualScale, scale_of};
@@ -49,8 +50,13 @@ pub struct Identified {
     pub blind: Vec<Blind>,
     /// Correlations of the errors of the estimates, -1 to 1, in the same order.
     pub correlations: Vec<Vec<f64>>,
-    /// Residuals of the model over whole recordings.
+    /// Residuals of the model over the fitted windows.
     pub scale: ResidualScale,
+    /// Factor, from 1 on, that the standard errors contain because windows and recordings contradict each other
+    /// more than noise does.
+    pub inflation: f64,
+    /// Whether the model describes the Qube.
+    pub assessment: Assessment,
 }
 
 /// The reason why nothing was identified.
@@ -185,9 +191,11 @@ pub fn identify(
     if let Some(ResidualScale { theta_rad, alpha_rad }) = unexplained(logs, &fit) {
         return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad, cause: cause() });
     }
-    let Uncertainty { estimates, blind, correlations } = uncertainty(&fit);
+    let Uncertainty { estimates, blind, correlations, inflation } = uncertainty(&fit);
     let scale = scale_of(&fit.residuals_rad());
-    Ok(Identified { model: fit.model, estimates, blind, correlations, scale })
+    let assessment = assess(&fit, windows(logs, STAGES_S[0]));
+    let model = fit.model;
+    Ok(Identified { model, estimates, blind, correlations, scale, inflation, assessment })
 }
 
 fn windows(logs: &[MotionLog], duration_s: f64) -> Vec<Stretch<'_>> {

@@ -6,6 +6,7 @@
 //! day. The room is pure computation over motions that were read before, and may import `qube`,
 //! `replay` and `elementary`.
 
+mod assessment;
 #[cfg(test)]
 mod delay_tests;
 mod drift;
@@ -22,6 +23,7 @@ mod tests;
 mod uncertainty;
 mod unknowns;
 
+pub use assessment::{Assessment, Doubt, Verdict};
 pub use drift::{DriftEstimate, drift};
 pub use fitness::{Unfit, check_recording};
 pub use identify::{Cause, Identified, IdentifyError, Sign, identify};

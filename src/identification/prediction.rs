@@ -1,5 +1,5 @@
 use super::fit::Fit;
-use super::residuals::{Noise, ResidualScale};
+use super::residuals::Noise;
 use super::stretch::{Stretch, duration_of, is_upright};
 use crate::qube::{QubeModel, State};
 use crate::replay::{AngleError, MotionLog, MotionSample};
@@ -161,8 +161,7 @@ fn end_errors(
 /// The start state of a stretch, and its number of samples.
 fn state_at(known: &Stretch<'_>, model: &QubeModel) -> (State, usize) {
     let mut fit = Fit::new(&[], *model, vec![*known]);
-    let scale = ResidualScale { theta_rad: 1e-3, alpha_rad: 1e-3 };
-    fit.noise = [Noise { scale, correlated: 1.0 }; 3];
+    fit.noise = [Noise::of_resolution(); 3];
     fit.minimise();
     (fit.starts[0], known.samples().len())
 }

@@ -37,6 +37,14 @@ impl Default for Noise {
     }
 }
 
+impl Noise {
+    /// Independent residuals of about the encoder's resolution.
+    pub fn of_resolution() -> Self {
+        let scale = ResidualScale { theta_rad: SMALLEST_SCALE_RAD, alpha_rad: SMALLEST_SCALE_RAD };
+        Self { scale, correlated: 1.0 }
+    }
+}
+
 /// The weight of a stretch whose mean squared residual, in squared scales, is this.
 pub(super) fn robust_weight(mean_square: f64) -> f64 {
     (BAD_STRETCH / mean_square.sqrt()).min(1.0)

@@ -182,6 +182,34 @@ fn recordings_with_wrong_times_or_cut_off_angles_are_named() {
     assert!(matches!(unfit, Err(Unfit::Jump { angle: "theta", .. })), "{unfit:?}");
 }
 
+/// A chirp of a motor whose resistance grows by `share` from the first sample to the last.
+fn warming_chirp(truth: &QubeModel, sign: f64, share: f64) -> MotionLog {
+    let mut log = chirp(truth, sign, 5.0);
+    let last = log.samples.len() - 1;
+    let mut state = State { theta: -0.02, ..State::default() };
+    for index in 0..last {
+        let mut warm = *truth;
+        warm.parameters.motor_resistance_ohm *= 1.0 + share * index as f64 / last as f64;
+        let sample = &mut log.samples[index].state;
+        (sample.theta, sample.alpha) = (quantised(state.theta), quantised(state.alpha));
+        let start = state;
+        simulate_stretch(&log.samples, index..index + 2, &warm, start, |next| state = next);
+    }
+    log.samples.truncate(last);
+    log
+}
+
+#[test]
+fn a_motor_that_warms_is_doubted_and_one_that_does_not_is_not() {
+    for (share, verdict) in [(0.0, Verdict::Fits), (0.3, Verdict::FitsBut)] {
+        let logs = [1.0, -1.0].map(|sign| warming_chirp(&truth(), sign, share));
+        let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
+        let tests = &found.assessment;
+        assert_eq!(tests.verdict, verdict, "{share}: {tests:?}");
+        assert_eq!(tests.doubts.is_empty(), share == 0.0, "{tests:?}");
+    }
+}
+
 #[test]
 fn a_sign_is_named_only_when_it_is_reversed() {
     let good = chirp(&truth(), 1.0, 4.0);

@@ -9,6 +9,9 @@ const TOLD: f64 = 0.5;
 /// Smallest entry of a direction that is reported.
 const WORTH_NAMING: f64 = 0.25;
 
+/// Fewest windows or recordings whose scatter is measured.
+const FEWEST_GROUPS: usize = 4;
+
 /// The estimate of one unknown.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
@@ -42,14 +45,22 @@ pub(super) struct Uncertainty {
     pub blind: Vec<Blind>,
     /// Correlations of the errors, -1 to 1.
     pub correlations: Vec<Vec<f64>>,
+    /// Factor of the standard errors, from 1 on, by which windows and recordings contradict each other.
+    pub inflation: f64,
 }
 
-/// Computes estimates, undetermined combinations and correlations of a fit.
+/// Computes estimates, undetermined combinations, correlations and inflation of a fit.
 ///
 /// A model's errors persist in time; the information matrix counts as one the samples within the integrated
-/// autocorrelation time of the residuals.
+/// autocorrelation time of the residuals. What a wrong model adds to that, [`inflation`] measures.
 pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
-    let information = fit.information();
+    let reduced = fit.reduced();
+    let inflation = inflation(fit, &reduced);
+    let count = fit.unknowns.len();
+    let mut information = DMatrix::zeros(count, count);
+    for (own, _) in &reduced {
+        information += own / (inflation * inflation);
+    }
     let stds =
         DVector::from_iterator(fit.unknowns.len(), fit.unknowns.iter().map(|u| u.prior().std));
     // In units of prior standard deviations the prior's information is the identity.
@@ -90,5 +101,57 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
         estimates: estimates.collect(),
         blind: blind.into_iter().map(|(_, direction)| direction).collect(),
         correlations,
+        inflation,
     }
+}
+
+/// The factor by which the estimates of single windows, and of single recordings, scatter more than their
+/// information says; at least 1.
+///
+/// A model that holds predicts a window that is left out as well as those that it was fitted to, and the gradients of
+/// the windows then scatter as their information says. Those of a wrong model scatter more: each window asks
+/// for another Qube. The factor is the root mean square over the directions that the data determine.
+fn inflation(fit: &Fit<'_>, reduced: &[(DMatrix<f64>, DVector<f64>)]) -> f64 {
+    let recording = |index: usize| fit.stretches[index].recording.as_ptr();
+    let mut recordings: Vec<(DMatrix<f64>, DVector<f64>)> = Vec::new();
+    let mut last = None;
+    for (index, (information, gradient)) in reduced.iter().enumerate() {
+        match recordings.last_mut() {
+            Some((own, sum)) if last == Some(recording(index)) => {
+                *own += information;
+                *sum += gradient;
+            }
+            _ => recordings.push((information.clone(), gradient.clone())),
+        }
+        last = Some(recording(index));
+    }
+    scatter(fit.unknowns, reduced).max(scatter(fit.unknowns, &recordings)).max(1.0)
+}
+
+/// Root mean square of the groups' gradients in their standard deviations; 1 where there are too few groups.
+fn scatter(unknowns: &[Unknown], groups: &[(DMatrix<f64>, DVector<f64>)]) -> f64 {
+    if groups.len() < FEWEST_GROUPS || unknowns.is_empty() {
+        return 1.0;
+    }
+    let stds = DVector::from_iterator(unknowns.len(), unknowns.iter().map(|u| u.prior().std));
+    let mut information = DMatrix::zeros(stds.len(), stds.len());
+    for (own, _) in groups {
+        information += own;
+    }
+    let scaled = DMatrix::from_fn(stds.len(), stds.len(), |row, column| {
+        information[(row, column)] * stds[row] * stds[column]
+    });
+    let eigen = SymmetricEigen::new(scaled);
+    let (mut squares, mut directions) = (0.0, 0.0);
+    for (column, &value) in eigen.eigenvalues.iter().enumerate().filter(|(_, value)| **value > 1.0)
+    {
+        let direction = eigen.eigenvectors.column(column).component_mul(&stds);
+        let squared =
+            |(_, gradient): &(DMatrix<f64>, DVector<f64>)| gradient.dot(&direction).powi(2);
+        squares += groups.iter().map(squared).sum::<f64>() / value;
+        directions += 1.0;
+    }
+    // The estimate takes one group's worth of scatter away.
+    let count = groups.len() as f64;
+    if directions == 0.0 { 1.0 } else { (squares / directions * count / (count - 1.0)).sqrt() }
 }

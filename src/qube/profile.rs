@@ -148,6 +148,18 @@ impl Profile {
         self.standard_errors.get(quantity.name()).copied().unwrap_or(0.0)
     }
 
+    /// The covariance of the errors of two quantities, in the product of their units: the square of the standard
+    /// error for a quantity with itself, 0 where the file names no standard error or no correlation.
+    #[must_use]
+    pub fn covariance(&self, one: Quantity, other: Quantity) -> f64 {
+        let correlation = match &self.correlations {
+            Some(correlations) => correlations.of(one, other),
+            None if one == other => 1.0,
+            None => 0.0,
+        };
+        correlation * self.standard_error(one) * self.standard_error(other)
+    }
+
     /// The model of the Qube.
     #[must_use]
     pub fn model(&self) -> QubeModel {
@@ -246,6 +258,14 @@ mod tests {
         };
         let text = toml::to_string(&profile).unwrap();
         assert_eq!(Profile::parse(&text).unwrap(), profile);
+        let of = |name: &str| Quantity::from_name(name).unwrap();
+        let [motor, delay, arm] = ["R_m", "command_delay_s", "L_r"].map(of);
+        assert!((profile.covariance(motor, motor) - 0.04).abs() < 1e-15);
+        assert_eq!(profile.covariance(motor, delay), 0.0);
+        assert_eq!(profile.covariance(arm, arm), 0.0);
+        let errors = BTreeMap::from([("R_m".into(), 0.2), ("command_delay_s".into(), 0.001)]);
+        let both = Profile { standard_errors: errors, ..profile.clone() };
+        assert!((both.covariance(delay, motor) + 1e-4).abs() < 1e-15);
         let short = Profile::parse("name = \"x\"\n[parameters]\nR_m = 9.1\n").unwrap();
         assert_eq!(short.parameters, profile.parameters);
         assert_eq!(short.nonidealities, Nonidealities::default());
