@@ -5,7 +5,7 @@
 //! simulator the recorded voltages alone and compares the motions.
 //!
 //! The room may import `scoring`, `recording`, `control`, `policy`, `safety`, `estimation`,
-//! `telemetry`, `qube` and `storage`.
+//! `telemetry`, `qube`, `elementary` and `storage`.
 
 mod csv;
 mod motion_log;
