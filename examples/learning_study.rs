@@ -15,7 +15,8 @@
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-use qube_hil::learning::{TrainSettings, evaluate_afresh, train};
+use anyhow::Context;
+use qube_hil::learning::{Preset, TrainSettings, evaluate_afresh, train};
 use qube_hil::policy::Network;
 use qube_hil::simulation::{DomainDistribution, Family, Trajectory};
 
@@ -74,13 +75,9 @@ fn main() -> anyhow::Result<()> {
 
 /// The preset with some settings replaced, by the names and in the syntax of a TOML file.
 fn with_settings(preset: &str, replaced: &[String]) -> anyhow::Result<TrainSettings> {
-    let settings = match preset {
-        "thesis" => TrainSettings::thesis(),
-        "quick" => TrainSettings::quick(),
-        "robust" => TrainSettings::robust(),
-        other => anyhow::bail!("{other} is not thesis, quick or robust"),
-    };
-    let mut table = toml::Table::try_from(settings)?;
+    let named = Preset::NAMED.into_iter().find(|it| it.name() == preset);
+    let named = named.with_context(|| format!("{preset} is not thesis, quick or robust"))?;
+    let mut table = toml::Table::try_from(named.settings_or(TrainSettings::default()))?;
     table.extend(replaced.join("\n").parse::<toml::Table>()?);
     Ok(table.try_into()?)
 }

@@ -5,10 +5,11 @@ use std::path::Path;
 use std::process::Output;
 
 use assert_cmd::Command;
-use qube_hil::experiment::{ExperimentFolder, ExperimentSettings, Plant, Recipe, RecipeModel};
+use qube_hil::experiment::{ExperimentFolder, ExperimentSettings, Plant, Recipe};
 use qube_hil::recording::read;
 use qube_hil::safety::{Guard, SafetyBox};
 use qube_hil::session::{EmulatedQubeSettings, SessionFolder, SessionSettings};
+use qube_hil::simulation::Model;
 
 /// A port that does not exist: the message about it shows that all limits were passed.
 const PORT: [&str; 2] = ["--device", "/dev/ttyNOWHERE"];
@@ -194,7 +195,7 @@ fn the_guard_of_the_past_is_refused_with_what_is_in_its_place() {
     let settings = SessionSettings::load(&root.join("session.toml")).unwrap();
     assert_eq!(settings, SessionSettings::quick().with_guard(Guard::Box));
 
-    let recipe = Recipe::of(RecipeModel::Nominal, &SessionSettings::quick());
+    let recipe = Recipe::of(Model::Nominal, &SessionSettings::quick());
     let lab = Plant { name: "lab".into(), emulated: EmulatedQubeSettings::default(), vary: 0.0 };
     let ended = ExperimentSettings {
         name: "ended".into(),

@@ -3,7 +3,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ValueEnum;
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::builder::TypedValueParser;
 use serde_json::{Value, json};
 
 use super::destination::OutputFolder;
@@ -13,25 +13,25 @@ use super::exit::Failure;
 use super::experiment_progress::ExperimentProgress;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
+use super::named_values::{named, presets};
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
 use super::printable::tell;
 use super::stop::Stop;
 use super::strategy_arguments::{StrategyArguments, check_device};
-use super::words_gone::names_but;
 use super::{experiment_table, strategy_table};
 use crate::charts::{DrawingError, StepLine, densities_svg, searches_svg, strategies_svg};
 use crate::estimation::EstimatorSettings;
 use crate::experiment::{
-    Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe, RecipeModel,
-    Results, SearchReturns, StrategyResult, StrategyResults,
+    Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe, Results,
+    SearchReturns, StrategyResult, StrategyResults,
 };
-use crate::learning::TrainSettings;
+use crate::learning::{Preset, TrainSettings};
 use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
 use crate::session::{Extent, FolderError, SessionError, SessionSettings};
-use crate::simulation::{DomainDistribution, Family, SensorModel};
+use crate::simulation::{DomainDistribution, Family, Model, SensorModel};
 use crate::storage::{Disk, MachineDisk, write_whole};
 
 /// Compare recipes: train several policies with each, run them all on the Qube, print the table
@@ -68,7 +68,7 @@ pub struct Arguments {
         value_delimiter = ',',
         conflicts_with = "resume"
     )]
-    models: Vec<RecipeModel>,
+    models: Vec<Model>,
 
     /// Recipe file; may be repeated
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
@@ -87,12 +87,12 @@ pub struct Arguments {
     #[arg(long, conflicts_with = "resume")]
     rollouts: Option<u32>,
 
-    /// Training budget and simulation: `quick` and `thesis` train without the machine's sensors, as
-    /// published
+    /// Training budget and simulation of each policy: `quick` and `thesis` train without the machine's
+    /// sensors, as published
     #[arg(
         long,
         default_value = "quick",
-        value_parser = names_but::<Preset>("machine", "it is no more; robust is in its place"),
+        value_parser = presets(),
         conflicts_with = "resume"
     )]
     preset: Preset,
@@ -161,17 +161,6 @@ enum FamilyArgument {
     Uniform,
 }
 
-/// Budget and simulation of the training.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Preset {
-    /// A second or two for each policy, on true states in the thesis's box
-    Quick,
-    /// Half a minute for each policy, with the machine's encoders and velocity filter
-    Robust,
-    /// The published budget, on true states in the thesis's box
-    Thesis,
-}
-
 /// Sensors of the simulations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Sensors {
@@ -182,12 +171,9 @@ enum Sensors {
 }
 
 /// The parser of model names; models around an identified Qube need a recipe that names it.
-fn model_parser() -> impl TypedValueParser<Value = RecipeModel> {
-    let offered = || RecipeModel::ALL.into_iter().filter(|model| !model.needs_profile());
-    let values = offered().map(|model| PossibleValue::new(model.name()).help(model.description()));
-    PossibleValuesParser::new(values).try_map(move |name| {
-        offered().find(|model| model.name() == name).ok_or("there is no such model")
-    })
+fn model_parser() -> impl TypedValueParser<Value = Model> {
+    let offered = Model::ALL.into_iter().filter(|model| !model.needs_profile());
+    named(offered.map(|model| (model.name(), model.description(), model)))
 }
 
 /// Corner of the thesis's velocity filter, rad/s.
@@ -381,9 +367,9 @@ fn begun(
     let mut recipes = Vec::new();
     let strategies = arguments.strategies.settings();
     check_device(strategies.as_ref(), device)?;
-    let models: Vec<RecipeModel> = match (arguments.models.as_slice(), &strategies) {
-        ([], None) if arguments.recipe.is_empty() => RecipeModel::THESIS.into(),
-        ([], Some(_)) if arguments.recipe.is_empty() => vec![RecipeModel::OptNominal],
+    let models: Vec<Model> = match (arguments.models.as_slice(), &strategies) {
+        ([], None) if arguments.recipe.is_empty() => Model::THESIS.into(),
+        ([], Some(_)) if arguments.recipe.is_empty() => vec![Model::OptNominal],
         (named, _) => named.into(),
     };
     recipes.extend(models.into_iter().map(|model| Recipe::of(model, &base)));
@@ -433,11 +419,7 @@ fn folder_failure(error: ExperimentError) -> Failure {
 fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let is_emulated = !device.choice.is_hardware();
     let knows_the_machine = arguments.preset == Preset::Robust;
-    let mut training = match arguments.preset {
-        Preset::Quick => TrainSettings::quick(),
-        Preset::Robust => TrainSettings::robust(),
-        Preset::Thesis => TrainSettings::thesis(),
-    };
+    let mut training = arguments.preset.settings_or(TrainSettings::default());
     let estimator = match arguments.estimator.settings()? {
         Some(estimator) => estimator,
         None if knows_the_machine => EstimatorSettings::default(),
@@ -462,6 +444,7 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
         extent: Extent::THESIS,
         bayrn: if knows_the_machine { BayRnSettings::default() } else { BayRnSettings::thesis() },
         estimator,
+        preset: Some(arguments.preset),
         training,
         ..SessionSettings::thesis()
     };

@@ -21,6 +21,7 @@ mod failures;
 mod guard_argument;
 mod identify;
 mod keyboard;
+mod named_values;
 mod number_arguments;
 mod output;
 mod plant_arguments;

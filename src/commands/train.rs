@@ -2,24 +2,25 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
+use clap::builder::TypedValueParser;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::destination::{OutputFile, check_folder};
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
+use super::named_values::{named, presets};
 use super::number_arguments::between;
 use super::output::Output;
 use super::profile;
 use super::stop::Stop;
-use super::words_gone::names_but;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::jobs::{Executor, LocalExecutor, TrainingJob};
-use crate::learning::{Checkpointing, Origin, TrainError, TrainSettings, TrainUpdate};
+use crate::learning::{Checkpointing, Origin, Preset, TrainError, TrainSettings, TrainUpdate};
 use crate::qube::{MAX_HISTORY, Nonideality};
 use crate::simulation::{
-    Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Psi, SensorModel,
+    Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Model, Psi, SensorModel,
     SimulationSettings,
 };
 
@@ -36,7 +37,7 @@ use crate::simulation::{
     qube-hil train --preset thesis --checkpoint half.safetensors    # can go on")]
 pub struct Arguments {
     /// Distribution of the simulations' parameters
-    #[arg(long, value_enum, default_value_t = Model::Nominal)]
+    #[arg(long, default_value = "nominal", value_parser = models())]
     model: Model,
 
     /// Train around an identified Qube instead of a model: `lab`, or a file that `identify` wrote
@@ -61,7 +62,7 @@ pub struct Arguments {
     #[arg(
         long,
         default_value = "robust",
-        value_parser = names_but::<Preset>("machine", "it is no more; robust is in its place")
+        value_parser = presets()
     )]
     preset: Preset,
 
@@ -149,41 +150,23 @@ impl From<InstructionSet> for Level {
     }
 }
 
-/// The models of the thesis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Model {
-    /// Nominal values, always the same
-    Nominal,
-    /// All nine parameters vary by a fifth
-    Handcrafted,
-    /// Masses and lengths vary by a fifth
-    NominalHandcrafted,
-    /// Parameters vary a little; friction, dead zone, cable and delay within the range of measured Qubes
-    Robust,
-    /// Quantities that --psi names follow it, the others are nominal
-    Psi,
-}
+/// The name of a distribution by a psi file on the command line.
+const PSI: &str = "psi";
 
-/// Budget and simulation of the training.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Preset {
-    /// Half a minute, with the machine's encoders and velocity filter
-    Robust,
-    /// A second or two, on true states in the thesis's box
-    Quick,
-    /// Published budget, on true states in the thesis's box: 100 updates of 48,000 transitions
-    Thesis,
+/// The parser of the names of models; a model whose psi a file gives has the name `psi`.
+fn models() -> impl TypedValueParser<Value = Model> {
+    let plain = [Model::Nominal, Model::Handcrafted, Model::NominalHandcrafted, Model::Robust];
+    let by_file = "Quantities that --psi names follow it, the others are nominal";
+    let plain = plain.map(|model| (model.name(), model.description(), model));
+    named(plain.into_iter().chain([(PSI, by_file, Model::OptNominal)]))
 }
 
 /// Trains a policy and saves it.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
-    let distribution = distribution(&arguments)?;
-    let origin = origin(&arguments)?;
-    let preset = match arguments.preset {
-        Preset::Robust => TrainSettings::robust(),
-        Preset::Quick => TrainSettings::quick(),
-        Preset::Thesis => TrainSettings::thesis(),
-    };
+    let psi = arguments.psi.as_deref().map(Psi::load).transpose().map_err(Failure::usage)?;
+    let distribution = distribution(&arguments, psi.as_ref())?;
+    let origin = origin(&arguments, psi);
+    let preset = arguments.preset.settings_or(TrainSettings::default());
     let simulation = simulation(&arguments, preset.simulation)?;
     let voltage_change_weight = arguments
         .voltage_change_weight
@@ -311,32 +294,25 @@ fn delays_s(text: &str) -> Result<(f64, f64), String> {
     }
 }
 
-fn origin(arguments: &Arguments) -> Result<Origin, Failure> {
-    let name = |value: &dyn std::fmt::Debug| format!("{value:?}").to_lowercase();
-    let psi = match &arguments.psi {
-        Some(path) => Some(Psi::load(path).map_err(Failure::usage)?),
-        None => None,
+fn origin(arguments: &Arguments, psi: Option<Psi>) -> Origin {
+    let model = match &arguments.profile {
+        Some(profile) => format!("around {profile}"),
+        None => arguments.model.name().into(),
     };
-    Ok(Origin {
-        model: match (&arguments.profile, arguments.model) {
-            (Some(profile), _) => format!("around {profile}"),
-            (None, Model::NominalHandcrafted) => "nominal-handcrafted".into(),
-            (None, Model::Psi) => "opt-nominal".into(),
-            (None, other) => name(&other),
-        },
-        psi: psi.map(|psi| psi.named_values()),
-        preset: name(&arguments.preset),
-    })
+    Origin { model, psi, preset: arguments.preset.name().into() }
 }
 
-fn distribution(arguments: &Arguments) -> Result<DomainDistribution, Failure> {
+fn distribution(arguments: &Arguments, psi: Option<&Psi>) -> Result<DomainDistribution, Failure> {
     let distribution = match &arguments.profile {
         Some(name) => {
             let model = profile::named(name)?;
             DomainDistribution::around(&model, arguments.spread, Family::Normal)
                 .map_err(|error| Failure::usage(format!("--profile {name}: {error}")))?
         }
-        None => distribution_of_model(arguments)?,
+        None if psi.is_some() && !arguments.model.is_searched() => {
+            return Err(Failure::usage("--psi goes with --model psi only"));
+        }
+        None => arguments.model.distribution(Family::Normal, None, psi).map_err(Failure::usage)?,
     };
     match arguments.delay_ms {
         Some((from_s, to_s)) => distribution
@@ -344,21 +320,4 @@ fn distribution(arguments: &Arguments) -> Result<DomainDistribution, Failure> {
             .map_err(Failure::usage),
         None => Ok(distribution),
     }
-}
-
-fn distribution_of_model(arguments: &Arguments) -> Result<DomainDistribution, Failure> {
-    Ok(match (arguments.model, &arguments.psi) {
-        (Model::Nominal, None) => DomainDistribution::nominal(),
-        (Model::Handcrafted, None) => DomainDistribution::handcrafted(Family::Normal),
-        (Model::NominalHandcrafted, None) => {
-            DomainDistribution::nominal_handcrafted(Family::Normal)
-        }
-        (Model::Robust, None) => DomainDistribution::robust(),
-        (Model::Psi, Some(path)) => {
-            let psi = Psi::load(path).map_err(Failure::usage)?;
-            DomainDistribution::opt_nominal(&psi, Family::Normal)
-        }
-        (Model::Psi, None) => return Err(Failure::usage("--model psi needs --psi FILE")),
-        (_, Some(_)) => return Err(Failure::usage("--psi goes with --model psi only")),
-    })
 }

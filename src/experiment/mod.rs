@@ -33,7 +33,7 @@ pub use comparison::Comparison;
 pub use error::ExperimentError;
 pub use folder::{ExperimentFolder, PolicyFolders};
 pub use plant::Plant;
-pub use recipe::{Recipe, RecipeModel};
+pub use recipe::Recipe;
 pub use results::{PolicyResult, RecipeResult, Results};
 pub use rollouts::RolloutResult;
 pub use settings::ExperimentSettings;

@@ -5,6 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::queue::Queue;
 use super::rollouts::all_of;
+use super::search::RecipePsi;
 use super::statistics::{
     Interval, bounded_mean_interval, mean, standard_deviation, wilson_interval,
 };
@@ -13,7 +14,7 @@ use crate::learning::evaluate_afresh;
 use crate::policy::Policy;
 use crate::qube::MAX_STEPS;
 use crate::scoring::{Behaviour, Quietness, criterion};
-use crate::simulation::{DomainDistribution, SimulationSettings};
+use crate::simulation::{DomainDistribution, Psi, SimulationSettings};
 use crate::storage::{Disk, MachineDisk};
 
 /// Seed of the fresh starts in simulation, the same for every policy.
@@ -160,9 +161,9 @@ impl Results {
         let mut all_simulations = Vec::new();
         for (index, recipe) in settings.recipes.iter().enumerate() {
             let psi = experiment.psi(recipe)?;
-            let simulations = match &psi {
-                Some(psi) => Some((recipe.distribution(psi)?, recipe.simulation(psi)?)),
-                None => None,
+            let simulations = match psi {
+                RecipePsi::NotFound => None,
+                _ => Some((recipe.distribution(psi.value())?, recipe.simulation(psi.value()))),
             };
             let is_trained = |policy: &u32| {
                 MachineDisk
@@ -175,7 +176,7 @@ impl Results {
             recipes.extend(settings.plants.iter().map(|plant| RecipeResult {
                 recipe: recipe.name.clone(),
                 plant: plant.name.clone(),
-                psi: recipe.settings.psi.with_names(psi.as_deref().unwrap_or_default()),
+                psi: psi.value().map(Psi::named_values).unwrap_or_default(),
                 policies: Vec::new(),
             }));
         }

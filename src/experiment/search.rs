@@ -6,9 +6,9 @@ use super::ExperimentError;
 use crate::rig::RigSettings;
 use crate::search::Observation;
 use crate::session::{
-    Extent, Purpose, Session, SessionFolder, SessionPaths, SessionSettings, SessionView, Step,
-    next_step,
+    Purpose, Session, SessionFolder, SessionPaths, SessionSettings, SessionView, Step, next_step,
 };
+use crate::simulation::Psi;
 use crate::storage::{Disk, MachineDisk};
 
 /// Opens or resumes a session in its own folder that searches for a psi.
@@ -31,21 +31,41 @@ pub(super) fn open_search(
     Ok(Session::open(session_folder, settings, rig, Arc::clone(stop))?)
 }
 
-/// The psi that a search recommends; `None` while the search is unfinished.
+/// What is known of a recipe's psi.
+pub(super) enum RecipePsi {
+    /// The recipe's model has none.
+    NotSearched,
+    /// The search has not found it yet.
+    NotFound,
+    /// The result of the search.
+    Found(Psi),
+}
+
+impl RecipePsi {
+    /// The psi, if there is one.
+    pub fn value(&self) -> Option<&Psi> {
+        match self {
+            Self::Found(psi) => Some(psi),
+            Self::NotSearched | Self::NotFound => None,
+        }
+    }
+}
+
+/// The psi that a search with these settings recommends; `None` while the search is unfinished.
 ///
 /// # Errors
 /// The ledger cannot be read or is damaged.
 pub(super) fn found_psi(
     folder: &Path,
-    extent: &Extent,
-) -> Result<Option<Vec<f64>>, ExperimentError> {
+    settings: &SessionSettings,
+) -> Result<Option<Psi>, ExperimentError> {
     let view = SessionView::read(&MachineDisk, SessionPaths::new(folder))?;
-    if next_step(view.state(), extent) != Step::Done {
+    if next_step(view.state(), &settings.extent) != Step::Done {
         return Ok(None);
     }
     let mut candidates = view.state().candidates().iter();
     let recommended = candidates.find(|it| it.purpose == Purpose::Verification);
-    Ok(recommended.map(|candidate| candidate.psi.clone()))
+    Ok(recommended.map(|candidate| settings.psi.psi(&candidate.psi)).transpose()?)
 }
 
 /// The searched candidates in order, each with the returns of its rollouts so far. The candidates that verify

@@ -9,6 +9,7 @@ use crate::learning::{TrainSettings, curve_csv};
 use crate::policy::Policy;
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::session::{EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed};
+use crate::simulation::Psi;
 use crate::storage::{Disk, MachineDisk, write_whole};
 use crate::telemetry::Ending;
 
@@ -19,8 +20,8 @@ pub(super) struct Series<'a> {
     pub experiment: &'a str,
     /// Recipe of the policies.
     pub recipe: &'a Recipe,
-    /// Psi of an optimised recipe; empty for others.
-    pub psi: &'a [f64],
+    /// Psi of a searched model; `None` for others.
+    pub psi: Option<&'a Psi>,
     /// Seed from which, with a policy's number, every random number follows.
     pub seed: u64,
     /// Folders of the policies and their recordings.
@@ -44,7 +45,7 @@ impl Series<'_> {
             return Ok(None);
         }
         make(paths.folder())?;
-        let simulation = self.recipe.simulation(self.psi)?;
+        let simulation = self.recipe.simulation(self.psi);
         let training = self.recipe.settings.training.clone();
         let settings = TrainSettings { threads: 1, simulation, ..training };
         let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy });
@@ -147,7 +148,7 @@ impl Series<'_> {
             candidate: Some(policy),
             rollout,
             attempt: 0,
-            psi: settings.psi.with_names(self.psi),
+            psi: self.psi.map(Psi::named_values).unwrap_or_default(),
             seed: self.seed,
             policy: format!("{} {policy}", self.recipe.name),
             estimator: settings.estimator,

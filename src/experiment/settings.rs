@@ -3,8 +3,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{ExperimentError, Plant, Recipe, RecipeModel, StrategySettings};
+use super::{ExperimentError, Plant, Recipe, StrategySettings};
 use crate::session::{Retired, take_retired};
+use crate::simulation::Model;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// The settings of an experiment, as `experiment.toml` contains them.
@@ -132,12 +133,11 @@ impl ExperimentSettings {
         let [recipe] = self.recipes.as_slice() else {
             return Err("strategies are compared by the psi of one model: give one".into());
         };
-        if !recipe.model.is_optimised() {
-            let optimised = RecipeModel::ALL.into_iter().filter(|model| model.is_optimised());
+        if !recipe.model.is_searched() {
             return Err(format!(
                 "strategies search psi, and the model {} has none: give one of {}",
                 recipe.model.name(),
-                optimised.map(RecipeModel::name).collect::<Vec<_>>().join(", ")
+                Model::searched_names()
             ));
         }
         if self.plants.len() > 1 {
@@ -187,13 +187,13 @@ mod tests {
                 emulated: EmulatedQubeSettings::default(),
                 vary: 0.1,
             }],
-            recipes: RecipeModel::THESIS.map(|model| Recipe::of(model, &base)).into(),
+            recipes: Model::THESIS.map(|model| Recipe::of(model, &base)).into(),
             strategies: None,
         }
     }
 
     fn of_strategies() -> ExperimentSettings {
-        let recipe = Recipe::of(RecipeModel::OptNominal, &SessionSettings::thesis());
+        let recipe = Recipe::of(Model::OptNominal, &SessionSettings::thesis());
         let strategies = StrategySettings {
             methods: Method::all().collect(),
             repetitions: 10,
@@ -236,7 +236,7 @@ mod tests {
         };
         assert_eq!(of_strategies().check(), Ok(()));
         assert!(wrong(|it| it.recipes = settings().recipes).contains("one model"));
-        let nominal = wrong(|it| it.recipes[0].model = RecipeModel::Nominal);
+        let nominal = wrong(|it| it.recipes[0].model = Model::Nominal);
         assert!(
             nominal.contains("nominal has none") && nominal.contains("opt-robust"),
             "{nominal}"

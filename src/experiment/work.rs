@@ -3,7 +3,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::folder::make;
 use super::queue::Queue;
-use super::search::{found_psi, open_search, searched};
+use super::search::{RecipePsi, found_psi, open_search, searched};
 use super::series::Series;
 use super::strategies::Access;
 use super::{
@@ -13,7 +13,7 @@ use super::{
 use crate::jobs::LocalExecutor;
 use crate::rig::{ClockChoice, Rig, RigSettings};
 use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
-use crate::simulation::DomainDistribution;
+use crate::simulation::{DomainDistribution, Psi};
 
 /// An event of a running experiment, from any thread.
 pub enum ExperimentEvent<'a> {
@@ -171,7 +171,7 @@ impl Experiment {
         }
         let mut jobs = Vec::new();
         for (recipe, it) in self.settings.recipes.iter().enumerate() {
-            if it.model.is_optimised() {
+            if it.model.is_searched() {
                 // The search comes first, because everything of its recipe waits for it.
                 jobs.insert(0, WorkItem::Search { recipe });
             } else {
@@ -234,13 +234,13 @@ impl Experiment {
         session.trained_by(Arc::new(LocalExecutor::on_cores(cores))).run(tell).map_err(failed)
     }
 
-    /// The psi of an optimised recipe, empty for others; `None` while it is not found.
-    pub(super) fn psi(&self, recipe: &Recipe) -> Result<Option<Vec<f64>>, ExperimentError> {
-        if recipe.model.is_optimised() {
-            found_psi(&self.folder.search(&recipe.name), &recipe.settings.extent)
-        } else {
-            Ok(Some(Vec::new()))
+    /// What is known of a recipe's psi.
+    pub(super) fn psi(&self, recipe: &Recipe) -> Result<RecipePsi, ExperimentError> {
+        if !recipe.model.is_searched() {
+            return Ok(RecipePsi::NotSearched);
         }
+        let found = found_psi(&self.folder.search(&recipe.name), &recipe.settings)?;
+        Ok(found.map_or(RecipePsi::NotFound, RecipePsi::Found))
     }
 
     /// The distribution of each recipe whose psi is known, by the recipe's name.
@@ -250,8 +250,9 @@ impl Experiment {
     pub fn distributions(&self) -> Result<Vec<(String, DomainDistribution)>, ExperimentError> {
         let mut known = Vec::new();
         for recipe in &self.settings.recipes {
-            if let Some(psi) = self.psi(recipe)? {
-                known.push((recipe.name.clone(), recipe.distribution(&psi)?));
+            let psi = self.psi(recipe)?;
+            if !matches!(psi, RecipePsi::NotFound) {
+                known.push((recipe.name.clone(), recipe.distribution(psi.value())?));
             }
         }
         Ok(known)
@@ -262,7 +263,7 @@ impl Experiment {
     /// # Errors
     /// A search cannot be read.
     pub fn searches(&self) -> Result<SearchReturns, ExperimentError> {
-        let optimised = self.settings.recipes.iter().filter(|recipe| recipe.model.is_optimised());
+        let optimised = self.settings.recipes.iter().filter(|recipe| recipe.model.is_searched());
         optimised
             .map(|recipe| {
                 let candidates = searched(&self.folder.search(&recipe.name), 0)?;
@@ -272,7 +273,7 @@ impl Experiment {
             .collect()
     }
 
-    fn series<'a>(&'a self, recipe: &'a Recipe, psi: &'a [f64]) -> Series<'a> {
+    fn series<'a>(&'a self, recipe: &'a Recipe, psi: Option<&'a Psi>) -> Series<'a> {
         Series {
             experiment: &self.settings.name,
             recipe,
@@ -291,8 +292,8 @@ impl Experiment {
         policy: u32,
         tell: &Tell,
     ) -> Result<(), ExperimentError> {
-        let psi = self.psi(recipe)?.unwrap_or_default();
-        let series = self.series(recipe, &psi);
+        let psi = self.psi(recipe)?;
+        let series = self.series(recipe, psi.value());
         let best_return = series.train(policy)?;
         tell(ExperimentEvent::Trained { recipe: &recipe.name, policy, best_return });
         let plants = if self.is_virtual() { &self.settings.plants[..] } else { &[] };
@@ -309,8 +310,8 @@ impl Experiment {
         let mut rig: Option<Rig> = None;
         let plant = &self.settings.plants[0];
         for recipe in &self.settings.recipes {
-            let psi = self.psi(recipe)?.unwrap_or_default();
-            let series = self.series(recipe, &psi);
+            let psi = self.psi(recipe)?;
+            let series = self.series(recipe, psi.value());
             for policy in 0..self.settings.policies {
                 let rollouts = self.settings.rollouts;
                 let results = series.run_on_device(&mut rig, policy, plant, rollouts)?;

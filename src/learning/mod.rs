@@ -32,6 +32,7 @@ mod kernels;
 mod learner;
 mod network;
 mod optimise;
+mod preset;
 mod random;
 mod settings;
 #[cfg(test)]
@@ -45,6 +46,7 @@ pub use checkpoint::Checkpointing;
 pub use curve::{TrainUpdate, curve_csv};
 pub use error::TrainError;
 pub use evaluation::evaluate_afresh;
+pub use preset::Preset;
 pub use settings::TrainSettings;
 pub use train::{Origin, Trained, train};
 pub use workbench::Workbench;

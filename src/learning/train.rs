@@ -1,4 +1,3 @@
-use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 
 use super::checkpoint::Checkpointing;
@@ -11,7 +10,7 @@ use crate::policy::{
     TrainingRecord,
 };
 use crate::qube::COUNTS_PER_REVOLUTION;
-use crate::simulation::{DomainDistribution, SensorModel};
+use crate::simulation::{DomainDistribution, Psi, SensorModel};
 
 /// The result of a training.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,8 +39,8 @@ pub struct Trained {
 pub struct Origin {
     /// Name of the model: `nominal`, `handcrafted`, `opt-nominal` ...
     pub model: String,
-    /// Values of psi by name, for models that have one.
-    pub psi: Option<BTreeMap<String, f64>>,
+    /// Psi of the simulations, for models that have one.
+    pub psi: Option<Psi>,
     /// Name of the settings' preset: `thesis`, `quick` ...
     pub preset: String,
 }
@@ -70,7 +69,7 @@ impl Trained {
             network: self.network,
             training: TrainingRecord {
                 model: origin.model,
-                psi: origin.psi,
+                psi: origin.psi.map(|psi| psi.named_values()),
                 seed: self.seed,
                 preset: origin.preset,
                 steps: last.map_or(0, |last| last.steps),

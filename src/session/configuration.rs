@@ -8,11 +8,11 @@ use toml::{Table, Value};
 
 use super::qube_file::LARGEST_OFFSET_RAD;
 use super::retired::{earlier_name, rename_entries};
-use super::{ProfileSettings, SessionSettings, take_retired};
-use crate::learning::TrainError;
+use super::{SessionSettings, take_retired};
+use crate::learning::{Preset, TrainError};
 use crate::qube::MAX_STEPS;
 use crate::safety::{Guard, SafetyBox};
-use crate::simulation::{PsiTarget, SensorModel, box_file};
+use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
 use crate::storage::{SETTINGS_BYTES, WriteError, read_text};
 
 /// An error in a configuration.
@@ -112,7 +112,8 @@ impl SessionSettings {
         if !retired.is_empty() {
             text = toml::to_string(&table)?;
         }
-        let settings = Self::default().with_guard(Guard::Box).laid_under(&text, path)?;
+        let oldest = Self { preset: None, ..Self::default() }.with_guard(Guard::Box);
+        let settings = oldest.laid_under(&text, path)?;
         settings.check_resumable().map_err(out_of_range)?;
         Ok(settings)
     }
@@ -158,7 +159,8 @@ impl SessionSettings {
         if let Some(entry) = take_retired(&mut parsed(text, path)?).first() {
             return Err(out_of_range(format!("{entry}: leave it out")));
         }
-        let settings = self.laid_under(text, path)?;
+        let mut settings = self.laid_under(text, path)?;
+        settings.preset = Some(Preset::of(&settings.training));
         settings.check_begun().map_err(out_of_range)?;
         Ok(settings)
     }
@@ -169,8 +171,12 @@ impl SessionSettings {
             source: Box::new(source),
         };
         // Parsed alone first, so that an error names the file's own line.
-        toml::from_str::<Self>(text).map_err(invalid)?;
-        let mut table: Table = Table::try_from(self)?;
+        let alone: Self = toml::from_str(text).map_err(invalid)?;
+        let below = match alone.preset {
+            Some(preset) => self.clone().trained_with(preset),
+            None => self.clone(),
+        };
+        let mut table: Table = Table::try_from(below)?;
         let mut above: Table = toml::from_str(text).map_err(invalid)?;
         rename_entries(&mut above);
         lay_over(&mut table, above);
@@ -362,6 +368,36 @@ mod tests {
     }
 
     #[test]
+    fn a_file_selects_a_preset_and_a_session_keeps_the_one_that_it_began_with() {
+        let preset = |text: &str| {
+            let settings = overridden(text).unwrap();
+            (settings.preset, settings.training.updates)
+        };
+        assert_eq!(preset("seed = 1\n"), (Some(Preset::Thesis), 100));
+        assert_eq!(preset("preset = \"quick\"\n"), (Some(Preset::Quick), 60));
+        let custom = "preset = \"quick\"\n[training]\nupdates = 7\n";
+        assert_eq!(preset(custom), (Some(Preset::Custom), 7));
+
+        // The numbers of a preset may change after a session began; a file of a version that did not record
+        // the preset names none.
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("session.toml");
+        let origin = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            let settings = SessionSettings::load(&path).unwrap();
+            let psi = settings.psi.psi(&settings.psi.lower()).unwrap();
+            settings.origin(&psi).preset
+        };
+        let mut began = SessionSettings::thesis();
+        began.training.updates = 99;
+        let written = began.to_toml().unwrap();
+        assert_eq!(origin(&written), "thesis");
+        assert_eq!(origin(&written.replace("preset = \"thesis\"\n", "")), "custom");
+        let older = SessionSettings::thesis().to_toml().unwrap();
+        assert_eq!(origin(&older.replace("preset = \"thesis\"\n", "")), "thesis");
+    }
+
+    #[test]
     fn what_is_written_reads_back_the_same() {
         for settings in [SessionSettings::quick(), SessionSettings::thesis()] {
             let again = overridden(&settings.to_toml().unwrap()).unwrap();
@@ -380,9 +416,10 @@ mod tests {
         let again = overridden(&settings.to_toml().unwrap()).unwrap();
         assert_eq!(again, settings);
         let point = [0.02, 50.0];
-        let delay = settings.distribution(&point).unwrap().get(Nonideality::CommandDelay);
+        let psi = settings.psi.psi(&point).unwrap();
+        let delay = settings.distribution(&psi).unwrap().get(Nonideality::CommandDelay);
         assert_eq!(delay.mean(), 0.02);
-        let sensors = settings.simulation(&point).unwrap().sensors;
+        let sensors = settings.simulation(&psi).sensors;
         let SensorModel::Encoders { estimator } = sensors else { panic!("{sensors:?}") };
         assert_eq!(estimator.corner_rad_s, 50.0);
         assert!(settings.search().is_ok());
@@ -492,6 +529,8 @@ mod tests {
             ("[safety_box]\ntheta = nan\n", "safety_box.theta"),
             ("[extent]\nrollouts = 0\n", "extent.rollouts"),
             ("model = \"opt-profile\"\n", "[profile]"),
+            ("model = \"nominal\"\n", "nominal has no psi to search"),
+            ("preset = \"fast\"\n", "fast"),
             ("[[psi]]\nname = \"mean_M_x\"\n", "mean_M_x"),
             ("psi = []\n", "no entry"),
             (

@@ -42,6 +42,6 @@ pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use report::{BestPolicy, SessionReport};
 pub use retired::{Retired, take_retired};
 pub use seeds::{SeedFor, derived_seed};
-pub use settings::{EmulatedQubeSettings, Model, ProfileSettings, SessionSettings};
+pub use settings::{EmulatedQubeSettings, SessionSettings};
 pub use state::{Candidate, Finished, SessionState};
 pub use view::{ScoredCandidate, SessionView};

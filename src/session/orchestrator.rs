@@ -294,10 +294,11 @@ impl Session {
                     write_whole(self.folder.disk(), &self.policy_path(number), &policy)?;
                     continue;
                 }
-                let simulation = self.settings.simulation(&candidate.psi)?;
+                let psi = self.settings.psi.psi(&candidate.psi)?;
+                let simulation = self.settings.simulation(&psi);
                 due.push(number);
                 jobs.push(TrainingJob {
-                    distribution: self.settings.distribution(&candidate.psi)?,
+                    distribution: self.settings.distribution(&psi)?,
                     settings: TrainSettings { simulation, ..self.settings.training.clone() },
                     seed: derived_seed(self.settings.seed, SeedFor::Training { candidate: number }),
                 });
@@ -313,8 +314,8 @@ impl Session {
                 let candidate = due[job];
                 let saved = result.map_err(SessionError::from).and_then(|trained| {
                     let best_return = trained.best_return;
-                    let psi = &all[candidate as usize].psi;
-                    save(folder, candidate, *trained, settings.origin(psi))?;
+                    let psi = settings.psi.psi(&all[candidate as usize].psi)?;
+                    save(folder, candidate, *trained, settings.origin(&psi))?;
                     Ok(best_return)
                 });
                 match saved {

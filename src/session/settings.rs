@@ -1,56 +1,19 @@
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::Extent;
 use crate::control::HomingSettings;
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
-use crate::learning::{Origin, TrainSettings};
+use crate::learning::{Origin, Preset, TrainSettings};
 use crate::qube::QubeModel;
 use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
 use crate::simulation::{
-    DomainDistribution, Family, PsiError, PsiSpace, SensorModel, SimulationSettings, box_file,
+    DomainDistribution, Family, Model, ProfileSettings, Psi, PsiError, PsiSpace, SensorModel,
+    SimulationSettings, box_file,
 };
 use crate::surrogate::SearchBox;
-
-/// Base distribution that the search varies: it draws the quantities that psi does not shape, in the
-/// thesis's sessions g, R_m, k_m, D_r and D_p.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Model {
-    /// Nominal values: `opt-nominal` in the thesis's table 5.3.
-    #[default]
-    OptNominal,
-    /// Normal distributions with a fifth of nominal as standard deviation: `opt-handcrafted`.
-    OptHandcrafted,
-    /// Distributions for a Qube that is not identified, with nonidealities.
-    OptRobust,
-    /// Distributions around an identified Qube, with its nonidealities.
-    OptProfile,
-}
-
-impl Model {
-    /// The name in a policy's file.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::OptNominal => "opt-nominal",
-            Self::OptHandcrafted => "opt-handcrafted",
-            Self::OptRobust => "opt-robust",
-            Self::OptProfile => "opt-profile",
-        }
-    }
-}
-
-/// An identified Qube, and the spread of the simulations around it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ProfileSettings {
-    /// Model of the Qube.
-    pub model: QubeModel,
-    /// Standard deviations as a part of each value.
-    pub spread: f64,
-}
 
 /// The settings of the emulated Qube of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -97,7 +60,8 @@ pub struct SessionSettings {
     pub name: String,
     /// Seed from which every random number follows.
     pub seed: u64,
-    /// Base distribution that the search varies.
+    /// Model whose psi the search varies: one of the searched.
+    #[serde(deserialize_with = "searched_model")]
     pub model: Model,
     /// Qube of the model `opt-profile`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -121,6 +85,9 @@ pub struct SessionSettings {
     pub strategy: StrategyKind,
     /// Settings of BayRn.
     pub bayrn: BayRnSettings,
+    /// Preset that the training's settings come from. Files of versions that did not record it name none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub preset: Option<Preset>,
     /// Settings of the training.
     pub training: TrainSettings,
 }
@@ -145,6 +112,7 @@ impl SessionSettings {
             emulated: EmulatedQubeSettings::default(),
             strategy: StrategyKind::BayRn,
             bayrn: BayRnSettings::default(),
+            preset: Some(Preset::Robust),
             training: TrainSettings::robust(),
         }
     }
@@ -155,7 +123,13 @@ impl SessionSettings {
     pub fn thesis() -> Self {
         let training =
             TrainSettings { simulation: SimulationSettings::machine(), ..TrainSettings::thesis() };
-        Self { model: Model::OptNominal, extent: Extent::THESIS, training, ..Self::quick() }
+        Self {
+            model: Model::OptNominal,
+            extent: Extent::THESIS,
+            preset: Some(Preset::Thesis),
+            training,
+            ..Self::quick()
+        }
     }
 
     /// Selects the guard of rollouts.
@@ -188,21 +162,27 @@ impl SessionSettings {
         self.strategy.build(&search_box, &bayrn, self.seed)
     }
 
+    /// Selects a preset's training, in the same simulation.
+    #[must_use]
+    pub fn trained_with(mut self, preset: Preset) -> Self {
+        let simulation = self.training.simulation;
+        self.training = TrainSettings { simulation, ..preset.settings_or(self.training) };
+        self.preset = Some(preset);
+        self
+    }
+
     /// The distribution of simulations for one psi.
     ///
     /// # Errors
-    /// The psi is outside its box.
-    pub fn distribution(&self, psi: &[f64]) -> Result<DomainDistribution, PsiError> {
-        let base = self.base_distribution()?;
-        Ok(base.shaped_by(&self.psi.psi(psi)?, self.family))
+    /// A needed profile is missing, or it cannot be simulated.
+    pub fn distribution(&self, psi: &Psi) -> Result<DomainDistribution, PsiError> {
+        self.model.distribution(self.family, self.profile.as_ref(), Some(psi))
     }
 
     /// The simulation settings besides the distribution for one psi.
-    ///
-    /// # Errors
-    /// The psi is outside its box.
-    pub fn simulation(&self, psi: &[f64]) -> Result<SimulationSettings, PsiError> {
-        Ok(self.training.simulation.shaped_by(&self.psi.psi(psi)?))
+    #[must_use]
+    pub fn simulation(&self, psi: &Psi) -> SimulationSettings {
+        self.training.simulation.shaped_by(psi)
     }
 
     /// The base distribution that the search varies.
@@ -210,40 +190,31 @@ impl SessionSettings {
     /// # Errors
     /// A needed profile is missing, or it cannot be simulated.
     pub fn base_distribution(&self) -> Result<DomainDistribution, PsiError> {
-        match (self.model, &self.profile) {
-            (Model::OptHandcrafted, _) => Ok(DomainDistribution::handcrafted(self.family)),
-            (Model::OptRobust, _) => Ok(DomainDistribution::robust()),
-            (Model::OptProfile, Some(ProfileSettings { model, spread })) => {
-                DomainDistribution::around(model, *spread, self.family).map_err(PsiError::Base)
-            }
-            (Model::OptProfile, None) => Err(PsiError::NoProfile),
-            (Model::OptNominal, _) => Ok(DomainDistribution::nominal()),
-        }
+        self.model.base_distribution(self.family, self.profile.as_ref())
     }
 
-    /// The origin that a policy's file records.
+    /// The origin that the file of a policy trained for this psi records.
     #[must_use]
-    pub fn origin(&self, psi: &[f64]) -> Origin {
-        // The policy's record names the sensors beside the preset.
-        let same_budget = |preset: TrainSettings| {
-            let simulation = self.training.simulation;
-            self.training == TrainSettings { simulation, ..preset }
-        };
-        let preset = if same_budget(TrainSettings::robust()) {
-            "robust"
-        } else if same_budget(TrainSettings::quick()) {
-            "quick"
-        } else if same_budget(TrainSettings::thesis()) {
-            "thesis"
-        } else {
-            "custom"
-        };
-        Origin {
-            model: self.model.name().into(),
-            psi: Some(self.psi.with_names(psi)),
-            preset: preset.into(),
-        }
+    pub fn origin(&self, psi: &Psi) -> Origin {
+        let (model, preset) = (self.model.name().into(), self.preset().name().into());
+        Origin { model, psi: Some(psi.clone()), preset }
     }
+
+    /// The preset that the training's settings come from.
+    #[must_use]
+    pub fn preset(&self) -> Preset {
+        self.preset.unwrap_or_else(|| Preset::of(&self.training))
+    }
+}
+
+/// Reads the name of a searched model.
+fn searched_model<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Model, D::Error> {
+    let model = Model::deserialize(deserializer)?;
+    if model.is_searched() {
+        return Ok(model);
+    }
+    let (name, searched) = (model.name(), Model::searched_names());
+    Err(D::Error::custom(format!("{name} has no psi to search: give one of {searched}")))
 }
 
 impl Default for SessionSettings {

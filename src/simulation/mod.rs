@@ -22,6 +22,7 @@ mod distribution;
 mod domain_distribution;
 mod evaluation;
 mod lane_observer;
+mod model;
 mod pendulums;
 #[cfg(test)]
 mod pendulums_tests;
@@ -37,6 +38,7 @@ mod trajectory;
 pub use distribution::{Distribution, DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
 pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate, evaluate_and_tell};
+pub use model::{Model, ProfileSettings};
 pub use pendulums::{LANES_MULTIPLE, LaneStatus, Pendulums};
 pub use psi::{Psi, PsiError};
 pub use psi_dimension::{PsiDimension, PsiTarget};

@@ -82,6 +82,12 @@ pub enum PsiError {
     /// The model needs a profile, and none is given.
     #[error("the model `opt-profile` is drawn around a Qube: give it in [profile]")]
     NoProfile,
+    /// The model leaves a psi to a search, and none is given.
+    #[error("the model `{model}` needs a psi")]
+    Missing {
+        /// Name of the model.
+        model: &'static str,
+    },
     /// The search space has no dimension.
     #[error("psi has no entry: name at least one, as mean_M_p")]
     NoDimensions,

@@ -94,7 +94,7 @@ impl MethodRun<'_> {
         let series = Series {
             experiment: &settings.name,
             recipe: &recommendation.recipe,
-            psi: &recommendation.psi,
+            psi: recommendation.psi.as_ref(),
             seed: self.seed,
             folders: PolicyFolders::of_recommendation(&self.folder, steps),
             rig: self.experiment.rig(),

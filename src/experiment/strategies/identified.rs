@@ -5,15 +5,14 @@ use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::rollouts::{Repeated, all_of};
 use crate::experiment::series::virtual_rig;
-use crate::experiment::{ExperimentError, Recipe, RecipeModel};
+use crate::experiment::{ExperimentError, Recipe};
 use crate::identification::{Unknown, identify};
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
 use crate::qube::{Profile, QubeModel};
 use crate::replay::{MotionLog, MotionLogError};
 use crate::rig::RigSettings;
-use crate::session::{
-    ProfileSettings, RolloutPlan, SeedFor, SessionSettings, derived_seed, recording_in,
-};
+use crate::session::{RolloutPlan, SeedFor, SessionSettings, derived_seed, recording_in};
+use crate::simulation::{Model, ProfileSettings};
 use crate::storage::{Disk, MachineDisk, write_whole};
 
 /// Voltage of the excitation, V: the default of `run --excite`.
@@ -138,12 +137,12 @@ impl<'a> FromRecordings<'a> {
     fn recommendation(&self, profile: &str) -> Result<Recommendation, String> {
         // A fit may find a value that no Qube has.
         let profile = Profile::parse(profile).map_err(|error| error.to_string())?;
-        let recipe = Recipe::of(RecipeModel::Profile, &self.run.recipe.settings);
+        let recipe = Recipe::of(Model::Profile, &self.run.recipe.settings);
         let around = ProfileSettings { model: profile.model(), spread: self.settings.spread };
         let settings = SessionSettings { profile: Some(around), ..recipe.settings };
         // A profile that cannot be simulated is not a recommendation either.
         settings.base_distribution().map_err(|error| error.to_string())?;
-        Ok(Recommendation { recipe: Recipe { settings, ..recipe }, psi: Vec::new() })
+        Ok(Recommendation { recipe: Recipe { settings, ..recipe }, psi: None })
     }
 }
 

@@ -4,6 +4,7 @@ use super::Method;
 use super::score::Score;
 use crate::experiment::work::Tell;
 use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
+use crate::simulation::Psi;
 
 /// One repetition of a method, as far as it has come.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,8 +56,8 @@ pub(super) fn name(method: Method, number: u32) -> String {
 pub(super) struct Recommendation {
     /// Recipe of the policies.
     pub recipe: Recipe,
-    /// Psi of the recipe; empty without one.
-    pub psi: Vec<f64>,
+    /// Psi of the recipe, if its model is searched.
+    pub psi: Option<Psi>,
 }
 
 /// What a method has after some candidates or recordings.

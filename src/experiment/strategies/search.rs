@@ -84,8 +84,8 @@ impl Recommendations for FromSearch<'_> {
             self.read_evaluated()?;
         }
         let Some(data) = self.evaluated.get(..steps) else { return Ok(Recommended::NotOnDisk) };
-        let psi = self.strategy.best(data)?.point;
+        let psi = self.settings.psi.psi(&self.strategy.best(data)?.point)?;
         let recipe = self.run.recipe.clone();
-        Ok(Recommended::Found(Box::new(Recommendation { recipe, psi })))
+        Ok(Recommended::Found(Box::new(Recommendation { recipe, psi: Some(psi) })))
     }
 }

@@ -1,0 +1,31 @@
+//! Parsers of values that the library names.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+
+use crate::learning::Preset;
+
+/// A parser of names, each with a description for the help and its value.
+pub fn named<T: Clone + Send + Sync + 'static>(
+    values: impl Iterator<Item = (&'static str, &'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    let values: Vec<_> = values.collect();
+    let names = values.iter().map(|(name, help, _)| PossibleValue::new(*name).help(*help));
+    PossibleValuesParser::new(names.collect::<Vec<_>>()).try_map(move |given| {
+        let value = values.iter().find(|(name, ..)| *name == given);
+        value.map(|(.., value)| value.clone()).ok_or("there is no such name")
+    })
+}
+
+/// A parser of the presets of trainings.
+pub fn presets() -> impl TypedValueParser<Value = Preset> {
+    const RETIRED: &str = "machine";
+    let named = Preset::NAMED.into_iter();
+    let offered = named.map(|it| PossibleValue::new(it.name()).help(it.description()));
+    let retired = PossibleValue::new(RETIRED).hide(true);
+    PossibleValuesParser::new(offered.chain([retired])).try_map(|given| {
+        if given == RETIRED {
+            return Err("it is no more; robust is in its place");
+        }
+        Preset::NAMED.into_iter().find(|it| it.name() == given).ok_or("there is no such preset")
+    })
+}

@@ -1,0 +1,208 @@
+use serde::{Deserialize, Serialize};
+
+use super::{DomainDistribution, Family, Psi, PsiError};
+use crate::qube::QubeModel;
+
+/// A named distribution over simulations: the thesis's five (section 5.2) and those with the nonidealities
+/// of real Qubes. A searched model leaves masses and lengths, or whatever psi names, to a search.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Model {
+    /// The nominal values, always the same.
+    Nominal,
+    /// All nine parameters, with a fifth of nominal as standard deviation.
+    Handcrafted,
+    /// Masses and lengths as in `handcrafted`, the other five parameters nominal.
+    NominalHandcrafted,
+    /// A psi that a session searches; quantities that it does not shape are as in `handcrafted`.
+    OptHandcrafted,
+    /// A psi that a session searches; quantities that it does not shape are nominal.
+    OptNominal,
+    /// Parameters and nonidealities of a Qube that is not identified.
+    Robust,
+    /// Parameters and nonidealities around an identified Qube.
+    Profile,
+    /// A psi that a session searches; quantities that it does not shape are as in `robust`.
+    OptRobust,
+    /// A psi that a session searches; quantities that it does not shape are as in `profile`.
+    OptProfile,
+}
+
+/// An identified Qube, and the spread of the simulations around it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProfileSettings {
+    /// Model of the Qube.
+    pub model: QubeModel,
+    /// Standard deviations as a part of each value.
+    pub spread: f64,
+}
+
+impl Model {
+    /// Every model: the thesis's in the order of its table 5.3, then those with nonidealities.
+    pub const ALL: [Self; 9] = [
+        Self::Nominal,
+        Self::Handcrafted,
+        Self::NominalHandcrafted,
+        Self::OptHandcrafted,
+        Self::OptNominal,
+        Self::Robust,
+        Self::Profile,
+        Self::OptRobust,
+        Self::OptProfile,
+    ];
+
+    /// The thesis's five models.
+    pub const THESIS: [Self; 5] = [
+        Self::Nominal,
+        Self::Handcrafted,
+        Self::NominalHandcrafted,
+        Self::OptHandcrafted,
+        Self::OptNominal,
+    ];
+
+    /// The name in files and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Nominal => "nominal",
+            Self::Handcrafted => "handcrafted",
+            Self::NominalHandcrafted => "nominal-handcrafted",
+            Self::OptHandcrafted => "opt-handcrafted",
+            Self::OptNominal => "opt-nominal",
+            Self::Robust => "robust",
+            Self::Profile => "profile",
+            Self::OptRobust => "opt-robust",
+            Self::OptProfile => "opt-profile",
+        }
+    }
+
+    /// A description for people.
+    #[must_use]
+    pub fn description(self) -> &'static str {
+        match self {
+            Self::Nominal => "The name plate's values, always the same",
+            Self::Handcrafted => "All nine parameters vary by a fifth",
+            Self::NominalHandcrafted => "Masses and lengths vary by a fifth",
+            Self::OptHandcrafted => {
+                "Masses and lengths by a psi that is searched, the others vary by a fifth"
+            }
+            Self::OptNominal => "Masses and lengths by a psi that is searched",
+            Self::Robust => "Parameters and nonidealities as for a Qube that nobody has identified",
+            Self::Profile => "Parameters and nonidealities around an identified Qube",
+            Self::OptRobust => "Masses and lengths by a psi that is searched, the rest as robust",
+            Self::OptProfile => "Masses and lengths by a psi that is searched, the rest as profile",
+        }
+    }
+
+    /// Whether the model leaves a psi to a search.
+    #[must_use]
+    pub fn is_searched(self) -> bool {
+        self.searched() == self
+    }
+
+    /// The names of the models that leave a psi to a search, separated by commas.
+    #[must_use]
+    pub fn searched_names() -> String {
+        let searched = Self::ALL.into_iter().filter(|model| model.is_searched());
+        searched.map(Self::name).collect::<Vec<_>>().join(", ")
+    }
+
+    /// The model with the same distribution for the quantities that a psi does not shape, which are those
+    /// besides masses and lengths in the thesis's space.
+    #[must_use]
+    pub fn searched(self) -> Self {
+        match self {
+            Self::Nominal | Self::NominalHandcrafted | Self::OptNominal => Self::OptNominal,
+            Self::Handcrafted | Self::OptHandcrafted => Self::OptHandcrafted,
+            Self::Robust | Self::OptRobust => Self::OptRobust,
+            Self::Profile | Self::OptProfile => Self::OptProfile,
+        }
+    }
+
+    /// Whether the model is drawn around an identified Qube.
+    #[must_use]
+    pub fn needs_profile(self) -> bool {
+        self.searched() == Self::OptProfile
+    }
+
+    /// Whether simulations have the nonidealities of real Qubes.
+    #[must_use]
+    pub fn has_nonidealities(self) -> bool {
+        matches!(self.searched(), Self::OptRobust | Self::OptProfile)
+    }
+
+    /// The distribution before a psi shapes it.
+    ///
+    /// # Errors
+    /// The model needs a profile that is missing or cannot be simulated.
+    pub fn base_distribution(
+        self,
+        family: Family,
+        profile: Option<&ProfileSettings>,
+    ) -> Result<DomainDistribution, PsiError> {
+        Ok(match self {
+            Self::Nominal | Self::OptNominal => DomainDistribution::nominal(),
+            Self::Handcrafted | Self::OptHandcrafted => DomainDistribution::handcrafted(family),
+            Self::NominalHandcrafted => DomainDistribution::nominal_handcrafted(family),
+            Self::Robust | Self::OptRobust => DomainDistribution::robust(),
+            Self::Profile | Self::OptProfile => {
+                let ProfileSettings { model, spread } = profile.ok_or(PsiError::NoProfile)?;
+                DomainDistribution::around(model, *spread, family).map_err(PsiError::Base)?
+            }
+        })
+    }
+
+    /// The distribution of simulations. A searched model needs a psi; for the others, which have none, it
+    /// is left out.
+    ///
+    /// # Errors
+    /// The psi is missing; the model needs a profile that is missing or cannot be simulated.
+    pub fn distribution(
+        self,
+        family: Family,
+        profile: Option<&ProfileSettings>,
+        psi: Option<&Psi>,
+    ) -> Result<DomainDistribution, PsiError> {
+        let base = self.base_distribution(family, profile)?;
+        match (self.is_searched(), psi) {
+            (false, _) => Ok(base),
+            (true, Some(psi)) => Ok(base.shaped_by(psi, family)),
+            (true, None) => Err(PsiError::Missing { model: self.name() }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::PsiSpace;
+
+    #[test]
+    fn files_write_the_name_of_a_model() {
+        for model in Model::ALL {
+            assert_eq!(toml::Value::try_from(model).unwrap().as_str(), Some(model.name()));
+        }
+    }
+
+    #[test]
+    fn searched_models_need_a_psi_and_those_around_a_qube_need_one() {
+        let space = PsiSpace::thesis();
+        let psi = space.psi(&space.lower()).unwrap();
+        let profile = ProfileSettings { model: QubeModel::NOMINAL, spread: 0.1 };
+        for model in Model::ALL {
+            let distribution = |psi| model.distribution(Family::Normal, Some(&profile), psi);
+            let base = model.base_distribution(Family::Normal, Some(&profile)).unwrap();
+            if model.is_searched() {
+                assert!(matches!(distribution(None), Err(PsiError::Missing { .. })));
+                assert_eq!(distribution(Some(&psi)).unwrap(), base.shaped_by(&psi, Family::Normal));
+            } else {
+                assert_eq!(distribution(None).unwrap(), base);
+            }
+            let alone = model.base_distribution(Family::Normal, None);
+            assert_eq!(matches!(alone, Err(PsiError::NoProfile)), model.needs_profile());
+        }
+        let names = "opt-handcrafted, opt-nominal, opt-robust, opt-profile";
+        assert_eq!(Model::searched_names(), names);
+    }
+}
