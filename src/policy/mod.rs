@@ -14,6 +14,52 @@
 //! let upright = State { alpha: std::f64::consts::PI, ..State::default() };
 //! assert_eq!(Controller::voltage_v(&mut controller, &upright), 0.0);
 //! ```
+//!
+//! A controller of any other type runs in the same tick and loop; here one on the emulated Qube, in virtual
+//! time:
+//!
+//! ```
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use qube_hil::clock::VirtualClock;
+//! use qube_hil::control::{Tick, drive};
+//! use qube_hil::device::emulator::EmulatorSettings;
+//! use qube_hil::device::{Device, SerialLink};
+//! use qube_hil::estimation::{Calibration, EstimatorSettings};
+//! use qube_hil::policy::Controller;
+//! use qube_hil::qube::State;
+//! use qube_hil::safety::SafetyBox;
+//! use qube_hil::telemetry::{Ending, TickRules, TickSettings};
+//!
+//! /// Pulls the arm to the middle like a spring.
+//! struct Spring {
+//!     volts_per_rad: f64,
+//! }
+//!
+//! impl Controller for Spring {
+//!     fn voltage_v(&mut self, state: &State) -> f64 {
+//!         -self.volts_per_rad * state.theta
+//!     }
+//! }
+//!
+//! let settings = TickSettings {
+//!     calibration: Calibration::IDENTITY,
+//!     estimator: EstimatorSettings::default(),
+//!     safety_box: SafetyBox::THESIS,
+//!     max_steps: 100,
+//!     start_theta_rad: 0.0,
+//!     stops: None,
+//!     foresight: None,
+//!     rules: TickRules::NEWEST,
+//! };
+//! let mut tick = Tick::new(&settings, Spring { volts_per_rad: 2.0 });
+//! let clock = VirtualClock::default();
+//! let mut device = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
+//! device.hello()?;
+//! let report = drive(&mut device, &clock, &mut tick, None, &AtomicBool::new(false))?;
+//! assert_eq!(report.outcome.ending, Ending::Completed);
+//! # Ok::<(), qube_hil::device::DeviceError>(())
+//! ```
 
 mod classical;
 mod excitation;
@@ -59,8 +105,8 @@ pub struct NetworkPolicy {
     pub training: TrainingRecord,
 }
 
-/// Decides the voltage at each step of a rollout. [`Policy`] implements it; tests use implementations of
-/// their own.
+/// Decides the voltage at each step of a rollout. [`Policy`] implements it for the kinds that a file may hold;
+/// any other type may, and then runs in the same tick, loop and replay ([`crate::policy`] has an example).
 pub trait Controller: Send {
     /// Starts a rollout and resets state that an earlier one left.
     fn start(&mut self) {}
@@ -72,6 +118,20 @@ pub trait Controller: Send {
     /// The voltage for a state, V. Implementations do not allocate; the voltage gate of `safety` limits the
     /// result.
     fn voltage_v(&mut self, state: &State) -> f64;
+}
+
+impl<C: Controller + ?Sized> Controller for Box<C> {
+    fn start(&mut self) {
+        (**self).start();
+    }
+
+    fn applied(&mut self, voltage_v: f64) {
+        (**self).applied(voltage_v);
+    }
+
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        (**self).voltage_v(state)
+    }
 }
 
 impl Controller for ClassicalController {

@@ -1,5 +1,5 @@
 use crate::control::{Motion, Tick, TickInput};
-use crate::policy::Policy;
+use crate::policy::Controller;
 use crate::recording::Recording;
 use crate::safety::{Foreseen, Guard};
 use crate::scoring::return_of;
@@ -49,13 +49,14 @@ impl Rerun {
 }
 
 /// Feeds the recorded measurements and times to the tick that ran on the machine and compares its
-/// decisions. `policy` is the one attached to the recording.
+/// decisions. `policy` is the controller that drove the rollout, as a rule the
+/// [`Policy`](crate::policy::Policy) attached to the recording.
 ///
 /// Comparison ends where ticks are missing (the recorder had no room, or a block is damaged), because the
 /// filters' memory is lost with them. It also ends where a rollout under [`Guard::Envelope`] brakes,
 /// because that guard and its brake no longer exist.
 #[must_use]
-pub fn rerun(recording: &Recording, policy: Policy) -> Rerun {
+pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     let mut tick = Tick::new(&recording.header.settings, policy);
     let outcome_ending = recording.outcome.as_ref().map(|outcome| outcome.ending);
     let ended_by = |fault| outcome_ending == Some(Ending::Fault(fault));
@@ -142,7 +143,7 @@ mod tests {
     use crate::estimation::{EstimatorSettings, ObserverSettings};
     use crate::policy::{
         ClassicalController, ClassicalGains, Controller, LayerWeights, Network, NetworkPolicy,
-        SimulatedGuard, SimulatedSensors, TrainingRecord,
+        Policy, SimulatedGuard, SimulatedSensors, TrainingRecord,
     };
     use crate::qube::{
         CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, Nonidealities, QubeModel,
