@@ -47,6 +47,11 @@ mod tests {
         let written = serde_json::to_string(&job()).unwrap();
         let read: TrainingJob = serde_json::from_str(&written).unwrap();
         assert_eq!(read, job());
+        // Without a limit on the gradient's norm.
+        let mut unlimited = job();
+        unlimited.settings.largest_gradient_norm = f32::INFINITY;
+        let read = serde_json::from_str(&serde_json::to_string(&unlimited).unwrap());
+        assert_eq!(read.ok(), Some(unlimited));
         let negative = written.replacen("\"value\":9.81", "\"value\":-9.81", 1);
         assert_ne!(negative, written);
         let refused = serde_json::from_str::<TrainingJob>(&negative).unwrap_err();

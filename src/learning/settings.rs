@@ -1,7 +1,7 @@
 use std::fmt::Display;
 use std::ops::RangeBounds;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::TrainError;
 use crate::qube::MAX_HISTORY;
@@ -36,6 +36,7 @@ pub struct TrainSettings {
     /// Weight of a penalty on the divergence from the policy that collected the batch.
     pub kl_weight: f32,
     /// Largest Euclidean norm of a network's gradient; a longer gradient is scaled down to it.
+    #[serde(deserialize_with = "null_is_infinite")]
     pub largest_gradient_norm: f32,
     /// Adam's decay of the first moment.
     pub adam_beta_1: f32,
@@ -179,6 +180,11 @@ impl TrainSettings {
         let done = update as f32 / self.updates.max(1) as f32;
         self.learning_rate + done * (self.last_learning_rate - self.learning_rate)
     }
+}
+
+/// Reads a number; `null`, which JSON writes for an infinite one, is infinite.
+fn null_is_infinite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f32::INFINITY))
 }
 
 impl Default for TrainSettings {
