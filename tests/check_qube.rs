@@ -128,7 +128,7 @@ fn the_signs_that_are_found_make_a_flipped_qube_swing_up() {
         assert!(found.passed(), "{fault}: {:#?}", found.results);
         let file = QubeFile { signs: found.signs.into(), ..QubeFile::default() };
         assert_ne!(file, QubeFile::default(), "{fault}");
-        file.save(&path).unwrap();
+        file.save(&path, "this test").unwrap();
 
         let homing = QubeFile::load(&path).unwrap().homing(EstimatorSettings::default());
         let settings = RigSettings { homing, ..settings(Some(fault)) };

@@ -15,7 +15,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use import_paths::{Import, imports, is_ident};
+use import_paths::{Import, imports, is_ident, literals};
 use proc_macro2::{TokenStream, TokenTree};
 
 /// A room, the rooms that it may import, and those that only its tests may import in addition.
@@ -210,6 +210,37 @@ fn the_wire_needs_no_standard_library() {
         breaches.extend(check_protocol(&file, &fs::read_to_string(&file).unwrap()));
     }
     assert!(breaches.is_empty(), "{}", list(&breaches));
+}
+
+#[test]
+fn the_library_names_no_word_of_the_command_line() {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut breaches = Vec::new();
+    for file in source_files(&source) {
+        let module = module_of(file.strip_prefix(&source).unwrap());
+        if module.first().is_none_or(|room| room == "commands") {
+            continue;
+        }
+        for (line, text) in literals(&module, &fs::read_to_string(&file).unwrap()) {
+            if let Some(word) = command_line_word(&text) {
+                let what = format!("`{word}` is a word of the command line: src/commands adds it");
+                breaches.push(Breach { file: file.clone(), line, what });
+            }
+        }
+    }
+    assert!(breaches.is_empty(), "{}", list(&breaches));
+}
+
+/// An option or a call of the program in a text.
+fn command_line_word(text: &str) -> Option<&str> {
+    let is_letter = |letter: Option<char>| letter.is_some_and(|it| it.is_ascii_lowercase());
+    let option = text.match_indices("--").find(|(at, dashes)| {
+        !text[..*at].ends_with('-') && is_letter(text[at + dashes.len()..].chars().next())
+    });
+    let call = text
+        .match_indices("qube-hil ")
+        .find(|(at, name)| is_letter(text[at + name.len()..].chars().next()));
+    option.or(call).map(|(at, _)| text[at..].split(['"', '\\', '.', ',']).next().unwrap_or(text))
 }
 
 fn list(breaches: &[Breach]) -> String {
@@ -484,5 +515,24 @@ mod the_checker {
     fn says_where() {
         let found = check_file(Path::new("control/tick.rs"), "\n\nuse crate::learning::Trainer;\n");
         assert_eq!(found[0].to_string(), "control/tick.rs:3: `control` may not import `learning`");
+    }
+}
+
+#[test]
+fn words_of_the_command_line_are_found_outside_tests_alone() {
+    let found = |source: &str| {
+        let texts = literals(&["rig".into()], source).into_iter();
+        texts.filter(|(_, text)| command_line_word(text).is_some()).map(|(line, _)| line).collect()
+    };
+    let none: [usize; 0] = [];
+    let lines: Vec<usize> = found("fn a() {}\nfn b() { panic!(\"try --force\") }");
+    assert_eq!(lines, [2]);
+    assert_eq!(found("#[error(\"see qube-hil doctor\")]\nstruct A;") as Vec<usize>, [1]);
+    for clean in [
+        "/// Like `--force`.\nfn a() {}",
+        "fn a() { f(\"a---b -- c\", \"qube-hil: stopped\", \"qube-hil 0.1\") }",
+        "#[cfg(test)]\nmod tests { fn a() { f(\"--force\") } }",
+    ] {
+        assert_eq!(found(clean) as Vec<usize>, none, "{clean}");
     }
 }

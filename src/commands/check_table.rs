@@ -1,5 +1,6 @@
 //! Results of checks, as a table for people and as JSON for scripts.
 
+use super::command_hints::cure;
 use serde_json::{Value, json};
 
 use crate::telemetry::{CheckResult, CheckVerdict};
@@ -34,7 +35,7 @@ impl From<&CheckResult> for Row {
             name: result.name.clone(),
             word,
             value: result.value.clone(),
-            remedy: result.cure.clone().map(|cure| ("cure:", cure)),
+            remedy: cure(result).map(|cure| ("cure:", cure)),
         }
     }
 }
@@ -93,7 +94,7 @@ pub fn checks_json(results: &[CheckResult]) -> Value {
                 "name": result.name,
                 "pass": pass(result.verdict),
                 "value": result.value,
-                "cure": result.cure,
+                "cure": cure(result),
             })
         })
         .collect();

@@ -3,6 +3,7 @@ use std::sync::Arc;
 
 use clap::ValueEnum;
 
+use super::command_hints::{before_driving, too_wide};
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::printable::tell;
@@ -15,7 +16,7 @@ use crate::estimation::EstimatorSettings;
 use crate::qube::{MotorRating, Profile};
 use crate::rig::{ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, Recovery, RigSettings};
 use crate::safety::{GuardConsent, HardwareLimits, SafetyBox};
-use crate::session::{QUBE_FILE, QubeFile, power_warning};
+use crate::session::{QUBE_FILE, QubeFile};
 
 /// Name of the embedded emulator in `--device`.
 const EMULATED: &str = "emulated";
@@ -180,13 +181,13 @@ impl ChosenDevice {
         }
         HardwareLimits::of(*safety_box, consent)
             .map(|limits| limits.with_motor(self.motor()))
-            .map_err(|error| Failure::usage(format!("{origin}: {error}")))
+            .map_err(|error| Failure::usage(format!("{origin}: {}", too_wide(&error))))
     }
 
     /// The warning before a real Qube is driven whose motor is not known to go off without its board.
-    pub fn power_warning(&self) -> Option<&'static str> {
+    pub fn power_warning(&self) -> Option<String> {
         let power = self.file.as_ref().and_then(|file| file.power.as_ref());
-        power_warning(power).filter(|_| self.choice.is_hardware())
+        before_driving(power).filter(|_| self.choice.is_hardware())
     }
 
     /// Thermal rating of the motor: nominal unless a file gives a lower one.

@@ -4,6 +4,7 @@ use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
+use super::command_hints::after_fault;
 use super::printable::{tell, with_short_numbers};
 use crate::telemetry::Fault;
 
@@ -43,9 +44,13 @@ impl Failure {
         Self { code, message: message.to_string(), fault: None }
     }
 
-    /// Adds the fault that caused the failure.
+    /// Adds the fault that caused the failure, and the command that helps after it.
     pub fn of(self, fault: Option<Fault>) -> Self {
-        Self { fault, ..self }
+        let failure = Self { fault, ..self };
+        match fault.and_then(after_fault) {
+            Some(hint) => failure.followed_by(hint),
+            None => failure,
+        }
     }
 
     /// Adds a sentence before the message.

@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use serde_json::{Value, json};
 
+use super::command_hints::unidentified;
 use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, ChosenDevice, QubeArguments};
 use super::estimator_arguments::EstimatorArguments;
@@ -209,7 +210,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             arguments.check,
         )
     };
-    if let Some(warning) = rig.identification_warning(first.safety_box.guard)
+    if let Some(warning) = unidentified(&rig, first.safety_box.guard)
         && !arguments.table
     {
         eprintln!("warning: {warning}");

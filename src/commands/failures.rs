@@ -5,6 +5,7 @@ use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use super::command_hints::{self, too_wide};
 use super::exit::Failure;
 use super::printable::one_line;
 use super::stop::Stop;
@@ -26,24 +27,29 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         | RigError::Travel { .. }
         | RigError::Refused(_)
         | RigError::NotBegun { .. }
-        | RigError::InDoubt(_)
         | RigError::AnotherBoard { .. }
         | RigError::Ended { .. } => Failure::fault(error),
+        RigError::InDoubt(_) => {
+            Failure::fault(format!("{error}. Then start again with --acknowledge"))
+        }
         // A failing link is a fault, not bad usage.
         RigError::Device(_) if fault.is_some() => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
-        RigError::Emulator(_) | RigError::Thread(_) | RigError::TooSlow(_) => {
-            Failure::failed(error)
-        }
+        RigError::Emulator(_) | RigError::Thread(_) => Failure::failed(error),
+        RigError::TooSlow(_) => Failure::failed(format!("{error}; see qube-hil doctor")),
         RigError::Unfit { .. } => Failure::failed(format!(
             "{error}\nSee the whole table with qube-hil check; --skip-check goes on all the same"
         )),
         RigError::VirtualPort { .. } => {
             Failure::usage(format!("{error}: leave --clock virtual or the port out"))
         }
-        RigError::OtherBoard { .. } | RigError::TooWide(_) | RigError::Device(_) => {
-            Failure::usage(error)
+        RigError::OtherBoard { .. } => {
+            Failure::usage(format!("{error}, which qube-hil check --write writes"))
         }
+        RigError::TooWide(reason) => {
+            Failure::usage(format!("nothing was run: {}", too_wide(&reason)))
+        }
+        RigError::Device(_) => Failure::usage(error),
         RigError::Policy(_) => Failure::usage(one_line(&error.to_string())),
     };
     failure.of(fault)
@@ -77,7 +83,7 @@ pub fn recording(error: &RecordingError) -> Failure {
         RecordingError::DiskFull { .. } | RecordingError::Write { .. } => Failure::failed(error),
         RecordingError::Create { source, .. } if !is_bad_place(source) => Failure::failed(error),
         RecordingError::Create { .. } => Failure::usage(error),
-        _ => Failure::data_lost(one_line(&error.to_string())),
+        _ => Failure::data_lost(one_line(&command_hints::recording(error))),
     }
 }
 

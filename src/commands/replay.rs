@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::json;
 
+use super::command_hints;
 use super::exit::Failure;
 use super::output::{Output, path_as_text};
 use super::printable::one_line;
@@ -319,7 +320,7 @@ fn overall(errors: &[Rmse]) -> Option<Rmse> {
 }
 
 fn recording_problem(error: &RecordingError) -> Problem {
-    let (bad_input, error) = (is_bad_input(error), error.to_string());
+    let (bad_input, error) = (is_bad_input(error), command_hints::recording(error));
     if bad_input { Problem::usage(one_line(&error)) } else { Problem::failed(one_line(&error)) }
 }
 

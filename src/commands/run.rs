@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
+use super::command_hints::{self, unidentified};
 use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
@@ -179,7 +180,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
     }
-    if let Some(warning) = settings.identification_warning(safety_box.guard) {
+    if let Some(warning) = unidentified(&settings, safety_box.guard) {
         eprintln!("warning: {warning}");
     }
     if settings.checks() {
@@ -461,7 +462,7 @@ impl Results {
         let heat = heat_line(self.largest_motor_load);
         let timing = timing_lines(&self.latencies);
         let drift = match &self.drift {
-            Some(Ok(drift)) => format!("{drift}\n"),
+            Some(Ok(drift)) => format!("{}\n", command_hints::drift(drift)),
             Some(Err(unfit)) => {
                 format!("these rollouts say nothing of how the rig is today: {unfit}\n")
             }

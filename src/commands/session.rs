@@ -4,6 +4,7 @@ use std::time::Instant;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
+use super::command_hints::unidentified;
 use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
@@ -147,7 +148,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
     }
-    if let Some(warning) = rig_settings.identification_warning(settings.safety_box.guard) {
+    if let Some(warning) = unidentified(&rig_settings, settings.safety_box.guard) {
         eprintln!("warning: {warning}");
     }
     if rig_settings.checks() {

@@ -3,6 +3,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::command_hints;
 use super::printable::printable;
 use super::warn_without_realtime;
 use crate::scoring::Verdict;
@@ -105,7 +106,7 @@ impl SessionProgress {
                 }
                 self.connected = true;
             }
-            SessionEvent::Drift(Ok(drift)) => self.line(drift.to_string()),
+            SessionEvent::Drift(Ok(drift)) => self.line(command_hints::drift(drift)),
             SessionEvent::Drift(Err(unfit)) => self
                 .line(format!("the first rollouts say nothing of how the rig is today: {unfit}")),
             SessionEvent::Rollout { candidate, rollout, attempt, verdict } => {

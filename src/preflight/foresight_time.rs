@@ -35,7 +35,7 @@ pub fn foresight_time_us() -> f64 {
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error(
     "the guard's longest prediction takes {longest_us:.0} us on this processor, and {TOO_SLOW_US:.0} us is the most \
-     for a real Qube: use a processor with AVX2 or AVX-512, and see qube-hil doctor"
+     for a real Qube: use a processor with AVX2 or AVX-512"
 )]
 pub struct TooSlow {
     /// Result of [`foresight_time_us`], us.

@@ -95,7 +95,7 @@ pub enum Unreadable {
     CutOffAtStart,
     /// The recording was finished and then changed.
     #[error(
-        "this recording was changed or damaged at byte {offset}: {what}. `qube-hil recover` saves the intact part"
+        "this recording was changed or damaged at byte {offset}: {what}. Its intact part can be saved"
     )]
     Damaged {
         /// Offset at which the damaged record starts.

@@ -29,11 +29,7 @@ impl fmt::Display for Doubt {
             Some(fault) => write!(formatter, ": {fault}. {}", fault.operator_step())?,
             None => write!(formatter, ", and its record cannot be read. Look at the Qube.")?,
         }
-        write!(
-            formatter,
-            " Nothing moves before that: then start again with --acknowledge, and the Qube is examined \
-             first"
-        )
+        write!(formatter, " Nothing moves before somebody has, and then the Qube is examined first")
     }
 }
 

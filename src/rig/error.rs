@@ -109,8 +109,7 @@ pub enum RigError {
     /// The settings are for another board.
     #[error(
         "{port} is board {found}, but the settings in qube.toml are for board {expected}: wrong signs \
-         would drive the arm into its stops. Use that board's port, or write a file for this one \
-         with qube-hil check --write"
+         would drive the arm into its stops. Use that board's port, or a file of this one"
     )]
     OtherBoard {
         /// Name of the port.

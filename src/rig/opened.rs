@@ -423,8 +423,7 @@ impl Rig {
         if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
             tracing::warn!(
                 "the Qube does not move as its profile says: from now on it is guarded as an unknown one. Is \
-                 the pendulum another one, or the supply weak? Make a new profile with run --excite and \
-                 identify"
+                 the pendulum another one, or the supply weak? Record excitations and make a new profile"
             );
             self.identified.set(None);
         }

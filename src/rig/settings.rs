@@ -160,7 +160,7 @@ impl RigSettings {
     pub fn identification_warning(&self, guard: Guard) -> Option<&'static str> {
         (guard == Guard::Foresight && self.identified().is_none()).then_some(
             "this Qube is not identified: its guard allows for any Qube within 30 % and ends most swing-ups \
-             early. Make its profile (run --excite chirp, then identify), and name profile and board in qube.toml",
+             early. Identify it, and name profile and board in qube.toml",
         )
     }
 

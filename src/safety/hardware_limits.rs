@@ -43,8 +43,7 @@ pub enum TooWide {
     /// The box has no guard, and nobody has consented to that.
     #[error(
         "guard = \"box\" lets a policy drive the arm of a real Qube into its hard stop: leave the \
-         guard on (guard = \"foresight\"), or give --guard box and --accept-hard-stop both on this \
-         command line"
+         guard on (guard = \"foresight\")"
     )]
     GuardOff,
     /// The guard is that of recordings made before foresight.

@@ -129,8 +129,7 @@ impl fmt::Display for Drift {
         if self.has_moved() {
             write!(
                 f,
-                "\nthe rig has moved away from its profile: check cable and homing, or make a new \
-                 profile with run --excite and identify"
+                "\nthe rig has moved away from its profile: check cable and homing, or make a new profile"
             )?;
         }
         Ok(())

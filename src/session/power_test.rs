@@ -56,7 +56,7 @@ pub fn power_warning(power: Option<&PowerTest>) -> Option<&'static str> {
         ),
         Some(UsbLost::Unknown) | None => Some(
             "nobody knows what this Qube's motor does when the board loses power: keep a hand at the \
-             Qube's own switch, and find out once with qube-hil check --power-test",
+             Qube's own switch, and find out once",
         ),
     }
 }
@@ -74,6 +74,6 @@ mod tests {
         assert_eq!(known(UsbLost::MotorOff), None);
         assert!(known(UsbLost::KeepsItsWord).unwrap().contains("keeps its last voltage"));
         assert_eq!(known(UsbLost::Unknown), power_warning(None));
-        assert!(power_warning(None).unwrap().contains("--power-test"));
+        assert!(power_warning(None).unwrap().contains("find out once"));
     }
 }

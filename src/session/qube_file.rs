@@ -140,13 +140,13 @@ impl QubeFile {
         })
     }
 
-    /// Writes the file atomically.
+    /// Writes the file atomically; its first line names the writer.
     ///
     /// # Errors
     /// The disk is full or failing, or the folder is not writable.
-    pub fn save(&self, path: &Path) -> Result<(), ConfigurationError> {
+    pub fn save(&self, path: &Path, writer: &str) -> Result<(), ConfigurationError> {
         let text = format!(
-            "# Written by qube-hil check --write. Signs were found by pushing the arm; change the\n\
+            "# Written by {writer}. Signs were found by pushing the arm; change the\n\
              # rest as you like. Limits may be narrower than these, not wider.\n\n{}",
             toml::to_string_pretty(self)?
         );
@@ -302,7 +302,7 @@ mod tests {
             motor: MotorRating { continuous_a: 0.5, ..MotorRating::NOMINAL },
         };
         for file in [file, QubeFile::default()] {
-            file.save(&path).unwrap();
+            file.save(&path, "this test").unwrap();
             assert_eq!(QubeFile::load(&path).unwrap(), file);
         }
     }

@@ -31,8 +31,8 @@ impl Consequence {
                  repeated"
             }
             Self::Examine => {
-                "ends, and moves nothing before the operator's `--acknowledge` (or key) and an \
-                 examination"
+                "ends, and moves nothing before the operator has acknowledged the fault and the Qube \
+                 has passed an examination"
             }
             Self::End => "ends",
         }
@@ -81,7 +81,7 @@ macro_rules! faults {
 faults! {
     NoSample: TryAgain,
         "no valid sample for more than 35 ms",
-        "Close what keeps this computer busy (qube-hil doctor); try another cable or USB port.";
+        "Close what keeps this computer busy; try another cable or USB port.";
     LinkGone: Reconnect,
         "the port is gone (unplugged?)",
         "Switch the Qube off: its motor may still have its last voltage. Plug the cable in, then switch the Qube on.";
@@ -90,7 +90,7 @@ faults! {
         "Switch the Qube off: its motor may still have had its last voltage. Look at the board's supply and its USB cable.";
     WatchdogTripped: TryAgain,
         "the device's watchdog switched the motor off",
-        "Close what keeps this computer busy (qube-hil doctor).";
+        "Close what keeps this computer busy.";
     NotArmed: TryAgain,
         "the device was disarmed in the middle of a motion",
         "Look whether another program talks to the board.";
@@ -99,13 +99,13 @@ faults! {
         "See that nobody is near the arm, then close the switch. If nobody was at it, look at its wires.";
     DeviceClock: TryAgain,
         "the device's clock does not go with the computer's, or the same sample came twice",
-        "Close what keeps this computer busy (qube-hil doctor). If it stays: flash the firmware of this release, then qube-hil check --conformance.";
+        "Close what keeps this computer busy. If it stays: flash the firmware of this release, then check that the board keeps the protocol.";
     CountsMoved: TryAgain,
         "a count of arm or pendulum moved while nothing was driven (a hand, or an encoder's cable)",
         "Keep hands off while a run lasts. If nobody was at it: look at the cables of both encoders.";
     TooLate: TryAgain,
         "five ticks in a row were more than 10 ms late",
-        "Close what keeps this computer busy (qube-hil doctor).";
+        "Close what keeps this computer busy.";
     Amplifier: Examine,
         "the amplifier reports a fault",
         "Switch the Qube off, let it cool down, look at its supply and at the motor.";
@@ -150,13 +150,13 @@ faults! {
         "Look at both encoders' cables; see whether the pendulum sits firmly on its shaft, and keep hands off.";
     WrongSignTheta: Examine,
         "the count of the arm runs against the arm: the sign of its encoder is wrong",
-        "Turn theta_inverted in qube.toml over, or let qube-hil check --write find the signs.";
+        "Turn theta_inverted in qube.toml over, or let the check find the signs.";
     WrongSignAlpha: Examine,
         "the count of the pendulum runs against the pendulum: the sign of its encoder is wrong",
-        "Turn alpha_inverted in qube.toml over, or let qube-hil check --write find the signs.";
+        "Turn alpha_inverted in qube.toml over, or let the check find the signs.";
     WrongSignMotor: Examine,
         "the arm moves against the voltage: the sign of the motor is wrong",
-        "Turn voltage_inverted in qube.toml over, or let qube-hil check --write find the signs.";
+        "Turn voltage_inverted in qube.toml over, or let the check find the signs.";
     ArmPushed: Examine,
         "something other than the motor moved the arm (a hand, a cable?)",
         "Keep hands and cables off arm and pendulum.";

@@ -22,6 +22,45 @@ pub fn imports(module: &[String], source: &str) -> Vec<Import> {
     walk.imports
 }
 
+/// The literals of a source file outside its tests and its documentation, each with its line.
+pub fn literals(module: &[String], source: &str) -> Vec<(usize, String)> {
+    let tests = ["tests", "samples"];
+    let is_of_tests = |part: &String| tests.contains(&part.as_str()) || part.ends_with("_tests");
+    if module.iter().any(is_of_tests) {
+        return Vec::new();
+    }
+    let tokens = TokenStream::from_str(source).unwrap_or_else(|error| panic!("{error}: {source}"));
+    let mut found = Vec::new();
+    push_literals(tokens.into_iter().collect(), &mut found);
+    found
+}
+
+fn push_literals(tokens: Vec<TokenTree>, found: &mut Vec<(usize, String)>) {
+    let mut rest = tokens.as_slice();
+    while let [first, after @ ..] = rest {
+        rest = after;
+        match (first, after) {
+            (hash, [TokenTree::Group(attribute), item @ ..])
+                if is_punct(hash, '#') && is_cfg_test(&attribute.stream()) =>
+            {
+                rest = &item[item_length(item)..];
+            }
+            (TokenTree::Ident(name), [equals, TokenTree::Literal(_), after @ ..])
+                if name == "doc" && is_punct(equals, '=') =>
+            {
+                rest = after;
+            }
+            (TokenTree::Group(group), _) => {
+                push_literals(group.stream().into_iter().collect(), found);
+            }
+            (TokenTree::Literal(literal), _) => {
+                found.push((literal.span().start().line, literal.to_string()));
+            }
+            _ => {}
+        }
+    }
+}
+
 struct Walk {
     imports: Vec<Import>,
     in_tests: bool,

@@ -22,6 +22,9 @@ use crate::rig::{Rig, RigSettings};
 use crate::session::{QUBE_FILE, QubeFile};
 use crate::telemetry::CheckVerdict;
 
+/// The writer that a file of a Qube names.
+const WRITER: &str = "qube-hil check --write";
+
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
 ///
 /// The arm is pushed a little (0.1 s, with 0.25 V, and more only while nothing moves) and then homed.
@@ -104,7 +107,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             signs: examination.signs.into(),
             ..base
         };
-        match file.save(path) {
+        match file.save(path, WRITER) {
             Ok(()) => {
                 text += &format!("written: {0}; use it with --qube {0}\n", path.display());
                 written = Some(path);

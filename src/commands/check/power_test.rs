@@ -100,7 +100,7 @@ pub fn run(
     let date = jiff::Zoned::now().date().to_string();
     let power = PowerTest { usb_lost, date, board };
     let file = QubeFile { power: Some(power.clone()), ..file };
-    file.save(path).map_err(Failure::failed)?;
+    file.save(path, super::WRITER).map_err(Failure::failed)?;
     let text = format!("{}\nwritten: {}\n", power.sentence(), path.display());
     let value = json!({ "power": power, "rehearsed_v": push_v, "written": path.to_string_lossy() });
     Ok(Tested { text, value })

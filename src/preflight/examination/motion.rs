@@ -275,7 +275,7 @@ fn sign_verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<Chec
         CheckResult::fail(
             name,
             format!("{of} = {is} is wrong: {follows} of it"),
-            format!("qube-hil check --write, or by hand in qube.toml: {of} = {should}"),
+            format!("in qube.toml: {of} = {should}"),
         )
     };
     vec![

@@ -28,7 +28,7 @@ const ATTEMPTS: u32 = 20;
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
 const LATEST_US: u64 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u64 * 1000;
 
-const CURE: &str = "do not run anything with it: flash the firmware of this release, then qube-hil check --conformance";
+const CURE: &str = "do not run anything with it: flash the firmware of this release, then check that the board keeps the protocol";
 
 /// Age of a sample when it is requested, at most.
 const SAMPLE_AGE_US: u64 = 5_000;

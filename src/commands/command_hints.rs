@@ -1,0 +1,79 @@
+//! The commands and options of the program that help after an error of the library, which knows none.
+
+use crate::recording::{RecordingError, Unreadable};
+use crate::rig::RigSettings;
+use crate::safety::{Guard, TooWide};
+use crate::session::{Drift, PowerTest, UsbLost, power_warning};
+use crate::telemetry::{CheckResult, Fault};
+
+/// The command that helps after a fault.
+pub fn after_fault(fault: Fault) -> Option<&'static str> {
+    match fault {
+        Fault::NoSample | Fault::WatchdogTripped | Fault::TooLate => {
+            Some("qube-hil doctor names what keeps a computer busy")
+        }
+        Fault::DeviceClock => Some(
+            "qube-hil doctor names what keeps a computer busy, and qube-hil check --conformance tries the board",
+        ),
+        Fault::WrongSignTheta | Fault::WrongSignAlpha | Fault::WrongSignMotor => {
+            Some("qube-hil check --write finds the signs")
+        }
+        _ => None,
+    }
+}
+
+/// The cure of a failed check, with the command that carries it out.
+pub fn cure(result: &CheckResult) -> Option<String> {
+    let cure = result.cure.clone()?;
+    Some(match result.name.as_str() {
+        "arm-sign" | "pendulum-sign" | "motor-sign" => {
+            format!("qube-hil check --write, or by hand {cure}")
+        }
+        "watchdog" if cure.contains("firmware") => {
+            format!("{cure} with qube-hil check --conformance")
+        }
+        "latency" if cure.contains("busy") => {
+            format!("{cure}. qube-hil doctor names what keeps a computer busy")
+        }
+        _ => cure,
+    })
+}
+
+/// The error of a recording, with the command that saves the intact part of a damaged one.
+pub fn recording(error: &RecordingError) -> String {
+    let is_damaged =
+        matches!(error, RecordingError::Unreadable { why: Unreadable::Damaged { .. }, .. });
+    let by = if is_damaged { " with qube-hil recover" } else { "" };
+    format!("{error}{by}")
+}
+
+/// The reason why a box is refused, with the options that allow it.
+pub fn too_wide(error: &TooWide) -> String {
+    match error {
+        TooWide::GuardOff => {
+            format!("{error}, or give --guard box and --accept-hard-stop both on this command line")
+        }
+        TooWide::Limit { .. } | TooWide::EnvelopeGone => error.to_string(),
+    }
+}
+
+/// The warning before a Qube that is not identified is driven, with the commands that make its profile.
+pub fn unidentified(rig: &RigSettings, guard: Guard) -> Option<String> {
+    let warning = rig.identification_warning(guard)?;
+    Some(format!("{warning}: qube-hil run --excite chirp, then qube-hil identify"))
+}
+
+/// The drift of a rig from its profile, with the commands that make a new one where it has moved.
+pub fn drift(drift: &Drift) -> String {
+    let made_by = if drift.has_moved() { " with run --excite and identify" } else { "" };
+    format!("{drift}{made_by}")
+}
+
+/// The warning before a real Qube is driven, with the command that answers its question.
+pub fn before_driving(power: Option<&PowerTest>) -> Option<String> {
+    let warning = power_warning(power)?;
+    Some(match power.map(|power| power.usb_lost) {
+        Some(UsbLost::MotorOff | UsbLost::KeepsItsWord) => warning.into(),
+        Some(UsbLost::Unknown) | None => format!("{warning} with qube-hil check --power-test"),
+    })
+}
