@@ -326,7 +326,7 @@ fn recording_problem(error: &RecordingError) -> Problem {
 
 /// The failure for an error of a recording.
 pub fn recording_failure(error: &RecordingError) -> Failure {
-    let (bad_input, error) = (is_bad_input(error), error.to_string());
+    let (bad_input, error) = (is_bad_input(error), command_hints::recording(error));
     if bad_input { Failure::usage(one_line(&error)) } else { Failure::failed(one_line(&error)) }
 }
 
