@@ -1,4 +1,4 @@
-/* What the program needs of a board: another board is another file that implements this. */
+/* The interface between program and board: another board is another file that implements it. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -10,8 +10,8 @@
 /* One of `enum device_kind`. */
 extern const uint8_t BOARD_KIND;
 
-/* To be called before anything else: tells the Qube to switch its motor off. Whatever drove it before
- * this start, a hung program or a board that lost its supply, may have left a voltage there. */
+/* To be called before anything else: tells the Qube to switch its motor off. A program that hung
+ * before this start, or a board that lost its supply, may have left a voltage there. */
 void board_switch_qube_off(void);
 
 /* This board's own serial number, most significant byte first: random once, kept over power-off. May

@@ -6,8 +6,8 @@
  *
  *   simulator ELF atmega328p|atmega2560 MEMORY_SEED
  *
- * MEMORY_SEED decides what the memory comes up with at power-on.
- * Says the pty's path on its first line of output. Then, in binary, one `struct event` when chip
+ * MEMORY_SEED determines the content of the memory at power-on.
+ * Prints the pty's path on its first line of output. Then, in binary, one `struct event` when chip
  * select falls, which must be answered on standard input by one `struct answer` before time goes
  * on, and one when it rises. Ends when standard input does. */
 #define _GNU_SOURCE
@@ -155,7 +155,7 @@ static void tell(enum event_kind kind)
     frame.given_up_us = given_up_us;
     frame.lost_bytes = lost_bytes;
     if (write(STDOUT_FILENO, &frame, sizeof frame) != (ssize_t)sizeof frame) {
-        exit(0); /* whoever started this is gone */
+        exit(0); /* the process that started this one is gone */
     }
 }
 
@@ -421,7 +421,7 @@ static void obey(void)
         return;
     }
     if ((order == RESTART || order == BROWN_OUT) && selected) {
-        return; /* what a Qube makes of half a frame is not known */
+        return; /* nobody knows how a Qube reads half a frame */
     }
     pending_order = GO_ON;
     switch (order) {
