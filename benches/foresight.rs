@@ -110,7 +110,7 @@ fn foresight(criterion: &mut Criterion) {
     {
         let levels = [Level::Avx512, Level::Avx2].into_iter();
         for level in levels.filter(|level| level.is_available()) {
-            let fresh = settings.foresight(None).at_level(level);
+            let fresh = settings.foresight(None, &qube_hil::qube::PlantModel::QUBE).at_level(level);
             let (mut all_us, mut ending) = (Vec::new(), 0);
             for ticks in &rollouts {
                 let (rollout_us, ends) = times_us(&fresh, ticks);

@@ -31,6 +31,7 @@ fn virtual_rollout(criterion: &mut Criterion) {
         stops: None,
         foresight: None,
         rules: qube_hil::telemetry::TickRules::Witnessed,
+        plant: qube_hil::qube::PlantModel::QUBE,
     };
     let network = Policy::load(std::path::Path::new("policies/nominal.safetensors"));
     let classical = Policy::Classical(ClassicalController::new(ClassicalGains::default()));

@@ -7,8 +7,8 @@ use std::collections::VecDeque;
 
 use qube_hil::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use qube_hil::qube::{
-    CONTROL_PERIOD_S, DomainParameter as P, HARD_STOP_RAD, NonidealDynamics, Nonideality, Quantity,
-    QubeModel, State, quantised, runge_kutta_4,
+    CONTROL_PERIOD_S, DomainParameter as P, HARD_STOP_RAD, NonidealDynamics, Nonideality,
+    PlantModel, Quantity, QubeModel, State, quantised, runge_kutta_4,
 };
 use qube_hil::safety::{Belief, Brake, ForesightSettings};
 use rand::RngExt;
@@ -116,12 +116,14 @@ fn main() {
     // Where a trial sees the arm at its stop, no guard lets it go that far.
     let cases: Vec<Case> = (0..qubes)
         .map(Case::drawn)
-        .filter(|case| !matches!(case.braked(Brake::centring(), foreseen), Braked::HitStop))
+        .filter(|case| {
+            !matches!(case.braked(Brake::centring(&PlantModel::QUBE), foreseen), Braked::HitStop)
+        })
         .collect();
     println!("{} of {qubes} Qubes: the arm stays off its stops for 0.75 s", cases.len());
     for (name, brake) in [
-        ("loses gain where it rings", Brake::centring()),
-        ("keeps its gain", Brake::centring().by_earlier_rules()),
+        ("loses gain where it rings", Brake::centring(&PlantModel::QUBE)),
+        ("keeps its gain", Brake::centring(&PlantModel::QUBE).by_earlier_rules()),
     ] {
         let (mut rest_periods, mut moving, mut hits) = (Vec::new(), 0, 0);
         for case in &cases {

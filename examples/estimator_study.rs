@@ -279,6 +279,7 @@ impl Tally {
             stops: None,
             foresight: None,
             rules: qube_hil::telemetry::TickRules::NEWEST,
+            plant: qube_hil::qube::PlantModel::QUBE,
         };
         let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let mut tick = Tick::new(&settings, policy.clone());

@@ -78,8 +78,12 @@ fn an_arm_that_lies_at_a_stop_is_judged_right() {
             clock.advance(10_000_000);
         }
         link.disarm().unwrap();
-        let settings =
-            ExaminationSettings { signs: Calibration::IDENTITY, learn_signs: false, identity };
+        let settings = ExaminationSettings {
+            signs: Calibration::IDENTITY,
+            learn_signs: false,
+            identity,
+            plant: qube_hil::qube::PlantModel::QUBE,
+        };
         // It takes its time until the pendulum hangs still again.
         clock.advance(30_000_000_000);
         let found = examine(&mut link, &clock, &stop(), &settings).unwrap().unwrap();

@@ -27,7 +27,12 @@ fn examined(
     let clock = VirtualClock::default();
     let mut link = SerialLink::in_process(settings, clock.clone());
     let identity = link.hello().unwrap();
-    let examination = ExaminationSettings { signs, learn_signs, identity };
+    let examination = ExaminationSettings {
+        signs,
+        learn_signs,
+        identity,
+        plant: qube_hil::qube::PlantModel::QUBE,
+    };
     let stop = AtomicBool::new(false);
     let found = examine(&mut link, &clock, &stop, &examination).unwrap().unwrap();
     let touch_rad_s = link.transport().board().plant().hardest_touch_rad_s();

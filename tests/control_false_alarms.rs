@@ -49,6 +49,7 @@ fn rollout(seed: u64, controller: impl Controller) -> Ending {
         stops: None,
         foresight: None,
         rules: qube_hil::telemetry::TickRules::NEWEST,
+        plant: qube_hil::qube::PlantModel::QUBE,
     };
     let mut tick = Tick::new(&settings, controller);
     drive(&mut device, &clock, &mut tick, None, &stop).expect("it arms").outcome.ending

@@ -52,6 +52,7 @@ impl Rig {
             stops: None,
             foresight: None,
             rules: qube_hil::telemetry::TickRules::NEWEST,
+            plant: qube_hil::qube::PlantModel::QUBE,
         };
         let mut tick = Tick::new(&settings, controller);
         let stop = AtomicBool::new(false);

@@ -136,6 +136,7 @@ fn rollout_seen_by(estimator: EstimatorSettings, policy: Policy, max_steps: u32)
         stops: None,
         foresight: None,
         rules: qube_hil::telemetry::TickRules::NEWEST,
+        plant: qube_hil::qube::PlantModel::QUBE,
     };
     Tick::new(&settings, policy)
 }
@@ -194,7 +195,8 @@ fn a_rollout_in_virtual_time_allocates_nothing() {
 
 #[test]
 fn the_trial_of_the_brake_allocates_nothing() {
-    let mut foresight = ForesightSettings::default().foresight(None);
+    let mut foresight =
+        ForesightSettings::default().foresight(None, &qube_hil::qube::PlantModel::QUBE);
     let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
     let outward = State { theta: 1.9, theta_dot: 20.0, ..at_rest };
     IN_THE_LOOP.set(true);

@@ -167,6 +167,7 @@ fn a_device_that_repeats_one_sample_is_a_fault_in_the_next_tick() {
         stops: None,
         foresight: None,
         rules: qube_hil::telemetry::TickRules::NEWEST,
+        plant: qube_hil::qube::PlantModel::QUBE,
     };
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     let ending = drives(&mut device, &mut Tick::new(&settings, policy));

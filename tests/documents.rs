@@ -193,7 +193,7 @@ fn every_block_of_commands_runs_or_says_why_not() {
     let mut run = 0;
     for page in pages() {
         let folder = tempfile::tempdir().unwrap();
-        for shipped in ["policies", "profiles"] {
+        for shipped in ["plants", "policies", "profiles"] {
             symlink(root().join(shipped), folder.path().join(shipped)).unwrap();
         }
         for Block { line, info, text } in parts(&page).0 {

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use qube_hil::control::{ArmInput, SensorWatch};
 use qube_hil::estimation::Calibration;
 use qube_hil::identification::{Phase, Unknown, horizon_error, identify, phase_error};
-use qube_hil::qube::{CONTROL_PERIOD_S, Measurement, QubeModel, RAD_PER_COUNT};
+use qube_hil::qube::{CONTROL_PERIOD_S, Measurement, PlantModel, QubeModel, RAD_PER_COUNT};
 use qube_hil::replay::{AngleError, MotionLog, simulate_beside};
 use qube_hil::safety::MotorHeat;
 
@@ -142,7 +142,7 @@ fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
             continue;
         }
         let log = MotionLog::read(&path).unwrap();
-        let mut watch = SensorWatch::witnessed(Calibration::IDENTITY);
+        let mut watch = SensorWatch::witnessed(&PlantModel::QUBE, Calibration::IDENTITY);
         let mut next_s = 0.0;
         for sample in &log.samples {
             if sample.time_s + 1e-9 < next_s {

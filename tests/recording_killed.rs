@@ -49,6 +49,7 @@ fn header() -> RolloutHeader {
             stops: None,
             foresight: None,
             rules: qube_hil::telemetry::TickRules::NEWEST,
+            plant: qube_hil::qube::PlantModel::QUBE,
         },
         reward: RewardWeights::THESIS,
     }

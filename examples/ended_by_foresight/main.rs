@@ -120,8 +120,8 @@ fn kinds(lab: QubeModel) -> Vec<(&'static str, Kind)> {
 /// How many of these rollouts foresight ends for a Qube that is not known within this share.
 fn ended_unknown(good: &[Vec<Tick>], within: f64) -> usize {
     let belief = Belief::of_any_qube(within);
-    let mut foresight =
-        ForesightSettings { belief, ..ForesightSettings::default() }.foresight(None);
+    let mut foresight = ForesightSettings { belief, ..ForesightSettings::default() }
+        .foresight(None, &qube_hil::qube::PlantModel::QUBE);
     let mut is_ended = |ticks: &&Vec<Tick>| {
         ticks.iter().any(|tick| {
             let state = tick.state.cast();
@@ -137,7 +137,7 @@ fn ended_identified(good: &[Vec<Tick>], profile: &Profile) -> [usize; 2] {
     let settings = ForesightSettings { identified, ..ForesightSettings::default() };
     let mut ended = [0; 2];
     for ticks in good {
-        let mut foresight = settings.foresight(None);
+        let mut foresight = settings.foresight(None, &qube_hil::qube::PlantModel::QUBE);
         foresight.begin_policy();
         let end = (0_u64..).zip(ticks).find_map(|(index, tick)| {
             let time_us = (index + 1) * 10_000;

@@ -77,7 +77,7 @@ fn record(model: &QubeModel, beyond: Beyond, number: u32) -> MotionLog {
         plant.advance(voltage_v);
         MotionSample { time_s: f64::from(tick) * CONTROL_PERIOD_S, state, voltage_v }
     });
-    MotionLog { samples: samples.collect() }
+    MotionLog { samples: samples.collect(), plant: qube_hil::qube::PlantModel::QUBE }
 }
 
 fn identified(model: &QubeModel, beyond: Beyond) -> Result<Identified, IdentifyError> {

@@ -92,7 +92,7 @@ mod tests {
                 voltage_v: 1.0,
             })
             .collect();
-        let log = MotionLog { samples };
+        let log = MotionLog { samples, plant: crate::qube::PlantModel::QUBE };
         let open_loop = simulate_beside(&log, &QubeModel::NOMINAL).unwrap();
         let svg = motion_svg("a < b & c", &log, &open_loop).unwrap();
         assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));

@@ -53,6 +53,9 @@ pub fn too_wide(error: &TooWide) -> String {
         TooWide::GuardOff => {
             format!("{error}, or give --guard box and --accept-hard-stop both on this command line")
         }
+        TooWide::Plant { .. } => {
+            format!("{error}: if they are right, give --accept-plant on this command line")
+        }
         TooWide::Limit { .. } | TooWide::EnvelopeGone => error.to_string(),
     }
 }

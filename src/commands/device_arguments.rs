@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use super::command_hints::{before_driving, too_wide};
 use super::exit::Failure;
 use super::number_arguments::between;
+use super::plant_file::PlantArgument;
 use super::printable::tell;
 use super::profile;
 use crate::clock::MonotonicClock;
@@ -13,9 +14,9 @@ use crate::control::{HomingMethod, HomingSettings};
 use crate::device::Tty;
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
-use crate::qube::{MotorRating, Profile};
+use crate::qube::{MotorRating, PlantModel, Profile};
 use crate::rig::{ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, Recovery, RigSettings};
-use crate::safety::{GuardConsent, HardwareLimits, SafetyBox};
+use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
 use crate::session::{QUBE_FILE, QubeFile};
 
 /// Name of the embedded emulator in `--device`.
@@ -31,6 +32,14 @@ pub struct DeviceArguments {
     /// Clock: `virtual` runs the emulated Qube as fast as the processor can
     #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
     clock: ClockArgument,
+
+    #[command(flatten)]
+    plant: PlantArgument,
+
+    /// With a PORT and a --plant that differs from a Qube by more than smaller limits: accept that guard and homing
+    /// of real hardware rely on what the file says
+    #[arg(long)]
+    accept_plant: bool,
 }
 
 /// The arguments that select a Qube.
@@ -82,6 +91,11 @@ pub struct ChosenDevice {
     pub choice: DeviceChoice,
     /// Clock of the Qube.
     pub clock: ClockChoice,
+    /// Plant that is driven.
+    pub plant: PlantModel,
+    /// Whether a file describes that plant.
+    pub plant_is_given: bool,
+    plant_consent: Option<PlantConsent>,
     /// Properties of the Qube, if a file describes it.
     pub file: Option<QubeFile>,
     /// Path of that file.
@@ -100,7 +114,14 @@ impl DeviceArguments {
             ClockArgument::Wall => ClockChoice::Wall,
             ClockArgument::Virtual => ClockChoice::Virtual,
         };
-        Ok(ChosenDevice { clock, ..self.qube.choose()? })
+        let given = self.plant.given()?;
+        let plant = given.unwrap_or_default();
+        let chosen = self.qube.choose_plant(&plant)?;
+        let plant_consent = PlantConsent::given(self.accept_plant);
+        let plant_is_given = given.is_some();
+        let chosen = ChosenDevice { clock, plant_is_given, plant_consent, ..chosen };
+        chosen.check_plant(&plant)?;
+        Ok(chosen)
     }
 }
 
@@ -111,6 +132,10 @@ impl QubeArguments {
     /// The file in the working directory counts only with a port: without `--device` and `--qube` nothing
     /// but the emulated Qube moves, whatever files are there.
     pub fn choose(&self) -> Result<ChosenDevice, Failure> {
+        self.choose_plant(&PlantModel::QUBE)
+    }
+
+    fn choose_plant(&self, plant: &PlantModel) -> Result<ChosenDevice, Failure> {
         let path = match (&self.qube, self.device.as_deref()) {
             (Some(path), _) => Some(path.as_path()),
             (None, None | Some(EMULATED)) => None,
@@ -134,10 +159,13 @@ impl QubeArguments {
         };
         let named = file.as_ref().and_then(|file| file.profile.as_deref());
         let folder = path.and_then(Path::parent).unwrap_or(Path::new(""));
-        let profile = named.map(|named| profile::load(&folder.join(named))).transpose()?;
+        let profile = named.map(|named| profile::load(&folder.join(named), plant)).transpose()?;
         Ok(ChosenDevice {
             choice,
             clock,
+            plant: *plant,
+            plant_is_given: false,
+            plant_consent: None,
             profile,
             unidentified: self.unidentified,
             path: path.map(Path::to_owned),
@@ -155,6 +183,15 @@ impl ChosenDevice {
     pub fn homing(&self, default: HomingSettings) -> HomingSettings {
         let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
         HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
+    }
+
+    /// Checks that this device may be driven as this plant.
+    pub fn check_plant(&self, plant: &PlantModel) -> Result<(), Failure> {
+        if !self.choice.is_hardware() {
+            return Ok(());
+        }
+        let limits = HardwareLimits::default().with_plant_consent(self.plant_consent);
+        limits.admit_plant(plant).map_err(|error| Failure::usage(format!("--plant: {error}")))
     }
 
     /// Checks that a port can be opened, before a command trains or writes anything.
@@ -177,10 +214,12 @@ impl ChosenDevice {
         consent: Option<GuardConsent>,
     ) -> Result<HardwareLimits, Failure> {
         if !self.choice.is_hardware() {
-            return Ok(HardwareLimits::default().with_motor(self.motor()));
+            return Ok(HardwareLimits::default()
+                .with_motor(self.motor())
+                .with_plant_consent(self.plant_consent));
         }
         HardwareLimits::of(*safety_box, consent)
-            .map(|limits| limits.with_motor(self.motor()))
+            .map(|limits| limits.with_motor(self.motor()).with_plant_consent(self.plant_consent))
             .map_err(|error| Failure::usage(format!("{origin}: {}", too_wide(&error))))
     }
 
@@ -190,9 +229,10 @@ impl ChosenDevice {
         before_driving(power).filter(|_| self.choice.is_hardware())
     }
 
-    /// Thermal rating of the motor: nominal unless a file gives a lower one.
+    /// Thermal rating of the motor: the plant's unless a file gives a lower one.
     fn motor(&self) -> MotorRating {
-        self.file.as_ref().map_or(MotorRating::NOMINAL, |file| file.motor)
+        let of_plant = self.plant.motor_rating();
+        self.file.as_ref().map_or(of_plant, |file| file.motor.lower(&of_plant))
     }
 
     /// The settings with which a rig is opened.
@@ -205,14 +245,17 @@ impl ChosenDevice {
         RigSettings {
             device: self.choice.clone(),
             clock: self.clock,
-            emulator,
+            emulator: emulator.of_plant(&self.plant),
+            plant: self.plant,
             homing: self.homing(HomingSettings { estimator, ..HomingSettings::default() }),
             skip_check: check.skip_check,
             board: self.file.as_ref().and_then(|file| file.board.clone()),
             profile: self.profile.clone(),
             unidentified: self.unidentified,
             recovery: check.recovery(&self.choice),
-            limits: HardwareLimits::default().with_motor(self.motor()),
+            limits: HardwareLimits::default()
+                .with_motor(self.motor())
+                .with_plant_consent(self.plant_consent),
         }
     }
 }

@@ -6,6 +6,7 @@ use serde_json::json;
 use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::output::Output;
+use super::plant_file::PlantArgument;
 use super::stop::Stop;
 use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, UsbBridge, Wiring};
 
@@ -27,6 +28,9 @@ pub struct Arguments {
     /// Seed of the arm's start angle and the counters' start values
     #[arg(long, default_value_t = 0)]
     seed: u64,
+
+    #[command(flatten)]
+    plant: PlantArgument,
 
     #[command(flatten)]
     emulated: EmulatedArguments,
@@ -66,7 +70,8 @@ enum Wire {
 /// Serves the Qube until a signal arrives or the pty is gone.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
-    let emulated = arguments.emulated.settings()?.unwrap_or_default();
+    let plant = arguments.plant.plant()?;
+    let emulated = arguments.emulated.of_plant(&plant)?;
     let is_inverted = |wire| arguments.inverted.contains(&wire);
     let wiring = Wiring {
         theta_inverted: is_inverted(Wire::Theta),
@@ -75,7 +80,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     };
     let fault = arguments.fault;
     let bridge = arguments.bridge;
-    let settings = EmulatorSettings { fault, wiring, bridge, ..emulated.emulator(arguments.seed) };
+    let settings = EmulatorSettings {
+        fault,
+        wiring,
+        bridge,
+        ..emulated.emulator(arguments.seed).of_plant(&plant)
+    };
     let mut qube = EmulatedQube::spawn(settings)
         .map_err(|error| Failure::failed(format!("no emulated Qube can be served: {error}")))?;
     if let Some(link) = &arguments.link {

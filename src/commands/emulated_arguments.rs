@@ -4,7 +4,7 @@ use std::path::Path;
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::profile;
-use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN};
+use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN, PlantModel};
 use crate::session::EmulatedQubeSettings;
 
 /// The arguments of the emulated Qube.
@@ -105,8 +105,15 @@ impl EmulatedArguments {
         name
     }
 
-    /// The settings; `None` without any argument.
-    pub fn settings(&self) -> Result<Option<EmulatedQubeSettings>, Failure> {
+    /// The settings of a specimen of this plant; the nominal one without any argument.
+    pub fn of_plant(&self, plant: &PlantModel) -> Result<EmulatedQubeSettings, Failure> {
+        let nominal =
+            EmulatedQubeSettings { model: plant.nominal(), ..EmulatedQubeSettings::default() };
+        Ok(self.settings(plant)?.unwrap_or(nominal))
+    }
+
+    /// The settings of a specimen of this plant; `None` without any argument.
+    pub fn settings(&self, plant: &PlantModel) -> Result<Option<EmulatedQubeSettings>, Failure> {
         let asked = self.profile.is_some()
             || self.gap.is_some()
             || self.delay_ms.is_some()
@@ -117,9 +124,10 @@ impl EmulatedArguments {
         if !asked {
             return Ok(None);
         }
-        let mut model = profile::named(self.profile.as_deref().unwrap_or(profile::IDEAL))?;
+        let name = self.profile.as_deref().unwrap_or(profile::IDEAL);
+        let mut model = profile::named(name, plant)?;
         if let Some(factor) = self.gap {
-            model = model.scaled(factor);
+            model = model.scaled_from(&plant.parameters, factor);
         }
         if let Some(milliseconds) = self.delay_ms {
             model.nonidealities.command_delay_s = 1e-3 * milliseconds;

@@ -4,6 +4,7 @@ use super::exit::Failure;
 use super::number_arguments::{between, positive};
 use super::profile;
 use crate::estimation::{EstimatorSettings, ObserverSettings};
+use crate::qube::PlantModel;
 
 /// The arguments of the estimator whose state the policy sees.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -40,8 +41,8 @@ enum EstimatorArgument {
 }
 
 impl EstimatorArguments {
-    /// The settings; `None` without any argument.
-    pub fn settings(&self) -> Result<Option<EstimatorSettings>, Failure> {
+    /// The settings for this plant; `None` without any argument.
+    pub fn settings(&self, plant: &PlantModel) -> Result<Option<EstimatorSettings>, Failure> {
         let observes = self.estimator == Some(EstimatorArgument::Observer);
         if observes && self.filter.is_some() {
             return Err(Failure::usage("--filter goes with --estimator filter"));
@@ -56,7 +57,8 @@ impl EstimatorArguments {
             let default = EstimatorSettings::default().corner_rad_s;
             return Ok(asked.then(|| EstimatorSettings::filter(self.filter.unwrap_or(default))));
         }
-        let model = profile::named(self.estimator_profile.as_deref().unwrap_or(profile::IDEAL))?;
+        let name = self.estimator_profile.as_deref().unwrap_or(profile::IDEAL);
+        let model = profile::named(name, plant)?;
         let mut observer = ObserverSettings::of(model);
         if let Some(milliseconds) = self.estimator_delay_ms {
             observer = observer.with_delay(1e-3 * milliseconds);

@@ -28,6 +28,7 @@ use crate::experiment::{
     SearchReturns, StrategyResult, StrategyResults,
 };
 use crate::learning::{Preset, TrainSettings};
+use crate::qube::PlantModel;
 use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
@@ -421,7 +422,7 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
     let is_emulated = !device.choice.is_hardware();
     let knows_the_machine = arguments.preset == Preset::Robust;
     let mut training = arguments.preset.settings_or(TrainSettings::default());
-    let estimator = match arguments.estimator.settings()? {
+    let estimator = match arguments.estimator.settings(&PlantModel::QUBE)? {
         Some(estimator) => estimator,
         None if knows_the_machine => EstimatorSettings::default(),
         None => EstimatorSettings::filter(PUBLISHED_CORNER_RAD_S),

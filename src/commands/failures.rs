@@ -49,7 +49,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::TooWide(reason) => {
             Failure::usage(format!("nothing was run: {}", too_wide(&reason)))
         }
-        RigError::Device(_) => Failure::usage(error),
+        RigError::OtherPlant(_) | RigError::Device(_) => Failure::usage(error),
         RigError::Policy(_) => Failure::usage(one_line(&error.to_string())),
     };
     failure.of(fault)

@@ -14,7 +14,7 @@ use crate::identification::{
     Blind, Estimate, HorizonError, Identified, Phase, Unknown, Verdict, check_recording,
     comes_upright, horizon_error, identify, phase_error, start_state,
 };
-use crate::qube::{Correlations, Profile, Provenance, QubeModel};
+use crate::qube::{Correlations, PlantModel, PlantName, Profile, Provenance, QubeModel};
 use crate::replay::{MotionLog, simulate_from};
 use crate::storage::{MachineDisk, write_whole};
 
@@ -73,7 +73,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
     let first_guess = match &arguments.from {
-        Some(path) => profile::load(path)?.model(),
+        Some(path) => profile::load(path, &PlantModel::QUBE)?.model(),
         None => QubeModel::NOMINAL,
     };
     let fitted = read(&arguments.files)?;
@@ -91,6 +91,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
     let profile = Profile {
         name: arguments.name.clone(),
+        plant: PlantName::QUBE,
         parameters: identified.model.parameters,
         nonidealities: identified.model.nonidealities,
         standard_errors: standard_errors(&identified.estimates),
@@ -144,6 +145,13 @@ fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
 fn read(files: &[PathBuf]) -> Result<Vec<MotionLog>, Failure> {
     let read_one = |path: &PathBuf| {
         let log = MotionLog::read(path).map_err(Failure::usage)?;
+        if !log.plant.is_qube() {
+            return Err(Failure::usage(format!(
+                "{}: it is of the plant {}, and a fit knows the likely values of a Qube only",
+                path.display(),
+                log.plant.name
+            )));
+        }
         check_recording(&log)
             .map_err(|why| Failure::usage(format!("{}: {why}", path.display())))?;
         Ok(log)

@@ -26,6 +26,7 @@ mod named_values;
 mod number_arguments;
 mod output;
 mod plant_arguments;
+mod plant_file;
 mod printable;
 mod profile;
 mod recover;

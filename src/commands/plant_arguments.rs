@@ -7,6 +7,7 @@ use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::number_arguments::between;
 use crate::experiment::Plant;
+use crate::qube::PlantModel;
 
 /// The arguments of the emulated Qubes on which policies run.
 #[derive(Clone, Debug, clap::Args)]
@@ -51,7 +52,7 @@ impl PlantArguments {
     /// The plants, at least one.
     pub fn plants(&self) -> Result<Vec<Plant>, Failure> {
         let Some(path) = &self.plants else {
-            let emulated = self.emulated.settings()?.unwrap_or_default();
+            let emulated = self.emulated.of_plant(&PlantModel::QUBE)?;
             let mut name = self.emulated.name();
             if self.vary > 0.0 {
                 name += &format!("+vary{}%", 100.0 * self.vary);
@@ -81,7 +82,7 @@ impl PlantEntry {
             &scale,
         )
         .map_err(|reason| Failure::usage(format!("{}: plant {name}: {reason}", path.display())))?;
-        Ok(Plant { name, emulated: emulated.settings()?.unwrap_or_default(), vary })
+        Ok(Plant { name, emulated: emulated.of_plant(&PlantModel::QUBE)?, vary })
     }
 }
 

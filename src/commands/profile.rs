@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use super::exit::Failure;
-use crate::qube::{Profile, QubeModel};
+use crate::qube::{PlantModel, Profile, QubeModel};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// Name of the thesis's Qube.
@@ -10,20 +10,40 @@ pub const IDEAL: &str = "ideal";
 /// Profile that comes with the program: a real Qube of which recordings are published.
 const LAB: &str = include_str!("../../profiles/lab.toml");
 
-/// The Qube with this name: `ideal`, `lab`, or a profile file.
-pub fn named(name: &str) -> Result<QubeModel, Failure> {
+/// The specimen of a plant with this name: `ideal`, `lab`, or a profile file.
+pub fn named(name: &str, plant: &PlantModel) -> Result<QubeModel, Failure> {
     Ok(match name {
-        IDEAL => QubeModel::NOMINAL,
+        IDEAL => plant.nominal(),
+        "lab" if !plant.name.is_qube() => {
+            return Err(Failure::usage(format!(
+                "lab is a Qube and no {}: give ideal, or a profile that identify --plant wrote",
+                plant.name
+            )));
+        }
         "lab" => Profile::parse(LAB)
             .map_err(|error| Failure::failed(format!("the profile lab: {error}")))?
             .model(),
-        path => load(Path::new(path))?.model(),
+        path => load(Path::new(path), plant)?.model(),
     })
 }
 
-/// Reads a profile file.
-pub fn load(path: &Path) -> Result<Profile, Failure> {
+/// Reads a profile file of a specimen of any plant.
+fn read(path: &Path) -> Result<Profile, Failure> {
     let text = read_text(path, SETTINGS_BYTES)
         .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
     Profile::parse(&text).map_err(|error| Failure::usage(format!("{}: {error}", path.display())))
+}
+
+/// Reads a profile file of a specimen of this plant.
+pub fn load(path: &Path, plant: &PlantModel) -> Result<Profile, Failure> {
+    let profile = read(path)?;
+    if profile.plant == plant.name {
+        return Ok(profile);
+    }
+    Err(Failure::usage(format!(
+        "{}: it describes a specimen of the plant {} and this is the plant {}: give a profile of that",
+        path.display(),
+        profile.plant,
+        plant.name
+    )))
 }

@@ -12,7 +12,7 @@ use super::printable::one_line;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::policy::Policy;
-use crate::qube::QubeModel;
+use crate::qube::{PlantModel, QubeModel};
 use crate::recording::{Completeness, Recording, RecordingError, read};
 use crate::replay::{AngleError, MotionLog, Rerun, rerun, simulate_beside};
 use crate::safety::Foreseen;
@@ -41,7 +41,8 @@ pub struct Arguments {
     #[arg(long)]
     simulate: bool,
 
-    /// The Qube to simulate: `ideal`, `lab`, or a file that `identify` wrote [default: ideal]
+    /// The Qube to simulate: `ideal`, `lab`, or a file that `identify` wrote [default: the nominal
+    /// plant of each recording]
     #[arg(long, value_name = "ideal|lab|FILE", requires = "simulate")]
     profile: Option<String>,
 
@@ -104,8 +105,8 @@ struct Rmse {
 /// Replays every file and prints the results; the first defect decides the exit code.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let model = match &arguments.profile {
-        Some(name) => profile::named(name)?,
-        None => QubeModel::NOMINAL,
+        Some(name) => Some(profile::named(name, &PlantModel::QUBE)?),
+        None => None,
     };
     if let Some(folder) = &arguments.plot {
         fs::create_dir_all(folder)
@@ -116,7 +117,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut problems = Vec::new();
     for path in &arguments.files {
         let mut report = Report { path: path.clone(), ..Report::default() };
-        if let Err(problem) = replay_file(arguments, &model, &mut report, &mut text) {
+        if let Err(problem) = replay_file(arguments, model.as_ref(), &mut report, &mut text) {
             report.problem = Some(problem.what.clone());
             problems.push(problem);
         }
@@ -145,7 +146,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 fn replay_file(
     arguments: &Arguments,
-    model: &QubeModel,
+    model: Option<&QubeModel>,
     report: &mut Report,
     text: &mut String,
 ) -> Result<(), Problem> {
@@ -171,7 +172,8 @@ fn replay_file(
         }
     };
     if arguments.simulate {
-        simulate_file(arguments, model, &log, report, text)?;
+        let nominal = log.plant.nominal();
+        simulate_file(arguments, model.unwrap_or(&nominal), &log, report, text)?;
     }
     problem.map_or(Ok(()), Err)
 }

@@ -25,7 +25,7 @@ use crate::policy::{
     ClassicalController, ClassicalGains, EXCITATION_STEPS, Excitation, ExcitationShape, Policy,
     SimulatedSensors,
 };
-use crate::qube::{MAX_STEPS, Profile, QubeModel};
+use crate::qube::{MAX_STEPS, PlantModel, Profile, QubeModel};
 use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
 use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
@@ -120,6 +120,8 @@ struct RunController {
     steps: u32,
     /// Note for the operator before the first rollout.
     note: Option<String>,
+    /// Policy of a file; `None` for an excitation.
+    policy: Option<Policy>,
 }
 
 impl RunController {
@@ -133,6 +135,7 @@ impl RunController {
                 files: [0, 1].map(file).into(),
                 steps: EXCITATION_STEPS,
                 note: None,
+                policy: None,
             });
         }
         let name = arguments.policy.clone().unwrap_or_default();
@@ -143,7 +146,14 @@ impl RunController {
                  make it fall at once. `train --preset robust` makes policies for a Qube"
             )
         });
-        Ok(Self { files: vec![policy.to_bytes()], name, steps: MAX_STEPS as u32, note })
+        let files = vec![policy.to_bytes()];
+        Ok(Self { files, name, steps: MAX_STEPS as u32, note, policy: Some(policy) })
+    }
+
+    /// Checks that the policy was made for this plant.
+    fn check_plant(&self, plant: &PlantModel) -> Result<(), Failure> {
+        let checked = self.policy.as_ref().map_or(Ok(()), |policy| policy.check_plant(plant));
+        checked.map_err(|other| Failure::usage(format!("{}: {other}", self.name)))
     }
 
     /// The file of a rollout.
@@ -157,13 +167,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let controller = RunController::chosen(&arguments)?;
     let stop = Stop::on_signals()?;
 
-    let estimator = arguments.estimator.settings()?.unwrap_or_default();
     let device = arguments.device.choose()?;
+    let plant = device.plant;
+    controller.check_plant(&plant)?;
+    let estimator = arguments.estimator.settings(&plant)?.unwrap_or_default();
     let profile = device.profile.as_ref().map(Profile::model);
-    let emulated = arguments.emulated.settings()?.unwrap_or_default();
+    let emulated = arguments.emulated.of_plant(&plant)?;
     let emulator = emulated.emulator(arguments.seed);
     let guard = arguments.guard.into();
-    let safety_box = device.safety_box(SafetyBox { guard, ..SafetyBox::default() });
+    let safety_box = SafetyBox { guard, ..SafetyBox::default() }.within_travel(&plant);
+    let safety_box = device.safety_box(safety_box);
     let consent = arguments.consent.beside(Some(arguments.guard))?;
     let settings = RigSettings {
         limits: device.limits("--guard", &safety_box, consent)?,

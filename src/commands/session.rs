@@ -101,18 +101,18 @@ enum Preset {
 /// Runs or resumes a session and prints its table.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
-    let device = arguments.device.choose()?;
+    let mut device = arguments.device.choose()?;
     let consent = arguments.consent.beside(arguments.guard)?;
     let begins = arguments.resume.is_none();
     let mut place = None;
     let (folder, settings) = match &arguments.resume {
-        Some(_) if arguments.emulated.settings()?.is_some() => {
+        Some(_) if arguments.emulated.settings(&device.plant)?.is_some() => {
             return Err(Failure::usage(
                 "a session goes on with the emulated Qube that it began with: leave --profile, \
                  --gap, --delay-ms, --jitter-ms, --cable-drift and --scale out",
             ));
         }
-        Some(_) if arguments.estimator.settings()?.is_some() => {
+        Some(_) if arguments.estimator.settings(&device.plant)?.is_some() => {
             return Err(Failure::usage(
                 "a session goes on with the estimator that it began with: leave --estimator, \
                  --filter, --estimator-profile and --estimator-delay-ms out",
@@ -125,6 +125,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             begun(place, settings)?
         }
     };
+    device.plant = *settings.plant();
+    device.check_plant(&device.plant)?;
     let configuration = folder.paths().configuration().display().to_string();
     let limits = device.limits(&configuration, &settings.safety_box, consent)?;
     if let Some(difference) = estimators_differ(&settings) {
@@ -232,6 +234,7 @@ fn configured(
         Preset::Quick => SessionSettings::quick(),
         Preset::Thesis => SessionSettings::thesis(),
     };
+    let preset = preset.of_plant(&device.plant);
     let mut settings = match &arguments.config {
         Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
         None => preset,
@@ -240,10 +243,10 @@ fn configured(
         settings = settings.with_guard(guard.into());
     }
     settings.seed = arguments.seed.unwrap_or(settings.seed);
-    if let Some(estimator) = arguments.estimator.settings()? {
+    if let Some(estimator) = arguments.estimator.settings(&device.plant)? {
         settings = settings.seen_through(estimator);
     }
-    settings.emulated = arguments.emulated.settings()?.unwrap_or(settings.emulated);
+    settings.emulated = arguments.emulated.settings(&device.plant)?.unwrap_or(settings.emulated);
     let settings = on_this_qube(settings, device);
     let origin = match (&arguments.guard, &arguments.config) {
         (None, Some(path)) => path.display().to_string(),
@@ -279,6 +282,12 @@ fn resumed(
         return Err(Failure::usage(
             "a session goes on with the guard that it began with: leave --guard out",
         ));
+    }
+    if device.plant_is_given && device.plant != *settings.plant() {
+        return Err(Failure::usage(format!(
+            "a session goes on with the plant that it began with, {}: leave --plant out",
+            settings.plant().name
+        )));
     }
     Ok((folder, on_this_qube(settings, device)))
 }

@@ -142,10 +142,13 @@ impl Soaked {
         stop: &Stop,
     ) -> Result<(), Failure> {
         let failed = |error| failures::rig(error, stop);
-        let policy =
-            Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
+        let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+        policy.check_plant(&device.plant).map_err(Failure::usage)?;
+        let policy = policy.to_bytes();
         let estimator = EstimatorSettings::default();
-        let emulator = EmulatorSettings { seed: arguments.seed, ..EmulatorSettings::default() };
+        let model = device.plant.nominal();
+        let emulator =
+            EmulatorSettings { model, seed: arguments.seed, ..EmulatorSettings::default() };
         let settings = device.rig_settings(emulator, estimator, arguments.check);
         let mut rig = Rig::open(&settings, &stop.flag).map_err(failed)?;
         warn_without_realtime(rig.realtime());

@@ -12,13 +12,14 @@ use super::exit::Failure;
 use super::named_values::{named, presets};
 use super::number_arguments::between;
 use super::output::Output;
+use super::plant_file::PlantArgument;
 use super::profile;
 use super::stop::Stop;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::jobs::{Executor, LocalExecutor, TrainingJob};
 use crate::learning::{Checkpointing, Origin, Preset, TrainError, TrainSettings, TrainUpdate};
-use crate::qube::{MAX_HISTORY, Nonideality};
+use crate::qube::{MAX_HISTORY, Nonideality, PlantModel};
 use crate::simulation::{
     Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Model, Psi, SensorModel,
     SimulationSettings,
@@ -107,6 +108,9 @@ pub struct Arguments {
     instruction_set: InstructionSet,
 
     #[command(flatten)]
+    plant: PlantArgument,
+
+    #[command(flatten)]
     estimator: EstimatorArguments,
 }
 
@@ -163,11 +167,12 @@ fn models() -> impl TypedValueParser<Value = Model> {
 
 /// Trains a policy and saves it.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
+    let plant = arguments.plant.plant()?;
     let psi = arguments.psi.as_deref().map(Psi::load).transpose().map_err(Failure::usage)?;
-    let distribution = distribution(&arguments, psi.as_ref())?;
+    let distribution = distribution(&arguments, psi.as_ref(), &plant)?;
     let origin = origin(&arguments, psi);
     let preset = arguments.preset.settings_or(TrainSettings::default());
-    let simulation = simulation(&arguments, preset.simulation)?;
+    let simulation = simulation(&arguments, preset.simulation.of_plant(&plant))?;
     let voltage_change_weight = arguments
         .voltage_change_weight
         .map_or(preset.voltage_change_weight, |weight| weight as f32);
@@ -254,7 +259,7 @@ fn simulation(
         None => {}
     }
     let mut observes = false;
-    match (&mut simulation.sensors, arguments.estimator.settings()?) {
+    match (&mut simulation.sensors, arguments.estimator.settings(&simulation.plant)?) {
         (SensorModel::Encoders { estimator }, Some(asked)) => {
             *estimator = asked;
             observes = asked.observer.is_some();
@@ -302,17 +307,24 @@ fn origin(arguments: &Arguments, psi: Option<Psi>) -> Origin {
     Origin { model, psi, preset: arguments.preset.name().into() }
 }
 
-fn distribution(arguments: &Arguments, psi: Option<&Psi>) -> Result<DomainDistribution, Failure> {
+fn distribution(
+    arguments: &Arguments,
+    psi: Option<&Psi>,
+    plant: &PlantModel,
+) -> Result<DomainDistribution, Failure> {
     let distribution = match &arguments.profile {
         Some(name) => {
-            let model = profile::named(name)?;
+            let model = profile::named(name, plant)?;
             DomainDistribution::around(&model, arguments.spread, Family::Normal)
                 .map_err(|error| Failure::usage(format!("--profile {name}: {error}")))?
         }
         None if psi.is_some() && !arguments.model.is_searched() => {
             return Err(Failure::usage("--psi goes with --model psi only"));
         }
-        None => arguments.model.distribution(Family::Normal, None, psi).map_err(Failure::usage)?,
+        None => {
+            let model = arguments.model;
+            model.distribution(plant, Family::Normal, None, psi).map_err(Failure::usage)?
+        }
     };
     match arguments.delay_ms {
         Some((from_s, to_s)) => distribution

@@ -4,7 +4,7 @@
 //! rest: the arm's drift is smaller than the uncertainty about the Qube. Only a push can.
 
 use crate::elementary::Scalar;
-use crate::qube::{Measurement, RAD_PER_COUNT};
+use crate::qube::{DomainParameters, Dynamics, Measurement, PlantModel};
 
 /// Time within one count, under voltage, after which the arm is tested, us.
 const STANDS_US: u64 = 55_000;
@@ -14,9 +14,6 @@ const DRIVEN_MV: i16 = 20;
 
 /// Growth of the push in each tick, V.
 const GROWS_V: f64 = 0.4;
-
-/// Largest push, V.
-const LARGEST_V: f64 = 5.0;
 
 /// Voltage that friction, dead zone and cable may take up, V: four times the friction of the
 /// profile `lab` and 1.5 times its dead zone.
@@ -40,15 +37,61 @@ const LEAST_RAD_S2_V: f64 = 11.0;
 /// Fraction of the arm's inertia that a vertical pendulum removes by giving way.
 const GIVES_WAY: f64 = 0.56;
 
-/// Travel of the slowest possible arm at which a constant count proves a fault, rad.
-const MUST_HAVE_GONE_RAD: f64 = 4.0 * RAD_PER_COUNT;
+/// Largest such fraction: beyond it an arm would hardly have any inertia left.
+const MOST_GIVES_WAY: f64 = 0.75;
+
+/// Travel of the slowest possible arm at which a constant count proves a fault, counts.
+const MUST_HAVE_GONE_COUNTS: f64 = 4.0;
+
+/// The coefficients of the slowest possible arm of a plant: the Qube's, each in the proportion of the two plants'
+/// nominal parameters.
+#[derive(Clone, Copy, Debug)]
+struct Slowest {
+    weight_holds_v: f64,
+    swing_holds_v_s2: f64,
+    least_rad_s2_v: f64,
+    gives_way: f64,
+    must_have_gone_rad: f64,
+    /// Largest push, V.
+    largest_v: f64,
+}
+
+impl Slowest {
+    fn of(plant: &PlantModel) -> Self {
+        let own = Dynamics::<f64>::new(&plant.parameters);
+        let qube = Dynamics::<f64>::new(&DomainParameters::NOMINAL);
+        let (own_length_m, qube_length_m) =
+            (plant.parameters.rotary_length_m, DomainParameters::NOMINAL.rotary_length_m);
+        let pendulum_length_m = plant.parameters.pendulum_length_m;
+        let weight_v = |dynamics: &Dynamics, arm_m: f64, pendulum_m: f64| {
+            dynamics.gravity_torque * arm_m / pendulum_m / dynamics.torque_per_volt
+        };
+        let gives_way = |dynamics: &Dynamics| {
+            dynamics.coupling * dynamics.coupling
+                / (dynamics.arm_inertia * dynamics.pendulum_inertia)
+        };
+        let qube_pendulum_m = DomainParameters::NOMINAL.pendulum_length_m;
+        let weight = weight_v(&own, own_length_m, pendulum_length_m)
+            / weight_v(&qube, qube_length_m, qube_pendulum_m);
+        let swing = (own.coupling / own.torque_per_volt) / (qube.coupling / qube.torque_per_volt);
+        Self {
+            weight_holds_v: weight * WEIGHT_HOLDS_V,
+            swing_holds_v_s2: swing * SWING_HOLDS_V_S2,
+            least_rad_s2_v: LEAST_RAD_S2_V / plant.volts_of_qube(),
+            gives_way: (gives_way(&own) / gives_way(&qube) * GIVES_WAY).min(MOST_GIVES_WAY),
+            must_have_gone_rad: MUST_HAVE_GONE_COUNTS * plant.encoders.theta.rad_per_count(),
+            largest_v: plant.limits.largest_voltage_v,
+        }
+    }
+}
 
 /// Watches for a constant count of the arm, and pushes harder and harder until the arm moves.
 ///
 /// During a push the policy is not asked: a balancing policy would respond to the pendulum's tilt
 /// and cancel the push. A healthy arm moves within two counts, and the policy continues.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct AskingPush {
+    slowest: Slowest,
     counts: i32,
     /// Time since which the count has been constant under voltage.
     since_us: Option<u64>,
@@ -67,6 +110,28 @@ pub struct AskingPush {
 }
 
 impl AskingPush {
+    /// A watch of this plant that has seen nothing yet.
+    #[must_use]
+    pub fn of(plant: &PlantModel) -> Self {
+        Self::new(Slowest::of(plant))
+    }
+
+    fn new(slowest: Slowest) -> Self {
+        Self {
+            slowest,
+            counts: 0,
+            since_us: None,
+            previous_us: 0,
+            previous_alpha: 0.0,
+            sent_v: 0.0,
+            sent_ticks: 0,
+            push_v: 0.0,
+            under_way_v: [0.0; SLOWEST_TICKS],
+            least_rad_s: 0.0,
+            least_rad: 0.0,
+        }
+    }
+
     /// Takes a sample, the voltage sent before it and the pendulum's angle from hanging, rad, both
     /// in the convention's signs. Returns whether a push that moves any arm has left the count
     /// constant.
@@ -84,7 +149,7 @@ impl AskingPush {
                 since_us,
                 previous_us: now_us,
                 previous_alpha: alpha,
-                ..Self::default()
+                ..Self::new(self.slowest)
             };
             return false;
         }
@@ -100,14 +165,15 @@ impl AskingPush {
         let (sin, cos) = Scalar::sin_cos(alpha);
         let alpha_dot = (alpha - self.previous_alpha) / elapsed_s.max(1e-3);
         let held_v = SWALLOWED_V
-            + WEIGHT_HOLDS_V * (sin * cos).abs()
-            + SWING_HOLDS_V_S2 * sin.abs() * alpha_dot * alpha_dot;
-        let least_rad_s2_v = LEAST_RAD_S2_V / (1.0 - GIVES_WAY * cos * cos);
+            + self.slowest.weight_holds_v * (sin * cos).abs()
+            + self.slowest.swing_holds_v_s2 * sin.abs() * alpha_dot * alpha_dot;
+        let Slowest { least_rad_s2_v, gives_way, .. } = self.slowest;
+        let least_rad_s2_v = least_rad_s2_v / (1.0 - gives_way * cos * cos);
         let gained_rad_s = least_rad_s2_v * (along_v - held_v) * elapsed_s;
         self.previous_alpha = alpha;
         self.least_rad += self.least_rad_s * elapsed_s;
         self.least_rad_s = (self.least_rad_s + gained_rad_s).max(0.0);
-        self.least_rad > MUST_HAVE_GONE_RAD
+        self.least_rad > self.slowest.must_have_gone_rad
     }
 
     /// The motor voltage of this tick, V: `wanted_v` or a push. The push is directed away from the
@@ -119,15 +185,15 @@ impl AskingPush {
         if !stands {
             return wanted_v;
         }
-        let holding_v = self.holding_v();
+        let (holding_v, largest_v) = (self.holding_v(), self.slowest.largest_v);
         let towards = if self.push_v != 0.0 {
             self.push_v
-        } else if holding_v.abs() > 0.5 * LARGEST_V {
+        } else if holding_v.abs() > 0.5 * largest_v {
             -holding_v
         } else {
             -theta
         };
-        self.push_v = towards.signum() * (self.push_v.abs() + GROWS_V).min(LARGEST_V);
+        self.push_v = towards.signum() * (self.push_v.abs() + GROWS_V).min(largest_v);
         holding_v + self.push_v
     }
 
@@ -139,6 +205,7 @@ impl AskingPush {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::RAD_PER_COUNT;
     use crate::qube::{
         CONTROL_PERIOD_S, NonidealDynamics, Nonidealities, QubeModel, State, control_step,
     };
@@ -154,7 +221,8 @@ mod tests {
     /// The tick at which an arm under a hanging pendulum counts as not responding, if any.
     fn unanswered(nonidealities: Nonidealities, frozen: bool) -> Option<u64> {
         let dynamics = NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL });
-        let (mut asking, mut state, mut sent_mv) = (AskingPush::default(), State::default(), 0);
+        let (mut asking, mut state, mut sent_mv) =
+            (AskingPush::of(&PlantModel::QUBE), State::default(), 0);
         for tick in 1..100 {
             let theta = if frozen { 0.0 } else { state.theta };
             if asking.is_unanswered(&at(tick, theta), sent_mv, state.alpha) {
@@ -187,7 +255,7 @@ mod tests {
 
     #[test]
     fn who_stands_without_voltage_is_not_asked() {
-        let mut asking = AskingPush::default();
+        let mut asking = AskingPush::of(&PlantModel::QUBE);
         for tick in 1..100 {
             assert!(!asking.is_unanswered(&at(tick, 0.0), 0, 0.0));
             assert!(asking.voltage_v(0.0, 0.0) == 0.0);

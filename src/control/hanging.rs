@@ -1,8 +1,8 @@
 //! Finds the angle at which the pendulum hangs, from its swing while the motor is at 0 V.
 
-use super::led_arm::STANDING_RAD;
+use super::led_arm::standing_rad;
 use super::rest::Swing;
-use crate::qube::RAD_PER_COUNT;
+use crate::qube::PlantModel;
 
 /// Largest swing with which homing begins, rad: a wider one already moves the arm as far as is
 /// allowed.
@@ -22,18 +22,22 @@ const RECOIL: f64 = 0.7;
 const SWING_OF_A_HELD_ARM_RAD: f64 = 1.2;
 
 /// Largest distance between the middles of two consecutive swings that count as the hanging angle,
-/// rad. While friction takes much of each swing they lie farther apart. The cross-check of the
+/// counts. While friction takes much of each swing they lie farther apart. The cross-check of the
 /// encoders widens its threshold with that distance, and with more than this it would not see an
 /// arm with a frozen encoder reach its stop.
-const AGREEING_RAD: f64 = 2.5 * RAD_PER_COUNT;
+const AGREEING_COUNTS: f64 = 2.5;
 
 /// Number of windows after which the last two are accepted even if they differ: with an open motor
 /// circuit arm and pendulum swing for good.
 const MOST_WINDOWS: u32 = 6;
 
 /// Watches a pendulum that swings freely.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Hanging {
+    /// Angle of one count of the pendulum, rad.
+    rad_per_count: f64,
+    /// Motion of an arm at rest, rad.
+    standing_rad: f64,
     pendulum: Swing,
     arm: Swing,
     middle_before_rad: Option<f64>,
@@ -52,12 +56,25 @@ pub struct Hung {
 }
 
 impl Hanging {
+    /// A watch of this plant that has seen nothing yet.
+    #[must_use]
+    pub fn of(plant: &PlantModel) -> Self {
+        Self {
+            rad_per_count: plant.encoders.alpha.rad_per_count(),
+            standing_rad: standing_rad(plant),
+            pendulum: Swing::default(),
+            arm: Swing::default(),
+            middle_before_rad: None,
+            windows: 0,
+        }
+    }
+
     /// Takes the next angles of arm and pendulum; returns the hanging angle once it is known and
     /// the pendulum hardly swings.
     pub fn update(&mut self, theta: f64, alpha: f64) -> Option<Hung> {
         let arm = self.arm.update(theta);
         let pendulum = self.pendulum.update(alpha)?;
-        if !is_calm_enough(pendulum.width_rad, arm?.width_rad) {
+        if !is_calm_enough(pendulum.width_rad, arm?.width_rad, self.standing_rad) {
             return None;
         }
         // The middle of a decaying swing is known once two of them agree.
@@ -65,19 +82,21 @@ impl Hanging {
         let swings = pendulum.width_rad > SWINGING_RAD;
         let before_rad = if swings { before_rad? } else { pendulum.middle_rad };
         let apart_rad = (pendulum.middle_rad - before_rad).abs();
-        let within_rad = 0.01f64.mul_add(pendulum.width_rad, RAD_PER_COUNT);
+        let within_rad = 0.01f64.mul_add(pendulum.width_rad, self.rad_per_count);
         self.windows += 1;
-        (apart_rad < AGREEING_RAD || self.windows > MOST_WINDOWS).then_some(Hung {
-            middle_rad: 0.5 * (pendulum.middle_rad + before_rad),
-            within_rad: within_rad + 0.5 * apart_rad,
-            swing_rad: pendulum.width_rad,
-        })
+        (apart_rad < AGREEING_COUNTS * self.rad_per_count || self.windows > MOST_WINDOWS).then_some(
+            Hung {
+                middle_rad: 0.5 * (pendulum.middle_rad + before_rad),
+                within_rad: within_rad + 0.5 * apart_rad,
+                swing_rad: pendulum.width_rad,
+            },
+        )
     }
 }
 
-/// Whether the swings of pendulum and arm, rad, allow a push.
-fn is_calm_enough(pendulum_rad: f64, arm_rad: f64) -> bool {
+/// Whether the swings of pendulum and arm, rad, allow a push; an arm at rest moves by at most `standing_rad`.
+fn is_calm_enough(pendulum_rad: f64, arm_rad: f64, standing_rad: f64) -> bool {
     let hardly_swings =
         pendulum_rad < LARGEST_SWING_RAD && arm_rad < RECOIL.mul_add(pendulum_rad, RESTING_ARM_RAD);
-    hardly_swings || pendulum_rad < SWING_OF_A_HELD_ARM_RAD && arm_rad < STANDING_RAD
+    hardly_swings || pendulum_rad < SWING_OF_A_HELD_ARM_RAD && arm_rad < standing_rad
 }

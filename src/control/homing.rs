@@ -8,24 +8,24 @@ use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, LEAD_RAD_S};
 use super::stop_seek::{Found, StopSeek};
 use super::watch::{Alarm, Watch};
-use super::witness::{Witness, ZERO_WITHIN_RAD};
+use super::witness::{Witness, zero_within_rad};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, MeasuredRig, MeasuredStops};
-use crate::qube::{Measurement, RAD_PER_COUNT, State};
+use crate::qube::{Encoder, Encoders, Measurement, State};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::{Ending, Fault};
 
 /// Most ticks for the whole of homing: 60 s.
 const MAX_TICKS: u32 = 6000;
 
-/// Largest swing of a still pendulum, rad: four counts.
-const STILL_RAD: f64 = 4.5 * RAD_PER_COUNT;
+/// Largest swing of a still pendulum, counts, and the half that rounding adds.
+const STILL_COUNTS: f64 = 4.5;
 
 /// Distance from its target within which the arm counts as arrived, rad: friction may hold it off.
 const NEAR_MIDDLE_RAD: f64 = 0.1;
 
-/// Change of the hanging angle that restarts the cross-check of the encoders, rad.
-const OTHER_ZERO_RAD: f64 = 1.5 * RAD_PER_COUNT;
+/// Change of the hanging angle that restarts the cross-check of the encoders, counts.
+const OTHER_ZERO_COUNTS: f64 = 1.5;
 
 /// Velocity of the arm before the scale of its encoder is known, rad/s; with an encoder that counts
 /// half it is twice this.
@@ -101,11 +101,11 @@ impl Homing {
             estimator: None,
             provisional: settings.signs,
             watch: Watch::default(),
-            sensors: SensorWatch::default(),
+            sensors: SensorWatch::of(&settings.plant),
             current: CurrentWatch::default(),
             control: ControlState::Identified.on(ControlEvent::Home).0,
             stillness: StillnessDetector::default(),
-            stage: Stage::Observe(Hanging::default()),
+            stage: Stage::Observe(Hanging::of(&settings.plant)),
             place_rad: 0.0,
             middle_rad,
             stops_rad: None,
@@ -113,7 +113,7 @@ impl Homing {
             suspected: None,
             ticks: 0,
             swing: Swing::default(),
-            settler: GentleSettler::default(),
+            settler: GentleSettler::of(&settings.plant),
             held: Held::default(),
             stood: Stood::default(),
             runaway: Runaway::default(),
@@ -169,10 +169,12 @@ impl Homing {
 
     /// Takes over the angle at which the pendulum hangs.
     fn hangs_at(&mut self, hanging_rad: f64, within_rad: f64) {
-        let is_other = (hanging_rad - self.hanging_rad).abs() > OTHER_ZERO_RAD;
+        let rad_per_count = self.settings.plant.encoders.alpha.rad_per_count();
+        let off_rad = (hanging_rad - self.hanging_rad).abs();
+        let is_other = off_rad > OTHER_ZERO_COUNTS * rad_per_count;
         self.hanging_rad = hanging_rad;
         if is_other || self.sensors.witness().is_none() {
-            let off_counts = (hanging_rad / RAD_PER_COUNT).round() as i32;
+            let off_counts = (hanging_rad / rad_per_count).round() as i32;
             let inverted = self.provisional.alpha_inverted;
             let zero = self.provisional.alpha_zero_counts;
             let off_counts = if inverted { -off_counts } else { off_counts };
@@ -187,6 +189,7 @@ impl Homing {
     /// Enters the next stage at the end of the current one; returns the ending of homing.
     fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
         let seen = self.seen();
+        let encoders = self.settings.plant.encoders;
         let scale_is_known = self.sensors.witness().is_some_and(Witness::scale_is_known);
         match &mut self.stage {
             Stage::Observe(hanging) => {
@@ -194,7 +197,8 @@ impl Homing {
                     self.hangs_at(hung.middle_rad, hung.within_rad);
                     if self.control.take(ControlEvent::AtRest) == ControlAction::Seek {
                         self.place_rad = self.state.theta;
-                        self.stage = Stage::Probe(HomingProbe::new(hung.swing_rad));
+                        self.stage =
+                            Stage::Probe(HomingProbe::new(&self.settings.plant, hung.swing_rad));
                     }
                 }
             }
@@ -212,11 +216,11 @@ impl Homing {
                     return Some(Ending::Fault(Fault::ArmHeld));
                 }
                 if let Some(window) = self.swing.update(self.state.alpha)
-                    && window.width_rad <= STILL_RAD
+                    && window.width_rad <= STILL_COUNTS * encoders.alpha.rad_per_count()
                 {
                     // A still pendulum hangs. A wrong hanging angle would hold the arm off its
                     // target for good.
-                    self.hangs_at(window.middle_rad, ZERO_WITHIN_RAD);
+                    self.hangs_at(window.middle_rad, zero_within_rad(&self.settings.plant));
                     if !is_off {
                         self.found = Some(self.zeros(measurement, off_rad));
                         return Some(Ending::Completed);
@@ -271,7 +275,7 @@ impl Homing {
             (None, None) => {
                 self.current.motor_works();
                 self.swing = Swing::default();
-                self.settler = GentleSettler::default();
+                self.settler = GentleSettler::of(&self.settings.plant);
                 self.stage = match self.middle_rad {
                     Some(_) => Stage::Calm,
                     None => Stage::Seek(StopSeek::default()),
@@ -299,14 +303,21 @@ impl Homing {
         let offset_rad = self.settings.theta_offset_rad;
         let off_zero_rad = off_middle_rad - offset_rad;
         let off_hanging_rad = self.state.alpha - self.hanging_rad;
-        let back = |counts: i32, off_rad: f64, inverted: bool| {
-            let off_counts = (off_rad / RAD_PER_COUNT).round() as i32;
+        let Encoders { theta, alpha } = self.settings.plant.encoders;
+        let back = |encoder: Encoder, counts: i32, off_rad: f64, inverted: bool| {
+            let off_counts = (off_rad / encoder.rad_per_count()).round() as i32;
             counts.wrapping_sub(if inverted { -off_counts } else { off_counts })
         };
         let signs = &self.settings.signs;
         let calibration = Calibration {
-            theta_zero_counts: back(measurement.theta_counts, off_zero_rad, signs.theta_inverted),
+            theta_zero_counts: back(
+                theta,
+                measurement.theta_counts,
+                off_zero_rad,
+                signs.theta_inverted,
+            ),
             alpha_zero_counts: back(
+                alpha,
                 measurement.alpha_counts,
                 off_hanging_rad,
                 signs.alpha_inverted,
@@ -416,7 +427,8 @@ impl Motion for Homing {
             return self.off(Ending::Fault(fault));
         }
         let wanted_v = self.wanted_voltage();
-        self.voltage_mv = clamp_to_mv(wanted_v).unwrap_or(0);
+        let largest_v = self.settings.plant.limits.largest_voltage_v;
+        self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
         self.output(Some(wanted_v), None)
     }
 

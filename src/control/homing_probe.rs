@@ -1,9 +1,9 @@
 //! The first pushes of a homing, which show whether the arm follows the voltage and whether
 //! anything moves at all.
 
-use super::led_arm::STANDING_RAD;
+use super::led_arm::standing_rad;
 use crate::elementary::Scalar;
-use crate::qube::{CONTROL_PERIOD_S, State};
+use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
 
 /// Ticks at 0 V before a push: the cross-check of the encoders needs both halves of its window.
 const WAIT_TICKS: u32 = 22;
@@ -52,6 +52,8 @@ const RECOIL_RAD: f64 = 0.57;
 /// Pushes that grow from zero, in alternating directions.
 #[derive(Clone, Copy, Debug)]
 pub struct HomingProbe {
+    /// Motion of an arm at rest, rad.
+    standing_rad: f64,
     direction: f64,
     reach_rad: f64,
     ramp_v_s: f64,
@@ -83,8 +85,9 @@ pub enum PushResponse {
 
 impl HomingProbe {
     /// A probe for a pendulum that swings over this width, rad.
-    pub fn new(swing_rad: f64) -> Self {
+    pub fn new(plant: &PlantModel, swing_rad: f64) -> Self {
         Self {
+            standing_rad: standing_rad(plant),
             direction: -1.0,
             reach_rad: REACH_PER_SWING.mul_add(swing_rad, REACH_RAD),
             ramp_v_s: RAMP_V_S / SLOWER_PER_SWING.mul_add(swing_rad, 1.0),
@@ -153,7 +156,7 @@ impl HomingProbe {
         let swing = (sin - Scalar::sin_cos(self.start.alpha).0).abs();
         let gone_rad = (state.theta - self.start.theta).abs();
         let recoils = sin.abs() < THROWING_SWING && gone_rad <= RECOIL.mul_add(swing, RESTING_RAD);
-        let rests = gone_rad <= STANDING_RAD || recoils;
+        let rests = gone_rad <= self.standing_rad || recoils;
         if self.has_moved && self.ticks > 1 && !rests {
             self.ticks = 0;
         }

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::estimation::{Calibration, EstimatorSettings};
-use crate::qube::HARD_STOP_RAD;
+use crate::qube::PlantModel;
 
 /// Source of the arm's middle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,7 +23,7 @@ pub struct HomingSettings {
     pub method: HomingMethod,
     /// Zero of theta relative to the middle, rad: some rigs have asymmetric stops.
     pub theta_offset_rad: f64,
-    /// Distance between this rig's stops, rad; `None` stands for that of a nominal Qube.
+    /// Distance between this rig's stops, rad; `None` stands for that of the plant's description.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub travel_rad: Option<f64>,
     /// Count of the arm where the operator put it, if it has moved since.
@@ -33,13 +33,23 @@ pub struct HomingSettings {
     pub signs: Calibration,
     /// Estimator of the velocities during homing.
     pub estimator: EstimatorSettings,
+    /// Plant that is homed.
+    #[serde(skip)]
+    pub plant: PlantModel,
 }
 
 impl HomingSettings {
     /// Expected distance between the stops, rad.
     #[must_use]
     pub fn expected_travel_rad(&self) -> f64 {
-        self.travel_rad.unwrap_or(2.0 * HARD_STOP_RAD)
+        self.travel_rad.unwrap_or(2.0 * self.plant.limits.hard_stop_rad)
+    }
+
+    /// The same settings for a plant, whose encoders the signs refer to.
+    #[must_use]
+    pub fn of_plant(self, plant: &PlantModel) -> Self {
+        let signs = Calibration { encoders: plant.encoders, ..self.signs };
+        Self { signs, plant: *plant, ..self }
     }
 }
 
@@ -52,6 +62,7 @@ impl Default for HomingSettings {
             hand_counts: None,
             signs: Calibration::IDENTITY,
             estimator: EstimatorSettings::default(),
+            plant: PlantModel::QUBE,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Faults of an arm that homing moves: it is held or runs away. Also the way off a stop after a
 //! fault.
 
-use crate::qube::{RAD_PER_COUNT, State};
+use crate::qube::{PlantModel, State};
 use crate::telemetry::Fault;
 
 /// Voltage towards its target above which an arm that does not move is held, V.
@@ -142,4 +142,6 @@ impl ComingOff {
 }
 
 /// Travel within which an arm counts as not moving, rad.
-pub const STANDING_RAD: f64 = (HELD_COUNTS as f64 + 0.5) * RAD_PER_COUNT;
+pub fn standing_rad(plant: &PlantModel) -> f64 {
+    (f64::from(HELD_COUNTS) + 0.5) * plant.encoders.theta.rad_per_count()
+}

@@ -1,7 +1,7 @@
 //! Detects a frozen arm encoder: the momentum of the whole Qube shows that the arm moves.
 
 use crate::elementary::Scalar;
-use crate::qube::{DomainParameters, Measurement};
+use crate::qube::{Measurement, PlantModel};
 
 /// Samples kept: one more than the longest window.
 const KEPT: usize = 26;
@@ -44,7 +44,46 @@ const RESUMES_COUNTS: i32 = 40;
 /// Least step in the period after that for a count that resumes a motion.
 const GOES_ON_COUNTS: i32 = 12;
 
-const NOMINAL: DomainParameters = DomainParameters::NOMINAL;
+/// Coefficients of the two equations.
+#[derive(Clone, Copy, Debug)]
+struct Coefficients {
+    /// Torque of the motor for each ampere, N m/A.
+    torque_per_a: f64,
+    /// Moment of inertia of the arm with the pendulum's mass at its end, kg m^2.
+    arm_inertia: f64,
+    /// Resistance of the motor, ohm.
+    resistance_ohm: f64,
+    /// g / L_r, 1/s^2.
+    weight: f64,
+    /// L_p / L_r.
+    lengths: f64,
+    /// Change of the arm's velocity for each change of the pendulum's.
+    throw: f64,
+    /// Counts of the arm's encoder for each count of a Qube's.
+    counts_of_qube: f64,
+}
+
+impl Coefficients {
+    fn of(plant: &PlantModel) -> Self {
+        let nominal = &plant.parameters;
+        let arm_inertia = (nominal.pendulum_mass_kg + nominal.rotary_mass_kg / 12.0)
+            * nominal.rotary_length_m
+            * nominal.rotary_length_m;
+        Self {
+            torque_per_a: nominal.motor_back_emf_v_s,
+            arm_inertia,
+            resistance_ohm: nominal.motor_resistance_ohm,
+            weight: nominal.gravity_m_s2 / nominal.rotary_length_m,
+            lengths: nominal.pendulum_length_m / nominal.rotary_length_m,
+            throw: 0.5
+                * nominal.pendulum_mass_kg
+                * nominal.pendulum_length_m
+                * nominal.rotary_length_m
+                / arm_inertia,
+            counts_of_qube: plant.encoders.theta.counts_of_qube(),
+        }
+    }
+}
 
 /// Tests a constant arm count with two equations, neither of which needs the parameters of the
 /// other:
@@ -58,6 +97,7 @@ const NOMINAL: DomainParameters = DomainParameters::NOMINAL;
 /// first.
 #[derive(Clone, Copy, Debug)]
 pub struct MomentumWatch {
+    coefficients: Coefficients,
     ring: [Entry; KEPT],
     newest: usize,
     filled: usize,
@@ -80,9 +120,16 @@ struct Entry {
     pulled_rad_s: f64,
 }
 
-impl Default for MomentumWatch {
-    fn default() -> Self {
+impl MomentumWatch {
+    /// A watch of a plant that has seen nothing yet.
+    #[must_use]
+    pub fn of(plant: &PlantModel) -> Self {
+        Self::new(Coefficients::of(plant))
+    }
+
+    fn new(coefficients: Coefficients) -> Self {
         Self {
+            coefficients,
             ring: [Entry::default(); KEPT],
             newest: 0,
             filled: 0,
@@ -93,9 +140,7 @@ impl Default for MomentumWatch {
             has_taken_current: false,
         }
     }
-}
 
-impl MomentumWatch {
     /// Takes a sample, the pendulum's angle, the last voltage sent and the current that it drew,
     /// both in the convention's signs. Returns whether the arm's count is constant although the arm
     /// moves.
@@ -112,7 +157,8 @@ impl MomentumWatch {
         let step = sample.theta_counts.wrapping_sub(self.last_counts);
         self.last_counts = sample.theta_counts;
         if self.filled == 0 || elapsed_s > 0.015 {
-            *self = Self { has_taken_current: self.has_taken_current, ..Self::default() };
+            let has_taken_current = self.has_taken_current;
+            *self = Self { has_taken_current, ..Self::new(self.coefficients) };
             self.ring[0] = Entry { time_s, alpha, ..Entry::default() };
             self.filled = 1;
             (self.stood_at, self.last_counts) = (sample.theta_counts, sample.theta_counts);
@@ -124,11 +170,16 @@ impl MomentumWatch {
         // A count that resumes in mid-motion was frozen.
         let resumed = self.resumed_counts;
         self.resumed_counts = 0;
-        if resumed != 0 && step.signum() == resumed.signum() && step.abs() >= GOES_ON_COUNTS {
+        if resumed != 0
+            && step.signum() == resumed.signum()
+            && step.abs() >= self.of_qube(GOES_ON_COUNTS)
+        {
             return true;
         }
         if sample.theta_counts.wrapping_sub(self.stood_at).wrapping_abs() > 1 {
-            if self.stood_ticks >= RESUMES_AFTER_TICKS && step.wrapping_abs() >= RESUMES_COUNTS {
+            if self.stood_ticks >= RESUMES_AFTER_TICKS
+                && step.wrapping_abs() >= self.of_qube(RESUMES_COUNTS)
+            {
                 self.resumed_counts = step;
             }
             (self.stood_at, self.stood_ticks) = (sample.theta_counts, 0);
@@ -139,21 +190,23 @@ impl MomentumWatch {
         (LEAST_TICKS..=longest).any(|ticks| self.moves_over(ticks))
     }
 
+    /// Counts of this plant's arm that cover the same angle as these of a Qube's.
+    fn of_qube(&self, counts: i32) -> i32 {
+        (f64::from(counts) * self.coefficients.counts_of_qube) as i32
+    }
+
     /// Acceleration of a free arm by the motor, rad/s^2.
     fn accelerates_rad_s2(&self, voltage_v: f64, current_a: f32) -> f64 {
-        let arm_inertia = arm_inertia();
-        let current_a = if self.has_taken_current {
-            f64::from(current_a)
-        } else {
-            voltage_v / NOMINAL.motor_resistance_ohm
-        };
-        NOMINAL.motor_back_emf_v_s * current_a / arm_inertia
+        let Coefficients { torque_per_a, arm_inertia, resistance_ohm, .. } = self.coefficients;
+        let current_a =
+            if self.has_taken_current { f64::from(current_a) } else { voltage_v / resistance_ohm };
+        torque_per_a * current_a / arm_inertia
     }
 
     fn push(&mut self, time_s: f64, elapsed_s: f64, alpha: f64, accelerates_rad_s2: f64) {
         let last = self.ring[self.newest];
         let (sin, _) = Scalar::sin_cos(0.5 * (alpha + last.alpha));
-        let weight = NOMINAL.gravity_m_s2 / NOMINAL.rotary_length_m;
+        let weight = self.coefficients.weight;
         let pushed_rad_s = accelerates_rad_s2 * elapsed_s;
         self.newest = (self.newest + 1) % KEPT;
         self.filled = (self.filled + 1).min(KEPT);
@@ -180,10 +233,7 @@ impl MomentumWatch {
         let (cos_now, cos_before) = (cos(now), cos(before));
         let elapsed_s = now.time_s - before.time_s;
 
-        let lengths = NOMINAL.pendulum_length_m / NOMINAL.rotary_length_m;
-        let throw =
-            0.5 * NOMINAL.pendulum_mass_kg * NOMINAL.pendulum_length_m * NOMINAL.rotary_length_m
-                / arm_inertia();
+        let Coefficients { lengths, throw, .. } = self.coefficients;
         let swung_rad_s = throw * (cos_now * now_rad_s - cos_before * before_rad_s);
         let pushed_rad_s = now.pushed_rad_s - before.pushed_rad_s;
         let push_rad_s = now.push_rad_s - before.push_rad_s;
@@ -202,10 +252,4 @@ impl MomentumWatch {
         let agree = felt_rad_s * implied_rad_s * (cos_now + cos_before) > 0.0;
         felt_rad_s.abs() > least_rad_s && agree
     }
-}
-
-/// Moment of inertia of the arm with the pendulum's mass at its end, kg m^2.
-fn arm_inertia() -> f64 {
-    let DomainParameters { rotary_mass_kg, pendulum_mass_kg, rotary_length_m, .. } = NOMINAL;
-    (pendulum_mass_kg + rotary_mass_kg / 12.0) * rotary_length_m * rotary_length_m
 }

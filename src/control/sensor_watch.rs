@@ -5,7 +5,7 @@ use super::still_pendulum::Pendulum;
 use super::watch::Alarm;
 use super::witness::{Contradiction, RIG_SHARE, WHOLE_DOMAIN_SHARE, Witness};
 use crate::estimation::Calibration;
-use crate::qube::{CONTROL_PERIOD_S, Measurement, RAD_PER_COUNT};
+use crate::qube::{CONTROL_PERIOD_S, Measurement, PlantModel};
 use crate::telemetry::Fault;
 
 /// Largest step of a count in a control period (61 rad/s); a larger one is a jump.
@@ -60,8 +60,14 @@ const TACHOMETER_US: u64 = 300_000;
 const FELT_RAD_S: f64 = 0.4;
 
 /// Cross-checks encoders, motor current and tachometer, over the device's own time.
-#[derive(Clone, Copy, Debug, Default)]
+///
+/// Its limits of steps and velocities are in a Qube's counts; those of another plant's encoders cover the same
+/// angles. Limits within which a count counts as constant are the plant's own counts.
+#[derive(Clone, Copy, Debug)]
 pub struct SensorWatch {
+    plant: PlantModel,
+    /// Counts of arm and pendulum for each count of a Qube's.
+    counts_of_qube: [f64; 2],
     previous: Option<Measurement>,
     /// Last sample with a sufficient interval to the one before.
     stepped: Option<Measurement>,
@@ -101,16 +107,39 @@ impl Step {
 }
 
 impl SensorWatch {
+    /// A watch of a plant without the cross-check of the two encoders.
+    #[must_use]
+    pub fn of(plant: &PlantModel) -> Self {
+        let encoders = &plant.encoders;
+        Self {
+            plant: *plant,
+            counts_of_qube: [encoders.theta, encoders.alpha].map(|own| own.counts_of_qube()),
+            previous: None,
+            stepped: None,
+            theta_steps: [0; 3],
+            alpha_steps: [0; 3],
+            witness: None,
+            momentum: MomentumWatch::of(plant),
+            has_taken_current: false,
+            without_current_ticks: 0,
+            frozen: Push::default(),
+            stall: Push::default(),
+            pendulum: Pendulum::default(),
+            disagree_since_us: None,
+        }
+    }
+
     /// A watch that includes the cross-check of the two encoders.
     #[must_use]
-    pub fn witnessed(calibration: Calibration) -> Self {
-        Self { witness: Some((calibration, Witness::default())), ..Self::default() }
+    pub fn witnessed(plant: &PlantModel, calibration: Calibration) -> Self {
+        Self { witness: Some((calibration, Witness::of(plant))), ..Self::of(plant) }
     }
 
     /// Starts the cross-check of the encoders with these zeros; that of the pendulum is known
     /// within `zero_within_rad`.
     pub fn call_witness(&mut self, calibration: Calibration, zero_within_rad: f64) {
-        self.witness = Some((calibration, Witness::with_zero_within(zero_within_rad, RIG_SHARE)));
+        let witness = Witness::with_zero_within(&self.plant, zero_within_rad, RIG_SHARE);
+        self.witness = Some((calibration, witness));
     }
 
     /// Widens the thresholds for a policy's motion: no healthy Qube of the whole domain may raise
@@ -164,10 +193,11 @@ impl SensorWatch {
         let alpha = moved(sample.alpha_counts, previous.alpha_counts);
         let periods = (elapsed_s / CONTROL_PERIOD_S).max(1.0);
         let step = self.step(sample, &previous);
-        if theta.abs() > JUMP_COUNTS * periods {
+        let [of_theta, of_alpha] = self.counts_of_qube;
+        if theta.abs() > of_theta * JUMP_COUNTS * periods {
             return Some(Alarm::Zero(Fault::EncoderJump));
         }
-        if alpha.abs() > JUMP_COUNTS * periods && self.witness.is_some() {
+        if alpha.abs() > of_alpha * JUMP_COUNTS * periods && self.witness.is_some() {
             self.witness = None;
             return Some(Alarm::Brake(Fault::PendulumJump));
         }
@@ -177,19 +207,21 @@ impl SensorWatch {
         });
         if self.witness.is_some() {
             // A step that may turn out to be a jump proves nothing.
-            let leaps = |steps: &[i32; 3], step: f64| (step - f64::from(steps[2])).abs() > 40.0;
+            let leaps = |steps: &[i32; 3], step: f64, of_qube: f64| {
+                (step - f64::from(steps[2])).abs() > of_qube * 40.0
+            };
             let step = step.unwrap_or(Step { theta, alpha, elapsed_s: CONTROL_PERIOD_S });
-            if leaps(&self.theta_steps, step.theta_of_a_period())
-                || leaps(&self.alpha_steps, step.alpha_of_a_period())
+            if leaps(&self.theta_steps, step.theta_of_a_period(), of_theta)
+                || leaps(&self.alpha_steps, step.alpha_of_a_period(), of_alpha)
             {
                 testimony = None;
             }
         }
         if let Some(step) = step.filter(|_| self.witness.is_some()) {
-            if is_spike(&mut self.theta_steps, step.theta_of_a_period()) {
+            if is_spike(&mut self.theta_steps, step.theta_of_a_period(), of_theta) {
                 return Some(Alarm::Zero(Fault::EncoderJump));
             }
-            if is_spike(&mut self.alpha_steps, step.alpha_of_a_period()) {
+            if is_spike(&mut self.alpha_steps, step.alpha_of_a_period(), of_alpha) {
                 self.witness = None;
                 return Some(Alarm::Brake(Fault::PendulumJump));
             }
@@ -219,7 +251,8 @@ impl SensorWatch {
             return Some(Alarm::Zero(Fault::TachometerDisagrees));
         }
         let pendulum_is_frozen = step.is_some_and(|step| {
-            self.pendulum.is_frozen(sample, step.theta / step.elapsed_s * RAD_PER_COUNT)
+            let rad_per_count = self.plant.encoders.theta.rad_per_count();
+            self.pendulum.is_frozen(sample, step.theta / step.elapsed_s * rad_per_count)
         });
         // The arm first: a pendulum's fault lasts while the brake works and must not hide a fault
         // of the arm.
@@ -227,7 +260,7 @@ impl SensorWatch {
         if let Some(fault) = held {
             return Some(Alarm::Zero(fault));
         }
-        if alpha.abs() > JUMP_COUNTS * periods {
+        if alpha.abs() > of_alpha * JUMP_COUNTS * periods {
             return Some(Alarm::Brake(Fault::PendulumJump));
         }
         pendulum_is_frozen.then_some(Alarm::Brake(Fault::PendulumFrozen))
@@ -265,10 +298,11 @@ impl SensorWatch {
                 None => Fault::EncoderFrozen,
             });
         }
-        let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / RAD_PER_COUNT) as i32;
+        let rad_per_count = self.plant.encoders.theta.rad_per_count();
+        let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / rad_per_count) as i32;
         // An arm that the pendulum throws to and fro also stays near one place, but not at constant
         // speed.
-        if counts_s.abs() > STALL_RAD_S / RAD_PER_COUNT + 1.0 / elapsed_s {
+        if counts_s.abs() > STALL_RAD_S / rad_per_count + 1.0 / elapsed_s {
             self.stall = Push::default();
         }
         let stalls =
@@ -290,7 +324,8 @@ impl SensorWatch {
     fn disagrees(&mut self, sample: &Measurement, counts_s: f64) -> bool {
         let tachometer = f64::from(sample.tachometer_counts_s);
         let faster = tachometer.abs().max(counts_s.abs());
-        let allowed = TACHOMETER_COUNTS_S + TACHOMETER_SHARE * faster;
+        let [of_theta, _] = self.counts_of_qube;
+        let allowed = of_theta * TACHOMETER_COUNTS_S + TACHOMETER_SHARE * faster;
         if (tachometer - counts_s).abs() <= allowed {
             self.disagree_since_us = None;
             return false;
@@ -300,18 +335,20 @@ impl SensorWatch {
     }
 }
 
-/// Appends the next step of a count; returns whether the step before it was a jump.
-fn is_spike(steps: &mut [i32; 3], step: f64) -> bool {
+/// Appends the next step of a count, which has this many counts for each count of a Qube's; returns whether the step before it was a jump.
+fn is_spike(steps: &mut [i32; 3], step: f64, counts_of_qube: f64) -> bool {
+    let spike_counts = (f64::from(SPIKE_COUNTS) * counts_of_qube) as i32;
     *steps = [steps[1], steps[2], step as i32];
     let [before, between, after] = *steps;
     let (lowest, highest) = (before.min(after), before.max(after));
-    between > highest.max(0).saturating_add(SPIKE_COUNTS)
-        || between < lowest.min(0).saturating_sub(SPIKE_COUNTS)
+    between > highest.max(0).saturating_add(spike_counts)
+        || between < lowest.min(0).saturating_sub(spike_counts)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::RAD_PER_COUNT;
 
     /// Samples every 10 ms until the first alarm, and the tick of the alarm.
     fn first_alarm(
@@ -319,7 +356,7 @@ mod tests {
         at: impl Fn(u32, &mut Measurement),
         may_push: bool,
     ) -> Option<(u32, Fault)> {
-        let mut watch = SensorWatch::default();
+        let mut watch = SensorWatch::of(&PlantModel::QUBE);
         (0..ticks).find_map(|tick| {
             let device_time_us = u64::from(tick) * 10_000;
             let mut sample = Measurement { device_time_us, ..Measurement::default() };
@@ -335,7 +372,7 @@ mod tests {
     fn one_count_between_two_samples_that_follow_each_other_at_once_is_no_jerk() {
         // A computer that stalled for 20 ms, and the tick after that.
         for close_us in [141, 242, 2_000] {
-            let mut watch = SensorWatch::default();
+            let mut watch = SensorWatch::of(&PlantModel::QUBE);
             let before = (0..60).map(|tick| (10_000 * tick, 0));
             for (device_time_us, theta_counts) in
                 before.chain([(611_000, 0), (611_000 + close_us, -1), (620_000, -1)])
@@ -364,7 +401,7 @@ mod tests {
             }
         }
         // Over two periods, twice as much is a motion.
-        let mut watch = SensorWatch::default();
+        let mut watch = SensorWatch::of(&PlantModel::QUBE);
         for (device_time_us, alpha_counts) in [(0, 0), (20_000, 400), (40_000, 801)] {
             let sample = Measurement { device_time_us, alpha_counts, ..Measurement::default() };
             let alarm = watch.check(&sample, Some(ArmInput::default()));
@@ -401,7 +438,7 @@ mod tests {
     #[test]
     fn an_arm_that_the_pendulum_holds_is_not_frozen() {
         let alarm = |rad_s_each_tick: f64, voltage_mv: i16| {
-            let mut watch = SensorWatch::default();
+            let mut watch = SensorWatch::of(&PlantModel::QUBE);
             (0..40_u32).find_map(|tick| {
                 let device_time_us = u64::from(tick) * 10_000;
                 let sample = Measurement { device_time_us, ..Measurement::default() };
@@ -459,7 +496,7 @@ mod tests {
 
     #[test]
     fn a_pendulum_that_is_frozen_hides_no_arm_that_is_held() {
-        let mut watch = SensorWatch::default();
+        let mut watch = SensorWatch::of(&PlantModel::QUBE);
         let mut alarms = Vec::new();
         for tick in 0..100_u32 {
             // From rest to 7 rad/s in 70 ms with a constant pendulum count; then the arm is held

@@ -2,7 +2,7 @@
 //! s, and the arm would drift.
 
 use crate::elementary::Scalar;
-use crate::qube::{CONTROL_PERIOD_S, State};
+use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
 
 /// State feedback around hanging, V = -k (s - [start_theta, 0, 0, 0]): discrete LQR at 100 Hz on
 /// the nominal parameters, Q = diag(4, 2, 0.05, 0.2), R = 1. The pendulum's gains act on sin(alpha)
@@ -12,14 +12,37 @@ const GAINS: [f64; 4] = [1.716, -1.869, 0.46, -0.085];
 /// Largest settling voltage, V.
 const LIMIT_V: f64 = 4.0;
 
-/// The voltage that brings a state to rest at `target_theta_rad`, V.
-pub fn settling_voltage(state: &State, target_theta_rad: f64) -> f64 {
-    let (sin, cos) = Scalar::sin_cos(state.alpha);
-    let wanted_v = -(GAINS[0] * (state.theta - target_theta_rad)
-        + GAINS[1] * sin
-        + GAINS[2] * state.theta_dot
-        + GAINS[3] * state.alpha_dot * cos);
-    wanted_v.clamp(-LIMIT_V, LIMIT_V)
+/// The state feedback of one plant: the Qube's gains times the volts that accelerate this plant's arm as one volt
+/// accelerates a Qube's.
+#[derive(Clone, Copy, Debug)]
+pub struct Feedback {
+    gains: [f64; 4],
+    /// Largest voltage, V.
+    limit_v: f64,
+}
+
+impl Feedback {
+    /// The feedback for this plant.
+    #[must_use]
+    pub fn of(plant: &PlantModel) -> Self {
+        let volts = plant.volts_of_qube();
+        // Gains that are smaller than a Qube's would lose to friction, which is not smaller.
+        let volts = volts.max(1.0);
+        Self {
+            gains: GAINS.map(|gain| volts * gain),
+            limit_v: LIMIT_V.min(plant.limits.largest_voltage_v),
+        }
+    }
+
+    /// The voltage that brings a state to rest at `target_theta_rad`, V.
+    pub fn voltage_v(&self, state: &State, target_theta_rad: f64) -> f64 {
+        let (sin, cos) = Scalar::sin_cos(state.alpha);
+        let wanted_v = -(self.gains[0] * (state.theta - target_theta_rad)
+            + self.gains[1] * sin
+            + self.gains[2] * state.theta_dot
+            + self.gains[3] * state.alpha_dot * cos);
+        wanted_v.clamp(-self.limit_v, self.limit_v)
+    }
 }
 
 /// Growth of the trim, V/(rad s): 1 V in 3 s for an arm that is held 0.2 rad off its target.
@@ -37,12 +60,19 @@ const TRIM_SPEED_RAD_S: f64 = 0.5;
 
 /// Brings a Qube to rest at its target. A slowly growing trim removes the offset that cable,
 /// friction and dead zone leave under state feedback.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Settler {
+    feedback: Feedback,
     trim_v: f64,
 }
 
 impl Settler {
+    /// A settler of this plant that has not begun.
+    #[must_use]
+    pub fn of(plant: &PlantModel) -> Self {
+        Self { feedback: Feedback::of(plant), trim_v: 0.0 }
+    }
+
     /// The voltage of the next tick, V.
     pub fn voltage(&mut self, state: &State, target_theta_rad: f64) -> f64 {
         let off_rad = target_theta_rad - state.theta;
@@ -50,7 +80,8 @@ impl Settler {
             let trim_v = self.trim_v + TRIM_RATE * off_rad * CONTROL_PERIOD_S;
             self.trim_v = trim_v.clamp(-LARGEST_TRIM_V, LARGEST_TRIM_V);
         }
-        (settling_voltage(state, target_theta_rad) + self.trim_v).clamp(-LIMIT_V, LIMIT_V)
+        let limit_v = self.feedback.limit_v;
+        (self.feedback.voltage_v(state, target_theta_rad) + self.trim_v).clamp(-limit_v, limit_v)
     }
 }
 
@@ -82,7 +113,7 @@ const WIDE_SWING: f64 = 0.9;
 
 /// Leads arm and pendulum to rest so gently that an encoder that freezes meanwhile does no damage:
 /// both the target and the voltage move slowly.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct GentleSettler {
     settler: Settler,
     target_rad: Option<f64>,
@@ -90,6 +121,12 @@ pub struct GentleSettler {
 }
 
 impl GentleSettler {
+    /// A settler of this plant that has not begun.
+    #[must_use]
+    pub fn of(plant: &PlantModel) -> Self {
+        Self { settler: Settler::of(plant), target_rad: None, voltage_v: 0.0 }
+    }
+
     /// The voltage of the next tick towards `target_theta_rad`, V.
     pub fn voltage(&mut self, state: &State, target_theta_rad: f64) -> f64 {
         let target_rad = self.target_rad.get_or_insert(state.theta);
@@ -102,7 +139,7 @@ impl GentleSettler {
     /// The voltage of the next tick towards a target that moves by itself, plus a push, V.
     pub fn follow(&mut self, state: &State, target_theta_rad: f64, push_v: f64) -> f64 {
         self.target_rad = None;
-        let wanted_v = settling_voltage(state, target_theta_rad) + push_v;
+        let wanted_v = self.settler.feedback.voltage_v(state, target_theta_rad) + push_v;
         self.limit(state, wanted_v, GENTLE_V + push_v.abs())
     }
 
@@ -110,7 +147,7 @@ impl GentleSettler {
     fn limit(&mut self, state: &State, wanted_v: f64, gentle_v: f64) -> f64 {
         let swing = Scalar::sin_cos(state.alpha).0.abs() + state.alpha_dot.abs() / 15.0;
         let firm = ((swing - CALM_SWING) / (WIDE_SWING - CALM_SWING)).clamp(0.0, 1.0);
-        let most_v = gentle_v + firm * (LIMIT_V - gentle_v);
+        let most_v = gentle_v + firm * (self.settler.feedback.limit_v - gentle_v);
         let thrown = (state.theta_dot.abs() - THROWN_RAD_S) / (FAST_RAD_S - THROWN_RAD_S);
         let quick = firm.max(thrown.clamp(0.0, 1.0));
         let step_v = (GENTLE_V_S + quick * (FIRM_V_S - GENTLE_V_S)) * CONTROL_PERIOD_S;
@@ -152,7 +189,7 @@ mod tests {
                 for alpha_dot in [-25.0, -3.0, 0.0, 15.0] {
                     let mut state = State { theta, alpha, theta_dot: 0.0, alpha_dot };
                     let mut rest = RestDetector::default();
-                    let mut settler = GentleSettler::default();
+                    let mut settler = GentleSettler::of(&PlantModel::QUBE);
                     let mut ticks = 0;
                     while !rest.at_rest(&state, 0.05) {
                         state = control_step(dynamics, state, settler.voltage(&state, 0.05));

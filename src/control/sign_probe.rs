@@ -1,7 +1,7 @@
 use super::watch::{Alarm, Watch};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
-use crate::qube::{RAD_PER_COUNT, State};
+use crate::qube::{Encoders, PlantModel, State};
 use crate::safety::{brake_voltage, clamp_to_mv};
 use crate::telemetry::Ending;
 
@@ -24,11 +24,11 @@ const LAG_TICKS: usize = 3;
 /// Travel of arm or pendulum that ends the push, rad.
 const REACH_RAD: f64 = 0.05;
 
-/// Least travel that counts as driven, rad: ten counts.
-const MOVED_RAD: f64 = 10.0 * RAD_PER_COUNT;
+/// Least travel that counts as driven, counts.
+const MOVED_COUNTS: f64 = 10.0;
 
-/// Largest travel that counts as standing still, rad: play and the pendulum's pull cause as much.
-const STOOD_RAD: f64 = 4.0 * RAD_PER_COUNT;
+/// Largest travel that counts as standing still, counts: play and the pendulum's pull cause as much.
+const STOOD_COUNTS: f64 = 4.0;
 
 /// Velocity below which the arm counts as stopped, rad/s.
 const STOPPED_RAD_S: f64 = 0.5;
@@ -51,6 +51,7 @@ const CURRENT_ERROR_A: f64 = 0.005;
 /// judge.
 #[derive(Debug)]
 pub struct SignProbe {
+    plant: PlantModel,
     signs: Calibration,
     push_v: f64,
     estimator: Estimator,
@@ -107,6 +108,7 @@ pub struct ProbeTrace {
     samples: [ProbeSample; PROBE_TICKS as usize],
     length: usize,
     push_v: f64,
+    encoders: Encoders,
 }
 
 /// The arm's response to a voltage.
@@ -119,8 +121,9 @@ pub struct ArmResponse {
 }
 
 impl ProbeTrace {
-    fn new(push_v: f64) -> Self {
-        Self { samples: [ProbeSample::default(); PROBE_TICKS as usize], length: 0, push_v }
+    fn new(push_v: f64, encoders: Encoders) -> Self {
+        let samples = [ProbeSample::default(); PROBE_TICKS as usize];
+        Self { samples, length: 0, push_v, encoders }
     }
 
     /// All samples, in order.
@@ -135,16 +138,28 @@ impl ProbeTrace {
         self.push_v
     }
 
+    /// The encoders of arm and pendulum.
+    #[must_use]
+    pub fn encoders(&self) -> Encoders {
+        self.encoders
+    }
+
+    /// Travel of the arm that counts as driven, rad.
+    fn moved_rad(&self) -> f64 {
+        MOVED_COUNTS * self.encoders.theta.rad_per_count()
+    }
+
     /// The arm's response to the push, or to the voltage the other way if the push did not move it.
     /// `None` if the arm moved too little, or if either voltage may have moved it.
     #[must_use]
     pub fn arm_response(&self) -> Option<ArmResponse> {
         let pushed = self.travel(ProbeStage::Push)?;
-        if pushed.abs() >= MOVED_RAD {
+        if pushed.abs() >= self.moved_rad() {
             return Some(ArmResponse { voltage_v: self.push_v, theta_rad: pushed });
         }
         let countered = self.travel(ProbeStage::Counter)?;
-        (pushed.abs() <= STOOD_RAD && countered.abs() >= MOVED_RAD)
+        let stood_rad = STOOD_COUNTS * self.encoders.theta.rad_per_count();
+        (pushed.abs() <= stood_rad && countered.abs() >= self.moved_rad())
             .then_some(ArmResponse { voltage_v: -self.push_v, theta_rad: countered })
     }
 
@@ -194,10 +209,11 @@ impl ProbeTrace {
 }
 
 impl SignProbe {
-    /// A probe that pushes with `push_v`, V, and assumes these signs.
+    /// A probe of a plant that pushes with `push_v`, V, and assumes these signs.
     #[must_use]
-    pub fn new(signs: Calibration, push_v: f64) -> Self {
+    pub fn new(plant: &PlantModel, signs: Calibration, push_v: f64) -> Self {
         Self {
+            plant: *plant,
             signs,
             push_v,
             estimator: Estimator::new(EstimatorSettings::default(), signs),
@@ -210,7 +226,7 @@ impl SignProbe {
             pushed_rad: 0.0,
             state: State::default(),
             voltage_mv: 0,
-            trace: ProbeTrace::new(push_v),
+            trace: ProbeTrace::new(push_v, plant.encoders),
         }
     }
 
@@ -228,7 +244,7 @@ impl SignProbe {
             ProbeStage::Brake => {
                 let most_v = self.push_v.abs().max(BRAKE_V);
                 let sense = (self.pushed_rad * self.push_v).signum();
-                (sense * brake_voltage(self.state.theta_dot)).clamp(-most_v, most_v)
+                (sense * brake_voltage(self.state.theta_dot, &self.plant)).clamp(-most_v, most_v)
             }
         }
     }
@@ -250,7 +266,7 @@ impl SignProbe {
                 ProbeStage::Counter
             }
             ProbeStage::Counter if self.ticks >= self.pushed_ticks => {
-                if self.pushed_rad.abs() >= MOVED_RAD {
+                if self.pushed_rad.abs() >= self.trace.moved_rad() {
                     ProbeStage::Brake
                 } else {
                     ProbeStage::Coast
@@ -306,7 +322,8 @@ impl Motion for SignProbe {
             return self.off(Ending::Completed);
         }
         let wanted_v = self.stage_v();
-        self.voltage_mv = clamp_to_mv(wanted_v).unwrap_or(0);
+        let largest_v = self.plant.limits.largest_voltage_v;
+        self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
         self.ticks += 1;
         self.all_ticks += 1;
         self.output(Some(wanted_v), None)
@@ -329,11 +346,11 @@ mod tests {
     use super::super::drive;
     use super::super::plant_device::PlantDevice;
     use super::*;
-    use crate::qube::HARD_STOP_RAD;
+    use crate::qube::{HARD_STOP_RAD, RAD_PER_COUNT};
 
     fn probed(device: &mut PlantDevice, signs: Calibration) -> ProbeTrace {
         let clock = device.clock.clone();
-        let mut probe = SignProbe::new(signs, 0.25);
+        let mut probe = SignProbe::new(&PlantModel::QUBE, signs, 0.25);
         let report = drive(device, &clock, &mut probe, None, &AtomicBool::new(false)).unwrap();
         assert_eq!(report.outcome.ending, Ending::Completed);
         assert!(!device.armed);
@@ -368,7 +385,7 @@ mod tests {
 
     #[test]
     fn an_arm_that_still_runs_when_the_voltage_turns_is_not_taken_for_the_second_push() {
-        let mut trace = ProbeTrace::new(0.5);
+        let mut trace = ProbeTrace::new(0.5, Encoders::QUBE);
         // Six counts during the push, then momentum carries the arm on under the opposite voltage.
         for tick in 0..60_i32 {
             let stage = match tick {
@@ -388,7 +405,7 @@ mod tests {
     #[test]
     fn a_motor_that_turns_draws_less_and_one_that_is_held_does_not() {
         let drop = |last_a: f64| {
-            let mut trace = ProbeTrace::new(0.5);
+            let mut trace = ProbeTrace::new(0.5, Encoders::QUBE);
             for current_a in [0.0, 0.06, 0.06, 0.05, last_a, last_a] {
                 let (applied_v, stage) = (0.5, ProbeStage::Push);
                 trace.push(ProbeSample { current_a, applied_v, stage, ..ProbeSample::default() });
@@ -403,7 +420,7 @@ mod tests {
     /// A motor without supply reads 1 mA now and then, from rounding in the converter.
     #[test]
     fn a_motor_without_current_does_not_turn() {
-        let mut trace = ProbeTrace::new(2.0);
+        let mut trace = ProbeTrace::new(2.0, Encoders::QUBE);
         for current_a in [0.001, 0.001, 0.0, 0.0, 0.0] {
             let (applied_v, stage) = (2.0, ProbeStage::Push);
             trace.push(ProbeSample { current_a, applied_v, stage, ..ProbeSample::default() });

@@ -1,7 +1,7 @@
 use super::watch::{Alarm, Watch};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
-use crate::qube::{HARD_STOP_RAD, State};
+use crate::qube::{PlantModel, State};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::Ending;
 
@@ -31,6 +31,7 @@ const RETURN_TICKS: u32 = 300;
 /// lost.
 #[derive(Debug)]
 pub struct StopPress {
+    plant: PlantModel,
     calibration: Calibration,
     push_v: f64,
     most_ticks: u32,
@@ -65,8 +66,15 @@ impl StopPress {
     /// Presses with `push_v` volts, above 0, for at most `most_ticks`. A rehearsal ends as soon as
     /// a pushed arm has come back or has failed to.
     #[must_use]
-    pub fn new(calibration: Calibration, push_v: f64, most_ticks: u32, is_rehearsal: bool) -> Self {
+    pub fn new(
+        plant: &PlantModel,
+        calibration: Calibration,
+        push_v: f64,
+        most_ticks: u32,
+        is_rehearsal: bool,
+    ) -> Self {
         Self {
+            plant: *plant,
             calibration,
             push_v,
             most_ticks,
@@ -94,7 +102,7 @@ impl StopPress {
         let reach_rad = self.state.theta * self.outward;
         if self.outward == 0.0 {
             self.outward = self.state.theta.signum();
-            if self.state.theta.abs() < HARD_STOP_RAD - NEAR_STOP_RAD {
+            if self.state.theta.abs() < self.plant.limits.hard_stop_rad - NEAR_STOP_RAD {
                 self.seen = PressOutcome::NotAtStop;
                 return true;
             }
@@ -151,7 +159,8 @@ impl Motion for StopPress {
             return self.off(Ending::Completed);
         }
         let wanted_v = self.outward * self.push_v;
-        self.voltage_mv = clamp_to_mv(wanted_v).unwrap_or(0);
+        let largest_v = self.plant.limits.largest_voltage_v;
+        self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
         self.output(Some(wanted_v), None)
     }
 
@@ -172,11 +181,12 @@ mod tests {
     use super::super::drive;
     use super::super::plant_device::PlantDevice;
     use super::*;
+    use crate::qube::HARD_STOP_RAD;
 
     fn pressed(theta: f64, push_v: f64) -> (PressOutcome, PlantDevice) {
         let mut device = PlantDevice::new(State { theta, ..State::default() });
         let clock = device.clock.clone();
-        let mut press = StopPress::new(Calibration::IDENTITY, push_v, 200, true);
+        let mut press = StopPress::new(&PlantModel::QUBE, Calibration::IDENTITY, push_v, 200, true);
         let report = drive(&mut device, &clock, &mut press, None, &AtomicBool::new(false)).unwrap();
         assert_eq!(report.outcome.ending, Ending::Completed);
         assert!(!device.armed);
@@ -203,7 +213,7 @@ mod tests {
 
     /// Writes the push of a finger into the samples.
     fn after_a_push(off_rad: impl Fn(u32) -> f64) -> Option<(u32, PressOutcome)> {
-        let mut press = StopPress::new(Calibration::IDENTITY, 0.5, 6000, true);
+        let mut press = StopPress::new(&PlantModel::QUBE, Calibration::IDENTITY, 0.5, 6000, true);
         (0..6000).find_map(|tick| {
             let theta = HARD_STOP_RAD - off_rad(tick);
             let measurement = crate::qube::Measurement {

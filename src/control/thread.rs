@@ -68,7 +68,7 @@ enum Command {
     Hello(Patience),
     Cool,
     Motor(MotorHeat),
-    Home(HomingSettings),
+    Home(Box<HomingSettings>),
     Rollout(Box<TickSettings>, Box<Policy>, rtrb::Producer<TickRecord>),
     Lend(Borrower),
 }
@@ -182,7 +182,7 @@ impl ControlThread {
         &self,
         settings: HomingSettings,
     ) -> Result<Result<(DriveReport, Homed), ControlError>, ThreadGone> {
-        match self.ask(Command::Home(settings))? {
+        match self.ask(Command::Home(Box::new(settings)))? {
             Event::Homed(result) => Ok(result),
             _ => Err(ThreadGone),
         }
@@ -480,7 +480,7 @@ mod tests {
     use crate::estimation::Calibration;
     use crate::estimation::EstimatorSettings;
     use crate::policy::{ClassicalController, ClassicalGains};
-    use crate::qube::State;
+    use crate::qube::{PlantModel, State};
     use crate::safety::{COOLED_LOAD, SafetyBox};
     use crate::telemetry::{Ending, Fault};
 
@@ -500,6 +500,7 @@ mod tests {
             stops: None,
             foresight: None,
             rules: crate::telemetry::TickRules::NEWEST,
+            plant: PlantModel::QUBE,
         };
         (thread, settings)
     }

@@ -8,8 +8,10 @@ use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOu
 use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
-use crate::qube::{CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_HISTORY, Measurement, State};
-use crate::safety::{Brake, Foreseen, Guard, Limit, TrustedForesight, clamp_to_mv};
+use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, Measurement, State};
+use crate::safety::{
+    Brake, Foreseen, ForesightSettings, Guard, Limit, TrustedForesight, clamp_to_mv,
+};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
 /// Most ticks for settling: 15 s. It takes less than 2 s from any state in which a rollout may end.
@@ -76,8 +78,10 @@ impl<C: Controller> Tick<C> {
     /// A rollout that begins with settling.
     #[must_use]
     pub fn new(settings: &TickSettings, policy: C) -> Self {
-        let nearer_rad = settings.stops.map_or(HARD_STOP_RAD, |stops| stops.nearer_rad());
-        let room_rad = (HARD_STOP_RAD - STOPS_MEASURED_WITHIN_RAD - nearer_rad).max(0.0);
+        let plant = &settings.plant;
+        let hard_stop_rad = plant.limits.hard_stop_rad;
+        let nearer_rad = settings.stops.map_or(hard_stop_rad, |stops| stops.nearer_rad());
+        let room_rad = (hard_stop_rad - STOPS_MEASURED_WITHIN_RAD - nearer_rad).max(0.0);
         let is_witnessed = settings.rules >= TickRules::Witnessed;
         let mut tick = Self {
             settings: *settings,
@@ -85,16 +89,16 @@ impl<C: Controller> Tick<C> {
             estimator: Estimator::new(settings.estimator, settings.calibration),
             watch: if is_witnessed { Watch::default() } else { Watch::of_the_first_rules() },
             sensors: if is_witnessed {
-                SensorWatch::witnessed(settings.calibration)
+                SensorWatch::witnessed(plant, settings.calibration)
             } else {
-                SensorWatch::default()
+                SensorWatch::of(plant)
             },
             asking: None,
-            settler: Settler::default(),
-            gentle: GentleSettler::default(),
+            settler: Settler::of(plant),
+            gentle: GentleSettler::of(plant),
             rest: RestDetector::default(),
             centred: if is_witnessed {
-                CentredDetector::off_stops(HARD_STOP_RAD - room_rad)
+                CentredDetector::off_stops(hard_stop_rad - room_rad)
             } else {
                 CentredDetector::default()
             },
@@ -102,8 +106,11 @@ impl<C: Controller> Tick<C> {
             phase: Phase::Settling,
             periods_in_phase: 0,
             stopped_ticks: 0,
-            foresight: (settings.safety_box.guard == Guard::Foresight)
-                .then(|| settings.foresight.unwrap_or_default().foresight(settings.stops)),
+            foresight: (settings.safety_box.guard == Guard::Foresight).then(|| {
+                let foresight =
+                    settings.foresight.unwrap_or_else(|| ForesightSettings::of_plant(plant));
+                foresight.foresight(settings.stops, plant)
+            }),
             foreseen: None,
             brake: brake_of(settings, false),
             damps: false,
@@ -132,7 +139,7 @@ impl<C: Controller> Tick<C> {
                 self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
                 let is_witnessed = self.settings.rules >= TickRules::Witnessed;
-                self.asking = is_witnessed.then(AskingPush::default);
+                self.asking = is_witnessed.then(|| AskingPush::of(&self.settings.plant));
                 self.sensors.allow_the_whole_domain();
                 if let Some(foresight) = &mut self.foresight {
                     foresight.begin_policy();
@@ -284,7 +291,11 @@ impl<C: Controller> Tick<C> {
 /// The brake of a rollout before its first period; `damps` is whether the arm's count is doubted.
 fn brake_of(settings: &TickSettings, damps: bool) -> Brake {
     let stops_only = damps || settings.safety_box.guard.is_box();
-    let brake = if stops_only { Brake::stopping() } else { Brake::centring() };
+    let brake = if stops_only {
+        Brake::stopping(&settings.plant)
+    } else {
+        Brake::centring(&settings.plant)
+    };
     if settings.rules >= TickRules::Yielding { brake } else { brake.by_earlier_rules() }
 }
 
@@ -347,13 +358,14 @@ impl<C: Controller> Motion for Tick<C> {
         }
 
         // Decide, and send nothing that is not a number.
+        let largest_v = self.settings.plant.limits.largest_voltage_v;
         let mut wanted_v = self.wanted_voltage();
-        self.voltage_mv = match clamp_to_mv(wanted_v) {
+        self.voltage_mv = match clamp_to_mv(wanted_v, largest_v) {
             Ok(voltage_mv) => voltage_mv,
             Err(_) => {
                 self.take(ControlEvent::BrakeFault, Ending::Fault(Fault::NotANumber));
                 wanted_v = self.brake.voltage_v(&self.estimates.guarded);
-                clamp_to_mv(wanted_v).unwrap_or(0)
+                clamp_to_mv(wanted_v, largest_v).unwrap_or(0)
             }
         };
 
@@ -367,7 +379,7 @@ impl<C: Controller> Motion for Tick<C> {
                 self.take(ControlEvent::LimitLeft, Ending::LeftBox(Limit::Foresight));
             }
             wanted_v = self.brake.voltage_v(&self.estimates.guarded);
-            self.voltage_mv = clamp_to_mv(wanted_v).unwrap_or(0);
+            self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
         }
         self.estimator.send(f64::from(self.voltage_mv) / 1000.0);
         self.periods_in_phase += 1;

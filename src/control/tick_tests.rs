@@ -7,7 +7,7 @@ use super::plant_device::{Mishap, PlantDevice};
 use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, drive};
 use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use crate::policy::{ClassicalController, ClassicalGains, Controller, Policy};
-use crate::qube::{DomainParameters, QubeModel, State, Status, wrap_angle};
+use crate::qube::{DomainParameters, PlantModel, QubeModel, State, Status, wrap_angle};
 use crate::safety::{Limit, SafetyBox};
 use crate::telemetry::{Ending, Fault, Phase, TickRecord, TickSettings};
 
@@ -21,6 +21,7 @@ fn settings() -> TickSettings {
         stops: None,
         foresight: None,
         rules: crate::telemetry::TickRules::NEWEST,
+        plant: PlantModel::QUBE,
     }
 }
 

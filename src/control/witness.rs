@@ -1,7 +1,7 @@
 //! Cross-check of the two encoders: an acceleration of the arm shows in the motion of the pendulum.
 
 use crate::elementary::Scalar;
-use crate::qube::{CONTROL_PERIOD_S, DomainParameters, Measurement, RAD_PER_COUNT};
+use crate::qube::{CONTROL_PERIOD_S, Measurement, PlantModel};
 
 /// Length of each half of the long window, control periods.
 const LONG: usize = 10;
@@ -78,18 +78,34 @@ const ALIKE: f64 = 0.85;
 const WRONG_SCALE: f64 = 1.5;
 
 /// Error of the pendulum's zero after homing, rad: two counts.
-pub const ZERO_WITHIN_RAD: f64 = 2.0 * RAD_PER_COUNT;
+#[must_use]
+pub fn zero_within_rad(plant: &PlantModel) -> f64 {
+    2.0 * plant.encoders.alpha.rad_per_count()
+}
 
 /// Last step of a pendulum's count, in counts a period, above which a pendulum that then stays
 /// still has not come to rest by itself.
 const SWINGING_COUNTS: i32 = 3;
 
 /// Coefficients of the pendulum's equation: they depend on lengths and gravity, on no mass.
-const LENGTHS: f64 =
-    DomainParameters::NOMINAL.pendulum_length_m / DomainParameters::NOMINAL.rotary_length_m;
-const SWING: f64 = 2.0 / 3.0 * LENGTHS;
-const WEIGHT: f64 =
-    DomainParameters::NOMINAL.gravity_m_s2 / DomainParameters::NOMINAL.rotary_length_m;
+#[derive(Clone, Copy, Debug)]
+struct Coefficients {
+    /// L_p / L_r.
+    lengths: f64,
+    /// 2 L_p / 3 L_r.
+    swing: f64,
+    /// g / L_r, 1/s^2.
+    weight: f64,
+}
+
+impl Coefficients {
+    fn of(plant: &PlantModel) -> Self {
+        let nominal = &plant.parameters;
+        let lengths = nominal.pendulum_length_m / nominal.rotary_length_m;
+        let weight = nominal.gravity_m_s2 / nominal.rotary_length_m;
+        Self { lengths, swing: 2.0 / 3.0 * lengths, weight }
+    }
+}
 
 /// A contradiction between the two encoders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,6 +132,7 @@ pub enum Contradiction {
 /// the pendulum carries along.
 #[derive(Clone, Copy, Debug)]
 pub struct Witness {
+    coefficients: Coefficients,
     ring: [Entry; KEPT],
     filled: usize,
     newest: usize,
@@ -205,15 +222,29 @@ struct Change {
     unknown_rad_s: f64,
 }
 
-impl Default for Witness {
-    fn default() -> Self {
+impl Witness {
+    /// A cross-check of a plant whose pendulum's zero is known as after homing.
+    #[must_use]
+    pub fn of(plant: &PlantModel) -> Self {
+        Self::with_zero_within(plant, zero_within_rad(plant), WIDE_DOMAIN_SHARE)
+    }
+
+    /// A cross-check of a plant for a pendulum whose zero is known within `zero_within_rad`, and for lengths known up
+    /// to the fraction `unknown_share`.
+    #[must_use]
+    pub fn with_zero_within(plant: &PlantModel, zero_within_rad: f64, unknown_share: f64) -> Self {
+        Self::new(Coefficients::of(plant), zero_within_rad, unknown_share)
+    }
+
+    fn new(coefficients: Coefficients, zero_within_rad: f64, unknown_share: f64) -> Self {
         Self {
+            coefficients,
             ring: [Entry::default(); KEPT],
             filled: 0,
             newest: 0,
             previous: None,
-            zero_within_rad: ZERO_WITHIN_RAD,
-            unknown_share: WIDE_DOMAIN_SHARE,
+            zero_within_rad,
+            unknown_share,
             last_step_counts: 0,
             pull_rad_s: 0.0,
             arm_stands_ticks: 0,
@@ -225,15 +256,6 @@ impl Default for Witness {
             sure_squares: 0.0,
             scale: Scale::default(),
         }
-    }
-}
-
-impl Witness {
-    /// A cross-check for a pendulum whose zero is known within `zero_within_rad`, and for lengths
-    /// known up to the fraction `unknown_share`.
-    #[must_use]
-    pub fn with_zero_within(zero_within_rad: f64, unknown_share: f64) -> Self {
-        Self { zero_within_rad, unknown_share, ..Self::default() }
     }
 
     /// Sets the uncertain fraction.
@@ -312,7 +334,7 @@ impl Witness {
                 sure_together: self.sure_together,
                 sure_squares: self.sure_squares,
                 scale: self.scale,
-                ..Self::with_zero_within(self.zero_within_rad, self.unknown_share)
+                ..Self::new(self.coefficients, self.zero_within_rad, self.unknown_share)
             };
             self.previous = next(sample.theta_counts, sample.alpha_counts);
             return None;
@@ -341,7 +363,8 @@ impl Witness {
             }
             self.scale.take(long);
         }
-        let zero_rad_s = WEIGHT * self.zero_within_rad * LONG as f64 * CONTROL_PERIOD_S;
+        let zero_rad_s =
+            self.coefficients.weight * self.zero_within_rad * LONG as f64 * CONTROL_PERIOD_S;
         let contradicts = |change: &Option<Change>, least_rad_s: f64| {
             change.is_some_and(|change| {
                 // Sizes only: a wrong sign has a test of its own.
@@ -391,7 +414,7 @@ impl Witness {
         let stood_s = at(0).time_s - at(stood - SHORT).time_s;
         let unknown_rad_s = self.unknown_share * 0.5 * (swung_rad_s.abs() + pulled_rad_s.abs());
         let felt_rad_s = (swung_rad_s + pulled_rad_s).abs();
-        let zero_rad_s = WEIGHT * self.zero_within_rad * stood_s;
+        let zero_rad_s = self.coefficients.weight * self.zero_within_rad * stood_s;
         felt_rad_s > DRIFT_RAD_S + zero_rad_s + unknown_rad_s
     }
 
@@ -399,9 +422,10 @@ impl Witness {
         let (sin, cos) = Scalar::sin_cos(0.5 * (alpha + previous.alpha));
         let theta_dot = (theta - previous.theta) / elapsed_s;
         let alpha_dot = (alpha - previous.alpha) / elapsed_s;
+        let Coefficients { lengths, swing, weight } = self.coefficients;
         // cos a th'' is the derivative of cos a th' plus sin a a' th'.
-        let turning = sin * theta_dot * (alpha_dot - 0.5 * LENGTHS * cos * theta_dot);
-        let pull = WEIGHT.mul_add(sin, turning);
+        let turning = sin * theta_dot * (alpha_dot - 0.5 * lengths * cos * theta_dot);
+        let pull = weight.mul_add(sin, turning);
         let last = self.ring[self.newest];
         let before_rad_s = self.pull_rad_s;
         self.pull_rad_s += pull * elapsed_s;
@@ -410,7 +434,7 @@ impl Witness {
         self.ring[self.newest] = Entry {
             time_s: last.time_s + elapsed_s,
             arm_rad: last.arm_rad + cos * (theta - previous.theta),
-            swing_rad: SWING * alpha,
+            swing_rad: swing * alpha,
             pull_rad: last.pull_rad + 0.5 * (before_rad_s + self.pull_rad_s) * elapsed_s,
             strain_rad_s: last.strain_rad_s + pull.abs() * elapsed_s,
             pulled_rad_s: self.pull_rad_s,

@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use crate::qube::{Measurement, RAD_PER_COUNT};
+use crate::qube::{Encoder, Encoders, Measurement};
 
 /// The map from one rig's counts to angles and volts: signs differ between rigs, zeros between days.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,6 +16,9 @@ pub struct Calibration {
     pub alpha_inverted: bool,
     /// A positive voltage turns the arm towards negative theta.
     pub voltage_inverted: bool,
+    /// Resolution of the encoders; files that do not name it have a Qube's.
+    #[serde(default, skip_serializing_if = "Encoders::are_qube")]
+    pub encoders: Encoders,
 }
 
 impl Calibration {
@@ -26,25 +29,27 @@ impl Calibration {
         theta_inverted: false,
         alpha_inverted: false,
         voltage_inverted: false,
+        encoders: Encoders::QUBE,
     };
 
     /// Theta and alpha in rad. Differences wrap, so a counter that overflows does no harm.
     #[must_use]
     pub fn angles_rad(&self, measurement: &Measurement) -> (f64, f64) {
-        let angle = |counts: i32, zero: i32, inverted: bool| {
-            let angle = f64::from(counts.wrapping_sub(zero)) * RAD_PER_COUNT;
+        let Encoders { theta, alpha } = self.encoders;
+        let angle = |encoder: Encoder, counts: i32, zero: i32, inverted: bool| {
+            let angle = encoder.angle_rad(counts.wrapping_sub(zero));
             if inverted { -angle } else { angle }
         };
         (
-            angle(measurement.theta_counts, self.theta_zero_counts, self.theta_inverted),
-            angle(measurement.alpha_counts, self.alpha_zero_counts, self.alpha_inverted),
+            angle(theta, measurement.theta_counts, self.theta_zero_counts, self.theta_inverted),
+            angle(alpha, measurement.alpha_counts, self.alpha_zero_counts, self.alpha_inverted),
         )
     }
 
     /// The arm encoder's count at an angle in rad.
     #[must_use]
     pub fn theta_counts_at(&self, theta_rad: f64) -> i32 {
-        let off_counts = (theta_rad / RAD_PER_COUNT).round() as i32;
+        let off_counts = (theta_rad / self.encoders.theta.rad_per_count()).round() as i32;
         self.theta_zero_counts.wrapping_add(if self.theta_inverted {
             -off_counts
         } else {
@@ -62,6 +67,7 @@ impl Calibration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::RAD_PER_COUNT;
 
     #[test]
     fn counts_and_angles_of_the_arm_agree_either_way_round() {

@@ -2,7 +2,7 @@ use std::f64::consts::PI;
 
 use super::observer::Observer;
 use super::{Calibration, EstimatorSettings, FilterGains, through_filters};
-use crate::qube::{COUNTS_PER_REVOLUTION, Measurement, RAD_PER_COUNT, State, wrap_angle};
+use crate::qube::{Measurement, State, wrap_angle};
 
 /// Estimates the state from encoder samples over the device's clock.
 #[derive(Clone, Copy, Debug)]
@@ -44,8 +44,12 @@ impl Estimator {
         let estimates = match self.previous {
             None => {
                 let at_rest = State { theta, alpha, ..State::default() };
-                self.observer =
-                    self.settings.observer.as_ref().map(|own| Observer::new(own, at_rest));
+                let encoders = self.calibration.encoders;
+                self.observer = self
+                    .settings
+                    .observer
+                    .as_ref()
+                    .map(|own| Observer::new(own, encoders, at_rest));
                 Estimates { seen: at_rest, guarded: at_rest }
             }
             Some(Previous { device_time_us: before_us, estimates }) if now_us > before_us => {
@@ -84,11 +88,12 @@ impl Estimator {
         };
         let alpha = estimates.guarded.alpha;
         let turns = ((alpha - wrap_angle(alpha)) / (2.0 * PI)).round();
-        let turns_counts = turns as i32 * COUNTS_PER_REVOLUTION;
+        let encoder = self.calibration.encoders.alpha;
+        let turns_counts = turns as i32 * encoder.counts_per_revolution();
         let moved = if self.calibration.alpha_inverted { -turns_counts } else { turns_counts };
         self.calibration.alpha_zero_counts = self.calibration.alpha_zero_counts.wrapping_add(moved);
         // The previous angle moves with the zero, so that the next difference has no jump.
-        let by_rad = -f64::from(turns_counts) * RAD_PER_COUNT;
+        let by_rad = -encoder.angle_rad(turns_counts);
         estimates.guarded.alpha += by_rad;
         estimates.seen.alpha += by_rad;
         if let Some(observer) = &mut self.observer {
@@ -108,6 +113,7 @@ impl Estimator {
 mod tests {
     use super::super::{ObserverSettings, SentVoltages};
     use super::*;
+    use crate::qube::COUNTS_PER_REVOLUTION;
     use crate::qube::{
         DomainParameters, NonidealDynamics, Nonidealities, QubeModel, counts, runge_kutta_4,
     };

@@ -1,12 +1,12 @@
 use crate::elementary::Scalar;
-use crate::qube::RAD_PER_COUNT;
+use crate::qube::Encoder;
 
 /// Steady-state Kalman gains of one axis: the correction of angle and velocity for each rad of prediction
 /// error.
 ///
 /// The axis is modelled as angle and velocity, driven by an unmodelled acceleration that is constant over
 /// one interval T and white from interval to interval with standard deviation `sigma_a`. The angle's noise
-/// is that of an encoder, uniform over one count: `sigma_r` = (2 pi / 2048) / sqrt(12). The Riccati
+/// is that of an encoder, uniform over one count: `sigma_r` = (2 pi / counts a revolution) / sqrt(12). The Riccati
 /// equation then has a closed solution in the tracking index `Lambda = sigma_a T^2 / sigma_r` (P. R.
 /// Kalata, IEEE Trans. AES 20 (1984) 174):
 ///
@@ -26,11 +26,11 @@ pub struct KalmanGains<T = f64> {
 }
 
 impl KalmanGains {
-    /// The gains for an acceleration error of `noise_rad_s2` (standard deviation) over intervals of
+    /// The gains behind this encoder for an acceleration error of `noise_rad_s2` (standard deviation) over intervals of
     /// `interval_s`; both above 0.
     #[must_use]
-    pub fn steady_state(noise_rad_s2: f64, interval_s: f64) -> Self {
-        let quantisation_rad = RAD_PER_COUNT / 12.0_f64.sqrt();
+    pub fn steady_state(encoder: Encoder, noise_rad_s2: f64, interval_s: f64) -> Self {
+        let quantisation_rad = encoder.rad_per_count() / 12.0_f64.sqrt();
         let index = noise_rad_s2 * interval_s * interval_s / quantisation_rad;
         // (4 + index)^2 - (8 index + index^2) = 16: this form of r avoids a difference of large numbers.
         let r = 4.0 / (4.0 + index + (index * (8.0 + index)).sqrt());
@@ -51,7 +51,7 @@ mod tests {
     /// The gains to which the Riccati recursion converges.
     fn iterated(noise_rad_s2: f64, interval_s: f64) -> (f64, f64) {
         let (t, variance) = (interval_s, noise_rad_s2 * noise_rad_s2);
-        let noise = RAD_PER_COUNT * RAD_PER_COUNT / 12.0;
+        let noise = Encoder::QUBE.rad_per_count().powi(2) / 12.0;
         let (mut p11, mut p12, mut p22) = (1.0, 0.0, 1.0);
         let mut gains = (0.0, 0.0);
         for _ in 0..20_000 {
@@ -68,7 +68,7 @@ mod tests {
     fn the_closed_form_is_where_the_riccati_recursion_comes_to() {
         for noise_rad_s2 in [0.3, 10.0, 300.0] {
             for interval_s in [0.005, 0.01, 0.03] {
-                let gains = KalmanGains::steady_state(noise_rad_s2, interval_s);
+                let gains = KalmanGains::steady_state(Encoder::QUBE, noise_rad_s2, interval_s);
                 let (angle, velocity) = iterated(noise_rad_s2, interval_s);
                 assert!((gains.angle - angle).abs() < 1e-9, "{gains:?} {angle}");
                 assert!((gains.velocity / velocity - 1.0).abs() < 1e-9, "{gains:?} {velocity}");
@@ -78,9 +78,9 @@ mod tests {
 
     #[test]
     fn a_model_that_is_trusted_hardly_listens_and_one_that_is_not_takes_the_angle_as_it_is() {
-        let gains = KalmanGains::steady_state(1e-3, 0.01);
+        let gains = KalmanGains::steady_state(Encoder::QUBE, 1e-3, 0.01);
         assert!(gains.angle < 0.05 && gains.velocity < 0.1, "{gains:?}");
-        let gains = KalmanGains::steady_state(1e5, 0.01);
+        let gains = KalmanGains::steady_state(Encoder::QUBE, 1e5, 0.01);
         assert!(gains.angle > 0.999 && (gains.velocity - 200.0).abs() < 2.0, "{gains:?}");
     }
 }

@@ -1,6 +1,6 @@
 use super::{KalmanGains, ObserverSettings, SentVoltages};
 use crate::elementary::Scalar;
-use crate::qube::{NonidealDynamics, State, runge_kutta_4};
+use crate::qube::{Encoders, NonidealDynamics, State, runge_kutta_4};
 
 /// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of an
 /// encoder count.
@@ -100,6 +100,7 @@ pub fn prediction_steps(duration_us: u64) -> (u64, f64) {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Observer {
     settings: ObserverSettings,
+    encoders: Encoders,
     equations: ObserverEquations,
     sent: SentVoltages,
     /// State at the instant of the last sample.
@@ -109,9 +110,10 @@ pub(super) struct Observer {
 
 impl Observer {
     /// An observer of a Qube in this state to which no voltage was sent.
-    pub(super) fn new(settings: &ObserverSettings, estimate: State) -> Self {
+    pub(super) fn new(settings: &ObserverSettings, encoders: Encoders, estimate: State) -> Self {
         Self {
             settings: *settings,
+            encoders,
             equations: ObserverEquations::new(settings),
             sent: SentVoltages::new(settings.model.nonidealities.command_delay_s, 0.0),
             estimate,
@@ -125,12 +127,13 @@ impl Observer {
         let elapsed_us = now_us - before_us;
         let (estimate, astray) = if elapsed_us <= MAX_INTERVAL_US {
             let elapsed_s = elapsed_us as f64 * 1e-6;
-            let gains = |noise_rad_s2| KalmanGains::steady_state(noise_rad_s2, elapsed_s);
+            let gains =
+                |encoder, noise_rad_s2| KalmanGains::steady_state(encoder, noise_rad_s2, elapsed_s);
             self.equations.correct(
                 &self.moved(before_us, now_us),
                 filtered,
-                &gains(self.settings.theta_noise_rad_s2),
-                &gains(self.settings.alpha_noise_rad_s2),
+                &gains(self.encoders.theta, self.settings.theta_noise_rad_s2),
+                &gains(self.encoders.alpha, self.settings.alpha_noise_rad_s2),
             )
         } else {
             (*filtered, true)

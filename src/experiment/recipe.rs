@@ -80,7 +80,7 @@ impl Recipe {
     /// The psi of a searched model or a profile is missing.
     pub fn distribution(&self, psi: Option<&Psi>) -> Result<DomainDistribution, PsiError> {
         let SessionSettings { family, profile, .. } = &self.settings;
-        self.model.distribution(*family, profile.as_ref(), psi)
+        self.model.distribution(self.settings.plant(), *family, profile.as_ref(), psi)
     }
 
     /// The simulation settings besides the distribution.

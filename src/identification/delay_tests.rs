@@ -4,7 +4,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::qube::{DomainParameter, Nonidealities, Nonideality, QubeModel, State};
+use crate::qube::{DomainParameter, Nonidealities, Nonideality, PlantModel, QubeModel, State};
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
 /// A chirp of 4 s from 5 Hz down, sampled at 100 Hz on a clock that jitters by some microseconds, with
@@ -28,7 +28,7 @@ fn chirp(truth: &QubeModel, seed: u64) -> MotionLog {
         let mut seen = |angle: f64| angle + uniform(2e-3) + uniform(2e-3);
         sample.state = State { theta: seen(state.theta), alpha: seen(state.alpha), ..state };
     }
-    MotionLog { samples }
+    MotionLog { samples, plant: PlantModel::QUBE }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 use thiserror::Error;
 
 use super::stretch::duration_of;
-use crate::qube::{HARD_STOP_RAD, RAD_PER_COUNT, State};
+use crate::qube::{Encoder, Encoders, State};
 use crate::replay::{MotionLog, MotionSample};
 
 /// Shortest recording that is fitted, s.
@@ -88,13 +88,15 @@ pub enum Unfit {
     },
     /// The arm hit its stop, which the equations do not describe.
     #[error(
-        "clipped: the arm came to {theta_rad:.2} rad at {at_s:.3} s, the hard stop is at {HARD_STOP_RAD} rad"
+        "clipped: the arm came to {theta_rad:.2} rad at {at_s:.3} s, the hard stop is at {hard_stop_rad} rad"
     )]
     AtStop {
         /// Time since the start, s.
         at_s: f64,
         /// Angle of the arm, rad.
         theta_rad: f64,
+        /// Angle of the stop, rad.
+        hard_stop_rad: f64,
     },
     /// An angle jumps between two samples.
     #[error(
@@ -186,22 +188,23 @@ pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit
     if samples.iter().all(|sample| sample.voltage_v.abs() < LEAST_VOLTAGE_V) {
         return Err(Unfit::NoVoltage);
     }
-    let at_stop = |s: &&MotionSample| s.state.theta.abs() > HARD_STOP_RAD - STOP_MARGIN_RAD;
+    let hard_stop_rad = log.plant.limits.hard_stop_rad;
+    let at_stop = |s: &&MotionSample| s.state.theta.abs() > hard_stop_rad - STOP_MARGIN_RAD;
     if let Some(sample) = samples.iter().find(at_stop) {
         let (at_s, theta_rad) = (sample.time_s - start_s, sample.state.theta);
-        return Err(Unfit::AtStop { at_s, theta_rad });
+        return Err(Unfit::AtStop { at_s, theta_rad, hard_stop_rad });
     }
     for angle in ANGLES {
         jump(samples, angle)?;
     }
-    frozen(samples, start_s)?;
+    frozen(samples, start_s, log.plant.encoders)?;
     for angle in ANGLES {
         let values: Vec<f64> = samples.iter().map(|sample| (angle.of)(&sample.state)).collect();
         let moved_rad = range(&values);
         if moved_rad < LEAST_MOTION_RAD {
             return Err(Unfit::NoMotion { angle: angle.name, moved_rad });
         }
-        clipped(samples, &values, angle)?;
+        clipped(samples, &values, angle, (angle.encoder)(&log.plant.encoders))?;
         other_rate(samples, angle)?;
     }
     Ok(())
@@ -213,11 +216,22 @@ struct Angle {
     name: &'static str,
     of: fn(&State) -> f64,
     velocity_of: fn(&State) -> f64,
+    encoder: fn(&Encoders) -> Encoder,
 }
 
 const ANGLES: [Angle; 2] = [
-    Angle { name: "theta", of: |state| state.theta, velocity_of: |state| state.theta_dot },
-    Angle { name: "alpha", of: |state| state.alpha, velocity_of: |state| state.alpha_dot },
+    Angle {
+        name: "theta",
+        of: |state| state.theta,
+        velocity_of: |state| state.theta_dot,
+        encoder: |encoders| encoders.theta,
+    },
+    Angle {
+        name: "alpha",
+        of: |state| state.alpha,
+        velocity_of: |state| state.alpha_dot,
+        encoder: |encoders| encoders.alpha,
+    },
 ];
 
 /// Looks for a step larger than any motion can make.
@@ -234,14 +248,20 @@ fn jump(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
 }
 
 /// Looks for an angle that stops abruptly at its extreme and stays there.
-fn clipped(samples: &[MotionSample], values: &[f64], angle: Angle) -> Result<(), Unfit> {
+fn clipped(
+    samples: &[MotionSample],
+    values: &[f64],
+    angle: Angle,
+    encoder: Encoder,
+) -> Result<(), Unfit> {
+    let rad_per_count = encoder.rad_per_count();
     let lowest = values.iter().copied().fold(f64::INFINITY, f64::min);
     let highest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     for (index, run) in values.windows(CLIPPED_SAMPLES + 1).enumerate() {
         let stays_at = |extreme: f64| {
-            run[1..].iter().all(|value| (value - extreme).abs() < 0.5 * RAD_PER_COUNT)
+            run[1..].iter().all(|value| (value - extreme).abs() < 0.5 * rad_per_count)
         };
-        let step_counts = (run[1] - run[0]).abs() / RAD_PER_COUNT;
+        let step_counts = (run[1] - run[0]).abs() / rad_per_count;
         if step_counts > CLIPPED_STEP_COUNTS && (stays_at(lowest) || stays_at(highest)) {
             let at_s = samples[index + 1].time_s - samples[0].time_s;
             return Err(Unfit::Clipped { angle: angle.name, at_s, value_rad: run[1] });
@@ -283,12 +303,13 @@ fn other_rate(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
 }
 
 /// Looks for a count that stays constant for 0.3 s while voltage or the other angle should move it.
-fn frozen(samples: &[MotionSample], start_s: f64) -> Result<(), Unfit> {
+fn frozen(samples: &[MotionSample], start_s: f64, encoders: Encoders) -> Result<(), Unfit> {
+    let [theta_rad, alpha_rad] = [encoders.theta, encoders.alpha].map(|own| own.rad_per_count());
     // Sample since which each angle has been constant, and since which the voltage has kept its sign.
     let (mut arm_since, mut pendulum_since, mut held_since) = (0, 0, 0);
     for (now, sample) in samples.iter().enumerate() {
         let of = |index: usize| &samples[index];
-        let same = |a: f64, b: f64| (a - b).abs() <= 2.01 * RAD_PER_COUNT;
+        let same = |a: f64, b: f64| (a - b).abs() <= 2.01 * theta_rad;
         let turning = sample.voltage_v.abs() >= TURNING_VOLTAGE_V
             && sample.voltage_v * of(arm_since).voltage_v > 0.0;
         if !turning || !same(sample.state.theta, of(arm_since).state.theta) {
@@ -309,7 +330,7 @@ fn frozen(samples: &[MotionSample], start_s: f64) -> Result<(), Unfit> {
             let at_s = of(held_since).time_s - start_s;
             return Err(Unfit::FrozenArmUnderPendulum { at_s });
         }
-        if (sample.state.alpha - of(pendulum_since).state.alpha).abs() > 0.5 * RAD_PER_COUNT {
+        if (sample.state.alpha - of(pendulum_since).state.alpha).abs() > 0.5 * alpha_rad {
             pendulum_since = now;
         }
         let arm: Vec<f64> = samples[pendulum_since..=now].iter().map(|s| s.state.theta).collect();

@@ -1,6 +1,7 @@
 use super::*;
 use crate::qube::{
-    DomainParameter, DomainParameters, Nonidealities, Nonideality, QubeModel, State, quantised,
+    DomainParameter, DomainParameters, Nonidealities, Nonideality, PlantModel, QubeModel, State,
+    quantised,
 };
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
@@ -26,6 +27,7 @@ fn chirp(truth: &QubeModel, sign: f64, seconds: f64) -> MotionLog {
     let samples = samples.into_iter().zip(states);
     MotionLog {
         samples: samples.map(|(s, state)| MotionSample { state: encoded(state), ..s }).collect(),
+        plant: PlantModel::QUBE,
     }
 }
 
@@ -103,7 +105,7 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
         log.samples.iter_mut().enumerate().for_each(|(index, sample)| change(index, sample));
         check_recording(&log).unwrap_err()
     };
-    let short = MotionLog { samples: good.samples[..250].to_vec() };
+    let short = MotionLog { samples: good.samples[..250].to_vec(), ..good.clone() };
     assert!(matches!(check_recording(&short), Err(Unfit::Short { .. })));
     let mut gap = good.clone();
     gap.samples.drain(300..320);

@@ -151,7 +151,7 @@ impl Collector<'_> {
             number,
             generator: stream(true).generator(self.seed),
             spare: None,
-            calm: Calm::default(),
+            calm: Calm::limited_to(self.settings.simulation.plant.limits.largest_voltage_v as f32),
         }
     }
 }

@@ -9,7 +9,7 @@ use crate::policy::{
     Network, NetworkPolicy, Policy, SimulatedGuard, SimulatedObserver, SimulatedSensors,
     TrainingRecord,
 };
-use crate::qube::COUNTS_PER_REVOLUTION;
+use crate::qube::PlantModel;
 use crate::simulation::{DomainDistribution, Psi, SensorModel};
 
 /// The result of a training.
@@ -28,6 +28,8 @@ pub struct Trained {
     pub curve: Vec<TrainUpdate>,
     /// Sensors of the simulation.
     pub sensors: SensorModel,
+    /// Plant of the simulation.
+    pub plant: PlantModel,
     /// Weight of a change of voltage in the training reward, 1/V^2.
     pub voltage_change_weight: f32,
     /// Seed of every random number in the training.
@@ -55,7 +57,8 @@ impl Trained {
             SensorModel::Encoders { estimator: EstimatorSettings { corner_rad_s, observer } } => {
                 SimulatedSensors::Encoders {
                     corner_rad_s,
-                    counts_per_revolution: COUNTS_PER_REVOLUTION,
+                    // Where the two encoders differ, the record's plant names both.
+                    counts_per_revolution: self.plant.encoders.theta.counts_per_revolution(),
                     observer: observer.map(|observer| SimulatedObserver {
                         model: observer.model,
                         theta_noise_rad_s2: observer.theta_noise_rad_s2,
@@ -77,6 +80,7 @@ impl Trained {
                 sensors,
                 guard: SimulatedGuard::Box,
                 voltage_change_weight: self.voltage_change_weight,
+                plant: self.plant,
                 best_return: Some(self.best_return),
                 program_version: env!("CARGO_PKG_VERSION").to_owned(),
             },

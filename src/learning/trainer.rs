@@ -112,7 +112,8 @@ impl<'a> Trainer<'a> {
     pub fn evaluate(&self) -> (Evaluation, f64) {
         let starts = usize::from(self.settings.evaluation_starts);
         let weight = self.settings.voltage_change_weight;
-        let mut calm = vec![Calm::default(); starts];
+        let plant = &self.settings.simulation.plant;
+        let mut calm = vec![Calm::limited_to(plant.limits.largest_voltage_v as f32); starts];
         let mut calm_return = 0.0;
         let evaluation = evaluate_and_tell(
             &mut NetworkActor(&self.policy.network),
@@ -168,6 +169,7 @@ impl<'a> Trainer<'a> {
             final_network: exported(&self.policy.network)?,
             final_return: self.curve.last().map_or(f64::NEG_INFINITY, |last| last.mean_return),
             sensors: self.settings.simulation.sensors,
+            plant: self.settings.simulation.plant,
             voltage_change_weight: self.settings.voltage_change_weight,
             seed: self.seed,
             curve: self.curve,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use proptest::prelude::*;
 
 use super::*;
-use crate::qube::MAX_HISTORY;
+use crate::qube::{MAX_HISTORY, PlantModel};
 
 fn network_policy() -> Policy {
     network_policy_with_history(0)
@@ -30,6 +30,7 @@ fn network_policy_with_history(history: usize) -> Policy {
             gradient_steps: 750_000,
             guard: SimulatedGuard::Envelope,
             voltage_change_weight: 0.02,
+            plant: PlantModel::QUBE,
             sensors: SimulatedSensors::Encoders {
                 corner_rad_s: 200.0,
                 counts_per_revolution: 2048,

@@ -67,6 +67,7 @@ mod file;
 #[cfg(test)]
 mod file_tests;
 mod network;
+mod trained_for;
 mod training_record;
 
 use std::path::Path;
@@ -75,6 +76,7 @@ pub use classical::{ClassicalController, ClassicalGains};
 pub use excitation::{EXCITATION_STEPS, Excitation, ExcitationShape};
 pub use file::{FORMAT_VERSION, MAX_FILE_BYTES, PolicyError, PolicyFault};
 pub use network::{LayerWeights, MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
+pub use trained_for::OtherPlant;
 pub use training_record::{SimulatedGuard, SimulatedObserver, SimulatedSensors, TrainingRecord};
 
 use crate::qube::State;

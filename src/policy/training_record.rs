@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::qube::QubeModel;
+use crate::qube::{PlantModel, QubeModel};
 
 /// The record of a network's training. Its file contains it, commands show it, and `run` compares it with
 /// the machine.
@@ -30,6 +30,9 @@ pub struct TrainingRecord {
     /// Weight of a change of voltage in the training reward, 1/V^2; 0 in files that do not name it.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub voltage_change_weight: f32,
+    /// Plant that the policy was trained for; files that name none mean the built-in Qube.
+    #[serde(default, skip_serializing_if = "PlantModel::is_qube")]
+    pub plant: PlantModel,
     /// Mean return of the evaluation that selected this policy.
     pub best_return: Option<f64>,
     /// Version of the program that trained it.

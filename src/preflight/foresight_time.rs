@@ -2,7 +2,7 @@ use std::time::Instant;
 
 use thiserror::Error;
 
-use crate::qube::{MAX_HISTORY, State};
+use crate::qube::{MAX_HISTORY, PlantModel, State};
 use crate::safety::ForesightSettings;
 
 /// Number of timings. The shortest one counts, because a busy computer is not a slow processor.
@@ -19,7 +19,7 @@ pub const TOO_SLOW_US: f64 = 4000.0;
 /// one in which every particle is simulated to the horizon.
 #[must_use]
 pub fn foresight_time_us() -> f64 {
-    let mut foresight = ForesightSettings::default().foresight(None);
+    let mut foresight = ForesightSettings::default().foresight(None, &PlantModel::QUBE);
     // The state with the longest prediction of 33 696 states on a grid: the pendulum is about to go
     // over the top.
     let swinging = State { theta: -0.5, alpha: 4.0, theta_dot: 0.0, alpha_dot: -8.0 };

@@ -3,6 +3,8 @@
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
 )]
 
+use crate::elementary::Scalar;
+
 use super::{BLOCK, CONTROL_PERIOD_S, Lanes, MAX_HISTORY, MAX_VOLTAGE_V, SUBSTEPS};
 
 /// Length of a substep, s.
@@ -27,6 +29,8 @@ pub(super) struct CommandLine {
     before_v: Lanes,
     /// Voltage at the motor after `change_s`, V.
     after_v: Lanes,
+    /// Largest voltage, V.
+    largest_v: f32,
 }
 
 impl CommandLine {
@@ -37,7 +41,20 @@ impl CommandLine {
         change_s: [0.0; BLOCK],
         before_v: [0.0; BLOCK],
         after_v: [0.0; BLOCK],
+        largest_v: MAX_VOLTAGE_V as f32,
     };
+
+    /// An empty line that clips to another largest voltage, V.
+    pub(super) fn limited_to(largest_v: f32) -> Self {
+        Self { largest_v, ..Self::EMPTY }
+    }
+
+    /// Largest voltage, V. Loops over lanes copy it first: a load within them would keep them from becoming vector
+    /// code.
+    #[inline(always)]
+    pub(super) fn largest_v(&self) -> f32 {
+        self.largest_v
+    }
 
     /// Restarts a lane with a new delay and no commands in its past.
     pub(super) fn restart(&mut self, lane: usize, delay_s: f64) {
@@ -69,8 +86,9 @@ impl CommandLine {
     /// Begins a period with these commands.
     #[inline(always)]
     pub(super) fn begin_period(&mut self, commands_v: &Lanes) {
+        let largest_v = self.largest_v;
         for lane in 0..BLOCK {
-            let mut newer_v = limited_voltage(commands_v[lane]);
+            let mut newer_v = limited_to(commands_v[lane], largest_v);
             let (mut before_v, mut after_v) = (newer_v, newer_v);
             for (age, sent_v) in self.sent_v.iter().enumerate() {
                 let older_v = sent_v[lane];
@@ -118,10 +136,20 @@ impl CommandLine {
     #[inline(always)]
     pub(super) fn end_period(&mut self, commands_v: &Lanes) {
         self.sent_v.rotate_right(1);
+        let largest_v = self.largest_v;
         for lane in 0..BLOCK {
-            self.sent_v[0][lane] = limited_voltage(commands_v[lane]);
+            self.sent_v[0][lane] = limited_to(commands_v[lane], largest_v);
         }
     }
+}
+
+/// Clips a voltage to +-`largest_v`, V; NaN stays NaN. Unlike `clamp` it has no check of its limits, which would
+/// keep loops over lanes from becoming vector code.
+#[must_use]
+#[inline(always)]
+pub fn limited_to<T: Scalar>(voltage_v: T, largest_v: T) -> T {
+    let voltage_v = if voltage_v < -largest_v { -largest_v } else { voltage_v };
+    if voltage_v > largest_v { largest_v } else { voltage_v }
 }
 
 /// Clips a voltage to +-[`MAX_VOLTAGE_V`].

@@ -1,6 +1,7 @@
-//! Constants of the machine and the task, which no setting changes.
+//! Constants of the wire, the task and the built-in Qube.
 
-/// Largest motor voltage that is ever commanded, V.
+/// Largest motor voltage that the wire carries, V, and the unit of a policy's output. A plant's own limit may be
+/// smaller ([`super::PlantLimits`]).
 pub const MAX_VOLTAGE_V: f64 = 5.0;
 
 /// Control period, s: 100 Hz.
@@ -12,5 +13,5 @@ pub const CONTROL_PERIOD_NS: u64 = 10_000_000;
 /// Steps in a complete rollout of 6 s.
 pub const MAX_STEPS: usize = 600;
 
-/// Angle of the arm's hard stop on either side, rad (about 137 degrees, measured on a sister model).
+/// Angle of a Qube's hard stop on either side, rad (about 137 degrees, measured on a sister model).
 pub const HARD_STOP_RAD: f64 = 2.39;

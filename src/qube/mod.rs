@@ -28,15 +28,20 @@ mod motor_rating;
 mod nonidealities;
 mod observation;
 mod parameters;
+mod plant_model;
+mod plant_name;
 mod profile;
 mod quantity;
 mod qube_lanes;
 mod reward;
 mod state;
 
-pub use command_line::limited_voltage;
+pub use command_line::{limited_to, limited_voltage};
 pub use dynamics::{Acceleration, Dynamics, EquationsOfMotion};
-pub use encoder::{COUNTS_PER_REVOLUTION, RAD_PER_COUNT, angle_rad, counts, quantised};
+pub use encoder::{
+    COUNTS_PER_REVOLUTION, Encoder, Encoders, Quantiser, RAD_PER_COUNT, angle_rad, counts,
+    quantised,
+};
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use lanes::{BLOCK, InLanes, Lanes};
 pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
@@ -45,6 +50,8 @@ pub use motor_rating::MotorRating;
 pub use nonidealities::{MAX_CABLE_DRIFT_RAD_PER_MIN, NonidealDynamics, Nonidealities, QubeModel};
 pub use observation::{MAX_HISTORY, OBSERVATION_SIZE, observation};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
+pub use plant_model::{PlantError, PlantLimits, PlantModel, PlantMotor};
+pub use plant_name::PlantName;
 pub use profile::{Correlations, Profile, ProfileError, Provenance};
 pub use quantity::{Nonideality, Quantity};
 pub use qube_lanes::{ControlPeriod, QubeLanes};

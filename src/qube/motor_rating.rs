@@ -20,6 +20,15 @@ impl MotorRating {
     /// the housing dominates, so 30 s for the whole motor is a conservative assumption, not a measurement.
     pub const NOMINAL: Self = Self { continuous_a: 0.54, time_constant_s: 30.0 };
 
+    /// The rating with the lower number of either.
+    #[must_use]
+    pub fn lower(&self, other: &Self) -> Self {
+        Self {
+            continuous_a: self.continuous_a.min(other.continuous_a),
+            time_constant_s: self.time_constant_s.min(other.time_constant_s),
+        }
+    }
+
     /// Whether the rating is positive and no higher than another one.
     #[must_use]
     pub fn is_within(&self, other: &Self) -> bool {

@@ -76,7 +76,13 @@ impl QubeModel {
     /// gives the nominal Qube, 1 this one. Parameters move by their logarithms.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
-        let mut parameters = DomainParameters::NOMINAL;
+        self.scaled_from(&DomainParameters::NOMINAL, factor)
+    }
+
+    /// The same on the line from these nominal parameters.
+    #[must_use]
+    pub fn scaled_from(&self, nominal: &DomainParameters, factor: f64) -> Self {
+        let mut parameters = *nominal;
         for parameter in DomainParameter::ALL {
             let (nominal, own) = (parameters.get(parameter), self.parameters.get(parameter));
             if own > 0.0 {

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use super::{
     DomainParameter, DomainParameters, MAX_CABLE_DRIFT_RAD_PER_MIN, Nonidealities, Nonideality,
-    ParameterError, Quantity, QubeModel,
+    ParameterError, PlantName, Quantity, QubeModel,
 };
 
 /// One Qube in a file: its model, the uncertainty of its values, and their provenance. `identify` writes
@@ -15,6 +15,9 @@ use super::{
 pub struct Profile {
     /// Name that people give the Qube.
     pub name: String,
+    /// Plant of which this is a specimen; files that name none mean the built-in Qube.
+    #[serde(default, skip_serializing_if = "PlantName::is_qube")]
+    pub plant: PlantName,
     /// The nine domain parameters; a parameter that the file does not name is nominal.
     #[serde(default = "nominal", with = "named_parameters")]
     pub parameters: DomainParameters,
@@ -104,6 +107,7 @@ impl Profile {
     pub fn exact(name: &str, model: &QubeModel) -> Self {
         Self {
             name: name.to_owned(),
+            plant: PlantName::QUBE,
             parameters: model.parameters,
             nonidealities: model.nonidealities,
             standard_errors: BTreeMap::new(),
@@ -242,6 +246,7 @@ mod tests {
     fn what_is_written_reads_back_and_what_is_left_out_is_nominal() {
         let profile = Profile {
             name: "lab".into(),
+            plant: PlantName::QUBE,
             parameters: DomainParameters { motor_resistance_ohm: 9.1, ..DomainParameters::NOMINAL },
             nonidealities: Nonidealities { command_delay_s: 0.01, ..Nonidealities::default() },
             standard_errors: BTreeMap::from([("R_m".into(), 0.2)]),

@@ -6,7 +6,7 @@
 use super::command_line::{CommandLine, STEP_S};
 use super::{
     BLOCK, EquationsOfMotion as _, InLanes, Lanes, MAX_HISTORY, NonidealDynamics, QubeModel,
-    SUBSTEPS, State, limited_voltage, runge_kutta_4,
+    SUBSTEPS, State, limited_to, runge_kutta_4,
 };
 use crate::elementary::{InstructionSet, VectorKernel};
 
@@ -39,6 +39,19 @@ impl QubeLanes {
             commands: CommandLine::EMPTY,
             ideal: [true; BLOCK],
         }
+    }
+
+    /// Qubes like [`Self::hanging`] whose motors get at most this voltage, V.
+    #[must_use]
+    pub fn hanging_limited_to(largest_v: f32) -> Self {
+        Self { commands: CommandLine::limited_to(largest_v), ..Self::hanging() }
+    }
+
+    /// Largest voltage that the motors get, V.
+    #[must_use]
+    #[inline(always)]
+    pub fn largest_v(&self) -> f32 {
+        self.commands.largest_v()
     }
 
     /// Puts another Qube into a lane, with no commands in its past. Its delay is at most [`MAX_HISTORY`]
@@ -92,10 +105,11 @@ impl QubeLanes {
     /// over the period.
     #[inline(always)]
     pub fn advance_ideal(&mut self, commands_v: &Lanes) {
+        let largest_v = self.commands.largest_v();
         let Self { state, dynamics, .. } = self;
         for lane in 0..BLOCK {
             let own = dynamics.ideal.lane(lane);
-            let voltage_v = limited_voltage(commands_v[lane]);
+            let voltage_v = limited_to(commands_v[lane], largest_v);
             let next = runge_kutta_4(&own, state.lane(lane), voltage_v, STEP_S);
             state.set_lane(lane, &next);
         }

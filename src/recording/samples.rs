@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::{FORMAT_VERSION, RolloutWriter};
 use crate::estimation::{Calibration, EstimatorSettings};
-use crate::qube::{Measurement, RewardWeights, State, Status};
+use crate::qube::{Measurement, PlantModel, RewardWeights, State, Status};
 use crate::safety::{Limit, MotorHeat, SafetyBox};
 use crate::telemetry::{
     CheckResult, Ending, LatencySummary, Phase, Preflight, RolloutHeader, RolloutOutcome,
@@ -44,6 +44,7 @@ pub(crate) fn header() -> RolloutHeader {
             stops: None,
             foresight: None,
             rules: crate::telemetry::TickRules::NEWEST,
+            plant: PlantModel::QUBE,
         },
         reward: RewardWeights::THESIS,
     }

@@ -1,7 +1,7 @@
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use crate::qube::{DomainParameters, State};
+use crate::qube::{PlantModel, State};
 
 // The data of Foxglove's 3-D panel: a tree of frames for each tick, and once the bodies in them. Field
 // names and schema names are Foxglove's (foxglove.FrameTransforms, foxglove.SceneUpdate).
@@ -105,12 +105,12 @@ fn time(time_ns: u64) -> Time {
 const UPRIGHT: Quaternion = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
 
 impl FrameTransforms {
-    /// The frames of one state. An angle that is not finite is drawn at zero, because JSON has no NaN.
-    pub(super) fn new(state: &State, log_time_ns: u64) -> Self {
+    /// The frames of one state of a plant. An angle that is not finite is drawn at zero, because JSON has no NaN.
+    pub(super) fn new(plant: &PlantModel, state: &State, log_time_ns: u64) -> Self {
         let half = |angle: f64| if angle.is_finite() { 0.5 * angle } else { 0.0 };
         let (half_theta, half_alpha) = (half(state.theta), half(state.alpha));
         let timestamp = time(log_time_ns);
-        let arm_length_m = DomainParameters::NOMINAL.rotary_length_m;
+        let arm_length_m = plant.parameters.rotary_length_m;
         Self {
             transforms: [
                 FrameTransform {
@@ -141,9 +141,9 @@ impl FrameTransforms {
 }
 
 impl SceneUpdate {
-    /// Boxes with the nominal lengths.
-    pub(super) fn new(log_time_ns: u64) -> Self {
-        let nominal = DomainParameters::NOMINAL;
+    /// Boxes with the nominal lengths of a plant.
+    pub(super) fn new(plant: &PlantModel, log_time_ns: u64) -> Self {
+        let nominal = &plant.parameters;
         let (arm, pendulum) = (nominal.rotary_length_m, nominal.pendulum_length_m);
         let entity = |frame_id, center, size, color| Entity {
             timestamp: time(log_time_ns),
@@ -185,6 +185,7 @@ impl SceneUpdate {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::DomainParameters;
     use std::f64::consts::{FRAC_PI_2, PI};
 
     fn rotate(q: Quaternion, v: [f64; 3]) -> [f64; 3] {
@@ -200,7 +201,7 @@ mod tests {
     /// Position of the pendulum's free end in the base frame.
     fn tip(theta: f64, alpha: f64) -> [f64; 3] {
         let state = State { theta, alpha, ..State::default() };
-        let [arm, pendulum] = FrameTransforms::new(&state, 0).transforms;
+        let [arm, pendulum] = FrameTransforms::new(&PlantModel::QUBE, &state, 0).transforms;
         let length = DomainParameters::NOMINAL.pendulum_length_m;
         let in_arm = rotate(pendulum.rotation, [0.0, 0.0, -length]);
         let in_arm = [in_arm[0] + pendulum.translation.x, in_arm[1], in_arm[2]];

@@ -169,7 +169,8 @@ impl<W: Sink> RolloutWriter<W> {
             ticks_in_block: 0,
             json,
         };
-        writer.message(scene, &SceneUpdate::new(started_ns))?;
+        let plant = writer.header.settings.plant;
+        writer.message(scene, &SceneUpdate::new(&plant, started_ns))?;
         writer.close_block()?;
         Ok(writer)
     }
@@ -194,7 +195,8 @@ impl<W: Sink> RolloutWriter<W> {
         self.message(self.channels.state, &StateMessage::new(&tick.state))?;
         self.message(self.channels.command, &CommandMessage::new(tick))?;
         self.message(self.channels.safety, &SafetyMessage::new(tick))?;
-        let transforms = FrameTransforms::new(&tick.state, log_time_ns);
+        let transforms =
+            FrameTransforms::new(&self.header.settings.plant, &tick.state, log_time_ns);
         self.message(self.channels.transforms, &transforms)?;
         self.message(self.channels.timing, &TimingMessage::new(tick))?;
         self.ticks_in_block += 1;

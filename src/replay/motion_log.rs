@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::csv::{CsvError, parse_csv};
-use crate::qube::State;
+use crate::qube::{PlantModel, State};
 use crate::recording::{self, Recording, RecordingError};
 use crate::storage::{open_regular, read_text};
 use crate::telemetry::Phase;
@@ -29,6 +29,8 @@ pub struct MotionSample {
 pub struct MotionLog {
     /// At least two samples with increasing times.
     pub samples: Vec<MotionSample>,
+    /// Plant that moved; a CSV file does not name one.
+    pub plant: PlantModel,
 }
 
 /// The reason why a file gives no motion.
@@ -78,7 +80,7 @@ impl MotionLog {
         let text = read_text(path, MAX_FILE_BYTES).map_err(|source| read_error(path, source))?;
         let samples =
             parse_csv(&text).map_err(|why| MotionLogError::Csv { path: path.to_owned(), why })?;
-        Ok(Self { samples })
+        Ok(Self { samples, plant: PlantModel::QUBE })
     }
 
     /// The motion while the policy had the motor, by the device's clock; `None` with fewer than two
@@ -106,7 +108,8 @@ impl MotionLog {
                 samples.push(MotionSample { time_s, state, voltage_v });
             }
         }
-        (samples.len() >= 2).then_some(Self { samples })
+        let plant = recording.header.settings.plant;
+        (samples.len() >= 2).then_some(Self { samples, plant })
     }
 }
 

@@ -148,7 +148,7 @@ fn steps_over(duration_s: f64) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::{DomainParameters, Dynamics, Nonidealities, control_step};
+    use crate::qube::{DomainParameters, Dynamics, Nonidealities, PlantModel, control_step};
     use crate::replay::MotionSample;
 
     /// A log that the simulator itself made, with uneven times.
@@ -167,7 +167,7 @@ mod tests {
                 sample
             })
             .collect();
-        MotionLog { samples }
+        MotionLog { samples, plant: PlantModel::QUBE }
     }
 
     #[test]
@@ -186,7 +186,8 @@ mod tests {
         let hanging = State::default();
         let off = State { theta: 0.3, alpha: -0.4, ..hanging };
         let sample = |time_s, state| MotionSample { time_s, state, voltage_v: 0.0 };
-        let log = MotionLog { samples: vec![sample(0.0, hanging), sample(0.1, off)] };
+        let samples = vec![sample(0.0, hanging), sample(0.1, off)];
+        let log = MotionLog { samples, plant: PlantModel::QUBE };
         let rmse = simulate_beside(&log, &QubeModel::NOMINAL).unwrap().rmse;
         assert!((rmse.theta_rad - 0.3 / 2.0_f64.sqrt()).abs() < 1e-15);
         assert!((rmse.alpha_rad - 0.4 / 2.0_f64.sqrt()).abs() < 1e-15);
@@ -210,7 +211,8 @@ mod tests {
             state: State::default(),
             voltage_v: 1.5 * (f64::from(index) * 0.3).sin(),
         };
-        let log = MotionLog { samples: (0..100).map(sample).collect() };
+        let samples = (0..100).map(sample).collect();
+        let log = MotionLog { samples, plant: PlantModel::QUBE };
         let thetas = |delay_s: f64| -> Vec<f64> {
             let run = simulate_from(&log, &with_delay(delay_s), State::default()).unwrap();
             run.simulated.iter().map(|state| state.theta).collect()
@@ -237,7 +239,8 @@ mod tests {
     fn a_motion_that_leaves_the_numbers_is_named() {
         let state = State { theta_dot: 1e300, ..State::default() };
         let sample = |time_s| MotionSample { time_s, state, voltage_v: 1e300 };
-        let log = MotionLog { samples: vec![sample(0.0), sample(0.5)] };
+        let samples = vec![sample(0.0), sample(0.5)];
+        let log = MotionLog { samples, plant: PlantModel::QUBE };
         assert!(simulate_beside(&log, &QubeModel::NOMINAL).is_err());
     }
 

@@ -146,8 +146,8 @@ mod tests {
         Policy, SimulatedGuard, SimulatedSensors, TrainingRecord,
     };
     use crate::qube::{
-        CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, Nonidealities, QubeModel,
-        RAD_PER_COUNT, State, Status, control_step, counts,
+        CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, Nonidealities, PlantModel,
+        QubeModel, RAD_PER_COUNT, State, Status, control_step, counts,
     };
     use crate::recording::samples::{POLICY, header, outcome};
     use crate::recording::{RolloutWriter, parse};
@@ -169,6 +169,7 @@ mod tests {
             sensors: SimulatedSensors::TrueState,
             guard: SimulatedGuard::Box,
             voltage_change_weight: 0.0,
+            plant: PlantModel::QUBE,
             best_return: None,
             program_version: "0".into(),
         }

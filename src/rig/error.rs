@@ -3,7 +3,7 @@ use thiserror::Error;
 use super::Doubt;
 use crate::control::{ControlError, ThreadGone};
 use crate::device::{DeviceError, LinkFault};
-use crate::policy::PolicyFault;
+use crate::policy::{OtherPlant, PolicyFault};
 use crate::preflight::TooSlow;
 use crate::recording::RecordingError;
 use crate::safety::TooWide;
@@ -27,6 +27,9 @@ pub enum RigError {
     /// The device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
+    /// The policy was made for another plant.
+    #[error(transparent)]
+    OtherPlant(#[from] OtherPlant),
     /// Control refused the motion: no hello, or no homing.
     #[error("{0}")]
     Refused(ControlError),

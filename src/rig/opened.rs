@@ -19,6 +19,7 @@ use crate::preflight::{
     Examination, ExaminationSettings, admit_processor, examine, foresight_time_us, homed,
     homing_left_out, measure_link, not_homed,
 };
+use crate::qube::PlantModel;
 use crate::recording::Recorder;
 use crate::safety::{
     ForesightSettings, Guard, HardwareLimits, IdentifiedQube, Limit, MotorHeat, SafetyBox,
@@ -47,6 +48,7 @@ pub struct Rig {
     control: ControlThread,
     identity: Identity,
     measured: MeasuredRig,
+    plant: PlantModel,
     homing: HomingSettings,
     preflight: Preflight,
     /// Measured link, except for the embedded emulator's plain line.
@@ -132,7 +134,7 @@ impl Rig {
         let realtime = settings.clock == ClockChoice::Wall;
         let control = ControlThread::spawn(device, clock, realtime, Arc::clone(stop))
             .map_err(RigError::Thread)?;
-        control.set_motor(MotorHeat::cold(settings.limits.motor()))?;
+        control.set_motor(MotorHeat::cold(&settings.plant, settings.limits.motor()))?;
         let identity = control.hello()??;
         if let Some(expected) = settings.board.as_ref().filter(|board| **board != identity.serial) {
             return Err(RigError::OtherBoard {
@@ -142,11 +144,16 @@ impl Rig {
             });
         }
         let is_hardware = settings.is_hardware() || control.is_hardware();
+        if is_hardware {
+            settings.limits.admit_plant(&settings.plant)?;
+        }
+        let homing = settings.homing.of_plant(&settings.plant);
         Ok(Self {
             control,
             identity,
-            measured: MeasuredRig { calibration: settings.homing.signs, stops: None },
-            homing: settings.homing,
+            measured: MeasuredRig { calibration: homing.signs, stops: None },
+            plant: settings.plant,
+            homing,
             preflight: Preflight::Unknown,
             link: None,
             clock: settings.clock,
@@ -202,10 +209,10 @@ impl Rig {
     /// # Errors
     /// The device could not be armed, or the Qube is not homed.
     pub fn press(&mut self, push_v: f64, ticks: u32, rehearsal: bool) -> Result<Pressed, RigError> {
-        let calibration = self.measured.calibration;
+        let (plant, calibration) = (self.plant, self.measured.calibration);
         let pressed = self.control.lend(move |device, clock, stop| {
             device.hello()?;
-            let mut press = StopPress::new(calibration, push_v, ticks, rehearsal);
+            let mut press = StopPress::new(&plant, calibration, push_v, ticks, rehearsal);
             let report = drive(device, clock, &mut press, None, stop)?;
             Ok::<_, DeviceError>(Pressed {
                 ending: report.outcome.ending,
@@ -229,6 +236,7 @@ impl Rig {
             signs: self.homing.signs,
             learn_signs,
             identity: self.identity.clone(),
+            plant: self.plant,
         };
         let examination = self
             .control
@@ -389,14 +397,17 @@ impl Rig {
             }
         }
         let policy = Policy::from_bytes(policy_file)?;
+        policy.check_plant(&self.plant)?;
+        let safety_box = header.settings.safety_box.inside_travel(&self.plant);
         let settings = TickSettings {
             calibration: self.measured.calibration,
             stops: self.measured.stops,
-            safety_box: inside_stops(&header.settings.safety_box, self.measured.stops),
+            safety_box: inside_stops(&safety_box, self.measured.stops),
+            plant: self.plant,
             foresight: (header.settings.safety_box.guard == Guard::Foresight).then(|| {
                 ForesightSettings {
                     identified: self.identified.get(),
-                    ..ForesightSettings::default()
+                    ..ForesightSettings::of_plant(&self.plant)
                 }
             }),
             ..header.settings

@@ -5,7 +5,7 @@ use crate::clock::Clock;
 use crate::control::HomingSettings;
 use crate::device::emulator::EmulatorSettings;
 use crate::device::{Device, DeviceError};
-use crate::qube::Profile;
+use crate::qube::{PlantModel, Profile};
 use crate::safety::{Guard, HardwareLimits, IdentifiedQube};
 
 /// Time for which a lost link is retried, s.
@@ -73,6 +73,8 @@ pub struct RigSettings {
     pub clock: ClockChoice,
     /// Settings of the emulator, if it is used.
     pub emulator: EmulatorSettings,
+    /// Plant that is driven.
+    pub plant: PlantModel,
     /// Homing and signs of the rig.
     pub homing: HomingSettings,
     /// Skips the check before the first motion of a real Qube.
@@ -118,6 +120,7 @@ impl RigSettings {
             device,
             clock: ClockChoice::Virtual,
             emulator: EmulatorSettings::default(),
+            plant: PlantModel::QUBE,
             homing: HomingSettings::default(),
             skip_check: false,
             board: None,

@@ -5,12 +5,14 @@ use thiserror::Error;
 use super::Particle;
 use super::places::{NUMBERS, PLACES};
 use crate::qube::{
-    CONTROL_PERIOD_S, DomainParameter, MAX_HISTORY, Nonidealities, Nonideality, ParameterError,
-    Profile, Quantity, QubeModel, RAD_PER_COUNT, State,
+    CONTROL_PERIOD_S, DomainParameter, Encoder, Encoders, MAX_HISTORY, Nonidealities, Nonideality,
+    ParameterError, PlantModel, Profile, Quantity, QubeModel, State,
 };
 
-/// Error of the estimated velocities, rad/s: one count in a period.
-const VELOCITY_RAD_S: f64 = RAD_PER_COUNT / CONTROL_PERIOD_S;
+/// Error of an estimated velocity, rad/s: one count in a period.
+fn velocity_error_rad_s(encoder: Encoder) -> f64 {
+    encoder.rad_per_count() / CONTROL_PERIOD_S
+}
 
 /// Least relative error of an identified number, whatever its standard error: no model is exact.
 const MODEL_ERROR: f64 = 0.1;
@@ -100,20 +102,28 @@ impl Belief {
     /// value, and the nonidealities up to twice those of the Qube whose recordings are public.
     #[must_use]
     pub fn of_any_qube(within: f64) -> Self {
-        let (mut low, mut high) = (QubeModel::NOMINAL, QubeModel::NOMINAL);
+        Self::of_any_plant(&PlantModel::QUBE, within)
+    }
+
+    /// The belief about a plant of which nothing is known but its description; its friction and cable are assumed to
+    /// be as large, compared with its motor, as those of the Qube whose recordings are public.
+    #[must_use]
+    pub fn of_any_plant(plant: &PlantModel, within: f64) -> Self {
+        let (mut low, mut high) = (plant.nominal(), plant.nominal());
         for parameter in DomainParameter::ALL {
             if parameter != DomainParameter::Gravity {
-                let nominal = QubeModel::NOMINAL.parameters.get(parameter);
+                let nominal = plant.parameters.get(parameter);
                 low.parameters.set(parameter, (1.0 - within) * nominal);
                 high.parameters.set(parameter, (1.0 + within) * nominal);
             }
         }
         low.nonidealities = Nonidealities { cable_rest_rad: -1.2, ..Nonidealities::default() };
+        let torques = plant.torques_of_qube();
         high.nonidealities = Nonidealities {
-            coulomb_torque_n_m: 7e-4,
+            coulomb_torque_n_m: torques * 7e-4,
             positive_dead_zone_v: 0.35,
             negative_dead_zone_v: 0.35,
-            cable_stiffness_n_m_rad: 1.4e-3,
+            cable_stiffness_n_m_rad: torques * 1.4e-3,
             cable_rest_rad: 1.2,
             command_delay_s: 0.02,
             ..Nonidealities::default()
@@ -189,25 +199,27 @@ impl Belief {
         Ok(())
     }
 
-    /// The particles of this belief, hardest first.
+    /// The particles of this belief behind these encoders, hardest first.
     #[must_use]
-    pub fn particles(&self) -> Vec<Particle> {
+    pub fn particles(&self, encoders: Encoders) -> Vec<Particle> {
+        let arm_rad_s = velocity_error_rad_s(encoders.theta);
+        let pendulum_rad_s = velocity_error_rad_s(encoders.alpha);
         let widths = unknown_widths();
         let share = |place: &[i8; NUMBERS]| place.map(|percent| f64::from(percent) / 100.0);
         let places = PLACES.iter().map(share).enumerate();
         let both = places.flat_map(|(row, place)| {
             // In half of them the pendulum's velocity error has the sign of the arm's, in half the
             // opposite one.
-            let swing_rad_s = if row % 2 == 0 { VELOCITY_RAD_S } else { -VELOCITY_RAD_S };
+            let swing_rad_s = if row % 2 == 0 { pendulum_rad_s } else { -pendulum_rad_s };
             let error = State {
                 theta: ZERO_RAD,
-                theta_dot: VELOCITY_RAD_S,
+                theta_dot: arm_rad_s,
                 alpha_dot: swing_rad_s,
                 ..State::default()
             };
             let mirrored_error = State {
                 theta: -ZERO_RAD,
-                theta_dot: -VELOCITY_RAD_S,
+                theta_dot: -arm_rad_s,
                 alpha_dot: -swing_rad_s,
                 ..State::default()
             };

@@ -1,5 +1,5 @@
 use crate::elementary::Scalar;
-use crate::qube::{MAX_VOLTAGE_V, State};
+use crate::qube::{MAX_VOLTAGE_V, PlantModel, State};
 
 /// A brake whose voltage depends on the state alone, so that a [`super::Foresight`] can simulate it on many
 /// Qubes at once.
@@ -10,6 +10,9 @@ use crate::qube::{MAX_VOLTAGE_V, State};
 pub trait BrakeLaw {
     /// The voltage for the next control period, V.
     fn voltage_v<T: Scalar>(&self, state: &State<T>) -> T;
+
+    /// The largest voltage of the plant, V.
+    fn largest_v(&self) -> f64;
 
     /// The spring's potential in V rad: the integral of the voltage's magnitude with the arm at rest, from the
     /// middle to this angle. Multiplied by the torque per volt it is an energy.
@@ -31,6 +34,8 @@ pub struct CentringBrake {
     pub wall_rad: f64,
     /// Additional volts towards the middle for each rad beyond `wall_rad`.
     pub wall_v_rad: f64,
+    /// Largest voltage of the plant, V.
+    pub largest_v: f64,
 }
 
 impl Default for CentringBrake {
@@ -43,11 +48,28 @@ impl Default for CentringBrake {
             centring_v_rad: 0.3,
             wall_rad: 0.5,
             wall_v_rad: 8.0,
+            largest_v: MAX_VOLTAGE_V,
         }
     }
 }
 
 impl CentringBrake {
+    /// The brake of another plant: its voltages accelerate that plant's arm as the default's accelerate a Qube's, and
+    /// its wall lies at the same part of the travel.
+    #[must_use]
+    pub fn of_plant(plant: &PlantModel) -> Self {
+        let (qube, volts) = (Self::default(), plant.volts_of_qube());
+        Self {
+            damping_v_s: volts * qube.damping_v_s,
+            fast_v_s: volts * qube.fast_v_s,
+            centring_v_rad: volts * qube.centring_v_rad,
+            wall_rad: plant.travel_fraction() * qube.wall_rad,
+            wall_v_rad: volts * qube.wall_v_rad,
+            largest_v: plant.limits.largest_voltage_v,
+            ..qube
+        }
+    }
+
     /// The voltage of damper and spring before it is limited, V.
     #[inline(always)]
     pub(super) fn unlimited_v<T: Scalar>(&self, state: &State<T>) -> T {
@@ -69,7 +91,7 @@ impl BrakeLaw for CentringBrake {
     #[inline(always)]
     fn voltage_v<T: Scalar>(&self, state: &State<T>) -> T {
         let wanted_v = self.unlimited_v(state);
-        let largest_v = T::from_f64(MAX_VOLTAGE_V);
+        let largest_v = T::from_f64(self.largest_v);
         let wanted_v = if wanted_v > largest_v { largest_v } else { wanted_v };
         if wanted_v < -largest_v { -largest_v } else { wanted_v }
     }
@@ -78,7 +100,7 @@ impl BrakeLaw for CentringBrake {
     fn potential_v_rad<T: Scalar>(&self, theta: T) -> T {
         // The voltage of the spring reaches its limit at `full_rad` and stays there.
         let steep = self.centring_v_rad + self.wall_v_rad;
-        let full_rad = (MAX_VOLTAGE_V + self.wall_v_rad * self.wall_rad) / steep;
+        let full_rad = (self.largest_v + self.wall_v_rad * self.wall_rad) / steep;
         let (zero, half) = (T::from_f64(0.0), T::from_f64(0.5));
         let angle = theta.abs();
         let above = angle - T::from_f64(full_rad);
@@ -88,7 +110,11 @@ impl BrakeLaw for CentringBrake {
         let beyond = if beyond > zero { beyond } else { zero };
         half * T::from_f64(self.centring_v_rad) * angle * angle
             + half * T::from_f64(self.wall_v_rad) * beyond * beyond
-            + T::from_f64(MAX_VOLTAGE_V) * above
+            + T::from_f64(self.largest_v) * above
+    }
+
+    fn largest_v(&self) -> f64 {
+        self.largest_v
     }
 }
 

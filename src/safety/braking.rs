@@ -1,15 +1,39 @@
 use super::ringing::RingingGain;
 use super::{BrakeLaw, CentringBrake, ForesightSettings};
-use crate::qube::{MAX_VOLTAGE_V, State};
+use crate::qube::{PlantModel, State, limited_to};
 
 /// Volts against each rad/s of the arm: full voltage from 5 rad/s on, and below that gentle enough
 /// not to ring through 20 ms of delay on a nominal Qube.
 const GAIN_V_S: f64 = 1.0;
 
-/// The voltage that brakes the arm. 0 V is not a stop: the arm coasts for 0.5 to 1.1 s.
+/// The voltage that brakes an arm of this plant. 0 V is not a stop: the arm coasts for 0.5 to 1.1 s.
 #[must_use]
-pub fn brake_voltage(theta_dot: f64) -> f64 {
-    (-GAIN_V_S * theta_dot).clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V)
+pub fn brake_voltage(theta_dot: f64, plant: &PlantModel) -> f64 {
+    StoppingBrake::of(plant).voltage_v(theta_dot)
+}
+
+/// Full voltage against a fast arm, less against a slow one.
+#[derive(Clone, Copy, Debug)]
+struct StoppingBrake {
+    gain_v_s: f64,
+    largest_v: f64,
+}
+
+impl StoppingBrake {
+    fn of(plant: &PlantModel) -> Self {
+        Self {
+            gain_v_s: GAIN_V_S * plant.volts_of_qube(),
+            largest_v: plant.limits.largest_voltage_v,
+        }
+    }
+
+    fn voltage_v(&self, theta_dot: f64) -> f64 {
+        limited_to(self.unlimited_v(theta_dot), self.largest_v)
+    }
+
+    fn unlimited_v(&self, theta_dot: f64) -> f64 {
+        -self.gain_v_s * theta_dot
+    }
 }
 
 /// A brake from its first period to the arm's rest.
@@ -24,11 +48,11 @@ pub struct Brake {
 #[derive(Clone, Copy, Debug)]
 enum Law {
     /// Against the arm's velocity alone.
-    Stopping,
+    Stopping(StoppingBrake),
     /// The law that a [`super::Foresight`] simulates.
     Centring(CentringBrake),
     /// `Stopping` under the rules of recordings in which ringing cost no gain.
-    EarlierStopping,
+    EarlierStopping(StoppingBrake),
     /// `Centring` under the same rules.
     EarlierCentring(CentringBrake),
 }
@@ -39,25 +63,26 @@ const TRIED_PERIODS: u32 = ForesightSettings::HORIZON_PERIODS;
 impl Brake {
     /// A brake that stops the arm wherever it is and lets the pendulum move it afterwards.
     #[must_use]
-    pub fn stopping() -> Self {
-        Self::new(Law::Stopping)
+    pub fn stopping(plant: &PlantModel) -> Self {
+        Self::new(Law::Stopping(StoppingBrake::of(plant)), plant)
     }
 
     /// A brake that stops the arm and brings it back to the middle.
     #[must_use]
-    pub fn centring() -> Self {
-        Self::new(Law::Centring(CentringBrake::default()))
+    pub fn centring(plant: &PlantModel) -> Self {
+        Self::new(Law::Centring(CentringBrake::of_plant(plant)), plant)
     }
 
-    fn new(law: Law) -> Self {
-        Self { law, periods: 0, ringing: RingingGain::default() }
+    fn new(law: Law, plant: &PlantModel) -> Self {
+        let ringing = RingingGain::limited_to(plant.limits.largest_voltage_v);
+        Self { law, periods: 0, ringing }
     }
 
     /// This brake under the earlier rules, by which ringing cost no gain.
     #[must_use]
     pub fn by_earlier_rules(self) -> Self {
         let law = match self.law {
-            Law::Stopping | Law::EarlierStopping => Law::EarlierStopping,
+            Law::Stopping(law) | Law::EarlierStopping(law) => Law::EarlierStopping(law),
             Law::Centring(law) | Law::EarlierCentring(law) => Law::EarlierCentring(law),
         };
         Self { law, ..self }
@@ -68,11 +93,11 @@ impl Brake {
     pub fn voltage_v(&mut self, state: &State) -> f64 {
         self.periods = self.periods.saturating_add(1);
         match self.law {
-            Law::Stopping => self.ringing.voltage_v(-GAIN_V_S * state.theta_dot, true),
+            Law::Stopping(law) => self.ringing.voltage_v(law.unlimited_v(state.theta_dot), true),
             Law::Centring(law) => {
                 self.ringing.voltage_v(law.unlimited_v(state), self.periods > TRIED_PERIODS)
             }
-            Law::EarlierStopping => brake_voltage(state.theta_dot),
+            Law::EarlierStopping(law) => law.voltage_v(state.theta_dot),
             Law::EarlierCentring(law) => {
                 let firmness = if self.periods > 150 { 0.45 } else { 1.0 };
                 firmness * law.voltage_v(state)
@@ -117,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_brake_that_rings_loses_gain_until_the_arm_rests() {
-        for brake in [Brake::stopping(), Brake::centring()] {
+        for brake in [Brake::stopping(&PlantModel::QUBE), Brake::centring(&PlantModel::QUBE)] {
             let speed_rad_s = speed_after_three_seconds(brake);
             assert!(speed_rad_s < 1.0, "{brake:?}: {speed_rad_s} rad/s");
             let without_rad_s = speed_after_three_seconds(brake.by_earlier_rules());

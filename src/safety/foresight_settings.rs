@@ -3,7 +3,7 @@ use thiserror::Error;
 
 use super::{Belief, BeliefError, CentringBrake, Ends, Foresight, Reach, TrustedForesight};
 use crate::estimation::MeasuredStops;
-use crate::qube::{HARD_STOP_RAD, Profile};
+use crate::qube::{PlantModel, Profile};
 
 /// The settings that determine a [`Foresight`]'s decisions, apart from the stops; every recording carries them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -117,15 +117,23 @@ impl ForesightSettings {
     /// Largest number of simulated control periods by default.
     pub const HORIZON_PERIODS: u32 = 75;
 
-    /// The foresight for a Qube with these stops; without them, with a nominal Qube's.
+    /// The default settings for a plant of which nothing is known but its description.
     #[must_use]
-    pub fn foresight(&self, stops: Option<MeasuredStops>) -> TrustedForesight {
-        let nearer_rad = stops.map_or(HARD_STOP_RAD, |stops| stops.nearer_rad());
-        let end_rad = (nearer_rad.min(HARD_STOP_RAD) - self.margin_rad).max(NEAREST_END_RAD) as f32;
+    pub fn of_plant(plant: &PlantModel) -> Self {
+        Self { belief: Belief::of_any_plant(plant, 0.3), ..Self::default() }
+    }
+
+    /// The foresight for a plant with these stops; without them, with those of its description.
+    #[must_use]
+    pub fn foresight(&self, stops: Option<MeasuredStops>, plant: &PlantModel) -> TrustedForesight {
+        let described_rad = plant.limits.hard_stop_rad;
+        let nearer_rad = stops.map_or(described_rad, |stops| stops.nearer_rad());
+        let end_rad = (nearer_rad.min(described_rad) - self.margin_rad).max(NEAREST_END_RAD) as f32;
         let ends = Ends { low_rad: -end_rad, high_rad: end_rad };
         let of = |belief: Belief, held| {
             let reach = Reach { held, horizon: self.horizon_periods };
-            Foresight::new(&belief.particles(), CentringBrake::default(), ends, reach)
+            let particles = belief.particles(plant.encoders);
+            Foresight::new(&particles, CentringBrake::of_plant(plant), ends, reach)
         };
         let identified = self.identified.map(|known| of(known.belief, known.held_periods));
         TrustedForesight::new(of(self.belief, self.held_periods), identified)
@@ -159,7 +167,7 @@ mod tests {
     #[test]
     fn no_stops_are_too_near_to_look_ahead() {
         let stops = MeasuredStops { lowest_theta_rad: 3.0, highest_theta_rad: -1.0 };
-        let mut foresight = ForesightSettings::default().foresight(Some(stops));
+        let mut foresight = ForesightSettings::default().foresight(Some(stops), &PlantModel::QUBE);
         let hanging = State { theta: 0.3, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
         assert!(foresight.too_late_for(&hanging, &[0.0; MAX_HISTORY], 0.0).is_some());
     }

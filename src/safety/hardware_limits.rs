@@ -1,7 +1,7 @@
 use thiserror::Error;
 
 use super::{Guard, SafetyBox};
-use crate::qube::MotorRating;
+use crate::qube::{MotorRating, PlantModel, PlantName};
 
 /// The operator's consent that the arm may reach its hard stop, given on the command line of the
 /// process that drives.
@@ -19,12 +19,28 @@ impl GuardConsent {
     }
 }
 
+/// The operator's consent to what a plant file says of real hardware, given on the command line of the process that
+/// drives.
+///
+/// Like a [`GuardConsent`] it cannot be read from a file and has no default.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PlantConsent(());
+
+impl PlantConsent {
+    /// Consent from the flag of a command line.
+    #[must_use]
+    pub fn given(accepts_plant: bool) -> Option<Self> {
+        accepts_plant.then_some(Self(()))
+    }
+}
+
 /// The widest box in which hardware may be driven. It is made from a box that is no wider than the
 /// task's and that uses foresight unless there is a [`GuardConsent`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HardwareLimits {
     widest: SafetyBox,
     motor: MotorRating,
+    plant_consent: Option<PlantConsent>,
 }
 
 /// The reason why a box is refused.
@@ -46,6 +62,16 @@ pub enum TooWide {
          guard on (guard = \"foresight\")"
     )]
     GuardOff,
+    /// The plant has an entry that is not known to be as harmless as a Qube's, and nobody has consented to it.
+    #[error(
+        "the plant {plant} has other {entry} than a Qube, and guard and homing of real hardware rely on them"
+    )]
+    Plant {
+        /// Name of the plant.
+        plant: PlantName,
+        /// Entry of the plant file.
+        entry: &'static str,
+    },
     /// The guard is that of recordings made before foresight.
     #[error(
         "guard = \"envelope\" is known for the sake of old recordings, and nothing is driven under it any \
@@ -71,6 +97,25 @@ impl HardwareLimits {
     #[must_use]
     pub fn with_motor(self, motor: MotorRating) -> Self {
         Self { motor, ..self }
+    }
+
+    /// The same limits with this consent to the plant.
+    #[must_use]
+    pub fn with_plant_consent(self, plant_consent: Option<PlantConsent>) -> Self {
+        Self { plant_consent, ..self }
+    }
+
+    /// Checks that hardware may be driven as this plant.
+    ///
+    /// # Errors
+    /// The plant differs from a Qube by more than smaller limits, and there is no [`PlantConsent`].
+    pub fn admit_plant(&self, plant: &PlantModel) -> Result<(), TooWide> {
+        match plant.beyond_qube() {
+            Some(entry) if self.plant_consent.is_none() => {
+                Err(TooWide::Plant { plant: plant.name, entry })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Rating of the motor.
@@ -112,7 +157,7 @@ impl Guard {
 impl Default for HardwareLimits {
     /// The task's box under foresight, and the nominal motor.
     fn default() -> Self {
-        Self { widest: SafetyBox::GUARDED, motor: MotorRating::NOMINAL }
+        Self { widest: SafetyBox::GUARDED, motor: MotorRating::NOMINAL, plant_consent: None }
     }
 }
 
@@ -174,6 +219,21 @@ mod tests {
         let limits = HardwareLimits::of(narrow, None).unwrap();
         assert_eq!(limits.admit(&narrow), Ok(()));
         assert!(limits.admit(&SafetyBox::GUARDED).is_err());
+    }
+
+    #[test]
+    fn only_the_word_on_the_command_line_admits_another_plant() {
+        let mut plant = PlantModel::QUBE;
+        let limits = HardwareLimits::default();
+        assert_eq!(limits.admit_plant(&plant), Ok(()));
+        plant.limits.hard_stop_rad = 1.8;
+        assert_eq!(limits.admit_plant(&plant), Ok(()));
+        plant.limits.hard_stop_rad = 2.5;
+        let refused = limits.admit_plant(&plant).unwrap_err().to_string();
+        assert!(refused.contains("limits.hard_stop_rad"), "{refused}");
+        let consents = limits.with_plant_consent(PlantConsent::given(true));
+        assert_eq!(consents.admit_plant(&plant), Ok(()));
+        assert_eq!(PlantConsent::given(false), None);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::elementary::Scalar;
-use crate::qube::{CONTROL_PERIOD_S, DomainParameters, Measurement, MotorRating};
+use crate::qube::{CONTROL_PERIOD_S, Measurement, MotorRating, PlantModel};
 
 /// Load at which the operator is warned.
 pub const WARNING_LOAD: f64 = 0.7;
@@ -13,7 +13,8 @@ pub const LARGEST_LOAD: f64 = 0.9;
 /// Load to which a motor above [`WARNING_LOAD`] cools before the next motion begins.
 pub const COOLED_LOAD: f64 = 0.5;
 
-/// Smallest accepted winding resistance, ohm: the smallest known fit of a Qube is 3.7. A reading
+/// Smallest accepted winding resistance of a Qube, ohm: the smallest known fit is 3.7; another plant's is in
+/// proportion to its nominal one. A reading
 /// that needs less is a fault of the sensor.
 const LEAST_RESISTANCE_OHM: f64 = 3.5;
 
@@ -33,13 +34,47 @@ pub struct MotorHeat {
     pub rating: MotorRating,
     /// Load: 0 at ambient temperature, 1 in equilibrium at the rated current.
     pub load: f64,
+    /// Electrical constants of the motor; files that name none mean a Qube's.
+    #[serde(default, skip_serializing_if = "Winding::is_qube")]
+    pub winding: Winding,
+}
+
+/// The constants from which a motor's current follows.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Winding {
+    /// Nominal resistance, ohm.
+    pub resistance_ohm: f64,
+    /// Back-EMF constant, V s/rad.
+    pub back_emf_v_s: f64,
+}
+
+impl Winding {
+    /// The winding of a plant's motor.
+    #[must_use]
+    pub fn of(plant: &PlantModel) -> Self {
+        Self {
+            resistance_ohm: plant.parameters.motor_resistance_ohm,
+            back_emf_v_s: plant.parameters.motor_back_emf_v_s,
+        }
+    }
+
+    fn is_qube(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl Default for Winding {
+    fn default() -> Self {
+        Self::of(&PlantModel::QUBE)
+    }
 }
 
 impl MotorHeat {
-    /// A motor at ambient temperature.
+    /// A motor of this plant and rating at ambient temperature.
     #[must_use]
-    pub fn cold(rating: MotorRating) -> Self {
-        Self { rating, load: 0.0 }
+    pub fn cold(plant: &PlantModel, rating: MotorRating) -> Self {
+        Self { rating, load: 0.0, winding: Winding::of(plant) }
     }
 
     /// Whether the motor must cool down now.
@@ -65,7 +100,8 @@ impl MotorHeat {
         voltage_mv: i16,
         theta_dot_rad_s: f64,
     ) {
-        let current_a = current_a(measurement, f64::from(voltage_mv) * 1e-3, theta_dot_rad_s);
+        let voltage_v = f64::from(voltage_mv) * 1e-3;
+        let current_a = current_a(measurement, voltage_v, theta_dot_rad_s, self.winding);
         let heating = (current_a / self.rating.continuous_a).powi(2);
         let elapsed_s = f64::from(1 + skipped_periods) * CONTROL_PERIOD_S;
         let step = elapsed_s / self.time_constant_s();
@@ -92,12 +128,19 @@ impl MotorHeat {
 
 /// Absolute motor current, A: the larger of the reading and the value from voltage and speed. A
 /// reading that no motor could give is ignored.
-fn current_a(measurement: Option<&Measurement>, voltage_v: f64, theta_dot_rad_s: f64) -> f64 {
-    let nominal = DomainParameters::NOMINAL;
+fn current_a(
+    measurement: Option<&Measurement>,
+    voltage_v: f64,
+    theta_dot_rad_s: f64,
+    winding: Winding,
+) -> f64 {
+    let Winding { resistance_ohm, back_emf_v_s } = winding;
+    let of_qube = resistance_ohm / Winding::default().resistance_ohm;
     let speed_rad_s = if theta_dot_rad_s.is_finite() { theta_dot_rad_s } else { 0.0 };
-    let back_emf_v = nominal.motor_back_emf_v_s * speed_rad_s;
-    let modelled_a = (voltage_v - back_emf_v).abs() / nominal.motor_resistance_ohm;
-    let largest_a = (voltage_v.abs() + back_emf_v.abs()) / LEAST_RESISTANCE_OHM + CURRENT_OFFSET_A;
+    let back_emf_v = back_emf_v_s * speed_rad_s;
+    let modelled_a = (voltage_v - back_emf_v).abs() / resistance_ohm;
+    let largest_a =
+        (voltage_v.abs() + back_emf_v.abs()) / (of_qube * LEAST_RESISTANCE_OHM) + CURRENT_OFFSET_A;
     let measured_a = measurement.map_or(0.0, |sample| f64::from(sample.current_a).abs());
     // False for a NaN too.
     if measured_a <= largest_a { measured_a.max(modelled_a) } else { modelled_a }
@@ -164,7 +207,7 @@ mod tests {
 
     #[test]
     fn a_motor_that_turns_with_its_voltage_draws_less_and_one_that_is_braked_more() {
-        let current_of = |theta_dot| current_a(None, 5.0, theta_dot);
+        let current_of = |theta_dot| current_a(None, 5.0, theta_dot, Winding::default());
         assert!((current_of(20.0) - (5.0 - 0.84) / 8.4).abs() < 1e-12);
         assert!((current_of(-20.0) - (5.0 + 0.84) / 8.4).abs() < 1e-12);
         assert_eq!(current_of(f64::NAN), 5.0 / 8.4);

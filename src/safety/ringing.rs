@@ -1,4 +1,4 @@
-use crate::qube::MAX_VOLTAGE_V;
+use crate::qube::limited_to;
 
 /// Largest time between two changes of the voltage's sign that counts as ringing, in control periods. Ringing
 /// has a period of four delays, at most 0.18 s; a hanging pendulum swings in 0.5 s.
@@ -27,24 +27,26 @@ pub(super) struct RingingGain {
     is_positive: bool,
     periods_since_change: u32,
     largest_since_v: f64,
+    /// Largest voltage of the plant, V.
+    largest_v: f64,
 }
 
-impl Default for RingingGain {
-    fn default() -> Self {
+impl RingingGain {
+    /// The full gain, for a plant with this largest voltage, V.
+    pub fn limited_to(largest_v: f64) -> Self {
         Self {
+            largest_v,
             gain: 1.0,
             is_positive: false,
             periods_since_change: RINGING_PERIODS,
             largest_since_v: 0.0,
         }
     }
-}
 
-impl RingingGain {
     /// Scales and limits the voltage that the brake asks for, V. `may_fall` says whether ringing reduces the gain
     /// already.
     pub fn voltage_v(&mut self, wanted_v: f64, may_fall: bool) -> f64 {
-        let voltage_v = (self.gain * wanted_v).clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V);
+        let voltage_v = limited_to(self.gain * wanted_v, self.largest_v);
         self.periods_since_change = self.periods_since_change.saturating_add(1);
         let is_positive = voltage_v > 0.0;
         if is_positive != self.is_positive {
@@ -64,10 +66,11 @@ impl RingingGain {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::MAX_VOLTAGE_V;
 
     /// The gain after a second of a voltage that goes to and fro with this period and amplitude.
     fn gain_after(period: u32, amplitude_v: f64) -> f64 {
-        let mut ringing = RingingGain::default();
+        let mut ringing = RingingGain::limited_to(MAX_VOLTAGE_V);
         for tick in 0..100 {
             let positive = tick % period < period / 2;
             ringing.voltage_v(if positive { amplitude_v } else { -amplitude_v }, true);
@@ -84,7 +87,7 @@ mod tests {
 
     #[test]
     fn a_gain_that_may_not_fall_stays() {
-        let mut ringing = RingingGain::default();
+        let mut ringing = RingingGain::limited_to(MAX_VOLTAGE_V);
         for tick in 0..100 {
             let wanted_v = if tick % 8 < 4 { 9.0 } else { -9.0 };
             let voltage_v = ringing.voltage_v(wanted_v, false);

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Guard;
 use crate::elementary::Scalar;
-use crate::qube::State;
+use crate::qube::{PlantModel, State};
 
 /// Limits of a state during a rollout, which ends at once when the state leaves them.
 ///
@@ -69,6 +69,23 @@ impl SafetyBox {
 
     /// The limits of the thesis under foresight: the default of every rollout on a Qube.
     pub const GUARDED: Self = Self { guard: Guard::Foresight, ..Self::THESIS };
+
+    /// The box with the same part of a plant's travel: the limit of theta shrinks where the plant's stops are nearer
+    /// than a Qube's, and never grows.
+    #[must_use]
+    pub fn within_travel(&self, plant: &PlantModel) -> Self {
+        Self { theta: self.theta * plant.travel_fraction(), ..*self }
+    }
+
+    /// The box, no wider than the thesis's within a plant's travel; that of a plant with a Qube's travel stays.
+    #[must_use]
+    pub fn inside_travel(&self, plant: &PlantModel) -> Self {
+        if plant.travel_fraction() < 1.0 {
+            Self { theta: self.theta.min(Self::THESIS.within_travel(plant).theta), ..*self }
+        } else {
+            *self
+        }
+    }
 
     /// The same box in another number type.
     #[must_use]

@@ -110,8 +110,8 @@ impl TrustedForesight {
 mod tests {
     use super::*;
     use crate::qube::{
-        CONTROL_PERIOD_S, NonidealDynamics, Nonidealities, Profile, QubeModel, quantised,
-        runge_kutta_4,
+        CONTROL_PERIOD_S, NonidealDynamics, Nonidealities, PlantModel, Profile, QubeModel,
+        quantised, runge_kutta_4,
     };
     use crate::safety::{ForesightSettings, IdentifiedQube};
 
@@ -121,7 +121,7 @@ mod tests {
         let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap();
         let identified = Some(IdentifiedQube::of(&Profile::exact("lab", &lab.model())));
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };
-        let mut foresight = settings.foresight(None);
+        let mut foresight = settings.foresight(None, &PlantModel::QUBE);
         foresight.begin_policy();
         let plant = QubeModel {
             nonidealities: Nonidealities { command_delay_s: 0.01, ..plant.nonidealities },

@@ -4,15 +4,18 @@ use crate::qube::MAX_VOLTAGE_V;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotANumber;
 
-/// Converts a wanted voltage, V, to millivolts within the limit: the last step before the wire.
+/// Converts a wanted voltage, V, to millivolts within the plant's largest voltage and the wire's: the last step
+/// before the wire.
 ///
 /// # Errors
 /// [`NotANumber`] for NaN and infinities.
-pub fn clamp_to_mv(voltage_v: f64) -> Result<i16, NotANumber> {
+pub fn clamp_to_mv(voltage_v: f64, largest_v: f64) -> Result<i16, NotANumber> {
     if !voltage_v.is_finite() {
         return Err(NotANumber);
     }
-    let limited_v = voltage_v.clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V);
+    // False for NaN too.
+    let largest_v = if largest_v > 0.0 { largest_v.min(MAX_VOLTAGE_V) } else { 0.0 };
+    let limited_v = voltage_v.clamp(-largest_v, largest_v);
     Ok((limited_v * 1000.0).round() as i16)
 }
 
@@ -22,18 +25,25 @@ mod tests {
 
     #[test]
     fn the_gate_limits_and_refuses() {
-        assert_eq!(clamp_to_mv(1.2344), Ok(1234));
-        assert_eq!(clamp_to_mv(-7.0), Ok(-5000));
-        assert_eq!(clamp_to_mv(f64::MAX), Ok(5000));
+        assert_eq!(clamp_to_mv(1.2344, 5.0), Ok(1234));
+        assert_eq!(clamp_to_mv(-7.0, 5.0), Ok(-5000));
+        assert_eq!(clamp_to_mv(f64::MAX, 5.0), Ok(5000));
+        assert_eq!(clamp_to_mv(-7.0, 3.5), Ok(-3500));
+        for largest_v in [7.0, f64::INFINITY] {
+            assert_eq!(clamp_to_mv(9.0, largest_v), Ok(5000));
+        }
+        for largest_v in [0.0, -5.0, f64::NEG_INFINITY, f64::NAN] {
+            assert_eq!(clamp_to_mv(9.0, largest_v), Ok(0));
+        }
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            assert_eq!(clamp_to_mv(bad), Err(NotANumber));
+            assert_eq!(clamp_to_mv(bad, 5.0), Err(NotANumber));
         }
     }
 
     /// Compares the limited voltage with the one that a policy of 32-bit numbers asked for.
     fn check(bits: u32) {
         let wanted_v = f32::from_bits(bits);
-        match clamp_to_mv(f64::from(wanted_v)) {
+        match clamp_to_mv(f64::from(wanted_v), 5.0) {
             Ok(millivolts) => {
                 assert!(wanted_v.is_finite() && (-5000..=5000).contains(&millivolts), "{bits:#x}");
                 let limited_v = wanted_v.clamp(-5.0, 5.0);

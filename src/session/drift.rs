@@ -17,7 +17,7 @@ const DELAY_TOLERANCE_S: f64 = 0.002;
 /// Smallest change of the cable's rest angle that counts, rad.
 const REST_TOLERANCE_RAD: f64 = 0.1;
 
-/// Smallest change of the hanging pendulum's angle that counts, rad: five counts.
+/// Smallest change of the hanging pendulum's angle that counts, rad: five counts of a Qube.
 const ALPHA_TOLERANCE_RAD: f64 = 5.0 * crate::qube::RAD_PER_COUNT;
 
 /// Smallest change in standard errors.

@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use super::seeds::start_theta_rad;
 use crate::estimation::{Calibration, EstimatorSettings};
-use crate::qube::{MAX_STEPS, RewardWeights};
+use crate::qube::{MAX_STEPS, PlantModel, RewardWeights};
 use crate::recording::FORMAT_VERSION;
 use crate::safety::SafetyBox;
 use crate::telemetry::{Preflight, RolloutHeader, TickRules, TickSettings};
@@ -82,6 +82,7 @@ impl RolloutPlan {
                 stops: None,
                 foresight: None,
                 rules: TickRules::NEWEST,
+                plant: PlantModel::QUBE,
             },
             reward: RewardWeights::THESIS,
         }

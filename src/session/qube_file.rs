@@ -10,7 +10,7 @@ use super::configuration::read;
 use super::{ConfigurationError, PowerTest};
 use crate::control::{HomingMethod, HomingSettings};
 use crate::estimation::{Calibration, EstimatorSettings};
-use crate::qube::MotorRating;
+use crate::qube::{MotorRating, PlantModel};
 use crate::safety::SafetyBox;
 use crate::storage::{MachineDisk, write_whole};
 
@@ -163,6 +163,7 @@ impl QubeFile {
             hand_counts: None,
             signs: self.signs.into(),
             estimator,
+            plant: PlantModel::QUBE,
         }
     }
 

@@ -6,7 +6,7 @@ use crate::control::HomingSettings;
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Origin, Preset, TrainSettings};
-use crate::qube::QubeModel;
+use crate::qube::{PlantModel, QubeModel};
 use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
 use crate::simulation::{
@@ -132,6 +132,23 @@ impl SessionSettings {
         }
     }
 
+    /// Plant that is simulated and driven.
+    #[must_use]
+    pub fn plant(&self) -> &PlantModel {
+        &self.training.simulation.plant
+    }
+
+    /// These settings for another plant than a Qube: psi's ranges, boxes and the emulated plant are in the proportion
+    /// of the two.
+    #[must_use]
+    pub fn of_plant(mut self, plant: &PlantModel) -> Self {
+        self.psi = self.psi.of_plant(plant);
+        self.safety_box = self.safety_box.within_travel(plant);
+        self.training.simulation = self.training.simulation.of_plant(plant);
+        self.emulated.model = plant.nominal();
+        self
+    }
+
     /// Selects the guard of rollouts.
     #[must_use]
     pub fn with_guard(mut self, guard: Guard) -> Self {
@@ -176,7 +193,7 @@ impl SessionSettings {
     /// # Errors
     /// A needed profile is missing, or it cannot be simulated.
     pub fn distribution(&self, psi: &Psi) -> Result<DomainDistribution, PsiError> {
-        self.model.distribution(self.family, self.profile.as_ref(), Some(psi))
+        self.model.distribution(self.plant(), self.family, self.profile.as_ref(), Some(psi))
     }
 
     /// The simulation settings besides the distribution for one psi.
@@ -190,7 +207,7 @@ impl SessionSettings {
     /// # Errors
     /// A needed profile is missing, or it cannot be simulated.
     pub fn base_distribution(&self) -> Result<DomainDistribution, PsiError> {
-        self.model.base_distribution(self.family, self.profile.as_ref())
+        self.model.base_distribution(self.plant(), self.family, self.profile.as_ref())
     }
 
     /// The origin that the file of a policy trained for this psi records.

@@ -9,7 +9,7 @@ use super::sensors::{SeenLanes, Sensors};
 use crate::elementary::{InstructionSet, VectorKernel};
 use crate::qube::{
     BLOCK, InLanes, Lanes, MAX_HISTORY, MAX_STEPS, MAX_VOLTAGE_V, OBSERVATION_SIZE, QubeLanes,
-    QubeModel, RewardWeights, SUBSTEPS, State, limited_voltage, observation,
+    QubeModel, RewardWeights, SUBSTEPS, State, limited_to, observation,
 };
 use crate::safety::SafetyBox;
 
@@ -25,10 +25,14 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// Nominal Qubes that hang at rest.
-    pub(super) fn hanging() -> Self {
+    /// Nominal Qubes that hang at rest, whose motors get at most this voltage, V.
+    pub(super) fn hanging(largest_v: f32) -> Self {
         let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
-        Self { qubes: QubeLanes::hanging(), sight: SeenLanes::both(&at_rest), steps: [0; BLOCK] }
+        Self {
+            qubes: QubeLanes::hanging_limited_to(largest_v),
+            sight: SeenLanes::both(&at_rest),
+            steps: [0; BLOCK],
+        }
     }
 
     pub(super) fn state(&self, lane: usize) -> State<f32> {
@@ -150,9 +154,10 @@ impl VectorKernel for Observe<'_> {
 
 #[inline(always)]
 fn earn(block: &Block, reward: &RewardWeights<f32>, voltages_v: &Lanes, rewards: &mut Lanes) {
+    let largest_v = block.qubes.largest_v();
     for lane in 0..BLOCK {
-        rewards[lane] =
-            reward.reward(&block.sight.seen.lane(lane), limited_voltage(voltages_v[lane]));
+        let voltage_v = limited_to(voltages_v[lane], largest_v);
+        rewards[lane] = reward.reward(&block.sight.seen.lane(lane), voltage_v);
     }
 }
 

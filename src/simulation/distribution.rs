@@ -101,6 +101,22 @@ fn simulated_range(term: Nonideality) -> (f64, f64) {
 }
 
 impl Distribution {
+    /// The distribution of this quantity times a factor above 0.
+    #[must_use]
+    pub fn scaled(self, factor: f64) -> Self {
+        match self {
+            Self::Constant { value } => Self::Constant { value: factor * value },
+            Self::Normal { mean, standard_deviation } => Self::Normal {
+                mean: factor * mean,
+                standard_deviation: factor * standard_deviation,
+            },
+            Self::Uniform { mean, standard_deviation } => Self::Uniform {
+                mean: factor * mean,
+                standard_deviation: factor * standard_deviation,
+            },
+        }
+    }
+
     /// A uniform distribution between two values.
     #[must_use]
     pub fn between(lower: f64, upper: f64) -> Self {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::distribution::largest_standard_deviation;
 use super::{Distribution, DistributionError, Psi, reach};
-use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
+use crate::qube::{DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
 
 /// Standard deviation of a handcrafted distribution as a fraction of the nominal value (thesis, section
 /// 5.2).
@@ -166,6 +166,22 @@ impl DomainDistribution {
             self.distributions[quantity.index()] = family.with_moments(mean, standard_deviation);
         }
         self
+    }
+
+    /// The same distribution of another plant than the Qube that it describes: each quantity is in the proportion of
+    /// the two plants ([`PlantModel::proportion`]).
+    ///
+    /// # Errors
+    /// A quantity of the plant cannot be simulated.
+    pub fn of_plant(mut self, plant: &PlantModel) -> Result<Self, DistributionError> {
+        if plant.is_qube() {
+            return Ok(self);
+        }
+        for quantity in Quantity::all() {
+            let scaled = self.get(quantity).scaled(plant.proportion(quantity));
+            self = self.with(quantity, scaled)?;
+        }
+        Ok(self)
     }
 
     /// The distribution of a quantity.

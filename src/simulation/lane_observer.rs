@@ -6,7 +6,9 @@
 use crate::estimation::{
     KalmanGains, ObserverEquations, ObserverSettings, SentVoltages, prediction_steps,
 };
-use crate::qube::{BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, State, limited_voltage};
+use crate::qube::{
+    BLOCK, CONTROL_PERIOD_S, Encoders, InLanes, Lanes, PlantModel, State, limited_to,
+};
 
 /// Number of last commands remembered: they cover the longest delay of an observer.
 const REMEMBERED: usize = 12;
@@ -25,6 +27,8 @@ pub(super) struct LaneObserver {
     since: Pieces,
     /// Voltage pieces from the current sample to the instant at which the next command acts.
     ahead: Pieces,
+    /// Largest voltage of the plant, V.
+    largest_v: f32,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -73,7 +77,7 @@ impl ObserverLanes {
 }
 
 impl LaneObserver {
-    pub(super) fn new(settings: &ObserverSettings) -> Self {
+    pub(super) fn new(settings: &ObserverSettings, plant: &PlantModel) -> Self {
         const PERIOD_US: u64 = (CONTROL_PERIOD_S * 1e6) as u64;
         // Numbers the commands of a long sequence to find the age of the one that acts at each time.
         let newest = REMEMBERED as u64;
@@ -92,11 +96,15 @@ impl LaneObserver {
             pieces
         };
         let (before_us, now_us) = (newest * PERIOD_US, (newest + 1) * PERIOD_US);
-        let gains = |noise_rad_s2| KalmanGains::steady_state(noise_rad_s2, CONTROL_PERIOD_S).cast();
+        let gains = |encoder, noise_rad_s2| {
+            KalmanGains::steady_state(encoder, noise_rad_s2, CONTROL_PERIOD_S).cast()
+        };
+        let Encoders { theta, alpha } = plant.encoders;
         Self {
             equations: ObserverEquations::new(settings),
-            theta_gains: gains(settings.theta_noise_rad_s2),
-            alpha_gains: gains(settings.alpha_noise_rad_s2),
+            theta_gains: gains(theta, settings.theta_noise_rad_s2),
+            alpha_gains: gains(alpha, settings.alpha_noise_rad_s2),
+            largest_v: plant.limits.largest_voltage_v as f32,
             since: pieces(before_us, now_us),
             ahead: pieces(now_us, now_us + sent.delay_us()),
         }
@@ -113,8 +121,9 @@ impl LaneObserver {
     ) -> State<Lanes> {
         let ObserverLanes { estimate, commands_v } = lanes;
         commands_v.rotate_right(1);
+        let largest_v = self.largest_v;
         for lane in 0..BLOCK {
-            commands_v[0][lane] = limited_voltage(voltages_v[lane]);
+            commands_v[0][lane] = limited_to(voltages_v[lane], largest_v);
         }
         self.predict(&self.since, estimate, commands_v);
         for lane in 0..BLOCK {

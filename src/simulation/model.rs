@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{DomainDistribution, Family, Psi, PsiError};
-use crate::qube::QubeModel;
+use crate::qube::{PlantModel, QubeModel};
 
 /// A named distribution over simulations: the thesis's five (section 5.2) and those with the nonidealities
 /// of real Qubes. A searched model leaves masses and lengths, or whatever psi names, to a search.
@@ -132,39 +132,43 @@ impl Model {
         matches!(self.searched(), Self::OptRobust | Self::OptProfile)
     }
 
-    /// The distribution before a psi shapes it.
+    /// The distribution for a plant before a psi shapes it.
     ///
     /// # Errors
     /// The model needs a profile that is missing or cannot be simulated.
     pub fn base_distribution(
         self,
+        plant: &PlantModel,
         family: Family,
         profile: Option<&ProfileSettings>,
     ) -> Result<DomainDistribution, PsiError> {
-        Ok(match self {
+        let of_qube = match self {
             Self::Nominal | Self::OptNominal => DomainDistribution::nominal(),
             Self::Handcrafted | Self::OptHandcrafted => DomainDistribution::handcrafted(family),
             Self::NominalHandcrafted => DomainDistribution::nominal_handcrafted(family),
             Self::Robust | Self::OptRobust => DomainDistribution::robust(),
             Self::Profile | Self::OptProfile => {
                 let ProfileSettings { model, spread } = profile.ok_or(PsiError::NoProfile)?;
-                DomainDistribution::around(model, *spread, family).map_err(PsiError::Base)?
+                // A profile is of a specimen of the plant itself.
+                return DomainDistribution::around(model, *spread, family).map_err(PsiError::Base);
             }
-        })
+        };
+        of_qube.of_plant(plant).map_err(PsiError::Base)
     }
 
-    /// The distribution of simulations. A searched model needs a psi; for the others, which have none, it
+    /// The distribution of simulations of a plant. A searched model needs a psi; for the others, which have none, it
     /// is left out.
     ///
     /// # Errors
     /// The psi is missing; the model needs a profile that is missing or cannot be simulated.
     pub fn distribution(
         self,
+        plant: &PlantModel,
         family: Family,
         profile: Option<&ProfileSettings>,
         psi: Option<&Psi>,
     ) -> Result<DomainDistribution, PsiError> {
-        let base = self.base_distribution(family, profile)?;
+        let base = self.base_distribution(plant, family, profile)?;
         match (self.is_searched(), psi) {
             (false, _) => Ok(base),
             (true, Some(psi)) => Ok(base.shaped_by(psi, family)),
@@ -191,15 +195,17 @@ mod tests {
         let psi = space.psi(&space.lower()).unwrap();
         let profile = ProfileSettings { model: QubeModel::NOMINAL, spread: 0.1 };
         for model in Model::ALL {
-            let distribution = |psi| model.distribution(Family::Normal, Some(&profile), psi);
-            let base = model.base_distribution(Family::Normal, Some(&profile)).unwrap();
+            let distribution =
+                |psi| model.distribution(&PlantModel::QUBE, Family::Normal, Some(&profile), psi);
+            let base =
+                model.base_distribution(&PlantModel::QUBE, Family::Normal, Some(&profile)).unwrap();
             if model.is_searched() {
                 assert!(matches!(distribution(None), Err(PsiError::Missing { .. })));
                 assert_eq!(distribution(Some(&psi)).unwrap(), base.shaped_by(&psi, Family::Normal));
             } else {
                 assert_eq!(distribution(None).unwrap(), base);
             }
-            let alone = model.base_distribution(Family::Normal, None);
+            let alone = model.base_distribution(&PlantModel::QUBE, Family::Normal, None);
             assert_eq!(matches!(alone, Err(PsiError::NoProfile)), model.needs_profile());
         }
         let names = "opt-handcrafted, opt-nominal, opt-robust, opt-profile";

@@ -49,10 +49,11 @@ impl Pendulums {
     #[must_use]
     pub fn new(lanes: usize, settings: &SimulationSettings) -> Self {
         assert!(settings.history <= MAX_HISTORY, "history: 0 to {MAX_HISTORY}");
-        let (blocks, sensors) = (lanes.div_ceil(BLOCK), Sensors::new(&settings.sensors));
+        let (blocks, sensors) =
+            (lanes.div_ceil(BLOCK), Sensors::new(&settings.sensors, &settings.plant));
         let observers = if sensors.observe() { blocks } else { 0 };
         Self {
-            blocks: vec![Block::hanging(); blocks],
+            blocks: vec![Block::hanging(settings.plant.limits.largest_voltage_v as f32); blocks],
             observers: vec![ObserverLanes::HANGING; observers],
             surroundings: Surroundings {
                 sensors,

@@ -3,7 +3,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::PsiError;
-use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
+use crate::qube::{DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
 
 /// The part of the simulation that an entry of psi sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -132,6 +132,18 @@ impl PsiDimension {
         let target = PsiTarget::from_name(name)?;
         let (lower, upper) = target.default_range();
         Ok(Self { target, lower, upper })
+    }
+
+    /// The same dimension of another plant than the Qube that it describes.
+    #[must_use]
+    pub fn of_plant(self, plant: &PlantModel) -> Self {
+        let factor = match self.target {
+            PsiTarget::Mean(quantity) | PsiTarget::StandardDeviation(quantity) => {
+                plant.proportion(quantity)
+            }
+            PsiTarget::Filter => 1.0,
+        };
+        Self { lower: factor * self.lower, upper: factor * self.upper, ..self }
     }
 
     fn check(&self) -> Result<(), PsiError> {

@@ -3,6 +3,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::{Psi, PsiDimension, PsiError, PsiTarget};
+use crate::qube::PlantModel;
 
 /// The thesis's eight dimensions (table 5.2): mean and standard deviation of each mass and length.
 const THESIS: [&str; 8] =
@@ -49,6 +50,13 @@ impl PsiSpace {
     #[must_use]
     pub fn thesis() -> Self {
         Self::named(&THESIS).expect("names that exist, each once")
+    }
+
+    /// The same space of another plant than the Qube that it describes.
+    #[must_use]
+    pub fn of_plant(self, plant: &PlantModel) -> Self {
+        let dimensions = self.dimensions.into_iter().map(|dimension| dimension.of_plant(plant));
+        Self { dimensions: dimensions.collect() }
     }
 
     /// The dimensions, in the order of a point's entries.

@@ -6,7 +6,7 @@
 use super::SensorModel;
 use super::lane_observer::{LaneObserver, ObserverLanes};
 use crate::estimation::{FilterGains, through_filters};
-use crate::qube::{BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, State, quantised};
+use crate::qube::{BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, PlantModel, Quantiser, State};
 
 /// The sensor and estimator chain between the true states of a block and the states that policy and guard
 /// see.
@@ -18,6 +18,9 @@ pub(super) struct Sensors {
     slow: Option<FilterGains<f32>>,
     /// Observer of the policy, if it has one.
     observer: Option<LaneObserver>,
+    /// Encoders of arm and pendulum.
+    theta: Quantiser<f32>,
+    alpha: Quantiser<f32>,
 }
 
 /// The states of a block as sensors and estimators show them.
@@ -43,16 +46,19 @@ impl SeenLanes {
 }
 
 impl Sensors {
-    pub(super) fn new(model: &SensorModel) -> Self {
+    pub(super) fn new(model: &SensorModel, plant: &PlantModel) -> Self {
+        let (theta, alpha) = (plant.encoders.theta.quantiser(), plant.encoders.alpha.quantiser());
         let SensorModel::Encoders { estimator } = model else {
-            return Self { guard: None, slow: None, observer: None };
+            return Self { guard: None, slow: None, observer: None, theta, alpha };
         };
         let gains = |corner_rad_s| FilterGains::new(corner_rad_s, CONTROL_PERIOD_S).cast();
         let filters = estimator.observer.is_none() && !estimator.policy_sees_as_guard();
         Self {
             guard: Some(gains(estimator.guard_corner_rad_s())),
             slow: filters.then(|| gains(estimator.corner_rad_s)),
-            observer: estimator.observer.as_ref().map(LaneObserver::new),
+            observer: estimator.observer.as_ref().map(|own| LaneObserver::new(own, plant)),
+            theta,
+            alpha,
         }
     }
 
@@ -67,8 +73,8 @@ impl Sensors {
         match self.guard {
             None => *state,
             Some(_) => State {
-                theta: quantised(state.theta),
-                alpha: quantised(state.alpha),
+                theta: self.theta.quantised(state.theta),
+                alpha: self.alpha.quantised(state.alpha),
                 theta_dot: 0.0,
                 alpha_dot: 0.0,
             },
@@ -95,22 +101,24 @@ impl Sensors {
             }
             return;
         };
-        filter(&mut lanes.guarded, state, guard);
+        self.filter(&mut lanes.guarded, state, guard);
         match (&self.observer, observers, &self.slow) {
             (Some(observer), Some(memory), _) => {
                 lanes.seen = observer.update(memory, voltages_v, &lanes.guarded);
             }
-            (_, _, Some(slow)) => filter(&mut lanes.seen, state, slow),
+            (_, _, Some(slow)) => self.filter(&mut lanes.seen, state, slow),
             _ => lanes.seen = lanes.guarded,
         }
     }
-}
 
-#[inline(always)]
-fn filter(seen: &mut State<Lanes>, state: &State<Lanes>, gains: &FilterGains<f32>) {
-    for lane in 0..BLOCK {
-        let (theta, alpha) = (quantised(state.theta[lane]), quantised(state.alpha[lane]));
-        let now = through_filters(&seen.lane(lane), theta, alpha, gains);
-        seen.set_lane(lane, &now);
+    #[inline(always)]
+    fn filter(&self, seen: &mut State<Lanes>, state: &State<Lanes>, gains: &FilterGains<f32>) {
+        let Self { theta, alpha, .. } = *self;
+        for lane in 0..BLOCK {
+            let theta = theta.quantised(state.theta[lane]);
+            let alpha = alpha.quantised(state.alpha[lane]);
+            let now = through_filters(&seen.lane(lane), theta, alpha, gains);
+            seen.set_lane(lane, &now);
+        }
     }
 }

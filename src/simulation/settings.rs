@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::estimation::EstimatorSettings;
-use crate::qube::{OBSERVATION_SIZE, RewardWeights};
+use crate::qube::{OBSERVATION_SIZE, PlantModel, RewardWeights};
 use crate::safety::SafetyBox;
 
 use super::{Psi, box_file};
@@ -21,6 +21,10 @@ pub struct SimulationSettings {
     /// Box that ends a trajectory when the state leaves it. Simulations have no guard besides it.
     #[serde(with = "box_file")]
     pub safety_box: SafetyBox,
+    /// Plant whose encoders and largest voltage the simulation has; files that name none mean the built-in Qube.
+    /// Its parameters are those of the distribution that trajectories are drawn from.
+    #[serde(skip_serializing_if = "PlantModel::is_qube")]
+    pub plant: PlantModel,
 }
 
 impl SimulationSettings {
@@ -40,6 +44,12 @@ impl SimulationSettings {
             estimator.corner_rad_s = corner_rad_s;
         }
         self
+    }
+
+    /// The same simulation of another plant, whose box has the plant's part of a Qube's travel.
+    #[must_use]
+    pub fn of_plant(self, plant: &PlantModel) -> Self {
+        Self { safety_box: self.safety_box.within_travel(plant), plant: *plant, ..self }
     }
 
     /// The machine's sensors, the last two commands in the observation, for Qubes with a delay and
@@ -69,6 +79,7 @@ impl Default for SimulationSettings {
             history: 0,
             reward: RewardWeights::THESIS,
             safety_box: SafetyBox::THESIS,
+            plant: PlantModel::QUBE,
         }
     }
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Fault, Phase, Preflight};
 use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
-use crate::qube::RewardWeights;
+use crate::qube::{PlantModel, RewardWeights};
 use crate::safety::{Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
 
 /// The settings that determine the tick besides measurements and policy; with the three a recording can be
@@ -31,6 +31,9 @@ pub struct TickSettings {
     /// Rules of the tick; recordings that do not name them ran by the first ones.
     #[serde(default)]
     pub rules: TickRules,
+    /// Plant that is driven; recordings that name none are of the built-in Qube.
+    #[serde(default, skip_serializing_if = "PlantModel::is_qube")]
+    pub plant: PlantModel,
 }
 
 /// The versions of the tick's rules for settling, watching and braking.

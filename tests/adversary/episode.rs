@@ -129,6 +129,7 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
         stops: None,
         foresight: None,
         rules: qube_hil::telemetry::TickRules::NEWEST,
+        plant: qube_hil::qube::PlantModel::QUBE,
     };
     let mut tick = Tick::new(&settings, Adversary { genes: *genes, step: 0 });
     let mut random = ChaCha8Rng::seed_from_u64(seed);

@@ -84,6 +84,7 @@ pub fn rollout(
         stops: None,
         foresight: None,
         rules: TickRules::NEWEST,
+        plant: qube_hil::qube::PlantModel::QUBE,
     };
     let mut tick = Tick::new(&settings, policy.clone());
     let mut noted = Noted { tick: &mut tick, clock: clock.clone(), ran_s: None };

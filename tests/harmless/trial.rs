@@ -177,6 +177,7 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
                 stops: None,
                 foresight: None,
                 rules: qube_hil::telemetry::TickRules::NEWEST,
+                plant: qube_hil::qube::PlantModel::QUBE,
             };
             let controller = ClassicalController::new(ClassicalGains::default());
             let mut tick = Tick::new(&settings, controller);

@@ -2,7 +2,7 @@ use std::sync::atomic::Ordering;
 
 use qube_hil::control::{Tick, drive};
 use qube_hil::estimation::Calibration;
-use qube_hil::qube::State;
+use qube_hil::qube::{PlantModel, State};
 use qube_hil::safety::{Guard, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 use rand_chacha::ChaCha8Rng;
@@ -105,6 +105,7 @@ pub fn settings(scenario: &Scenario, guard: Guard) -> TickSettings {
         stops: None,
         foresight: (guard == Guard::Foresight).then(|| scenario.known.settings()),
         rules: TickRules::NEWEST,
+        plant: PlantModel::QUBE,
     }
 }
 

@@ -74,7 +74,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     };
     let stop = Stop::on_signals()?;
     let settings = device.rig_settings(
-        EmulatorSettings::default(),
+        EmulatorSettings { model: device.plant.nominal(), ..EmulatorSettings::default() },
         EstimatorSettings::default(),
         CheckArguments::default(),
     );

@@ -30,8 +30,13 @@ fn run_within(
 ) -> (Result<(), Failure>, Results) {
     let plan = RolloutPlan { safety_box, ..RolloutPlan::single("run", "classical") };
     let files = vec![policy("classical").unwrap().to_bytes()];
-    let controller =
-        RunController { name: "classical".into(), files, steps: plan.steps, note: None };
+    let controller = RunController {
+        name: "classical".into(),
+        files,
+        steps: plan.steps,
+        note: None,
+        policy: None,
+    };
     let (stop, keyboard) = (Stop::default(), Keyboard::none());
     let directory = directory.to_owned();
     let mut series =

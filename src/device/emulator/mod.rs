@@ -17,7 +17,7 @@ pub use fault::{EmulatorFault, UnknownFault};
 pub use plant::Plant;
 pub use pty::EmulatedQube;
 
-use crate::qube::{HARD_STOP_RAD, QubeModel, State};
+use crate::qube::{Encoders, PlantModel, QubeModel, State};
 
 /// The settings of an emulated Qube. Equal settings give the same Qube.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,10 +42,25 @@ pub struct EmulatorSettings {
     pub fault: Option<EmulatorFault>,
     /// Positions of the arm's two hard stops, the lower first, rad.
     pub stops_rad: [f64; 2],
+    /// Resolution of the encoders.
+    pub encoders: Encoders,
 }
 
 /// Positions of the stops of a Qube of the published design, rad.
-pub const NOMINAL_STOPS_RAD: [f64; 2] = [-HARD_STOP_RAD, HARD_STOP_RAD];
+pub const NOMINAL_STOPS_RAD: [f64; 2] = stops_of(&PlantModel::QUBE);
+
+/// Positions of the stops of a plant as it is described, rad.
+const fn stops_of(plant: &PlantModel) -> [f64; 2] {
+    [-plant.limits.hard_stop_rad, plant.limits.hard_stop_rad]
+}
+
+impl EmulatorSettings {
+    /// The same settings with the stops and encoders of another plant; the physics stay.
+    #[must_use]
+    pub fn of_plant(self, plant: &PlantModel) -> Self {
+        Self { stops_rad: stops_of(plant), encoders: plant.encoders, ..self }
+    }
+}
 
 impl Default for EmulatorSettings {
     fn default() -> Self {
@@ -60,6 +75,7 @@ impl Default for EmulatorSettings {
             seed: 0,
             fault: None,
             stops_rad: NOMINAL_STOPS_RAD,
+            encoders: Encoders::QUBE,
         }
     }
 }

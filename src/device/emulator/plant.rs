@@ -10,9 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use super::mishap::{Mishap, TrueReadings};
 use super::play::Play;
 use super::{EmulatorSettings, Finger};
-use crate::qube::{
-    HARD_STOP_RAD, NonidealDynamics, QubeModel, RAD_PER_COUNT, State, counts, runge_kutta_4,
-};
+use crate::qube::{Encoder, Encoders, NonidealDynamics, QubeModel, State, runge_kutta_4};
 
 /// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of an
 /// encoder count.
@@ -69,6 +67,7 @@ pub struct Plant {
     arm_blocked: bool,
     motor_is_open: bool,
     stops_rad: [f64; 2],
+    encoders: Encoders,
     mishap: Mishap,
 }
 
@@ -81,7 +80,9 @@ impl Plant {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut jitter = random.clone();
         jitter.set_stream(JITTER_STREAM);
+        let [lowest_rad, highest_rad] = settings.stops_rad;
         let theta = random.random_range(-START_RANGE_RAD..=START_RANGE_RAD);
+        let theta = theta.max(lowest_rad).min(highest_rad);
         let dynamics = NonidealDynamics::new(&model);
         let state = start.unwrap_or(State { theta, ..State::default() });
         let play = (play_rad > 0.0).then(|| Play::new(play_rad, &state));
@@ -104,6 +105,7 @@ impl Plant {
             arm_blocked: false,
             motor_is_open: false,
             stops_rad: settings.stops_rad,
+            encoders: settings.encoders,
             mishap: Mishap::new(settings.fault),
         };
         plant.let_mishap_go_on();
@@ -182,10 +184,12 @@ impl Plant {
         let is_carried = self.next_finger_us == finger.from_us.max(1);
         self.next_finger_us += finger.every_us.max(1);
         let state = self.state;
+        let [_, stop_rad] = self.stops_rad;
+        let rad_per_count = self.encoders.theta.rad_per_count();
         if is_carried {
-            self.state = State { theta: HARD_STOP_RAD, theta_dot: 0.0, ..state };
-        } else if state.theta.abs() >= HARD_STOP_RAD - 10.0 * RAD_PER_COUNT {
-            let off_rad = f64::from(finger.counts) * RAD_PER_COUNT;
+            self.state = State { theta: stop_rad, theta_dot: 0.0, ..state };
+        } else if state.theta.abs() >= stop_rad - 10.0 * rad_per_count {
+            let off_rad = f64::from(finger.counts) * rad_per_count;
             self.state.theta = state.theta - off_rad.copysign(state.theta);
             self.state.theta_dot = 0.0;
         }
@@ -267,10 +271,11 @@ impl Plant {
 
     /// The readings of intact encoders.
     fn true_readings(&self) -> TrueReadings {
+        let Encoders { theta, alpha } = self.encoders;
         TrueReadings {
-            theta_counts: counts(self.state.theta).wrapping_add(self.theta_offset_counts),
-            alpha_counts: counts(self.state.alpha).wrapping_add(self.alpha_offset_counts),
-            tachometer_raw: tachometer_register(self.state.theta_dot),
+            theta_counts: theta.counts(self.state.theta).wrapping_add(self.theta_offset_counts),
+            alpha_counts: alpha.counts(self.state.alpha).wrapping_add(self.alpha_offset_counts),
+            tachometer_raw: tachometer_register(theta, self.state.theta_dot),
         }
     }
 
@@ -290,8 +295,8 @@ impl Plant {
 }
 
 /// The tachometer's register at a velocity of the arm, rad/s.
-fn tachometer_register(theta_dot: f64) -> u32 {
-    let counts_s = theta_dot / RAD_PER_COUNT;
+fn tachometer_register(encoder: Encoder, theta_dot: f64) -> u32 {
+    let counts_s = theta_dot / encoder.rad_per_count();
     let ticks = f64::from(TACHOMETER_COUNTS_S_TICKS) / counts_s.abs();
     if ticks >= f64::from(TACHOMETER_STILL) {
         return TACHOMETER_STILL;
@@ -312,7 +317,7 @@ fn stable_step_us(dynamics: &NonidealDynamics) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::{Nonidealities, control_step};
+    use crate::qube::{HARD_STOP_RAD, Nonidealities, RAD_PER_COUNT, control_step};
     use firmware_protocol::scaling::{current_ma, tachometer_counts_s};
 
     fn nominal(seed: u64) -> Plant {

@@ -2,7 +2,6 @@
 
 use super::swing_fit::{Lag, fit};
 use crate::control::{ArmResponse, ProbeTrace};
-use crate::qube::RAD_PER_COUNT;
 
 /// Largest motion of an arm that counts as at rest: play and the pendulum's pull cause as much, and
 /// nothing follows for the pendulum.
@@ -95,10 +94,10 @@ impl Evidence {
                 .iter()
                 .map(angle)
                 .fold((f64::MAX, f64::MIN), |(low, high), rad| (low.min(rad), high.max(rad)));
-            ((high - low) / RAD_PER_COUNT).max(0.0)
+            ((high - low) / trace.encoders().theta.rad_per_count()).max(0.0)
         };
         let arm_counts = width_counts(|sample| sample.theta_rad);
-        let swing = fit(samples, STOOD_COUNTS);
+        let swing = fit(samples, STOOD_COUNTS, trace.encoders());
         let is_driven = swing.driven_counts >= DRIVEN_COUNTS;
         let push_v = trace.push_v().abs();
         if push_v >= self.strongest_v {

@@ -16,6 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::clock::Clock;
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::Calibration;
+use crate::qube::PlantModel;
 use crate::telemetry::{CheckResult, Fault, MeasuredLink};
 
 const HOMING: &str = "homing";
@@ -29,6 +30,8 @@ pub struct ExaminationSettings {
     pub learn_signs: bool,
     /// Identity from the hello.
     pub identity: Identity,
+    /// Plant that is examined.
+    pub plant: PlantModel,
 }
 
 /// The result of an examination.
@@ -115,7 +118,7 @@ fn look_at_everything(
         motion::skip(found, "not before the watchdog works");
         return Ok(());
     }
-    let rest = rest::wait(device, clock, stop, &identity.port)?;
+    let rest = rest::wait(device, clock, stop, &identity.port, settings.plant.encoders.alpha)?;
     let may_move = !rest.failed();
     found.results.push(rest);
     if !may_move {

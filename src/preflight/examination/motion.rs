@@ -62,8 +62,7 @@ pub(super) fn check(
     found: &mut Examination,
 ) -> Result<(), Interruption> {
     let mut signs = settings.signs;
-    let port = &settings.identity.port;
-    let mut seen = match probe(device, clock, stop, signs, port)? {
+    let mut seen = match probe(device, clock, stop, signs, settings)? {
         Ok(seen) => seen,
         Err(fault) => {
             give_up(found, fault);
@@ -75,7 +74,7 @@ pub(super) fn check(
     {
         // Signs that were concluded must pass a second probe.
         signs = right;
-        match probe(device, clock, stop, signs, port)? {
+        match probe(device, clock, stop, signs, settings)? {
             Ok(again) => seen = again,
             Err(fault) => {
                 give_up(found, fault);
@@ -95,8 +94,9 @@ fn probe(
     clock: &dyn Clock,
     stop: &AtomicBool,
     signs: Calibration,
-    port: &str,
+    settings: &ExaminationSettings,
 ) -> Result<Result<Evidence, Fault>, Interruption> {
+    let port = &settings.identity.port;
     let mut evidence = Evidence::default();
     for step in 1..=STEPS {
         for direction in [1.0, -1.0] {
@@ -105,7 +105,7 @@ fn probe(
             loop {
                 ensure_going(stop)?;
                 device.hello()?;
-                let mut probe = SignProbe::new(signs, push_v);
+                let mut probe = SignProbe::new(&settings.plant, signs, push_v);
                 let report = drive(device, clock, &mut probe, None, stop)?;
                 match report.outcome.ending {
                     Ending::Fault(Fault::LinkGone) => return Err(super::link::gone(port)),

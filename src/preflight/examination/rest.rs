@@ -4,7 +4,7 @@ use super::link::gone;
 use super::{Interruption, ensure_going};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, LinkFault};
-use crate::qube::{CONTROL_PERIOD_NS, RAD_PER_COUNT};
+use crate::qube::{CONTROL_PERIOD_NS, Encoder};
 use crate::telemetry::CheckResult;
 
 const NAME: &str = "rest";
@@ -93,6 +93,7 @@ pub(super) fn wait(
     clock: &dyn Clock,
     stop: &AtomicBool,
     port: &str,
+    encoder: Encoder,
 ) -> Result<CheckResult, Interruption> {
     let start_ns = clock.now_ns();
     let mut deadline_ns = start_ns;
@@ -125,7 +126,7 @@ pub(super) fn wait(
                     format!("the arm rests, the pendulum swings a little after {waited_s:.1} s");
                 return Ok(CheckResult::pass(NAME, value));
             }
-            width_rad = Some(f64::from(pendulum.width()) * RAD_PER_COUNT);
+            width_rad = Some(f64::from(pendulum.width()) * encoder.rad_per_count());
             (spans, samples) = (None, 0);
         }
         if waited_ns > LONGEST_NS {

@@ -15,7 +15,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::control::ProbeSample;
-use crate::qube::RAD_PER_COUNT;
+use crate::qube::Encoders;
 
 /// Standard deviation of the rounding of a count.
 const QUANTISATION_COUNTS: f64 = 0.3;
@@ -43,7 +43,8 @@ pub(super) struct Lag {
 
 /// Fits the pendulum's equation to a probe. An arm that moved by no more than `stood_counts` counts
 /// as at rest.
-pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64) -> SwingFit {
+pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64, encoders: Encoders) -> SwingFit {
+    let [theta_rad, alpha_rad] = [encoders.theta, encoders.alpha].map(|own| own.rad_per_count());
     let Some(first) = samples.first() else {
         return SwingFit { lag: None, driven_counts: 0.0 };
     };
@@ -65,15 +66,15 @@ pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64) -> SwingFit {
     let thetas = rows.iter().map(|(row, _)| row[0]);
     let (lowest, highest) =
         thetas.fold((0.0_f64, 0.0_f64), |(low, high), theta| (low.min(theta), high.max(theta)));
-    let stood = highest - lowest <= (stood_counts + 0.5) * RAD_PER_COUNT;
+    let stood = highest - lowest <= (stood_counts + 0.5) * theta_rad;
 
     let free = least_squares(&rows, [false, true, true, true, true]);
-    let driven_counts = free.map_or(0.0, |free| free.residual_rad / RAD_PER_COUNT);
+    let driven_counts = free.map_or(0.0, |free| free.residual_rad / alpha_rad);
     let lag = if stood { None } else { least_squares(&rows, [true; TERMS]) };
     let lag = lag.map(|all| Lag {
         value: -all.coefficients[0],
         standard_error: all.first_variance.sqrt()
-            * all.residual_rad.max(QUANTISATION_COUNTS * RAD_PER_COUNT),
+            * all.residual_rad.max(QUANTISATION_COUNTS * alpha_rad),
     });
     SwingFit { lag, driven_counts }
 }
@@ -126,6 +127,7 @@ fn least_squares(rows: &[([f64; TERMS], f64)], used: [bool; TERMS]) -> Option<So
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::RAD_PER_COUNT;
     use crate::qube::counts;
 
     const STOOD_COUNTS: f64 = 4.0;
@@ -171,7 +173,7 @@ mod tests {
             for square_rad_s2 in [100.0, 117.0, 135.0] {
                 for alpha_dot in [0.0, 0.5, -1.0] {
                     let seen = samples(pushed(0.05), alpha_dot, (lag, square_rad_s2));
-                    let found = fit(&seen, STOOD_COUNTS).lag.unwrap();
+                    let found = fit(&seen, STOOD_COUNTS, Encoders::QUBE).lag.unwrap();
                     assert!((found.value - lag).abs() < 0.15, "{found:?} of {lag}");
                     assert!(found.standard_error < 0.1, "{found:?}");
                 }
@@ -183,26 +185,30 @@ mod tests {
     fn a_count_that_stays_has_no_lag() {
         let mut seen = samples(pushed(0.05), 0.0, (1.0, 117.0));
         seen.iter_mut().for_each(|sample| sample.alpha_rad = 0.3);
-        let found = fit(&seen, STOOD_COUNTS).lag.unwrap();
+        let found = fit(&seen, STOOD_COUNTS, Encoders::QUBE).lag.unwrap();
         assert!(found.value.abs() < 1e-9 && found.standard_error < 0.1, "{found:?}");
     }
 
     #[test]
     fn a_swing_on_an_arm_that_stands_is_not_driven_and_behind_a_dead_encoder_it_is() {
         for alpha_dot in [0.0, 0.3, 1.0] {
-            let still = fit(&samples(|_| 0.0, alpha_dot, (1.0, 117.0)), STOOD_COUNTS);
+            let still =
+                fit(&samples(|_| 0.0, alpha_dot, (1.0, 117.0)), STOOD_COUNTS, Encoders::QUBE);
             assert!(still.lag.is_none() && still.driven_counts < 0.7, "{still:?}");
             let mut seen = samples(pushed(0.05), alpha_dot, (1.0, 117.0));
             seen.iter_mut().for_each(|sample| sample.theta_rad = 1.0);
-            let driven = fit(&seen, STOOD_COUNTS);
+            let driven = fit(&seen, STOOD_COUNTS, Encoders::QUBE);
             assert!(driven.lag.is_none() && driven.driven_counts > 1.5, "{driven:?}");
         }
     }
 
     #[test]
     fn nothing_to_fit_is_no_lag() {
-        assert_eq!(fit(&[], STOOD_COUNTS), SwingFit { lag: None, driven_counts: 0.0 });
+        assert_eq!(
+            fit(&[], STOOD_COUNTS, Encoders::QUBE),
+            SwingFit { lag: None, driven_counts: 0.0 }
+        );
         let one = [ProbeSample::default()];
-        assert_eq!(fit(&one, STOOD_COUNTS).lag, None);
+        assert_eq!(fit(&one, STOOD_COUNTS, Encoders::QUBE).lag, None);
     }
 }

@@ -74,7 +74,7 @@ pub(super) fn check(
 /// One attempt; `None` if the computer or the link was too slow.
 fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckResult>, LinkFault> {
     let Some(before) = sampled(device, clock)? else { return Ok(None) };
-    let voltage_mv = clamp_to_mv(VOLTAGE_V).unwrap_or(0);
+    let voltage_mv = clamp_to_mv(VOLTAGE_V, VOLTAGE_V).unwrap_or(0);
     match device.act(voltage_mv, before.device_time_us) {
         Ok(()) => {}
         Err(LinkFault::Gone) => return Err(LinkFault::Gone),

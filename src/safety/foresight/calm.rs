@@ -5,9 +5,7 @@
 
 use super::Ends;
 use crate::elementary::{inverse_square_root, sin_cos};
-use crate::qube::{
-    BLOCK, CONTROL_PERIOD_S, Dynamics, InLanes, Lanes, MAX_VOLTAGE_V, QubeLanes, State,
-};
+use crate::qube::{BLOCK, CONTROL_PERIOD_S, Dynamics, InLanes, Lanes, QubeLanes, State};
 use crate::safety::{BrakeLaw, Particle};
 
 /// Reserve of angle before an end, in addition to the angle that the momentum needs, rad. It covers later
@@ -73,7 +71,7 @@ impl CalmLanes {
             let Dynamics { arm_inertia, torque_per_volt, .. } = own.ideal;
             lanes.high_j[lane] = lanes.held_j(qubes, brake, lane, ends.high_rad, 1.0);
             lanes.low_j[lane] = lanes.held_j(qubes, brake, lane, ends.low_rad, -1.0);
-            let full_v = MAX_VOLTAGE_V as f32;
+            let full_v = brake.largest_v() as f32;
             lanes.late_j_s[lane] = torque_per_volt * full_v * lanes.late_s[lane];
             let left_v = (lanes.positive_share[lane] * full_v - own.positive_dead_zone)
                 .min(lanes.negative_share[lane] * full_v - own.negative_dead_zone);

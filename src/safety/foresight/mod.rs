@@ -15,8 +15,7 @@ use super::{BrakeLaw, Particle};
 use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
 use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use crate::qube::{
-    BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, MAX_HISTORY, QubeLanes, SUBSTEPS, State,
-    limited_voltage,
+    BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, MAX_HISTORY, QubeLanes, SUBSTEPS, State, limited_to,
 };
 
 /// Blocks of sixteen particles that are simulated side by side. With four, the processor always has
@@ -91,6 +90,8 @@ struct ParticleLanes {
     calm: CalmLanes,
     /// Periods after which only the brake's voltages act at the motors.
     settled: u32,
+    /// Largest voltage of the plant, V.
+    largest_v: f32,
 }
 
 impl<B: BrakeLaw + Copy> Foresight<B> {
@@ -106,7 +107,8 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         assert!(ends.low_rad < 0.0 && ends.high_rad > 0.0, "{ends:?}");
         let count = particles.len();
         let groups = count.div_ceil(GROUP * BLOCK);
-        let mut qubes = vec![QubeLanes::hanging(); groups * GROUP];
+        let largest_v = brake.largest_v() as f32;
+        let mut qubes = vec![QubeLanes::hanging_limited_to(largest_v); groups * GROUP];
         let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
         // Copies of the last particle fill the last group.
         let of_lane = |lane: usize| &particles[lane.min(particles.len() - 1)];
@@ -198,6 +200,7 @@ impl ParticleLanes {
             negative_share: of(|particle| particle.negative_share),
             calm: CalmLanes::new(particles, qubes, brake, ends),
             settled: particles.iter().map(periods).max().unwrap_or(0),
+            largest_v: brake.largest_v() as f32,
         }
     }
 
@@ -210,8 +213,9 @@ impl ParticleLanes {
     #[inline(always)]
     fn arriving(&self, commands_v: &Lanes) -> Lanes {
         let mut arriving_v = [0.0; BLOCK];
+        let largest_v = self.largest_v;
         for lane in 0..BLOCK {
-            let command_v = limited_voltage(commands_v[lane]);
+            let command_v = limited_to(commands_v[lane], largest_v);
             let share =
                 if command_v > 0.0 { self.positive_share[lane] } else { self.negative_share[lane] };
             arriving_v[lane] = share * command_v;

@@ -1,0 +1,336 @@
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+use thiserror::Error;
+
+use super::{
+    DomainParameters, Dynamics, Encoders, HARD_STOP_RAD, MAX_VOLTAGE_V, MotorRating, Nonideality,
+    PlantName, Quantity, QubeModel,
+};
+
+/// A rotary pendulum as its maker describes it: its nominal parameters, encoders, stops and motor. A TOML file
+/// can describe one (`docs/reference/plants.md`); [`PlantModel::QUBE`] is built in.
+///
+/// It is what all specimens of a plant share. A [`super::Profile`] describes one of them, as it was identified.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlantModel {
+    /// Name that policies and recordings carry.
+    pub name: PlantName,
+    /// Nominal domain parameters.
+    #[serde(deserialize_with = "parameters")]
+    pub parameters: DomainParameters,
+    /// Encoders of arm and pendulum.
+    pub encoders: Encoders,
+    /// Limits of the arm and the motor's voltage.
+    pub limits: PlantLimits,
+    /// Thermal rating of the motor.
+    pub motor: PlantMotor,
+}
+
+/// The limits of a plant.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlantLimits {
+    /// Angle of the arm's hard stop on either side of its middle, rad.
+    #[serde(deserialize_with = "hard_stop")]
+    pub hard_stop_rad: f64,
+    /// Largest voltage that is ever commanded, V: at most [`MAX_VOLTAGE_V`], the largest that the wire carries.
+    #[serde(deserialize_with = "largest_voltage")]
+    pub largest_voltage_v: f64,
+}
+
+/// The rating of a plant's motor. Unlike a [`MotorRating`] it has no defaults.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlantMotor {
+    /// Current that the motor can carry indefinitely, A.
+    #[serde(deserialize_with = "current")]
+    pub continuous_a: f64,
+    /// Thermal time constant of the winding, s.
+    #[serde(deserialize_with = "time_constant")]
+    pub time_constant_s: f64,
+}
+
+/// The reason why a text describes no plant.
+#[derive(Debug, Error)]
+pub enum PlantError {
+    /// The text is not TOML, lacks a key, or has an unknown one or an invalid value.
+    #[error("{}", .0.to_string().trim_end())]
+    Invalid(#[from] Box<toml::de::Error>),
+}
+
+impl PlantModel {
+    /// The Quanser Qube (QUBE-Servo 2): name plate, 512 lines on both axes, stops at +-137 degrees, and 5 V.
+    pub const QUBE: Self = Self {
+        name: PlantName::QUBE,
+        parameters: DomainParameters::NOMINAL,
+        encoders: Encoders::QUBE,
+        limits: PlantLimits { hard_stop_rad: HARD_STOP_RAD, largest_voltage_v: MAX_VOLTAGE_V },
+        motor: PlantMotor {
+            continuous_a: MotorRating::NOMINAL.continuous_a,
+            time_constant_s: MotorRating::NOMINAL.time_constant_s,
+        },
+    };
+
+    /// Reads a plant from TOML.
+    ///
+    /// # Errors
+    /// A key is missing, unknown, or has a value outside its range; the error knows its line.
+    pub fn parse(text: &str) -> Result<Self, PlantError> {
+        Ok(toml::from_str(text).map_err(Box::new)?)
+    }
+
+    /// Whether this is the built-in Qube.
+    #[must_use]
+    pub fn is_qube(&self) -> bool {
+        *self == Self::QUBE
+    }
+
+    /// The nominal plant without nonidealities.
+    #[must_use]
+    pub fn nominal(&self) -> QubeModel {
+        QubeModel { parameters: self.parameters, ..QubeModel::NOMINAL }
+    }
+
+    /// Thermal rating of the motor.
+    #[must_use]
+    pub fn motor_rating(&self) -> MotorRating {
+        let PlantMotor { continuous_a, time_constant_s } = self.motor;
+        MotorRating { continuous_a, time_constant_s }
+    }
+
+    /// The name of the first entry that is not known to be as harmless as a Qube's; `None` for a plant that
+    /// differs from a Qube by smaller limits alone.
+    ///
+    /// The guard simulates the nominal parameters and counts by the encoders, so that any other ones may be
+    /// harmful if the file is wrong.
+    #[must_use]
+    pub fn beyond_qube(&self) -> Option<&'static str> {
+        let (own, qube) = (&self.limits, &Self::QUBE.limits);
+        [
+            ("parameters", self.parameters == Self::QUBE.parameters),
+            ("encoders", self.encoders == Self::QUBE.encoders),
+            ("limits.hard_stop_rad", own.hard_stop_rad <= qube.hard_stop_rad),
+            ("limits.largest_voltage_v", own.largest_voltage_v <= qube.largest_voltage_v),
+            ("motor", self.motor_rating().is_within(&MotorRating::NOMINAL)),
+        ]
+        .into_iter()
+        .find_map(|(name, is_harmless)| (!is_harmless).then_some(name))
+    }
+
+    /// Travel of this plant's arm as a fraction of a Qube's, at most 1.
+    #[must_use]
+    pub fn travel_fraction(&self) -> f64 {
+        (self.limits.hard_stop_rad / HARD_STOP_RAD).min(1.0)
+    }
+
+    /// Volts that accelerate this plant's arm as one volt accelerates a Qube's. Gains that were tuned for a Qube
+    /// are multiplied by it.
+    #[must_use]
+    pub fn volts_of_qube(&self) -> f64 {
+        let per_volt = |parameters| {
+            let dynamics = Dynamics::<f64>::new(parameters);
+            dynamics.torque_per_volt / dynamics.arm_inertia
+        };
+        per_volt(&DomainParameters::NOMINAL) / per_volt(&self.parameters)
+    }
+
+    /// This plant's value of a quantity for each unit of a Qube's: the ratio of the nominal parameters, of the motors'
+    /// torques for friction and cable, and 1 for dead zone, delay and the cable's rest angle.
+    #[must_use]
+    pub fn proportion(&self, quantity: Quantity) -> f64 {
+        match quantity {
+            Quantity::Parameter(parameter) => {
+                self.parameters.get(parameter) / DomainParameters::NOMINAL.get(parameter)
+            }
+            Quantity::Nonideality(Nonideality::CoulombTorque | Nonideality::CableStiffness) => {
+                self.torques_of_qube()
+            }
+            Quantity::Nonideality(_) => 1.0,
+        }
+    }
+
+    /// Torque of this plant's motor for each N m of a Qube's, at the same voltage. Friction and cable of a plant
+    /// that nobody has identified are assumed in proportion to it.
+    #[must_use]
+    pub fn torques_of_qube(&self) -> f64 {
+        let per_volt = |parameters: &DomainParameters| {
+            parameters.motor_back_emf_v_s / parameters.motor_resistance_ohm
+        };
+        per_volt(&self.parameters) / per_volt(&DomainParameters::NOMINAL)
+    }
+}
+
+impl Default for PlantModel {
+    fn default() -> Self {
+        Self::QUBE
+    }
+}
+
+/// Smallest and largest accepted value.
+type Range = (f64, f64);
+
+/// Accepted angles of a stop, rad: within less, no box holds a swing-up; from half a turn on, the two stops
+/// overlap.
+const HARD_STOPS_RAD: Range = (0.6, 3.1);
+
+/// Accepted largest voltages, V: homing needs 2.75 V.
+const LARGEST_VOLTAGES_V: Range = (3.0, MAX_VOLTAGE_V);
+
+/// Accepted continuous currents, A.
+const CURRENTS_A: Range = (0.05, 10.0);
+
+/// Accepted thermal time constants, s.
+const TIME_CONSTANTS_S: Range = (1.0, 1000.0);
+
+fn within<'de, D: Deserializer<'de>>(deserializer: D, range: Range) -> Result<f64, D::Error> {
+    let value = f64::deserialize(deserializer)?;
+    let (least, most) = range;
+    if (least..=most).contains(&value) {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!("{value}: give a number from {least} to {most}")))
+    }
+}
+
+fn hard_stop<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, HARD_STOPS_RAD)
+}
+
+fn largest_voltage<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, LARGEST_VOLTAGES_V)
+}
+
+fn current<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, CURRENTS_A)
+}
+
+fn time_constant<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, TIME_CONSTANTS_S)
+}
+
+/// A parameter that must be above 0, within what a table-top pendulum has.
+#[derive(Clone, Copy, Deserialize)]
+struct Positive(#[serde(deserialize_with = "positive")] f64);
+
+/// A parameter that may be 0.
+#[derive(Clone, Copy, Deserialize)]
+struct NotNegative(#[serde(deserialize_with = "not_negative")] f64);
+
+fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, (1e-6, 1e3))
+}
+
+fn not_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, (0.0, 1e3))
+}
+
+/// The parameters as a file holds them: each value is checked where it stands, so that an error knows its line.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(non_snake_case, reason = "the symbols of the thesis")]
+struct NamedParameters {
+    g: Positive,
+    R_m: Positive,
+    k_m: Positive,
+    D_r: NotNegative,
+    D_p: NotNegative,
+    M_r: Positive,
+    M_p: Positive,
+    L_r: Positive,
+    L_p: Positive,
+}
+
+fn parameters<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DomainParameters, D::Error> {
+    let named = NamedParameters::deserialize(deserializer)?;
+    Ok(DomainParameters {
+        gravity_m_s2: named.g.0,
+        motor_resistance_ohm: named.R_m.0,
+        motor_back_emf_v_s: named.k_m.0,
+        rotary_damping_n_m_s: named.D_r.0,
+        pendulum_damping_n_m_s: named.D_p.0,
+        rotary_mass_kg: named.M_r.0,
+        pendulum_mass_kg: named.M_p.0,
+        rotary_length_m: named.L_r.0,
+        pendulum_length_m: named.L_p.0,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LARGER: &str = include_str!("../../plants/furuta-130.toml");
+
+    #[test]
+    fn what_is_written_reads_back_the_same() {
+        for plant in [PlantModel::QUBE, PlantModel::parse(LARGER).unwrap()] {
+            let text = toml::to_string(&plant).unwrap();
+            assert_eq!(PlantModel::parse(&text).unwrap(), plant, "{text}");
+            let json = serde_json::to_string(&plant).unwrap();
+            assert_eq!(serde_json::from_str::<PlantModel>(&json).unwrap(), plant);
+        }
+    }
+
+    #[test]
+    fn the_qube_compares_with_itself_without_rounding() {
+        let qube = PlantModel::QUBE;
+        assert_eq!(qube.volts_of_qube(), 1.0);
+        assert_eq!(qube.torques_of_qube(), 1.0);
+        assert_eq!(qube.travel_fraction(), 1.0);
+        assert_eq!(qube.beyond_qube(), None);
+    }
+
+    #[test]
+    fn what_is_missing_unknown_or_impossible_is_named_with_its_line() {
+        let with = |old: &str, new: &str| {
+            assert!(LARGER.contains(old), "{old}");
+            PlantModel::parse(&LARGER.replacen(old, new, 1)).unwrap_err().to_string()
+        };
+        let line_of = |key: &str| {
+            let line = LARGER.lines().position(|line| line.starts_with(key)).unwrap();
+            format!("line {}", line + 1)
+        };
+        for (key, value, words) in [
+            ("M_p", "0.0", "from 0.000001"),
+            ("L_r", "-0.1", "from 0.000001"),
+            ("R_m", "nan", "NaN"),
+            ("D_p", "-1e-9", "from 0 to"),
+            ("hard_stop_rad", "3.2", "from 0.6 to 3.1"),
+            ("largest_voltage_v", "12.0", "from 3 to 5"),
+            ("theta_counts_per_revolution", "12", "from 256"),
+            ("continuous_a", "0.0", "from 0.05"),
+            ("time_constant_s", "inf", "from 1 to 1000"),
+            ("name", "\"a name with spaces\"", "name"),
+            ("alpha_counts_per_revolution", "\"many\"", "i32"),
+        ] {
+            let old = LARGER.lines().find(|line| line.starts_with(key)).unwrap();
+            let message = with(old, &format!("{key} = {value}"));
+            for word in [words, key, &line_of(key)] {
+                assert!(message.contains(word), "{key}: {word:?} is missing in {message}");
+            }
+            let message = with(old, "");
+            assert!(message.contains(&format!("missing field `{key}`")), "{message}");
+        }
+        let message = with("[limits]", "[limits]\nhard_stop_deg = 90\n");
+        assert!(message.contains("hard_stop_deg"), "{message}");
+    }
+
+    #[test]
+    fn only_smaller_limits_are_harmless() {
+        let harmless = PlantModel {
+            limits: PlantLimits { hard_stop_rad: 1.8, largest_voltage_v: 4.0 },
+            ..PlantModel::QUBE
+        };
+        assert_eq!(harmless.beyond_qube(), None);
+        let beyond = |change: fn(&mut PlantModel)| {
+            let mut plant = harmless;
+            change(&mut plant);
+            plant.beyond_qube()
+        };
+        assert_eq!(beyond(|plant| plant.parameters.pendulum_mass_kg *= 1.01), Some("parameters"));
+        assert_eq!(beyond(|plant| plant.limits.hard_stop_rad = 2.4), Some("limits.hard_stop_rad"));
+        assert_eq!(beyond(|plant| plant.motor.continuous_a = 0.6), Some("motor"));
+        assert_eq!(PlantModel::parse(LARGER).unwrap().beyond_qube(), Some("parameters"));
+    }
+}
