@@ -11,7 +11,7 @@ fn main() {
     }
 }
 
-/// What git prints, or none where there is no git or no repository (a released archive).
+/// The output of git; `None` without git or outside a repository, as in a released archive.
 fn git(arguments: &[&str]) -> Option<String> {
     let output = Command::new("git").args(arguments).output().ok()?;
     let printed = String::from_utf8(output.stdout).ok()?.trim().to_owned();

@@ -33,7 +33,7 @@ struct Case {
     computing_ms: usize,
 }
 
-/// How a brake ended.
+/// The result of a brake.
 enum Braked {
     /// At rest after this many periods.
     AtRest(usize),
@@ -113,7 +113,7 @@ impl Case {
 fn main() {
     let qubes = std::env::args().nth(1).and_then(|count| count.parse().ok()).unwrap_or(5000);
     let foreseen = ForesightSettings::HORIZON_PERIODS as usize;
-    // Where a trial sees the arm at its stop, no guard lets it go that far.
+    // Foresight brakes earlier if the simulated brake lets the arm reach its stop, so such cases never occur.
     let cases: Vec<Case> = (0..qubes)
         .map(Case::drawn)
         .filter(|case| {

@@ -207,24 +207,24 @@ fn errors(lab: &QubeModel, policy: &Policy, noises: &[f64]) {
         }
     }
     println!(
-        "| estimator | arm: at command, rad/s | lag, ms | noise, rad/s | pendulum: at command | lag | noise | astray |"
+        "| estimator | arm: at command, rad/s | lag, ms | noise, rad/s | pendulum: at command | lag | noise | resets |"
     );
     println!("| --- | --- | --- | --- | --- | --- | --- | --- |");
     for (name, settings) in rows {
-        let mut astray = 0;
+        let mut resets = 0;
         let rides: Vec<_> = (0..ROLLOUTS)
             .map(|number| {
                 let theta = -0.1 + 0.05 * number as f64;
                 let ride = swing_up(lab, policy, State { theta, ..State::default() });
                 let (seen, times) = watch(&ride, settings);
-                astray += times;
+                resets += times;
                 (ride, seen)
             })
             .collect();
         let theta = velocity_errors(&rides, delay_s, |state| state.theta_dot);
         let alpha = velocity_errors(&rides, delay_s, |state| state.alpha_dot);
         println!(
-            "| {name} | {:.2} | {:.1} | {:.2} | {:.2} | {:.1} | {:.2} | {astray} |",
+            "| {name} | {:.2} | {:.1} | {:.2} | {:.2} | {:.1} | {:.2} | {resets} |",
             theta.at_command,
             theta.lag_ms,
             theta.noise,
@@ -243,7 +243,7 @@ struct Tally {
     rollouts: u32,
     successes: u32,
     return_sum: f64,
-    astray: u32,
+    resets: u32,
 }
 
 impl Tally {
@@ -253,7 +253,11 @@ impl Tally {
             "{:.0} % ({:.0}{})",
             100.0 * f64::from(self.successes) / rollouts,
             self.return_sum / rollouts,
-            if self.astray > 0 { format!(", astray {}", self.astray) } else { String::new() }
+            if self.resets > 0 {
+                format!(", {} observer resets", self.resets)
+            } else {
+                String::new()
+            }
         )
     }
 
@@ -291,7 +295,7 @@ impl Tally {
         let seen: Vec<State> = running.map(|tick| tick.state).collect();
         let return_ = return_of(&records, &RewardWeights::THESIS);
         self.count(&seen, return_, report.outcome.ending == Ending::Completed);
-        self.astray += report.outcome.observer_resets;
+        self.resets += report.outcome.observer_resets;
     }
 
     /// Runs one rollout of a policy with the true state at the instant of its command.

@@ -21,7 +21,7 @@ use stranger::{Effort, Hunt, Known, Method, SearchRecord, summary};
 /// The adversary's command line.
 #[derive(Parser)]
 struct Arguments {
-    /// How many seeds are searched by each optimiser.
+    /// Number of seeds that each optimiser searches.
     #[arg(long, default_value_t = 20)]
     searches: u64,
     /// The first seed.

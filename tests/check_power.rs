@@ -105,7 +105,7 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
     Told { code: output.status.code(), told, text, connected }
 }
 
-/// The same with the plug pulled: returns the reconnected Qube and the printed object.
+/// The whole test with an operator who pulls the plug; returns the reconnected Qube and the printed object.
 fn pulled(directory: &Path, answer: &'static str) -> (EmulatedQube, Value) {
     let Told { code, told, text, connected } = tested(directory, &AtThePlug::Pulled(answer));
     assert_eq!(code, Some(0), "{told}\n{text}");

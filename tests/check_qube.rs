@@ -92,7 +92,7 @@ fn an_arm_that_lies_at_a_stop_is_judged_right() {
 }
 
 #[test]
-fn what_is_wrong_is_named_with_a_cure_and_the_arm_is_not_homed() {
+fn a_defect_is_named_with_a_cure_and_the_arm_is_not_homed() {
     for (fault, failed) in [
         ("flipped-theta", &["arm-sign"][..]),
         ("flipped-alpha", &["pendulum-sign"]),

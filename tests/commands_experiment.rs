@@ -103,7 +103,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let recordings = expected_files.keys().filter(|name| name.ends_with(".mcap")).count();
     assert_eq!(recordings, 2 * 3 * 2 * 2 + 4);
 
-    // What is finished can be seen without running anything; what is missing is made again.
+    // --table shows finished work without running anything; a resumed experiment makes missing files again.
     let lost = "one/policies/tiny-nominal/002/lab/rollout-1-attempt-0.mcap";
     std::fs::remove_file(whole.path().join(lost)).unwrap();
     let output = experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap();
@@ -223,7 +223,7 @@ fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_before_anything_is_made() {
+fn impossible_settings_are_refused_before_anything_is_made() {
     let directory = tempfile::tempdir().unwrap();
     prepare(directory.path());
     std::fs::write(directory.path().join("bad.toml"), "name = \"x\"\nmodel = \"nominl\"\n")

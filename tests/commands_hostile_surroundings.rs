@@ -159,7 +159,7 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
 }
 
 #[test]
-fn what_has_no_end_is_refused_at_once() {
+fn a_file_without_an_end_is_refused_at_once() {
     let directory = tempfile::tempdir().unwrap();
     let pipe = directory.path().join("pipe");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());

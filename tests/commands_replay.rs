@@ -104,7 +104,7 @@ fn a_rollout_that_foresight_ended_says_for_which_qube() {
 /// it small, its blocks were merged into one and its index was dropped; every message is as that
 /// program wrote it.
 #[test]
-fn a_rollout_under_the_guard_of_the_past_is_compared_until_it_brakes() {
+fn a_rollout_under_a_retired_guard_is_compared_until_it_brakes() {
     let fixture =
         Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/left_the_speed_envelope.mcap");
     let recording = qube_hil::recording::read(&fixture).unwrap();

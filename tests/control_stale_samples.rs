@@ -13,7 +13,7 @@ use qube_hil::qube::{Measurement, State};
 use qube_hil::safety::SafetyBox;
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
-/// What happens to a sample that the device gave.
+/// The fate of a sample on its way from the device to the tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fate {
     Comes,

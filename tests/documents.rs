@@ -1,5 +1,5 @@
-//! The pages: every link leads somewhere, every file that they name exists, every page is in the book, and every
-//! block of commands runs or says why it does not.
+//! Tests the pages: every link has a target, every file that they name exists, every page is in the book, and
+//! every block of commands runs or states why it does not.
 
 use std::collections::BTreeSet;
 use std::fs;

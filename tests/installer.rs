@@ -61,7 +61,7 @@ fn a_second_installation_changes_nothing() {
 }
 
 #[test]
-fn what_cannot_be_is_refused() {
+fn impossible_requests_are_refused() {
     for arguments in [
         &["--prefix"][..],
         &["--nonsense"],

@@ -1,4 +1,4 @@
-//! What is handed out: the package for Debian holds what the installer installs, and the crates name each other's
+//! Tests the packages: the one for Debian holds what the installer installs, and the crates name each other's
 //! version.
 
 use std::fs;
@@ -14,7 +14,7 @@ fn manifest() -> Value {
     fs::read_to_string(root().join("Cargo.toml")).unwrap().parse::<toml::Table>().unwrap().into()
 }
 
-/// Sources and targets of what the package for Debian holds.
+/// Sources and targets of the files in the package for Debian.
 fn assets() -> Vec<(String, String)> {
     let manifest = manifest();
     let assets = manifest["package"]["metadata"]["deb"]["assets"].as_array().unwrap();

@@ -22,7 +22,7 @@ fn returns(policy: &str, qube: &[&str]) -> Vec<f64> {
 }
 
 #[test]
-fn each_stands_on_the_qubes_that_it_is_for() {
+fn each_policy_balances_on_the_qubes_that_it_is_for() {
     for (policy, qube, at_least) in [
         ("nominal.safetensors", &[][..], 535.0),
         ("robust.safetensors", &[][..], 505.0),

@@ -70,7 +70,7 @@ impl Connect for SilentWay {
 }
 
 #[test]
-fn what_declares_nothing_is_hardware_before_and_after_it_has_answered() {
+fn a_device_that_declares_nothing_is_hardware_before_and_after_it_has_answered() {
     let silent = RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(SilentWay)));
     assert!(silent.is_hardware() && silent.checks());
     assert!(RigSettings::in_virtual_time(DeviceChoice::Port("/dev/null".into())).is_hardware());
@@ -125,7 +125,7 @@ fn a_link_is_hardware_until_an_emulator_has_answered() {
 }
 
 #[test]
-fn what_is_hardware_is_examined_before_its_first_motion() {
+fn hardware_is_examined_before_its_first_motion() {
     for way in [
         Arc::new(SilentWay) as Arc<dyn Connect>,
         Arc::new(Way { declares_emulated: true }),
@@ -219,7 +219,7 @@ fn files_that_name_no_guard_mean_the_box_as_they_ran() {
 }
 
 #[test]
-fn what_is_written_names_its_guard() {
+fn every_written_file_names_its_guard() {
     let json = serde_json::to_string(&SafetyBox::GUARDED).unwrap();
     let expected = "{\"theta\":2.3,\"alpha\":12.566370614359172,\"theta_dot\":30.0,\
                     \"alpha_dot\":40.0,\"guard\":\"foresight\"}";

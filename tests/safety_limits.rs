@@ -129,7 +129,7 @@ fn a_session_that_is_resumed_widens_nothing() {
 
 /// Nothing starts or resumes under the guard of old recordings, whatever asks for it.
 #[test]
-fn the_guard_of_the_past_is_refused_with_what_is_in_its_place() {
+fn a_retired_guard_is_refused_with_its_replacement() {
     let directory = tempfile::tempdir().unwrap();
     let told = |arguments: &[&str], words: &[&str]| {
         let output = qube_hil(directory.path(), arguments);
@@ -141,10 +141,10 @@ fn the_guard_of_the_past_is_refused_with_what_is_in_its_place() {
     };
     for command in [&["run", "--policy", "classical"][..], &["session"], &["experiment"]] {
         let arguments = [command, &["--guard", "envelope"]].concat();
-        told(&arguments, &["--guard", "nothing is driven under it any more; foresight"]);
+        told(&arguments, &["--guard", "it serves only to replay old recordings; use foresight"]);
     }
     for command in ["train", "experiment"] {
-        told(&[command, "--preset", "machine"], &["--preset", "robust is in its place"]);
+        told(&[command, "--preset", "machine"], &["--preset", "robust in its place"]);
     }
 
     let write = |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();

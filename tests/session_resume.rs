@@ -60,7 +60,7 @@ fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
     assert!(UPDATES.into_iter().any(is_killed_and_resumed), "every session ended before a kill");
 }
 
-/// Kills a session again and again and compares its ledger; whether there was time for a kill.
+/// Kills a session again and again and compares its ledger; returns whether there was time for a kill.
 fn is_killed_and_resumed(updates: u32) -> bool {
     let directory = tempfile::tempdir().unwrap();
     assert!(begin(directory.path(), "whole", updates).wait().unwrap().success());
@@ -106,7 +106,7 @@ fn signals_end_a_session_with_their_exit_code_and_it_can_be_resumed() {
     }
 }
 
-/// Sends a session this signal and resumes it; whether it was still running at the signal.
+/// Sends a session this signal and resumes it; returns whether it was still running at the signal.
 fn is_stopped_and_resumed(kind: Signal, expected: i32, updates: u32) -> bool {
     let directory = tempfile::tempdir().unwrap();
     let mut child = begin(directory.path(), "stopped", updates);

@@ -85,7 +85,7 @@ fn a_loop_of_crashes_ends() {
 }
 
 #[test]
-fn what_somebody_must_look_at_is_not_started_again() {
+fn a_fault_that_an_operator_must_examine_is_not_restarted() {
     let prevented = of_unit("Service", "RestartPreventExitStatus").unwrap();
     let prevented: Vec<&str> = prevented.split(' ').collect();
     // The program's own exit codes; 4 is a fault.

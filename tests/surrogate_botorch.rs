@@ -209,7 +209,7 @@ fn at_given_hyperparameters(
     }
 }
 
-/// Equal to 1e-9, relative.
+/// Checks that two numbers are equal to 1e-9, relative.
 fn close(name: &str, what: &str, ours: f64, theirs: f64) {
     let error = (ours - theirs).abs() / theirs.abs();
     assert!(
@@ -218,8 +218,7 @@ fn close(name: &str, what: &str, ours: f64, theirs: f64) {
     );
 }
 
-/// Whether two logarithms belong to numbers that are equal to 1e-9, relative, or are equal to that
-/// themselves.
+/// Checks that two logarithms are equal to 1e-9, or that their numbers are, relative.
 fn close_logarithms(name: &str, what: &str, ours: f64, theirs: f64) {
     let error = (ours - theirs).abs() / theirs.abs().max(1.0);
     assert!(error < 1e-9, "{name}: {what} is {ours}, BoTorch has {theirs} (relative {error:e})");

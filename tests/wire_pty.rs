@@ -1,6 +1,6 @@
 //! Tests the wire over a real pty and the serial port library, against the emulated Qube.
 //!
-//! Nothing here depends on the load of the machine: everything is judged by the device's clock.
+//! Nothing here depends on the load of the machine: all times are by the device's clock.
 
 use std::io::{Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd};
@@ -63,7 +63,7 @@ fn an_emulated_qube_is_reached_like_a_real_one() {
     assert!(!sample(&mut link).status.armed);
 }
 
-/// When it trips is for `wire_conformance` to judge.
+/// `tests/wire_conformance.rs` tests the watchdog's timing.
 #[test]
 fn the_watchdog_switches_the_motor_off_and_stays_off() {
     let qube = qube(None);
@@ -98,7 +98,7 @@ fn the_host_may_close_and_open_the_port_again() {
 }
 
 /// A killed host leaves the port in exclusive mode; only root could open it again if the emulator
-/// did not take that back. (Tests often run as root, so the mode itself is looked at.)
+/// did not take that back. (Tests often run as root, so the test reads the mode itself.)
 #[test]
 fn a_killed_host_does_not_lock_the_port() {
     let qube = qube(None);
@@ -237,12 +237,12 @@ fn a_port_is_opened_again_and_shows_whether_the_board_has_restarted() {
     assert!(first.is_same_start(&same), "{first:?} {same:?}");
     arm(&mut link);
 
-    // Gone: reopening says so, and nothing is called by another name meanwhile.
+    // Without the Qube, reopening reports that the port is gone, and so does a sample.
     drop(quiet);
     assert!(matches!(link.reopen(), Err(DeviceError::NoSuchPort { .. } | DeviceError::Io { .. })));
     assert_eq!(link.sample(MonotonicClock.now_ns() + PATIENCE_NS), Err(LinkFault::Gone));
 
-    // A busy computer may say the first hello only after the restart: then both are of one start.
+    // On a busy computer even the first hello may follow the restart; both hellos then show one start.
     let saw_the_restart = (0..20).any(|_| {
         let restarting = qube(Some(EmulatorFault::BrownOut { after_s: 1.0 }));
         let mut link = open(&restarting);

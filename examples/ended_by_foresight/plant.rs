@@ -1,5 +1,5 @@
-//! A Qube with what the project's own equations leave out: play between motor and arm, and friction that gives way
-//! like a spring before it slides.
+//! A Qube with effects that the library's equations leave out: play between motor and arm, and friction that
+//! yields like a spring before it slides.
 
 use std::collections::VecDeque;
 
@@ -8,53 +8,57 @@ use qube_hil::qube::{
     runge_kutta_4,
 };
 
-/// A Qube of a table's row.
+/// The Qube of a row of the table.
 #[derive(Clone, Copy)]
 pub struct Kind {
     pub model: QubeModel,
     pub beyond_the_model: Beyond,
 }
 
-/// What of a real Qube the project's equations leave out.
+/// An effect that the library's equations leave out.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Beyond {
     Nothing,
-    /// Between the motor with its encoder and the arm, rad.
+    /// Play between motor and arm, rad; the encoder is on the motor's side.
     Play(f64),
-    /// How far the friction gives way before it slides, rad: Dahl's model.
+    /// Distance over which the friction yields before it slides (Dahl's model), rad.
     Presliding(f64),
 }
 
-/// Integration steps in a control period, of the equations and of stiff contacts.
+/// Number of integration steps in a control period.
 const STEPS: u32 = 20;
+
+/// Number of integration steps in a control period where contacts or friction are stiff.
 const STIFF_STEPS: u32 = 500;
 
 /// Inertia of the motor's rotor with its hub, kg m^2: data sheet of the Qube-Servo 2.
 const ROTOR_INERTIA_KG_M2: f64 = 4.6e-6;
 
-/// Stiffness and damping where the rotor touches the arm: 70 Hz, and a contact that hardly bounces.
+/// Stiffness of the contact between rotor and arm, N m/rad: a natural frequency of 70 Hz.
 const CONTACT_N_M_RAD: f64 = 1.0;
+
+/// Damping of that contact, N m s/rad: it hardly bounces.
 const CONTACT_N_M_S_RAD: f64 = 2e-3;
 
-/// Above this the friction of a motor with play has its whole torque, nearly, rad/s.
+/// Velocity at which the friction of a motor with play has reached three quarters of its torque, rad/s.
 const SLIDING_RAD_S: f64 = 0.05;
 
 /// A Qube whose commands arrive late.
 pub struct Plant {
     kind: Kind,
     dynamics: NonidealDynamics,
-    /// Arm and pendulum.
+    /// State of arm and pendulum.
     state: State,
-    /// The motor's angle, rad, and velocity, rad/s: those of the arm where there is no play.
+    /// The motor's angle, rad, and velocity, rad/s; used only with play.
     rotor: [f64; 2],
-    /// By how much the friction has given way, rad.
+    /// Distance by which the friction has yielded, rad.
     given_way_rad: f64,
-    /// Newest first.
+    /// Last commands, V, newest first.
     commands_v: VecDeque<f64>,
 }
 
 impl Plant {
-    /// At rest with the arm at this angle.
+    /// A Qube at rest with the arm at this angle.
     pub fn at_rest(kind: &Kind, theta: f64) -> Self {
         Self {
             kind: *kind,
@@ -66,7 +70,7 @@ impl Plant {
         }
     }
 
-    /// The angles that the encoders see, of motor and pendulum, rad.
+    /// The angles that the two encoders measure, rad.
     pub fn angles(&self) -> [f64; 2] {
         match self.kind.beyond_the_model {
             Beyond::Play(_) => [self.rotor[0], self.state.alpha],
@@ -74,7 +78,7 @@ impl Plant {
         }
     }
 
-    /// One control period after this command, V.
+    /// Advances by one control period with this command, V.
     pub fn advance(&mut self, command_v: f64) {
         self.commands_v.push_front(command_v);
         self.commands_v.truncate(MAX_HISTORY + 2);
@@ -98,7 +102,8 @@ impl Plant {
         }
     }
 
-    /// The motor drives the arm where they touch; friction is the motor's, the cable pulls the arm.
+    /// Integrates one step with play: the motor drives the arm through the contact, friction acts on the motor, and
+    /// the cable pulls the arm.
     fn step_with_play(&mut self, play_rad: f64, voltage_v: f64, step_s: f64) {
         let [angle, velocity] = self.rotor;
         let apart = angle - self.state.theta;
@@ -122,7 +127,7 @@ impl Plant {
         self.step_arm(torque, step_s);
     }
 
-    /// Velocities first, then angles with the new ones: a stiff contact gains no energy so.
+    /// Integrates arm and pendulum by the semi-implicit Euler method, under which a stiff contact gains no energy.
     fn step_arm(&mut self, torque: f64, step_s: f64) {
         let ideal = &self.dynamics.ideal;
         let acceleration = ideal.acceleration(&self.state, torque / ideal.torque_per_volt);
@@ -132,7 +137,7 @@ impl Plant {
         self.state.alpha += step_s * self.state.alpha_dot;
     }
 
-    /// The motor's torque without its back-EMF, which the arm's equation has, N m.
+    /// The motor's torque without the back-EMF, which the arm's equation contains, N m.
     fn motor_torque(&self, voltage_v: f64) -> f64 {
         let gap = &self.kind.model.nonidealities;
         let above = (voltage_v - gap.positive_dead_zone_v).max(0.0);

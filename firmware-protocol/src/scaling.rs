@@ -20,7 +20,7 @@ pub const CURRENT_ZERO: i32 = 8190;
 /// ADC counts per ampere.
 pub const CURRENT_COUNTS_PER_A: i32 = 9828;
 
-/// Tachometer reading of an arm that stands still.
+/// Tachometer reading of an arm at rest.
 pub const TACHOMETER_STILL: u32 = 0x7F_FFFF;
 
 /// Bit 23 of the tachometer: turning to negative counts.

@@ -58,7 +58,7 @@ impl Failure {
         Self { message: format!("{before} {}", self.message), ..self }
     }
 
-    /// The same failure, with a sentence more.
+    /// Adds a sentence after the message.
     pub fn followed_by(self, sentence: &str) -> Self {
         let message = format!("{}. {sentence}", self.message.trim_end_matches('.'));
         Self { message, ..self }

@@ -17,7 +17,7 @@ pub enum GuardArgument {
 
 /// The parser of `--guard`.
 pub fn guard_parser() -> impl TypedValueParser<Value = GuardArgument> {
-    names_but("envelope", "nothing is driven under it any more; foresight is in its place")
+    names_but("envelope", "it serves only to replay old recordings; use foresight")
 }
 
 impl From<GuardArgument> for Guard {

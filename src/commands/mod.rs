@@ -150,7 +150,7 @@ fn warn_without_realtime(realtime: &RealtimeReport) {
 }
 
 /// The number of observer resets as a line for people; empty without a reset.
-fn astray_line(observer_resets: u64) -> String {
+fn observer_resets_line(observer_resets: u64) -> String {
     match observer_resets {
         0 => String::new(),
         times => format!(

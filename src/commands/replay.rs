@@ -72,9 +72,9 @@ struct Report {
     rmse: Option<Rmse>,
 }
 
-/// Note on a recording whose guard no longer exists.
-const ENDING_OF_THE_FILE: &str = "this rollout ran under the speed envelope, which is no more: it is \
-     compared up to its first braking tick, and its end is taken from the file";
+/// Note on a recording under the speed envelope, a guard that this program does not have.
+const ENDING_OF_THE_FILE: &str = "this rollout ran under the speed envelope, a guard that this program does not \
+     have: it is compared up to its first braking tick, and its end is taken from the file";
 
 /// A defect of one file, and the failure that it causes.
 struct Problem {
@@ -178,8 +178,11 @@ fn replay_file(
     problem.map_or(Ok(()), Err)
 }
 
-/// Replays the tick. The outer error means that it cannot be replayed, the inner one that it differs or
-/// that parts are missing.
+/// Replays the tick of a recording.
+///
+/// # Errors
+/// The outer error: the recording cannot be replayed. The inner one: the replay differs, or parts of the recording
+/// are missing.
 fn rerun_recording(
     recording: &Recording,
     report: &mut Report,
@@ -259,9 +262,13 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
 /// The prediction for which foresight ended a rollout, for people.
 fn foreseen_text(foreseen: &Foreseen) -> String {
     let Foreseen { identified, particle, beyond_rad } = foreseen;
-    let whose = if *identified { "its profile's Qubes" } else { "the Qubes that any may be" };
+    let whose = if *identified {
+        "its profile's Qubes"
+    } else {
+        "the Qubes that an unidentified one may be"
+    };
     let reach = beyond_rad.map_or_else(
-        || "would have left all numbers".to_owned(),
+        || "would have moved without bounds".to_owned(),
         |beyond_rad| format!("would have come {beyond_rad:.3} rad beyond its end"),
     );
     format!(

@@ -17,7 +17,7 @@ use super::output::Output;
 use super::printable::tell;
 use super::stop::Stop;
 use super::{
-    astray_line, failures, heat_line, quietness_line, timing_lines, warn_without_realtime,
+    failures, heat_line, observer_resets_line, quietness_line, timing_lines, warn_without_realtime,
 };
 use crate::control::HomingMethod;
 use crate::identification::{Unfit, check_recording};
@@ -462,7 +462,7 @@ impl Results {
     fn text(&self) -> String {
         let directory = self.recordings.first().and_then(|path| path.parent());
         let directory = directory.unwrap_or(Path::new(".")).display();
-        let astray = astray_line(self.observer_resets);
+        let astray = observer_resets_line(self.observer_resets);
         let next = if self.excited {
             format!("\nqube-hil identify {directory}/*.mcap says which Qube this is")
         } else {

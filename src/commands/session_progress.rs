@@ -23,7 +23,7 @@ pub struct SessionProgress {
     connected: bool,
 }
 
-/// How far a training is.
+/// The progress of a training.
 struct InTraining {
     /// When its first update was done.
     began: Instant,

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::exit::Failure;
 use super::printable::one_line;
-use super::{astray_line, quietness_line, timing_lines};
+use super::{observer_resets_line, quietness_line, timing_lines};
 use crate::policy::Policy;
 use crate::session::{BestPolicy, Purpose, ScoredCandidate, SessionReport};
 use crate::simulation::PsiSpace;
@@ -76,7 +76,7 @@ impl SessionTable {
             let _ =
                 writeln!(text, "rollouts that a fault made void and that were repeated: {void}");
         }
-        text.push_str(&astray_line(report.observer_resets));
+        text.push_str(&observer_resets_line(report.observer_resets));
         text.push_str(&timing_lines(&report.latencies));
         let _ = writeln!(text, "everything is in {}", report.directory.display());
         text.push_str("qube-hil session --help explains the words of this table\n");
@@ -139,7 +139,7 @@ mod tests {
     use crate::scoring::Latencies;
 
     #[test]
-    fn what_went_astray_is_told_where_anything_has() {
+    fn observer_resets_are_reported_if_there_were_any() {
         let mut table = SessionTable(SessionReport {
             psi: PsiSpace::default(),
             candidates: Vec::new(),

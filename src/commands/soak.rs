@@ -244,7 +244,7 @@ impl Soaked {
     fn text(&self) -> String {
         let growth = match self.growth_bytes() {
             Some(growth) => format!("{:+.2} MB", growth as f64 * 1e-6),
-            None => format!("not judged in less than {WARM_UP_ROLLOUTS} rollouts"),
+            None => format!("not measured in less than {WARM_UP_ROLLOUTS} rollouts"),
         };
         format!(
             "{} ticks ({:.2} h) in {} rollouts: {} lost, {} missed deadlines, {} rollouts void\n\

@@ -45,7 +45,7 @@ pub fn check_device(
 ) -> Result<(), Failure> {
     match (strategies, &device.choice) {
         (Some(_), DeviceChoice::Port(port)) => Err(Failure::usage(format!(
-            "--strategies works with the emulated Qube only, not with {port}: judging every answer \
+            "--strategies works with the emulated Qube only, not with {port}: scoring every recommendation \
              would take a real one thousands of rollouts. Leave --device and --qube out"
         ))),
         _ => Ok(()),

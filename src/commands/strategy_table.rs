@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_fits_a_terminal_and_says_who_never_succeeded() {
+    fn the_table_fits_a_terminal_and_names_methods_that_never_succeeded() {
         for repetitions in [0, 1, 9, 1000] {
             let table = table(&results(repetitions));
             assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_csv_has_a_line_for_each_answer() {
+    fn the_csv_has_a_line_for_each_recommendation() {
         let csv = csv(&results(2));
         let lines: Vec<&str> = csv.lines().collect();
         assert_eq!(lines.len(), 5);

@@ -7,7 +7,7 @@ use crate::elementary::Scalar;
 use crate::qube::{DomainParameters, Dynamics, Measurement, PlantModel};
 
 /// Time within one count, under voltage, after which the arm is tested, us.
-const STANDS_US: u64 = 55_000;
+const CONSTANT_US: u64 = 55_000;
 
 /// Voltage below which the motor counts as not driven, so that an arm at rest is normal, mV.
 const DRIVEN_MV: i16 = 20;
@@ -179,10 +179,10 @@ impl AskingPush {
     /// The motor voltage of this tick, V: `wanted_v` or a push. The push is directed away from the
     /// nearer stop, or to the side on which the voltage can still grow.
     pub fn voltage_v(&mut self, wanted_v: f64, theta: f64) -> f64 {
-        let stands = self
+        let is_constant = self
             .since_us
-            .is_some_and(|since_us| self.previous_us.saturating_sub(since_us) >= STANDS_US);
-        if !stands {
+            .is_some_and(|since_us| self.previous_us.saturating_sub(since_us) >= CONSTANT_US);
+        if !is_constant {
             return wanted_v;
         }
         let (holding_v, largest_v) = (self.holding_v(), self.slowest.largest_v);
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_without_voltage_is_not_asked() {
+    fn an_arm_at_rest_without_voltage_is_not_pushed() {
         let mut asking = AskingPush::of(&PlantModel::QUBE);
         for tick in 1..100 {
             assert!(!asking.is_unanswered(&at(tick, 0.0), 0, 0.0));

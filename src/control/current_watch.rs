@@ -19,7 +19,7 @@ const WEAK_MV: i16 = 1200;
 /// Travel within which an arm counts as still, counts.
 const STANDS_COUNTS: i32 = 3;
 
-/// Ticks after which a still arm counts as standing.
+/// Ticks after which a still arm counts as at rest.
 const STANDS_TICKS: u32 = 25;
 
 /// Largest reading of a current sensor that shows nothing although the motor moved the arm, A.
@@ -27,14 +27,15 @@ const BLIND_A: f64 = 0.004;
 
 /// Whether the current is less than that of a connected motor at rest under this voltage, mV.
 ///
-/// Computed in `f32` as for the first recordings: at whole milliamperes the last bit decides.
+/// Trap: a replay must decide as the recorded tick did, and at whole milliamperes the last bit decides, so
+/// the comparison stays in `f32`.
 #[must_use]
 pub fn takes_nothing(sample: &Measurement, voltage_mv: i16) -> bool {
     let least_a = DEAD_A_V as f32 * f32::from(voltage_mv.saturating_abs()) * 1e-3;
     sample.current_a.abs() < least_a
 }
 
-/// Watches the current while the arm stands still, where no back-EMF lowers it.
+/// Watches the current while the arm is at rest, where no back-EMF lowers it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CurrentWatch {
     /// Sum and number of the readings at 0 V, which give the sensor's offset.

@@ -23,7 +23,7 @@ pub struct HomingSettings {
     pub method: HomingMethod,
     /// Zero of theta relative to the middle, rad: some rigs have asymmetric stops.
     pub theta_offset_rad: f64,
-    /// Distance between this rig's stops, rad; `None` stands for that of the plant's description.
+    /// Distance between this rig's stops, rad; `None` means that of the plant's description.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub travel_rad: Option<f64>,
     /// Count of the arm where the operator put it, if it has moved since.

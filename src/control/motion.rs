@@ -61,7 +61,7 @@ pub trait Motion: Send {
         0
     }
 
-    /// Why foresight ended the motion; `None` if it did not.
+    /// Prediction for which foresight ended the motion; `None` if it did not.
     fn foreseen(&self) -> Option<Foreseen> {
         None
     }

@@ -74,8 +74,8 @@ pub struct SensorWatch {
     /// Last steps of both counts, counts a period, newest last.
     theta_steps: [i32; 3],
     alpha_steps: [i32; 3],
-    /// Cross-check of the two encoders, with the calibration of their angles; `None` under the
-    /// first rules.
+    /// Cross-check of the two encoders, with the calibration of their angles; `None` under
+    /// [`TickRules::First`](crate::telemetry::TickRules::First).
     witness: Option<(Calibration, Witness)>,
     /// Test of the arm's count against the Qube's momentum.
     momentum: MomentumWatch,
@@ -135,8 +135,8 @@ impl SensorWatch {
         Self { witness: Some((calibration, Witness::of(plant))), ..Self::of(plant) }
     }
 
-    /// Starts the cross-check of the encoders with these zeros; that of the pendulum is known
-    /// within `zero_within_rad`.
+    /// Starts the cross-check of the encoders with these zeros; the pendulum's zero is known within
+    /// `zero_within_rad`.
     pub fn call_witness(&mut self, calibration: Calibration, zero_within_rad: f64) {
         let witness = Witness::with_zero_within(&self.plant, zero_within_rad, RIG_SHARE);
         self.witness = Some((calibration, witness));

@@ -37,7 +37,7 @@ const STOPPED_RAD_S: f64 = 0.5;
 /// zone.
 const BRAKE_V: f64 = 1.0;
 
-/// Currents below this are not judged, A: the smallest push drives 0.02 A through a motor at rest.
+/// Currents below this are not evaluated, A: the smallest push drives 0.02 A through a motor at rest.
 const LEAST_CURRENT_A: f64 = 0.02;
 
 /// Difference between two readings of the current that rounding, offset and noise explain, A.
@@ -329,7 +329,7 @@ impl Motion for SignProbe {
         self.output(Some(wanted_v), None)
     }
 
-    /// A probe is part of an examination, which judges the result.
+    /// A probe is part of an examination, which evaluates the result.
     fn control_state(&self) -> ControlState {
         ControlState::Checking
     }

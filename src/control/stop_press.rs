@@ -5,7 +5,7 @@ use crate::qube::{PlantModel, State};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::Ending;
 
-/// Distance from a nominal stop within which the arm counts as standing at it, rad.
+/// Distance from a nominal stop within which the arm counts as at the stop, rad.
 const NEAR_STOP_RAD: f64 = 0.3;
 
 /// Ticks until the arm has come to rest against its stop and its angle is stored.
@@ -23,12 +23,11 @@ const AWAY_RAD: f64 = 0.5;
 /// Ticks within which a pushed arm must come back: 3 s.
 const RETURN_TICKS: u32 = 300;
 
-/// Presses the arm outward against the stop at which it stands.
+/// Presses the arm outward against the stop that it touches.
 ///
-/// The arm is at its stop already, so it cannot move far even if the voltage stays on with no host
-/// left to take it back. The press ends in a rehearsal when the arm has been pushed off its stop by
-/// hand and has come back, and otherwise when the arm does not hold, time is up, or the link is
-/// lost.
+/// The arm is at its stop already, so it cannot move far even if no host is left to end the
+/// voltage. A rehearsal ends when a hand has pushed the arm off its stop and the arm has come back.
+/// Any press ends when the voltage does not hold the arm, time is up, or the link is lost.
 #[derive(Debug)]
 pub struct StopPress {
     plant: PlantModel,
@@ -98,7 +97,7 @@ impl StopPress {
     }
 
     /// Updates the result from the arm's angle; returns whether that ends the press.
-    fn judge(&mut self) -> bool {
+    fn update(&mut self) -> bool {
         let reach_rad = self.state.theta * self.outward;
         if self.outward == 0.0 {
             self.outward = self.state.theta.signum();
@@ -155,7 +154,7 @@ impl Motion for StopPress {
             return self.output(None, None);
         };
         self.state = self.estimator.update(measurement).guarded;
-        if self.judge() || self.ticks > self.most_ticks {
+        if self.update() || self.ticks > self.most_ticks {
             return self.off(Ending::Completed);
         }
         let wanted_v = self.outward * self.push_v;

@@ -60,14 +60,14 @@ pub struct Tick<C = Policy> {
     stopped_ticks: u32,
     /// Simulates the brake before each voltage is sent; `None` unless the guard is foresight.
     foresight: Option<TrustedForesight>,
-    /// Why foresight ended the policy; `None` if it did not.
+    /// Prediction for which foresight ended the policy; `None` if it did not.
     foreseen: Option<Foreseen>,
     brake: Brake,
     /// Whether the brake uses the arm's velocity alone, because the arm's count is doubted.
     damps: bool,
     /// Last voltages sent, newest first, V; some may not have reached the motor yet.
     sent_v: [f32; MAX_HISTORY],
-    /// How the rollout ends.
+    /// Ending of the rollout.
     reason: Ending,
     /// State estimates: one for the policy, one for guard, settling and brake.
     estimates: Estimates,

@@ -10,7 +10,7 @@ use crate::qube::{CONTROL_PERIOD_S, COUNTS_PER_REVOLUTION, Measurement, RAD_PER_
 const REST_SAMPLES: u32 = 60;
 
 /// Largest range of the arm's samples at rest, counts. An arm without dry friction that still
-/// creeps this much goes on by 8 counts before it stands. A lower limit would cost 8 s after each
+/// creeps this much moves on by 8 counts before it stops. A lower limit would cost 8 s after each
 /// rollout with a cable that pulls the arm slowly.
 const ARM_WIDTH: i32 = 5;
 
@@ -42,7 +42,7 @@ pub enum Moved {
         "the arm's count moved by {0:.2} rad while nothing was driven (a hand, or its encoder's cable)"
     )]
     Arm(f64),
-    /// The pendulum rests at another count than that of hanging.
+    /// The pendulum rests at a count at which it did not hang before.
     #[error("the pendulum rests {0:.2} rad from where it hung (a hand, or its encoder's cable)")]
     Pendulum(f64),
     /// Arm and pendulum were not seen at rest, before or now.
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_swings_wide_or_creeps_does_not_rest() {
+    fn a_wide_swing_or_a_creeping_arm_is_not_at_rest() {
         // Swings of 0.4 rad and of 0.2 rad to either side, at twice a second.
         let swing = |counts: f64, tick: u64| 700 + (counts * (0.126 * tick as f64).sin()) as i32;
         let mut watch = RestWatch::default();

@@ -55,7 +55,7 @@ struct ClockWatch {
 }
 
 impl ClockWatch {
-    /// Whether the device's clock is wrong: it stands still (a repeated sample), goes back, or runs
+    /// Whether the device's clock is wrong: it stops (a repeated sample), goes back, or runs
     /// at another rate.
     fn is_wrong(&mut self, asked_ns: u64, device_us: u64) -> bool {
         let Some((last_ns, last_us)) = self.last.replace((asked_ns, device_us)) else {
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_device_says_of_itself_is_believed() {
+    fn the_flags_that_a_device_reports_are_faults() {
         for (status, fault) in [
             (
                 Status { armed: true, watchdog_tripped: true, ..Status::default() },

@@ -151,7 +151,7 @@ pub struct Witness {
     /// counted ones.
     together: f64,
     squares: f64,
-    /// The same sums over changes above rounding, taken while the pendulum's count moves.
+    /// These sums, restricted to changes above rounding while the pendulum's count moves.
     sure_together: f64,
     sure_squares: f64,
     scale: Scale,

@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_has_a_file_open_is_found() {
+    fn the_process_that_has_a_file_open_is_found() {
         let file = tempfile::NamedTempFile::new().unwrap();
         assert_eq!(find_opener(file.path()), Some(std::process::id()));
     }

@@ -16,7 +16,7 @@ use crate::clock::{Clock, Nanoseconds};
 /// listens for up to two seconds.
 const BOOT_TIME_NS: Nanoseconds = 3_000_000_000;
 
-/// The same behind a pty, ns. A pty has no modem lines and restarts nothing, but the device behind it may
+/// Time that a device behind a pty may need before it answers, ns. A pty has no modem lines and restarts nothing, but the device behind it may
 /// restart by itself, and PROTOCOL.md allows it this time.
 const PTY_BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 

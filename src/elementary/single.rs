@@ -12,7 +12,7 @@
 
 use super::Scalar;
 
-/// Beyond this |x| tanh is constant: 1 - tanh(8) = 2.3e-7.
+/// Largest |x| for which tanh is computed; beyond it tanh is constant: 1 - tanh(8) = 2.3e-7.
 const TANH_SATURATION: f32 = 8.0;
 
 /// Hyperbolic tangent; absolute error at most 5e-7, never beyond +-1. NaN stays NaN.

@@ -102,7 +102,8 @@ impl Estimator {
         *estimates
     }
 
-    /// How often the observer lost the Qube and restarted from encoders and filter; 0 without an observer.
+    /// Number of times that the observer lost the Qube and restarted from encoders and filter; 0 without an
+    /// observer.
     #[must_use]
     pub fn observer_resets(&self) -> u32 {
         self.observer.as_ref().map_or(0, Observer::observer_resets)
@@ -260,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_guard_sees_is_the_fast_filter_whatever_the_policy_sees() {
+    fn the_guard_sees_the_fast_filter_whatever_the_policy_sees() {
         let nonsense = QubeModel {
             nonidealities: Nonidealities {
                 cable_stiffness_n_m_rad: -1e6,

@@ -37,7 +37,7 @@ impl KalmanGains {
         Self { angle: 1.0 - r * r, velocity: 2.0 * (1.0 - r) * (1.0 - r) / interval_s }
     }
 
-    /// The same gains in another number type.
+    /// Converts the gains to another number type.
     #[must_use]
     pub fn cast<T: Scalar>(self) -> KalmanGains<T> {
         KalmanGains { angle: T::from_f64(self.angle), velocity: T::from_f64(self.velocity) }

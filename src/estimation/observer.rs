@@ -166,7 +166,7 @@ impl Observer {
         self.estimate.alpha += by_rad;
     }
 
-    /// How often the observer lost the Qube and was reset.
+    /// Number of times that the observer lost the Qube and was reset.
     pub(super) fn observer_resets(&self) -> u32 {
         self.observer_resets
     }

@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_remembered_covers_the_longest_delay_and_a_silence() {
+    fn the_history_covers_the_longest_delay_and_a_silence() {
         let mut sent = SentVoltages::new(0.1, 0.0);
         for step in 0..100_u64 {
             sent.send(step * 10_000, step as f64);

@@ -137,7 +137,7 @@ impl ObserverSettings {
         Self { model, ..Self::default() }
     }
 
-    /// The same settings with another delay, s.
+    /// Replaces the delay, s.
     #[must_use]
     pub fn with_delay(self, command_delay_s: f64) -> Self {
         let nonidealities = Nonidealities { command_delay_s, ..self.model.nonidealities };
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_estimator_is_named() {
+    fn invalid_estimator_settings_are_named() {
         let fine = ObserverSettings::default();
         assert_eq!(EstimatorSettings::observer(fine).check(), Ok(()));
         let parameters = DomainParameters { pendulum_mass_kg: 0.0, ..DomainParameters::NOMINAL };

@@ -33,7 +33,7 @@ impl FilterGains<f64> {
         Self { decay: libm::exp(exponent), rate: -libm::expm1(exponent) / period_s }
     }
 
-    /// The same gains in another number type.
+    /// Converts the gains to another number type.
     #[must_use]
     pub fn cast<T: Scalar>(self) -> FilterGains<T> {
         FilterGains { decay: T::from_f64(self.decay), rate: T::from_f64(self.rate) }

@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_reads_back_the_same() {
+    fn a_written_file_reads_back_the_same() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("experiment.toml");
         for settings in [settings(), of_strategies()] {
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_named() {
+    fn impossible_settings_are_named() {
         let wrong = |change: fn(&mut ExperimentSettings)| {
             let mut settings = settings();
             change(&mut settings);

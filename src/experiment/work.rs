@@ -17,7 +17,7 @@ use crate::simulation::{DomainDistribution, Psi};
 
 /// An event of a running experiment, from any thread.
 pub enum ExperimentEvent<'a> {
-    /// SessionEvent of a search for psi.
+    /// An event of a session that searches for psi.
     Search {
         /// Name of the search: a recipe's, or a method's and repetition's.
         name: &'a str,

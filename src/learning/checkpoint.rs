@@ -59,13 +59,16 @@ impl Checkpointing {
         let damaged = |error: safetensors::SafeTensorError| self.damaged(error.to_string());
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
         let found = header.metadata().clone().unwrap_or_default();
-        for (what, expected) in identity(trainer) {
-            match found.get(what) {
+        for (property, expected) in identity(trainer) {
+            match found.get(property) {
                 Some(value) if *value == expected => {}
                 Some(_) => {
-                    return Err(TrainError::CheckpointOfAnother { path: self.path.clone(), what });
+                    return Err(TrainError::CheckpointOfAnother {
+                        path: self.path.clone(),
+                        property,
+                    });
                 }
-                None => return Err(self.damaged(format!("it does not name its {what}"))),
+                None => return Err(self.damaged(format!("it does not name its {property}"))),
             }
         }
         let tensors = SafeTensors::deserialize(&bytes).map_err(damaged)?;

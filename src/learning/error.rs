@@ -47,13 +47,13 @@ pub enum TrainError {
     },
     /// The checkpoint belongs to another training.
     #[error(
-        "checkpoint {path} was written by a training with another {what}. Give the same again, or name \
+        "checkpoint {path} was written by a training with another {property}. Give the same again, or name \
          another file to train from the start"
     )]
     CheckpointOfAnother {
         /// Path of the file.
         path: PathBuf,
         /// Name of the property that differs.
-        what: &'static str,
+        property: &'static str,
     },
 }

@@ -81,12 +81,12 @@ fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
     let checkpointing = Checkpointing { path: path.clone(), every: 1 };
     assert!(train_small(&small(), 1, Some(&checkpointing), 1).is_err());
     let other_seed = train_small(&small(), 2, Some(&checkpointing), u32::MAX);
-    assert!(matches!(other_seed, Err(TrainError::CheckpointOfAnother { what: "seed", .. })));
+    assert!(matches!(other_seed, Err(TrainError::CheckpointOfAnother { property: "seed", .. })));
     let other_settings = TrainSettings { clip: 0.3, ..small() };
     let other_settings = train_small(&other_settings, 1, Some(&checkpointing), u32::MAX);
     assert!(matches!(
         other_settings,
-        Err(TrainError::CheckpointOfAnother { what: "settings", .. })
+        Err(TrainError::CheckpointOfAnother { property: "settings", .. })
     ));
 
     let bytes = std::fs::read(&path).unwrap();
@@ -139,7 +139,7 @@ fn the_thesis_preset_has_the_published_budget() {
 }
 
 #[test]
-fn a_weight_on_changes_of_the_voltage_grows_and_what_is_told_stays_plain() {
+fn the_weight_on_voltage_changes_grows_and_reported_returns_exclude_it() {
     let settings = TrainSettings { voltage_change_weight: 0.5, ..small_with_history() };
     assert_eq!(settings.voltage_change_weight_at(0), 0.0);
     assert_eq!(settings.voltage_change_weight_at(settings.updates - 1), 0.5);
@@ -157,7 +157,7 @@ fn a_weight_on_changes_of_the_voltage_grows_and_what_is_told_stays_plain() {
 }
 
 #[test]
-fn the_quick_preset_learns_to_swing_up_and_stand() {
+fn the_quick_preset_learns_to_swing_up_and_balance() {
     let stop = AtomicBool::new(false);
     let distribution = DomainDistribution::nominal();
     let settings = TrainSettings { target_return: Some(540.0), ..TrainSettings::quick() };

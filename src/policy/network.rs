@@ -426,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_network_is_refused() {
+    fn weights_that_form_no_network_are_refused() {
         let sizes = [6, 8, 1];
         let good = [layer(6, 8, 0.0), layer(8, 1, 1.0)];
         for sizes in [

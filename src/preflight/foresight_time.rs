@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_measured_is_a_time() {
+    fn the_measurement_is_a_time() {
         let longest_us = foresight_time_us();
         assert!(longest_us.is_finite() && longest_us > 1.0, "{longest_us}");
     }

@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_physical_is_named() {
+    fn a_parameter_that_is_not_physical_is_named() {
         let mut parameters = DomainParameters::NOMINAL;
         assert_eq!(parameters.check(), Ok(()));
         parameters.pendulum_mass_kg = 0.0;

@@ -243,7 +243,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_reads_back_and_what_is_left_out_is_nominal() {
+    fn a_written_profile_reads_back_and_missing_parameters_are_nominal() {
         let profile = Profile {
             name: "lab".into(),
             plant: PlantName::QUBE,
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_qube_has_is_named() {
+    fn a_value_that_no_qube_has_is_named() {
         for (text, words) in [
             ("name = \"x\"\n[gap]\ncommand_delay_s = 6.0\n", "command_delay_s = 6"),
             ("name = \"x\"\n[gap]\ncable_drift_rad_per_min = -2.0\n", "from -1 to 1"),

@@ -26,7 +26,7 @@ impl RewardWeights {
     pub const THESIS: Self =
         Self { theta: 0.2, alpha: 1.0, theta_dot: 0.02, alpha_dot: 0.005, voltage: 0.003 };
 
-    /// The same weights in another number type.
+    /// Converts the weights to another number type.
     #[must_use]
     pub fn cast<T: Scalar>(&self) -> RewardWeights<T> {
         RewardWeights {
@@ -60,7 +60,7 @@ mod tests {
     use std::f64::consts::PI;
 
     #[test]
-    fn standing_still_upright_earns_one_from_either_side() {
+    fn balancing_at_rest_earns_one_from_either_side() {
         for alpha in [PI, -PI, 3.0 * PI] {
             let upright = State { alpha, ..State::default() };
             assert!((RewardWeights::THESIS.reward(&upright, 0.0) - 1.0).abs() < 1e-12);

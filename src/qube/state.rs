@@ -18,7 +18,7 @@ pub struct State<T = f64> {
 }
 
 impl State {
-    /// The same state in single precision.
+    /// Rounds the state to single precision.
     #[must_use]
     pub fn cast(&self) -> State<f32> {
         State {

@@ -16,14 +16,14 @@ pub enum RecordingError {
     },
     /// The disk is full.
     #[error(
-        "{path}: the disk is full. What was written so far can be read; make room and repeat the rollout"
+        "{path}: the disk is full. The part written so far can be read; make room and repeat the rollout"
     )]
     DiskFull {
         /// Path of the truncated recording.
         path: PathBuf,
     },
     /// Writing failed for another reason.
-    #[error("{path}: writing failed ({source}). What was written so far can be read")]
+    #[error("{path}: writing failed ({source}). The part written so far can be read")]
     Write {
         /// Path of the truncated recording.
         path: PathBuf,
@@ -39,7 +39,7 @@ pub enum RecordingError {
         record: &'static str,
     },
     /// The writer thread ended unexpectedly.
-    #[error("{path}: the recorder stopped unexpectedly. What was written so far can be read")]
+    #[error("{path}: the recorder stopped unexpectedly. The part written so far can be read")]
     Stopped {
         /// Path of the truncated recording.
         path: PathBuf,

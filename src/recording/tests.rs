@@ -30,7 +30,7 @@ fn all_bits(ticks: &[TickRecord]) -> Vec<(String, Vec<u64>)> {
 }
 
 #[test]
-fn what_is_read_is_what_was_written() {
+fn a_recording_reads_back_bit_for_bit() {
     let ticks = ticks(37);
     let recording = parse(&recorded(&ticks)).unwrap();
     assert_eq!(all_bits(&recording.ticks), all_bits(&ticks));

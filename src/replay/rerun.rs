@@ -188,7 +188,7 @@ mod tests {
         recorded_warm(MotorHeat::default(), 0.0, estimator, policy, link_breaks_at)
     }
 
-    /// The same rollout on a warm motor with a multiple of the nominal current.
+    /// The rollout of [`recorded_rollout`] on a warm motor that draws `current_factor` times the nominal current.
     fn recorded_warm(
         mut heat: MotorHeat,
         current_factor: f64,
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_observer_or_a_slow_filter_showed_comes_out_again_bit_for_bit() {
+    fn rollouts_with_an_observer_or_a_slow_filter_replay_bit_for_bit() {
         let model = QubeModel {
             nonidealities: Nonidealities { command_delay_s: 0.0037, ..Nonidealities::default() },
             ..QubeModel::NOMINAL

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
-/// Why foresight ended a rollout: the possible Qube whose arm the brake would have stopped too
-/// late.
+/// The prediction for which foresight ended a rollout: a possible Qube whose arm the brake would have
+/// stopped too late.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Foreseen {
     /// Whether that Qube belongs to the profile's belief; otherwise it is one of any Qube's.

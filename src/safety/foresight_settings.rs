@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_file_says_is_checked_before_anything_is_computed_with_it() {
+    fn settings_of_a_file_are_checked_before_anything_is_computed_with_them() {
         let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap();
         let identified = Some(IdentifiedQube::of(&lab));
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };

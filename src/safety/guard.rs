@@ -1,14 +1,13 @@
 use serde::{Deserialize, Serialize};
 
-/// The guard of a rollout: what acts before a limit is reached, and how the arm is then stopped.
+/// The guard of a rollout, which may act before a limit of the box is reached, and which determines the brake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Guard {
-    /// Only the box, and a brake that opposes the arm's velocity: the thesis's set-up. A file that
-    /// does not name a guard is older than the choice and means this one; the file's reader applies
-    /// that, not [`Default`].
+    /// Only the box, and a brake that opposes the arm's velocity: the thesis's set-up. Files that
+    /// name no guard mean this one; their reader selects it, because [`Default`] is another.
     Box,
-    /// The envelope of recordings made before foresight; nothing is driven under it.
+    /// A speed envelope, which old recordings name; it serves only to replay them.
     Envelope,
     /// A [`super::Foresight`] that simulates the brake before each voltage is sent, and a
     /// [`super::Brake`] that brings the arm back to the middle.

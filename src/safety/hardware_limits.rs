@@ -72,11 +72,8 @@ pub enum TooWide {
         /// Entry of the plant file.
         entry: &'static str,
     },
-    /// The guard is that of recordings made before foresight.
-    #[error(
-        "guard = \"envelope\" is known for the sake of old recordings, and nothing is driven under it any \
-         more"
-    )]
+    /// The guard serves only to replay old recordings.
+    #[error("guard = \"envelope\" serves only to replay old recordings")]
     EnvelopeGone,
 }
 
@@ -93,7 +90,7 @@ impl HardwareLimits {
         Ok(Self { widest: safety_box, ..Self::default() })
     }
 
-    /// The same limits with this motor rating.
+    /// Replaces the motor rating.
     #[must_use]
     pub fn with_motor(self, motor: MotorRating) -> Self {
         Self { motor, ..self }
@@ -166,8 +163,7 @@ impl SafetyBox {
     /// the guards.
     ///
     /// # Errors
-    /// The first limit that is not.
-    /// The first that is not.
+    /// Names the first limit that is not.
     pub fn check_within(&self, widest: &Self) -> Result<(), TooWide> {
         for (name, value, widest) in [
             ("theta", self.theta, widest.theta),
@@ -189,7 +185,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_nobody_chose_is_guarded() {
+    fn the_default_is_guarded() {
         assert_eq!(Guard::default(), Guard::Foresight);
         assert_eq!(SafetyBox::default(), SafetyBox::GUARDED);
         assert_eq!(

@@ -164,7 +164,7 @@ mod tests {
         })
     }
 
-    /// The same time by the closed formula for a constant current.
+    /// The time until a cold motor must be braked, s, by the closed formula for a constant current.
     fn computed_s(current_a: f64) -> f64 {
         let heat = MotorHeat::default();
         let heating = (current_a / heat.rating.continuous_a).powi(2);

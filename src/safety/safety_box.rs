@@ -40,9 +40,9 @@ pub enum Limit {
     ThetaDot,
     /// |alpha_dot|.
     AlphaDot,
-    /// The envelope guard of recordings made before foresight.
+    /// The speed envelope, which only old recordings name.
     Envelope,
-    /// Foresight: later, the brake could not keep every possible Qube off its stop.
+    /// Foresight: one tick later the brake could not keep the arm of every possible Qube off its stop.
     Foresight,
     /// The Qube has moved as no Qube within its profile's errors does.
     Unpredicted,
@@ -87,7 +87,7 @@ impl SafetyBox {
         }
     }
 
-    /// The same box in another number type.
+    /// Converts the box to another number type.
     #[must_use]
     pub fn cast<T: Scalar>(&self) -> SafetyBox<T> {
         SafetyBox {
@@ -129,7 +129,7 @@ impl<T: Scalar> SafetyBox<T> {
 }
 
 impl<T: Scalar> SafetyBox<T> {
-    /// The box that an old file means which names neither limits nor guard: the thesis's.
+    /// The thesis's box, which files mean that name neither limits nor guard.
     fn of_silent_files() -> Self {
         SafetyBox::THESIS.cast()
     }

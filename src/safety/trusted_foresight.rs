@@ -47,7 +47,7 @@ impl TrustedForesight {
         Self { any, identified }
     }
 
-    /// The same foresight with this instruction set, for comparisons.
+    /// Selects the instruction set, for comparisons.
     #[must_use]
     pub fn at_level(self, level: Level) -> Self {
         let identified = self.identified.map(|Identified { foresight, trust, .. }| {

@@ -51,7 +51,7 @@ fn from_upright_rad(state: &State) -> f64 {
     wrap_angle(state.alpha - PI).abs()
 }
 
-/// Whether so many successful rollouts of so many make a policy successful, by their share alone.
+/// Whether the share of successful rollouts is that of a successful policy.
 pub(crate) fn is_policy_share(successes: usize, rollouts: usize) -> bool {
     successes as f64 >= POLICY_SHARE * rollouts as f64
 }

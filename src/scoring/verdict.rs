@@ -13,7 +13,8 @@ pub enum Verdict {
     Result {
         /// Return, the sum of the rewards.
         return_: f64,
-        /// Whether the rollout did not end early, balanced for its last second, and earned enough.
+        /// Whether the rollout took all steps, balanced for its last second, and earned
+        /// [`SUCCESS_RETURN`](super::criterion::SUCCESS_RETURN) or more.
         success: bool,
         /// Outcome with its latencies.
         outcome: RolloutOutcome,

@@ -141,7 +141,7 @@ impl Strategy for BayRn {
         check(&self.search_box, data)?;
         let largest_observed =
             data.iter().map(Observation::mean_return).fold(f64::NEG_INFINITY, f64::max);
-        let mut believed: Option<GaussianProcess> = None;
+        let mut with_fantasy: Option<GaussianProcess> = None;
         let mut proposed: Vec<Vec<f64>> = Vec::with_capacity(count);
         while proposed.len() < count {
             let index = data.len() + proposed.len();
@@ -149,7 +149,7 @@ impl Strategy for BayRn {
                 proposed.push(self.initial_point(index));
                 continue;
             }
-            let process = match believed.take() {
+            let process = match with_fantasy.take() {
                 Some(process) => process,
                 None => {
                     let mut process = self.surrogate(data)?;
@@ -161,7 +161,7 @@ impl Strategy for BayRn {
             };
             let point = self.acquire(&process, largest_observed, index)?;
             if proposed.len() + 1 < count {
-                believed = Some(process.with_fantasies(&point, process.mean(&point))?);
+                with_fantasy = Some(process.with_fantasies(&point, process.mean(&point))?);
             }
             proposed.push(point);
         }

@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn those_that_learn_beat_chance() {
+    fn strategies_that_learn_beat_random_search() {
         let found = |kind| {
             let mean = |seed| {
                 let strategy = built(kind, seed);

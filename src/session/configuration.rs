@@ -53,7 +53,7 @@ pub enum ConfigurationError {
 }
 
 impl ConfigurationError {
-    /// The same with the line of its value, which the file has below the key `above`.
+    /// Adds to the error the line of the wrong value, which the file has below the key `above`.
     #[must_use]
     pub fn located(self, text: &str, above: &str) -> Self {
         match self {
@@ -91,8 +91,8 @@ fn line_of(text: &str, key: &str) -> Option<usize> {
 }
 
 impl SessionSettings {
-    /// Reads a complete configuration to resume its session. A file that names no guard is older than any
-    /// guard and selects the box alone.
+    /// Reads a complete configuration to resume its session. A file that names no guard selects the box
+    /// alone.
     ///
     /// # Errors
     /// The file cannot be read, is not a configuration, or has a setting that no longer exists.
@@ -270,7 +270,7 @@ impl SessionSettings {
     /// Checks that a session with these settings can be resumed.
     ///
     /// # Errors
-    /// The session ran under a guard that no longer exists.
+    /// The session ran under a guard that only serves to replay recordings.
     pub fn check_resumable(&self) -> Result<(), String> {
         let simulated = self.training.simulation.safety_box.guard;
         for (key, guard) in
@@ -292,7 +292,7 @@ impl SessionSettings {
                     .into(),
             );
         }
-        let give = "give guard = \"foresight\", which is in its place, or leave it out";
+        let give = "give guard = \"foresight\" or leave it out";
         self.safety_box.guard.check_driven().map_err(|gone| format!("safety_box.{gone}: {give}"))
     }
 }
@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_reads_back_the_same() {
+    fn a_written_file_reads_back_the_same() {
         for settings in [SessionSettings::quick(), SessionSettings::thesis()] {
             let again = overridden(&settings.to_toml().unwrap()).unwrap();
             assert_eq!(again, settings);

@@ -147,7 +147,7 @@ impl SessionFolder {
         self.disk.create_folder(paths.folder()).map_err(io(paths.folder()))
     }
 
-    /// Removes the files of a session that has decided nothing yet. What cannot be removed stays.
+    /// Removes the files of a session that has decided nothing yet. Files that cannot be removed stay.
     pub fn withdraw(self) {
         for file in [self.paths.configuration(), self.paths.ledger()] {
             let _ = self.disk.remove(&file);

@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::SessionState;
 use crate::storage::{Disk, DiskFile, sync_name};
 
-/// Of whole files, which are longer than a line.
+/// The checksum of whole files. It is longer than that of a line, because files are longer.
 const FILE_CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
 
 const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 ///
 /// ```text
 /// session.toml                            the resolved configuration
-/// ledger.jsonl                            what was decided and finished
+/// ledger.jsonl                            decisions and finished work
 /// candidates/000/                         the files of candidate 0's policy
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn every_candidate_gets_its_rollouts_and_what_came_of_them_is_verified_last() {
+    fn every_candidate_gets_its_rollouts_and_the_recommendation_is_verified_last() {
         for fault_every in [2, 5, 1000] {
             let state = SessionState::of(&session(fault_every)).unwrap();
             let candidates = state.candidates();

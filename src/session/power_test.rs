@@ -38,7 +38,7 @@ impl PowerTest {
                  switch stops it."
             }
             UsbLost::Unknown => {
-                "What the motor of this Qube does without its board is still not known."
+                "It is still not known how the motor of this Qube behaves without its board."
             }
         }
     }

@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_reads_back_the_same() {
+    fn a_written_file_reads_back_the_same() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(QUBE_FILE);
         let file = QubeFile {

@@ -55,7 +55,7 @@ impl SessionState {
         self.candidates.iter().filter(|candidate| candidate.purpose.is_searched())
     }
 
-    /// Takes the next entry in. An entry that cannot follow the earlier ones changes nothing.
+    /// Applies the next entry. An entry that cannot follow the earlier ones changes nothing.
     ///
     /// # Errors
     /// Names the rule that the entry breaks.
@@ -102,7 +102,7 @@ impl SessionState {
         self.candidates.get_mut(number as usize).ok_or("there is no such candidate")
     }
 
-    /// The candidate of which this attempt is due.
+    /// The candidate whose next rollout is this attempt.
     fn candidate_due(
         &mut self,
         number: u32,

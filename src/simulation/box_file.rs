@@ -54,7 +54,7 @@ impl From<BoxFile> for SafetyBox {
 }
 
 impl Default for BoxFile {
-    /// A file that names no guard is older than any.
+    /// The thesis's box, whose guard a file means that names none.
     fn default() -> Self {
         SafetyBox::THESIS.into()
     }

@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_drawn_is_named() {
+    fn a_distribution_that_cannot_be_drawn_is_named() {
         let check = |mean, standard_deviation| {
             Distribution::Normal { mean, standard_deviation }.check(DomainParameter::PendulumMass)
         };

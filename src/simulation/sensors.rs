@@ -33,7 +33,7 @@ pub(super) struct SeenLanes {
 }
 
 impl SeenLanes {
-    /// The same states for policy and guard, in all lanes.
+    /// Shows this state to policy and guard, in all lanes.
     pub(super) fn both(state: &State<f32>) -> Self {
         Self { seen: State::all(state), guarded: State::all(state) }
     }

@@ -40,7 +40,7 @@ impl Dataset {
         if n == 0 {
             return Err(SurrogateError::NoData);
         }
-        let differ = |values, what| SurrogateError::LengthsDiffer { points: n, values, what };
+        let differ = |values, list| SurrogateError::LengthsDiffer { points: n, values, list };
         if values.len() != n {
             return Err(differ(values.len(), "values"));
         }

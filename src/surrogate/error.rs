@@ -42,14 +42,14 @@ pub enum SurrogateError {
     #[error("there is no observation to fit the surrogate to: evaluate at least one point first")]
     NoData,
     /// Lists differ in length.
-    #[error("{points} points but {values} {what}: give one per point")]
+    #[error("{points} points but {values} {list}: give one per point")]
     LengthsDiffer {
         /// Number of points.
         points: usize,
         /// Length of the other list.
         values: usize,
         /// Name of the other list.
-        what: &'static str,
+        list: &'static str,
     },
     /// A point has too few or too many coordinates.
     #[error("point {index} has {got} coordinates but the search box has {expected} dimensions")]

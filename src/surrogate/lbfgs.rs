@@ -159,10 +159,10 @@ fn masked_dot(a: &[f64], b: &[f64], free: &[bool]) -> f64 {
     a.iter().zip(b).zip(free).map(|((a, b), f)| if *f { a * b } else { 0.0 }).sum()
 }
 
-fn add_scaled(to: &mut [f64], factor: f64, what: &[f64], free: &[bool]) {
-    for ((to, what), f) in to.iter_mut().zip(what).zip(free) {
+fn add_scaled(to: &mut [f64], factor: f64, term: &[f64], free: &[bool]) {
+    for ((to, term), f) in to.iter_mut().zip(term).zip(free) {
         if *f {
-            *to += factor * what;
+            *to += factor * term;
         }
     }
 }

@@ -113,7 +113,7 @@ faults! {
         "the Qube reports a stall and has switched its motor off",
         "Free the arm; look whether cables have wound around it.";
     MotorOverheated: End,
-        "the motor has had 90 % of what it stands continuously",
+        "the motor's load has reached 90 % of its continuous rating",
         "Let the motor cool down for ten minutes; use a policy that pushes less.";
     NotANumber: End,
         "the policy asked for a voltage that is not a number",

@@ -7,8 +7,7 @@ use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::{PlantModel, RewardWeights};
 use crate::safety::{Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
 
-/// The settings that determine the tick besides measurements and policy; with the three a recording can be
-/// replayed.
+/// The settings of the tick. With them, the measurements and the policy, a recording can be replayed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TickSettings {
@@ -28,7 +27,7 @@ pub struct TickSettings {
     /// Model and settings of foresight, where foresight is the guard.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foresight: Option<ForesightSettings>,
-    /// Rules of the tick; recordings that do not name them ran by the first ones.
+    /// Version of the tick's rules; recordings that name none have [`TickRules::First`].
     #[serde(default)]
     pub rules: TickRules,
     /// Plant that is driven; recordings that name none are of the built-in Qube.
@@ -43,8 +42,8 @@ pub enum TickRules {
     /// The rules of recordings that name none.
     #[default]
     First,
-    /// Arm and pendulum are watched against each other, settling is gentle, and a braked arm is at rest
-    /// anywhere that is not near a stop.
+    /// The two encoders check each other, settling is gentle, and a braked arm may come to rest anywhere
+    /// that is not near a stop.
     Witnessed,
     /// As [`Witnessed`](Self::Witnessed); in addition, an arm whose count is in doubt under a policy is
     /// damped before the motor goes off.
@@ -87,7 +86,7 @@ pub struct RolloutHeader {
     /// Check of the device before the rollout.
     #[serde(default)]
     pub preflight: Preflight,
-    /// Motor heat at the start; `None` in recordings older than its estimate, whose replay ignores it.
+    /// Motor heat at the start; `None` in recordings without this estimate, whose replay ignores it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motor_heat: Option<MotorHeat>,
     /// Whether the guard was off on hardware, because the operator accepted on the command line that the
@@ -129,7 +128,7 @@ pub struct RolloutOutcome {
     pub missed_deadlines: u32,
     /// Number of records for which the recorder had no room; above 0, the file has gaps.
     pub records_lost: u64,
-    /// How often the observer lost the Qube and was reset from encoders and filter: its model does not
+    /// Number of times that the observer lost the Qube and was reset from encoders and filter: its model does not
     /// match, or something hit the Qube.
     #[serde(default, rename = "times_astray", skip_serializing_if = "is_zero")]
     pub observer_resets: u32,

@@ -43,7 +43,7 @@ pub struct MeasuredLink {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind", content = "checks")]
 pub enum Preflight {
-    /// The recording is older than the check.
+    /// The recording names no check: it is from a program without one.
     #[default]
     Unknown,
     /// No check: the embedded emulator needs none.

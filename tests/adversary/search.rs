@@ -14,7 +14,7 @@ const ELITE: usize = 10;
 #[derive(Clone, Copy, Debug)]
 pub struct Worst {
     pub genes: Genome,
-    /// Of its delays.
+    /// Seed of the delays.
     pub seed: u64,
     pub episode: Episode,
     pub largest_mv: i16,

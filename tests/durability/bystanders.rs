@@ -163,7 +163,7 @@ fn a_disk_that_stalls_for_five_seconds_costs_no_tick() {
 }
 
 #[test]
-fn whoever_hangs_while_a_recording_is_closed_finds_the_amplifier_off() {
+fn a_recorder_that_hangs_while_it_closes_a_recording_finds_the_amplifier_off() {
     let wiring = Wiring::default();
     let rig = rig(&wiring);
     let wire = wiring.last_wire().unwrap();

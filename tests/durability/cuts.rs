@@ -60,7 +60,7 @@ fn a_recording_cut_at_any_byte_is_done_again_and_counted_once() {
     let whole = world.disk.bytes(&path).unwrap();
     let length = whole.len() as u64;
 
-    // No cut file counts as a result ...
+    // No cut file counts as a result.
     each_of(length, count_from("QUBE_HIL_CUT_STRIDE", 13), |cut| {
         let disk = SimulatedDisk::default();
         disk.put(&path, &whole[..cut as usize]);
@@ -68,8 +68,8 @@ fn a_recording_cut_at_any_byte_is_done_again_and_counted_once() {
         assert!(matches!(verdict, Ok(Verdict::Unfinished) | Err(_)), "cut at {cut}: {verdict:?}");
     });
 
-    // ... and each is put aside and repeated. The ledger ends where the crash left it, before this
-    // rollout.
+    // A cut recording is put aside, and its rollout is repeated. The ledger ends where the crash left it,
+    // before this rollout.
     let text = String::from_utf8(world.ledger.clone()).unwrap();
     let before = text.find("rollout_finished").unwrap();
     let before = text[..before].rfind('\n').unwrap() + 1;
@@ -84,7 +84,7 @@ fn a_recording_cut_at_any_byte_is_done_again_and_counted_once() {
         let aside = path.with_extension("unfinished-1.mcap");
         assert_eq!(disk.bytes(&aside).unwrap(), &whole[..cut as usize]);
     });
-    println!("a recording of {length} bytes cut: judged, put aside, done again, counted once");
+    println!("a recording of {length} bytes cut: scored, put aside, done again, counted once");
 }
 
 #[test]

@@ -86,7 +86,7 @@ impl Undisturbed {
         Self { settings, disk, ledger, disk_operations, wire_operations }
     }
 
-    /// The same session for all tests, made once.
+    /// The undisturbed session of this number, made once for all tests.
     pub fn world(number: u64) -> &'static Self {
         static MADE: [OnceLock<Undisturbed>; WORLDS as usize] =
             [const { OnceLock::new() }; WORLDS as usize];

@@ -32,7 +32,7 @@ pub enum DiskFault {
     Crash,
 }
 
-/// How a machine stops.
+/// The way in which a machine stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stopped {
     /// The process is gone; the operating system keeps what it was given.
@@ -381,7 +381,7 @@ impl DiskFile for SimulatedFile {
 
 /// Tests of the simulated disk.
 #[test]
-fn what_is_synced_survives_and_what_is_not_may_be_lost() {
+fn synced_bytes_survive_and_others_may_be_lost() {
     let disk = SimulatedDisk::default();
     let path = Path::new("/a/file");
     disk.create_folder(Path::new("/a")).unwrap();

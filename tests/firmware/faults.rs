@@ -29,7 +29,7 @@ fn off_for_good(commands: &[Command]) -> u64 {
 }
 
 #[test]
-fn the_first_frame_of_the_firmware_switches_off_what_was_left_on() {
+fn the_first_frame_of_the_firmware_switches_off_a_motor_that_was_left_on() {
     let Some(toolchain) = toolchain() else { return };
     for chip in [Chip::Atmega328p, Chip::Atmega2560] {
         let board = SimulatedBoard::start(toolchain, chip, Qube::new(0));
@@ -182,7 +182,7 @@ fn the_firmware_extends_24_bit_counters() {
     });
 }
 
-/// The main loop hangs in an endless loop while the interrupts continue.
+/// Tests a main loop that hangs while the interrupts continue.
 #[test]
 fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
     scenario(|host| {

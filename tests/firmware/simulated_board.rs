@@ -37,7 +37,7 @@ pub enum Order {
     PowerLoss = 4,
     /// The emergency-stop switch's contact closes.
     CloseStop = 5,
-    /// And opens.
+    /// The emergency-stop switch's contact opens.
     OpenStop = 6,
 }
 

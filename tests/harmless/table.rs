@@ -12,7 +12,7 @@ use super::trial::Trial;
 /// Largest speed of a contact while homing or settling, rad/s.
 const FASTEST_CONTACT_RAD_S: f64 = 2.0;
 
-/// Longest time until a freeze in a rollout is found, s ...
+/// Longest accepted time until a freeze in a rollout is found, s.
 const FOUND_WITHIN_S: f64 = 0.3;
 
 impl Trial {

@@ -186,7 +186,7 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
             if matches!(ending, Ending::Fault(_) | Ending::Stopped) {
                 break;
             }
-            // No counts are lost while the arm stands still.
+            // No counts are lost while the arm is at rest.
             let sample = device.sample(clock.now_ns() + 6_000_000).expect("it answers");
             let zero_error_rad = rig.angles_rad(&sample).0 - notes.wire.state().theta;
             let strikes = start.settings.fault.is_some() && notes.ran_until_s > start.onset_s;

@@ -9,9 +9,9 @@ use super::genes::Genes;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Known {
-    /// It is any Qube.
+    /// The Qube is not identified.
     Unknown,
-    /// It is identified: it lies around `lab`.
+    /// The Qube is identified: its parameters lie around those of `lab`.
     Identified,
 }
 

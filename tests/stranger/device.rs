@@ -24,7 +24,7 @@ const PATIENCE_NS: u64 = 9_000_000_000;
 
 /// Progress of the motion, which [`Watched`] reports.
 #[derive(Clone, Debug, Default)]
-pub struct SessionEvent {
+pub struct MotionProgress {
     steps: Arc<AtomicU32>,
     brakes: Arc<AtomicU32>,
 }
@@ -32,11 +32,11 @@ pub struct SessionEvent {
 /// A motion that reports its progress.
 pub struct Watched<M> {
     pub motion: M,
-    pub progress: SessionEvent,
+    pub progress: MotionProgress,
 }
 
-impl SessionEvent {
-    /// Begins anew.
+impl MotionProgress {
+    /// Resets the counts.
     pub fn start(&self) {
         self.steps.store(0, Ordering::Relaxed);
         self.brakes.store(0, Ordering::Relaxed);
@@ -81,7 +81,8 @@ pub enum Part {
     Running,
     Braking,
     Coasting,
-    /// While it coasts, and the cable alone brings it there: nobody promises to hold an arm with the amplifier off.
+    /// Coasting, where the cable alone pulled the arm to its stop: foresight does not promise to hold an arm with the
+    /// amplifier off.
     Pulled,
 }
 
@@ -90,7 +91,7 @@ pub struct Qube {
     pub plant: Plant,
     pub clock: VirtualClock,
     pub mishap: Mishap,
-    pub progress: SessionEvent,
+    pub progress: MotionProgress,
     pub stop: Arc<AtomicBool>,
     /// Assumed zero of the arm, rad.
     pub zero_rad: f64,
@@ -119,7 +120,7 @@ impl Qube {
             plant,
             clock: VirtualClock::default(),
             mishap,
-            progress: SessionEvent::default(),
+            progress: MotionProgress::default(),
             stop: Arc::default(),
             zero_rad,
             jitter: None,

@@ -30,12 +30,12 @@ pub struct Outcome {
     pub farthest_rad: f64,
     /// Speed at which the arm reached its stop, rad/s; `None` if it did not.
     pub hit_rad_s: Option<f64>,
-    /// Part in which it did.
+    /// Part of the episode in which the arm reached its stop.
     pub hit_in: Option<Part>,
     /// Whether a sample was lost, an act was late or a stop was requested before its end.
     #[serde(default)]
     pub went_wrong: bool,
-    /// How each rollout ended.
+    /// Ending of each rollout.
     pub endings: Vec<Ending>,
     /// Quality as an attack.
     pub score: f64,
@@ -114,7 +114,7 @@ pub fn play(scenario: &Scenario, settings: &TickSettings, genes: &[f64]) -> Outc
     run(scenario, settings, genes, false).outcome
 }
 
-/// Runs it with a line for each tick.
+/// Runs the episode of these genes and describes each tick in a line.
 pub fn show(scenario: &Scenario, settings: &TickSettings, genes: &[f64]) -> Trace {
     run(scenario, settings, genes, true)
 }

@@ -10,7 +10,7 @@ pub enum MishapKind {
     Clean,
     /// Up to three samples in a row are lost.
     Lost,
-    /// The same twice, with good samples in between.
+    /// Up to three samples in a row are lost, twice, with good samples in between.
     LostTwice,
     /// One act comes up to 20 ms late.
     Stalled,

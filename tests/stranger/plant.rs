@@ -45,7 +45,7 @@ impl Plant {
         }
     }
 
-    /// The same Qube with no cable on its arm.
+    /// This Qube without the cable on its arm.
     pub fn without_cable(&self) -> Self {
         let mut free = self.clone();
         free.dynamics.cable_stiffness = 0.0;

@@ -88,7 +88,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     ended.unwrap();
     let preflight = read(&directory.join("three/rollout-0.mcap")).unwrap().header.preflight;
     assert!(matches!(preflight, Preflight::Done(_)), "{preflight:?}");
-    // That ends the doubt.
+    // A passed examination ends the doubt.
     let (ended, _) = run(remembering(None, false), &directory.join("four"), 1);
     ended.unwrap();
     let preflight = read(&directory.join("four/rollout-0.mcap")).unwrap().header.preflight;

@@ -170,7 +170,7 @@ pub enum EmulatorFault {
     FlippedMotor,
 }
 
-/// How a fault is written, and what it does. S, D, N, F and V are numbers: seconds after the start,
+/// The text form of each fault, and its effect. S, D, N, F and V are numbers: seconds after the start,
 /// seconds, counts, a factor, volts.
 const FORMS: [(&str, &str); 24] = [
     ("silent@S", "answers nothing from S on"),

@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn seeds_decide_where_it_stands_and_it_stays_there() {
+    fn the_seed_determines_the_position_at_rest() {
         let mut starts = Vec::new();
         for seed in 0..50 {
             let mut plant = nominal(seed);

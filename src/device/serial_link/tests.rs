@@ -114,7 +114,7 @@ fn a_garbled_reply_is_a_timeout_and_the_next_one_is_read() {
 }
 
 #[test]
-fn what_is_no_qube_is_named() {
+fn a_device_that_is_not_a_qube_is_named() {
     let reason = |fault| match link(Some(fault)).0.hello() {
         Err(error) => error.to_string(),
         Ok(identity) => panic!("{identity:?}"),

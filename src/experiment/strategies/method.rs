@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_lead_back_to_their_contenders() {
+    fn names_parse_back_to_their_methods() {
         for method in Method::all() {
             assert_eq!(method.name().parse(), Ok(method));
             assert_eq!(serde_json::to_value(method).unwrap(), method.name());

@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn those_that_never_succeed_count_as_beyond_any_number() {
+    fn repetitions_that_never_succeed_count_as_infinite() {
         let found = result(&[Some(40), None, Some(10), Some(20)]);
         assert_eq!(found.reached(), 3);
         assert_eq!(found.rollouts_within_which(0.25), Some(10));

@@ -60,7 +60,7 @@ pub(super) struct Recommendation {
     pub psi: Option<Psi>,
 }
 
-/// What a method has after some candidates or recordings.
+/// The result of asking a method for a recommendation.
 pub(super) enum Recommended {
     /// A recommendation, whose policies can be scored.
     Found(Box<Recommendation>),

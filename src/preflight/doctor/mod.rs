@@ -51,8 +51,8 @@ impl Diagnosis {
     }
 }
 
-/// Runs all tests; the one of the timer takes this many seconds, or until `stop` is set. Without
-/// ports, all USB serial ports are tested.
+/// Runs all tests; the test of the timer takes this many seconds, or less if `stop` is set. If `ports` is
+/// empty, all USB serial ports are tested.
 ///
 /// # Errors
 /// The operating system cannot start a thread.

@@ -14,7 +14,7 @@ const PROCESSORS: &str = "/sys/devices/system/cpu";
 
 /// Tests the governor: a processor that saves power wakes up late.
 pub(super) fn governor() -> Diagnosis {
-    judge(&governors(Path::new(PROCESSORS)))
+    diagnosis(&governors(Path::new(PROCESSORS)))
 }
 
 /// Judges the longest prediction of the guard on this processor, us.
@@ -41,7 +41,7 @@ fn governors(processors: &Path) -> BTreeSet<String> {
         .collect()
 }
 
-fn judge(governors: &BTreeSet<String>) -> Diagnosis {
+fn diagnosis(governors: &BTreeSet<String>) -> Diagnosis {
     let named = governors.iter().cloned().collect::<Vec<_>>().join(", ");
     if governors.is_empty() {
         return Diagnosis::well(NAME, "its governor cannot be seen here (a virtual machine?)");
@@ -76,7 +76,7 @@ mod tests {
     #[test]
     fn each_processor_counts() {
         let folder = tempfile::tempdir().unwrap();
-        assert_eq!(judge(&governors(folder.path())).verdict, Fitness::Well);
+        assert_eq!(diagnosis(&governors(folder.path())).verdict, Fitness::Well);
         for (processor, governor, verdict) in [
             ("cpu0", "performance", Fitness::Well),
             ("cpu1", "performance", Fitness::Well),
@@ -85,7 +85,7 @@ mod tests {
             let place = folder.path().join(processor).join("cpufreq");
             fs::create_dir_all(&place).unwrap();
             fs::write(place.join("scaling_governor"), format!("{governor}\n")).unwrap();
-            assert_eq!(judge(&governors(folder.path())).verdict, verdict);
+            assert_eq!(diagnosis(&governors(folder.path())).verdict, verdict);
         }
     }
 }

@@ -24,7 +24,7 @@ pub(super) fn watch(
             .name("doctor".into())
             .spawn_scoped(scope, || (enter_realtime(), lateness(seconds, stop)))?;
         let (realtime, (ticks, lateness_us)) = watcher.join().unwrap_or_default();
-        Ok((realtime, judge(ticks, &lateness_us)))
+        Ok((realtime, diagnosis(ticks, &lateness_us)))
     })
 }
 
@@ -44,7 +44,7 @@ fn lateness(seconds: u32, stop: &AtomicBool) -> (u64, LatencySummary) {
     (done, lateness.summary())
 }
 
-fn judge(ticks: u64, lateness_us: &LatencySummary) -> Diagnosis {
+fn diagnosis(ticks: u64, lateness_us: &LatencySummary) -> Diagnosis {
     let LatencySummary { p50, p99, p999, max } = *lateness_us;
     let value = format!(
         "late by p50 {p50:.0}, p99 {p99:.0}, p99.9 {p999:.0}, max {max:.0} us in {ticks} ticks at \
@@ -75,7 +75,7 @@ mod tests {
             (200.0, 14_000.0, Fitness::Advice),
             (11_000.0, 14_000.0, Fitness::Unfit),
         ] {
-            assert_eq!(judge(1000, &summary(p99, max)).verdict, verdict);
+            assert_eq!(diagnosis(1000, &summary(p99, max)).verdict, verdict);
         }
     }
 

@@ -55,7 +55,7 @@ pub(super) enum Pendulum {
 
 /// Effect of a push on the evidence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Progress {
+pub(super) enum PushEffect {
     /// The evidence suffices.
     Enough,
     /// The push shows a defect and is repeated.
@@ -87,7 +87,7 @@ pub(super) struct Evidence {
 
 impl Evidence {
     /// Adds one push.
-    pub(super) fn add(&mut self, trace: &ProbeTrace) -> Progress {
+    pub(super) fn add(&mut self, trace: &ProbeTrace) -> PushEffect {
         let samples = trace.samples();
         let width_counts = |angle: fn(&crate::control::ProbeSample) -> f64| {
             let (low, high) = samples
@@ -136,13 +136,13 @@ impl Evidence {
         }
         let all_known = self.arm.is_some() && self.pendulum != Pendulum::Unknown;
         if all_known || self.arm_is_dead() || !self.has_current() || self.turns_unseen() {
-            Progress::Enough
+            PushEffect::Enough
         } else if shows_a_defect && self.pendulum == Pendulum::Unknown {
-            Progress::SeeAgain
+            PushEffect::SeeAgain
         } else if anything {
-            Progress::SomethingMoved
+            PushEffect::SomethingMoved
         } else {
-            Progress::NothingMoved
+            PushEffect::NothingMoved
         }
     }
 

@@ -156,7 +156,7 @@ fn ensure_going(stop: &AtomicBool) -> Result<(), Interruption> {
     if stop.load(Ordering::Relaxed) { Err(Interruption::Stopped) } else { Ok(()) }
 }
 
-/// Homing as one more check: it has found the zeros.
+/// The passed check of homing, which has found these zeros.
 #[must_use]
 pub fn homed(zeros: &Calibration) -> CheckResult {
     CheckResult::pass(
@@ -168,15 +168,15 @@ pub fn homed(zeros: &Calibration) -> CheckResult {
     )
 }
 
-/// Homing as one more check: a fault has ended it.
+/// The failed check of homing, which this fault has ended.
 #[must_use]
 pub fn not_homed(fault: Fault) -> CheckResult {
-    // Never homing by hand: it drives by the very encoder or motor that this leaves in doubt.
+    // The remedy is never homing by hand, which would rely on the encoder or motor in doubt.
     let cure = format!("{} Then check again", fault.operator_step());
     CheckResult::fail(HOMING, fault.to_string(), cure)
 }
 
-/// Homing as one more check that was left out, because of what failed before it.
+/// The skipped check of homing, because an earlier check failed.
 #[must_use]
 pub fn homing_left_out() -> CheckResult {
     CheckResult::skipped(HOMING, "not before all else passes")

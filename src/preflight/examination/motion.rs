@@ -1,6 +1,6 @@
 use std::sync::atomic::AtomicBool;
 
-use super::evidence::{Evidence, Pendulum, Progress};
+use super::evidence::{Evidence, Pendulum, PushEffect};
 use super::{Examination, ExaminationSettings, Interruption, ensure_going, rest};
 use crate::clock::Clock;
 use crate::control::{SignProbe, drive};
@@ -53,7 +53,7 @@ fn give_up(found: &mut Examination, fault: Fault) {
     }
 }
 
-/// Pushes the arm a little and judges the response of arm and pendulum.
+/// Pushes the arm a little and evaluates the response of arm and pendulum.
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -119,14 +119,14 @@ fn probe(
                     Ending::Completed | Ending::LeftBox(_) => {}
                 }
                 let progress = evidence.add(probe.trace());
-                if progress == Progress::Enough {
+                if progress == PushEffect::Enough {
                     return Ok(Ok(evidence));
                 }
-                if progress != Progress::NothingMoved {
+                if progress != PushEffect::NothingMoved {
                     rest::wait_for_the_arm(device, clock, stop, port)?;
                 }
                 // A defect must show twice, under the same voltage, before it counts.
-                if progress != Progress::SeeAgain {
+                if progress != PushEffect::SeeAgain {
                     break;
                 }
             }

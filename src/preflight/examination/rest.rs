@@ -50,7 +50,7 @@ impl Span {
     }
 }
 
-/// Waits between two pushes, with the motor off, until the arm stands still, or for as long as the
+/// Waits between two pushes, with the motor off, until the arm is at rest, or for as long as the
 /// pendulum may need. The evaluation separates the pendulum's swing from the effect of a push, but
 /// not the motion of an arm that the pendulum moves.
 pub(super) fn wait_for_the_arm(

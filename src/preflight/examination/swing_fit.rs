@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_swing_on_an_arm_that_stands_is_not_driven_and_behind_a_dead_encoder_it_is() {
+    fn a_swing_on_an_arm_at_rest_is_not_driven_and_behind_a_dead_encoder_it_is() {
         for alpha_dot in [0.0, 0.3, 1.0] {
             let still =
                 fit(&samples(|_| 0.0, alpha_dot, (1.0, 117.0)), STOOD_COUNTS, Encoders::QUBE);

@@ -10,7 +10,7 @@ use crate::safety::{BrakeLaw, Particle};
 
 /// Reserve of angle before an end, in addition to the angle that the momentum needs, rad. It covers later
 /// swings, while the brake takes their energy. With 0.5 rad, one of 90 000 accepted states in which the
-/// pendulum nearly stands still reaches the end 0.7 s later; with 0.3 rad, four do.
+/// pendulum is nearly at rest reaches the end 0.7 s later; with 0.3 rad, four do.
 const SLACK_RAD: f32 = 0.7;
 
 /// Share of the full braking torque that the momentum test relies on.
@@ -117,7 +117,7 @@ impl CalmLanes {
         let theta = qubes.state.theta[lane];
         let spring = brake.potential_v_rad(theta - self.middle[lane]);
         let most_j = own.torque_per_volt.mul_add(spring, motion_j);
-        // The arm is lightest while the pendulum hangs or stands, and free to give way.
+        // The arm is lightest while the pendulum hangs or is upright, where it is free to give way.
         let lightest = own.arm_inertia - own.coupling * own.coupling / own.pendulum_inertia;
         let square = 2.0 * most_j / lightest;
         let fastest = square * inverse_square_root(square);

@@ -1,4 +1,4 @@
-//! The brake's trial beside a simulation of each particle alone, in `f64` and in fine steps.
+//! Compares foresight with a simulation of each particle alone, in `f64` and in fine steps.
 
 use std::f64::consts::PI;
 
@@ -84,7 +84,7 @@ fn look(foresight: &mut Foresight<CentringBrake>, case: &Case) -> Outlook {
     foresight.look(&case.state, &case.sent_v, case.voltage_v)
 }
 
-/// How close a particle's arm comes to an end within these periods, rad.
+/// Smallest distance of a particle's arm from an end within these periods, rad.
 fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
     let (brake, error) = (CentringBrake::default(), particle.error);
     let dynamics = NonidealDynamics::<f64>::new(&particle.model);
@@ -99,7 +99,7 @@ fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
         theta_dot: f64::from(case.state.theta_dot) + error.theta_dot,
         alpha_dot: f64::from(case.state.alpha_dot) + error.alpha_dot,
     };
-    // Oldest first; the last one is that of the period at hand.
+    // Oldest first; the last command belongs to the current period.
     let mut commands_v: Vec<f64> = case.sent_v.iter().rev().map(|&v| arriving(v.into())).collect();
     let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
     let mut seen = State {
@@ -108,7 +108,7 @@ fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
         theta_dot: f64::from(case.state.theta_dot),
         alpha_dot: f64::from(case.state.alpha_dot),
     };
-    // The estimate is that of a moment ago.
+    // The estimated velocities are old by the filter's lag.
     let ago = (particle.model.nonidealities.command_delay_s / CONTROL_PERIOD_S).floor() as usize;
     let before_v = commands_v[commands_v.len().saturating_sub(1 + ago).min(commands_v.len() - 1)];
     let then = dynamics.acceleration(&state, before_v);
@@ -141,7 +141,7 @@ fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
 }
 
 #[test]
-fn it_sees_what_a_simulation_of_each_particle_alone_sees() {
+fn it_agrees_with_a_simulation_of_each_particle_alone() {
     let mut draw = Draw::new(1000);
     let (mut held, mut reached, mut worst) = (0, 0, 0.0_f64);
     for _ in 0..1500 {
@@ -242,7 +242,7 @@ fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
 }
 
 #[test]
-fn what_is_not_a_number_does_not_hold() {
+fn a_state_that_is_not_a_number_does_not_hold() {
     let particles = [Particle::exact(QubeModel::NOMINAL); 3];
     let mut foresight = Foresight::new(&particles, CentringBrake::default(), ENDS, REACH);
     let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
@@ -264,7 +264,7 @@ fn what_is_not_a_number_does_not_hold() {
     }
 }
 
-/// Why an arm need not be followed once the energy does not reach an end.
+/// Tests the argument by which an arm need not be simulated once its energy does not reach an end.
 #[test]
 fn a_brake_that_is_not_late_takes_energy_from_every_qube() {
     let mut draw = Draw::new(1003);

@@ -30,11 +30,13 @@ impl TwoHumped {
     pub const NOISY: Self = Self { dimensions: 2, initial_points: 8, candidates: 40, rollouts: 2 };
 }
 
-/// Return of a rollout that balances, and of one that falls.
-const STANDS: f64 = 500.0;
+/// Return of a rollout that balances.
+const BALANCES: f64 = 500.0;
+/// Return of a rollout that falls.
 const FALLS: f64 = 50.0;
-/// Success probability at the optimum, and far from it.
+/// Success probability at the optimum.
 const MOST_LIKELY: f64 = 0.95;
+/// Success probability far from the optimum.
 const LEAST_LIKELY: f64 = 0.02;
 
 /// The combinations of noise model and acquisition function that are compared, all with the same number of
@@ -143,7 +145,7 @@ impl Landscape {
     }
 
     fn expected_return(&self, point: &[f64]) -> f64 {
-        FALLS + (STANDS - FALLS) * self.success_probability(point)
+        FALLS + (BALANCES - FALLS) * self.success_probability(point)
     }
 
     /// The random numbers of a candidate depend on its index alone, so that all methods share them.
@@ -151,7 +153,7 @@ impl Landscape {
         let mut random = stream(self.seed ^ 0x726f_6c6c_6f75_7473, index);
         let probability = self.success_probability(point);
         (0..count)
-            .map(|_| if random.random::<f64>() < probability { STANDS } else { FALLS })
+            .map(|_| if random.random::<f64>() < probability { BALANCES } else { FALLS })
             .collect()
     }
 }

@@ -11,7 +11,7 @@ use crate::surrogate::normal::{log_density, log_distribution, log_improvement};
 /// further ones (the maximiser of the posterior mean belongs among them, since it is the current
 /// recommendation), and the point itself.
 ///
-/// The criterion is the quantity that the search is judged by (the largest posterior mean), so a lucky
+/// The criterion is the quantity that scores the search (the largest posterior mean), so a lucky
 /// sample earns nothing, and a second observation of an uncertain point can be worth more than a new one.
 /// Scott, Frazier and Powell 2011 (KGCP); the expectation of the maximum of lines `a_i + b_i Z` is exact,
 /// by their upper envelope (Frazier, Powell and Dayanik 2009). Without noise it is the expected improvement
