@@ -191,7 +191,9 @@ impl ChosenDevice {
             return Ok(());
         }
         let limits = HardwareLimits::default().with_plant_consent(self.plant_consent);
-        limits.admit_plant(plant).map_err(|error| Failure::usage(format!("--plant: {error}")))
+        limits
+            .admit_plant(plant)
+            .map_err(|error| Failure::usage(format!("--plant: {}", too_wide(&error))))
     }
 
     /// Checks that a port can be opened, before a command trains or writes anything.
