@@ -27,7 +27,7 @@
 //! use qube_hil::device::{Device, SerialLink};
 //! use qube_hil::estimation::{Calibration, EstimatorSettings};
 //! use qube_hil::policy::Controller;
-//! use qube_hil::qube::State;
+//! use qube_hil::qube::{PlantModel, State};
 //! use qube_hil::safety::SafetyBox;
 //! use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 //!
@@ -43,6 +43,7 @@
 //! }
 //!
 //! let settings = TickSettings {
+//!     plant: PlantModel::QUBE,
 //!     calibration: Calibration::IDENTITY,
 //!     estimator: EstimatorSettings::default(),
 //!     safety_box: SafetyBox::THESIS,
