@@ -7,9 +7,9 @@ use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
 use super::curve::TrainUpdate;
-use super::learner::Learner;
 use super::network::Network;
-use super::trainer::Trainer;
+use super::optimise::Learner;
+use super::state::TrainingState;
 use super::{TrainError, TrainSettings};
 use crate::storage::{MachineDisk, read_bounded, write_whole};
 
@@ -44,13 +44,13 @@ impl Checkpointing {
 
     /// Writes everything that the next update depends on. The file is replaced atomically: after a crash it
     /// is either the old one or the new one.
-    pub(super) fn write(&self, trainer: &Trainer<'_>) -> Result<(), TrainError> {
-        let bytes = to_bytes(trainer).map_err(|error| self.damaged(error.to_string()))?;
+    pub(super) fn write(&self, training: &TrainingState<'_>) -> Result<(), TrainError> {
+        let bytes = to_bytes(training).map_err(|error| self.damaged(error.to_string()))?;
         write_whole(&MachineDisk, &self.path, &bytes).map_err(|error| self.file_error(error.source))
     }
 
-    /// Restores a new trainer from the file; does nothing when there is no file.
-    pub(super) fn resume(&self, trainer: &mut Trainer<'_>) -> Result<(), TrainError> {
+    /// Restores a new training from the file; does nothing when there is no file.
+    pub(super) fn resume(&self, training: &mut TrainingState<'_>) -> Result<(), TrainError> {
         let bytes = match read_bounded(&self.path, MAX_FILE_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -59,7 +59,7 @@ impl Checkpointing {
         let damaged = |error: safetensors::SafeTensorError| self.damaged(error.to_string());
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
         let found = header.metadata().clone().unwrap_or_default();
-        for (property, expected) in identity(trainer) {
+        for (property, expected) in identity(training) {
             match found.get(property) {
                 Some(value) if *value == expected => {}
                 Some(_) => {
@@ -72,7 +72,7 @@ impl Checkpointing {
             }
         }
         let tensors = SafeTensors::deserialize(&bytes).map_err(damaged)?;
-        from_tensors(&tensors, trainer).map_err(|reason| self.damaged(reason))
+        from_tensors(&tensors, training).map_err(|reason| self.damaged(reason))
     }
 
     fn file_error(&self, source: io::Error) -> TrainError {
@@ -85,14 +85,14 @@ impl Checkpointing {
 }
 
 /// The properties that two trainings must share for one to resume the other, by the names that users know.
-fn identity(trainer: &Trainer<'_>) -> [(&'static str, String); 4] {
+fn identity(training: &TrainingState<'_>) -> [(&'static str, String); 4] {
     // The number of threads does not change the result.
-    let settings = TrainSettings { threads: 0, ..trainer.settings.clone() };
+    let settings = TrainSettings { threads: 0, ..training.settings.clone() };
     [
         ("format version", VERSION.to_owned()),
-        ("seed", trainer.seed.to_string()),
+        ("seed", training.seed.to_string()),
         ("settings", recorded_names(&format!("{settings:?}"))),
-        ("distribution", format!("{:?}", trainer.distribution)),
+        ("distribution", format!("{:?}", training.distribution)),
     ]
 }
 
@@ -104,8 +104,8 @@ fn recorded_names(settings: &str) -> String {
 }
 
 /// The networks and moments by their names in the file.
-fn networks<'a>(trainer: &'a Trainer<'_>) -> [(&'static str, &'a Network); 7] {
-    let (policy, value) = (&trainer.policy, &trainer.value);
+fn networks<'a>(training: &'a TrainingState<'_>) -> [(&'static str, &'a Network); 7] {
+    let (policy, value) = (&training.policy, &training.value);
     [
         ("policy", &policy.network),
         ("policy.first_moment", &policy.moments.first),
@@ -113,23 +113,23 @@ fn networks<'a>(trainer: &'a Trainer<'_>) -> [(&'static str, &'a Network); 7] {
         ("value", &value.network),
         ("value.first_moment", &value.moments.first),
         ("value.second_moment", &value.moments.second),
-        ("best", &trainer.best),
+        ("best", &training.best),
     ]
 }
 
-fn to_bytes(trainer: &Trainer<'_>) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-    let mut contents: Vec<(&str, Dtype, Vec<u8>)> = networks(trainer)
+fn to_bytes(training: &TrainingState<'_>) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+    let mut contents: Vec<(&str, Dtype, Vec<u8>)> = networks(training)
         .into_iter()
         .map(|(name, network)| {
             let values = network.slices().into_iter().flatten();
             (name, Dtype::F32, values.flat_map(|value| value.to_le_bytes()).collect())
         })
         .collect();
-    let curve = trainer.curve.iter().flat_map(|update| update.to_array());
+    let curve = training.curve.iter().flat_map(|update| update.to_array());
     contents.push(("curve", Dtype::F64, curve.flat_map(f64::to_le_bytes).collect()));
-    let best = [trainer.best_return, trainer.best_score].into_iter().flat_map(f64::to_le_bytes);
+    let best = [training.best_return, training.best_score].into_iter().flat_map(f64::to_le_bytes);
     contents.push(("best_return", Dtype::F64, best.collect()));
-    let counters = [trainer.policy.moments.steps, trainer.value.moments.steps];
+    let counters = [training.policy.moments.steps, training.value.moments.steps];
     let counters = counters.into_iter().flat_map(u64::to_le_bytes).collect();
     contents.push(("counters", Dtype::U64, counters));
 
@@ -139,11 +139,11 @@ fn to_bytes(trainer: &Trainer<'_>) -> Result<Vec<u8>, safetensors::SafeTensorErr
     });
     let views: Vec<_> = views.collect::<Result<_, _>>()?;
     let metadata: HashMap<String, String> =
-        identity(trainer).into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        identity(training).into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
     safetensors::serialize(views, Some(metadata))
 }
 
-fn from_tensors(tensors: &SafeTensors<'_>, trainer: &mut Trainer<'_>) -> Result<(), String> {
+fn from_tensors(tensors: &SafeTensors<'_>, training: &mut TrainingState<'_>) -> Result<(), String> {
     let bytes = |name: &str, dtype: Dtype| {
         let tensor = tensors.tensor(name).map_err(|error| error.to_string())?;
         if tensor.dtype() == dtype {
@@ -169,9 +169,9 @@ fn from_tensors(tensors: &SafeTensors<'_>, trainer: &mut Trainer<'_>) -> Result<
         network(&format!("{name}.first_moment"), &mut learner.moments.first)?;
         network(&format!("{name}.second_moment"), &mut learner.moments.second)
     };
-    learner("policy", &mut trainer.policy)?;
-    learner("value", &mut trainer.value)?;
-    network("best", &mut trainer.best)?;
+    learner("policy", &mut training.policy)?;
+    learner("value", &mut training.value)?;
+    network("best", &mut training.best)?;
 
     let numbers = |name: &str| {
         let (numbers, _) = bytes(name, Dtype::F64)?.as_chunks::<8>();
@@ -180,15 +180,15 @@ fn from_tensors(tensors: &SafeTensors<'_>, trainer: &mut Trainer<'_>) -> Result<
     let [best_return, best_score] = numbers("best_return")?[..] else {
         return Err("best_return is not two numbers".to_owned());
     };
-    (trainer.best_return, trainer.best_score) = (best_return, best_score);
+    (training.best_return, training.best_score) = (best_return, best_score);
     let curve = numbers("curve")?;
-    trainer.curve = curve.as_chunks().0.iter().map(TrainUpdate::from_array).collect();
+    training.curve = curve.as_chunks().0.iter().map(TrainUpdate::from_array).collect();
     let (counters, _) = bytes("counters", Dtype::U64)?.as_chunks::<8>();
     let counters: Vec<u64> = counters.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect();
     let [policy_steps, value_steps] = counters[..] else {
         return Err("counters are not two numbers".to_owned());
     };
-    trainer.policy.moments.steps = policy_steps;
-    trainer.value.moments.steps = value_steps;
+    training.policy.moments.steps = policy_steps;
+    training.value.moments.steps = value_steps;
     Ok(())
 }

@@ -29,16 +29,16 @@ mod evaluation;
 mod export;
 mod initial;
 mod kernels;
-mod learner;
 mod network;
 mod optimise;
 mod preset;
 mod random;
 mod settings;
+mod state;
 #[cfg(test)]
 mod tests;
 mod train;
-mod trainer;
+mod trained;
 mod transition;
 mod workbench;
 
@@ -48,5 +48,6 @@ pub use error::TrainError;
 pub use evaluation::evaluate_afresh;
 pub use preset::Preset;
 pub use settings::TrainSettings;
-pub use train::{Origin, Trained, train};
+pub use train::train;
+pub use trained::{Origin, Trained};
 pub use workbench::Workbench;

@@ -3,12 +3,46 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rand::RngExt;
 
 use super::TrainSettings;
-use super::kernels::{Minibatch, PolicyHead, ValueHead};
-use super::learner::{Learner, StepSettings};
-use super::network::LOG_STD;
+use super::kernels::{
+    AdamStep, Gradient, Head, Minibatch, Moments, PolicyHead, ValueHead, Workspace,
+};
+use super::network::{LOG_STD, Network};
 use super::random::Stream;
 use super::transition::Transition;
-use crate::elementary::prefetch;
+use crate::elementary::{Level, dispatch_at, prefetch};
+
+/// Improves both networks on the batch of one update, in minibatches, until `stop` is set.
+///
+/// Policy and value network learn from the same minibatches but share nothing else, so that each can run on
+/// its own processor.
+pub(super) fn optimise(
+    policy: &mut Learner,
+    value: &mut Learner,
+    transitions: &[Transition],
+    settings: &TrainSettings,
+    seed: u64,
+    update: u32,
+    stop: &AtomicBool,
+) -> PolicyProgress {
+    let size = settings.simulation.observation_size();
+    let order = shuffled(transitions.len(), settings.epochs, seed, update);
+    let mut policy = PolicyImprovement::new(policy, settings, update);
+    let mut value = ValueFit::new(value, settings, update);
+    if settings.threads > 1 {
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                for_each_minibatch(transitions, &order, size, stop, |batch| value.step(batch));
+            });
+            for_each_minibatch(transitions, &order, size, stop, |batch| policy.step(batch));
+        });
+    } else {
+        for_each_minibatch(transitions, &order, size, stop, |batch| {
+            value.step(batch);
+            policy.step(batch);
+        });
+    }
+    policy.progress()
+}
 
 /// Statistics of the policy's optimisation on one batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -25,7 +59,7 @@ pub(super) struct PolicyProgress {
 
 /// The order of transitions in the minibatches of one update: one permutation of their indices for each
 /// epoch.
-pub(super) fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) -> Vec<u32> {
+fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) -> Vec<u32> {
     let mut generator = Stream::Shuffle { update }.generator(seed);
     let mut permutation: Vec<u32> = (0..transitions as u32).collect();
     let mut order = Vec::with_capacity(transitions * epochs as usize);
@@ -39,7 +73,7 @@ pub(super) fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) 
 }
 
 /// Calls `learn` with each minibatch of an update until `stop` is set.
-pub(super) fn for_each_minibatch(
+fn for_each_minibatch(
     transitions: &[Transition],
     order: &[u32],
     observation_size: usize,
@@ -125,6 +159,69 @@ impl<'a> ValueFit<'a> {
     pub fn step(&mut self, minibatch: &Minibatch) {
         self.value.step(minibatch, &ValueHead, &self.settings);
     }
+}
+
+/// A network and the optimiser that trains it.
+#[derive(Debug)]
+pub(super) struct Learner {
+    pub network: Network,
+    pub moments: Moments,
+    /// Instruction set of the gradient steps.
+    pub level: Level,
+    gradient: Network,
+    workspace: Workspace,
+}
+
+impl Learner {
+    /// A learner before its first step.
+    pub fn new(network: Network) -> Box<Self> {
+        Box::new(Self {
+            moments: Moments::zero(network.observation_size),
+            level: Level::best(),
+            gradient: Network::zero(network.observation_size),
+            network,
+            workspace: Workspace::ZERO,
+        })
+    }
+
+    /// Takes one step of Adam down the gradient of the head's loss over a minibatch.
+    pub fn step<H: Head>(
+        &mut self,
+        minibatch: &Minibatch,
+        head: &H,
+        settings: &StepSettings,
+    ) -> H::Statistics {
+        let gradient = Gradient {
+            network: &self.network,
+            minibatch,
+            head,
+            workspace: &mut self.workspace,
+            gradient: &mut self.gradient,
+        };
+        let statistics = dispatch_at(self.level, gradient);
+        let step = AdamStep {
+            network: &mut self.network,
+            gradient: &self.gradient,
+            moments: &mut self.moments,
+            learning_rate: settings.learning_rate,
+            beta_1: settings.beta_1,
+            beta_2: settings.beta_2,
+            epsilon: settings.adam_epsilon,
+            largest_norm: settings.largest_gradient_norm,
+        };
+        dispatch_at(self.level, step);
+        statistics
+    }
+}
+
+/// The settings of a gradient step that all minibatches of an update share.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StepSettings {
+    pub learning_rate: f32,
+    pub beta_1: f32,
+    pub beta_2: f32,
+    pub adam_epsilon: f32,
+    pub largest_gradient_norm: f32,
 }
 
 impl StepSettings {

@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::*;
 use crate::simulation::{DomainDistribution, Family, SimulationSettings};
 
-/// Settings that are small enough for a test and large enough to exercise each part of the trainer.
+/// Settings that are small enough for a test and large enough to exercise each part of a training.
 fn small() -> TrainSettings {
     TrainSettings {
         updates: 3,

@@ -1,92 +1,21 @@
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use super::actor::NetworkActor;
+use super::calm::Calm;
 use super::checkpoint::Checkpointing;
+use super::collect::{Batch, Collector};
 use super::curve::TrainUpdate;
-use super::trainer::Trainer;
+use super::export::exported;
+use super::network::LOG_STD;
+use super::optimise::optimise;
+use super::state::TrainingState;
+use super::trained::Trained;
+use super::transition::Transition;
 use super::{TrainError, TrainSettings};
-use crate::estimation::EstimatorSettings;
-use crate::policy::{
-    Network, NetworkPolicy, Policy, SimulatedGuard, SimulatedObserver, SimulatedSensors,
-    TrainingRecord,
-};
-use crate::qube::PlantModel;
-use crate::simulation::{DomainDistribution, Psi, SensorModel};
+use crate::simulation::{DomainDistribution, Evaluation, evaluate_and_tell};
 
-/// The result of a training.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Trained {
-    /// Network with the highest score in the evaluations.
-    pub network: Network,
-    /// Mean return of that network during training. The best of many evaluations is an overestimate; a
-    /// published return needs a fresh evaluation from more starts.
-    pub best_return: f64,
-    /// Network after the last update.
-    pub final_network: Network,
-    /// Mean return of the final network.
-    pub final_return: f64,
-    /// Learning curve, one entry for each update.
-    pub curve: Vec<TrainUpdate>,
-    /// Sensors of the simulation.
-    pub sensors: SensorModel,
-    /// Plant of the simulation.
-    pub plant: PlantModel,
-    /// Weight of a change of voltage in the training reward, 1/V^2.
-    pub voltage_change_weight: f32,
-    /// Seed of every random number in the training.
-    pub seed: u64,
-}
-
-/// The origin of a policy, recorded in its file, that the training itself does not know.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Origin {
-    /// Name of the model: `nominal`, `handcrafted`, `opt-nominal` ...
-    pub model: String,
-    /// Psi of the simulations, for models that have one.
-    pub psi: Option<Psi>,
-    /// Name of the settings' preset: `thesis`, `quick` ...
-    pub preset: String,
-}
-
-impl Trained {
-    /// Converts the network to a policy with its training record, ready to run and to save.
-    #[must_use]
-    pub fn into_policy(self, origin: Origin) -> Policy {
-        let last = self.curve.last();
-        let sensors = match self.sensors {
-            SensorModel::TrueState => SimulatedSensors::TrueState,
-            SensorModel::Encoders { estimator: EstimatorSettings { corner_rad_s, observer } } => {
-                SimulatedSensors::Encoders {
-                    corner_rad_s,
-                    // Where the two encoders differ, the record's plant names both.
-                    counts_per_revolution: self.plant.encoders.theta.counts_per_revolution(),
-                    observer: observer.map(|observer| SimulatedObserver {
-                        model: observer.model,
-                        theta_noise_rad_s2: observer.theta_noise_rad_s2,
-                        alpha_noise_rad_s2: observer.alpha_noise_rad_s2,
-                        astray_rad: observer.astray_rad,
-                    }),
-                }
-            }
-        };
-        Policy::Network(NetworkPolicy {
-            network: self.network,
-            training: TrainingRecord {
-                model: origin.model,
-                psi: origin.psi.map(|psi| psi.named_values()),
-                seed: self.seed,
-                preset: origin.preset,
-                steps: last.map_or(0, |last| last.steps),
-                gradient_steps: last.map_or(0, |last| last.gradient_steps),
-                sensors,
-                guard: SimulatedGuard::Box,
-                voltage_change_weight: self.voltage_change_weight,
-                plant: self.plant,
-                best_return: Some(self.best_return),
-                program_version: env!("CARGO_PKG_VERSION").to_owned(),
-            },
-        })
-    }
-}
+/// Seed of the fixed starts and Qubes on which every policy is evaluated during training.
+const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 
 /// Trains one policy by PPO in simulations drawn from `distribution` (Eilers 2019, Algorithm 1).
 ///
@@ -106,22 +35,132 @@ pub fn train(
     mut tell: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
     settings.check()?;
-    let mut trainer = Trainer::new(distribution, settings, seed);
+    let mut training = TrainingState::new(distribution, settings, seed);
     if let Some(checkpointing) = checkpointing {
-        checkpointing.resume(&mut trainer)?;
+        checkpointing.resume(&mut training)?;
     }
-    while !trainer.is_finished() {
-        let update = trainer.update(stop)?;
+    while !training.is_finished() {
+        let update = training.update(stop)?;
         tell(update);
         if let Some(checkpointing) = checkpointing
-            && checkpointing.is_due(trainer.curve.len())
+            && checkpointing.is_due(training.curve.len())
         {
-            checkpointing.write(&trainer)?;
+            checkpointing.write(&training)?;
         }
     }
-    let trained = trainer.into_trained()?;
+    let trained = training.into_trained()?;
     if let Some(checkpointing) = checkpointing {
         checkpointing.remove()?;
     }
     Ok(trained)
+}
+
+impl TrainingState<'_> {
+    /// Performs one update of Algorithm 1 (Eilers 2019): collect, optimise, evaluate.
+    pub fn update(&mut self, stop: &AtomicBool) -> Result<&TrainUpdate, TrainError> {
+        let update = self.curve.len() as u32;
+        let batch = self.collector().collect(self.settings.threads);
+        let progress = optimise(
+            &mut self.policy,
+            &mut self.value,
+            &batch.transitions,
+            self.settings,
+            self.seed,
+            update,
+            stop,
+        );
+        if stop.load(Ordering::Relaxed) {
+            return Err(TrainError::Stopped);
+        }
+        let (evaluation, calm_return) = self.evaluate();
+        let mean_return = evaluation.mean_return();
+        let is_weighted = self.settings.voltage_change_weight > 0.0;
+        let score = if is_weighted { calm_return } else { mean_return };
+        if score > self.best_score {
+            (self.best_score, self.best_return) = (score, mean_return);
+            self.best = self.policy.network.clone();
+        }
+        let earlier = self.curve.last().map_or(0, |last| last.steps);
+        self.curve.push(TrainUpdate {
+            update,
+            mean_return,
+            worst_return: evaluation.returns.iter().copied().fold(f64::INFINITY, f64::min),
+            training_return: training_return(&batch),
+            trajectories: batch.trajectories,
+            approximate_kl: progress.approximate_kl,
+            largest_kl: progress.largest_kl,
+            clip_fraction: progress.clip_fraction,
+            explained_variance: explained_variance(&batch.transitions),
+            log_std: self.policy.network.tail[LOG_STD].into(),
+            learning_rate: self.settings.learning_rate_at(update).into(),
+            steps: earlier + batch.transitions.len() as u64,
+            gradient_steps: self.policy.moments.steps,
+        });
+        Ok(&self.curve[update as usize])
+    }
+
+    /// The collector of the next update's batch.
+    pub fn collector(&self) -> Collector<'_> {
+        let update = self.curve.len() as u32;
+        Collector {
+            policy: &self.policy.network,
+            value: &self.value.network,
+            distribution: self.distribution,
+            settings: self.settings,
+            seed: self.seed,
+            update,
+        }
+    }
+
+    /// Runs the policy without exploration from the fixed starts. Returns the evaluation and the mean
+    /// return with the weight on voltage changes.
+    pub fn evaluate(&self) -> (Evaluation, f64) {
+        let starts = usize::from(self.settings.evaluation_starts);
+        let weight = self.settings.voltage_change_weight;
+        let plant = &self.settings.simulation.plant;
+        let mut calm = vec![Calm::limited_to(plant.limits.largest_voltage_v as f32); starts];
+        let mut calm_return = 0.0;
+        let evaluation = evaluate_and_tell(
+            &mut NetworkActor(&self.policy.network),
+            self.distribution,
+            &self.settings.simulation,
+            EVALUATION_SEED,
+            starts,
+            |start, reward, voltage_v| {
+                calm_return += f64::from(reward * calm[start].factor(voltage_v, weight));
+            },
+        );
+        (evaluation, calm_return / starts as f64)
+    }
+
+    /// The result of the training.
+    ///
+    /// # Errors
+    /// The weights are not finite numbers.
+    pub fn into_trained(self) -> Result<Trained, TrainError> {
+        Ok(Trained {
+            network: exported(&self.best)?,
+            best_return: self.best_return,
+            final_network: exported(&self.policy.network)?,
+            final_return: self.curve.last().map_or(f64::NEG_INFINITY, |last| last.mean_return),
+            sensors: self.settings.simulation.sensors,
+            plant: self.settings.simulation.plant,
+            voltage_change_weight: self.settings.voltage_change_weight,
+            seed: self.seed,
+            curve: self.curve,
+        })
+    }
+}
+
+fn training_return(batch: &Batch) -> f64 {
+    let rewards: f64 = batch.transitions.iter().map(|t| f64::from(t.reward)).sum();
+    rewards / batch.transitions.len() as f64 * crate::qube::MAX_STEPS as f64
+}
+
+fn explained_variance(transitions: &[Transition]) -> f64 {
+    let variance = |of: fn(&Transition) -> f64| {
+        let mean = transitions.iter().map(of).sum::<f64>() / transitions.len() as f64;
+        transitions.iter().map(|t| (of(t) - mean) * (of(t) - mean)).sum::<f64>()
+    };
+    1.0 - variance(|t| f64::from(t.return_ - t.value)) / variance(|t| f64::from(t.return_))
 }

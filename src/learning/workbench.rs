@@ -4,14 +4,14 @@ use super::collect::Batch;
 use super::kernels::Minibatch;
 use super::network::WIDTH;
 use super::optimise::{PolicyImprovement, ValueFit};
-use super::trainer::Trainer;
+use super::state::TrainingState;
 use super::{TrainError, TrainSettings};
 use crate::elementary::Level;
 use crate::simulation::DomainDistribution;
 
 /// The parts of a training as separate calls, for benchmarks and profiles.
 pub struct Workbench<'a> {
-    trainer: Trainer<'a>,
+    training: TrainingState<'a>,
     batch: Batch,
     /// Index in the batch at which the next minibatch starts.
     next: usize,
@@ -28,22 +28,22 @@ impl<'a> Workbench<'a> {
         seed: u64,
     ) -> Result<Self, TrainError> {
         settings.check()?;
-        let trainer = Trainer::new(distribution, settings, seed);
-        let batch = trainer.collector().collect(settings.threads);
-        Ok(Self { trainer, batch, next: 0 })
+        let training = TrainingState::new(distribution, settings, seed);
+        let batch = training.collector().collect(settings.threads);
+        Ok(Self { training, batch, next: 0 })
     }
 
     /// Selects the instruction set of the gradient steps.
     #[must_use]
     pub fn at_level(mut self, level: Level) -> Self {
-        self.trainer.policy.level = level;
-        self.trainer.value.level = level;
+        self.training.policy.level = level;
+        self.training.value.level = level;
         self
     }
 
     /// Collects one batch.
     pub fn collect(&mut self) {
-        self.batch = self.trainer.collector().collect(self.trainer.settings.threads);
+        self.batch = self.training.collector().collect(self.training.settings.threads);
     }
 
     /// Takes one gradient step of both networks on the next minibatch.
@@ -55,9 +55,9 @@ impl<'a> Workbench<'a> {
         let indices: [u32; WIDTH] =
             std::array::from_fn(|sample| ((start + sample * STRIDE) % count) as u32);
         self.next = (start + WIDTH * STRIDE) % count;
-        let mut minibatch = Minibatch::empty(self.trainer.settings.simulation.observation_size());
+        let mut minibatch = Minibatch::empty(self.training.settings.simulation.observation_size());
         minibatch.gather(&self.batch.transitions, &indices);
-        let Trainer { policy, value, settings, .. } = &mut self.trainer;
+        let TrainingState { policy, value, settings, .. } = &mut self.training;
         ValueFit::new(value, settings, 0).step(&minibatch);
         PolicyImprovement::new(policy, settings, 0).step(&minibatch);
     }
@@ -65,7 +65,7 @@ impl<'a> Workbench<'a> {
     /// Evaluates the policy and returns the mean return.
     #[must_use]
     pub fn evaluate(&self) -> f64 {
-        self.trainer.evaluate().0.mean_return()
+        self.training.evaluate().0.mean_return()
     }
 
     /// Performs one complete update.
@@ -73,6 +73,6 @@ impl<'a> Workbench<'a> {
     /// # Errors
     /// Training fails for one of its own reasons.
     pub fn update(&mut self) -> Result<(), TrainError> {
-        self.trainer.update(&AtomicBool::new(false)).map(|_| ())
+        self.training.update(&AtomicBool::new(false)).map(|_| ())
     }
 }

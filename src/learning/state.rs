@@ -1,0 +1,55 @@
+use super::TrainSettings;
+use super::curve::TrainUpdate;
+use super::network::Network;
+use super::optimise::Learner;
+use super::random::Stream;
+use crate::simulation::DomainDistribution;
+
+/// Gain of the policy's output layer at the start; small, so that all voltages start near 0 V.
+const POLICY_GAIN: f64 = 0.01;
+/// Gain of the value network's output layer at the start.
+const VALUE_GAIN: f64 = 1.0;
+
+/// The state of a training between two updates.
+pub(super) struct TrainingState<'a> {
+    pub distribution: &'a DomainDistribution,
+    pub settings: &'a TrainSettings,
+    pub seed: u64,
+    pub policy: Box<Learner>,
+    pub value: Box<Learner>,
+    pub best: Network,
+    pub best_return: f64,
+    /// Score of the best network: its mean return, or its mean return with the weight on voltage changes.
+    pub best_score: f64,
+    pub curve: Vec<TrainUpdate>,
+}
+
+impl<'a> TrainingState<'a> {
+    pub fn new(
+        distribution: &'a DomainDistribution,
+        settings: &'a TrainSettings,
+        seed: u64,
+    ) -> Self {
+        let mut generator = Stream::Weights.generator(seed);
+        let size = settings.simulation.observation_size();
+        let policy = Network::orthogonal(size, &mut generator, POLICY_GAIN, settings.first_log_std);
+        let value = Network::orthogonal(size, &mut generator, VALUE_GAIN, 0.0);
+        Self {
+            distribution,
+            settings,
+            seed,
+            best: policy.clone(),
+            best_return: f64::NEG_INFINITY,
+            best_score: f64::NEG_INFINITY,
+            policy: Learner::new(policy),
+            value: Learner::new(value),
+            curve: Vec::new(),
+        }
+    }
+
+    /// Whether the training has reached its last update or its target return.
+    pub fn is_finished(&self) -> bool {
+        self.curve.len() >= self.settings.updates as usize
+            || self.settings.target_return.is_some_and(|target| self.best_return >= target)
+    }
+}
