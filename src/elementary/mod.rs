@@ -1,4 +1,4 @@
-//! Elementary functions with fixed bits: sin, cos, tanh, exp and 1 / sqrt.
+//! Elementary functions with fixed bits: sin, cos, tanh, exp, 1 / sqrt and normal draws.
 //!
 //! The standard library leaves the last bits to the platform. Here they are fixed, so that a recording
 //! replays bit for bit on any processor, and the code has no branches, so that loops over many pendulums
@@ -16,11 +16,13 @@
 
 mod dispatch;
 mod double;
+mod normal;
 mod prefetch;
 mod scalar;
 mod single;
 
 pub use dispatch::{InstructionSet, Level, VectorKernel, dispatch, dispatch_at};
+pub use normal::normal_pair;
 pub use prefetch::prefetch;
 pub use scalar::Scalar;
 pub use single::{exp, inverse_square_root, sin_cos, tanh};

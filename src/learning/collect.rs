@@ -1,5 +1,6 @@
 use std::ops::Range;
 
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::TrainSettings;
@@ -7,9 +8,9 @@ use super::actor::{VOLTS_PER_OUTPUT, outputs};
 use super::calm::Calm;
 use super::kernels::{Forward, gaussian_log_probability};
 use super::network::{LOG_STD, Network, WIDTH};
-use super::random::{Stream, normal_pair};
+use super::random::Stream;
 use super::transition::{End, Observation, Transition, estimate_advantages, inputs};
-use crate::elementary::{dispatch, exp};
+use crate::elementary::{dispatch, exp, normal_pair};
 use crate::qube::MAX_STEPS;
 use crate::simulation::{DomainDistribution, LaneStatus, Pendulums, Trajectory};
 
@@ -169,7 +170,7 @@ struct Explorer {
 impl Explorer {
     fn noise(&mut self) -> f32 {
         self.spare.take().unwrap_or_else(|| {
-            let [one, other] = normal_pair(&mut self.generator);
+            let [one, other] = normal_pair(self.generator.random());
             self.spare = Some(other as f32);
             one as f32
         })

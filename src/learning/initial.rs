@@ -1,7 +1,7 @@
-use rand::Rng;
+use rand::{Rng, RngExt};
 
 use super::network::{LOG_STD, Network, Row, WIDTH};
-use super::random::normal_pair;
+use crate::elementary::normal_pair;
 
 /// Gain of the hidden layers that is usual for PPO.
 const HIDDEN_GAIN: f64 = std::f64::consts::SQRT_2;
@@ -28,7 +28,8 @@ impl Network {
 fn orthonormal_rows(generator: &mut impl Rng, gain: f64, rows: &mut [Row]) {
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(rows.len());
     for row in rows {
-        let mut vector: Vec<f64> = (0..WIDTH / 2).flat_map(|_| normal_pair(generator)).collect();
+        let mut vector: Vec<f64> =
+            (0..WIDTH / 2).flat_map(|_| normal_pair(generator.random())).collect();
         // Two passes, because one loses orthogonality where the remainder is short.
         for _ in 0..2 {
             for direction in &basis {

@@ -1,8 +1,9 @@
-use libm::{cos, log, sqrt};
+use libm::sqrt;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::elementary::normal_pair;
 use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, Nonideality, Quantity};
 
 /// Largest distance of a draw from its mean, as a fraction of the mean: draws lie between 0.1 and 1.9 times
@@ -185,7 +186,7 @@ impl Distribution {
                 }
                 let reach = reach(quantity, mean);
                 loop {
-                    let deviation = standard_deviation * standard_normal(rng);
+                    let deviation = standard_deviation * normal_pair(rng.random())[0];
                     if deviation.abs() <= reach {
                         return mean + deviation;
                     }
@@ -197,13 +198,6 @@ impl Distribution {
             }
         }
     }
-}
-
-/// Draws from N(0, 1) by the Box-Muller transform, with `libm` for the same bits on every platform.
-fn standard_normal(rng: &mut impl rand::Rng) -> f64 {
-    let above_zero = 1.0 - rng.random::<f64>();
-    let angle = 2.0 * std::f64::consts::PI * rng.random::<f64>();
-    sqrt(-2.0 * log(above_zero)) * cos(angle)
 }
 
 #[cfg(test)]

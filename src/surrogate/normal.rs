@@ -11,7 +11,8 @@ pub fn density(z: f64) -> f64 {
     log_density(z).exp()
 }
 
-/// Draws one number (Box and Muller 1958) with `libm`'s functions: the same bits on every platform.
+/// Draws one number (Box and Muller 1958) with `libm`'s functions: the same bits on every platform. The
+/// transform is also in `elementary`, which this room does not import because it imports no other.
 pub fn draw(random: &mut ChaCha8Rng) -> f64 {
     // The argument lies in (0, 1], so that the logarithm is finite.
     let radius = (-2.0 * libm::log(1.0 - random.random::<f64>())).sqrt();
