@@ -50,7 +50,7 @@ fn bench_level(
     }
     let mut voltages_v = vec![0.0_f32; lanes];
     let mut rewards = vec![0.0; lanes];
-    let mut progress = vec![LaneStatus::Running; lanes];
+    let mut statuses = vec![LaneStatus::Running; lanes];
     let mut observations = vec![0.0; pendulums.observation_size() * lanes];
     let mut steps = 0_usize;
     group.throughput(Throughput::Elements(lanes as u64));
@@ -62,9 +62,9 @@ fn bench_level(
                 }
             }
             steps += 1;
-            pendulums.step(&voltages_v, &mut rewards, &mut progress, &mut observations);
-            for (lane, progress) in progress.iter().enumerate() {
-                if *progress != LaneStatus::Running {
+            pendulums.step(&voltages_v, &mut rewards, &mut statuses, &mut observations);
+            for (lane, status) in statuses.iter().enumerate() {
+                if *status != LaneStatus::Running {
                     restart(&mut pendulums, lane);
                 }
             }

@@ -1,24 +1,20 @@
 //! The keys of an operator at a terminal: the space bar requests a stop, and `a` acknowledges a doubt.
 
 use std::os::fd::OwnedFd;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::stdio::stdin;
-use rustix::termios::{
-    LocalModes, OptionalActions, SpecialCodeIndex, Termios, isatty, tcgetattr, tcgetpgrp, tcsetattr,
-};
+use rustix::termios::isatty;
 use signal_hook::consts::SIGTSTP;
 
 use super::stop::Stop;
+use super::terminal;
 use crate::rig::Doubt;
-
-/// Terminal settings before keys were read singly; `None` while they are in force.
-static COOKED: Mutex<Option<Termios>> = Mutex::new(None);
 
 /// Time for which the terminal waits for a key before it checks job control.
 const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
@@ -107,14 +103,14 @@ impl Watched {
         let (sender, keys) = bounded(16);
         let watched = Arc::clone(&shared);
         // Set here rather than in the thread, so that no key is lost or echoed from the first line on.
-        set_single_keys();
+        terminal::set_single_keys();
         let spawned = std::thread::Builder::new()
             .name("keyboard".into())
             .spawn(move || read_keys(&watched, &sender));
         match spawned {
             Ok(thread) => Some(Self { shared, keys, thread: Some(thread) }),
             Err(_) => {
-                give_back();
+                terminal::restore();
                 None
             }
         }
@@ -129,39 +125,8 @@ impl Drop for Watched {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-        give_back();
+        terminal::restore();
     }
-}
-
-/// Restores the terminal, also for exits that drop nothing.
-pub fn give_back() {
-    let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(cooked) = cooked.take() {
-        let _ = tcsetattr(stdin(), OptionalActions::Now, &cooked);
-    }
-}
-
-/// Sets the terminal to single keys without echo. Ctrl-\\ is disabled meanwhile, because it would end the
-/// program without restoring the terminal.
-fn set_single_keys() {
-    let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
-    if cooked.is_some() || !is_foreground() {
-        return;
-    }
-    let Ok(before) = tcgetattr(stdin()) else { return };
-    let mut single = before.clone();
-    single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
-    single.special_codes[SpecialCodeIndex::VMIN] = 1;
-    single.special_codes[SpecialCodeIndex::VTIME] = 0;
-    single.special_codes[SpecialCodeIndex::VQUIT] = 0;
-    if tcsetattr(stdin(), OptionalActions::Now, &single).is_ok() {
-        *cooked = Some(before);
-    }
-}
-
-/// Whether the terminal belongs to this process group; reading another's terminal would stop the program.
-fn is_foreground() -> bool {
-    tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
 }
 
 fn read_keys(shared: &Shared, keys: &Sender<u8>) {
@@ -170,14 +135,14 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
             return;
         }
         if shared.suspended.swap(false, Ordering::Relaxed) {
-            give_back();
+            terminal::restore();
             // Stops here, and continues when the shell resumes the program.
             let _ = signal_hook::low_level::emulate_default_handler(SIGTSTP);
         }
-        set_single_keys();
-        let terminal = stdin();
+        terminal::set_single_keys();
+        let input = stdin();
         let mut ready =
-            [PollFd::new(&terminal, PollFlags::IN), PollFd::new(&shared.wake, PollFlags::IN)];
+            [PollFd::new(&input, PollFlags::IN), PollFd::new(&shared.wake, PollFlags::IN)];
         let readable = match poll(&mut ready, Some(&LOOK)) {
             Ok(_) => ready[0].revents(),
             Err(_) => continue,
@@ -185,13 +150,13 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
         if readable.is_empty() {
             continue;
         }
-        if !is_foreground() {
+        if !terminal::is_foreground() {
             std::thread::sleep(Duration::from_millis(100));
             continue;
         }
         let mut buffer = [0; 16];
         // A closed terminal ends the keys; SIGHUP does the rest.
-        let Ok(length @ 1..) = rustix::io::read(terminal, &mut buffer) else { return };
+        let Ok(length @ 1..) = rustix::io::read(input, &mut buffer) else { return };
         for &key in &buffer[..length] {
             if shared.asking.load(Ordering::Relaxed) {
                 let _ = keys.try_send(key);

@@ -40,6 +40,7 @@ mod soak;
 mod stop;
 mod strategy_arguments;
 mod strategy_table;
+mod terminal;
 mod toy;
 mod train;
 mod words_gone;

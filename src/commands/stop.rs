@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::exit::Failure;
-use super::keyboard;
+use super::terminal;
 
 /// A request to stop, set by a signal or a key.
 #[derive(Clone, Debug, Default)]
@@ -29,7 +29,7 @@ impl Stop {
         ctrlc::set_handler(move || {
             interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
             if interrupt.swap(true, Ordering::Relaxed) {
-                keyboard::give_back();
+                terminal::restore();
                 std::process::exit(128 + SIGINT);
             }
             eprintln!(

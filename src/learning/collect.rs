@@ -70,7 +70,7 @@ impl Collector<'_> {
         let mut means = vec![0.0; width];
         let mut voltages_v = vec![0.0; width];
         let mut rewards = vec![0.0; width];
-        let mut progress = vec![LaneStatus::Running; width];
+        let mut statuses = vec![LaneStatus::Running; width];
         let mut transitions = vec![Transition::default(); lanes.len() * MAX_STEPS];
         let mut ends = Vec::new();
         let mut cut: Vec<(usize, Observation)> = Vec::new();
@@ -90,13 +90,13 @@ impl Collector<'_> {
                 let z = (action - means[lane]) * inverse_std;
                 transition.log_probability = gaussian_log_probability(z, log_std);
             }
-            pendulums.step(&voltages_v, &mut rewards, &mut progress, &mut observations);
+            pendulums.step(&voltages_v, &mut rewards, &mut statuses, &mut observations);
             for (lane, explorer) in explorers.iter_mut().enumerate() {
                 let index = lane * MAX_STEPS + step;
                 transitions[index].reward =
                     rewards[lane] * explorer.calm.factor(voltages_v[lane], weight);
                 let is_last = step + 1 == MAX_STEPS;
-                match progress[lane] {
+                match statuses[lane] {
                     LaneStatus::Running if !is_last => continue,
                     LaneStatus::Running | LaneStatus::TimeUp => {
                         cut.push((ends.len(), observation(&observations, lane, width)));

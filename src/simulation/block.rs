@@ -4,7 +4,7 @@
 )]
 
 use super::lane_observer::ObserverLanes;
-use super::pendulums::LaneStatus;
+use super::lane_status::LaneStatus;
 use super::sensors::{SeenLanes, Sensors};
 use crate::elementary::{InstructionSet, VectorKernel};
 use crate::qube::{
@@ -85,7 +85,7 @@ pub(super) struct Step<'a> {
     pub(super) surroundings: &'a Surroundings,
     pub(super) voltages_v: &'a [Lanes],
     pub(super) rewards: &'a mut [Lanes],
-    pub(super) progress: &'a mut [[LaneStatus; BLOCK]],
+    pub(super) statuses: &'a mut [[LaneStatus; BLOCK]],
     /// Observations after the step, `[6 + history][blocks][16]`.
     pub(super) observations: &'a mut [Lanes],
 }
@@ -95,7 +95,7 @@ impl VectorKernel for Step<'_> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
-        let Self { blocks, observers, surroundings, voltages_v, rewards, progress, observations } =
+        let Self { blocks, observers, surroundings, voltages_v, rewards, statuses, observations } =
             self;
         let earned = blocks.iter().zip(voltages_v).zip(rewards);
         for ((block, voltages_v), rewards) in earned {
@@ -120,11 +120,11 @@ impl VectorKernel for Step<'_> {
             }
         }
         let count = blocks.len();
-        for (index, (block, progress)) in blocks.iter_mut().zip(progress).enumerate() {
+        for (index, (block, statuses)) in blocks.iter_mut().zip(statuses).enumerate() {
             let Block { qubes, sight, .. } = block;
             let observers = observers.get_mut(index);
             surroundings.sensors.look(&qubes.state, sight, observers, &voltages_v[index]);
-            judge(block, surroundings, progress);
+            update_statuses(block, surroundings, statuses);
             if surroundings.history > 0 || !block.qubes.are_ideal() {
                 block.qubes.end_period(&voltages_v[index]);
             }
@@ -162,14 +162,18 @@ fn earn(block: &Block, reward: &RewardWeights<f32>, voltages_v: &Lanes, rewards:
 }
 
 #[inline(always)]
-fn judge(block: &mut Block, surroundings: &Surroundings, progress: &mut [LaneStatus; BLOCK]) {
+fn update_statuses(
+    block: &mut Block,
+    surroundings: &Surroundings,
+    statuses: &mut [LaneStatus; BLOCK],
+) {
     let safety_box = &surroundings.safety_box;
     for lane in 0..BLOCK {
         block.steps[lane] += 1;
         let time_is_up = block.steps[lane] >= MAX_STEPS as u32;
         let inside = safety_box.contains(&block.sight.guarded.lane(lane));
         let in_the_box = if time_is_up { LaneStatus::TimeUp } else { LaneStatus::Running };
-        progress[lane] = if inside { in_the_box } else { LaneStatus::LeftBox };
+        statuses[lane] = if inside { in_the_box } else { LaneStatus::LeftBox };
     }
 }
 

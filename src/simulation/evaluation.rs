@@ -73,19 +73,19 @@ pub fn evaluate_and_tell(
     let mut observations = vec![0.0; pendulums.observation_size() * lanes];
     let mut voltages_v = vec![0.0; lanes];
     let mut rewards = vec![0.0; lanes];
-    let mut progress = vec![LaneStatus::Running; lanes];
+    let mut statuses = vec![LaneStatus::Running; lanes];
     let mut evaluation = Evaluation { returns: vec![0.0; starts], steps: vec![0; starts] };
     let mut running = vec![true; starts];
     pendulums.observe(&mut observations);
     for _ in 0..MAX_STEPS {
         actor.act(&observations, &mut voltages_v);
-        pendulums.step(&voltages_v, &mut rewards, &mut progress, &mut observations);
+        pendulums.step(&voltages_v, &mut rewards, &mut statuses, &mut observations);
         for lane in 0..starts {
             if running[lane] {
                 evaluation.returns[lane] += f64::from(rewards[lane]);
                 evaluation.steps[lane] += 1;
                 tell(lane, rewards[lane], voltages_v[lane]);
-                running[lane] = progress[lane] == LaneStatus::Running;
+                running[lane] = statuses[lane] == LaneStatus::Running;
             }
         }
         if !running.contains(&true) {

@@ -22,6 +22,7 @@ mod distribution;
 mod domain_distribution;
 mod evaluation;
 mod lane_observer;
+mod lane_status;
 mod model;
 mod pendulums;
 #[cfg(test)]
@@ -38,8 +39,9 @@ mod trajectory;
 pub use distribution::{Distribution, DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
 pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate, evaluate_and_tell};
+pub use lane_status::LaneStatus;
 pub use model::{Model, ProfileSettings};
-pub use pendulums::{LANES_MULTIPLE, LaneStatus, Pendulums};
+pub use pendulums::{LANES_MULTIPLE, Pendulums};
 pub use psi::{Psi, PsiError};
 pub use psi_dimension::{PsiDimension, PsiTarget};
 pub use psi_space::PsiSpace;

@@ -1,26 +1,12 @@
 use super::block::{Block, Observe, Step, Surroundings};
 use super::lane_observer::ObserverLanes;
 use super::sensors::Sensors;
-use super::{MAX_COMMAND_DELAY_S, SimulationSettings, Trajectory};
+use super::{LaneStatus, MAX_COMMAND_DELAY_S, SimulationSettings, Trajectory};
 use crate::elementary::{Level, Scalar, dispatch_at};
 use crate::qube::{BLOCK, MAX_HISTORY, State};
 
 /// Granularity of the number of lanes.
 pub const LANES_MULTIPLE: usize = BLOCK;
-
-/// State of a lane's trajectory after a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[repr(u8)]
-pub enum LaneStatus {
-    /// The trajectory continues.
-    #[default]
-    Running,
-    /// The state has left the safety box: the trajectory earns nothing more, and the value of its final
-    /// state is 0.
-    LeftBox,
-    /// The trajectory has its 600 steps; a learner bootstraps the value of its final state.
-    TimeUp,
-}
 
 /// Many pendulums in parallel lanes, in `f32`. Each has its own parameters, nonidealities and trajectory;
 /// each [`Self::step`] advances all of them by one control period.
@@ -136,7 +122,7 @@ impl Pendulums {
     /// Advances all lanes by one control period.
     ///
     /// `voltages_v` is clipped to the motor's +-5 V. The call writes the `rewards` of the states before the
-    /// step with these voltages, the `progress` of each trajectory, and the `observations` after the step,
+    /// step with these voltages, the `statuses` of the trajectories, and the `observations` after the step,
     /// `[observation_size][lanes]`, also of trajectories that end with it.
     ///
     /// A lane whose trajectory has ended goes on with meaningless numbers until it is restarted; they do
@@ -148,17 +134,17 @@ impl Pendulums {
         &mut self,
         voltages_v: &[f32],
         rewards: &mut [f32],
-        progress: &mut [LaneStatus],
+        statuses: &mut [LaneStatus],
         observations: &mut [f32],
     ) {
         let lanes = self.lanes();
         assert_eq!(voltages_v.len(), lanes, "voltages_v: [lanes]");
         assert_eq!(rewards.len(), lanes, "rewards: [lanes]");
-        assert_eq!(progress.len(), lanes, "progress: [lanes]");
+        assert_eq!(statuses.len(), lanes, "statuses: [lanes]");
         self.check_length_of(observations);
         let (voltages_v, _) = voltages_v.as_chunks();
         let (rewards, _) = rewards.as_chunks_mut();
-        let (progress, _) = progress.as_chunks_mut();
+        let (statuses, _) = statuses.as_chunks_mut();
         let (observations, _) = observations.as_chunks_mut();
         let step = Step {
             blocks: &mut self.blocks,
@@ -166,7 +152,7 @@ impl Pendulums {
             surroundings: &self.surroundings,
             voltages_v,
             rewards,
-            progress,
+            statuses,
             observations,
         };
         dispatch_at(self.level, step);

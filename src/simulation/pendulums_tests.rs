@@ -16,7 +16,7 @@ struct Bench {
     pendulums: Pendulums,
     voltages_v: Vec<f32>,
     rewards: Vec<f32>,
-    progress: Vec<LaneStatus>,
+    statuses: Vec<LaneStatus>,
     observations: Vec<f32>,
 }
 
@@ -28,7 +28,7 @@ impl Bench {
             pendulums,
             voltages_v: vec![0.0; lanes],
             rewards: vec![0.0; lanes],
-            progress: vec![LaneStatus::Running; lanes],
+            statuses: vec![LaneStatus::Running; lanes],
             observations: vec![0.0; settings.observation_size() * lanes],
         }
     }
@@ -37,7 +37,7 @@ impl Bench {
         self.pendulums.step(
             &self.voltages_v,
             &mut self.rewards,
-            &mut self.progress,
+            &mut self.statuses,
             &mut self.observations,
         );
     }
@@ -122,7 +122,7 @@ fn every_instruction_set_computes_the_bits_of_the_scalar_equations() {
                 let after = control_step(&Dynamics::new(&parameters), before, voltage_v);
                 assert_eq!(bench.pendulums.state(lane), after, "{level:?}, lane {lane}");
                 assert_eq!(bench.rewards[lane], weights.reward(&before, voltage_v));
-                let left = bench.progress[lane] == LaneStatus::LeftBox;
+                let left = bench.statuses[lane] == LaneStatus::LeftBox;
                 assert_eq!(left, !safety_box.contains(&after));
                 for (feature, value) in observation(&after).into_iter().enumerate() {
                     assert_eq!(bench.observations[feature * lanes + lane], value);
@@ -168,21 +168,21 @@ fn a_trajectory_ends_at_the_box_at_what_is_not_a_number_and_after_600_steps() {
     for step in 1..=MAX_STEPS {
         bench.step();
         assert_eq!(bench.pendulums.state(4), bench.pendulums.state(5), "limited to 5 V");
-        assert_eq!(bench.progress[2], LaneStatus::LeftBox);
+        assert_eq!(bench.statuses[2], LaneStatus::LeftBox);
         if step == 1 {
-            assert_eq!(bench.progress[1], LaneStatus::Running);
+            assert_eq!(bench.statuses[1], LaneStatus::Running);
         }
         if step == 100 {
-            assert_eq!(bench.progress[1], LaneStatus::LeftBox);
+            assert_eq!(bench.statuses[1], LaneStatus::LeftBox);
             assert!(bench.pendulums.state(1).theta >= 2.3);
         }
         let last = step == MAX_STEPS;
         let expected = if last { LaneStatus::TimeUp } else { LaneStatus::Running };
-        assert_eq!(bench.progress[0], expected, "step {step}");
+        assert_eq!(bench.statuses[0], expected, "step {step}");
     }
     bench.pendulums.restart(0, &Trajectory::draw(&nominal, 1, 0));
     bench.step();
-    assert_eq!(bench.progress[0], LaneStatus::Running);
+    assert_eq!(bench.statuses[0], LaneStatus::Running);
 }
 
 /// Moves one lane for 3 s beside the machine's estimator, which gets the same counts; returns the largest
@@ -218,7 +218,7 @@ fn beside_the_machine(estimator: EstimatorSettings, safety_box: SafetyBox) -> (f
             assert_eq!(bench.observations[feature * 16 + 3], value);
         }
         let inside = safety_box.contains(&guarded);
-        assert!(step == 0 || (bench.progress[3] == LaneStatus::Running) == inside, "step {step}");
+        assert!(step == 0 || (bench.statuses[3] == LaneStatus::Running) == inside, "step {step}");
         bench.voltages_v[3] = voltage_v(step as usize / 30);
         estimator.send(f64::from(bench.voltages_v[3]));
         bench.step();

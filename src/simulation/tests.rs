@@ -38,11 +38,11 @@ fn run(level: Level, trajectories: &[Trajectory], steps: usize) -> Vec<State<f32
         pendulums.restart(lane, trajectory);
     }
     let mut rewards = vec![0.0; lanes];
-    let mut progress = vec![LaneStatus::Running; lanes];
+    let mut statuses = vec![LaneStatus::Running; lanes];
     let mut observations = vec![0.0; settings.observation_size() * lanes];
     for step in 0..steps {
         let commands: Vec<f32> = (0..lanes).map(|lane| command_v(lane, step)).collect();
-        pendulums.step(&commands, &mut rewards, &mut progress, &mut observations);
+        pendulums.step(&commands, &mut rewards, &mut statuses, &mut observations);
     }
     (0..trajectories.len()).map(|lane| pendulums.state(lane)).collect()
 }

@@ -1,8 +1,6 @@
 use super::identified::FromRecordings;
-use super::run::{
-    Access, MethodRun, Recommendation, RecommendationResult, Recommendations, Recommended,
-    Repetition, name,
-};
+use super::repetition::{RecommendationResult, Repetition, name};
+use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
 use super::score::{Decision, score};
 use super::search::FromSearch;
 use super::{Method, StrategySettings};

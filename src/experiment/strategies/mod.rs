@@ -12,6 +12,7 @@
 mod follow;
 mod identified;
 mod method;
+mod repetition;
 mod results;
 mod run;
 mod score;
@@ -19,8 +20,8 @@ mod search;
 mod settings;
 
 pub use method::Method;
+pub use repetition::{RecommendationResult, Repetition};
 pub use results::{StrategyResult, StrategyResults};
 pub(super) use run::Access;
-pub use run::{RecommendationResult, Repetition};
 pub use score::Score;
 pub use settings::StrategySettings;

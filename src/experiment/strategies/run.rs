@@ -1,55 +1,8 @@
 use std::path::PathBuf;
 
-use super::Method;
-use super::score::Score;
 use crate::experiment::work::Tell;
 use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
 use crate::simulation::Psi;
-
-/// One repetition of a method, as far as it has come.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Repetition {
-    /// Method of the repetition.
-    pub method: Method,
-    /// Number of the repetition, from 0.
-    pub number: u32,
-    /// Scored recommendations in order. An unchanged recommendation is not scored again.
-    pub recommendations: Vec<RecommendationResult>,
-    /// Whether a recommendation has succeeded or none is left.
-    pub is_over: bool,
-    /// Largest number of real rollouts.
-    pub budget: u32,
-}
-
-/// The result of one recommendation.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RecommendationResult {
-    /// Number of real rollouts before it; a recording counts as one.
-    pub real_rollouts: u32,
-    /// Score of its policies, or the reason why there is no recommendation.
-    pub score: Result<Score, String>,
-    /// Whether the recommendation succeeds.
-    pub succeeds: bool,
-}
-
-impl Repetition {
-    /// Number of real rollouts before the first successful recommendation; `None` without one.
-    #[must_use]
-    pub fn succeeded_after(&self) -> Option<u32> {
-        self.recommendations.iter().find(|it| it.succeeds).map(|it| it.real_rollouts)
-    }
-
-    /// Name such as `bayrn 3`.
-    #[must_use]
-    pub fn name(&self) -> String {
-        name(self.method, self.number)
-    }
-}
-
-/// Name of a repetition, such as `bayrn 3`.
-pub(super) fn name(method: Method, number: u32) -> String {
-    format!("{method} {number}")
-}
 
 /// The recipe and psi that a method recommends for training policies.
 #[derive(Clone, Debug, PartialEq)]
