@@ -5,35 +5,35 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use super::ExperimentError;
 use crate::session::SessionError;
 
-/// A work queue for several threads; a finished job may add further jobs.
-pub(super) struct Queue<'a, Job> {
-    state: Mutex<State<Job>>,
+/// A work queue for several threads; a finished item may add further items.
+pub(super) struct Queue<'a, Item> {
+    state: Mutex<State<Item>>,
     changed: Condvar,
     stop: &'a AtomicBool,
 }
 
-struct State<Job> {
-    waiting: VecDeque<Job>,
+struct State<Item> {
+    waiting: VecDeque<Item>,
     under_way: usize,
     failure: Option<ExperimentError>,
 }
 
-impl<'a, Job: Send> Queue<'a, Job> {
-    /// A queue of these jobs, first come, first served.
-    pub fn new(jobs: impl IntoIterator<Item = Job>, stop: &'a AtomicBool) -> Self {
-        let state = State { waiting: jobs.into_iter().collect(), under_way: 0, failure: None };
+impl<'a, Item: Send> Queue<'a, Item> {
+    /// A queue of these items, first come, first served.
+    pub fn new(items: impl IntoIterator<Item = Item>, stop: &'a AtomicBool) -> Self {
+        let state = State { waiting: items.into_iter().collect(), under_way: 0, failure: None };
         Self { state: Mutex::new(state), changed: Condvar::new(), stop }
     }
 
-    /// Processes all jobs on several threads. `work` does one job and returns the jobs that follow from it.
-    /// After the first failure or a stop request no further job begins.
+    /// Processes all items on several threads. `work` does one item and returns the items that follow from it.
+    /// After the first failure or a stop request no further item begins.
     ///
     /// # Errors
-    /// A job failed, or a stop was requested.
+    /// An item failed, or a stop was requested.
     pub fn run(
         self,
         threads: usize,
-        work: impl Fn(Job) -> Result<Vec<Job>, ExperimentError> + Sync,
+        work: impl Fn(Item) -> Result<Vec<Item>, ExperimentError> + Sync,
     ) -> Result<(), ExperimentError> {
         let gone = std::thread::scope(|scope| {
             let workers: Vec<_> =
@@ -51,11 +51,11 @@ impl<'a, Job: Send> Queue<'a, Job> {
         }
     }
 
-    fn worker_loop(&self, work: &(impl Fn(Job) -> Result<Vec<Job>, ExperimentError> + Sync)) {
-        while let Some(job) = self.next() {
+    fn worker_loop(&self, work: &(impl Fn(Item) -> Result<Vec<Item>, ExperimentError> + Sync)) {
+        while let Some(item) = self.next() {
             // Waiting threads must be notified even if the work panics.
             let _done = Done(self);
-            let outcome = work(job);
+            let outcome = work(item);
             let mut state = self.lock();
             match outcome {
                 Ok(more) => state.waiting.extend(more),
@@ -66,16 +66,16 @@ impl<'a, Job: Send> Queue<'a, Job> {
         }
     }
 
-    /// The next job; `None` when no job is left or can follow.
-    fn next(&self) -> Option<Job> {
+    /// The next item; `None` when no item is left or can follow.
+    fn next(&self) -> Option<Item> {
         let mut state = self.lock();
         loop {
             if state.failure.is_some() || self.stop.load(Ordering::Relaxed) {
                 return None;
             }
-            if let Some(job) = state.waiting.pop_front() {
+            if let Some(item) = state.waiting.pop_front() {
                 state.under_way += 1;
-                return Some(job);
+                return Some(item);
             }
             if state.under_way == 0 {
                 return None;
@@ -84,14 +84,14 @@ impl<'a, Job: Send> Queue<'a, Job> {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, State<Job>> {
+    fn lock(&self) -> MutexGuard<'_, State<Item>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-struct Done<'q, 'a, Job: Send>(&'q Queue<'a, Job>);
+struct Done<'q, 'a, Item: Send>(&'q Queue<'a, Item>);
 
-impl<Job: Send> Drop for Done<'_, '_, Job> {
+impl<Item: Send> Drop for Done<'_, '_, Item> {
     fn drop(&mut self) {
         self.0.lock().under_way -= 1;
         self.0.changed.notify_all();
@@ -109,7 +109,7 @@ mod tests {
         for threads in [1, 2, 5] {
             let stop = AtomicBool::new(false);
             let done = AtomicUsize::new(0);
-            // Each job of size n makes two of size n - 1: 2^5 - 1 in all.
+            // Each item of size n makes two of size n - 1: 2^5 - 1 in all.
             let outcome = Queue::new([4_u32], &stop).run(threads, |size| {
                 done.fetch_add(1, Ordering::Relaxed);
                 Ok(if size == 0 { Vec::new() } else { vec![size - 1; 2] })

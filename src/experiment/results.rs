@@ -157,7 +157,7 @@ impl Results {
     pub fn read(experiment: &Experiment) -> Result<Self, ExperimentError> {
         let settings = experiment.settings();
         let mut recipes = Vec::new();
-        let mut jobs = Vec::new();
+        let mut trained = Vec::new();
         let mut all_simulations = Vec::new();
         for (index, recipe) in settings.recipes.iter().enumerate() {
             let psi = experiment.psi(recipe)?;
@@ -170,7 +170,7 @@ impl Results {
                     .exists(&experiment.folder().policies(&recipe.name).policy(*policy).policy())
             };
             if simulations.is_some() {
-                jobs.extend((0..settings.policies).filter(is_trained).map(|it| (index, it)));
+                trained.extend((0..settings.policies).filter(is_trained).map(|it| (index, it)));
             }
             all_simulations.push(simulations);
             recipes.extend(settings.plants.iter().map(|plant| RecipeResult {
@@ -184,7 +184,7 @@ impl Results {
         let recipes = Mutex::new(recipes);
         // Results are needed after a stop request too.
         let never = AtomicBool::new(false);
-        Queue::new(jobs, &never).run(experiment.threads(), |(index, number)| {
+        Queue::new(trained, &never).run(experiment.threads(), |(index, number)| {
             let Some((distribution, simulation)) = &all_simulations[index] else {
                 return Ok(Vec::new());
             };

@@ -149,50 +149,50 @@ impl Experiment {
     /// # Errors
     /// The work ends early; finished work is on disk.
     pub fn run(&self, tell: &Tell) -> Result<(), ExperimentError> {
-        let mut jobs = self.jobs();
-        let searches = jobs.iter().filter(|job| matches!(job, WorkItem::Search { .. })).count();
+        let mut items = self.items();
+        let searches = items.iter().filter(|item| matches!(item, WorkItem::Search { .. })).count();
         if !self.is_virtual() {
-            for job in jobs.extract_if(..searches, |_| true).collect::<Vec<_>>() {
-                jobs.extend(self.work(job, self.threads, tell)?);
+            for item in items.extract_if(..searches, |_| true).collect::<Vec<_>>() {
+                items.extend(self.work(item, self.threads, tell)?);
             }
         }
         let cores = self.threads / searches.max(1);
-        Queue::new(jobs, &self.stop).run(self.threads, |job| self.work(job, cores, tell))?;
+        Queue::new(items, &self.stop).run(self.threads, |item| self.work(item, cores, tell))?;
         if !self.is_virtual() {
             self.run_on_device(tell)?;
         }
         Ok(())
     }
 
-    fn jobs(&self) -> Vec<WorkItem> {
+    fn items(&self) -> Vec<WorkItem> {
         if let Some(strategies) = &self.settings.strategies {
             let of = |(method, repetition)| WorkItem::Repetition { method, repetition };
             return strategies.repetitions().map(of).collect();
         }
-        let mut jobs = Vec::new();
+        let mut items = Vec::new();
         for (recipe, it) in self.settings.recipes.iter().enumerate() {
             if it.model.is_searched() {
                 // The search comes first, because everything of its recipe waits for it.
-                jobs.insert(0, WorkItem::Search { recipe });
+                items.insert(0, WorkItem::Search { recipe });
             } else {
-                jobs.extend(self.policies(recipe));
+                items.extend(self.policies(recipe));
             }
         }
-        jobs
+        items
     }
 
     fn policies(&self, recipe: usize) -> impl Iterator<Item = WorkItem> + use<> {
         (0..self.settings.policies).map(move |policy| WorkItem::Policy { recipe, policy })
     }
 
-    /// Does one job and returns the jobs that follow from it.
+    /// Does one item and returns the items that follow from it.
     fn work(
         &self,
-        job: WorkItem,
+        item: WorkItem,
         cores: usize,
         tell: &Tell,
     ) -> Result<Vec<WorkItem>, ExperimentError> {
-        match job {
+        match item {
             WorkItem::Search { recipe } => {
                 self.search(&self.settings.recipes[recipe], cores, tell)?;
                 Ok(self.policies(recipe).collect())

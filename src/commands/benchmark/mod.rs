@@ -13,7 +13,7 @@ use super::output::Output;
 use super::printable::tell;
 use crate::charts::regret_svg;
 use crate::search::benchmark::{
-    Comparison, Method, Objective, RegretCurve, TwoHumped, simple_regret,
+    Objective, RegretCurve, SearchVariant, TwoHumped, VariantResult, simple_regret,
 };
 use crate::search::{BayRnSettings, StrategyKind};
 use crate::storage::{MachineDisk, write_whole};
@@ -147,7 +147,7 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         for row in &table {
             text += &format!(
                 "  {:45} {:6.1} ± {:4.1}   gain over plain {:+6.1} ± {:4.1}\n",
-                row.method.description(),
+                row.variant.description(),
                 row.expected_return.mean,
                 row.expected_return.half_width,
                 row.gain_over_plain.mean,
@@ -167,14 +167,14 @@ fn noise_table(
     arguments: &Arguments,
     problem: TwoHumped,
     repetitions: usize,
-) -> Result<Vec<Comparison>, Failure> {
+) -> Result<Vec<VariantResult>, Failure> {
     let mut found = Vec::new();
-    for method in Method::ALL {
-        let title = method.description();
+    for variant in SearchVariant::ALL {
+        let title = variant.description();
         let returns = parallel::map(repetitions, arguments.threads(), title, |repetition| {
-            problem.search(method, arguments.seed.wrapping_add(repetition as u64))
+            problem.search(variant, arguments.seed.wrapping_add(repetition as u64))
         });
         found.push(returns.into_iter().collect::<Result<Vec<f64>, _>>().map_err(Failure::failed)?);
     }
-    Ok(Comparison::table(&found))
+    Ok(VariantResult::table(&found))
 }

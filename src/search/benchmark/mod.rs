@@ -8,4 +8,4 @@ mod two_humped;
 pub use objective::Objective;
 pub use regret::{RegretCurve, simple_regret};
 pub use statistics::{Interval, Quartiles};
-pub use two_humped::{Comparison, Method, TwoHumped};
+pub use two_humped::{SearchVariant, TwoHumped, VariantResult};

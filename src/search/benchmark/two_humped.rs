@@ -43,7 +43,7 @@ const LEAST_LIKELY: f64 = 0.02;
 /// rollouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Method {
+pub enum SearchVariant {
     /// The thesis's settings (one noise variance, EI over the largest mean return), recommending the
     /// candidate with the largest mean return.
     PlainLuckiest,
@@ -57,8 +57,8 @@ pub enum Method {
     NoisyExpectedImprovement,
 }
 
-impl Method {
-    /// Every method.
+impl SearchVariant {
+    /// Every variant.
     pub const ALL: [Self; 5] = [
         Self::PlainLuckiest,
         Self::Plain,
@@ -98,11 +98,11 @@ impl TwoHumped {
     ///
     /// # Errors
     /// The search cannot propose.
-    pub fn search(self, method: Method, seed: u64) -> Result<f64, SearchError> {
+    pub fn search(self, variant: SearchVariant, seed: u64) -> Result<f64, SearchError> {
         let landscape = Landscape::new(self.dimensions, seed);
         let mut strategy = BayRn::new(
             SearchBox::unit(self.dimensions)?,
-            method.settings(self.initial_points),
+            variant.settings(self.initial_points),
             seed,
         )?;
         let mut data: Vec<Observation> = Vec::with_capacity(self.candidates);
@@ -112,8 +112,8 @@ impl TwoHumped {
                 data.push(Observation { point, returns });
             }
         }
-        let recommendation = match method {
-            Method::PlainLuckiest => {
+        let recommendation = match variant {
+            SearchVariant::PlainLuckiest => {
                 data[crate::search::observation::highest_mean_return(&data)?].point.clone()
             }
             _ => strategy.best(&data)?.point,
@@ -148,7 +148,7 @@ impl Landscape {
         FALLS + (BALANCES - FALLS) * self.success_probability(point)
     }
 
-    /// The random numbers of a candidate depend on its index alone, so that all methods share them.
+    /// The random numbers of a candidate depend on its index alone, so that all variants share them.
     fn rollouts(&self, point: &[f64], count: usize, index: usize) -> Vec<f64> {
         let mut random = stream(self.seed ^ 0x726f_6c6c_6f75_7473, index);
         let probability = self.success_probability(point);
@@ -158,32 +158,32 @@ impl Landscape {
     }
 }
 
-/// The result of one method, also relative to plain EI, repetition by repetition.
+/// The result of one variant, also relative to plain EI, repetition by repetition.
 #[derive(Clone, Debug, Serialize)]
-pub struct Comparison {
-    /// Method of the search.
+pub struct VariantResult {
+    /// Variant of the search.
     #[serde(rename = "contender")]
-    pub method: Method,
+    pub variant: SearchVariant,
     /// Expected return of the recommended point, with its 95 % interval.
     pub expected_return: Interval,
-    /// Difference to [`Method::Plain`] in the same repetitions, with its 95 % interval.
+    /// Difference to [`SearchVariant::Plain`] in the same repetitions, with its 95 % interval.
     pub gain_over_plain: Interval,
 }
 
-impl Comparison {
-    /// Builds the table from the expected returns of the recommended points: one list for each method,
+impl VariantResult {
+    /// Builds the table from the expected returns of the recommended points: one list for each variant,
     /// repetitions in the same order.
     #[must_use]
     pub fn table(found: &[Vec<f64>]) -> Vec<Self> {
-        let plain = Method::ALL.iter().position(|c| *c == Method::Plain).unwrap_or(0);
-        Method::ALL
+        let plain = SearchVariant::ALL.iter().position(|c| *c == SearchVariant::Plain).unwrap_or(0);
+        SearchVariant::ALL
             .into_iter()
             .zip(found)
-            .map(|(method, returns)| {
+            .map(|(variant, returns)| {
                 let gains: Vec<f64> =
                     returns.iter().zip(&found[plain]).map(|(ours, plain)| ours - plain).collect();
                 Self {
-                    method,
+                    variant,
                     expected_return: confidence_interval(returns),
                     gain_over_plain: confidence_interval(&gains),
                 }
@@ -199,19 +199,19 @@ mod tests {
     #[test]
     fn the_default_finds_better_candidates_than_the_luckiest() {
         let problem = TwoHumped { candidates: 20, ..TwoHumped::NOISY };
-        let mean = |method| {
+        let mean = |variant| {
             let found: Vec<f64> =
-                (0..20).map(|seed| problem.search(method, seed).unwrap()).collect();
+                (0..20).map(|seed| problem.search(variant, seed).unwrap()).collect();
             confidence_interval(&found).mean
         };
-        let default = mean(Method::NoisyExpectedImprovement);
-        let luckiest = mean(Method::PlainLuckiest);
+        let default = mean(SearchVariant::NoisyExpectedImprovement);
+        let luckiest = mean(SearchVariant::PlainLuckiest);
         assert!(default > luckiest + 10.0, "{default} {luckiest}");
     }
 
     #[test]
     fn the_table_compares_repetition_by_repetition() {
-        let table = Comparison::table(&[
+        let table = VariantResult::table(&[
             vec![1.0, 2.0],
             vec![10.0, 20.0],
             vec![11.0, 21.0],
