@@ -20,7 +20,7 @@ const GROWS_V: f64 = 0.4;
 const SWALLOWED_V: f64 = 0.9;
 
 /// Voltage with which the pendulum's weight may hold the arm, V, as a factor on sin(alpha)
-/// cos(alpha): M_p L_r g / 2 over the motor's torque per volt.
+/// cos(alpha): 1.5 times M_p L_r g / 2 over the motor's torque per volt.
 const WEIGHT_HOLDS_V: f64 = 3.0;
 
 /// Voltage with which the pendulum's swing may hold the arm, V s^2, as a factor on sin(alpha)
@@ -30,8 +30,8 @@ const SWING_HOLDS_V_S2: f64 = 0.026;
 /// Longest delay from a command to the motor, control periods: 20 ms.
 const SLOWEST_TICKS: usize = 2;
 
-/// Least acceleration per volt of an arm whose pendulum is level, rad/s^2/V: half of the nominal
-/// value.
+/// Least acceleration per volt of an arm that its pendulum neither loads nor unloads, rad/s^2/V: half of the
+/// motor's torque per volt over M_p L_r^2 + J_r.
 const LEAST_RAD_S2_V: f64 = 11.0;
 
 /// Fraction of the arm's inertia that a vertical pendulum removes by giving way.
@@ -205,6 +205,23 @@ impl AskingPush {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_coefficients_of_the_slowest_arm_follow_from_the_nominal_parameters() {
+        let parameters = DomainParameters::NOMINAL;
+        let qube = Dynamics::<f64>::new(&parameters);
+        let weight = qube.gravity_torque * parameters.rotary_length_m
+            / (parameters.pendulum_length_m * qube.torque_per_volt);
+        let given_way = qube.coupling.powi(2) / (qube.arm_inertia * qube.pendulum_inertia);
+        for (constant, source) in [
+            (WEIGHT_HOLDS_V, 1.5 * weight),
+            (SWING_HOLDS_V_S2, qube.coupling / qube.torque_per_volt),
+            (LEAST_RAD_S2_V, 0.5 * qube.torque_per_volt / qube.arm_inertia),
+            (GIVES_WAY, given_way),
+        ] {
+            assert!((constant / source - 1.0).abs() < 0.02, "{constant} {source}");
+        }
+    }
     use crate::qube::RAD_PER_COUNT;
     use crate::qube::{
         CONTROL_PERIOD_S, NonidealDynamics, Nonidealities, QubeModel, State, control_step,

@@ -46,7 +46,8 @@ const REACH_RAD: f64 = 0.05;
 /// fro.
 const REACH_PER_SWING: f64 = 0.5;
 
-/// Recoil of a nominal Qube's arm for each rad of the pendulum's swing, rad.
+/// Recoil of a nominal Qube's arm for each rad of the pendulum's swing, rad: M_p L_p L_r / 2 over
+/// M_p L_r^2 + J_r.
 const RECOIL_RAD: f64 = 0.57;
 
 /// Pushes that grow from zero, in alternating directions.
@@ -167,5 +168,19 @@ impl HomingProbe {
             return PushResponse::Moves;
         }
         PushResponse::Waits
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{DomainParameters, Dynamics};
+
+    #[test]
+    fn the_recoil_follows_from_the_nominal_parameters_and_an_arm_at_rest_may_recoil_farther() {
+        let qube = Dynamics::<f64>::new(&DomainParameters::NOMINAL);
+        let recoil = qube.coupling / qube.arm_inertia;
+        assert!((RECOIL_RAD - recoil).abs() < 5e-3, "{recoil}");
+        assert!(RECOIL > recoil);
     }
 }

@@ -5,8 +5,8 @@ use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
 
 /// State feedback around hanging, V = -k (s - [start_theta, 0, 0, 0]): discrete LQR at 100 Hz on
-/// the nominal parameters, Q = diag(4, 2, 0.05, 0.2), R = 1. The pendulum's gains act on sin(alpha)
-/// and on its velocity along the arm, which keeps their signs right far from hanging.
+/// the nominal parameters, Q = diag(4, 2, 0.05, 0.2), R = 1, which a test solves. The pendulum's gains act on
+/// sin(alpha) and on its velocity along the arm, which keeps their signs right far from hanging.
 const GAINS: [f64; 4] = [1.716, -1.869, 0.46, -0.085];
 
 /// Largest settling voltage, V.
@@ -161,9 +161,53 @@ impl GentleSettler {
 mod tests {
     use std::f64::consts::PI;
 
+    use nalgebra::{Matrix4, RowVector4, Vector4};
+
     use super::super::rest::RestDetector;
     use super::*;
-    use crate::qube::{HARD_STOP_RAD, NonidealDynamics, Nonidealities, QubeModel, control_step};
+    use crate::qube::{
+        DomainParameters, Dynamics, HARD_STOP_RAD, NonidealDynamics, Nonidealities, QubeModel,
+        control_step,
+    };
+
+    /// The change of a nominal Qube's state in one period, for each unit of each entry of the state and for
+    /// each volt, around hanging at rest.
+    fn linearised() -> (Matrix4<f64>, Vector4<f64>) {
+        const STEP: f64 = 1e-4;
+        let dynamics = Dynamics::<f64>::new(&DomainParameters::NOMINAL);
+        let next = |state: [f64; 4], voltage_v: f64| {
+            let [theta, alpha, theta_dot, alpha_dot] = state;
+            let state = State { theta, alpha, theta_dot, alpha_dot };
+            let State { theta, alpha, theta_dot, alpha_dot } =
+                control_step(&dynamics, state, voltage_v);
+            Vector4::new(theta, alpha, theta_dot, alpha_dot)
+        };
+        let slope = |of: &dyn Fn(f64) -> Vector4<f64>| (of(STEP) - of(-STEP)) / (2.0 * STEP);
+        let columns: [Vector4<f64>; 4] = std::array::from_fn(|entry| {
+            slope(&|change| {
+                let mut state = [0.0; 4];
+                state[entry] = change;
+                next(state, 0.0)
+            })
+        });
+        (Matrix4::from_columns(&columns), slope(&|volts| next([0.0; 4], volts)))
+    }
+
+    #[test]
+    fn the_gains_are_those_of_the_lqr_on_the_nominal_parameters() {
+        let (a, b) = linearised();
+        let weights = Matrix4::from_diagonal(&Vector4::new(4.0, 2.0, 0.05, 0.2));
+        let mut cost = weights;
+        let mut gains = RowVector4::zeros();
+        // The Riccati equation, iterated to its fixed point.
+        for _ in 0..5000 {
+            gains = (b.transpose() * cost * a) / (1.0 + (b.transpose() * cost * b)[0]);
+            cost = weights + a.transpose() * cost * (a - b * gains);
+        }
+        for (gain, solved) in GAINS.iter().zip(gains.iter()) {
+            assert!((gain - solved).abs() < 1e-3, "{gain} {solved}");
+        }
+    }
 
     #[test]
     fn every_state_that_a_rollout_may_leave_comes_to_rest_within_the_limit() {
