@@ -7,8 +7,10 @@
 //! [`ControlThread`] gives it a thread of its own.
 
 mod asking_push;
+mod between_motions;
 mod current_watch;
 mod drive;
+mod error;
 mod hanging;
 mod homing;
 mod homing_probe;
@@ -35,6 +37,7 @@ mod watch;
 mod witness;
 
 pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
+pub use error::{ControlError, ThreadGone};
 pub use homing::Homing;
 pub use homing_settings::{HomingMethod, HomingSettings};
 pub use last_ticks::LAST_TICKS;
@@ -46,7 +49,7 @@ pub use reconnect::Patience;
 pub use sensor_watch::SensorWatch;
 pub use sign_probe::{ArmResponse, ProbeSample, ProbeStage, ProbeTrace, SignProbe};
 pub use stop_press::{PressOutcome, StopPress};
-pub use thread::{ControlError, ControlThread, Homed, ThreadGone};
+pub use thread::{ControlThread, Homed};
 pub use tick::Tick;
 pub use undriven::{Moved, RestWatch, RestingCounts};
 pub use watch::Alarm;

@@ -3,56 +3,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
-use thiserror::Error;
 
+use super::between_motions::{Motor, Undriven};
 use super::reconnect::{Patience, greet_patiently};
 use super::{
-    ControlAction, ControlEvent, ControlState, DriveReport, Homing, HomingSettings, Motion, Moved,
-    RestWatch, RestingCounts, SAMPLE_TIMEOUT_NS, Tick, drive_warm,
+    ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
+    Motion, ThreadGone, Tick, drive_warm,
 };
-use crate::clock::{Clock, Nanoseconds, RealtimeReport, enter_realtime};
-use crate::device::{Device, DeviceError, Identity, LinkFault};
+use crate::clock::{Clock, RealtimeReport, enter_realtime};
+use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::MeasuredRig;
 use crate::policy::Policy;
-use crate::qube::{CONTROL_PERIOD_NS, Measurement};
 use crate::safety::MotorHeat;
 use crate::telemetry::{TickRecord, TickSettings};
-
-/// Error: the control thread has panicked.
-#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
-#[error(
-    "the control thread has ended unexpectedly; the device's watchdog has switched the motor off"
-)]
-pub struct ThreadGone;
-
-/// Interval at which a cooling pause checks for a request to stop, ns.
-const COOLING_STEP_NS: Nanoseconds = 100_000_000;
-
-/// Time that arm and pendulum may take to come to rest with the amplifier off, ns. If they do not,
-/// the arm is homed before the next rollout.
-const REST_TIME_NS: Nanoseconds = 15_000_000_000;
-
-/// A reason why control cannot carry out a command.
-#[derive(Debug, Error)]
-pub enum ControlError {
-    /// The device failed.
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-    /// The state table does not allow the command.
-    #[error(
-        "{wanted:?} is not possible while control is {state:?}: after a fault or a start the Qube \
-         needs a new hello and homing first"
-    )]
-    Refused {
-        /// The refused command.
-        wanted: ControlEvent,
-        /// The current state.
-        state: ControlState,
-    },
-    /// The zeros of the last homing no longer hold; nothing has been armed.
-    #[error("{0}: the arm is homed again first")]
-    Moved(#[from] Moved),
-}
 
 /// The result of a homing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -263,111 +226,6 @@ impl Drop for ControlThread {
     }
 }
 
-/// The motor's heat between motions.
-#[derive(Debug, Default)]
-struct Motor {
-    heat: MotorHeat,
-    /// Time since which the motor has been without current and which `heat` does not include;
-    /// `None` before the first motion.
-    off_since_ns: Option<Nanoseconds>,
-}
-
-impl Motor {
-    /// Cools the motor for the time without current since the last update.
-    fn cool(&mut self, clock: &dyn Clock) {
-        if let Some(off_since_ns) = &mut self.off_since_ns {
-            let now_ns = clock.now_ns();
-            let off_ns = now_ns.saturating_sub(*off_since_ns);
-            self.heat = self.heat.cooled(off_ns as f64 * 1e-9);
-            *off_since_ns = now_ns;
-        }
-    }
-
-    /// Waits with the amplifier off while the motor is too hot for the next motion.
-    fn cool_down(&mut self, clock: &dyn Clock, stop: &AtomicBool) {
-        self.cool(clock);
-        let end_ns = clock.now_ns() + (self.heat.cooling_s() * 1e9) as Nanoseconds;
-        while clock.now_ns() < end_ns && !stop.load(Ordering::Relaxed) {
-            clock.sleep_until(end_ns.min(clock.now_ns() + COOLING_STEP_NS));
-            self.cool(clock);
-        }
-    }
-}
-
-/// Knowledge about the encoder counts between motions.
-#[derive(Debug, Default)]
-struct Undriven {
-    /// Name of the port for errors.
-    port: String,
-    /// Counts at which arm and pendulum came to rest after the last motion; `None` if they were not
-    /// seen at rest.
-    left_at: Option<RestingCounts>,
-}
-
-impl Undriven {
-    /// Watches, with the amplifier off, where arm and pendulum come to rest after a motion.
-    fn keep(
-        &mut self,
-        last: Option<&Measurement>,
-        device: &mut dyn Device,
-        clock: &dyn Clock,
-        stop: &AtomicBool,
-    ) {
-        let mut watch = RestWatch::after(last);
-        self.left_at = match watch_rest(&mut watch, device, clock, stop) {
-            Ok(rest) if !watch.has_jumped() => rest,
-            Ok(_) | Err(_) => None,
-        };
-    }
-
-    /// Checks before a rollout arms the device that arm and pendulum are where they were left.
-    fn compare(
-        &self,
-        settings: &TickSettings,
-        device: &mut dyn Device,
-        clock: &dyn Clock,
-        stop: &AtomicBool,
-    ) -> Result<(), ControlError> {
-        let link = |fault| match fault {
-            LinkFault::NotArmed => DeviceError::Restarted { port: self.port.clone() },
-            fault => DeviceError::Link { port: self.port.clone(), fault },
-        };
-        let rest = watch_rest(&mut RestWatch::default(), device, clock, stop).map_err(link)?;
-        let rest = rest.ok_or(Moved::Unseen)?;
-        Ok(rest.compare(self.left_at, settings.calibration.alpha_zero_counts)?)
-    }
-}
-
-/// Samples at 100 Hz until arm and pendulum are at rest; `None` if they are not in time or `stop`
-/// is set.
-///
-/// # Errors
-/// The port is gone, or the board has restarted. Lost samples are tolerated.
-fn watch_rest(
-    watch: &mut RestWatch,
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-) -> Result<Option<RestingCounts>, LinkFault> {
-    let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
-    let begin_ns = clock.now_ns();
-    let mut deadline_ns = begin_ns;
-    while deadline_ns < begin_ns + REST_TIME_NS && !stop.load(Ordering::Relaxed) {
-        match device.sample(clock.now_ns() + sample_time_ns) {
-            Ok(sample) => {
-                if let Some(rest) = watch.update(&sample) {
-                    return Ok(Some(rest));
-                }
-            }
-            Err(fault @ (LinkFault::Gone | LinkFault::NotArmed)) => return Err(fault),
-            Err(_) => {}
-        }
-        deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());
-        clock.sleep_until(deadline_ns);
-    }
-    Ok(None)
-}
-
 fn obey(
     state: &mut ControlState,
     motor: &mut Motor,
@@ -393,7 +251,7 @@ fn obey(
             Event::Cooled(motor.heat)
         }
         Command::Motor(heat) => {
-            *motor = Motor { heat, off_since_ns: Some(clock.now_ns()) };
+            *motor = Motor::off_from_now(heat, clock);
             Event::Cooled(motor.heat)
         }
         Command::Home(settings) => {
@@ -458,7 +316,7 @@ fn driven(
     stop: &AtomicBool,
 ) -> Result<DriveReport, ControlError> {
     let driven = drive_warm(device, clock, motion, &mut motor.heat, records, stop);
-    motor.off_since_ns = Some(clock.now_ns());
+    motor.switched_off(clock);
     match driven {
         Ok(report) => {
             *state = motion.control_state();
@@ -475,13 +333,13 @@ fn driven(
 mod tests {
     use super::super::plant_device::{Mishap, PlantDevice};
     use super::*;
-    use crate::clock::VirtualClock;
     use crate::control::RING_CAPACITY;
+    use crate::device::LinkFault;
     use crate::estimation::Calibration;
     use crate::estimation::EstimatorSettings;
     use crate::policy::{ClassicalController, ClassicalGains};
     use crate::qube::{PlantModel, State};
-    use crate::safety::{COOLED_LOAD, SafetyBox};
+    use crate::safety::SafetyBox;
     use crate::telemetry::{Ending, Fault};
 
     /// A thread whose device loses its port at this sample, and settings for a short rollout on it.
@@ -576,21 +434,5 @@ mod tests {
         let (_, settings) = control(u32::MAX);
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
         assert!(thread.cool_motor().unwrap().load > cooled.load);
-    }
-
-    #[test]
-    fn a_hot_motor_cools_down_before_the_next_motion_unless_a_stop_is_asked_for() {
-        let clock = VirtualClock::default();
-        let heat = MotorHeat { load: 0.85, ..MotorHeat::default() };
-        let mut motor = Motor { heat, off_since_ns: Some(0) };
-        motor.cool_down(&clock, &AtomicBool::new(false));
-        assert!((motor.heat.load - COOLED_LOAD).abs() < 1e-3, "{motor:?}");
-        let waited_s = clock.now_ns() as f64 * 1e-9;
-        assert!((waited_s - heat.cooling_s()).abs() < 1e-3, "{waited_s} s");
-
-        let now_ns = clock.now_ns();
-        let mut motor = Motor { heat, off_since_ns: Some(now_ns) };
-        motor.cool_down(&clock, &AtomicBool::new(true));
-        assert_eq!((clock.now_ns(), motor.heat), (now_ns, heat));
     }
 }

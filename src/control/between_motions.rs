@@ -1,0 +1,156 @@
+//! Knowledge that the control thread keeps from one motion to the next: how warm the motor is, and where arm
+//! and pendulum came to rest.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::{ControlError, Moved, RestWatch, RestingCounts, SAMPLE_TIMEOUT_NS};
+use crate::clock::{Clock, Nanoseconds};
+use crate::device::{Device, DeviceError, LinkFault};
+use crate::qube::{CONTROL_PERIOD_NS, Measurement};
+use crate::safety::MotorHeat;
+use crate::telemetry::TickSettings;
+
+/// Interval at which a cooling pause checks for a request to stop, ns.
+const COOLING_STEP_NS: Nanoseconds = 100_000_000;
+
+/// Time that arm and pendulum may take to come to rest with the amplifier off, ns. If they do not,
+/// the arm is homed before the next rollout.
+const REST_TIME_NS: Nanoseconds = 15_000_000_000;
+
+/// The motor's heat between motions.
+#[derive(Debug, Default)]
+pub(super) struct Motor {
+    pub heat: MotorHeat,
+    /// Time since which the motor has been without current and which `heat` does not include;
+    /// `None` before the first motion.
+    off_since_ns: Option<Nanoseconds>,
+}
+
+impl Motor {
+    /// A motor with this heat whose current ends now.
+    pub fn off_from_now(heat: MotorHeat, clock: &dyn Clock) -> Self {
+        Self { heat, off_since_ns: Some(clock.now_ns()) }
+    }
+
+    /// Notes that the current ends now.
+    pub fn switched_off(&mut self, clock: &dyn Clock) {
+        self.off_since_ns = Some(clock.now_ns());
+    }
+
+    /// Cools the motor for the time without current since the last update.
+    fn cool(&mut self, clock: &dyn Clock) {
+        if let Some(off_since_ns) = &mut self.off_since_ns {
+            let now_ns = clock.now_ns();
+            let off_ns = now_ns.saturating_sub(*off_since_ns);
+            self.heat = self.heat.cooled(off_ns as f64 * 1e-9);
+            *off_since_ns = now_ns;
+        }
+    }
+
+    /// Waits with the amplifier off while the motor is too hot for the next motion.
+    pub fn cool_down(&mut self, clock: &dyn Clock, stop: &AtomicBool) {
+        self.cool(clock);
+        let end_ns = clock.now_ns() + (self.heat.cooling_s() * 1e9) as Nanoseconds;
+        while clock.now_ns() < end_ns && !stop.load(Ordering::Relaxed) {
+            clock.sleep_until(end_ns.min(clock.now_ns() + COOLING_STEP_NS));
+            self.cool(clock);
+        }
+    }
+}
+
+/// Knowledge about the encoder counts between motions.
+#[derive(Debug, Default)]
+pub(super) struct Undriven {
+    /// Name of the port for errors.
+    pub port: String,
+    /// Counts at which arm and pendulum came to rest after the last motion; `None` if they were not
+    /// seen at rest.
+    pub left_at: Option<RestingCounts>,
+}
+
+impl Undriven {
+    /// Watches, with the amplifier off, where arm and pendulum come to rest after a motion.
+    pub fn keep(
+        &mut self,
+        last: Option<&Measurement>,
+        device: &mut dyn Device,
+        clock: &dyn Clock,
+        stop: &AtomicBool,
+    ) {
+        let mut watch = RestWatch::after(last);
+        self.left_at = match watch_rest(&mut watch, device, clock, stop) {
+            Ok(rest) if !watch.has_jumped() => rest,
+            Ok(_) | Err(_) => None,
+        };
+    }
+
+    /// Checks before a rollout arms the device that arm and pendulum are where they were left.
+    pub fn compare(
+        &self,
+        settings: &TickSettings,
+        device: &mut dyn Device,
+        clock: &dyn Clock,
+        stop: &AtomicBool,
+    ) -> Result<(), ControlError> {
+        let link = |fault| match fault {
+            LinkFault::NotArmed => DeviceError::Restarted { port: self.port.clone() },
+            fault => DeviceError::Link { port: self.port.clone(), fault },
+        };
+        let rest = watch_rest(&mut RestWatch::default(), device, clock, stop).map_err(link)?;
+        let rest = rest.ok_or(Moved::Unseen)?;
+        Ok(rest.compare(self.left_at, settings.calibration.alpha_zero_counts)?)
+    }
+}
+
+/// Samples at 100 Hz until arm and pendulum are at rest; `None` if they are not in time or `stop`
+/// is set.
+///
+/// # Errors
+/// The port is gone, or the board has restarted. Lost samples are tolerated.
+fn watch_rest(
+    watch: &mut RestWatch,
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+) -> Result<Option<RestingCounts>, LinkFault> {
+    let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
+    let begin_ns = clock.now_ns();
+    let mut deadline_ns = begin_ns;
+    while deadline_ns < begin_ns + REST_TIME_NS && !stop.load(Ordering::Relaxed) {
+        match device.sample(clock.now_ns() + sample_time_ns) {
+            Ok(sample) => {
+                if let Some(rest) = watch.update(&sample) {
+                    return Ok(Some(rest));
+                }
+            }
+            Err(fault @ (LinkFault::Gone | LinkFault::NotArmed)) => return Err(fault),
+            Err(_) => {}
+        }
+        deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());
+        clock.sleep_until(deadline_ns);
+    }
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::VirtualClock;
+    use crate::safety::COOLED_LOAD;
+
+    #[test]
+    fn a_hot_motor_cools_down_before_the_next_motion_unless_a_stop_is_asked_for() {
+        let clock = VirtualClock::default();
+        let heat = MotorHeat { load: 0.85, ..MotorHeat::default() };
+        let mut motor = Motor { heat, off_since_ns: Some(0) };
+        motor.cool_down(&clock, &AtomicBool::new(false));
+        assert!((motor.heat.load - COOLED_LOAD).abs() < 1e-3, "{motor:?}");
+        let waited_s = clock.now_ns() as f64 * 1e-9;
+        assert!((waited_s - heat.cooling_s()).abs() < 1e-3, "{waited_s} s");
+
+        let now_ns = clock.now_ns();
+        let mut motor = Motor { heat, off_since_ns: Some(now_ns) };
+        motor.cool_down(&clock, &AtomicBool::new(true));
+        assert_eq!((clock.now_ns(), motor.heat), (now_ns, heat));
+    }
+}

@@ -1,0 +1,33 @@
+use thiserror::Error;
+
+use super::{ControlEvent, ControlState, Moved};
+use crate::device::DeviceError;
+
+/// Error: the control thread has panicked.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error(
+    "the control thread has ended unexpectedly; the device's watchdog has switched the motor off"
+)]
+pub struct ThreadGone;
+
+/// A reason why control cannot carry out a command.
+#[derive(Debug, Error)]
+pub enum ControlError {
+    /// The device failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// The state table does not allow the command.
+    #[error(
+        "{wanted:?} is not possible while control is {state:?}: after a fault or a start the Qube \
+         needs a new hello and homing first"
+    )]
+    Refused {
+        /// The refused command.
+        wanted: ControlEvent,
+        /// The current state.
+        state: ControlState,
+    },
+    /// The zeros of the last homing no longer hold; nothing has been armed.
+    #[error("{0}: the arm is homed again first")]
+    Moved(#[from] Moved),
+}
