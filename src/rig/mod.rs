@@ -5,14 +5,17 @@
 //! `recording`, `telemetry` and `storage`. Sessions, experiments and the commands `run`, `check` and `soak` use
 //! it alike: [`RigSettings`] describe a rig, [`Rig::open`] opens it, and [`Rig::rollout`] records a rollout.
 
+mod connection;
 mod doubt;
 mod error;
 mod opened;
+mod rollout;
 mod settings;
 
 pub use doubt::{Doubt, DoubtMemory};
 pub use error::RigError;
-pub use opened::{Pressed, Recorded, Rig};
+pub use opened::{Pressed, Rig};
+pub use rollout::Recorded;
 pub use settings::{
     ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, MAX_NOT_BEGUN, Recovery, RigSettings,
     TimedDevice,

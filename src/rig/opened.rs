@@ -1,69 +1,48 @@
 use std::cell::Cell;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use super::error::link_fault;
-use super::{ClockChoice, DeviceChoice, Doubt, DoubtMemory, RigError, RigSettings};
-use crate::clock::{Clock, PunctualClock, RealtimeReport, VirtualClock};
-use crate::control::{
-    ControlError, ControlThread, HomingSettings, Patience, PressOutcome, RING_CAPACITY, StopPress,
-    drive,
-};
+use super::connection::connect;
+use super::{ClockChoice, Doubt, DoubtMemory, RigError, RigSettings};
+use crate::clock::RealtimeReport;
+use crate::control::{ControlThread, HomingSettings, Patience, PressOutcome, StopPress, drive};
 use crate::device::emulator::EmulatedQube;
-use crate::device::{Device, DeviceError, Identity, SerialLink};
-use crate::estimation::{MeasuredRig, MeasuredStops};
-use crate::policy::Policy;
+use crate::device::{DeviceError, Identity};
+use crate::estimation::MeasuredRig;
 use crate::preflight::{
     Examination, ExaminationSettings, admit_processor, examine, foresight_time_us, homed,
     homing_left_out, measure_link, not_homed,
 };
 use crate::qube::PlantModel;
-use crate::recording::Recorder;
-use crate::safety::{
-    ForesightSettings, Guard, HardwareLimits, IdentifiedQube, Limit, MotorHeat, SafetyBox,
-};
-use crate::storage::Disk;
-use crate::telemetry::{
-    CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight, RolloutHeader,
-    RolloutOutcome, TickSettings,
-};
+use crate::safety::{HardwareLimits, IdentifiedQube, MotorHeat};
+use crate::telemetry::{CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight};
 
 /// Pauses before the second and third attempt at homing, ns, so that a link or computer that is late for
 /// two seconds does not use up all attempts.
 const HOMING_PAUSES_NS: [u64; 2] = [1_000_000_000, 2_000_000_000];
 
-/// Smallest distance between the box and the nearer stop, rad: that of the thesis.
-const INSIDE_STOP_RAD: f64 = 0.09;
-
-/// Narrows the task's box to the rig's own stops.
-fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> SafetyBox {
-    let widest_rad = stops.map_or(f64::INFINITY, |stops| stops.nearer_rad() - INSIDE_STOP_RAD);
-    SafetyBox { theta: of_the_task.theta.min(widest_rad), ..*of_the_task }
-}
-
 /// A Qube that has answered a hello and is homed, with the thread that drives it.
 pub struct Rig {
-    control: ControlThread,
-    identity: Identity,
-    measured: MeasuredRig,
-    plant: PlantModel,
+    pub(super) control: ControlThread,
+    pub(super) identity: Identity,
+    pub(super) measured: MeasuredRig,
+    pub(super) plant: PlantModel,
     homing: HomingSettings,
-    preflight: Preflight,
+    pub(super) preflight: Preflight,
     /// Measured link, except for the embedded emulator's plain line.
-    link: Option<MeasuredLink>,
+    pub(super) link: Option<MeasuredLink>,
     clock: ClockChoice,
-    limits: HardwareLimits,
+    pub(super) limits: HardwareLimits,
     stop: Arc<AtomicBool>,
     link_patience_s: f64,
     memory: Option<DoubtMemory>,
     /// Longest prediction of the guard on this processor, us; 0 where nothing real moves.
-    foresight_time_us: f64,
+    pub(super) foresight_time_us: f64,
     /// Model that the guard uses, until a rollout contradicts it.
-    identified: Cell<Option<IdentifiedQube>>,
+    pub(super) identified: Cell<Option<IdentifiedQube>>,
     /// Fault that ended the last motion, until the Qube is homed again.
-    last_fault: Cell<Option<Fault>>,
+    pub(super) last_fault: Cell<Option<Fault>>,
     /// Emulator, served until the rig is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
 }
@@ -75,15 +54,6 @@ pub struct Pressed {
     pub ending: Ending,
     /// Motion of the arm.
     pub outcome: PressOutcome,
-}
-
-/// A rollout whose recording is complete on disk.
-#[derive(Debug)]
-pub struct Recorded {
-    /// Path of the recording.
-    pub path: PathBuf,
-    /// Outcome of the rollout.
-    pub outcome: RolloutOutcome,
 }
 
 impl Rig {
@@ -306,7 +276,7 @@ impl Rig {
     }
 
     /// Latches the fault that ended a motion; a doubt is stored where it can outlive the program.
-    fn latch(&self, ending: Ending) {
+    pub(super) fn latch(&self, ending: Ending) {
         let Ending::Fault(fault) = ending else { return };
         self.last_fault.set(Some(fault));
         if let Some(memory) = self.memory.as_ref().filter(|_| fault.leaves_doubt()) {
@@ -377,143 +347,8 @@ impl Rig {
         self.control.realtime()
     }
 
-    /// Runs one rollout and records it to `path`. The rig fills device, calibration and time into the
-    /// header.
-    ///
-    /// # Errors
-    /// The box is wider than hardware may have, or its guard no longer exists; the device could not be armed; the policy is invalid; or the recording could not be written. A rollout that a fault ended is not an error here: its outcome names the fault.
-    pub fn rollout(
-        &self,
-        disk: &dyn Disk,
-        path: &Path,
-        header: RolloutHeader,
-        policy_file: &[u8],
-    ) -> Result<Recorded, RigError> {
-        header.settings.safety_box.guard.check_driven()?;
-        if self.is_hardware() {
-            self.limits.admit(&header.settings.safety_box)?;
-            if header.settings.safety_box.guard == Guard::Foresight {
-                admit_processor(self.foresight_time_us)?;
-            }
-        }
-        let policy = Policy::from_bytes(policy_file)?;
-        policy.check_plant(&self.plant)?;
-        let safety_box = header.settings.safety_box.inside_travel(&self.plant);
-        let settings = TickSettings {
-            calibration: self.measured.calibration,
-            stops: self.measured.stops,
-            safety_box: inside_stops(&safety_box, self.measured.stops),
-            plant: self.plant,
-            foresight: (header.settings.safety_box.guard == Guard::Foresight).then(|| {
-                ForesightSettings {
-                    identified: self.identified.get(),
-                    ..ForesightSettings::of_plant(&self.plant)
-                }
-            }),
-            ..header.settings
-        };
-        let header = RolloutHeader {
-            started_unix_ns: self.wall_time_ns(),
-            device: self.device_by_name(),
-            preflight: self.preflight.clone(),
-            motor_heat: Some(self.control.cool_motor()?),
-            hard_stop_accepted: self.is_hardware() && settings.safety_box.guard.is_box(),
-            settings,
-            ..header
-        };
-        let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
-        let recorder = Recorder::start(disk, path, header, policy_file, consumer)?;
-        let report = match self.control.rollout(settings, policy, producer)? {
-            Ok(report) => report,
-            Err(error) => {
-                recorder.discard(disk);
-                return Err(self.not_begun(error));
-            }
-        };
-        self.latch(report.outcome.ending);
-        if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
-            tracing::warn!(
-                "the Qube does not move as its profile says: from now on it is guarded as an unknown one. Is \
-                 the pendulum another one, or the supply weak? Record excitations and make a new profile"
-            );
-            self.identified.set(None);
-        }
-        let path = recorder.finish(report.outcome.clone(), report.last_ticks)?;
-        Ok(Recorded { path, outcome: report.outcome })
-    }
-
-    fn not_begun(&self, error: ControlError) -> RigError {
-        match error {
-            ControlError::Device(source) => match link_fault(&source) {
-                Some(fault) => {
-                    self.last_fault.set(Some(fault));
-                    RigError::NotBegun { fault, source: ControlError::Device(source) }
-                }
-                None => RigError::Device(source),
-            },
-            ControlError::Moved(moved) => {
-                tracing::warn!("{moved}: the rollout does not begin, and the arm is homed again");
-                ControlError::from(moved).into()
-            }
-            refused => refused.into(),
-        }
-    }
-
-    fn wall_time_ns(&self) -> Option<u64> {
+    pub(super) fn wall_time_ns(&self) -> Option<u64> {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
         (self.clock == ClockChoice::Wall).then_some(since_1970.as_nanos() as u64)
-    }
-
-    fn device_by_name(&self) -> std::collections::BTreeMap<String, String> {
-        let identity = &self.identity;
-        let link = self.link.as_ref();
-        // The recorded samples reflect the time that a tick waits; a replay needs neither figure, but a
-        // reader may.
-        let link = link.into_iter().flat_map(|link| {
-            [
-                ("link_p50_us", format!("{:.0}", link.round_trip_us.p50)),
-                ("link_p99_us", format!("{:.0}", link.round_trip_us.p99)),
-                ("sample_time_us", link.sample_time_us.to_string()),
-            ]
-        });
-        let itself = [
-            ("kind", identity.kind.clone()),
-            ("serial", identity.serial.clone()),
-            ("firmware_version", identity.firmware_version.clone()),
-            ("protocol_version", identity.protocol_version.to_string()),
-            // A pty has a different name each time, and under virtual time nothing may differ.
-            ("port", identity.port.clone()),
-        ];
-        itself.into_iter().chain(link).map(|(name, value)| (name.to_owned(), value)).collect()
-    }
-}
-
-type Connection = (Box<dyn Device>, Arc<dyn Clock>, Option<EmulatedQube>);
-
-fn connect(settings: &RigSettings) -> Result<Connection, RigError> {
-    match (&settings.device, settings.clock) {
-        (DeviceChoice::Other(other), _) => {
-            let (device, clock) = other.connect(&settings.emulator)?;
-            Ok((device, clock, None))
-        }
-        (DeviceChoice::Emulated, ClockChoice::Virtual) => {
-            let clock = VirtualClock::default();
-            let link = SerialLink::in_process(settings.emulator, clock.clone());
-            Ok((Box::new(link), Arc::new(clock), None))
-        }
-        (DeviceChoice::Emulated, ClockChoice::Wall) => {
-            let emulator = EmulatedQube::spawn(settings.emulator).map_err(RigError::Emulator)?;
-            let clock: Arc<dyn Clock> = Arc::new(PunctualClock::new());
-            let port = emulator.port().to_string_lossy().into_owned();
-            let link = SerialLink::open(&port, Arc::clone(&clock))?;
-            Ok((Box::new(link), clock, Some(emulator)))
-        }
-        (DeviceChoice::Port(port), ClockChoice::Wall) => {
-            let clock: Arc<dyn Clock> = Arc::new(PunctualClock::new());
-            Ok((Box::new(SerialLink::open(port, Arc::clone(&clock))?), clock, None))
-        }
-        (DeviceChoice::Port(port), ClockChoice::Virtual) => {
-            Err(RigError::VirtualPort { port: port.clone() })
-        }
     }
 }

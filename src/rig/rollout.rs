@@ -1,0 +1,138 @@
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::error::link_fault;
+use super::{Rig, RigError};
+use crate::control::{ControlError, RING_CAPACITY};
+use crate::estimation::MeasuredStops;
+use crate::policy::Policy;
+use crate::preflight::admit_processor;
+use crate::recording::Recorder;
+use crate::safety::{ForesightSettings, Guard, Limit, SafetyBox};
+use crate::storage::Disk;
+use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickSettings};
+
+/// A rollout whose recording is complete on disk.
+#[derive(Debug)]
+pub struct Recorded {
+    /// Path of the recording.
+    pub path: PathBuf,
+    /// Outcome of the rollout.
+    pub outcome: RolloutOutcome,
+}
+
+/// Smallest distance between the box and the nearer stop, rad: that of the thesis.
+const INSIDE_STOP_RAD: f64 = 0.09;
+
+/// Narrows the task's box to the rig's own stops.
+fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> SafetyBox {
+    let widest_rad = stops.map_or(f64::INFINITY, |stops| stops.nearer_rad() - INSIDE_STOP_RAD);
+    SafetyBox { theta: of_the_task.theta.min(widest_rad), ..*of_the_task }
+}
+
+impl Rig {
+    /// Runs one rollout and records it to `path`. The rig fills device, calibration and time into the
+    /// header.
+    ///
+    /// # Errors
+    /// The box is wider than hardware may have, or its guard no longer exists; the device could not be armed; the policy is invalid; or the recording could not be written. A rollout that a fault ended is not an error here: its outcome names the fault.
+    pub fn rollout(
+        &self,
+        disk: &dyn Disk,
+        path: &Path,
+        header: RolloutHeader,
+        policy_file: &[u8],
+    ) -> Result<Recorded, RigError> {
+        header.settings.safety_box.guard.check_driven()?;
+        if self.is_hardware() {
+            self.limits.admit(&header.settings.safety_box)?;
+            if header.settings.safety_box.guard == Guard::Foresight {
+                admit_processor(self.foresight_time_us)?;
+            }
+        }
+        let policy = Policy::from_bytes(policy_file)?;
+        policy.check_plant(&self.plant)?;
+        let safety_box = header.settings.safety_box.inside_travel(&self.plant);
+        let settings = TickSettings {
+            calibration: self.measured.calibration,
+            stops: self.measured.stops,
+            safety_box: inside_stops(&safety_box, self.measured.stops),
+            plant: self.plant,
+            foresight: (header.settings.safety_box.guard == Guard::Foresight).then(|| {
+                ForesightSettings {
+                    identified: self.identified.get(),
+                    ..ForesightSettings::of_plant(&self.plant)
+                }
+            }),
+            ..header.settings
+        };
+        let header = RolloutHeader {
+            started_unix_ns: self.wall_time_ns(),
+            device: self.device_by_name(),
+            preflight: self.preflight.clone(),
+            motor_heat: Some(self.control.cool_motor()?),
+            hard_stop_accepted: self.is_hardware() && settings.safety_box.guard.is_box(),
+            settings,
+            ..header
+        };
+        let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
+        let recorder = Recorder::start(disk, path, header, policy_file, consumer)?;
+        let report = match self.control.rollout(settings, policy, producer)? {
+            Ok(report) => report,
+            Err(error) => {
+                recorder.discard(disk);
+                return Err(self.not_begun(error));
+            }
+        };
+        self.latch(report.outcome.ending);
+        if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
+            tracing::warn!(
+                "the Qube does not move as its profile says: from now on it is guarded as an unknown one. Is \
+                 the pendulum another one, or the supply weak?"
+            );
+            self.identified.set(None);
+        }
+        let path = recorder.finish(report.outcome.clone(), report.last_ticks)?;
+        Ok(Recorded { path, outcome: report.outcome })
+    }
+
+    fn not_begun(&self, error: ControlError) -> RigError {
+        match error {
+            ControlError::Device(source) => match link_fault(&source) {
+                Some(fault) => {
+                    self.last_fault.set(Some(fault));
+                    RigError::NotBegun { fault, source: ControlError::Device(source) }
+                }
+                None => RigError::Device(source),
+            },
+            ControlError::Moved(moved) => {
+                tracing::warn!("{moved}: the rollout does not begin, and the arm is homed again");
+                ControlError::from(moved).into()
+            }
+            refused => refused.into(),
+        }
+    }
+
+    fn device_by_name(&self) -> BTreeMap<String, String> {
+        let identity = &self.identity;
+        let link = self.link.as_ref();
+        // The recorded samples reflect the time that a tick waits; a replay needs neither figure, but a
+        // reader may.
+        let link = link.into_iter().flat_map(|link| {
+            [
+                ("link_p50_us", format!("{:.0}", link.round_trip_us.p50)),
+                ("link_p99_us", format!("{:.0}", link.round_trip_us.p99)),
+                ("sample_time_us", link.sample_time_us.to_string()),
+            ]
+        });
+        let itself = [
+            ("kind", identity.kind.clone()),
+            ("serial", identity.serial.clone()),
+            ("firmware_version", identity.firmware_version.clone()),
+            ("protocol_version", identity.protocol_version.to_string()),
+            // A pty has a different name each time, and under virtual time nothing may differ.
+            ("port", identity.port.clone()),
+        ];
+        itself.into_iter().chain(link).map(|(name, value)| (name.to_owned(), value)).collect()
+    }
+}
