@@ -2,9 +2,12 @@
 
 use std::path::Path;
 
+use super::controller::{policy, trained_on_true_states};
 use super::*;
 use crate::control::HomingSettings;
 use crate::device::emulator::{EmulatorFault, EmulatorSettings};
+use crate::policy::{Policy, SimulatedSensors};
+use crate::recording::read;
 use crate::rig::{DoubtMemory, Recovery};
 use crate::telemetry::Preflight;
 
@@ -62,7 +65,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     let (ended, results) = run(remembering(Some("stall@27"), false), &directory.join("one"), 6);
     let ended_by = ended.unwrap_err().ended_by();
     // The results so far are printed, with the reason why there are no more.
-    let returns = &results.returns;
+    let returns: Vec<Option<f64>> = results.rollouts.iter().map(|it| it.return_).collect();
     assert!(returns.len() >= 2 && returns.len() < 6, "{returns:?}");
     assert!(returns[0].is_some() && returns.last().unwrap().is_none(), "{returns:?}");
     assert_eq!(results.json()["returns"].as_array().unwrap().len(), returns.len());
@@ -102,9 +105,10 @@ fn a_cable_that_is_plugged_in_again_voids_one_rollout_and_the_run_goes_on() {
     let settings = settings(Some("unplug@9+3"));
     let (ended, results) = run_within(SafetyBox::THESIS, settings, directory.path(), 3);
     ended.unwrap();
-    let void: Vec<usize> = (0..3).filter(|number| results.returns[*number].is_none()).collect();
-    let [void] = void[..] else { panic!("{:?}", results.returns) };
-    let why = results.ended_early[void].as_ref().unwrap();
+    let void: Vec<usize> =
+        (0..3).filter(|number| results.rollouts[*number].return_.is_none()).collect();
+    let [void] = void[..] else { panic!("{:?}", results.rollouts) };
+    let why = results.rollouts[void].ended_early.as_ref().unwrap();
     assert!(void < 2 && why.contains("unplugged"), "{why}");
 }
 
@@ -118,8 +122,9 @@ fn a_cable_that_stays_out_is_a_fault_with_what_was_measured() {
     assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!("link_gone"), &json!(4)));
     let cause = ended_by["cause"].as_str().unwrap();
     assert!(cause.contains("did not come back within 2 s"), "{cause}");
-    assert!(results.returns.len() >= 2 && results.returns[0].is_some(), "{:?}", results.returns);
-    assert_eq!(recordings(directory.path()), results.returns.len());
+    let rollouts = &results.rollouts;
+    assert!(rollouts.len() >= 2 && rollouts[0].return_.is_some(), "{rollouts:?}");
+    assert_eq!(recordings(directory.path()), rollouts.len());
 }
 
 #[test]

@@ -1,0 +1,73 @@
+use std::path::Path;
+
+use super::Arguments;
+use crate::commands::exit::Failure;
+use crate::commands::failures;
+use crate::policy::{
+    ClassicalController, ClassicalGains, EXCITATION_STEPS, Excitation, ExcitationShape, Policy,
+    SimulatedSensors,
+};
+use crate::qube::{MAX_STEPS, PlantModel};
+
+/// The controller of the rollouts: its name for the header, and the bytes of its file for each rollout.
+pub struct RunController {
+    pub name: String,
+    pub files: Vec<Vec<u8>>,
+    pub steps: u32,
+    /// Note for the operator before the first rollout.
+    pub note: Option<String>,
+    /// Policy of a file; `None` for an excitation.
+    pub policy: Option<Policy>,
+}
+
+impl RunController {
+    /// The controller that the arguments choose.
+    pub fn chosen(arguments: &Arguments) -> Result<Self, Failure> {
+        if let Some(argument) = arguments.excite {
+            let shape = ExcitationShape::from(argument);
+            let excitation = |rollout| Excitation::of_rollout(shape, arguments.volts, rollout);
+            let file = |rollout| Policy::Excitation(excitation(rollout)).to_bytes();
+            return Ok(Self {
+                name: format!("excitation by {}", format!("{shape:?}").to_lowercase()),
+                files: [0, 1].map(file).into(),
+                steps: EXCITATION_STEPS,
+                note: None,
+                policy: None,
+            });
+        }
+        let name = arguments.policy.clone().unwrap_or_default();
+        let policy = policy(&name)?;
+        let note = trained_on_true_states(&policy).then(|| {
+            format!(
+                "note: {name} was trained on true states, which no Qube shows: encoders and estimator may \
+                 make it fall at once. `train --preset robust` makes policies for a Qube"
+            )
+        });
+        let files = vec![policy.to_bytes()];
+        Ok(Self { files, name, steps: MAX_STEPS as u32, note, policy: Some(policy) })
+    }
+
+    /// Checks that the policy was made for this plant.
+    pub fn check_plant(&self, plant: &PlantModel) -> Result<(), Failure> {
+        let checked = self.policy.as_ref().map_or(Ok(()), |policy| policy.check_plant(plant));
+        checked.map_err(|other| Failure::usage(format!("{}: {other}", self.name)))
+    }
+
+    /// The file of a rollout.
+    pub fn file(&self, rollout: u32) -> &[u8] {
+        &self.files[rollout as usize % self.files.len()]
+    }
+}
+
+/// Loads the policy of this name: a file, or `classical`.
+pub fn policy(name: &str) -> Result<Policy, Failure> {
+    if name == "classical" {
+        return Ok(Policy::Classical(ClassicalController::new(ClassicalGains::default())));
+    }
+    Policy::load(Path::new(name)).map_err(|error| failures::policy(&error))
+}
+
+/// Whether a policy was trained on states that no Qube shows.
+pub fn trained_on_true_states(policy: &Policy) -> bool {
+    matches!(policy, Policy::Network(it) if it.training.sensors == SimulatedSensors::TrueState)
+}

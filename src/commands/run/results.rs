@@ -1,0 +1,191 @@
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use crate::commands::exit::Failure;
+use crate::commands::{
+    command_hints, failures, heat_line, observer_resets_line, quietness_line, timing_lines,
+};
+use crate::identification::{Unfit, check_recording};
+use crate::qube::QubeModel;
+use crate::recording::{Recording, read};
+use crate::replay::MotionLog;
+use crate::scoring::{Latencies, Quietness, Verdict, score_recording};
+use crate::session::{DRIFT_ROLLOUTS, Drift};
+use crate::telemetry::{Ending, Fault};
+
+/// The results of the rollouts, read from their recordings.
+#[derive(Debug, Default)]
+pub struct Results {
+    /// Whether an excitation drove the Qube, so that `identify`'s use of it is reported.
+    excited: bool,
+    /// Rollouts in order.
+    pub rollouts: Vec<RolloutRow>,
+    latencies: Latencies,
+    /// Quietness of balancing, if the policy balanced.
+    quietness: Quietness,
+    /// Number of observer resets.
+    observer_resets: u64,
+    /// Largest load of the motor; `None` if no recording has it.
+    largest_motor_load: Option<f64>,
+    /// Fault that ended the last rollout, if one did.
+    pub fault: Option<Fault>,
+    /// Reason why the last rollout is void without a fault.
+    void: Option<String>,
+    /// Recordings of the first rollouts with a result.
+    first: Vec<Recording>,
+    /// Drift of the rig from its profile, or the reason why it cannot be estimated.
+    drift: Option<Result<Drift, Unfit>>,
+}
+
+/// The result of one rollout: a row of the table.
+#[derive(Debug)]
+pub struct RolloutRow {
+    recording: PathBuf,
+    /// Return; `None` without a result.
+    pub return_: Option<f64>,
+    success: bool,
+    /// Reason why it ended before its last step, or has no result.
+    pub ended_early: Option<String>,
+    /// Outcome in words.
+    told: String,
+}
+
+impl Results {
+    /// No results yet, of an excitation or a policy.
+    pub fn new(excited: bool) -> Self {
+        Self { excited, ..Self::default() }
+    }
+
+    /// Reads and scores one more recording.
+    pub fn add(&mut self, path: &Path) -> Result<(), Failure> {
+        let recording = read(path).map_err(|error| failures::recording(&error))?;
+        self.latencies.add(&recording.ticks);
+        self.quietness.add(&recording.ticks);
+        let outcome = recording.outcome.as_ref();
+        self.observer_resets += outcome.map_or(0, |outcome| u64::from(outcome.observer_resets));
+        // `None` is less than any number.
+        let load = outcome.and_then(|outcome| outcome.largest_motor_load);
+        if self.largest_motor_load < load {
+            self.largest_motor_load = load;
+        }
+        (self.fault, self.void) = (None, None);
+        let without = |told: String| RolloutRow {
+            recording: path.to_owned(),
+            return_: None,
+            success: false,
+            ended_early: Some(told.clone()),
+            told,
+        };
+        self.rollouts.push(match score_recording(&recording) {
+            Verdict::Result { return_, success, outcome } => {
+                let ended_early = match outcome.ending {
+                    Ending::LeftBox(limit) => Some(format!("left the box: {limit}")),
+                    _ => None,
+                };
+                let told = match &ended_early {
+                    _ if self.excited => fitness(&recording),
+                    Some(reason) => format!("{reason} after {} steps", outcome.steps),
+                    None if success => "success".into(),
+                    None => "not balancing at the end".into(),
+                };
+                let recording = path.to_owned();
+                RolloutRow { recording, return_: Some(return_), success, ended_early, told }
+            }
+            Verdict::Void { reason } => {
+                match outcome.map(|outcome| outcome.ending) {
+                    Some(Ending::Fault(fault)) => self.fault = Some(fault),
+                    _ => self.void = Some(reason.clone()),
+                }
+                without(format!("void: {reason}"))
+            }
+            Verdict::Unfinished => without("stopped".into()),
+        });
+        if self.fault.is_none() && self.void.is_none() && self.first.len() < DRIFT_ROLLOUTS {
+            self.first.push(recording);
+        }
+        Ok(())
+    }
+
+    /// Checks that the last rollout is not void without a fault.
+    pub fn gaps(&self) -> Result<(), Failure> {
+        match &self.void {
+            Some(reason) => Err(Failure::fault(format!("the last rollout is void: {reason}"))),
+            None => Ok(()),
+        }
+    }
+
+    /// Compares the first rollouts with the profile, if there are any.
+    pub fn compare(&mut self, profile: &QubeModel) {
+        if !self.first.is_empty() {
+            self.drift = Some(Drift::of(&self.first, profile));
+        }
+    }
+
+    /// Whether no rollout was run.
+    pub fn is_empty(&self) -> bool {
+        self.rollouts.is_empty()
+    }
+
+    /// The results for people.
+    pub fn text(&self) -> String {
+        let Some(first) = self.rollouts.first() else { return "no rollout was run".into() };
+        let directory = first.recording.parent().unwrap_or(Path::new(".")).display();
+        let mut text = String::new();
+        for (number, RolloutRow { return_, told, .. }) in self.rollouts.iter().enumerate() {
+            let _ = match return_.filter(|_| !self.excited) {
+                Some(return_) => writeln!(text, "rollout {number}: return {return_:6.1}  {told}"),
+                None => writeln!(text, "rollout {number}: {told}"),
+            };
+        }
+        text.push_str(&observer_resets_line(self.observer_resets));
+        text.push_str(&quietness_line(&self.quietness));
+        text.push_str(&heat_line(self.largest_motor_load));
+        let _ = match &self.drift {
+            Some(Ok(drift)) => writeln!(text, "{}", command_hints::drift(drift)),
+            Some(Err(unfit)) => {
+                writeln!(text, "these rollouts say nothing of how the rig is today: {unfit}")
+            }
+            None => Ok(()),
+        };
+        text.push_str(&timing_lines(&self.latencies));
+        let _ = write!(text, "recordings in {directory}");
+        if self.excited {
+            let _ = write!(text, "\nqube-hil identify {directory}/*.mcap says which Qube this is");
+        }
+        text
+    }
+
+    /// The results for scripts.
+    pub fn json(&self) -> Value {
+        fn each<T>(of: &Results, field: impl Fn(&RolloutRow) -> T) -> Vec<T> {
+            of.rollouts.iter().map(field).collect()
+        }
+        json!({
+            "returns": each(self, |it| it.return_),
+            "ended_early": each(self, |it| it.ended_early.clone()),
+            "success": each(self, |it| it.success),
+            "times_astray": self.observer_resets,
+            "balancing": self.quietness.figures(),
+            "largest_motor_load": self.largest_motor_load,
+            "missed_deadlines": self.latencies.missed_deadlines(),
+            "lateness_us": self.latencies.lateness_us(),
+            "sample_to_act_us": self.latencies.sample_to_act_us(),
+            "recordings": each(self, |it| it.recording.to_string_lossy().into_owned()),
+            "drift": self.drift.as_ref().and_then(|drift| drift.as_ref().ok()),
+        })
+    }
+}
+
+/// Whether `identify` can use the recording of an excitation, as a sentence.
+fn fitness(recording: &Recording) -> String {
+    let Some(log) = MotionLog::of_recording(recording) else {
+        return "no motion: `identify` cannot use it".into();
+    };
+    let duration_s = log.samples.last().map_or(0.0, |last| last.time_s);
+    match check_recording(&log) {
+        Ok(()) => format!("{duration_s:.1} s recorded, fit for identify"),
+        Err(unfit) => format!("{duration_s:.1} s recorded, but not fit for identify: {unfit}"),
+    }
+}

@@ -1,0 +1,117 @@
+use std::path::PathBuf;
+
+use super::controller::RunController;
+use super::results::Results;
+use crate::commands::exit::Failure;
+use crate::commands::keyboard::Keyboard;
+use crate::commands::printable::tell;
+use crate::commands::stop::Stop;
+use crate::commands::{failures, warn_without_realtime};
+use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
+use crate::session::RolloutPlan;
+use crate::storage::MachineDisk;
+use crate::telemetry::{Ending, Fault};
+
+/// Several rollouts of one policy.
+pub struct Series<'a> {
+    pub settings: RigSettings,
+    pub plan: RolloutPlan,
+    pub controller: RunController,
+    pub directory: PathBuf,
+    pub stop: &'a Stop,
+    pub keyboard: &'a Keyboard,
+}
+
+impl Series<'_> {
+    /// Runs the rollouts and adds their results.
+    pub fn run(&mut self, rollouts: u32, results: &mut Results) -> Result<(), Failure> {
+        let mut rig = self.open()?;
+        warn_without_realtime(rig.realtime());
+        std::fs::create_dir_all(&self.directory).map_err(|error| {
+            Failure::usage(format!("--out {}: {error}", self.directory.display()))
+        })?;
+        for rollout in 0..rollouts {
+            let recorded = self.rollout(&mut rig, rollout)?;
+            results.add(&recorded.path)?;
+            if self.stop.requested() {
+                break;
+            }
+            let last = rollout + 1 == rollouts;
+            if let Ending::Fault(fault) = recorded.outcome.ending
+                && !last
+            {
+                rig = self.after_fault(rig, fault)?;
+            }
+        }
+        if self.stop.requested() {
+            return Err(self.stop.failure("stopped; the recordings are whole up to here"));
+        }
+        match results.fault {
+            Some(fault) => Err(Failure::fault(told(fault)).of(Some(fault))),
+            None => results.gaps(),
+        }
+    }
+
+    /// Opens the rig. The operator may acknowledge a remembered doubt at a terminal.
+    fn open(&mut self) -> Result<Rig, Failure> {
+        let opened = match Rig::open(&self.settings, &self.stop.flag) {
+            Err(RigError::InDoubt(doubt)) if self.keyboard.acknowledges(&doubt, self.stop) => {
+                self.settings.recovery.acknowledged = true;
+                Rig::open(&self.settings, &self.stop.flag)
+            }
+            opened => opened,
+        };
+        self.settings.recovery.acknowledged = false;
+        opened.map_err(|error| failures::rig(error, self.stop))
+    }
+
+    fn rollout(&self, rig: &mut Rig, rollout: u32) -> Result<Recorded, Failure> {
+        let plan = RolloutPlan { rollout, ..self.plan.clone() };
+        let path = self.directory.join(format!("rollout-{rollout}.mcap"));
+        let mut tries = 0;
+        loop {
+            match rig.rollout(&MachineDisk, &path, plan.header(), self.controller.file(rollout)) {
+                Ok(recorded) => return Ok(recorded),
+                Err(error @ RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
+                    tell(&format!("rollout {rollout} begins again: {error}"));
+                    rig.start_again().map_err(|error| failures::rig(error, self.stop))?;
+                    tries += 1;
+                }
+                Err(error) => return Err(failures::rig(error, self.stop)),
+            }
+        }
+    }
+
+    /// Restarts the rig after a fault, where the fault or the operator allows it.
+    fn after_fault(&mut self, mut rig: Rig, fault: Fault) -> Result<Rig, Failure> {
+        match rig.start_again() {
+            Ok(()) => Ok(rig),
+            Err(RigError::InDoubt(doubt)) if self.keyboard.acknowledges(&doubt, self.stop) => {
+                drop(rig);
+                self.settings.recovery.acknowledged = true;
+                self.settings.recovery.doubt = Some(*doubt);
+                let opened = self.open();
+                self.settings.recovery.doubt = None;
+                opened
+            }
+            Err(error @ (RigError::InDoubt(_) | RigError::Ended { .. })) => {
+                Err(failures::rig(error, self.stop))
+            }
+            Err(error) => {
+                let failure = failures::rig(error, self.stop);
+                Err(failure.after(&format!("a fault ended the last rollout ({fault}), and then")))
+            }
+        }
+    }
+}
+
+/// The message for a fault that ended the last rollout, with the operator's step.
+fn told(fault: Fault) -> String {
+    let then = if fault.leaves_doubt() {
+        ". Then start again with --acknowledge: the Qube is examined first"
+    } else {
+        ""
+    };
+    let step = fault.operator_step().trim_end_matches('.');
+    format!("the last rollout was ended by a fault: {fault}. {step}{then}")
+}
