@@ -2,7 +2,7 @@
 
 use crate::recording::{RecordingError, Unreadable};
 use crate::rig::RigSettings;
-use crate::safety::{Guard, TooWide};
+use crate::safety::{Guard, Limit, TooWide};
 use crate::session::{Drift, PowerTest, UsbLost, power_warning};
 use crate::telemetry::{CheckResult, Fault};
 
@@ -20,6 +20,13 @@ pub fn after_fault(fault: Fault) -> Option<&'static str> {
         }
         _ => None,
     }
+}
+
+/// The commands that help after a rollout was ended by this limit.
+pub fn after_limit(limit: Limit) -> Option<&'static str> {
+    let is_unpredicted = limit == Limit::Unpredicted;
+    is_unpredicted
+        .then_some("qube-hil run --excite chirp, then qube-hil identify, make a new profile")
 }
 
 /// The cure of a failed check, with the command that carries it out.
@@ -79,4 +86,16 @@ pub fn before_driving(power: Option<&PowerTest>) -> Option<String> {
         Some(UsbLost::MotorOff | UsbLost::KeepsItsWord) => warning.into(),
         Some(UsbLost::Unknown) | None => format!("{warning} with qube-hil check --power-test"),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_contradicted_profile_asks_for_a_new_one() {
+        let hint = after_limit(Limit::Unpredicted).unwrap();
+        assert!(hint.contains("run --excite") && hint.contains("identify"), "{hint}");
+        assert_eq!(after_limit(Limit::Foresight), None);
+    }
 }

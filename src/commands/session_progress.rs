@@ -114,6 +114,12 @@ impl SessionProgress {
                     if *attempt > 0 { format!(" (try {})", attempt + 1) } else { String::new() };
                 let came_to = describe(verdict);
                 self.line(format!("candidate {candidate}, rollout {rollout}{again}: {came_to}"));
+                if let Verdict::Result { outcome, .. } = verdict
+                    && let Ending::LeftBox(limit) = outcome.ending
+                    && let Some(hint) = command_hints::after_limit(limit)
+                {
+                    self.line(hint.into());
+                }
             }
         }
     }

@@ -6,7 +6,7 @@ use crate::commands::exit::Failure;
 use crate::commands::keyboard::Keyboard;
 use crate::commands::printable::tell;
 use crate::commands::stop::Stop;
-use crate::commands::{failures, warn_without_realtime};
+use crate::commands::{command_hints, failures, warn_without_realtime};
 use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
 use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
@@ -33,6 +33,11 @@ impl Series<'_> {
         for rollout in 0..rollouts {
             let recorded = self.rollout(&mut rig, rollout)?;
             results.add(&recorded.path)?;
+            if let Ending::LeftBox(limit) = recorded.outcome.ending
+                && let Some(hint) = command_hints::after_limit(limit)
+            {
+                tell(hint);
+            }
             if self.stop.requested() {
                 break;
             }
