@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::command_hints::unidentified;
 use super::destination::OutputFolder;
@@ -12,6 +12,7 @@ use super::device_arguments::{CheckArguments, ChosenDevice, QubeArguments};
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::experiment_progress::ExperimentProgress;
+use super::experiment_report::ExperimentReport;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::named_values::{named, presets};
@@ -20,21 +21,18 @@ use super::plant_arguments::PlantArguments;
 use super::printable::tell;
 use super::stop::Stop;
 use super::strategy_arguments::{StrategyArguments, check_device};
-use super::{experiment_table, strategy_table};
-use crate::charts::{DrawingError, StepLine, densities_svg, searches_svg, strategies_svg};
 use crate::estimation::EstimatorSettings;
 use crate::experiment::{
-    Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe, Results,
-    SearchReturns, StrategyResult, StrategyResults,
+    Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe,
 };
 use crate::learning::{Preset, TrainSettings};
 use crate::qube::PlantModel;
 use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
-use crate::session::{Extent, FolderError, SessionError, SessionSettings};
-use crate::simulation::{DomainDistribution, Family, Model, SensorModel};
-use crate::storage::{Disk, MachineDisk, write_whole};
+use crate::session::{Extent, SessionError, SessionSettings};
+use crate::simulation::{Family, Model, SensorModel};
+use crate::storage::{MachineDisk, write_whole};
 
 /// Compare recipes: train several policies with each, run them all on the Qube, print the table
 ///
@@ -227,121 +225,31 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         progress.finish();
     }
 
-    let finished = StrategyResults::read(&experiment).and_then(|strategies| {
-        let summary = match &strategies {
-            Some(results) => Summary::of_strategies(results),
-            None => Summary::of_recipes(&Results::read(&experiment)?),
-        };
-        Ok((strategies, summary))
-    });
-    let (strategies, summary) = match finished {
-        Ok(finished) => finished,
+    let report = match ExperimentReport::read(&experiment) {
+        Ok(report) => report,
         // The reason why the experiment ended matters more than the reason why its results cannot be read.
         Err(error) => return Err(ended.err().unwrap_or_else(|| failed(error))),
     };
     let directory = experiment.folder().root().display().to_string();
-    let mut result = summary.value;
+    let mut result = report.json();
     result["directory"] = json!(directory);
     result["wall_s"] = json!(started.elapsed().as_secs_f64());
     result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
-    let text = format!("{}\neverything is in {directory}", summary.table);
+    let text = format!("{}\neverything is in {directory}", report.text());
     if ended.is_err() {
         output.print(&text, &result);
         return ended;
     }
     if let Some(path) = &arguments.csv {
-        write_whole(&MachineDisk, path, summary.csv.as_bytes())
+        write_whole(&MachineDisk, path, report.csv().as_bytes())
             .map_err(|error| failures::folder(&error.into()))?;
     }
     if let Some(folder) = &arguments.figures {
-        Figures::read(&experiment, strategies).map_err(failed)?.write(folder)?;
+        let figures = report.figures(&experiment).map_err(failed)?;
+        figures.write(folder)?;
     }
     output.print(&text, &result);
     Ok(())
-}
-
-/// The results of an experiment: as a table, as JSON, and as CSV.
-struct Summary {
-    table: String,
-    value: Value,
-    csv: String,
-}
-
-impl Summary {
-    fn of_recipes(results: &Results) -> Self {
-        let table = experiment_table::table(results);
-        Self { table, value: experiment_table::value(results), csv: experiment_table::csv(results) }
-    }
-
-    fn of_strategies(results: &StrategyResults) -> Self {
-        let table = strategy_table::table(results);
-        Self { table, value: strategy_table::value(results), csv: strategy_table::csv(results) }
-    }
-}
-
-/// The figures of an experiment as data.
-enum Figures {
-    /// Success against real rollouts, of a comparison of strategies.
-    Strategies(StrategyResults),
-    /// The distributions and searches of recipes.
-    Recipes { distributions: Vec<(String, DomainDistribution)>, searches: SearchReturns },
-}
-
-impl Figures {
-    fn read(
-        experiment: &Experiment,
-        strategies: Option<StrategyResults>,
-    ) -> Result<Self, ExperimentError> {
-        Ok(match strategies {
-            Some(results) => Self::Strategies(results),
-            None => Self::Recipes {
-                distributions: experiment.distributions()?,
-                searches: experiment.searches()?,
-            },
-        })
-    }
-
-    /// The figures by the names of their files.
-    fn drawn(&self) -> Result<Vec<(&'static str, String)>, DrawingError> {
-        let mut drawn = Vec::new();
-        match self {
-            Self::Strategies(results) => {
-                let title = format!(
-                    "{} on {}: recommendations that succeed",
-                    results.recipe, results.plant
-                );
-                let line = |it: &StrategyResult| StepLine {
-                    name: it.method.name().into(),
-                    corners: it.corners(),
-                };
-                let lines: Vec<StepLine> = results.strategies.iter().map(line).collect();
-                let budgets = results.strategies.iter().filter_map(StrategyResult::budget);
-                let last = f64::from(budgets.max().unwrap_or(1).max(2));
-                drawn.push(("strategies.svg", strategies_svg(&title, &lines, last)?));
-            }
-            Self::Recipes { distributions, searches } => {
-                drawn.push(("figure-5.2.svg", densities_svg(distributions)?));
-                if !searches.is_empty() {
-                    drawn.push(("figure-5.3.svg", searches_svg(searches)?));
-                }
-            }
-        }
-        Ok(drawn)
-    }
-
-    fn write(&self, folder: &Path) -> Result<(), Failure> {
-        let drawn = self.drawn().map_err(Failure::failed)?;
-        MachineDisk
-            .create_folder(folder)
-            .map_err(|source| FolderError::Io { path: folder.to_owned(), source })
-            .and_then(|()| {
-                drawn.iter().try_for_each(|(name, svg)| {
-                    write_whole(&MachineDisk, &folder.join(name), svg.as_bytes())
-                        .map_err(FolderError::from)
-                })
-            })
-            .map_err(|error| failures::folder(&error))
-    }
 }
 
 /// Narrows the recipes' boxes to the Qube's own limits, and returns the limits of a rig for all of them.

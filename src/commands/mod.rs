@@ -17,6 +17,7 @@ mod estimator_arguments;
 mod exit;
 mod experiment;
 mod experiment_progress;
+mod experiment_report;
 mod experiment_table;
 mod failures;
 mod guard_argument;

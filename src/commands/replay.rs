@@ -60,6 +60,9 @@ struct Report {
     return_recomputed: Option<f64>,
     actions_compared: usize,
     actions_different: usize,
+    /// Number of actions that could not be compared.
+    #[serde(skip)]
+    not_compared: usize,
     /// Note on the comparison, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     note: Option<&'static str>,
@@ -70,6 +73,24 @@ struct Report {
     problem: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rmse: Option<Rmse>,
+}
+
+impl Report {
+    /// The report for people, a line for each finding.
+    fn text(&self) -> String {
+        let mut lines = Vec::new();
+        if let (Some(recorded), Some(recomputed)) = (self.return_recorded, self.return_recomputed) {
+            let same = self.actions_compared - self.actions_different;
+            let all = self.actions_compared + self.not_compared;
+            lines.push(format!(
+                "return {recorded:.2}, recomputed {recomputed:.2}; {same} of {all} actions are the same bit for bit"
+            ));
+        }
+        lines.extend(self.foreseen.as_ref().map(foreseen_text));
+        lines.extend(self.note.map(str::to_owned));
+        lines.extend(self.rmse.map(rmse_text));
+        lines.into_iter().map(|line| format!("{}: {line}\n", self.path.display())).collect()
+    }
 }
 
 /// Note on a recording under the speed envelope, a guard that this program does not have.
@@ -112,30 +133,29 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         fs::create_dir_all(folder)
             .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;
     }
-    let mut text = String::new();
     let mut reports = Vec::new();
     let mut problems = Vec::new();
     for path in &arguments.files {
         let mut report = Report { path: path.clone(), ..Report::default() };
-        if let Err(problem) = replay_file(arguments, model.as_ref(), &mut report, &mut text) {
+        if let Err(problem) = replay_file(arguments, model.as_ref(), &mut report) {
             report.problem = Some(problem.what.clone());
             problems.push(problem);
         }
         reports.push(report);
     }
+    let errors: Vec<Rmse> = reports.iter().filter_map(|report| report.rmse).collect();
+    let rmse = overall(&errors);
+    let result = match rmse {
+        Some(rmse) => json!({ "recordings": reports, "rmse": rmse }),
+        None => json!({ "recordings": reports }),
+    };
+    let mut text: String = reports.iter().map(Report::text).collect();
     if text.is_empty() {
         text.push_str("nothing was replayed");
     }
-    let errors: Vec<Rmse> = reports.iter().filter_map(|report| report.rmse).collect();
-    let result = match overall(&errors) {
-        Some(rmse) => {
-            if errors.len() > 1 {
-                let _ = writeln!(text, "all: {}", rmse_text(rmse));
-            }
-            json!({ "recordings": reports, "rmse": rmse })
-        }
-        None => json!({ "recordings": reports }),
-    };
+    if let Some(rmse) = rmse.filter(|_| errors.len() > 1) {
+        let _ = writeln!(text, "all: {}", rmse_text(rmse));
+    }
     output.print(&text, &result);
     let all: Vec<&str> = problems.iter().map(|problem| problem.what.as_str()).collect();
     match problems.first() {
@@ -148,7 +168,6 @@ fn replay_file(
     arguments: &Arguments,
     model: Option<&QubeModel>,
     report: &mut Report,
-    text: &mut String,
 ) -> Result<(), Problem> {
     let path = report.path.clone();
     let is_csv = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
@@ -163,7 +182,7 @@ fn replay_file(
         MotionLog::read(&path).map_err(Problem::usage)?
     } else {
         let recording = read(&path).map_err(|error| recording_problem(&error))?;
-        problem = rerun_recording(&recording, report, text)?.err();
+        problem = rerun_recording(&recording, report)?;
         match MotionLog::of_recording(&recording) {
             Some(log) => log,
             // There is nothing to simulate: settling failed, or the file was truncated before the policy
@@ -173,21 +192,17 @@ fn replay_file(
     };
     if arguments.simulate {
         let nominal = log.plant.nominal();
-        simulate_file(arguments, model.unwrap_or(&nominal), &log, report, text)?;
+        simulate_file(arguments, model.unwrap_or(&nominal), &log, report)?;
     }
     problem.map_or(Ok(()), Err)
 }
 
-/// Replays the tick of a recording.
+/// Replays the tick of a recording. Returns the problem of a replay that differs or misses parts of the
+/// recording.
 ///
 /// # Errors
-/// The outer error: the recording cannot be replayed. The inner one: the replay differs, or parts of the recording
-/// are missing.
-fn rerun_recording(
-    recording: &Recording,
-    report: &mut Report,
-    text: &mut String,
-) -> Result<Result<(), Problem>, Problem> {
+/// The recording cannot be replayed.
+fn rerun_recording(recording: &Recording, report: &mut Report) -> Result<Option<Problem>, Problem> {
     let path = report.path.display().to_string();
     let policy = Policy::from_bytes(&recording.policy).map_err(|error| {
         Problem::usage(one_line(&format!("{path}: its policy cannot be run: {error}")))
@@ -197,24 +212,11 @@ fn rerun_recording(
     report.return_recomputed = Some(rerun.return_recomputed);
     report.actions_compared = rerun.actions_compared;
     report.actions_different = rerun.actions_different;
-    let same = rerun.actions_compared - rerun.actions_different;
-    let _ = writeln!(
-        text,
-        "{path}: return {:.2}, recomputed {:.2}; {same} of {} actions are the same bit for bit",
-        rerun.return_recorded,
-        rerun.return_recomputed,
-        rerun.actions_compared + rerun.not_compared,
-    );
+    report.not_compared = rerun.not_compared;
     report.foreseen = rerun.foreseen;
-    if let Some(foreseen) = rerun.foreseen {
-        let _ = writeln!(text, "{path}: {}", foreseen_text(&foreseen));
-    }
-    if rerun.ending_of_the_file {
-        report.note = Some(ENDING_OF_THE_FILE);
-        let _ = writeln!(text, "{path}: {ENDING_OF_THE_FILE}");
-    }
+    report.note = rerun.ending_of_the_file.then_some(ENDING_OF_THE_FILE);
     Ok(findings(recording, &rerun)
-        .map_or(Ok(()), |what| Err(Problem::data_lost(one_line(&format!("{path}: {what}"))))))
+        .map(|what| Problem::data_lost(one_line(&format!("{path}: {what}")))))
 }
 
 /// Describes the defects of a recording, if any.
@@ -281,15 +283,12 @@ fn simulate_file(
     model: &QubeModel,
     log: &MotionLog,
     report: &mut Report,
-    text: &mut String,
 ) -> Result<(), Problem> {
     let path = report.path.display().to_string();
     let open_loop =
         simulate_beside(log, model).map_err(|error| Problem::usage(format!("{path}: {error}")))?;
     let AngleError { theta_rad, alpha_rad } = open_loop.rmse;
-    let rmse = Rmse { theta_rad, alpha_rad };
-    report.rmse = Some(rmse);
-    let _ = writeln!(text, "{path}: {}", rmse_text(rmse));
+    report.rmse = Some(Rmse { theta_rad, alpha_rad });
     if let Some(folder) = &arguments.plot {
         let name = picture_name(&arguments.files, &report.path);
         let picture = folder.join(format!("{name}.svg"));

@@ -5,7 +5,6 @@ use serde_json::{Value, json};
 use super::exit::Failure;
 use super::printable::one_line;
 use super::{observer_resets_line, quietness_line, timing_lines};
-use crate::policy::Policy;
 use crate::session::{BestPolicy, Purpose, ScoredCandidate, SessionReport};
 use crate::simulation::PsiSpace;
 
@@ -15,8 +14,8 @@ pub struct SessionTable(pub SessionReport);
 impl SessionTable {
     /// Checks that the policy that is told as the best can be run.
     pub fn check_best_policy(&self) -> Result<(), Failure> {
-        let Some(best) = &self.0.best else { return Ok(()) };
-        Policy::load(&best.policy).map(drop).map_err(|error| {
+        let checked = self.0.best.as_ref().map_or(Ok(()), BestPolicy::check);
+        checked.map_err(|error| {
             let told = one_line(&error.to_string()).into_owned();
             Failure::data_lost(format!("the best policy is lost: {told}"))
         })

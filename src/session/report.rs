@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use super::{Candidate, Purpose, ScoredCandidate, Session, SessionError};
+use crate::policy::{Policy, PolicyError};
 use crate::recording::read_on;
 use crate::scoring::{Latencies, Quietness};
 use crate::simulation::PsiSpace;
@@ -31,6 +32,16 @@ pub struct BestPolicy {
     pub policy: PathBuf,
     /// Quietness of its balancing.
     pub quietness: Quietness,
+}
+
+impl BestPolicy {
+    /// Checks that the file can be run.
+    ///
+    /// # Errors
+    /// The file is missing or not a policy.
+    pub fn check(&self) -> Result<(), PolicyError> {
+        Policy::load(&self.policy).map(drop)
+    }
 }
 
 impl SessionReport {
