@@ -1,94 +1,16 @@
 //! Reads `session.toml` over a preset and reports every misspelt key.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use thiserror::Error;
-use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-use super::qube_file::LARGEST_OFFSET_RAD;
-use super::retired::{earlier_name, rename_entries};
-use super::{SessionSettings, take_retired};
-use crate::learning::{Preset, TrainError};
-use crate::qube::MAX_STEPS;
-use crate::safety::{Guard, SafetyBox};
-use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
-use crate::storage::{SETTINGS_BYTES, WriteError, read_text};
-
-/// An error in a configuration.
-#[derive(Debug, Error)]
-pub enum ConfigurationError {
-    /// The file cannot be read.
-    #[error("{path} cannot be read: {source}")]
-    Unreadable {
-        /// Path of the file.
-        path: PathBuf,
-        /// Cause of the failure.
-        source: std::io::Error,
-    },
-    /// The file is not TOML, has an unknown key, or a value of the wrong type.
-    #[error("{path}: {}", source.to_string().trim_end())]
-    Invalid {
-        /// Path of the file.
-        path: PathBuf,
-        /// Cause with its line.
-        source: Box<toml::de::Error>,
-    },
-    /// A value is out of range.
-    #[error("{path}{}: {reason}", at_line(*line))]
-    OutOfRange {
-        /// Path of the file.
-        path: PathBuf,
-        /// Line of the value, from 1, if the file names it.
-        line: Option<usize>,
-        /// Name of the value and its range.
-        reason: String,
-    },
-    /// The settings cannot be written as TOML.
-    #[error("the configuration cannot be written: {0}")]
-    Unwritable(#[from] toml::ser::Error),
-    /// The file could not be written.
-    #[error("the settings could not be written: {0}")]
-    NotWritten(WriteError),
-}
-
-impl ConfigurationError {
-    /// Adds to the error the line of the wrong value, which the file has below the key `above`.
-    #[must_use]
-    pub fn located(self, text: &str, above: &str) -> Self {
-        match self {
-            Self::OutOfRange { path, reason, .. } => {
-                // A reason begins with the key that it is about.
-                let is_of_key = |letter: char| letter.is_alphanumeric() || "._".contains(letter);
-                let key: String = reason.chars().take_while(|&letter| is_of_key(letter)).collect();
-                let line = line_of(text, &format!("{above}{}", key.trim_end_matches('.')));
-                Self::OutOfRange { path, line, reason }
-            }
-            other => other,
-        }
-    }
-}
-
-fn at_line(line: Option<usize>) -> String {
-    line.map_or_else(String::new, |line| format!(", line {line}"))
-}
-
-/// The line in which a TOML text gives this key its value, from 1.
-fn line_of(text: &str, key: &str) -> Option<usize> {
-    let document = DeTable::parse(text).ok()?;
-    let mut table = document.get_ref();
-    let mut parts = key.split('.').peekable();
-    while let Some(part) = parts.next() {
-        // A file may name a limit without its unit, or a setting by its earlier name.
-        let is_it = |name: &str| name == part || Some(name) == earlier_name(part);
-        let (_, value) = table.iter().find(|(name, _)| is_it(name.get_ref()))?;
-        match value.get_ref() {
-            DeValue::Table(below) if parts.peek().is_some() => table = below,
-            _ => return Some(1 + text[..value.span().start].matches('\n').count()),
-        }
-    }
-    None
-}
+use super::retired::rename_entries;
+use super::settings_check::BEGIN_ANEW;
+use super::{ConfigurationError, SessionSettings, take_retired};
+use crate::learning::Preset;
+use crate::safety::Guard;
+use crate::simulation::SensorModel;
+use crate::storage::{SETTINGS_BYTES, read_text};
 
 impl SessionSettings {
     /// Reads a complete configuration to resume its session. A file that names no guard selects the box
@@ -200,105 +122,7 @@ impl SessionSettings {
     pub fn to_toml(&self) -> Result<String, ConfigurationError> {
         Ok(toml::to_string_pretty(self)?)
     }
-
-    /// Checks the settings; describes the first invalid one.
-    fn check(&self) -> Result<(), String> {
-        self.check_limits()?;
-        self.estimator.check().map_err(|error| format!("estimator.{error}"))?;
-        if let Some(ProfileSettings { spread, .. }) = self.profile
-            && !(0.0..=1.0).contains(&spread)
-        {
-            return Err(format!("profile.spread = {spread}: give a number from 0 to 1"));
-        }
-        self.base_distribution().map_err(|error| error.to_string())?;
-        let sees_truth = self.training.simulation.sensors == SensorModel::TrueState;
-        if self.psi.has(PsiTarget::Filter) && sees_truth {
-            return Err("psi has filter, but training.simulation.sensors shows true states: \
-                        make it type = \"encoders\""
-                .into());
-        }
-        let counts = [
-            ("extent.initial_candidates", self.extent.initial_candidates, 1..=1000),
-            ("extent.iterations", self.extent.iterations, 0..=1000),
-            ("extent.rollouts", self.extent.rollouts, 1..=1000),
-            ("extent.verification_rollouts", self.extent.verification_rollouts, 1..=1000),
-            ("extent.steps", self.extent.steps, 1..=MAX_STEPS as u32),
-            ("extent.repetitions", self.extent.repetitions, 0..=1000),
-        ];
-        for (name, value, range) in counts {
-            if !range.contains(&value) {
-                let (least, most) = range.into_inner();
-                return Err(format!("{name} = {value}: give a number from {least} to {most}"));
-            }
-        }
-        self.training.check().map_err(|error| match error {
-            TrainError::Setting { name, value, bound } => {
-                format!("training.{name} = {value}: it must be {bound}")
-            }
-            TrainError::Estimator(error) => {
-                format!("training.simulation.sensors.estimator.{error}")
-            }
-            other => other.to_string(),
-        })?;
-        self.search().map(drop).map_err(|error| error.to_string())
-    }
 }
-
-impl SessionSettings {
-    /// Checks that no limit is invalid or wider than the task's; no file may widen a limit, whatever Qube
-    /// it is used with.
-    ///
-    /// # Errors
-    /// Describes the first invalid limit.
-    pub fn check_limits(&self) -> Result<(), String> {
-        let of_the_task = SafetyBox::GUARDED;
-        self.safety_box.check_within(&of_the_task).map_err(of_file)?;
-        let simulated = &self.training.simulation.safety_box;
-        simulated
-            .check_within(&of_the_task)
-            .map_err(|error| format!("training.simulation.{}", of_file(error)))?;
-        let offset_rad = self.homing.theta_offset_rad;
-        if !(-LARGEST_OFFSET_RAD..=LARGEST_OFFSET_RAD).contains(&offset_rad) {
-            return Err(format!(
-                "homing.theta_offset_rad = {offset_rad}: give -{LARGEST_OFFSET_RAD} to \
-                 {LARGEST_OFFSET_RAD}, or the box would reach beyond a stop"
-            ));
-        }
-        self.homing.estimator.check().map_err(|error| format!("homing.estimator.{error}"))
-    }
-
-    /// Checks that a session with these settings can be resumed.
-    ///
-    /// # Errors
-    /// The session ran under a guard that only serves to replay recordings.
-    pub fn check_resumable(&self) -> Result<(), String> {
-        let simulated = self.training.simulation.safety_box.guard;
-        for (key, guard) in
-            [("safety_box", self.safety_box.guard), ("training.simulation.safety_box", simulated)]
-        {
-            if let Err(gone) = guard.check_driven() {
-                return Err(format!("{key}.{gone}: {BEGIN_ANEW}"));
-            }
-        }
-        Ok(())
-    }
-
-    /// Checks that a new session may begin with these settings; describes the reason why not.
-    fn check_begun(&self) -> Result<(), String> {
-        if !self.training.simulation.safety_box.guard.is_box() {
-            return Err(
-                "training.simulation.safety_box.guard: simulations know no guard beside the \
-                        box: leave it out"
-                    .into(),
-            );
-        }
-        let give = "give guard = \"foresight\" or leave it out";
-        self.safety_box.guard.check_driven().map_err(|gone| format!("safety_box.{gone}: {give}"))
-    }
-}
-
-/// Advice for settings of an earlier version in a session to resume.
-const BEGIN_ANEW: &str = "it continues with the settings that it began with, so begin a new one";
 
 /// Reads the text of a configuration.
 pub(super) fn read(path: &Path) -> Result<String, ConfigurationError> {
@@ -311,16 +135,6 @@ fn parsed(text: &str, path: &Path) -> Result<Table, ConfigurationError> {
         path: path.to_owned(),
         source: Box::new(source),
     })
-}
-
-/// Describes the defect of a box, with the names of the file's entries.
-fn of_file(wrong: impl ToString) -> String {
-    let wrong = wrong.to_string();
-    let renamed = box_file::NAMES.iter().find_map(|(bare, name)| {
-        let value = wrong.strip_prefix(&format!("safety_box.{bare} "))?;
-        Some(format!("safety_box.{name} {value}"))
-    });
-    renamed.unwrap_or(wrong)
 }
 
 fn lay_over(below: &mut Table, above: Table) {
@@ -519,27 +333,6 @@ mod tests {
             let message = overridden(text).unwrap_err().to_string();
             let place = format!("my.toml, line {line}: {name}");
             assert!(message.contains(&place), "{place:?} is missing in: {message}");
-        }
-    }
-
-    #[test]
-    fn values_that_cannot_be_are_named() {
-        for (text, name) in [
-            ("[estimator]\ncorner_rad_s = 0.0\n", "estimator.corner_rad_s"),
-            ("[safety_box]\ntheta = nan\n", "safety_box.theta"),
-            ("[extent]\nrollouts = 0\n", "extent.rollouts"),
-            ("model = \"opt-profile\"\n", "[profile]"),
-            ("model = \"nominal\"\n", "nominal has no psi to search"),
-            ("preset = \"fast\"\n", "fast"),
-            ("[[psi]]\nname = \"mean_M_x\"\n", "mean_M_x"),
-            ("psi = []\n", "no entry"),
-            (
-                "[[psi]]\nname = \"filter\"\n[training.simulation.sensors]\ntype = \"true_state\"\n",
-                "filter",
-            ),
-        ] {
-            let message = overridden(text).unwrap_err().to_string();
-            assert!(message.contains(name), "{message}");
         }
     }
 }

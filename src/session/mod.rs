@@ -6,6 +6,7 @@
 //! [`Rig`](crate::rig::Rig), and [`score`](crate::scoring::score) scores a recording.
 
 mod configuration;
+mod configuration_error;
 mod drift;
 mod error;
 mod event;
@@ -21,10 +22,11 @@ mod report;
 mod retired;
 mod seeds;
 mod settings;
+mod settings_check;
 mod state;
 mod view;
 
-pub use configuration::ConfigurationError;
+pub use configuration_error::ConfigurationError;
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use error::SessionError;
 pub use event::SessionEvent;

@@ -7,6 +7,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::configuration::read;
+use super::settings_check::LARGEST_OFFSET_RAD;
 use super::{ConfigurationError, PowerTest};
 use crate::control::{HomingMethod, HomingSettings};
 use crate::estimation::{Calibration, EstimatorSettings};
@@ -16,9 +17,6 @@ use crate::storage::{MachineDisk, write_whole};
 
 /// Name of the file in the working directory.
 pub const QUBE_FILE: &str = "qube.toml";
-
-/// Largest offset of the zero, rad; with a larger one the box would reach beyond a stop.
-pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
 /// The properties that differ from rig to rig.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -1,0 +1,149 @@
+//! The ranges of a session's settings.
+
+use super::SessionSettings;
+use crate::learning::TrainError;
+use crate::qube::MAX_STEPS;
+use crate::safety::SafetyBox;
+use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
+
+/// Largest offset of the zero, rad; with a larger one the box would reach beyond a stop.
+pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
+
+/// Advice for settings of an earlier version in a session to resume.
+pub(super) const BEGIN_ANEW: &str =
+    "it continues with the settings that it began with, so begin a new one";
+
+impl SessionSettings {
+    /// Checks the settings; describes the first invalid one.
+    pub(super) fn check(&self) -> Result<(), String> {
+        self.check_limits()?;
+        self.estimator.check().map_err(|error| format!("estimator.{error}"))?;
+        if let Some(ProfileSettings { spread, .. }) = self.profile
+            && !(0.0..=1.0).contains(&spread)
+        {
+            return Err(format!("profile.spread = {spread}: give a number from 0 to 1"));
+        }
+        self.base_distribution().map_err(|error| error.to_string())?;
+        let sees_truth = self.training.simulation.sensors == SensorModel::TrueState;
+        if self.psi.has(PsiTarget::Filter) && sees_truth {
+            return Err("psi has filter, but training.simulation.sensors shows true states: \
+                        make it type = \"encoders\""
+                .into());
+        }
+        let counts = [
+            ("extent.initial_candidates", self.extent.initial_candidates, 1..=1000),
+            ("extent.iterations", self.extent.iterations, 0..=1000),
+            ("extent.rollouts", self.extent.rollouts, 1..=1000),
+            ("extent.verification_rollouts", self.extent.verification_rollouts, 1..=1000),
+            ("extent.steps", self.extent.steps, 1..=MAX_STEPS as u32),
+            ("extent.repetitions", self.extent.repetitions, 0..=1000),
+        ];
+        for (name, value, range) in counts {
+            if !range.contains(&value) {
+                let (least, most) = range.into_inner();
+                return Err(format!("{name} = {value}: give a number from {least} to {most}"));
+            }
+        }
+        self.training.check().map_err(|error| match error {
+            TrainError::Setting { name, value, bound } => {
+                format!("training.{name} = {value}: it must be {bound}")
+            }
+            TrainError::Estimator(error) => {
+                format!("training.simulation.sensors.estimator.{error}")
+            }
+            other => other.to_string(),
+        })?;
+        self.search().map(drop).map_err(|error| error.to_string())
+    }
+
+    /// Checks that no limit is invalid or wider than the task's; no file may widen a limit, whatever Qube
+    /// it is used with.
+    ///
+    /// # Errors
+    /// Describes the first invalid limit.
+    pub fn check_limits(&self) -> Result<(), String> {
+        let of_the_task = SafetyBox::GUARDED;
+        self.safety_box.check_within(&of_the_task).map_err(of_file)?;
+        let simulated = &self.training.simulation.safety_box;
+        simulated
+            .check_within(&of_the_task)
+            .map_err(|error| format!("training.simulation.{}", of_file(error)))?;
+        let offset_rad = self.homing.theta_offset_rad;
+        if !(-LARGEST_OFFSET_RAD..=LARGEST_OFFSET_RAD).contains(&offset_rad) {
+            return Err(format!(
+                "homing.theta_offset_rad = {offset_rad}: give -{LARGEST_OFFSET_RAD} to \
+                 {LARGEST_OFFSET_RAD}, or the box would reach beyond a stop"
+            ));
+        }
+        self.homing.estimator.check().map_err(|error| format!("homing.estimator.{error}"))
+    }
+
+    /// Checks that a session with these settings can be resumed.
+    ///
+    /// # Errors
+    /// The session ran under a guard that only serves to replay recordings.
+    pub fn check_resumable(&self) -> Result<(), String> {
+        let simulated = self.training.simulation.safety_box.guard;
+        for (key, guard) in
+            [("safety_box", self.safety_box.guard), ("training.simulation.safety_box", simulated)]
+        {
+            if let Err(gone) = guard.check_driven() {
+                return Err(format!("{key}.{gone}: {BEGIN_ANEW}"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that a new session may begin with these settings; describes the reason why not.
+    pub(super) fn check_begun(&self) -> Result<(), String> {
+        if !self.training.simulation.safety_box.guard.is_box() {
+            return Err(
+                "training.simulation.safety_box.guard: simulations know no guard beside the \
+                        box: leave it out"
+                    .into(),
+            );
+        }
+        let give = "give guard = \"foresight\" or leave it out";
+        self.safety_box.guard.check_driven().map_err(|gone| format!("safety_box.{gone}: {give}"))
+    }
+}
+
+/// Describes the defect of a box, with the names of the file's entries.
+fn of_file(wrong: impl ToString) -> String {
+    let wrong = wrong.to_string();
+    let renamed = box_file::NAMES.iter().find_map(|(bare, name)| {
+        let value = wrong.strip_prefix(&format!("safety_box.{bare} "))?;
+        Some(format!("safety_box.{name} {value}"))
+    });
+    renamed.unwrap_or(wrong)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn values_that_cannot_be_are_named() {
+        for (text, name) in [
+            ("[estimator]\ncorner_rad_s = 0.0\n", "estimator.corner_rad_s"),
+            ("[safety_box]\ntheta = nan\n", "safety_box.theta"),
+            ("[extent]\nrollouts = 0\n", "extent.rollouts"),
+            ("model = \"opt-profile\"\n", "[profile]"),
+            ("model = \"nominal\"\n", "nominal has no psi to search"),
+            ("preset = \"fast\"\n", "fast"),
+            ("[[psi]]\nname = \"mean_M_x\"\n", "mean_M_x"),
+            ("psi = []\n", "no entry"),
+            (
+                "[[psi]]\nname = \"filter\"\n[training.simulation.sensors]\ntype = \"true_state\"\n",
+                "filter",
+            ),
+        ] {
+            let overridden =
+                SessionSettings::thesis().overridden_by_text(text, Path::new("my.toml"));
+            let message = overridden.unwrap_err().to_string();
+            assert!(message.contains(name), "{message}");
+        }
+    }
+}
