@@ -11,7 +11,7 @@ const DEAD_A_V: f64 = 0.02;
 
 /// Least current per volt of a motor with a good contact, A/V: 17 ohm. Known Qubes have 3.7 to 9.1
 /// ohm; the amplifier's loss at 1 V adds about half as much again.
-const WEAK_A_V: f64 = 1.0 / 17.0;
+pub const WEAK_A_V: f64 = 1.0 / 17.0;
 
 /// Least voltage at which a bad contact can be told from a dead zone, mV.
 const WEAK_MV: i16 = 1200;

@@ -1,7 +1,7 @@
 //! Finds the angle at which the pendulum hangs, from its swing while the motor is at 0 V.
 
 use super::led_arm::standing_rad;
-use super::rest::Swing;
+use super::rest::{RECOIL, Swing};
 use crate::qube::PlantModel;
 
 /// Largest swing with which homing begins, rad: a wider one already moves the arm as far as is
@@ -13,9 +13,6 @@ const SWINGING_RAD: f64 = 0.02;
 
 /// Largest motion of an arm at rest under a still pendulum, rad.
 const RESTING_ARM_RAD: f64 = 0.02;
-
-/// Additional motion of an arm at rest for each rad of the pendulum's swing.
-const RECOIL: f64 = 0.7;
 
 /// Largest swing on an arm that does not move, rad: friction or a hand holds the arm, and the swing
 /// does not die out by itself.

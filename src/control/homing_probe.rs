@@ -2,6 +2,7 @@
 //! anything moves at all.
 
 use super::led_arm::standing_rad;
+use super::rest::RECOIL;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
 
@@ -13,9 +14,6 @@ const REST_TICKS: u32 = 60;
 
 /// Largest drift of an arm at rest without a push, rad.
 const RESTING_RAD: f64 = 0.03;
-
-/// Additional motion of an arm at rest for each rad of the pendulum's swing, whatever the signs.
-const RECOIL: f64 = 0.7;
 
 /// Deflection of the pendulum above which it throws the arm, |sin(alpha)|.
 const THROWING_SWING: f64 = 0.1;

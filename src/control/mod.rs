@@ -36,6 +36,7 @@ mod undriven;
 mod watch;
 mod witness;
 
+pub use current_watch::WEAK_A_V;
 pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
 pub use error::{ControlError, ThreadGone};
 pub use homing::Homing;
@@ -47,7 +48,7 @@ pub use motion::{Motion, TickInput, TickOutput};
 pub use push::ArmInput;
 pub use reconnect::Patience;
 pub use sensor_watch::SensorWatch;
-pub use sign_probe::{ArmResponse, ProbeSample, ProbeStage, ProbeTrace, SignProbe};
+pub use sign_probe::{ArmResponse, ProbeSample, ProbeStage, ProbeTrace, STOOD_COUNTS, SignProbe};
 pub use stop_press::{PressOutcome, StopPress};
 pub use thread::{ControlThread, Homed};
 pub use tick::Tick;

@@ -3,6 +3,12 @@
 
 use crate::qube::{State, wrap_angle};
 
+/// Velocity below which the arm counts as stopped, rad/s.
+pub const STOPPED_RAD_S: f64 = 0.5;
+
+/// Additional motion of an arm at rest for each rad of the pendulum's swing, whatever the signs.
+pub const RECOIL: f64 = 0.7;
+
 /// Ticks at rest that a rollout requires: 0.3 s.
 const REST_TICKS: u32 = 30;
 

@@ -1,3 +1,4 @@
+use super::rest::STOPPED_RAD_S;
 use super::watch::{Alarm, Watch};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
@@ -28,10 +29,7 @@ const REACH_RAD: f64 = 0.05;
 const MOVED_COUNTS: f64 = 10.0;
 
 /// Largest travel that counts as standing still, counts: play and the pendulum's pull cause as much.
-const STOOD_COUNTS: f64 = 4.0;
-
-/// Velocity below which the arm counts as stopped, rad/s.
-const STOPPED_RAD_S: f64 = 0.5;
+pub const STOOD_COUNTS: f64 = 4.0;
 
 /// Least limit of the braking voltage, V: the voltage of the push may lie within the motor's dead
 /// zone.

@@ -1,6 +1,6 @@
 use super::asking_push::AskingPush;
 use super::push::ArmInput;
-use super::rest::{CentredDetector, RestDetector};
+use super::rest::{CentredDetector, RestDetector, STOPPED_RAD_S};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
 use super::watch::{Alarm, Watch};
@@ -26,9 +26,6 @@ const MAX_RETURN_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 /// Error with which homing measures the stops, rad: on a nominal Qube it may find them this much
 /// nearer.
 const STOPS_MEASURED_WITHIN_RAD: f64 = 0.02;
-
-/// Velocity below which the arm counts as stopped, rad/s.
-const STOPPED_RAD_S: f64 = 0.5;
 
 /// Ticks below that velocity after which the arm counts as stopped.
 const STOPPED_TICKS: u32 = 3;

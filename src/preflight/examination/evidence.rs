@@ -1,11 +1,7 @@
 //! Evidence from a series of pushes, and whether it suffices for a verdict.
 
 use super::swing_fit::{Lag, fit};
-use crate::control::{ArmResponse, ProbeTrace};
-
-/// Largest motion of an arm that counts as at rest: play and the pendulum's pull cause as much, and
-/// nothing follows for the pendulum.
-const STOOD_COUNTS: f64 = 4.0;
+use crate::control::{ArmResponse, ProbeTrace, STOOD_COUNTS, WEAK_A_V};
 
 /// Largest flicker of a dead encoder's count.
 const DEAD_COUNTS: f64 = 2.0;
@@ -32,10 +28,6 @@ const NO_CURRENT_A: f64 = 0.02;
 
 /// Voltage from which a missing current counts, V: at less it may be the amplifier's dead zone.
 const CURRENT_FROM_V: f64 = 1.0;
-
-/// Least current per volt of a motor at rest with a good contact, A/V: 17 ohm. Known Qubes have 3.7
-/// to 9.1 ohm.
-const WEAK_A_V: f64 = 1.0 / 17.0;
 
 /// Drop of the current during a push that proves a turning motor: 1.5 rad/s at 0.25 V. The current
 /// of a motor that is held stays constant.

@@ -127,10 +127,9 @@ fn least_squares(rows: &[([f64; TERMS], f64)], used: [bool; TERMS]) -> Option<So
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::STOOD_COUNTS;
     use crate::qube::RAD_PER_COUNT;
     use crate::qube::counts;
-
-    const STOOD_COUNTS: f64 = 4.0;
 
     /// A pendulum on an arm that is moved by `theta(t)`, from a swing of `alpha_dot`, through encoders.
     fn samples(
