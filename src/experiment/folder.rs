@@ -137,3 +137,14 @@ pub(super) fn make(path: &Path) -> Result<(), FolderError> {
     let io = |source| FolderError::Io { path: path.to_owned(), source };
     MachineDisk.create_folder(path).map_err(io)
 }
+
+/// Checks a name, which is also the name of a folder.
+pub(super) fn check_name(what: &str, name: &str) -> Result<(), String> {
+    let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_.+%".contains(letter);
+    if !name.is_empty() && name.len() <= 60 && !name.starts_with('.') && name.chars().all(allowed) {
+        return Ok(());
+    }
+    Err(format!(
+        "{what}: {name:?} is not a valid name: use letters, digits, and - _ . + %, at most 60 of them"
+    ))
+}

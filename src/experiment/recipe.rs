@@ -3,7 +3,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::ExperimentError;
-use super::settings::check_name;
+use super::folder::check_name;
 use crate::learning::Origin;
 use crate::session::SessionSettings;
 use crate::simulation::{DomainDistribution, Model, Psi, PsiError, SimulationSettings};

@@ -3,6 +3,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
+use super::folder::check_name;
 use super::{ExperimentError, Plant, Recipe, StrategySettings};
 use crate::session::{Retired, take_retired};
 use crate::simulation::Model;
@@ -155,17 +156,6 @@ fn distinct(what: &str, names: &[&str]) -> Result<(), String> {
         }
     }
     Ok(())
-}
-
-/// Checks a name, which is also the name of a folder.
-pub(super) fn check_name(what: &str, name: &str) -> Result<(), String> {
-    let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_.+%".contains(letter);
-    if !name.is_empty() && name.len() <= 60 && !name.starts_with('.') && name.chars().all(allowed) {
-        return Ok(());
-    }
-    Err(format!(
-        "{what}: {name:?} is not a valid name: use letters, digits, and - _ . + %, at most 60 of them"
-    ))
 }
 
 #[cfg(test)]

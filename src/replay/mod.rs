@@ -9,11 +9,13 @@
 
 mod csv;
 mod motion_log;
+mod motion_sample;
 mod open_loop;
 mod rerun;
 
 pub use csv::CsvError;
-pub use motion_log::{MotionLog, MotionLogError, MotionSample};
+pub use motion_log::{MotionLog, MotionLogError};
+pub use motion_sample::MotionSample;
 pub use open_loop::{
     AngleError, Diverged, OpenLoop, simulate_beside, simulate_from, simulate_numbers,
     simulate_stretch,

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use super::MotionSample;
 use super::csv::{CsvError, parse_csv};
 use crate::qube::{PlantModel, State};
 use crate::recording::{self, Recording, RecordingError};
@@ -12,17 +13,6 @@ use crate::telemetry::Phase;
 
 /// Largest text file that is read, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 28;
-
-/// One sample of a motion.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MotionSample {
-    /// Time since the first sample, by the log's own clock, s.
-    pub time_s: f64,
-    /// Measured angles and velocities.
-    pub state: State,
-    /// Motor voltage from this sample to the next, V.
-    pub voltage_v: f64,
-}
 
 /// A motion of a Qube with its voltages, from a recording of this program or a CSV file.
 #[derive(Clone, Debug, PartialEq)]

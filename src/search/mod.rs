@@ -30,6 +30,7 @@ mod error;
 mod observation;
 mod random;
 mod strategy;
+mod strategy_kind;
 
 use crate::surrogate::SearchBox;
 pub use bayrn::BayRn;
@@ -41,4 +42,5 @@ pub use cross_entropy::CrossEntropy;
 pub use error::SearchError;
 pub use observation::Observation;
 pub use random::{RandomSearch, SobolSearch};
-pub use strategy::{Best, Strategy, StrategyKind};
+pub use strategy::{Best, Strategy};
+pub use strategy_kind::StrategyKind;

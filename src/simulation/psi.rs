@@ -1,10 +1,9 @@
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
-use super::{DistributionError, PsiTarget};
+use super::{PsiError, PsiTarget};
 use crate::qube::Quantity;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
@@ -14,103 +13,6 @@ use crate::storage::{SETTINGS_BYTES, read_text};
 #[serde(try_from = "BTreeMap<String, f64>", into = "BTreeMap<String, f64>")]
 pub struct Psi {
     values: Vec<(PsiTarget, f64)>,
-}
-
-/// The reason why numbers or a file are not a psi.
-#[derive(Debug, Error)]
-pub enum PsiError {
-    /// The point has another dimension than the search space.
-    #[error("this psi has {entries} entries where {expected} are searched")]
-    WrongLength {
-        /// Length of the point.
-        entries: usize,
-        /// Names of the expected entries.
-        expected: String,
-    },
-    /// A value is outside the box, or not a number.
-    #[error("{name} = {value} is outside its range: give a value from {lower} to {upper}")]
-    OutsideTheBox {
-        /// Name of the dimension.
-        name: String,
-        /// Value given.
-        value: f64,
-        /// Lower end of its range.
-        lower: f64,
-        /// Upper end of its range.
-        upper: f64,
-    },
-    /// The name does not exist.
-    #[error(
-        "psi has no `{name}`: there are `filter`, and mean_ and std_ of {}, as in std_delay",
-        symbols()
-    )]
-    UnknownName {
-        /// Unknown name.
-        name: String,
-    },
-    /// A value is not physical.
-    #[error("{name} = {value} is not physical: {reason}")]
-    Impossible {
-        /// Name of the entry.
-        name: String,
-        /// Value given.
-        value: f64,
-        /// Range that the value must lie in.
-        reason: String,
-    },
-    /// The lower end of a range is not below the upper end.
-    #[error(
-        "the range of {name}, {lower} to {upper}, is empty: give a lower end below the upper one"
-    )]
-    EmptyRange {
-        /// Name of the dimension.
-        name: String,
-        /// Lower end of its range.
-        lower: f64,
-        /// Upper end of its range.
-        upper: f64,
-    },
-    /// Psi names an entry more than once.
-    #[error("psi names {name} twice: name it once")]
-    Twice {
-        /// Name of the entry.
-        name: String,
-    },
-    /// The base distribution, which psi modifies, cannot be drawn.
-    #[error("the profile cannot be simulated: {0}")]
-    Base(DistributionError),
-    /// The model needs a profile, and none is given.
-    #[error("the model `opt-profile` is drawn around a Qube: give it in [profile]")]
-    NoProfile,
-    /// The model leaves a psi to a search, and none is given.
-    #[error("the model `{model}` needs a psi")]
-    Missing {
-        /// Name of the model.
-        model: &'static str,
-    },
-    /// The search space has no dimension.
-    #[error("psi has no entry: name at least one, as mean_M_p")]
-    NoDimensions,
-    /// The file cannot be read.
-    #[error("{}: cannot be read: {source}", path.display())]
-    Unreadable {
-        /// Path of the file.
-        path: PathBuf,
-        /// Cause of the failure.
-        source: std::io::Error,
-    },
-    /// The file is not TOML, or contains something other than a psi.
-    #[error("{}: is no psi file, which has lines `name = value`: {}", path.display(), source.to_string().trim_end())]
-    NotPsi {
-        /// Path of the file.
-        path: PathBuf,
-        /// Cause with its line.
-        source: Box<toml::de::Error>,
-    },
-}
-
-fn symbols() -> String {
-    Quantity::all().map(Quantity::symbol).collect::<Vec<_>>().join(", ")
 }
 
 impl Psi {

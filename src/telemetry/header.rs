@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Fault, Phase, Preflight};
+use super::{Fault, LatencySummary, Phase, Preflight};
 use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::{PlantModel, RewardWeights};
 use crate::safety::{Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
@@ -150,17 +150,4 @@ fn is_false(flag: &bool) -> bool {
 
 fn is_zero(count: &u32) -> bool {
     *count == 0
-}
-
-/// Percentiles of a latency.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct LatencySummary {
-    /// Median.
-    pub p50: f64,
-    /// 99 %.
-    pub p99: f64,
-    /// 99.9 %.
-    pub p999: f64,
-    /// Largest.
-    pub max: f64,
 }

@@ -13,10 +13,12 @@
 
 mod fault;
 mod header;
+mod latency_summary;
 mod preflight;
 mod record;
 
 pub use fault::{Consequence, Fault, fault_table};
-pub use header::{Ending, LatencySummary, RolloutHeader, RolloutOutcome, TickRules, TickSettings};
+pub use header::{Ending, RolloutHeader, RolloutOutcome, TickRules, TickSettings};
+pub use latency_summary::LatencySummary;
 pub use preflight::{CheckResult, CheckVerdict, MeasuredLink, Preflight};
 pub use record::{Phase, TickRecord};
