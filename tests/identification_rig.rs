@@ -4,8 +4,9 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+use firmware_protocol::scaling::{motor_counts, motor_voltage_mv};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::qube::Profile;
+use qube_hil::qube::{Profile, applied_voltage_mv};
 use qube_hil::session::{Extent, SessionSettings};
 use serde_json::Value;
 
@@ -61,6 +62,14 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
         told += u32::from(number("told_by_data") > 0.5);
     }
     assert!(told >= 6, "the recordings tell only {told} quantities");
+}
+
+#[test]
+fn a_recorded_voltage_is_rounded_as_the_firmware_rounds_it() {
+    for commanded_mv in -5000..=5000 {
+        let by_firmware = motor_voltage_mv(motor_counts(commanded_mv));
+        assert_eq!(applied_voltage_mv(commanded_mv), by_firmware, "{commanded_mv} mV");
+    }
 }
 
 #[test]

@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use super::MotionSample;
 use super::csv::{CsvError, parse_csv};
-use crate::qube::{PlantModel, State};
+use crate::qube::{PlantModel, State, applied_voltage_mv};
 use crate::recording::{self, Recording, RecordingError};
 use crate::storage::{open_regular, read_text};
 use crate::telemetry::Phase;
@@ -76,6 +76,9 @@ impl MotionLog {
     /// The motion while the policy had the motor, by the device's clock; `None` with fewer than two
     /// samples. Angles are those of the encoders, because the policy's may be predictions.
     ///
+    /// Voltages are those that the Qube's driver applies, in steps of 24 mV: the rounding of a command lasts until the
+    /// next one, and over seconds moves the arm by more than its encoder resolves.
+    ///
     /// A tick without a sample is left out: the previous voltage was held, so the previous sample describes
     /// it.
     #[must_use]
@@ -88,7 +91,7 @@ impl MotionLog {
             let start_us = *start_us.get_or_insert(measurement.device_time_us);
             let time_s = measurement.device_time_us.saturating_sub(start_us) as f64 * 1e-6;
             if samples.last().is_none_or(|last| time_s > last.time_s) {
-                let voltage_v = f64::from(tick.voltage_mv) / 1000.0;
+                let voltage_v = f64::from(applied_voltage_mv(tick.voltage_mv)) / 1000.0;
                 let (theta, counted) =
                     recording.header.settings.calibration.angles_rad(measurement);
                 // The tick counts whole turns from the start of the rollout.

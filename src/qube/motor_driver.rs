@@ -1,0 +1,19 @@
+/// Steps of the duty from 0 to the full supply.
+const FULL_DUTY_STEPS: i32 = 999;
+
+/// Voltage of the supply, mV.
+const SUPPLY_MV: i32 = 24_000;
+
+/// The voltage that the Qube's driver applies for a commanded one, mV: the nearest whole step of its duty. A step is
+/// 24 mV.
+#[must_use]
+pub fn applied_voltage_mv(commanded_mv: i16) -> i16 {
+    let steps = rounded_quotient(i32::from(commanded_mv) * FULL_DUTY_STEPS, SUPPLY_MV);
+    let applied_mv = rounded_quotient(steps * SUPPLY_MV, FULL_DUTY_STEPS);
+    applied_mv.clamp(i16::MIN.into(), i16::MAX.into()) as i16
+}
+
+/// Quotient by a positive number, rounded to nearest, halves away from zero.
+fn rounded_quotient(dividend: i32, divisor: i32) -> i32 {
+    (dividend + dividend.signum() * (divisor / 2)) / divisor
+}
