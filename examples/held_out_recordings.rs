@@ -5,7 +5,8 @@
 //! ```
 //!
 //! FOLDER holds chirps and swing-ups as CSV files; `../shared/data/qube-recordings` unless named. For each recording, a
-//! model is fitted to all others. The table pools the errors by kind of recording.
+//! model is fitted to all others; the cable's rest angle is that of the fitted recordings of the same series, whose names
+//! differ in the last number only. The table pools the errors by kind of recording.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -97,15 +98,26 @@ fn in_turn(name: &str, files: &[PathBuf], logs: &[MotionLog], kind: impl Fn(&Mot
         match identify(&fitted, &unknowns, &QubeModel::NOMINAL) {
             Ok(found) => {
                 let seconds = started.elapsed().as_secs_f64();
+                let fitted = kept.iter().filter(|&&index| index != held_out).enumerate();
+                let alike: Vec<usize> = fitted
+                    .filter(|(_, index)| series(&files[**index]) == series(&files[held_out]))
+                    .map(|(place, _)| place)
+                    .collect();
+                let model = found.model_of(&alike);
                 let mut own = Scores::default();
-                score(&mut own, &logs[held_out], &found.model);
-                score(&mut scores, &logs[held_out], &found.model);
+                score(&mut own, &logs[held_out], &model);
+                score(&mut scores, &logs[held_out], &model);
                 line(&format!("  without {} {seconds:.0} s", file_name(&files[held_out])), &own);
             }
             Err(why) => println!("  without {}: refused: {why}", file_name(&files[held_out])),
         }
     }
     line(name, &scores);
+}
+
+/// The name of a recording without the number at its end.
+fn series(path: &Path) -> String {
+    file_name(path).trim_end_matches(|character: char| character.is_ascii_digit()).to_owned()
 }
 
 fn file_name(path: &Path) -> String {

@@ -27,7 +27,8 @@ const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 /// serve as well, in any mixture. The result is a profile: `train`, `run`, `session`,
 /// `emulate` and `replay` read it with --profile. Verify it with recordings that it was not fitted to
 /// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then gets the
-/// voltages only. A recording whose pendulum comes upright is predicted piece by piece: 0.5 s of its swing, 0.1 s
+/// voltages only. The cable rests as in the fitted recordings of its series, whose names differ in the last number
+/// only. A recording whose pendulum comes upright is predicted piece by piece: 0.5 s of its swing, 0.1 s
 /// of its balance.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -82,9 +83,21 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let identified = identify(&fitted, &unknowns, &first_guess).map_err(Failure::usage)?;
     let seconds = started.elapsed().as_secs_f64();
+    let models = |files: &[PathBuf], fits: &dyn Fn(&Path, &Path) -> bool| {
+        let one = |path: &PathBuf| {
+            let places = arguments.files.iter().enumerate();
+            let alike: Vec<usize> =
+                places.filter(|(_, fitted)| fits(fitted, path)).map(|(place, _)| place).collect();
+            identified.model_of(&alike)
+        };
+        files.iter().map(one).collect::<Vec<_>>()
+    };
+    let own_models = models(&arguments.files, &|fitted, path| fitted == path);
+    let held_out_models =
+        models(&arguments.holdout, &|fitted, path| series_of(fitted) == series_of(path));
     let errors = [
-        Errors::of("fitted", &fitted, &identified.model),
-        Errors::of("held out", &held_out, &identified.model),
+        Errors::of("fitted", &fitted, &own_models),
+        Errors::of("held out", &held_out, &held_out_models),
     ];
     let [_, held_out_errors] = &errors;
     let [.., long] = held_out_errors.horizons;
@@ -113,19 +126,22 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         std::fs::create_dir_all(folder)
             .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;
         let files = arguments.files.iter().chain(&arguments.holdout);
-        for (path, log) in files.zip(fitted.iter().chain(&held_out)) {
-            plot(folder, path, log, &identified.model)?;
+        let logs = fitted.iter().chain(&held_out);
+        let models = own_models.iter().chain(&held_out_models);
+        for ((path, log), model) in files.zip(logs).zip(models) {
+            plot(folder, path, log, model)?;
         }
     }
 
     let mut text = table(&identified);
     text += &correlated(&identified);
+    text += &rests(&identified, &arguments.files);
     for errors in &errors {
         text += &errors.lines();
     }
     let _ = write!(text, "\n{}", assessment(&identified));
     let _ = write!(text, "\n{} in {seconds:.1} s", arguments.out.display());
-    output.print(&text, &result(&identified, &errors, seconds, &arguments.out));
+    output.print(&text, &result(&identified, &errors, seconds, arguments));
     Ok(())
 }
 
@@ -139,6 +155,13 @@ fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
     }
     let moves = |unknown: &Unknown| !fixed.iter().any(|name| name == unknown.name());
     Ok(Unknown::all().filter(moves).collect())
+}
+
+/// The series of a recording: its path without the number at the end of its name, such as `chirps/rollout-` of
+/// `chirps/rollout-2.mcap`. Recordings of a series are made after one homing.
+fn series_of(path: &Path) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    path.with_file_name(stem.trim_end_matches(|character: char| character.is_ascii_digit()))
 }
 
 /// Reads recordings and refuses those that cannot be fitted.
@@ -224,6 +247,22 @@ fn correlated(identified: &Identified) -> String {
     if text.is_empty() { text } else { format!("\nHard to tell apart (correlation):\n{text}") }
 }
 
+/// The cable's rest angle in each recording, where there are several.
+fn rests(identified: &Identified, files: &[PathBuf]) -> String {
+    let scatter_rad = identified.scatter.cable_rest_rad;
+    if scatter_rad == 0.0 {
+        return String::new();
+    }
+    let mut text = format!(
+        "\nThe cable's rest angle by recording (scatter {scatter_rad:.2} rad, part of its standard error):\n"
+    );
+    for (index, path) in files.iter().enumerate() {
+        let rest_rad = identified.model_of(&[index]).nonidealities.cable_rest_rad;
+        let _ = writeln!(text, "  {rest_rad:+.2} rad  {}", file_name(path));
+    }
+    text
+}
+
 /// The verdict in words.
 fn assessment(identified: &Identified) -> String {
     let tests = &identified.assessment;
@@ -261,14 +300,24 @@ struct Errors {
 }
 
 impl Errors {
-    fn of(name: &'static str, logs: &[MotionLog], model: &QubeModel) -> Self {
-        let hanging: Vec<MotionLog> =
-            logs.iter().filter(|log| !comes_upright(log)).cloned().collect();
-        Self {
-            name,
-            horizons: HORIZONS_S.map(|horizon_s| horizon_error(&hanging, model, horizon_s)),
-            phases: Phase::ALL.map(|phase| (phase, phase_error(logs, model, phase))),
-        }
+    /// The errors of each recording's own model.
+    fn of(name: &'static str, logs: &[MotionLog], models: &[QubeModel]) -> Self {
+        let pairs = || logs.iter().zip(models);
+        let horizon = |horizon_s: f64| {
+            let hanging = pairs().filter(|(log, _)| !comes_upright(log));
+            let parts: Vec<HorizonError> = hanging
+                .map(|(log, model)| horizon_error(std::slice::from_ref(log), model, horizon_s))
+                .collect();
+            HorizonError::pooled(horizon_s, &parts)
+        };
+        let phase = |phase: Phase| {
+            let parts: Vec<HorizonError> = pairs()
+                .map(|(log, model)| phase_error(std::slice::from_ref(log), model, phase))
+                .collect();
+            let [_, horizon_s] = phase.times_s();
+            (phase, HorizonError::pooled(horizon_s, &parts))
+        };
+        Self { name, horizons: HORIZONS_S.map(horizon), phases: Phase::ALL.map(phase) }
     }
 
     fn lines(&self) -> String {
@@ -296,8 +345,15 @@ fn result(
     identified: &Identified,
     [fitted, held_out]: &[Errors; 2],
     seconds: f64,
-    out: &Path,
+    arguments: &Arguments,
 ) -> Value {
+    let recording = |(index, path): (usize, &PathBuf)| {
+        json!({
+            "file": file_name(path),
+            "cable_rest_rad": identified.model_of(&[index]).nonidealities.cable_rest_rad,
+            "alpha_zero_rad": identified.offsets[index].alpha_zero_rad,
+        })
+    };
     let estimate = |estimate: &Estimate| {
         json!({
             "name": estimate.unknown.name(),
@@ -324,6 +380,8 @@ fn result(
     };
     json!({
         "estimates": identified.estimates.iter().map(estimate).collect::<Vec<_>>(),
+        "recordings": arguments.files.iter().enumerate().map(recording).collect::<Vec<_>>(),
+        "cable_rest_scatter_rad": identified.scatter.cable_rest_rad,
         "blind": identified.blind.iter().map(combination).collect::<Vec<_>>(),
         "fitted": fitted.horizons.iter().map(horizon).collect::<Vec<_>>(),
         "held_out": held_out.horizons.iter().map(horizon).collect::<Vec<_>>(),
@@ -336,6 +394,20 @@ fn result(
         "whiteness": identified.assessment.whiteness,
         "growth": identified.assessment.growth,
         "inflation": identified.inflation,
-        "profile": out.to_string_lossy(),
+        "profile": arguments.out.to_string_lossy(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_whose_names_differ_in_their_last_number_are_a_series() {
+        let series = |path: &str| series_of(Path::new(path));
+        assert_eq!(series("chirps/rollout-0.mcap"), series("chirps/rollout-12.mcap"));
+        assert_eq!(series("chirp_plus1.5V_1.csv"), series("chirp_plus1.5V_3.csv"));
+        assert_ne!(series("chirp_plus1.5V_1.csv"), series("chirp_minus1.5V_1.csv"));
+        assert_ne!(series("monday/rollout-0.mcap"), series("friday/rollout-0.mcap"));
+    }
 }

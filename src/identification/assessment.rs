@@ -117,7 +117,7 @@ pub struct Assessment {
 
 /// Tests the residuals of a fit over its own windows and over windows of half a second.
 pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
-    let mut check = Fit { unknowns: &[], ..Fit::new(&[], fit.model, short) };
+    let mut check = fit.with_unknowns(&[], short);
     check.noise = [Noise::of_resolution(); 3];
     check.minimise();
     let residuals = without_zero(&check.stretches, check.residuals_rad());

@@ -4,10 +4,11 @@ use std::thread;
 use nalgebra::{DMatrix, DVector, Matrix4, SVector};
 
 use super::Unknown;
+use super::offsets::{Local, Offset, Scatter, recordings};
 use super::residuals::{Noise, Residual, noise_of, robust_cost, robust_weight};
 use super::sensitivity::{STARTS, linearised};
 use super::stretch::{Regime, Stretch};
-use crate::qube::{QubeModel, State};
+use crate::qube::{Nonideality, QubeModel, State};
 
 /// Relative change of the cost below which a fit has converged.
 const ARRIVED: f64 = 1e-5;
@@ -21,10 +22,17 @@ const MAX_SHORTENINGS: usize = 10;
 /// Number of times the scales of the residuals are estimated.
 const SCALES: usize = 4;
 
+/// Number of updates of the scatter between recordings at a time.
+const SCATTERS: usize = 30;
+
+/// Smallest number of offsets that count as determined by the recordings.
+const LEAST_DETERMINED: f64 = 0.01;
+
 /// The model and start states that explain recordings best: the maximum of the posterior for normal
 /// residuals of unknown scale and the priors of [`Unknown::prior`] (multiple shooting). Each stretch has its own
 /// start state. Each regime has residuals of its own scale and correlation in time, and a stretch that the model
-/// explains much worse than others of its regime loses weight.
+/// explains much worse than others of its regime loses weight. Each recording may have a rest angle of the cable and a
+/// zero of the pendulum's angle of its own ([`Fit::with_offsets`]).
 #[derive(Clone, Debug)]
 pub(super) struct Fit<'a> {
     pub unknowns: &'a [Unknown],
@@ -33,10 +41,16 @@ pub(super) struct Fit<'a> {
     pub starts: Vec<State>,
     /// Scale and correlation of the residuals of each regime, in the order of [`Regime::ALL`].
     pub noise: [Noise; 3],
+    /// Index of the recording of each stretch.
+    pub recording: Vec<usize>,
+    /// What differs between the recordings, one entry each.
+    pub offsets: Vec<Offset>,
+    /// Scatter of the offsets between recordings; `None` keeps the offsets as they are.
+    pub scatter: Option<Scatter>,
 }
 
-/// Blocks of J'J and J'r of one stretch: for the unknowns that all stretches share (g) and its own start
-/// state (s).
+/// Blocks of J'J and J'r of one stretch: for the unknowns that all stretches share with the offsets of its recording
+/// (g), and for its own start state (s).
 struct Block {
     gg: DMatrix<f64>,
     gs: DMatrix<f64>,
@@ -49,14 +63,39 @@ impl<'a> Fit<'a> {
     /// A fit that starts at `model`, each stretch in its measured state.
     pub fn new(unknowns: &'a [Unknown], model: QubeModel, stretches: Vec<Stretch<'a>>) -> Self {
         let starts = stretches.iter().map(Stretch::measured_start).collect();
-        Self { unknowns, model, stretches, starts, noise: [Noise::default(); 3] }
+        let recording = recordings(&stretches);
+        let offsets = vec![Offset::default(); recording.iter().max().map_or(0, |last| last + 1)];
+        let noise = [Noise::default(); 3];
+        let scatter = None;
+        Self { unknowns, model, stretches, starts, noise, recording, offsets, scatter }
+    }
+
+    /// The same fit with offsets of each recording's own, of the likely scatter.
+    pub fn with_offsets(self) -> Self {
+        Self { scatter: Some(Scatter::LIKELY), ..self }
+    }
+
+    /// A fit of other unknowns over other stretches with this one's model, noise and offsets.
+    pub fn with_unknowns<'b>(&self, unknowns: &'b [Unknown], stretches: Vec<Stretch<'b>>) -> Fit<'b>
+    where
+        'a: 'b,
+    {
+        let mut next = Fit::new(unknowns, self.model, stretches);
+        next.noise = self.noise;
+        for (stretch, &recording) in next.stretches.iter().zip(&next.recording) {
+            let own = self.stretches.iter().position(|own| own.is_beside(stretch));
+            if let Some(own) = own {
+                next.offsets[recording] = self.offsets[self.recording[own]];
+            }
+        }
+        next
     }
 
     /// A fit of the same unknowns over other stretches, from this one's result; stretches that both have keep
     /// their start states.
     pub fn over(&self, stretches: Vec<Stretch<'a>>) -> Self {
-        let mut next = Self::new(self.unknowns, self.model, stretches);
-        next.noise = self.noise;
+        let mut next = self.with_unknowns(self.unknowns, stretches);
+        next.scatter = self.scatter;
         for (stretch, start) in next.stretches.iter().zip(&mut next.starts) {
             let pairs = || self.stretches.iter().zip(&self.starts);
             if let Some((_, own)) = pairs().find(|(own, _)| own.is(stretch)) {
@@ -71,26 +110,122 @@ impl<'a> Fit<'a> {
         for _ in 0..SCALES {
             self.minimise();
             self.noise = noise_of(&self.stretches, &self.residuals_rad(), &self.noise);
+            self.scatter = self.scatter.map(|scatter| self.scatter_of(scatter));
         }
+    }
+
+    /// The quantities that are estimated for each recording. The rest angle of one recording alone is the typical one.
+    pub fn locals(&self) -> &'static [Local] {
+        let rest = Unknown::from(Nonideality::CableRest);
+        match self.scatter {
+            None => &[],
+            Some(_) if self.offsets.len() > 1 && self.unknowns.contains(&rest) => &Local::ALL,
+            Some(_) => &[Local::AlphaZero],
+        }
+    }
+
+    /// The scatter of the offsets that are estimated; 0 for the others.
+    pub fn own_scatter(&self) -> Scatter {
+        let mut own = Scatter::default();
+        for &local in self.locals() {
+            if let (Some(scatter), true) = (self.scatter, self.offsets.len() > 1) {
+                own.set(local, scatter.get(local));
+            }
+        }
+        own
+    }
+
+    /// The scatter of the offsets between recordings that makes the recordings most likely, for motions linear in the
+    /// unknowns (MacKay's update of a prior's width).
+    fn scatter_of(&self, before: Scatter) -> Scatter {
+        let (locals, count) = (self.locals(), self.unknowns.len());
+        let total = count + self.offsets.len() * locals.len();
+        let mut information = DMatrix::zeros(total, total);
+        let mut gradient = DVector::zeros(total);
+        for ((own, pull), &recording) in self.reduced().iter().zip(&self.recording) {
+            self.add_matrix(&mut information, recording, own);
+            self.add_gradient(&mut gradient, recording, pull);
+        }
+        let mut scatter = before;
+        for _ in 0..SCATTERS {
+            let (prior, pull) = self.priors(scatter);
+            let Some(covariance) = (&information + prior).try_inverse() else { break };
+            let change = -(&covariance * (&gradient + pull));
+            for (place, &local) in locals.iter().enumerate() {
+                let (mut squares, mut determined) = (0.0, 0.0);
+                for (recording, offset) in self.offsets.iter().enumerate() {
+                    let index = count + recording * locals.len() + place;
+                    squares += (offset.get(local) + change[index]).powi(2);
+                    determined += 1.0 - covariance[(index, index)] / scatter.get(local).powi(2);
+                }
+                scatter.set(local, (squares / determined.max(LEAST_DETERMINED)).sqrt());
+            }
+        }
+        scatter
+    }
+
+    /// Adds a stretch's matrix, over unknowns and the offsets of its recording, to that of all offsets.
+    fn add_matrix(&self, sum: &mut DMatrix<f64>, recording: usize, own: &DMatrix<f64>) {
+        for row in 0..own.nrows() {
+            for column in 0..own.ncols() {
+                sum[(self.place(recording, row), self.place(recording, column))] +=
+                    own[(row, column)];
+            }
+        }
+    }
+
+    /// Place, among the unknowns and the offsets of all recordings, of an entry of a stretch's block.
+    fn place(&self, recording: usize, index: usize) -> usize {
+        if index < self.unknowns.len() { index } else { index + recording * self.locals().len() }
+    }
+
+    /// Information and gradient of the priors of the unknowns and of all offsets, which scatter so much.
+    fn priors(&self, scatter: Scatter) -> (DMatrix<f64>, DVector<f64>) {
+        let locals = self.locals();
+        let count = self.unknowns.len();
+        let total = count + self.offsets.len() * locals.len();
+        let mut matrix = DMatrix::<f64>::zeros(total, total);
+        let mut gradient = DVector::<f64>::zeros(total);
+        for (index, unknown) in self.unknowns.iter().enumerate() {
+            let prior = unknown.prior();
+            matrix[(index, index)] = prior.std.powi(-2);
+            gradient[index] = (unknown.of(&self.model) - prior.mean) / prior.std.powi(2);
+        }
+        for (recording, offset) in self.offsets.iter().enumerate() {
+            for (place, &local) in locals.iter().enumerate() {
+                let index = count + recording * locals.len() + place;
+                let information = scatter.get(local).powi(-2);
+                matrix[(index, index)] = information;
+                gradient[index] = offset.get(local) * information;
+            }
+        }
+        (matrix, gradient)
+    }
+
+    /// The Qube of a stretch, and the zero of its pendulum's angle, rad.
+    fn own(&self, model: &QubeModel, recording: usize, offsets: &[Offset]) -> (QubeModel, f64) {
+        let offset = offsets[recording];
+        (offset.applied(model), offset.alpha_zero_rad)
     }
 
     /// Minimises the cost by Levenberg-Marquardt over all unknowns and all start states; the start states
     /// are eliminated stretch by stretch (Schur complement).
     pub fn minimise(&mut self) {
         let mut damping = 1e-3;
-        let mut cost = self.cost(&self.model, &self.starts);
+        let mut cost = self.cost(&self.model, &self.starts, &self.offsets);
         for _ in 0..MAX_STEPS {
             let blocks = self.blocks();
             let mut progress = 0.0;
             for _ in 0..MAX_SHORTENINGS {
-                let next = self.step(&blocks, damping).map(|(model, starts)| {
-                    let cost = self.cost(&model, &starts);
-                    (model, starts, cost)
+                let next = self.step(&blocks, damping).map(|(model, starts, offsets)| {
+                    let cost = self.cost(&model, &starts, &offsets);
+                    (model, starts, offsets, cost)
                 });
                 match next {
-                    Some((model, starts, next)) if next < cost => {
+                    Some((model, starts, offsets, next)) if next < cost => {
                         progress = (cost - next) / cost;
-                        (self.model, self.starts, cost) = (model, starts, next);
+                        (self.model, self.starts, self.offsets) = (model, starts, offsets);
+                        cost = next;
                         damping = (damping * 0.2).max(1e-9);
                         break;
                     }
@@ -105,12 +240,14 @@ impl<'a> Fit<'a> {
 
     /// The residuals of all stretches, in order: theta and alpha of each sample, rad.
     pub fn residuals_rad(&self) -> Vec<Vec<Residual>> {
-        let pairs: Vec<_> = self.stretches.iter().zip(&self.starts).collect();
-        side_by_side(&pairs, |(stretch, start)| residuals(stretch, &self.model, **start))
+        side_by_side(&self.pieces(&self.starts), |&(stretch, start, recording)| {
+            residuals(stretch, self.own(&self.model, recording, &self.offsets), start)
+        })
     }
 
-    /// For each stretch its information about the unknowns (J'J) and its gradient (J'r), in the fit's units and
-    /// without the priors; its start state is eliminated, and correlated residuals count as fewer.
+    /// For each stretch its information (J'J) and its gradient (J'r) about the unknowns, then about the offsets of its
+    /// recording, in the fit's units and without the priors; its start state is eliminated, and correlated
+    /// residuals count as fewer.
     pub fn reduced(&self) -> Vec<(DMatrix<f64>, DVector<f64>)> {
         let reduce = |block: Block| {
             let Some(inverse) = block.ss.try_inverse() else { return (block.gg, block.g) };
@@ -121,34 +258,53 @@ impl<'a> Fit<'a> {
         self.blocks().into_iter().map(reduce).collect()
     }
 
+    /// Stretches with their start states and the indices of their recordings.
+    fn pieces(&self, starts: &[State]) -> Vec<(&Stretch<'a>, State, usize)> {
+        let of = |((stretch, &start), &recording)| (stretch, start, recording);
+        self.stretches.iter().zip(starts).zip(&self.recording).map(of).collect()
+    }
+
     fn noise(&self, regime: Regime) -> &Noise {
         &self.noise[regime as usize]
     }
 
     /// The cost; NaN when the motion diverges.
-    fn cost(&self, model: &QubeModel, starts: &[State]) -> f64 {
-        let pairs: Vec<_> = self.stretches.iter().zip(starts).collect();
-        let costs = side_by_side(&pairs, |(stretch, start)| {
-            robust_cost(self.noise(stretch.regime), &residuals(stretch, model, **start))
+    fn cost(&self, model: &QubeModel, starts: &[State], offsets: &[Offset]) -> f64 {
+        let costs = side_by_side(&self.pieces(starts), |&(stretch, start, recording)| {
+            let own = self.own(model, recording, offsets);
+            robust_cost(self.noise(stretch.regime), &residuals(stretch, own, start))
         });
         let prior_cost = |unknown: &Unknown| {
             let prior = unknown.prior();
             ((unknown.of(model) - prior.mean) / prior.std).powi(2)
         };
-        costs.iter().sum::<f64>() + self.unknowns.iter().map(prior_cost).sum::<f64>()
+        let offset_cost = |scatter: Scatter| {
+            let one = |local: &Local| {
+                let square = |offset: &Offset| (offset.get(*local) / scatter.get(*local)).powi(2);
+                offsets.iter().map(square).sum::<f64>()
+            };
+            self.locals().iter().map(one).sum::<f64>()
+        };
+        costs.iter().sum::<f64>()
+            + self.unknowns.iter().map(prior_cost).sum::<f64>()
+            + self.scatter.map_or(0.0, offset_cost)
     }
 
     fn blocks(&self) -> Vec<Block> {
-        let pairs: Vec<_> = self.stretches.iter().zip(&self.starts).collect();
-        side_by_side(&pairs, |(stretch, start)| self.block(stretch, **start))
+        side_by_side(&self.pieces(&self.starts), |&(stretch, start, recording)| {
+            self.block(stretch, start, recording)
+        })
     }
 
-    fn block(&self, stretch: &Stretch<'_>, start: State) -> Block {
+    fn block(&self, stretch: &Stretch<'_>, start: State, recording: usize) -> Block {
         let noise = self.noise(stretch.regime);
         let scale = [noise.scale.theta_rad, noise.scale.alpha_rad];
-        let (here, slopes) = linearised(stretch, self.unknowns, &self.model, start, scale);
+        let (model, zero_rad) = self.own(&self.model, recording, &self.offsets);
+        let (mut here, slopes) = linearised(stretch, self.unknowns, &model, start, scale);
+        here.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad / scale[1]);
+        let slopes = self.with_locals(slopes, scale[1]);
         let weight = robust_weight(here.norm_squared() / here.len() as f64) / noise.correlated;
-        let count = self.unknowns.len();
+        let count = slopes.ncols() - STARTS;
         let (square, gradient) = (weight * slopes.tr_mul(&slopes), weight * slopes.tr_mul(&here));
         let ss = square.view((count, count), (STARTS, STARTS));
         Block {
@@ -160,30 +316,46 @@ impl<'a> Fit<'a> {
         }
     }
 
+    /// Derivatives with those by the recording's offsets, between those by the unknowns and those by the start.
+    fn with_locals(&self, slopes: DMatrix<f64>, alpha_scale: f64) -> DMatrix<f64> {
+        let (locals, count) = (self.locals(), self.unknowns.len());
+        let rest = Unknown::from(Nonideality::CableRest);
+        let rest = self.unknowns.iter().position(|&unknown| unknown == rest);
+        let mut slopes = slopes.insert_columns(count, locals.len(), 0.0);
+        for (place, local) in locals.iter().enumerate() {
+            match (local, rest) {
+                (Local::CableRest, Some(rest)) => {
+                    let column = slopes.column(rest).into_owned();
+                    slopes.set_column(count + place, &column);
+                }
+                (Local::CableRest, None) => {}
+                (Local::AlphaZero, _) => {
+                    let mut column = slopes.column_mut(count + place);
+                    let alphas = column.iter_mut().skip(1).step_by(2);
+                    alphas.for_each(|slope| *slope = 1.0 / alpha_scale);
+                }
+            }
+        }
+        slopes
+    }
+
     /// The next step; `None` when the normal equations have no solution at this damping.
-    fn step(&self, blocks: &[Block], damping: f64) -> Option<(QubeModel, Vec<State>)> {
-        let count = self.unknowns.len();
-        let mut matrix = DMatrix::<f64>::zeros(count, count);
-        let mut gradient = DVector::<f64>::zeros(count);
-        for (index, unknown) in self.unknowns.iter().enumerate() {
-            let prior = unknown.prior();
-            matrix[(index, index)] = prior.std.powi(-2);
-            gradient[index] = (unknown.of(&self.model) - prior.mean) / prior.std.powi(2);
+    fn step(&self, blocks: &[Block], damping: f64) -> Option<(QubeModel, Vec<State>, Vec<Offset>)> {
+        let (mut matrix, mut gradient) = self.priors(self.scatter.unwrap_or_default());
+        for (block, &recording) in blocks.iter().zip(&self.recording) {
+            self.add_matrix(&mut matrix, recording, &block.gg);
+            self.add_gradient(&mut gradient, recording, &block.g);
         }
-        for block in blocks {
-            matrix += &block.gg;
-            gradient += &block.g;
-        }
-        for index in 0..count {
+        for index in 0..matrix.nrows() {
             matrix[(index, index)] *= 1.0 + damping;
         }
         let mut inverses = Vec::with_capacity(blocks.len());
-        for block in blocks {
+        for (block, &recording) in blocks.iter().zip(&self.recording) {
             let inverse = (block.ss + damping * Matrix4::from_diagonal(&block.ss.diagonal()))
                 .try_inverse()?;
             let weighted = &block.gs * inverse;
-            matrix -= &weighted * block.gs.transpose();
-            gradient -= &weighted * block.s;
+            self.add_matrix(&mut matrix, recording, &-(&weighted * block.gs.transpose()));
+            self.add_gradient(&mut gradient, recording, &-(&weighted * block.s));
             inverses.push(inverse);
         }
         let change = self.change(matrix, gradient)?;
@@ -191,20 +363,37 @@ impl<'a> Fit<'a> {
         for (unknown, change) in self.unknowns.iter().zip(&change) {
             unknown.set(&mut model, unknown.of(&self.model) + change);
         }
-        let starts =
-            blocks.iter().zip(&inverses).zip(&self.starts).map(|((block, inverse), start)| {
-                let shared: SVector<f64, 4> =
-                    SVector::from_iterator(block.gs.tr_mul(&change).iter().copied());
-                moved(*start, &-(inverse * (block.s + shared)))
-            });
-        Some((model, starts.collect()))
+        let (locals, count) = (self.locals(), self.unknowns.len());
+        let mut offsets = self.offsets.clone();
+        for (recording, offset) in offsets.iter_mut().enumerate() {
+            for (place, &local) in locals.iter().enumerate() {
+                let change = change[count + recording * locals.len() + place];
+                offset.set(local, offset.get(local) + change);
+            }
+        }
+        let pieces = blocks.iter().zip(&inverses).zip(&self.starts).zip(&self.recording);
+        let starts = pieces.map(|(((block, inverse), start), &recording)| {
+            let own =
+                DVector::from_fn(block.g.len(), |index, _| change[self.place(recording, index)]);
+            let shared: SVector<f64, 4> =
+                SVector::from_iterator(block.gs.tr_mul(&own).iter().copied());
+            moved(*start, &-(inverse * (block.s + shared)))
+        });
+        Some((model, starts.collect(), offsets))
+    }
+
+    /// Adds a stretch's gradient, over unknowns and the offsets of its recording, to that of all offsets.
+    fn add_gradient(&self, sum: &mut DVector<f64>, recording: usize, own: &DVector<f64>) {
+        for (index, value) in own.iter().enumerate() {
+            sum[self.place(recording, index)] += value;
+        }
     }
 
     /// Solves for the change of the unknowns. A strength that is 0 and would become negative stays, and the
     /// others are solved for without it.
     fn change(&self, mut matrix: DMatrix<f64>, mut gradient: DVector<f64>) -> Option<DVector<f64>> {
         let count = self.unknowns.len();
-        if count == 0 {
+        if gradient.is_empty() {
             return Some(gradient);
         }
         for _ in 0..=count {
@@ -231,12 +420,16 @@ impl<'a> Fit<'a> {
     }
 }
 
-/// The residuals of a stretch, rad.
-fn residuals(stretch: &Stretch<'_>, model: &QubeModel, start: State) -> Vec<Residual> {
-    let simulated = stretch.simulate(model, start);
+/// The residuals of a stretch for a model and a zero of the pendulum's angle, rad.
+fn residuals(
+    stretch: &Stretch<'_>,
+    (model, zero_rad): (QubeModel, f64),
+    start: State,
+) -> Vec<Residual> {
+    let simulated = stretch.simulate(&model, start);
     let pairs = simulated.iter().zip(stretch.samples());
     let of = |(a, b): (&State, &crate::replay::MotionSample)| {
-        [a.theta - b.state.theta, a.alpha - b.state.alpha]
+        [a.theta - b.state.theta, a.alpha + zero_rad - b.state.alpha]
     };
     pairs.map(of).collect()
 }

@@ -6,6 +6,7 @@ use super::Unknown;
 use super::assessment::{Assessment, assess};
 use super::fit::Fit;
 use super::fitness::{Unfit, check_recording};
+use super::offsets::{Offset, Scatter};
 use super::residuals::{ResidualScale, scale_of};
 use super::stretch::{Regime, Stretch, is_upright};
 use super::uncertainty::{Blind, Estimate, Uncertainty, uncertainty};
@@ -50,6 +51,11 @@ pub struct Identified {
     pub blind: Vec<Blind>,
     /// Correlations of the errors of the estimates, -1 to 1, in the same order.
     pub correlations: Vec<Vec<f64>>,
+    /// Offsets of each recording, in order: its own rest angle of the cable is the model's, which is the typical one,
+    /// plus its offset.
+    pub offsets: Vec<Offset>,
+    /// Scatter of the offsets between recordings; 0 of a single recording.
+    pub scatter: Scatter,
     /// Residuals of the model over the fitted windows.
     pub scale: ResidualScale,
     /// Factor, from 1 on, that the standard errors contain because windows and recordings contradict each other
@@ -137,6 +143,20 @@ pub enum Sign {
     Pendulum,
 }
 
+impl Identified {
+    /// The Qube as some of the fitted recordings found it, by index: with the mean of their own rest angles of the
+    /// cable. Without any, it is the typical Qube.
+    #[must_use]
+    pub fn model_of(&self, recordings: &[usize]) -> QubeModel {
+        let own = recordings.iter().filter_map(|&index| self.offsets.get(index));
+        let (sum_rad, count) =
+            own.fold((0.0, 0.0), |(sum, count), own| (sum + own.cable_rest_rad, count + 1.0));
+        let mut model = self.model;
+        model.nonidealities.cable_rest_rad += if count > 0.0 { sum_rad / count } else { 0.0 };
+        model
+    }
+}
+
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let sign = match self {
@@ -172,7 +192,7 @@ pub fn identify(
         check_recording(log).map_err(|why| IdentifyError::Unfit { index, why })?;
     }
     let [first_s, further_s @ ..] = STAGES_S;
-    let mut fit = Fit::new(unknowns, *first_guess, windows(logs, first_s));
+    let mut fit = Fit::new(unknowns, *first_guess, windows(logs, first_s)).with_offsets();
     fit.run();
     let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
     let cause = || cause(logs, unknowns, first_guess, theta_rad.max(alpha_rad));
@@ -194,8 +214,20 @@ pub fn identify(
     let Uncertainty { estimates, blind, correlations, inflation } = uncertainty(&fit);
     let scale = scale_of(&fit.residuals_rad());
     let assessment = assess(&fit, windows(logs, STAGES_S[0]));
-    let model = fit.model;
-    Ok(Identified { model, estimates, blind, correlations, scale, inflation, assessment })
+    let Fit { model, .. } = fit;
+    let scatter = fit.own_scatter();
+    let offsets = fit.offsets;
+    Ok(Identified {
+        model,
+        estimates,
+        blind,
+        correlations,
+        offsets,
+        scatter,
+        scale,
+        inflation,
+        assessment,
+    })
 }
 
 fn windows(logs: &[MotionLog], duration_s: f64) -> Vec<Stretch<'_>> {
@@ -222,7 +254,7 @@ fn unexplained(logs: &[MotionLog], fit: &Fit<'_>) -> Option<ResidualScale> {
     }
     let swings = part(false)?;
     let scale = scale_of(&swings.residuals_rad());
-    let mut motorless = Fit { unknowns: &[], ..swings };
+    let mut motorless = Fit { unknowns: &[], scatter: None, ..swings };
     // Without current the motor neither drives nor brakes.
     motorless.model.parameters.motor_resistance_ohm *= 1e6;
     motorless.minimise();

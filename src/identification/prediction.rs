@@ -27,6 +27,22 @@ pub struct HorizonError {
     pub predictions: usize,
 }
 
+impl HorizonError {
+    /// The error over the predictions of several parts, such as recordings with Qubes of their own. All have the same
+    /// horizon; each counts by its number of predictions.
+    #[must_use]
+    pub fn pooled(horizon_s: f64, parts: &[Self]) -> Self {
+        let predictions: usize = parts.iter().map(|part| part.predictions).sum();
+        let rms = |angle: fn(&AngleError) -> f64| {
+            let square = |part: &Self| part.predictions as f64 * angle(&part.rms).powi(2);
+            (parts.iter().map(square).sum::<f64>() / predictions.max(1) as f64).sqrt()
+        };
+        let rms =
+            AngleError { theta_rad: rms(|rms| rms.theta_rad), alpha_rad: rms(|rms| rms.alpha_rad) };
+        Self { horizon_s, rms, predictions }
+    }
+}
+
 /// The state at the first sample that explains the first 0.2 s best.
 #[must_use]
 pub fn start_state(log: &MotionLog, model: &QubeModel) -> State {
@@ -94,7 +110,8 @@ impl Phase {
     }
 
     /// Time from which the start state is estimated, and the horizon, s.
-    fn times_s(self) -> [f64; 2] {
+    #[must_use]
+    pub fn times_s(self) -> [f64; 2] {
         match self {
             Self::Swing => [SWING_KNOWN_S, 0.5],
             Self::Balance => [KNOWN_S, 0.1],

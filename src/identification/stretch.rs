@@ -97,7 +97,12 @@ impl<'a> Stretch<'a> {
 
     /// Whether both are the same samples of the same recording.
     pub fn is(&self, other: &Self) -> bool {
-        std::ptr::eq(self.recording, other.recording) && self.range() == other.range()
+        self.is_beside(other) && self.range() == other.range()
+    }
+
+    /// Whether both are of the same recording.
+    pub fn is_beside(&self, other: &Self) -> bool {
+        std::ptr::eq(self.recording, other.recording)
     }
 
     /// The indices of its samples in the recording.

@@ -1,7 +1,7 @@
 use super::*;
 use crate::qube::{
-    DomainParameter, DomainParameters, Nonidealities, Nonideality, PlantModel, QubeModel, State,
-    quantised,
+    DomainParameter, DomainParameters, Nonidealities, Nonideality, PlantModel, QubeModel,
+    RAD_PER_COUNT, State, quantised,
 };
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
@@ -85,6 +85,46 @@ fn a_qube_that_is_known_is_found_within_its_standard_errors() {
     assert!(error.theta_rad < 0.01 && error.alpha_rad < 0.01, "{error:?}");
     let nominal = horizon_error(&held_out, &QubeModel::NOMINAL, 5.8).rms;
     assert!(nominal.theta_rad > 0.1, "{nominal:?}");
+}
+
+#[test]
+fn recordings_whose_cables_rest_elsewhere_have_rest_angles_of_their_own() {
+    let resting = |rest_rad: f64, sign: f64, zero_rad: f64| {
+        let mut truth = truth();
+        truth.nonidealities.cable_rest_rad = rest_rad;
+        let mut log = chirp(&truth, sign, 5.0);
+        log.samples.iter_mut().for_each(|sample| sample.state.alpha += zero_rad);
+        log
+    };
+    let rests_rad = [-0.6, -0.6, 0.2, 0.2];
+    let zeros_rad = [0.0, 0.003, 0.0, -0.003];
+    let signs = [1.0, -1.0, 1.0, -1.0];
+    let logs: Vec<MotionLog> =
+        (0..4).map(|index| resting(rests_rad[index], signs[index], zeros_rad[index])).collect();
+    let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
+    for (index, rest_rad) in rests_rad.iter().enumerate() {
+        let own = found.model_of(&[index]).nonidealities.cable_rest_rad;
+        assert!((own - rest_rad).abs() < 0.1, "{index}: {own} instead of {rest_rad}");
+        // An encoder rounds downwards, by half a count on average.
+        let zero_rad = found.offsets[index].alpha_zero_rad + 0.5 * RAD_PER_COUNT;
+        assert!((zero_rad - zeros_rad[index]).abs() < 6e-4, "{index}: {zero_rad}");
+    }
+    let group = found.model_of(&[2, 3]).nonidealities.cable_rest_rad;
+    assert!((group - 0.2).abs() < 0.1, "{group}");
+    assert_eq!(found.model_of(&[]), found.model);
+    // The scatter of -0.6 and 0.2 about their mean is 0.4.
+    assert!((0.2..0.6).contains(&found.scatter.cable_rest_rad), "{:?}", found.scatter);
+    let rest = Unknown::from(Nonideality::CableRest);
+    let rest = found.estimates.iter().find(|estimate| estimate.unknown == rest).unwrap();
+    assert!(rest.standard_error > found.scatter.cable_rest_rad, "{rest:?}");
+    assert_eq!(found.assessment.verdict, Verdict::Fits, "{:?}", found.assessment);
+}
+
+#[test]
+fn recordings_of_one_homing_have_one_rest_angle() {
+    let logs = [1.0, -1.0].map(|sign| chirp(&truth(), sign, 5.0));
+    let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
+    assert!(found.scatter.cable_rest_rad < 0.05, "{:?}", found.scatter);
 }
 
 #[test]

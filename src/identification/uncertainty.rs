@@ -2,6 +2,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::Unknown;
 use super::fit::Fit;
+use super::offsets::Offset;
+use crate::qube::Nonideality;
 
 /// Share of its prior variance that the data must remove from an unknown before it counts as determined.
 const TOLD: f64 = 0.5;
@@ -19,7 +21,8 @@ pub struct Estimate {
     pub unknown: Unknown,
     /// Value in its SI unit.
     pub value: f64,
-    /// Standard error in the same unit; it accounts for the residuals' correlation in time.
+    /// Standard error in the same unit; it accounts for the residuals' correlation in time, and that of the cable's
+    /// rest angle for its scatter between recordings.
     pub standard_error: f64,
     /// Share of the prior variance that the data removed; near 0, the value is the prior's.
     pub told_by_data: f64,
@@ -36,6 +39,9 @@ impl Estimate {
 /// A combination of unknowns that the recordings do not determine: moving each by this many of its prior
 /// standard deviations at once leaves the simulated motion unchanged.
 pub type Blind = Vec<(Unknown, f64)>;
+
+/// Information and gradient of a window or a recording.
+type Reduced = (DMatrix<f64>, DVector<f64>);
 
 /// The uncertainty of a fit, in the order of its unknowns.
 pub(super) struct Uncertainty {
@@ -58,8 +64,8 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
     let inflation = inflation(fit, &reduced);
     let count = fit.unknowns.len();
     let mut information = DMatrix::zeros(count, count);
-    for (own, _) in &reduced {
-        information += own / (inflation * inflation);
+    for (own, _) in by_recording(fit, &reduced, inflation) {
+        information += own;
     }
     let stds =
         DVector::from_iterator(fit.unknowns.len(), fit.unknowns.iter().map(|u| u.prior().std));
@@ -74,8 +80,17 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
         parts.iter().zip(eigenvalues).map(|(part, value)| part / (1.0 + value.max(0.0))).sum()
     };
     let variance = |index: usize| covariance(index, index);
+    // Of the next recording, the rest angle is the typical one plus an offset, in prior standard deviations.
+    let rest = Unknown::from(Nonideality::CableRest);
+    let scattered = fit.own_scatter().cable_rest_rad / rest.prior().std;
+    let total = |index: usize| {
+        variance(index) + if fit.unknowns[index] == rest { scattered * scattered } else { 0.0 }
+    };
     let correlations = (0..stds.len()).map(|one| {
-        let of = |other| covariance(one, other) / (variance(one) * variance(other)).sqrt();
+        let of = |other| {
+            let own = if one == other { total(one) } else { covariance(one, other) };
+            own / (total(one) * total(other)).sqrt()
+        };
         (0..stds.len()).map(of).collect()
     });
     let correlations = correlations.collect();
@@ -84,7 +99,7 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
         Estimate {
             unknown,
             value: unknown.quantity(moved),
-            standard_error: unknown.deviation(moved, left.sqrt() * unknown.prior().std),
+            standard_error: unknown.deviation(moved, total(index).sqrt() * unknown.prior().std),
             told_by_data: 1.0 - left,
         }
     });
@@ -111,25 +126,52 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
 /// A model that holds predicts a window that is left out as well as those that it was fitted to, and the gradients of
 /// the windows then scatter as their information says. Those of a wrong model scatter more: each window asks
 /// for another Qube. The factor is the root mean square over the directions that the data determine.
-fn inflation(fit: &Fit<'_>, reduced: &[(DMatrix<f64>, DVector<f64>)]) -> f64 {
-    let recording = |index: usize| fit.stretches[index].recording.as_ptr();
-    let mut recordings: Vec<(DMatrix<f64>, DVector<f64>)> = Vec::new();
-    let mut last = None;
-    for (index, (information, gradient)) in reduced.iter().enumerate() {
-        match recordings.last_mut() {
-            Some((own, sum)) if last == Some(recording(index)) => {
-                *own += information;
-                *sum += gradient;
-            }
-            _ => recordings.push((information.clone(), gradient.clone())),
-        }
-        last = Some(recording(index));
+fn inflation(fit: &Fit<'_>, reduced: &[Reduced]) -> f64 {
+    let count = fit.unknowns.len();
+    let shared = |(information, gradient): &Reduced| {
+        (
+            information.view((0, 0), (count, count)).into_owned(),
+            gradient.rows(0, count).into_owned(),
+        )
+    };
+    let windows: Vec<Reduced> = reduced.iter().map(shared).collect();
+    let recordings = by_recording(fit, reduced, 1.0);
+    scatter(fit.unknowns, &windows).max(scatter(fit.unknowns, &recordings)).max(1.0)
+}
+
+/// Information and gradient of each recording about the unknowns alone, with standard errors inflated by a factor; the
+/// offsets of the recording are eliminated.
+fn by_recording(fit: &Fit<'_>, reduced: &[Reduced], inflation: f64) -> Vec<Reduced> {
+    let (count, locals) = (fit.unknowns.len(), fit.locals().len());
+    let size = count + locals;
+    let zero = (DMatrix::zeros(size, size), DVector::zeros(size));
+    let mut sums: Vec<Reduced> = vec![zero; fit.offsets.len()];
+    for ((information, gradient), &recording) in reduced.iter().zip(&fit.recording) {
+        sums[recording].0 += information / (inflation * inflation);
+        sums[recording].1 += gradient / (inflation * inflation);
     }
-    scatter(fit.unknowns, reduced).max(scatter(fit.unknowns, &recordings)).max(1.0)
+    let eliminated = |((information, gradient), offset): (Reduced, &Offset)| {
+        let shared = information.view((0, 0), (count, count)).into_owned();
+        let cross = information.view((0, count), (count, locals)).into_owned();
+        let mut own = information.view((count, count), (locals, locals)).into_owned();
+        let mut pull = gradient.rows(count, locals).into_owned();
+        if let Some(scatter) = fit.scatter {
+            for (place, &local) in fit.locals().iter().enumerate() {
+                let prior = scatter.get(local).powi(-2);
+                own[(place, place)] += prior;
+                pull[place] += prior * offset.get(local);
+            }
+        }
+        let gradient = gradient.rows(0, count).into_owned();
+        let Some(inverse) = own.try_inverse() else { return (shared, gradient) };
+        let weighted = &cross * inverse;
+        (shared - &weighted * cross.transpose(), gradient - weighted * pull)
+    };
+    sums.into_iter().zip(&fit.offsets).map(eliminated).collect()
 }
 
 /// Root mean square of the groups' gradients in their standard deviations; 1 where there are too few groups.
-fn scatter(unknowns: &[Unknown], groups: &[(DMatrix<f64>, DVector<f64>)]) -> f64 {
+fn scatter(unknowns: &[Unknown], groups: &[Reduced]) -> f64 {
     if groups.len() < FEWEST_GROUPS || unknowns.is_empty() {
         return 1.0;
     }
@@ -146,8 +188,7 @@ fn scatter(unknowns: &[Unknown], groups: &[(DMatrix<f64>, DVector<f64>)]) -> f64
     for (column, &value) in eigen.eigenvalues.iter().enumerate().filter(|(_, value)| **value > 1.0)
     {
         let direction = eigen.eigenvectors.column(column).component_mul(&stds);
-        let squared =
-            |(_, gradient): &(DMatrix<f64>, DVector<f64>)| gradient.dot(&direction).powi(2);
+        let squared = |(_, gradient): &Reduced| gradient.dot(&direction).powi(2);
         squares += groups.iter().map(squared).sum::<f64>() / value;
         directions += 1.0;
     }

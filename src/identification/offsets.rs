@@ -1,0 +1,98 @@
+//! What differs between recordings of one Qube.
+
+use super::stretch::Stretch;
+use crate::qube::QubeModel;
+
+/// A quantity that homing sets anew, so that recordings differ in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Local {
+    /// The cable's rest angle, relative to the typical one.
+    CableRest,
+    /// The pendulum's measured angle where it hangs.
+    AlphaZero,
+}
+
+impl Local {
+    /// All of them, in order.
+    pub const ALL: [Self; 2] = [Self::CableRest, Self::AlphaZero];
+}
+
+/// The offsets of one recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Offset {
+    /// The cable's rest angle minus the typical one, rad.
+    pub cable_rest_rad: f64,
+    /// The pendulum's measured angle where it hangs, rad.
+    pub alpha_zero_rad: f64,
+}
+
+impl Offset {
+    /// One of the offsets, rad.
+    pub(super) fn get(&self, local: Local) -> f64 {
+        match local {
+            Local::CableRest => self.cable_rest_rad,
+            Local::AlphaZero => self.alpha_zero_rad,
+        }
+    }
+
+    /// Sets one of the offsets, rad.
+    pub(super) fn set(&mut self, local: Local, value_rad: f64) {
+        match local {
+            Local::CableRest => self.cable_rest_rad = value_rad,
+            Local::AlphaZero => self.alpha_zero_rad = value_rad,
+        }
+    }
+
+    /// The Qube with the rest angle of this recording.
+    pub(super) fn applied(&self, model: &QubeModel) -> QubeModel {
+        let mut model = *model;
+        model.nonidealities.cable_rest_rad += self.cable_rest_rad;
+        model
+    }
+}
+
+/// Standard deviations of the offsets between recordings.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Scatter {
+    /// Standard deviation of the cable's rest angle, rad.
+    pub cable_rest_rad: f64,
+    /// Standard deviation of the pendulum's measured angle where it hangs, rad.
+    pub alpha_zero_rad: f64,
+}
+
+impl Scatter {
+    /// The scatter before any data: the cable's own prior, and a count of the pendulum's encoder.
+    pub(super) const LIKELY: Self = Self { cable_rest_rad: 0.5, alpha_zero_rad: 3e-3 };
+
+    /// The scatter below which recordings count as alike.
+    const SMALLEST: Self = Self { cable_rest_rad: 1e-3, alpha_zero_rad: 1e-4 };
+
+    /// Scatter of one of the offsets, rad.
+    pub(super) fn get(&self, local: Local) -> f64 {
+        match local {
+            Local::CableRest => self.cable_rest_rad,
+            Local::AlphaZero => self.alpha_zero_rad,
+        }
+    }
+
+    /// Sets the scatter of one of the offsets, rad.
+    pub(super) fn set(&mut self, local: Local, value_rad: f64) {
+        let value_rad = value_rad.max(Self::SMALLEST.get(local));
+        match local {
+            Local::CableRest => self.cable_rest_rad = value_rad,
+            Local::AlphaZero => self.alpha_zero_rad = value_rad,
+        }
+    }
+}
+
+/// For each stretch the index of its recording, in the order in which the recordings first occur.
+pub(super) fn recordings(stretches: &[Stretch<'_>]) -> Vec<usize> {
+    let mut indices = Vec::with_capacity(stretches.len());
+    let mut next = 0;
+    for (index, stretch) in stretches.iter().enumerate() {
+        let same = stretches[..index].iter().rposition(|before| before.is_beside(stretch));
+        indices.push(same.map_or(next, |before| indices[before]));
+        next = next.max(indices[index] + 1);
+    }
+    indices
+}
