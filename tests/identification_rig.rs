@@ -45,6 +45,8 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
     // Excitations can be replayed like policies.
     qube_hil(directory.path(), &["replay", files[0], files[1]]);
     let found = json(&qube_hil(directory.path(), &["identify", files[0], files[1], "--json"]));
+    // Nothing of the emulated rig is taken for an effect outside the equations.
+    assert_eq!(found["verdict"], "fits", "{found}");
     let lab = lab();
     let expected = toml::Table::try_from(&lab).unwrap();
     let mut told = 0;

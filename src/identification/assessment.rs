@@ -1,19 +1,26 @@
 use std::fmt;
 
-use nalgebra::DVector;
-
+use super::ResidualScale;
+use super::effects::{Effect, scores};
 use super::fit::Fit;
-use super::residuals::{Noise, Residual, noise_of, scale_of};
+use super::residuals::{Noise, Residual, scale_of};
 use super::stretch::{Regime, Stretch};
-use super::{ResidualScale, Unknown};
-use crate::qube::{DomainParameter, Nonideality, RAD_PER_COUNT};
+use crate::qube::RAD_PER_COUNT;
 
 /// Largest residual over short windows of a model that fits, in standard deviations of the encoder's
 /// quantisation.
-const LARGEST_NOISE_RATIO: f64 = 1.5;
+const LARGEST_NOISE_RATIO: f64 = 1.2;
 
-/// Largest correlation of successive residuals of a model that fits.
-const LARGEST_WHITENESS: f64 = 0.5;
+/// Largest correlation of neighbouring residuals of a model that fits, over long recordings. Start states that are
+/// fitted make it a little negative.
+const LARGEST_WHITENESS: f64 = 0.02;
+
+/// Largest correlation of neighbouring residuals times the root of the number of samples: over short recordings chance
+/// alone exceeds [`LARGEST_WHITENESS`]. It is five standard deviations.
+const LARGEST_CHANCE: f64 = 0.9;
+
+/// Largest distance, in samples, of residuals whose correlation is tested.
+const LAGS: usize = 5;
 
 /// Largest residual over the fitted windows of a model that fits, in residuals over short windows.
 const LARGEST_GROWTH: f64 = 2.0;
@@ -21,14 +28,12 @@ const LARGEST_GROWTH: f64 = 2.0;
 /// Residual over short windows beyond which a model does not fit, rad.
 const UNFIT_RAD: f64 = 0.03;
 
-/// Size of a test statistic, normal where the model holds, beyond which a dependence is reported.
-const SIGNIFICANT: f64 = 4.0;
+/// Score of an effect outside the equations, chi-squared of one or two degrees of freedom where the model holds, from
+/// which it is doubted.
+const SIGNIFICANT: f64 = 50.0;
 
-/// Time after a reversal of the arm in which play and hysteresis act, s.
-const REVERSAL_S: f64 = 0.06;
-
-/// Smallest ratio of the residuals' changes after reversals to those elsewhere that points at play.
-const REVERSAL_RATIO: f64 = 1.5;
+/// Share of what the model leaves unexplained that an effect must explain to be named.
+const NAMED_SHARE: f64 = 0.2;
 
 /// Whether the model describes the Qube that made the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,13 +63,13 @@ impl Verdict {
 pub enum Doubt {
     /// The residuals exceed those of the encoders.
     Unexplained,
-    /// The residuals change most where the arm has turned back: play, or friction that gives way.
+    /// A torque builds up after the arm turns back: friction that gives way, or a cable with hysteresis.
     Reversals,
     /// The motor changes in the course of the recordings: it warms.
     Warming,
-    /// What the arm resists depends on its angle otherwise than a spring does.
+    /// The arm's measured angle has an error that is periodic in the angle.
     Angle,
-    /// What the arm resists depends on its direction.
+    /// The arm's resistance depends on its direction.
     Direction,
 }
 
@@ -87,14 +92,11 @@ impl fmt::Display for Doubt {
         f.write_str(match self {
             Self::Unexplained => "residuals larger than the encoders'",
             Self::Reversals => {
-                "motion after the arm turns back (play between motor and arm, friction that gives way \
-                 before it slides?)"
+                "a torque that builds up after the arm turns back (friction that gives way before it \
+                 slides, a cable with hysteresis?)"
             }
             Self::Warming => "a motor that changes with time (does it warm?)",
-            Self::Angle => {
-                "a resistance that depends on the arm's angle (a cable with hysteresis, an encoder off \
-                 its centre?)"
-            }
+            Self::Angle => "an error of the arm's angle that depends on the angle (an encoder off its centre?)",
             Self::Direction => "a resistance that depends on the arm's direction",
         })
     }
@@ -109,7 +111,8 @@ pub struct Assessment {
     pub doubts: Vec<Doubt>,
     /// Residual over windows of half a second, in standard deviations of the encoder's quantisation.
     pub noise_ratio: f64,
-    /// Correlation of successive residuals of an angle over half a second, the larger of both: 0 for white ones.
+    /// Mean correlation of residuals of an angle that are one to five samples apart, in windows of half a second, the
+    /// larger of both angles: about 0 for white ones.
     pub whiteness: f64,
     /// Residual over the fitted windows of chirps, in residuals over half a second.
     pub growth: f64,
@@ -120,24 +123,23 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     let mut check = fit.with_unknowns(&[], short);
     check.noise = [Noise::of_resolution(); 3];
     check.minimise();
-    let residuals = without_zero(&check.stretches, check.residuals_rad());
+    let residuals = check.residuals_rad();
     let resolution_rad = RAD_PER_COUNT / 12.0_f64.sqrt();
     let ResidualScale { theta_rad, alpha_rad } = scale_of(&residuals);
     let short_rad = theta_rad.max(alpha_rad);
     let noise_ratio = short_rad / resolution_rad;
-    let whiteness = correlation(&residuals, 0).max(correlation(&residuals, 1));
+    let correlation = |angle| correlation(&check.stretches, &residuals, angle);
+    let whiteness = correlation(0).max(correlation(1));
+    let samples = residuals.iter().map(Vec::len).sum::<usize>().max(1) as f64;
+    let largest_whiteness = LARGEST_WHITENESS.max(LARGEST_CHANCE / samples.sqrt());
     let growth = growth(fit, &check, &residuals);
     let mut doubts = Vec::new();
-    if noise_ratio > LARGEST_NOISE_RATIO || whiteness > LARGEST_WHITENESS || growth > LARGEST_GROWTH
+    if noise_ratio > LARGEST_NOISE_RATIO || whiteness > largest_whiteness || growth > LARGEST_GROWTH
     {
         doubts.push(Doubt::Unexplained);
-        if after_reversals(&check, &residuals) > REVERSAL_RATIO {
-            doubts.push(Doubt::Reversals);
-        }
     }
-    check.noise = noise_of(&check.stretches, &residuals, &check.noise);
     let check = Fit { unknowns: fit.unknowns, ..check };
-    doubts.extend(dependences(&check));
+    doubts.extend(named(&check, 2.0 * samples, noise_ratio));
     let verdict = if short_rad > UNFIT_RAD {
         Verdict::DoesNotFit
     } else if doubts.is_empty() {
@@ -146,27 +148,6 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
         Verdict::FitsBut
     };
     Assessment { verdict, doubts, noise_ratio, whiteness, growth }
-}
-
-/// Residuals without the error of each recording's zero of the pendulum, which is unknown by up to a count.
-fn without_zero(
-    stretches: &[Stretch<'_>],
-    mut residuals: Vec<Vec<Residual>>,
-) -> Vec<Vec<Residual>> {
-    let recording = |index: usize| stretches[index].recording.as_ptr();
-    let mut first = 0;
-    while first < stretches.len() {
-        let end = (first..stretches.len())
-            .find(|&index| recording(index) != recording(first))
-            .unwrap_or(stretches.len());
-        let own = &mut residuals[first..end];
-        let count = own.iter().map(Vec::len).sum::<usize>().max(1) as f64;
-        let mean = own.iter().flatten().map(|residual| residual[1]).sum::<f64>() / count;
-        let zero_rad = mean.clamp(-RAD_PER_COUNT, RAD_PER_COUNT);
-        own.iter_mut().flatten().for_each(|residual| residual[1] -= zero_rad);
-        first = end;
-    }
-    residuals
 }
 
 /// Residuals of the fitted windows of chirps in those of short windows; 1 without chirps.
@@ -179,7 +160,7 @@ fn growth(fit: &Fit<'_>, check: &Fit<'_>, short: &[Vec<Residual>]) -> f64 {
             .collect();
         (!kept.is_empty()).then(|| scale_of(&kept))
     };
-    match (of(fit, &without_zero(&fit.stretches, fit.residuals_rad())), of(check, short)) {
+    match (of(fit, &fit.residuals_rad()), of(check, short)) {
         (Some(long), Some(short)) => {
             (long.theta_rad / short.theta_rad).max(long.alpha_rad / short.alpha_rad)
         }
@@ -187,90 +168,42 @@ fn growth(fit: &Fit<'_>, check: &Fit<'_>, short: &[Vec<Residual>]) -> f64 {
     }
 }
 
-/// Correlation of successive residuals of an angle within windows.
-fn correlation(residuals: &[Vec<Residual>], angle: usize) -> f64 {
-    let (mut products, mut squares) = (0.0, 0.0);
-    for residuals in residuals {
-        products += residuals.windows(2).map(|pair| pair[0][angle] * pair[1][angle]).sum::<f64>();
-        squares += residuals.iter().map(|residual| residual[angle].powi(2)).sum::<f64>();
-    }
-    if squares > 0.0 { products / squares } else { 0.0 }
-}
-
-/// Root mean square change of the arm's residual per time within 60 ms of a reversal of the arm, relative to
-/// that at other times.
-fn after_reversals(check: &Fit<'_>, residuals: &[Vec<Residual>]) -> f64 {
-    let (mut near, mut far) = ([0.0; 2], [0.0; 2]);
-    for (stretch, residuals) in check.stretches.iter().zip(residuals) {
+/// Mean correlation of residuals of an angle that are one to five samples apart.
+///
+/// While the angle moves by less than two counts, the encoder's errors of rounding are alike; such pairs do not count.
+fn correlation(stretches: &[Stretch<'_>], residuals: &[Vec<Residual>], angle: usize) -> f64 {
+    let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0.0_f64);
+    for (stretch, residuals) in stretches.iter().zip(residuals) {
         let samples = stretch.samples();
-        let mut turned_s = f64::NEG_INFINITY;
-        let mut direction = 0.0;
-        for (pair, residual) in samples.windows(2).zip(residuals.windows(2)) {
-            let moved = pair[1].state.theta - pair[0].state.theta;
-            if moved.abs() > 1.5 * RAD_PER_COUNT {
-                if moved * direction < 0.0 {
-                    turned_s = pair[0].time_s;
+        let measured = |index: usize| {
+            let state = &samples[index].state;
+            [state.theta, state.alpha][angle]
+        };
+        for lag in 1..=LAGS.min(residuals.len() - 1) {
+            for first in 0..residuals.len() - lag {
+                let second = first + lag;
+                if (measured(second) - measured(first)).abs() > 2.0 * RAD_PER_COUNT {
+                    let (one, other) = (residuals[first][angle], residuals[second][angle]);
+                    products += one * other;
+                    squares += 0.5 * (one * one + other * other);
+                    pairs += 1.0;
                 }
-                direction = moved.signum();
             }
-            let change = (residual[1][0] - residual[0][0]).powi(2);
-            let sums = if pair[1].time_s - turned_s < REVERSAL_S { &mut near } else { &mut far };
-            sums[0] += change;
-            sums[1] += 1.0;
         }
     }
-    if near[1] == 0.0 || far[0] == 0.0 {
-        1.0
-    } else {
-        (near[0] / near[1] / (far[0] / far[1])).sqrt()
-    }
+    if pairs > 0.0 && squares > 0.0 { products / squares } else { 0.0 }
 }
 
-/// Dependences of the windows' gradients on time, angle and direction. Where the model holds, the gradient of a
-/// window with respect to an unknown has mean 0 whatever the window's time, angle or direction.
-fn dependences(check: &Fit<'_>) -> Vec<Doubt> {
-    let windows = check.reduced();
-    let samples = |index: usize| check.stretches[index].samples();
-    let time = |index: usize| samples(index)[0].time_s - check.stretches[index].recording[0].time_s;
-    let mean_angle = |index: usize| {
-        let samples = samples(index);
-        samples.iter().map(|sample| sample.state.theta).sum::<f64>() / samples.len() as f64
-    };
-    let moved = |index: usize| {
-        let samples = samples(index);
-        samples[samples.len() - 1].state.theta - samples[0].state.theta
-    };
-    let gradients: Vec<&DVector<f64>> = windows.iter().map(|(_, gradient)| gradient).collect();
-    let depends = |unknown: Unknown, covariate: &dyn Fn(usize) -> f64| {
-        let column = check.unknowns.iter().position(|&own| own == unknown);
-        column.is_some_and(|column| statistic(&gradients, column, covariate).abs() > SIGNIFICANT)
-    };
-    let motor = Unknown::from(DomainParameter::MotorResistance);
-    let friction = Unknown::from(Nonideality::CoulombTorque);
-    let rest = Unknown::from(Nonideality::CableRest);
-    let mut doubts = Vec::new();
-    if depends(motor, &time) {
-        doubts.push(Doubt::Warming);
-    }
-    if depends(rest, &|index| mean_angle(index).powi(2)) || depends(friction, &mean_angle) {
-        doubts.push(Doubt::Angle);
-    }
-    if depends(friction, &moved) || depends(rest, &|index| moved(index).abs()) {
-        doubts.push(Doubt::Direction);
-    }
-    doubts
-}
-
-/// The correlation of a gradient's entry with a covariate over the windows, in its standard deviations.
-fn statistic(gradients: &[&DVector<f64>], column: usize, covariate: &dyn Fn(usize) -> f64) -> f64 {
-    let count = gradients.len().max(1) as f64;
-    let mean = (0..gradients.len()).map(covariate).sum::<f64>() / count;
-    let centre = gradients.iter().map(|gradient| gradient[column]).sum::<f64>() / count;
-    let (mut sum, mut squares) = (0.0, 0.0);
-    for (index, gradient) in gradients.iter().enumerate() {
-        let product = (covariate(index) - mean) * (gradient[column] - centre);
-        sum += product;
-        squares += product * product;
-    }
-    if squares > 0.0 { sum / squares.sqrt() } else { 0.0 }
+/// The effect outside the equations that explains the residuals best, when it is significant and explains a good part
+/// of what exceeds the encoders'.
+fn named(check: &Fit<'_>, residuals: f64, noise_ratio: f64) -> Option<Doubt> {
+    let scores = scores(check);
+    let (effect, score) = scores.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let excess = residuals * (1.0 - noise_ratio.max(1.0).powi(-2));
+    (score > SIGNIFICANT && score > NAMED_SHARE * excess).then_some(match effect {
+        Effect::Reversals => Doubt::Reversals,
+        Effect::Warming => Doubt::Warming,
+        Effect::Angle => Doubt::Angle,
+        Effect::Direction => Doubt::Direction,
+    })
 }

@@ -11,6 +11,7 @@ mod assessment;
 mod delay_tests;
 mod drift;
 mod dual;
+mod effects;
 mod fit;
 mod fitness;
 mod identify;

@@ -248,8 +248,23 @@ fn a_motor_that_warms_is_doubted_and_one_that_does_not_is_not() {
         let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
         let tests = &found.assessment;
         assert_eq!(tests.verdict, verdict, "{share}: {tests:?}");
+        assert_eq!(tests.doubts.contains(&Doubt::Warming), share > 0.0, "{tests:?}");
         assert_eq!(tests.doubts.is_empty(), share == 0.0, "{tests:?}");
     }
+}
+
+#[test]
+fn an_encoder_off_its_centre_is_doubted_and_named() {
+    let logs = [1.0, -1.0].map(|sign| {
+        let mut log = chirp(&truth(), sign, 5.0);
+        for sample in &mut log.samples {
+            sample.state.theta += 0.01 * (sample.state.theta + 0.7).sin();
+        }
+        log
+    });
+    let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
+    assert_eq!(found.assessment.verdict, Verdict::FitsBut);
+    assert!(found.assessment.doubts.contains(&Doubt::Angle), "{:?}", found.assessment);
 }
 
 #[test]

@@ -1,0 +1,186 @@
+//! Score tests of effects outside the equations: how much of the residuals would each of them explain?
+
+use nalgebra::{DMatrix, DVector};
+
+use super::fit::Fit;
+use super::sensitivity::{STARTS, linearised};
+use super::stretch::Stretch;
+use crate::qube::QubeModel;
+use crate::replay::MotionSample;
+
+/// Voltage by which a motion is disturbed for its derivative, V.
+const DISTURBANCE_V: f64 = 0.02;
+
+/// Angles by which the arm moves on after a reversal until a torque has built up, rad: that of presliding friction, and
+/// that of a cable with hysteresis.
+const BUILD_UPS_RAD: [f64; 2] = [0.03, 0.2];
+
+/// An effect outside the equations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Effect {
+    /// A torque that builds up while the arm moves on after a reversal.
+    Reversals,
+    /// A motor whose torque changes in proportion to time.
+    Warming,
+    /// An error of the arm's encoder that is periodic in the arm's angle.
+    Angle,
+    /// A torque in proportion to the arm's speed, whatever its direction.
+    Direction,
+}
+
+impl Effect {
+    /// All effects.
+    pub const ALL: [Self; 4] = [Self::Reversals, Self::Warming, Self::Angle, Self::Direction];
+
+    /// Number of columns by which the effect is described.
+    fn columns(self) -> usize {
+        match self {
+            Self::Reversals | Self::Angle => 2,
+            Self::Warming | Self::Direction => 1,
+        }
+    }
+
+    /// The disturbances of the voltages of a recording, in units of [`DISTURBANCE_V`], that act as the effect; empty for
+    /// an effect on the encoder.
+    fn disturbances(self, samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<f64>> {
+        let delay_s = model.nonidealities.command_delay_s;
+        match self {
+            Self::Angle => Vec::new(),
+            Self::Warming => {
+                let start_s = samples[0].time_s;
+                vec![samples.iter().map(|s| s.voltage_v * (s.time_s - start_s)).collect()]
+            }
+            Self::Direction => {
+                let speeds: Vec<f64> = samples
+                    .windows(2)
+                    .map(|pair| {
+                        let moved = pair[1].state.theta - pair[0].state.theta;
+                        moved.abs() / (pair[1].time_s - pair[0].time_s)
+                    })
+                    .collect();
+                vec![before_arrival(samples, &speeds, delay_s)]
+            }
+            Self::Reversals => BUILD_UPS_RAD
+                .map(|angle_rad| before_arrival(samples, &built_up(samples, angle_rad), delay_s))
+                .to_vec(),
+        }
+    }
+}
+
+/// Values that act at the samples' times, in the order of the commands that arrive then.
+fn before_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec<f64> {
+    let last = values.len().saturating_sub(1);
+    let at = |sample: &MotionSample| {
+        let acts = samples.partition_point(|later| later.time_s < sample.time_s + delay_s);
+        values.get(acts.min(last)).copied().unwrap_or(0.0)
+    };
+    samples.iter().map(at).collect()
+}
+
+/// The torque at each sample of an element that resists the arm elastically until it slides (Dahl's friction), as a
+/// share of its largest.
+fn built_up(samples: &[MotionSample], angle_rad: f64) -> Vec<f64> {
+    let mut share = 0.0_f64;
+    let mut last_rad = samples[0].state.theta;
+    let mut one = |sample: &MotionSample| {
+        let moved = (sample.state.theta - last_rad) / angle_rad;
+        last_rad = sample.state.theta;
+        // The solution of share' = v - |v| share over a movement in one direction.
+        share = moved.signum() + (share - moved.signum()) * (-moved.abs()).exp();
+        share
+    };
+    samples.iter().map(&mut one).collect()
+}
+
+/// For each effect the reduction of the squared residuals by it, in residual variances: a chi-squared number where the
+/// model holds. Unknowns and start states may move along.
+pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
+    let unknowns = check.unknowns.len();
+    let columns: usize = Effect::ALL.iter().map(|effect| effect.columns()).sum();
+    let size = unknowns + columns + 1;
+    let mut squares = DMatrix::<f64>::zeros(size, size);
+    let mut disturbed: Vec<Option<Vec<Vec<MotionSample>>>> = vec![None; check.offsets.len()];
+    let mut count = 0.0;
+    for ((stretch, &start), &recording) in
+        check.stretches.iter().zip(&check.starts).zip(&check.recording)
+    {
+        let model = check.offsets[recording].applied(&check.model);
+        let others =
+            disturbed[recording].get_or_insert_with(|| all_disturbed(stretch.recording, &model));
+        let (mut residuals, slopes) =
+            linearised(stretch, check.unknowns, &model, start, [1.0, 1.0]);
+        let zero_rad = check.offsets[recording].alpha_zero_rad;
+        residuals.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad);
+        let base = stretch.simulate(&model, start);
+        let mut all = DMatrix::<f64>::zeros(residuals.len(), size);
+        all.columns_mut(0, unknowns).copy_from(&slopes.columns(0, unknowns));
+        let mut column = unknowns;
+        for other in others.iter() {
+            let moved = Stretch { recording: other, ..*stretch }.simulate(&model, start);
+            for (row, (there, here)) in moved.iter().zip(&base).enumerate() {
+                all[(2 * row, column)] = (there.theta - here.theta) / DISTURBANCE_V;
+                all[(2 * row + 1, column)] = (there.alpha - here.alpha) / DISTURBANCE_V;
+            }
+            column += 1;
+        }
+        for (row, sample) in stretch.samples().iter().enumerate() {
+            let (sin, cos) = sample.state.theta.sin_cos();
+            (all[(2 * row, column)], all[(2 * row, column + 1)]) = (sin, cos);
+        }
+        all.set_column(size - 1, &residuals);
+        let starts = slopes.columns(unknowns, STARTS).into_owned();
+        if let Some(inverse) = starts.tr_mul(&starts).try_inverse() {
+            all -= &starts * (inverse * starts.tr_mul(&all));
+        }
+        squares += all.tr_mul(&all);
+        count += (residuals.len() - STARTS.min(residuals.len())) as f64;
+    }
+    reductions(check, &squares, count)
+}
+
+/// A recording with the voltages of each effect on the motor, in the order of the effects.
+fn all_disturbed(samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<MotionSample>> {
+    let one = |by: Vec<f64>| {
+        let add = |(sample, by): (&MotionSample, f64)| MotionSample {
+            voltage_v: sample.voltage_v + DISTURBANCE_V * by,
+            ..*sample
+        };
+        samples.iter().zip(by).map(add).collect()
+    };
+    Effect::ALL
+        .iter()
+        .filter(|effect| **effect != Effect::Angle)
+        .flat_map(|effect| effect.disturbances(samples, model))
+        .map(one)
+        .collect()
+}
+
+/// The reduction by each effect, from the products of all columns: unknowns, effects, residuals.
+fn reductions(check: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effect, f64)> {
+    let unknowns = check.unknowns.len();
+    let size = squares.nrows();
+    let variance = squares[(size - 1, size - 1)] / count.max(1.0);
+    // The columns of effects on the motor come first, as they are computed.
+    let mut first = unknowns;
+    let mut places = Vec::new();
+    for effect in [Effect::Reversals, Effect::Warming, Effect::Direction, Effect::Angle] {
+        places.push((effect, first));
+        first += effect.columns();
+    }
+    let score = |(effect, first): (Effect, usize)| {
+        let own: Vec<usize> = (0..unknowns).chain(first..first + effect.columns()).collect();
+        let reduction = |kept: &[usize]| {
+            let mut matrix = DMatrix::from_fn(kept.len(), kept.len(), |row, column| {
+                squares[(kept[row], kept[column])]
+            });
+            for (index, unknown) in check.unknowns.iter().enumerate() {
+                matrix[(index, index)] += variance / unknown.prior().std.powi(2);
+            }
+            let right = DVector::from_fn(kept.len(), |row, _| squares[(kept[row], size - 1)]);
+            matrix.cholesky().map_or(0.0, |matrix| right.dot(&matrix.solve(&right)))
+        };
+        let gained = reduction(&own) - reduction(&own[..unknowns]);
+        (effect, if variance > 0.0 { gained / variance } else { 0.0 })
+    };
+    places.into_iter().map(score).collect()
+}
