@@ -67,6 +67,22 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
 }
 
 #[test]
+fn an_identification_without_unknowns_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let names = qube_hil::identification::Unknown::all().map(|unknown| unknown.name());
+    let fixed = names.flat_map(|name| ["--fix", name]);
+    // It is refused before a recording is read.
+    let arguments: Vec<&str> = ["identify", "none.csv"].into_iter().chain(fixed).collect();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    let output = command.current_dir(directory.path()).args(arguments).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains("--fix names every quantity"), "{told}");
+    assert!(told.contains("leave out --fix for at least one"), "{told}");
+    assert!(!directory.path().join("profile.toml").exists());
+}
+
+#[test]
 fn a_recorded_voltage_is_rounded_as_the_firmware_rounds_it() {
     for commanded_mv in -5000..=5000 {
         let by_firmware = motor_voltage_mv(motor_counts(commanded_mv));

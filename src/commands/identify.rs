@@ -154,7 +154,14 @@ fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
         )));
     }
     let moves = |unknown: &Unknown| !fixed.iter().any(|name| name == unknown.name());
-    Ok(Unknown::all().filter(moves).collect())
+    let unknowns: Vec<Unknown> = Unknown::all().filter(moves).collect();
+    if unknowns.is_empty() {
+        return Err(Failure::usage(
+            "--fix names every quantity, so that there is nothing to identify: leave out --fix for at least \
+             one, or compare the recordings with a profile by replay --simulate",
+        ));
+    }
+    Ok(unknowns)
 }
 
 /// The series of a recording: its path without the number at the end of its name, such as `chirps/rollout-` of
