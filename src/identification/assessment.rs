@@ -32,13 +32,13 @@ const UNFIT_RAD: f64 = 0.03;
 /// which it is doubted.
 const SIGNIFICANT: f64 = 50.0;
 
-/// Share of what the model leaves unexplained that an effect must explain to be named.
+/// Share of the squared residuals beyond the encoders' rounding that an effect must explain to be named.
 const NAMED_SHARE: f64 = 0.2;
 
 /// Whether the model describes the Qube that made the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The residuals are those of the encoders.
+    /// The residuals are as large and as little correlated as the encoders' rounding.
     Fits,
     /// The model predicts, but something is missing.
     FitsBut,
@@ -58,10 +58,10 @@ impl Verdict {
     }
 }
 
-/// A guess at what the model lacks. Each is a hint for the operator and no identification.
+/// An effect that the model may lack: a hint for the operator and no identification.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Doubt {
-    /// The residuals exceed those of the encoders.
+    /// The residuals exceed the encoders' rounding.
     Unexplained,
     /// A torque builds up after the arm turns back: friction that gives way, or a cable with hysteresis.
     Reversals,
@@ -107,7 +107,7 @@ impl fmt::Display for Doubt {
 pub struct Assessment {
     /// Result of the tests.
     pub verdict: Verdict,
-    /// What the model lacks, where the tests say something.
+    /// Effects that the model lacks, as far as the tests find any.
     pub doubts: Vec<Doubt>,
     /// Residual over windows of half a second, in standard deviations of the encoder's quantisation.
     pub noise_ratio: f64,
@@ -150,7 +150,7 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     Assessment { verdict, doubts, noise_ratio, whiteness, growth }
 }
 
-/// Residuals of the fitted windows of chirps in those of short windows; 1 without chirps.
+/// Ratio of the residuals over the fitted windows of chirps to those over short windows; 1 without chirps.
 fn growth(fit: &Fit<'_>, check: &Fit<'_>, short: &[Vec<Residual>]) -> f64 {
     let of = |fit: &Fit<'_>, residuals: &[Vec<Residual>]| {
         let hanging = fit.stretches.iter().zip(residuals);
@@ -195,7 +195,7 @@ fn correlation(stretches: &[Stretch<'_>], residuals: &[Vec<Residual>], angle: us
 }
 
 /// The effect outside the equations that explains the residuals best, when it is significant and explains a good part
-/// of what exceeds the encoders'.
+/// of the residuals beyond the encoders' rounding.
 fn named(check: &Fit<'_>, residuals: f64, noise_ratio: f64) -> Option<Doubt> {
     let scores = scores(check);
     let (effect, score) = scores.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;

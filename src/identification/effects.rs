@@ -1,4 +1,4 @@
-//! Score tests of effects outside the equations: how much of the residuals would each of them explain?
+//! Score tests of effects outside the equations: the part of the residuals that each of them would explain.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -11,8 +11,8 @@ use crate::replay::MotionSample;
 /// Voltage by which a motion is disturbed for its derivative, V.
 const DISTURBANCE_V: f64 = 0.02;
 
-/// Angles by which the arm moves on after a reversal until a torque has built up, rad: that of presliding friction, and
-/// that of a cable with hysteresis.
+/// Angles by which the arm moves on after a reversal until a torque has built up, rad: the first for presliding
+/// friction, the second for a cable with hysteresis.
 const BUILD_UPS_RAD: [f64; 2] = [0.03, 0.2];
 
 /// An effect outside the equations.
@@ -67,7 +67,7 @@ impl Effect {
     }
 }
 
-/// Values that act at the samples' times, in the order of the commands that arrive then.
+/// For each sample the value at the time at which its command arrives, so that a disturbance of that command acts then.
 fn before_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec<f64> {
     let last = values.len().saturating_sub(1);
     let at = |sample: &MotionSample| {

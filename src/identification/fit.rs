@@ -43,7 +43,7 @@ pub(super) struct Fit<'a> {
     pub noise: [Noise; 3],
     /// Index of the recording of each stretch.
     pub recording: Vec<usize>,
-    /// What differs between the recordings, one entry each.
+    /// Offsets of each recording.
     pub offsets: Vec<Offset>,
     /// Scatter of the offsets between recordings; `None` keeps the offsets as they are.
     pub scatter: Option<Scatter>,
@@ -70,7 +70,7 @@ impl<'a> Fit<'a> {
         Self { unknowns, model, stretches, starts, noise, recording, offsets, scatter }
     }
 
-    /// The same fit with offsets of each recording's own, of the likely scatter.
+    /// Lets each recording have offsets of its own, at first with the likely scatter.
     pub fn with_offsets(self) -> Self {
         Self { scatter: Some(Scatter::LIKELY), ..self }
     }
@@ -164,7 +164,7 @@ impl<'a> Fit<'a> {
         scatter
     }
 
-    /// Adds a stretch's matrix, over unknowns and the offsets of its recording, to that of all offsets.
+    /// Adds the matrix of a stretch, over unknowns and the offsets of its recording, to the matrix over all offsets.
     fn add_matrix(&self, sum: &mut DMatrix<f64>, recording: usize, own: &DMatrix<f64>) {
         for row in 0..own.nrows() {
             for column in 0..own.ncols() {
@@ -179,7 +179,7 @@ impl<'a> Fit<'a> {
         if index < self.unknowns.len() { index } else { index + recording * self.locals().len() }
     }
 
-    /// Information and gradient of the priors of the unknowns and of all offsets, which scatter so much.
+    /// Information and gradient of the priors of the unknowns, and of all offsets for this scatter.
     fn priors(&self, scatter: Scatter) -> (DMatrix<f64>, DVector<f64>) {
         let locals = self.locals();
         let count = self.unknowns.len();
@@ -202,7 +202,7 @@ impl<'a> Fit<'a> {
         (matrix, gradient)
     }
 
-    /// The Qube of a stretch, and the zero of its pendulum's angle, rad.
+    /// The Qube of a recording, and the zero of its pendulum's angle, rad.
     fn own(&self, model: &QubeModel, recording: usize, offsets: &[Offset]) -> (QubeModel, f64) {
         let offset = offsets[recording];
         (offset.applied(model), offset.alpha_zero_rad)
@@ -382,7 +382,7 @@ impl<'a> Fit<'a> {
         Some((model, starts.collect(), offsets))
     }
 
-    /// Adds a stretch's gradient, over unknowns and the offsets of its recording, to that of all offsets.
+    /// Adds the gradient of a stretch, over unknowns and the offsets of its recording, to the gradient over all offsets.
     fn add_gradient(&self, sum: &mut DVector<f64>, recording: usize, own: &DVector<f64>) {
         for (index, value) in own.iter().enumerate() {
             sum[self.place(recording, index)] += value;

@@ -87,7 +87,7 @@ pub enum IdentifyError {
         theta_rad: f64,
         /// Root mean square error of the pendulum over stretches of half a second, rad.
         alpha_rad: f64,
-        /// What the recordings say about the signs.
+        /// Sign whose reversal would explain the recordings.
         cause: Cause,
     },
     /// The best fit is as far off as a Qube that does not move.
@@ -100,7 +100,7 @@ pub enum IdentifyError {
         theta_rad: f64,
         /// Root mean square error of the pendulum, rad.
         alpha_rad: f64,
-        /// What the recordings say about the signs.
+        /// Sign whose reversal would explain the recordings.
         cause: Cause,
     },
     /// The best fit has a value that no Qube has.
@@ -115,7 +115,7 @@ pub enum IdentifyError {
         value: f64,
         /// Most likely value before any data.
         likely: f64,
-        /// What the recordings say about the signs.
+        /// Sign whose reversal would explain the recordings.
         cause: Cause,
     },
     /// The list of recordings is empty.
@@ -123,7 +123,7 @@ pub enum IdentifyError {
     NoRecordings,
 }
 
-/// What recordings that no Qube explains say about the signs.
+/// The sign that may be the reason why no Qube explains the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// With this sign reversed, a Qube explains them much better.

@@ -1,4 +1,4 @@
-//! What differs between recordings of one Qube.
+//! Differences between recordings of one Qube.
 
 use super::stretch::Stretch;
 use crate::qube::QubeModel;
@@ -13,7 +13,7 @@ pub(super) enum Local {
 }
 
 impl Local {
-    /// All of them, in order.
+    /// Both, in order.
     pub const ALL: [Self; 2] = [Self::CableRest, Self::AlphaZero];
 }
 

@@ -58,7 +58,7 @@ pub(super) struct Uncertainty {
 /// Computes estimates, undetermined combinations, correlations and inflation of a fit.
 ///
 /// A model's errors persist in time; the information matrix counts as one the samples within the integrated
-/// autocorrelation time of the residuals. What a wrong model adds to that, [`inflation`] measures.
+/// autocorrelation time of the residuals. [`inflation`] measures the error that a wrong model adds.
 pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
     let reduced = fit.reduced();
     let inflation = inflation(fit, &reduced);
