@@ -328,14 +328,14 @@ fn overall(errors: &[Rmse]) -> Option<Rmse> {
 }
 
 fn recording_problem(error: &RecordingError) -> Problem {
-    let (bad_input, error) = (is_bad_input(error), command_hints::recording(error));
-    if bad_input { Problem::usage(one_line(&error)) } else { Problem::failed(one_line(&error)) }
+    let what = one_line(&command_hints::recording(error)).into_owned();
+    if is_bad_input(error) { Problem::usage(what) } else { Problem::failed(what) }
 }
 
 /// The failure for an error of a recording.
 pub fn recording_failure(error: &RecordingError) -> Failure {
-    let (bad_input, error) = (is_bad_input(error), command_hints::recording(error));
-    if bad_input { Failure::usage(one_line(&error)) } else { Failure::failed(one_line(&error)) }
+    let Problem { failure, what } = recording_problem(error);
+    failure(what)
 }
 
 /// Whether the error lies in the file; a failing disk is not bad input.
