@@ -265,7 +265,7 @@ fn rests(identified: &Identified, files: &[PathBuf]) -> String {
     );
     for (index, path) in files.iter().enumerate() {
         let rest_rad = identified.model_of(&[index]).nonidealities.cable_rest_rad;
-        let _ = writeln!(text, "  {rest_rad:+.2} rad  {}", file_name(path));
+        let _ = writeln!(text, "  {rest_rad:+.2} rad  {}", path.display());
     }
     text
 }
@@ -356,7 +356,7 @@ fn result(
 ) -> Value {
     let recording = |(index, path): (usize, &PathBuf)| {
         json!({
-            "file": file_name(path),
+            "file": path.to_string_lossy(),
             "cable_rest_rad": identified.model_of(&[index]).nonidealities.cable_rest_rad,
             "alpha_zero_rad": identified.offsets[index].alpha_zero_rad,
         })
