@@ -87,6 +87,17 @@ pub fn reach(quantity: Quantity, mean: f64) -> f64 {
     }
 }
 
+/// A value of a quantity, put at the end of its range where it lies beyond: for a parameter [`TRUNCATION`] times the
+/// mean from the mean, for a nonideality the ends of what can be simulated.
+#[must_use]
+pub(super) fn held_in_range(quantity: Quantity, mean: f64, value: f64) -> f64 {
+    let (smallest, largest) = match quantity {
+        Quantity::Parameter(_) => ((1.0 - TRUNCATION) * mean, (1.0 + TRUNCATION) * mean),
+        Quantity::Nonideality(term) => simulated_range(term),
+    };
+    value.clamp(smallest, largest)
+}
+
 /// The largest standard deviation that a quantity may have around a mean.
 #[must_use]
 pub(super) fn largest_standard_deviation(quantity: Quantity, mean: f64) -> f64 {

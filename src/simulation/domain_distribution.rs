@@ -1,9 +1,11 @@
 use std::collections::BTreeMap;
 
+use libm::{exp, sqrt};
 use serde::{Deserialize, Serialize};
 
-use super::distribution::largest_standard_deviation;
-use super::{Distribution, DistributionError, Psi, reach};
+use super::distribution::{held_in_range, largest_standard_deviation};
+use super::{Direction, Distribution, DistributionError, Psi, PsiTarget, reach};
+use crate::elementary::normal_pair;
 use crate::qube::{DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
 
 /// Standard deviation of a handcrafted distribution as a fraction of the nominal value (thesis, section
@@ -41,14 +43,27 @@ impl Family {
 }
 
 /// The distribution p_psi(xi) from which a trajectory's Qube is drawn: the nine domain parameters and the
-/// nonidealities, each independently. A nonideality without a distribution is zero.
+/// nonidealities, each independently, and then moved together along directions, if there are any. A nonideality
+/// without a distribution is zero.
 ///
-/// Constructors check the distributions, so every draw is physical.
+/// Constructors check the distributions, and a draw that a direction moves out of a quantity's range is put at the
+/// end of the range, so every draw is physical.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "BTreeMap<String, Distribution>", into = "BTreeMap<String, Distribution>")]
+#[serde(try_from = "Written", into = "Written")]
 pub struct DomainDistribution {
     /// One distribution a quantity, in the order of [`Quantity::all`].
     distributions: [Distribution; Quantity::COUNT],
+    /// Joint deviations, each times a standard normal number of its own.
+    directions: Vec<Direction>,
+}
+
+/// A distribution as files have it: each quantity by the name that it has in profiles, and the directions.
+#[derive(Serialize, Deserialize)]
+struct Written {
+    #[serde(flatten)]
+    distributions: BTreeMap<String, Distribution>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    directions: Vec<Direction>,
 }
 
 impl DomainDistribution {
@@ -65,7 +80,7 @@ impl DomainDistribution {
         for quantity in Quantity::all() {
             distributions[quantity.index()] = Distribution::Constant { value: model.get(quantity) };
         }
-        Self { distributions }
+        Self { distributions, directions: Vec::new() }
     }
 
     /// The model `handcrafted`: all nine parameters normal around nominal, with a fifth of it as standard
@@ -135,6 +150,22 @@ impl DomainDistribution {
         Ok(around)
     }
 
+    /// Adds joint deviations to those that there are: those of an identified Qube's errors.
+    #[must_use]
+    pub fn along(mut self, directions: &[Direction]) -> Self {
+        self.directions.extend_from_slice(directions);
+        self
+    }
+
+    /// The standard deviation of a quantity's draws before truncation: its own and that of all directions together.
+    #[must_use]
+    pub fn standard_deviation(&self, quantity: impl Into<Quantity>) -> f64 {
+        let quantity = quantity.into();
+        let own = self.get(quantity).standard_deviation();
+        let squares = self.directions.iter().map(|direction| direction.of(quantity).powi(2));
+        sqrt(own * own + squares.sum::<f64>())
+    }
+
     /// The model `opt-nominal`: quantities that psi names follow psi, the others are nominal.
     #[must_use]
     pub fn opt_nominal(psi: &Psi, family: Family) -> Self {
@@ -165,6 +196,63 @@ impl DomainDistribution {
                 .min(largest_standard_deviation(quantity, mean));
             self.distributions[quantity.index()] = family.with_moments(mean, standard_deviation);
         }
+        for number in 1..=self.directions.len().min(PsiTarget::SHIFTS) {
+            if let Some(shift) = psi.get(PsiTarget::Shift(number as u8)) {
+                self = self.shifted(number - 1, shift, family);
+            }
+        }
+        if let Some(log_width) = psi.get(PsiTarget::LogWidth) {
+            self = self.widened(exp(log_width), family);
+        }
+        let lag = [PsiTarget::MeanLag, PsiTarget::LagDeviation].map(|target| psi.get(target));
+        if lag != [None, None] {
+            let [mean_s, deviation_s] = lag.map(Option::unwrap_or_default);
+            self = self.delayed(mean_s, deviation_s, family);
+        }
+        self
+    }
+
+    /// Moves the means by so many standard deviations along a direction, as far as their ranges go.
+    fn shifted(mut self, direction: usize, deviations: f64, family: Family) -> Self {
+        for quantity in Quantity::all() {
+            let moved = deviations * self.directions[direction].of(quantity);
+            if moved != 0.0 {
+                let own = self.get(quantity);
+                let mean = held_in_range(quantity, own.mean(), own.mean() + moved);
+                self = self.moments(quantity, mean, own.standard_deviation(), family);
+            }
+        }
+        self
+    }
+
+    /// Multiplies every standard deviation by a factor.
+    fn widened(mut self, factor: f64, family: Family) -> Self {
+        for quantity in Quantity::all() {
+            let own = self.get(quantity);
+            if own.standard_deviation() > 0.0 {
+                let deviation = factor * own.standard_deviation();
+                self = self.moments(quantity, own.mean(), deviation, family);
+            }
+        }
+        for direction in &mut self.directions {
+            *direction = direction.scaled(factor);
+        }
+        self
+    }
+
+    /// Adds to the command's delay a lag with this mean and standard deviation, s.
+    fn delayed(self, mean_s: f64, deviation_s: f64, family: Family) -> Self {
+        let delay = Quantity::Nonideality(Nonideality::CommandDelay);
+        let own = self.get(delay);
+        let mean = held_in_range(delay, own.mean(), own.mean() + mean_s);
+        let deviation = sqrt(own.standard_deviation().powi(2) + deviation_s * deviation_s);
+        self.moments(delay, mean, deviation, family)
+    }
+
+    /// Gives a quantity these moments; a standard deviation that is too large for the mean is reduced.
+    fn moments(mut self, quantity: Quantity, mean: f64, deviation: f64, family: Family) -> Self {
+        let deviation = deviation.min(largest_standard_deviation(quantity, mean));
+        self.distributions[quantity.index()] = family.with_moments(mean, deviation);
         self
     }
 
@@ -211,6 +299,13 @@ impl DomainDistribution {
         for quantity in Quantity::all() {
             model.set(quantity, self.get(quantity).sample(quantity, rng));
         }
+        for direction in &self.directions {
+            let [deviation, _] = normal_pair(rng.random());
+            for quantity in Quantity::all() {
+                let moved = model.get(quantity) + deviation * direction.of(quantity);
+                model.set(quantity, held_in_range(quantity, self.get(quantity).mean(), moved));
+            }
+        }
         model
     }
 
@@ -224,20 +319,21 @@ impl DomainDistribution {
     }
 }
 
-/// The distributions by the names that quantities have in profiles.
-impl From<DomainDistribution> for BTreeMap<String, Distribution> {
+impl From<DomainDistribution> for Written {
     fn from(distribution: DomainDistribution) -> Self {
-        Quantity::all()
-            .map(|quantity| (quantity.name().to_owned(), distribution.get(quantity)))
-            .collect()
+        let named = |quantity: Quantity| (quantity.name().to_owned(), distribution.get(quantity));
+        Self {
+            distributions: Quantity::all().map(named).collect(),
+            directions: distribution.directions,
+        }
     }
 }
 
-impl TryFrom<BTreeMap<String, Distribution>> for DomainDistribution {
+impl TryFrom<Written> for DomainDistribution {
     type Error = String;
 
-    fn try_from(mut named: BTreeMap<String, Distribution>) -> Result<Self, String> {
-        let mut all = Self::nominal();
+    fn try_from(written: Written) -> Result<Self, String> {
+        let (mut named, mut all) = (written.distributions, Self::nominal());
         for quantity in Quantity::all() {
             let name = quantity.name();
             let distribution = named.remove(name).ok_or_else(|| format!("{name} is missing"))?;
@@ -245,7 +341,7 @@ impl TryFrom<BTreeMap<String, Distribution>> for DomainDistribution {
         }
         match named.into_keys().next() {
             Some(name) => Err(format!("there is no quantity {name}")),
-            None => Ok(all),
+            None => Ok(all.along(&written.directions)),
         }
     }
 }
@@ -383,6 +479,72 @@ mod tests {
         let delays: Vec<f64> =
             (0..500).map(|_| robust.sample(&mut rng).nonidealities.command_delay_s).collect();
         assert!(delays.iter().any(|&s| s < 0.001) && delays.iter().any(|&s| s > 0.015));
+    }
+
+    /// A posterior in which motor resistance and back-EMF err together and the arm's friction is not known.
+    fn posterior() -> DomainDistribution {
+        let (resistance, back_emf) =
+            (DomainParameter::MotorResistance, DomainParameter::MotorBackEmf);
+        let together = Direction::new(&[(resistance.into(), 0.4), (back_emf.into(), -0.002)]);
+        let friction = Direction::new(&[(Nonideality::CoulombTorque.into(), 1e-4)]);
+        DomainDistribution::around(&QubeModel::NOMINAL, 0.1, Family::Normal)
+            .unwrap()
+            .along(&[together, friction])
+    }
+
+    #[test]
+    fn quantities_move_together_along_a_direction_and_stay_physical() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let exact = DomainDistribution::nominal().along(&posterior().directions);
+        let nominal = QubeModel::NOMINAL.parameters;
+        let mut without_friction = 0;
+        for _ in 0..1000 {
+            let model = exact.sample(&mut rng);
+            let resistance = model.parameters.motor_resistance_ohm - nominal.motor_resistance_ohm;
+            let back_emf = model.parameters.get(DomainParameter::MotorBackEmf)
+                - nominal.get(DomainParameter::MotorBackEmf);
+            assert!((resistance / 0.4 + back_emf / 0.002).abs() < 1e-9);
+            assert!(model.nonidealities.coulomb_torque_n_m >= 0.0);
+            without_friction += usize::from(model.nonidealities.coulomb_torque_n_m == 0.0);
+        }
+        // Half of the draws would be below the end of the range.
+        assert!((450..550).contains(&without_friction), "{without_friction}");
+        let deviation = posterior().standard_deviation(DomainParameter::MotorResistance);
+        assert!((deviation - 0.84_f64.hypot(0.4)).abs() < 1e-12, "{deviation}");
+    }
+
+    #[test]
+    fn psi_widens_shifts_and_delays_a_posterior() {
+        let space = PsiSpace::of_posterior(2);
+        assert_eq!(
+            space.names().collect::<Vec<_>>(),
+            ["log_width", "shift_1", "shift_2", "mean_lag", "std_lag"]
+        );
+        let shaped =
+            |point: &[f64]| posterior().shaped_by(&space.psi(point).unwrap(), Family::Normal);
+        assert_eq!(shaped(&space.as_identified()), posterior());
+        let (resistance, delay) = (DomainParameter::MotorResistance, Nonideality::CommandDelay);
+        let nominal = QubeModel::NOMINAL.parameters.motor_resistance_ohm;
+        let wide = shaped(&[2f64.ln(), 0.0, 0.0, 0.0, 0.0]);
+        let twice = 2.0 * posterior().standard_deviation(resistance);
+        assert!((wide.standard_deviation(resistance) - twice).abs() < 1e-12);
+        let moved = shaped(&[0.0, -1.5, 0.0, 0.004, 0.001]);
+        assert!((moved.get(resistance).mean() - (nominal - 0.6)).abs() < 1e-12);
+        assert_eq!(moved.get(delay), Family::Normal.with_moments(0.004, 0.001));
+        // What is below the range stays at its end.
+        let held = shaped(&[0.0, 0.0, -2.0, -0.004, 0.0]);
+        assert_eq!(held.get(Nonideality::CoulombTorque).mean(), 0.0);
+        assert_eq!(held.get(delay).mean(), 0.0);
+    }
+
+    #[test]
+    fn a_distribution_with_directions_reads_back_as_it_was_written() {
+        let written = serde_json::to_string(&posterior()).unwrap();
+        assert_eq!(serde_json::from_str::<DomainDistribution>(&written).unwrap(), posterior());
+        let without = serde_json::to_string(&DomainDistribution::robust()).unwrap();
+        assert!(!without.contains("directions"), "{without}");
+        let wrong = written.replace("\"directions\":[{\"", "\"directions\":[{\"X");
+        assert!(serde_json::from_str::<DomainDistribution>(&wrong).is_err());
     }
 
     #[test]

@@ -18,6 +18,7 @@
 
 mod block;
 pub mod box_file;
+mod direction;
 mod distribution;
 mod domain_distribution;
 mod evaluation;
@@ -37,6 +38,7 @@ mod settings;
 mod tests;
 mod trajectory;
 
+pub use direction::Direction;
 pub use distribution::{Distribution, DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
 pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate, evaluate_and_tell};

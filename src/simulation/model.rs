@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
-use super::{DomainDistribution, Family, Psi, PsiError};
-use crate::qube::{PlantModel, QubeModel};
+use super::{Direction, DomainDistribution, Family, Psi, PsiError};
+use crate::qube::{PlantModel, Profile, QubeModel};
 
 /// A named distribution over simulations: the thesis's five (section 5.2) and those with the nonidealities
 /// of real Qubes. A searched model leaves masses and lengths, or whatever psi names, to a search.
@@ -29,13 +29,24 @@ pub enum Model {
 }
 
 /// An identified Qube, and the spread of the simulations around it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProfileSettings {
     /// Model of the Qube.
     pub model: QubeModel,
-    /// Standard deviations as a part of each value.
+    /// Standard deviations as a part of each value, which stand for the errors of the model itself.
     pub spread: f64,
+    /// Directions of the identification's errors, the widest first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub directions: Vec<Direction>,
+}
+
+impl ProfileSettings {
+    /// The Qube of a profile with the errors that its identification found, and a spread beside them.
+    #[must_use]
+    pub fn of(profile: &Profile, spread: f64) -> Self {
+        Self { model: profile.model(), spread, directions: Direction::of_errors(profile) }
+    }
 }
 
 impl Model {
@@ -148,9 +159,11 @@ impl Model {
             Self::NominalHandcrafted => DomainDistribution::nominal_handcrafted(family),
             Self::Robust | Self::OptRobust => DomainDistribution::robust(),
             Self::Profile | Self::OptProfile => {
-                let ProfileSettings { model, spread } = profile.ok_or(PsiError::NoProfile)?;
+                let ProfileSettings { model, spread, directions } =
+                    profile.ok_or(PsiError::NoProfile)?;
                 // A profile is of a specimen of the plant itself.
-                return DomainDistribution::around(model, *spread, family).map_err(PsiError::Base);
+                let around = DomainDistribution::around(model, *spread, family);
+                return Ok(around.map_err(PsiError::Base)?.along(directions));
             }
         };
         of_qube.of_plant(plant).map_err(PsiError::Base)
@@ -193,7 +206,8 @@ mod tests {
     fn searched_models_need_a_psi_and_those_around_a_qube_need_one() {
         let space = PsiSpace::thesis();
         let psi = space.psi(&space.lower()).unwrap();
-        let profile = ProfileSettings { model: QubeModel::NOMINAL, spread: 0.1 };
+        let profile =
+            ProfileSettings { model: QubeModel::NOMINAL, spread: 0.1, directions: Vec::new() };
         for model in Model::ALL {
             let distribution =
                 |psi| model.distribution(&PlantModel::QUBE, Family::Normal, Some(&profile), psi);

@@ -15,9 +15,32 @@ pub enum PsiTarget {
     StandardDeviation(Quantity),
     /// The corner of the simulated velocity filter, rad/s: `filter`.
     Filter,
+    /// The natural logarithm of the factor of every standard deviation: `log_width`.
+    LogWidth,
+    /// How far the means lie along a direction of the identification's errors, in its standard deviations:
+    /// `shift_1` along the widest, to `shift_3`.
+    Shift(u8),
+    /// The mean of a lag beside the command's delay, s: `mean_lag`.
+    MeanLag,
+    /// The standard deviation of that lag, s: `std_lag`.
+    LagDeviation,
 }
 
 impl PsiTarget {
+    /// Number of directions along which psi may shift the means.
+    pub const SHIFTS: usize = 3;
+
+    /// The targets that are no moments of a quantity.
+    const OF_SIMULATIONS: [Self; 7] = [
+        Self::Filter,
+        Self::LogWidth,
+        Self::Shift(1),
+        Self::Shift(2),
+        Self::Shift(3),
+        Self::MeanLag,
+        Self::LagDeviation,
+    ];
+
     /// The target with this name.
     ///
     /// # Errors
@@ -27,8 +50,10 @@ impl PsiTarget {
         let target = match name.split_once('_') {
             Some(("mean", symbol)) => quantity(symbol).map(Self::Mean),
             Some(("std", symbol)) => quantity(symbol).map(Self::StandardDeviation),
-            _ => (name == "filter").then_some(Self::Filter),
+            _ => None,
         };
+        let target =
+            target.or_else(|| Self::OF_SIMULATIONS.into_iter().find(|it| it.to_string() == name));
         target.ok_or_else(|| PsiError::UnknownName { name: name.to_owned() })
     }
 
@@ -69,6 +94,11 @@ impl PsiTarget {
                 G::CommandDelay => (0.0, 0.01),
             },
             Self::Filter => (20.0, 500.0),
+            // Half to three times as wide.
+            Self::LogWidth => (-0.7, 1.1),
+            Self::Shift(_) => (-2.0, 2.0),
+            Self::MeanLag => (-0.004, 0.004),
+            Self::LagDeviation => (0.0, 0.004),
         }
     }
 
@@ -78,6 +108,9 @@ impl PsiTarget {
         match self {
             Self::Mean(quantity) | Self::StandardDeviation(quantity) => quantity.unit(),
             Self::Filter => "rad/s",
+            Self::LogWidth => "1",
+            Self::Shift(_) => "std",
+            Self::MeanLag | Self::LagDeviation => "s",
         }
     }
 
@@ -92,8 +125,20 @@ impl PsiTarget {
             Self::Mean(quantity) => super::Distribution::Constant { value }
                 .check(quantity)
                 .map_err(|error| impossible(error.to_string())),
-            Self::StandardDeviation(_) if value >= 0.0 && value.is_finite() => Ok(()),
-            Self::StandardDeviation(_) => Err(impossible("give a number not below 0".into())),
+            Self::StandardDeviation(_) | Self::LagDeviation
+                if value >= 0.0 && value.is_finite() =>
+            {
+                Ok(())
+            }
+            Self::StandardDeviation(_) | Self::LagDeviation => {
+                Err(impossible("give a number not below 0".into()))
+            }
+            Self::LogWidth if (-3.0..=3.0).contains(&value) => Ok(()),
+            Self::LogWidth => Err(impossible("give a number from -3 to 3".into())),
+            Self::Shift(_) if (-10.0..=10.0).contains(&value) => Ok(()),
+            Self::Shift(_) => Err(impossible("give a number from -10 to 10".into())),
+            Self::MeanLag if (-0.04..=0.04).contains(&value) => Ok(()),
+            Self::MeanLag => Err(impossible("give a number from -0.04 to 0.04".into())),
             Self::Filter if value > 0.0 && value.is_finite() => Ok(()),
             Self::Filter => Err(impossible("give a number above 0".into())),
         }
@@ -107,6 +152,10 @@ impl fmt::Display for PsiTarget {
             Self::Mean(quantity) => write!(f, "mean_{}", quantity.symbol()),
             Self::StandardDeviation(quantity) => write!(f, "std_{}", quantity.symbol()),
             Self::Filter => f.write_str("filter"),
+            Self::LogWidth => f.write_str("log_width"),
+            Self::Shift(number) => write!(f, "shift_{number}"),
+            Self::MeanLag => f.write_str("mean_lag"),
+            Self::LagDeviation => f.write_str("std_lag"),
         }
     }
 }
@@ -141,7 +190,11 @@ impl PsiDimension {
             PsiTarget::Mean(quantity) | PsiTarget::StandardDeviation(quantity) => {
                 plant.proportion(quantity)
             }
-            PsiTarget::Filter => 1.0,
+            PsiTarget::Filter
+            | PsiTarget::LogWidth
+            | PsiTarget::Shift(_)
+            | PsiTarget::MeanLag
+            | PsiTarget::LagDeviation => 1.0,
         };
         Self { lower: factor * self.lower, upper: factor * self.upper, ..self }
     }
@@ -199,7 +252,7 @@ mod tests {
             .flat_map(|quantity| {
                 [PsiTarget::Mean(quantity), PsiTarget::StandardDeviation(quantity)]
             })
-            .chain([PsiTarget::Filter]);
+            .chain(PsiTarget::OF_SIMULATIONS);
         for target in targets {
             assert_eq!(PsiTarget::from_name(&target.to_string()).unwrap(), target);
             PsiDimension::named(&target.to_string()).unwrap().check().unwrap();

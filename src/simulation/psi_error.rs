@@ -30,7 +30,8 @@ pub enum PsiError {
     },
     /// The name does not exist.
     #[error(
-        "psi has no `{name}`: there are `filter`, and mean_ and std_ of {}, as in std_delay",
+        "psi has no `{name}`: there are `filter`, `log_width`, `shift_1` to `shift_3`, and mean_ and std_ of lag, {}, \
+         as in std_delay",
         symbols()
     )]
     UnknownName {

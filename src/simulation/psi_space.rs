@@ -52,6 +52,30 @@ impl PsiSpace {
         Self::named(&THESIS).expect("names that exist, each once")
     }
 
+    /// The space around an identified Qube: how wide the simulations are spread, how far their means lie along the
+    /// widest directions of the identification's errors, of which there are `directions`, and mean and spread of a
+    /// lag that the identification missed.
+    ///
+    /// # Panics
+    /// Never panics.
+    #[must_use]
+    pub fn of_posterior(directions: usize) -> Self {
+        let shifts =
+            (1..=directions.min(PsiTarget::SHIFTS)).map(|number| format!("shift_{number}"));
+        let lag = ["mean_lag", "std_lag"].map(str::to_owned);
+        let names: Vec<String> =
+            std::iter::once("log_width".to_owned()).chain(shifts).chain(lag).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        Self::named(&names).expect("names that exist, each once")
+    }
+
+    /// The point of a space around an identified Qube that changes nothing: the simulations are as the identification
+    /// says.
+    #[must_use]
+    pub fn as_identified(&self) -> Vec<f64> {
+        vec![0.0; self.dimensions.len()]
+    }
+
     /// The same space of another plant than the Qube that it describes.
     #[must_use]
     pub fn of_plant(self, plant: &PlantModel) -> Self {

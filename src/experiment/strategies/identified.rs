@@ -138,7 +138,11 @@ impl<'a> FromRecordings<'a> {
         // A fit may find a value that no Qube has.
         let profile = Profile::parse(profile).map_err(|error| error.to_string())?;
         let recipe = Recipe::of(Model::Profile, &self.run.recipe.settings);
-        let around = ProfileSettings { model: profile.model(), spread: self.settings.spread };
+        let around = ProfileSettings {
+            model: profile.model(),
+            spread: self.settings.spread,
+            directions: Vec::new(),
+        };
         let settings = SessionSettings { profile: Some(around), ..recipe.settings };
         // A profile that cannot be simulated is not a recommendation either.
         settings.base_distribution().map_err(|error| error.to_string())?;

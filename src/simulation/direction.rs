@@ -1,0 +1,157 @@
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, SymmetricEigen};
+use serde::{Deserialize, Serialize};
+
+use super::DomainDistribution;
+use crate::qube::{Profile, Quantity};
+
+/// Smallest part of a quantity's spread in the distribution `robust` that a direction of errors is kept for.
+const SMALLEST_SHARE: f64 = 1e-6;
+
+/// A joint deviation of quantities: how far one standard normal number moves each, in its unit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "BTreeMap<String, f64>", into = "BTreeMap<String, f64>")]
+pub struct Direction {
+    deviations: [f64; Quantity::COUNT],
+}
+
+impl Direction {
+    /// A direction that moves these quantities and no others.
+    #[must_use]
+    pub fn new(deviations: &[(Quantity, f64)]) -> Self {
+        let mut direction = Self { deviations: [0.0; Quantity::COUNT] };
+        for &(quantity, deviation) in deviations {
+            direction.deviations[quantity.index()] = deviation;
+        }
+        direction
+    }
+
+    /// The principal directions of a profile's errors, the widest first: together they have the profile's
+    /// covariance. A direction's width is measured in the spreads of the distribution `robust`, which is what
+    /// is believed of a Qube before any data, so that quantities of different units compare. A profile without
+    /// standard errors has none.
+    #[must_use]
+    pub fn of_errors(profile: &Profile) -> Vec<Self> {
+        let quantities: Vec<Quantity> =
+            Quantity::all().filter(|&quantity| profile.standard_error(quantity) > 0.0).collect();
+        let before = DomainDistribution::robust();
+        let scale = |quantity: Quantity| match before.standard_deviation(quantity) {
+            // What `robust` knows exactly counts in tenths of its value.
+            0.0 => (0.1 * before.get(quantity).mean().abs()).max(f64::MIN_POSITIVE),
+            deviation => deviation,
+        };
+        let scales: Vec<f64> = quantities.iter().map(|&quantity| scale(quantity)).collect();
+        let scaled = DMatrix::from_fn(quantities.len(), quantities.len(), |row, column| {
+            let covariance = profile.covariance(quantities[row], quantities[column]);
+            covariance / (scales[row] * scales[column])
+        });
+        if quantities.is_empty() {
+            return Vec::new();
+        }
+        let eigen = SymmetricEigen::new(scaled);
+        let mut order: Vec<usize> = (0..quantities.len()).collect();
+        order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+        let widths =
+            order.into_iter().map(|index| (index, eigen.eigenvalues[index].max(0.0).sqrt()));
+        widths
+            .filter(|&(_, width)| width > SMALLEST_SHARE)
+            .map(|(index, width)| {
+                let vector = eigen.eigenvectors.column(index);
+                // An eigenvector has no sign of its own: its largest entry is made positive.
+                let sign = vector[vector.icamax()].signum();
+                let entry = |(row, &quantity): (usize, &Quantity)| {
+                    (quantity, sign * width * vector[row] * scales[row])
+                };
+                Self::new(&quantities.iter().enumerate().map(entry).collect::<Vec<_>>())
+            })
+            .collect()
+    }
+
+    /// How far the direction moves a quantity, in its unit.
+    #[must_use]
+    pub fn of(&self, quantity: Quantity) -> f64 {
+        self.deviations[quantity.index()]
+    }
+
+    /// The direction times a factor.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self { deviations: self.deviations.map(|deviation| factor * deviation) }
+    }
+}
+
+impl From<Direction> for BTreeMap<String, f64> {
+    fn from(direction: Direction) -> Self {
+        let moved = Quantity::all().filter(|&quantity| direction.of(quantity) != 0.0);
+        moved.map(|quantity| (quantity.name().to_owned(), direction.of(quantity))).collect()
+    }
+}
+
+impl TryFrom<BTreeMap<String, f64>> for Direction {
+    type Error = String;
+
+    fn try_from(named: BTreeMap<String, f64>) -> Result<Self, String> {
+        let entry = |(name, deviation): (String, f64)| match Quantity::from_name(&name) {
+            _ if !deviation.is_finite() => Err(format!("a direction moves {name} by {deviation}")),
+            Some(quantity) => Ok((quantity, deviation)),
+            None => Err(format!("there is no quantity {name}")),
+        };
+        let deviations: Vec<_> = named.into_iter().map(entry).collect::<Result<_, _>>()?;
+        Ok(Self::new(&deviations))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{Correlations, QubeModel};
+
+    /// A profile whose resistance and back-EMF err together and whose delay errs alone.
+    fn profile() -> Profile {
+        let mut profile = Profile::exact("one", &QubeModel::NOMINAL);
+        let errors = [("R_m", 0.5), ("k_m", 0.002), ("command_delay_s", 0.001)];
+        profile.standard_errors = errors.map(|(name, error)| (name.to_owned(), error)).into();
+        let names = vec!["R_m".into(), "k_m".into(), "command_delay_s".into()];
+        let matrix = [vec![1.0, 0.9, 0.0], vec![0.9, 1.0, 0.0], vec![0.0, 0.0, 1.0]];
+        profile.correlations = Some(Correlations::new(names, &matrix));
+        profile
+    }
+
+    #[test]
+    fn the_directions_of_a_profile_have_its_covariance_and_the_widest_is_first() {
+        let directions = Direction::of_errors(&profile());
+        assert_eq!(directions.len(), 3);
+        for one in Quantity::all() {
+            for other in Quantity::all() {
+                let sum: f64 = directions.iter().map(|it| it.of(one) * it.of(other)).sum();
+                let wanted = profile().covariance(one, other);
+                let scale = profile().standard_error(one) * profile().standard_error(other);
+                assert!((sum - wanted).abs() <= 1e-9 * scale, "{one:?} {other:?}: {sum} {wanted}");
+            }
+        }
+        let robust = DomainDistribution::robust();
+        let width = |direction: &Direction| {
+            let share = |quantity: Quantity| {
+                let deviation = direction.of(quantity);
+                if deviation == 0.0 { 0.0 } else { deviation / robust.standard_deviation(quantity) }
+            };
+            Quantity::all().map(|quantity| share(quantity).powi(2)).sum::<f64>()
+        };
+        assert!(width(&directions[0]) > width(&directions[1]));
+        assert!(width(&directions[1]) > width(&directions[2]));
+    }
+
+    #[test]
+    fn a_profile_without_errors_has_no_direction() {
+        assert_eq!(Direction::of_errors(&Profile::exact("one", &QubeModel::NOMINAL)), []);
+    }
+
+    #[test]
+    fn a_direction_reads_back_and_an_unknown_name_is_refused() {
+        let direction = &Direction::of_errors(&profile())[0];
+        let written = serde_json::to_string(direction).unwrap();
+        assert_eq!(&serde_json::from_str::<Direction>(&written).unwrap(), direction);
+        assert!(serde_json::from_str::<Direction>("{\"R_x\": 1.0}").is_err());
+    }
+}
