@@ -84,8 +84,8 @@ pub enum BeliefError {
         /// The longest accepted delay, s.
         longest_s: f64,
     },
-    /// A step is not a finite number or leads outside the range.
-    #[error("steps: give numbers from -1 to 1")]
+    /// A step is not a finite number, or longer than the uncertainty about an unidentified Qube.
+    #[error("steps: give each number at most its uncertainty for an unidentified Qube")]
     Step,
 }
 
@@ -192,8 +192,9 @@ impl Belief {
         if delay_s > longest_s {
             return Err(BeliefError::Delay { delay_s, longest_s });
         }
-        let within = |number: &f64| (-1.0..=1.0).contains(number);
-        if !self.steps.as_flattened().iter().all(within) {
+        let widths = unknown_widths();
+        let within = |(part, width): (&f64, &f64)| part.abs() <= width * (1.0 + 1e-9);
+        if !self.steps.iter().all(|step| step.iter().zip(&widths).all(within)) {
             return Err(BeliefError::Step);
         }
         Ok(())
@@ -332,4 +333,34 @@ fn mirrored(place: &[f64; NUMBERS]) -> [f64; NUMBERS] {
     other.swap(15, 16);
     other[13] = -place[13];
     other
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::Correlations;
+
+    #[test]
+    fn a_profile_that_leaves_a_number_undetermined_gives_a_belief_that_reads_back() {
+        let names = Quantity::all().map(|quantity| quantity.name().to_owned()).collect();
+        let one = |row: usize| {
+            (0..Quantity::COUNT).map(|column| f64::from(u8::from(row == column))).collect()
+        };
+        let matrix: Vec<Vec<f64>> = (0..Quantity::COUNT).map(one).collect();
+        let correlations = Some(Correlations::new(names, &matrix));
+        let exact = Profile::exact("ideal", &QubeModel::NOMINAL);
+        let undetermined = Profile { correlations, ..exact };
+        for quantity in Quantity::all() {
+            // Far beyond what is believed of any Qube.
+            let errors = [(quantity.name().to_owned(), 100.0)].into();
+            let profile = Profile { standard_errors: errors, ..undetermined.clone() };
+            let belief = Belief::of_profile(&profile);
+            assert_eq!(belief.check(), Ok(()), "{quantity:?}");
+            let written = serde_json::to_string(&belief).unwrap();
+            assert_eq!(serde_json::from_str::<Belief>(&written).unwrap(), belief);
+        }
+        let mut farther = Belief::of_profile(&undetermined);
+        farther.steps[0][0] = 2.0 * unknown_widths()[0];
+        assert_eq!(farther.check(), Err(BeliefError::Step));
+    }
 }
