@@ -15,7 +15,7 @@ use qube_hil::device::emulator::{Board, EmulatorSettings};
 use qube_hil::device::{Device, LinkFault, SerialLink, Transport};
 use qube_hil::policy::{Controller, Policy};
 use qube_hil::qube::State;
-use qube_hil::session::{Extent, SessionSettings, next_step, parse_ledger};
+use qube_hil::session::{Extent, IdentificationSettings, SessionSettings, next_step, parse_ledger};
 
 const CRC_32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
@@ -214,7 +214,9 @@ pub fn ledger(bytes: &[u8]) {
     };
     if let Ok(parsed) = parse_ledger(bytes) {
         assert!(parsed.whole_bytes <= bytes.len());
-        let _ = next_step(&parsed.state, &Extent::QUICK);
+        for identification in [None, Some(&IdentificationSettings::DEFAULT)] {
+            let _ = next_step(&parsed.state, &Extent::QUICK, identification);
+        }
         assert!(parsed.state.candidates().len() <= parsed.entries.len());
     }
 }

@@ -57,7 +57,11 @@ fn printed(value: &Value, path: &str, found: &mut BTreeSet<String>) {
 fn is_of(path: &str, field: &str) -> bool {
     let above = |rest: &str| rest.starts_with('.') || rest.starts_with("[]");
     match field.strip_suffix(".*") {
-        Some(object) => path == object || path.strip_prefix(object).is_some_and(above),
+        Some(object) => {
+            path == object
+                || path.strip_prefix(object).is_some_and(above)
+                || object.strip_prefix(path).is_some_and(above)
+        }
         None => path == field || field.strip_prefix(path).is_some_and(above),
     }
 }
@@ -124,6 +128,12 @@ fn commands_print_the_fields_of_the_page() {
     succeeds("`identify`", &[&["identify", "chirp/rollout-0.mcap"], &fixed[..]].concat());
 
     let session = ["session", "--clock", "virtual", "--config", "small.toml", "--out", "session"];
+    succeeds("`session`", &session);
+    let identified = format!("{small}[identification]\ncandidates = 1\n");
+    let identified = identified.replace("[extent]\n", "[extent]\nbaseline = true\n");
+    std::fs::write(directory.path().join("identified.toml"), identified).unwrap();
+    let session =
+        ["session", "--clock", "virtual", "--config", "identified.toml", "--out", "around"];
     succeeds("`session`", &session);
     let experiment = ["experiment", "--recipe", "tiny.toml", "--policies", "1", "--rollouts", "1"];
     succeeds("`experiment`", &[&experiment[..], &["--out", "experiment"]].concat());

@@ -79,7 +79,7 @@ impl ExperimentProgress {
             SessionEvent::Proposed { candidate, .. } => {
                 self.line(format!("{name}: the search proposes candidate {candidate}"));
             }
-            SessionEvent::Training { candidate, update } => {
+            SessionEvent::Training { candidate, update, .. } => {
                 let done = update.update + 1;
                 self.bar.set_message(format!("{name}: candidate {candidate}, update {done}"));
             }
@@ -87,7 +87,13 @@ impl ExperimentProgress {
                 let return_ = verdict.return_().map_or("void".into(), |it| format!("{it:.0}"));
                 self.line(format!("{name}: candidate {candidate}, rollout {rollout}: {return_}"));
             }
-            SessionEvent::Trained { .. } | SessionEvent::Connected(_) | SessionEvent::Drift(_) => {}
+            SessionEvent::Trained { .. }
+            | SessionEvent::Connected(_)
+            | SessionEvent::Drift(_)
+            | SessionEvent::Identified { .. }
+            | SessionEvent::NotIdentified(_)
+            | SessionEvent::GoesOn { .. }
+            | SessionEvent::Settled { .. } => {}
         }
     }
 

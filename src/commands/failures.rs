@@ -151,6 +151,7 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
             Failure::failed(error)
         }
         SessionError::Policy(error) => policy(&error),
+        SessionError::ProfileLost { .. } => Failure::data_lost(error),
         SessionError::Psi(_) | SessionError::SettingsChanged { .. } => Failure::usage(error),
     };
     failure.of(fault)

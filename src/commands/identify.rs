@@ -1,4 +1,3 @@
-use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -14,7 +13,7 @@ use crate::identification::{
     Blind, Estimate, HorizonError, Identified, Phase, Unknown, Verdict, check_recording,
     comes_upright, horizon_error, identify, phase_error, start_state,
 };
-use crate::qube::{Correlations, PlantModel, PlantName, Profile, Provenance, QubeModel};
+use crate::qube::{PlantModel, QubeModel};
 use crate::replay::{MotionLog, simulate_from};
 use crate::storage::{MachineDisk, write_whole};
 
@@ -102,24 +101,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let [_, held_out_errors] = &errors;
     let [.., long] = held_out_errors.horizons;
 
-    let profile = Profile {
-        name: arguments.name.clone(),
-        plant: PlantName::QUBE,
-        parameters: identified.model.parameters,
-        nonidealities: identified.model.nonidealities,
-        standard_errors: standard_errors(&identified.estimates),
-        correlations: Some(Correlations::new(
-            unknowns.iter().map(|unknown| unknown.name().to_owned()).collect(),
-            &identified.correlations,
-        )),
-        provenance: Some(Provenance {
-            recordings: arguments.files.iter().map(|path| file_name(path)).collect(),
-            program_version: env!("CARGO_PKG_VERSION").to_owned(),
-            held_out_rms_rad: (long.predictions > 0)
-                .then_some([long.rms.theta_rad, long.rms.alpha_rad]),
-            note: None,
-        }),
-    };
+    let files = arguments.files.iter().map(|path| file_name(path)).collect();
+    let mut profile = identified.profile(&arguments.name, files);
+    if let Some(provenance) = profile.provenance.as_mut().filter(|_| long.predictions > 0) {
+        provenance.held_out_rms_rad = Some([long.rms.theta_rad, long.rms.alpha_rad]);
+    }
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
     out.write(toml.as_bytes())?;
     if let Some(folder) = &arguments.plot {
@@ -191,11 +177,6 @@ fn read(files: &[PathBuf]) -> Result<Vec<MotionLog>, Failure> {
 
 fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-fn standard_errors(estimates: &[Estimate]) -> BTreeMap<String, f64> {
-    let named = |estimate: &Estimate| (estimate.unknown.name().to_owned(), estimate.standard_error);
-    estimates.iter().map(named).collect()
 }
 
 fn plot(folder: &Path, path: &Path, log: &MotionLog, model: &QubeModel) -> Result<(), Failure> {

@@ -15,41 +15,70 @@ use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::keyboard::Keyboard;
 use super::output::Output;
 use super::printable::tell;
+use super::profile;
 use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
-use crate::qube::Profile;
+use crate::qube::{PlantModel, Profile};
 use crate::safety::{Guard, GuardConsent};
-use crate::session::{Session, SessionError, SessionFolder, SessionReport, SessionSettings};
+use crate::session::{
+    EmulatedQubeSettings, IdentificationSettings, Session, SessionError, SessionFolder,
+    SessionReport, SessionSettings,
+};
 use crate::simulation::SensorModel;
 
-/// Run the whole method: search for the distribution of simulations whose policies earn most on the Qube
+/// Run the whole method: identify the Qube, search the distribution of simulations whose policies earn most on it
 ///
-/// A candidate is one psi: means and standard deviations from which the simulations' masses and lengths are
-/// drawn (--config can choose other quantities). For each, a policy is trained and run on the Qube at 100
-/// Hz, every rollout is recorded, and a surrogate of the return over psi proposes the next. Finally the
-/// recommended psi is trained and run, and the best candidate's policy is run again; the better of the two
-/// is the result. Without arguments this runs on an emulated Qube and takes some minutes. --resume
-/// continues an interrupted session without losing or repeating a finished rollout.
+/// First the Qube is excited for ten seconds and identified. Then policies are trained in simulations around the
+/// identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is one psi, which says how far the
+/// simulations spread, where they lie among the identification's errors, and how much lag it missed. The first
+/// candidate takes the Qube as it was identified; where its policy does not succeed, the recordings so far improve
+/// the identification, and a surrogate of the return over psi proposes the next. The best policy is verified, and
+/// the session ends when one more candidate is expected to gain less than 1 %. A Qube that cannot be identified is
+/// searched as an unknown one, as --method bayrn does from the beginning: then psi holds means and standard
+/// deviations of masses and lengths (--config can choose other quantities). Without arguments this runs on an
+/// emulated Qube that differs from the nominal one as a real Qube does, and takes some minutes. --resume continues
+/// an interrupted session without losing or repeating a finished rollout.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil session                               # on the emulated Qube\n  \
-    qube-hil session --device /dev/ttyACM0 --preset thesis --out logs/monday\n  \
+    qube-hil session --device /dev/ttyACM0 --out logs/monday\n  \
+    qube-hil session --method bayrn --preset thesis   # the published method\n  \
     qube-hil session --resume logs/monday          # after Ctrl-C, crash or fault\n  \
     qube-hil session --clock virtual --seed 3      # as fast as the processor can\n\n\
     The table at the end has a line for each candidate:\n  \
-    purpose      initial: a point that the search starts from; search: proposed from the returns so far;\n               \
-    recommended: by the search; N again: candidate N's own policy, run once more\n  \
+    purpose      excitation: it identifies the Qube; initial: a point that the search starts\n               \
+    from; search: proposed from the returns so far; recommended: by the search;\n               \
+    N again: candidate N's own policy, run once more; nominal: a policy of the nominal Qube\n  \
     mean return  of its rollouts: each step of 10 ms earns at most 1 for a pendulum that is upright and\n               \
     quiet in the middle, so that 6 s earn at most 600\n  \
     rollouts     how many ended in success, of how many: upright during the last second\n  \
-    psi          each entry's place between the ends of its range, from 0 to 9")]
+    psi          each entry's place between the ends of its range, from 0 to 9; around an identified Qube\n               \
+    log_width: natural logarithm of the factor of every spread; shift_N: how far the means lie\n               \
+    along the identification's Nth widest error, in its standard deviations; mean_lag, std_lag:\n               \
+    lag beside the identified delay")]
 pub struct Arguments {
     /// Extent: `quick` takes minutes, `thesis` is the published extent and budget
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
     preset: Preset,
+
+    /// Method: `identified` excites and identifies the Qube and searches around what is left unknown; `posterior`
+    /// identifies, trains once and searches nothing; `bayrn` searches psi as configured, for an unknown Qube
+    /// [default: identified; bayrn with --preset thesis, another plant, or a --config without the table
+    /// identification]
+    #[arg(long, value_enum, conflicts_with = "resume")]
+    method: Option<Method>,
+
+    /// Largest number of candidates around the identified Qube [default: 10]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "resume")]
+    candidates: Option<u32>,
+
+    /// Run a policy of the nominal Qube once at the end, for comparison [default: true on the emulated Qube that is
+    /// identified, otherwise false]
+    #[arg(long, value_name = "true|false", num_args = 0..=1, default_missing_value = "true", conflicts_with = "resume")]
+    baseline: Option<bool>,
 
     /// TOML file whose entries override the preset; the session.toml in a session's folder shows every
     /// entry
@@ -96,6 +125,17 @@ enum Preset {
     Quick,
     /// 15 initial candidates, 10 by the search, 5 rollouts each, the published training budget
     Thesis,
+}
+
+/// How a session comes to its policy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Method {
+    /// Identify the Qube, then search around what is left unknown.
+    Identified,
+    /// Identify the Qube, train once, and search nothing.
+    Posterior,
+    /// Search psi as configured, for an unknown Qube.
+    Bayrn,
 }
 
 /// Runs or resumes a session and prints its table.
@@ -239,6 +279,20 @@ fn configured(
         Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
         None => preset,
     };
+    settings.identification = identification(arguments, &settings, &device.plant)?;
+    let emulated = !device.choice.is_hardware();
+    if let Some(baseline) = arguments.baseline {
+        settings.extent.baseline = baseline;
+    } else if arguments.config.is_none() {
+        settings.extent.baseline = emulated && settings.identification.is_some();
+    }
+    if arguments.config.is_none() && settings.identification.is_some() {
+        // The first command of a newcomer shows the problem: a Qube that differs from the nominal one.
+        settings.emulated = EmulatedQubeSettings {
+            model: profile::named("lab", &device.plant)?,
+            ..settings.emulated
+        };
+    }
     if let Some(guard) = arguments.guard {
         settings = settings.with_guard(guard.into());
     }
@@ -254,6 +308,45 @@ fn configured(
     };
     device.limits(&origin, &settings.safety_box, consent)?;
     Ok(settings)
+}
+
+/// The identification of a new session; `None` searches an unknown Qube.
+fn identification(
+    arguments: &Arguments,
+    settings: &SessionSettings,
+    plant: &PlantModel,
+) -> Result<Option<IdentificationSettings>, Failure> {
+    let configured = settings.identification;
+    let by_default =
+        arguments.preset == Preset::Quick && arguments.config.is_none() && plant.is_qube();
+    let method = arguments.method.unwrap_or(match configured {
+        None if !by_default => Method::Bayrn,
+        _ => Method::Identified,
+    });
+    if method != Method::Bayrn && !plant.is_qube() {
+        return Err(Failure::usage(format!(
+            "a fit knows the likely values of a Qube only, and this is the plant {}: give --method bayrn",
+            plant.name
+        )));
+    }
+    let mut plan = configured.unwrap_or_default();
+    match (method, arguments.candidates) {
+        (Method::Bayrn, None) => return Ok(None),
+        (Method::Bayrn, Some(_)) => {
+            return Err(Failure::usage(
+                "--candidates goes with --method identified; the extent of bayrn is in the table extent of --config",
+            ));
+        }
+        (Method::Posterior, Some(more)) if more > 1 => {
+            return Err(Failure::usage(
+                "--method posterior trains one candidate: leave --candidates out, or give --method identified",
+            ));
+        }
+        (Method::Posterior, _) => plan.candidates = 1,
+        (Method::Identified, Some(candidates)) => plan.candidates = candidates,
+        (Method::Identified, None) => {}
+    }
+    Ok(Some(plan))
 }
 
 fn begun(

@@ -15,11 +15,15 @@ use crate::telemetry::Ending;
 pub struct SessionProgress {
     bar: ProgressBar,
     candidates: u32,
+    /// Whether the session may end with fewer candidates.
+    may_end_early: bool,
+    /// The excitations, whose rollouts are recordings and no attempts to balance.
+    excitations: Vec<u32>,
     updates: u32,
     /// When this process proposed its first candidate, and that candidate's number.
     began: Option<(Instant, u32)>,
-    /// The candidates in training.
-    training: BTreeMap<u32, InTraining>,
+    /// The candidates in training, each with the number of its training.
+    training: BTreeMap<(u32, u32), InTraining>,
     connected: bool,
 }
 
@@ -51,9 +55,22 @@ impl SessionProgress {
         bar.enable_steady_tick(Duration::from_millis(120));
         let extent = &settings.extent;
         let searched = extent.initial_candidates + extent.iterations;
-        let candidates = searched + 1 + u32::from(extent.verifies_incumbent);
+        let candidates = match &settings.identification {
+            // The excitations, the largest number of candidates, and the verification of the last.
+            Some(plan) => plan.excitations + plan.candidates + 1,
+            None => searched + 1 + u32::from(extent.verifies_incumbent),
+        } + u32::from(extent.baseline);
         let updates = settings.training.updates;
-        Self { bar, candidates, updates, began: None, training: BTreeMap::new(), connected: false }
+        Self {
+            bar,
+            candidates,
+            may_end_early: settings.identification.is_some(),
+            excitations: Vec::new(),
+            updates,
+            began: None,
+            training: BTreeMap::new(),
+            connected: false,
+        }
     }
 
     /// Shows one event.
@@ -61,6 +78,8 @@ impl SessionProgress {
         match news {
             SessionEvent::Proposed { candidate, purpose } => {
                 let why = match purpose {
+                    Purpose::Excitation => "a recording that identifies the Qube",
+                    Purpose::Baseline => "a policy trained on the nominal Qube, for comparison",
                     Purpose::Initial => "an initial point",
                     Purpose::Search => "proposed by the search",
                     Purpose::Verification => "the search's recommendation, to be verified",
@@ -68,11 +87,19 @@ impl SessionProgress {
                 };
                 let (began, first) = *self.began.get_or_insert((Instant::now(), *candidate));
                 let done = candidate.saturating_sub(first);
-                let left = time_left(began.elapsed(), done, self.candidates - candidate);
-                self.line(proposed(*candidate, self.candidates, why) + &left);
+                if *purpose == Purpose::Excitation {
+                    self.excitations.push(*candidate);
+                }
+                if self.may_end_early {
+                    let most = self.candidates;
+                    self.line(format!("candidate {candidate} (of at most {most}): {why}"));
+                } else {
+                    let left = time_left(began.elapsed(), done, self.candidates - candidate);
+                    self.line(proposed(*candidate, self.candidates, why) + &left);
+                }
             }
-            SessionEvent::Training { candidate, update } => {
-                let it = self.training.entry(*candidate).or_insert_with(|| InTraining {
+            SessionEvent::Training { candidate, training, update } => {
+                let it = self.training.entry((*candidate, *training)).or_insert_with(|| InTraining {
                     began: Instant::now(),
                     updates: 0,
                     best_return: f64::MIN,
@@ -82,12 +109,12 @@ impl SessionProgress {
                 let each: Vec<String> = self
                     .training
                     .iter()
-                    .map(|(number, it)| it.told(*number, self.updates))
+                    .map(|((number, _), it)| it.told(*number, self.updates))
                     .collect();
                 self.bar.set_message(format!("training candidate {}", each.join(", ")));
             }
             SessionEvent::Trained { candidate, best_return } => {
-                self.training.remove(candidate);
+                self.training.retain(|(number, _), _| number != candidate);
                 self.bar.set_message("");
                 if let Some(best_return) = best_return {
                     self.line(format!(
@@ -106,13 +133,28 @@ impl SessionProgress {
                 }
                 self.connected = true;
             }
+            SessionEvent::Identified { recordings, verdict, doubts } => {
+                self.line(identified(*recordings, verdict, doubts));
+            }
+            SessionEvent::NotIdentified(reason) => self.line(format!(
+                "not identified: {reason}. The search goes on as for an unknown Qube"
+            )),
+            SessionEvent::GoesOn { expected_gain, enough } => self.line(format!(
+                "one more candidate is expected to gain {expected_gain:.1}; the search ends below {enough:.1}"
+            )),
+            SessionEvent::Settled { expected_gain } => self.line(format!(
+                "the search ends: one more candidate is expected to gain {expected_gain:.1}"
+            )),
             SessionEvent::Drift(Ok(drift)) => self.line(command_hints::drift(drift)),
             SessionEvent::Drift(Err(unfit)) => self
                 .line(format!("the first rollouts say nothing of how the rig is today: {unfit}")),
             SessionEvent::Rollout { candidate, rollout, attempt, verdict } => {
                 let again =
                     if *attempt > 0 { format!(" (try {})", attempt + 1) } else { String::new() };
-                let came_to = describe(verdict);
+                let came_to = match verdict {
+                    Verdict::Result { .. } if self.excitations.contains(candidate) => "recorded".into(),
+                    verdict => describe(verdict),
+                };
                 self.line(format!("candidate {candidate}, rollout {rollout}{again}: {came_to}"));
                 if let Verdict::Result { outcome, .. } = verdict
                     && let Ending::LeftBox(limit) = outcome.ending
@@ -133,6 +175,19 @@ impl SessionProgress {
         // A bar without a terminal is hidden and would swallow the line.
         let text = printable(&text);
         if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
+    }
+}
+
+/// The outcome of an identification as a sentence.
+pub fn identified(recordings: u32, verdict: &str, doubts: &[String]) -> String {
+    let from =
+        if recordings == 1 { "1 recording".into() } else { format!("{recordings} recordings") };
+    match (verdict, doubts) {
+        (_, []) => format!("identified from {from}: the model describes this Qube"),
+        (_, doubts) => format!(
+            "identified from {from}: the model describes this Qube but for {}",
+            doubts.join("; ")
+        ),
     }
 }
 

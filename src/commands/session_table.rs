@@ -4,8 +4,9 @@ use serde_json::{Value, json};
 
 use super::exit::Failure;
 use super::printable::one_line;
+use super::session_progress::identified;
 use super::{observer_resets_line, quietness_line, timing_lines};
-use crate::session::{BestPolicy, Purpose, ScoredCandidate, SessionReport};
+use crate::session::{BestPolicy, Identification, Purpose, ScoredCandidate, SessionReport};
 use crate::simulation::PsiSpace;
 
 /// A session's results as a table for people and as JSON for scripts.
@@ -29,11 +30,22 @@ impl SessionTable {
         for scored in &report.candidates {
             let candidate = &scored.candidate;
             let purpose = match candidate.purpose {
+                Purpose::Excitation => "excitation".into(),
+                Purpose::Baseline => "nominal".into(),
                 Purpose::Initial => "initial".into(),
                 Purpose::Search => "search".into(),
                 Purpose::Verification => "recommended".into(),
                 Purpose::Incumbent => format!("{} again", report.incumbent(candidate)),
             };
+            if candidate.purpose == Purpose::Excitation {
+                let made = scored.verdicts.len();
+                let _ = writeln!(
+                    text,
+                    "{:4}  {purpose:11} {:>11}  {made:2} recorded",
+                    candidate.number, "-"
+                );
+                continue;
+            }
             let mean = match scored.mean_return() {
                 Some(mean) => format!("{mean:11.1}"),
                 None => format!("{:>11}", "-"),
@@ -70,6 +82,7 @@ impl SessionTable {
                 let _ = writeln!(text, "  {name:longest$}  {value:.5} {unit}");
             }
         }
+        text.push_str(&self.identification_lines());
         if report.void_rollouts > 0 {
             let void = report.void_rollouts;
             let _ =
@@ -79,6 +92,37 @@ impl SessionTable {
         text.push_str(&timing_lines(&report.latencies));
         let _ = writeln!(text, "everything is in {}", report.directory.display());
         text.push_str("qube-hil session --help explains the words of this table\n");
+        text
+    }
+
+    /// What the session knows of the Qube, and why its search ended; empty where nothing was to be identified.
+    fn identification_lines(&self) -> String {
+        let report = &self.0;
+        let mut text = match &report.identification {
+            Identification::None => return String::new(),
+            Identification::Refused(reason) => {
+                return format!(
+                    "\nnot identified, and searched as an unknown Qube: {}\n",
+                    one_line(reason)
+                );
+            }
+            Identification::Found { recordings, verdict, doubts, .. } => {
+                let profile = report.directory.join(format!("profile-{recordings}.toml"));
+                let told = identified(*recordings, verdict, doubts);
+                format!(
+                    "\n{told}\nits profile, with the errors of its values: {}\n",
+                    profile.display()
+                )
+            }
+        };
+        if let Some(gain) = report.settled {
+            let _ = writeln!(text, "one more candidate was expected to gain {gain:.1} of return");
+        }
+        let _ = writeln!(
+            text,
+            "real rollouts that the method used: {} (verification is not counted)",
+            report.real_rollouts()
+        );
         text
     }
 
@@ -95,8 +139,13 @@ impl SessionTable {
         });
         json!({
             "candidates": all(Purpose::is_searched),
-            "verified": all(|purpose| !purpose.is_searched()),
+            "verified": all(Purpose::verifies),
             "best": best,
+            "excitations": all(|purpose| purpose == Purpose::Excitation),
+            "baseline": all(|purpose| purpose == Purpose::Baseline),
+            "identification": identification(&report.identification),
+            "expected_gain": report.settled,
+            "real_rollouts": report.real_rollouts(),
             "rollouts": report.rollouts(),
             "void_rollouts": report.void_rollouts,
             "times_astray": report.observer_resets,
@@ -105,6 +154,17 @@ impl SessionTable {
             "sample_to_act_us": report.latencies.sample_to_act_us(),
             "directory": report.directory.to_string_lossy(),
         })
+    }
+}
+
+/// What the session knows of the Qube, for scripts.
+fn identification(known: &Identification) -> Value {
+    match known {
+        Identification::None => Value::Null,
+        Identification::Refused(reason) => json!({ "refused": reason }),
+        Identification::Found { recordings, verdict, doubts, .. } => {
+            json!({ "recordings": recordings, "verdict": verdict, "doubts": doubts })
+        }
     }
 }
 
@@ -146,6 +206,8 @@ mod tests {
             void_rollouts: 0,
             observer_resets: 0,
             directory: "logs/one".into(),
+            identification: Identification::None,
+            settled: None,
             best: None,
         });
         let text = table.text();

@@ -60,7 +60,7 @@ pub(super) fn found_psi(
     settings: &SessionSettings,
 ) -> Result<Option<Psi>, ExperimentError> {
     let view = SessionView::read(&MachineDisk, SessionPaths::new(folder))?;
-    if next_step(view.state(), &settings.extent) != Step::Done {
+    if next_step(view.state(), &settings.extent, None) != Step::Done {
         return Ok(None);
     }
     let mut candidates = view.state().candidates().iter();

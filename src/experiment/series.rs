@@ -48,7 +48,7 @@ impl Series<'_> {
         let simulation = self.recipe.simulation(self.psi);
         let training = self.recipe.settings.training.clone();
         let settings = TrainSettings { threads: 1, simulation, ..training };
-        let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy });
+        let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy, training: 0 });
         let job = TrainingJob { distribution: self.recipe.distribution(self.psi)?, settings, seed };
         let trained = LocalExecutor::on_cores(1).train_one(&job, self.stop, &mut |_| ())?;
         let best_return = trained.best_return;

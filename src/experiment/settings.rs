@@ -117,6 +117,12 @@ impl ExperimentSettings {
         for recipe in &self.recipes {
             let limits = recipe.settings.check_limits();
             limits.map_err(|reason| format!("recipe {}: {reason}", recipe.name))?;
+            if recipe.settings.identification.is_some() {
+                return Err(format!(
+                    "recipe {}: an experiment's searches identify no Qube: leave the table identification out",
+                    recipe.name
+                ));
+            }
         }
         for plant in &self.plants {
             if !(0.0..=0.5).contains(&plant.vary) {

@@ -17,6 +17,7 @@ mod fitness;
 mod identify;
 mod offsets;
 mod prediction;
+mod profile;
 mod residuals;
 mod sensitivity;
 mod stretch;

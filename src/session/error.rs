@@ -67,6 +67,16 @@ pub enum SessionError {
         /// Its `session.toml`.
         path: PathBuf,
     },
+    /// A profile that the session has made is not there or is damaged.
+    #[error(
+        "{path}: the profile that this session identified is lost: {reason}. Restore it from a backup"
+    )]
+    ProfileLost {
+        /// Path of the profile.
+        path: PathBuf,
+        /// Defect of the file.
+        reason: String,
+    },
     /// The ledger failed.
     #[error(transparent)]
     Ledger(#[from] LedgerError),

@@ -13,10 +13,35 @@ pub enum SessionEvent<'a> {
         /// Reason of the proposal.
         purpose: Purpose,
     },
+    /// The Qube was identified from recordings, with this verdict and these doubts.
+    Identified {
+        /// Number of recordings.
+        recordings: u32,
+        /// Verdict of the fit, by name.
+        verdict: &'a str,
+        /// What the verdict doubts, by name.
+        doubts: &'a [String],
+    },
+    /// The recordings identify no Qube, for this reason; the search goes on as for an unknown one.
+    NotIdentified(&'a str),
+    /// The search around the identified Qube ended: one more candidate was expected to gain this return.
+    Settled {
+        /// Expected gain.
+        expected_gain: f64,
+    },
+    /// A verified policy is not the end yet: one more candidate is expected to gain this return.
+    GoesOn {
+        /// Expected gain.
+        expected_gain: f64,
+        /// Gain below which the search ends.
+        enough: f64,
+    },
     /// A candidate's training has completed one more update.
     Training {
         /// Number of the candidate.
         candidate: u32,
+        /// Number of the training for this candidate.
+        training: u32,
         /// Statistics of the update.
         update: &'a TrainUpdate,
     },

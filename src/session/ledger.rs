@@ -45,6 +45,25 @@ pub enum Entry {
         /// Number of the attempt.
         attempt: u32,
     },
+    /// The Qube was identified, and its profile is complete on disk.
+    Identified {
+        /// Number of recordings that the profile was fitted to, by which its file is named.
+        recordings: u32,
+        /// The fit's verdict by its name: `fits` or `fits_but`.
+        verdict: String,
+        /// What the verdict doubts, by name.
+        doubts: Vec<String>,
+    },
+    /// The recordings identify no Qube; the search goes on as for an unknown one.
+    NotIdentified {
+        /// Reason for people.
+        reason: String,
+    },
+    /// The search around an identified Qube ended.
+    Settled {
+        /// Return that one more candidate was expected to gain over the verified policy.
+        expected_gain: f64,
+    },
     /// A fault ended a rollout. Its recording is kept.
     RolloutVoid {
         /// Number of the candidate.
@@ -60,6 +79,8 @@ pub enum Entry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Purpose {
+    /// A recording that identifies the Qube: its policy is an excitation.
+    Excitation,
     /// An initial point of the search.
     Initial,
     /// A proposal of the search.
@@ -70,13 +91,21 @@ pub enum Purpose {
     /// rollouts of a policy share the luck of its training, and the recommendation's training may have gone
     /// worse.
     Incumbent,
+    /// A policy that was trained on the nominal Qube, for comparison.
+    Baseline,
 }
 
 impl Purpose {
-    /// Whether its rollouts inform the search; the other rollouts verify the result.
+    /// Whether the candidate is one of the search's, which has a psi to be evaluated.
     #[must_use]
     pub fn is_searched(self) -> bool {
         matches!(self, Self::Initial | Self::Search)
+    }
+
+    /// Whether its rollouts verify the result.
+    #[must_use]
+    pub fn verifies(self) -> bool {
+        matches!(self, Self::Verification | Self::Incumbent)
     }
 }
 

@@ -7,11 +7,13 @@
 
 mod configuration;
 mod configuration_error;
+mod decision;
 mod drift;
 mod error;
 mod event;
 mod folder;
 mod header;
+mod identification_settings;
 mod ledger;
 mod orchestrator;
 mod paths;
@@ -27,11 +29,13 @@ mod state;
 mod view;
 
 pub use configuration_error::ConfigurationError;
+pub use decision::WORTHWHILE_GAIN;
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use error::SessionError;
 pub use event::SessionEvent;
 pub use folder::{FolderError, SessionFolder, put_aside};
 pub use header::RolloutPlan;
+pub use identification_settings::IdentificationSettings;
 pub use ledger::{
     DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger,
     settings_checksum,
@@ -45,5 +49,5 @@ pub use report::{BestPolicy, SessionReport};
 pub use retired::{Retired, take_retired};
 pub use seeds::{SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, SessionSettings};
-pub use state::{Candidate, Finished, SessionState};
+pub use state::{Candidate, Finished, Identification, SessionState};
 pub use view::{ScoredCandidate, SessionView};

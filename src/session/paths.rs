@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 /// ```text
 /// session.toml                            the resolved configuration
 /// ledger.jsonl                            decisions and finished work
+/// profile-1.toml                          the Qube as 1 recording identifies it
 /// candidates/000/                         the files of candidate 0's policy
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,6 +36,12 @@ impl SessionPaths {
     #[must_use]
     pub fn ledger(&self) -> PathBuf {
         self.root.join("ledger.jsonl")
+    }
+
+    /// Path of the profile that so many recordings gave.
+    #[must_use]
+    pub fn profile(&self, recordings: u32) -> PathBuf {
+        self.root.join(format!("profile-{recordings}.toml"))
     }
 
     /// Folder of the candidates.

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Purpose, SessionState};
+use super::{Identification, IdentificationSettings, Purpose, SessionState};
 use crate::qube::MAX_STEPS;
 
 /// The extent of a session.
@@ -25,6 +25,9 @@ pub struct Extent {
     pub steps: u32,
     /// Number of repetitions of a rollout after faults before the session stops.
     pub repetitions: u32,
+    /// Whether a policy that was trained on the nominal Qube is run once at the end, for comparison.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub baseline: bool,
 }
 
 impl Extent {
@@ -37,6 +40,7 @@ impl Extent {
         verifies_incumbent: true,
         steps: MAX_STEPS as u32,
         repetitions: 3,
+        baseline: false,
     };
 
     /// The thesis's extent: 15 points and 10 iterations, five rollouts each.
@@ -60,6 +64,11 @@ pub enum Step {
         /// Reason of the proposal.
         purpose: Purpose,
     },
+    /// Identify the Qube from the recordings of its excitations.
+    Identify,
+    /// Decide how the search around the identified Qube goes on: by another candidate, by the verification of the best,
+    /// or not at all.
+    Decide,
     /// Train the policies of these candidates, which do not depend on each other.
     Train {
         /// Numbers of the candidates.
@@ -81,51 +90,75 @@ pub enum Step {
         /// Number of the rollout.
         rollout: u32,
     },
-    /// The best policy is verified, and nothing is left to do.
+    /// Nothing is left to do.
     Done,
 }
 
-/// The next step of a session in this state.
+/// The next step of a session in this state. A session with `identification` first identifies its Qube; where that
+/// fails, it searches like one without.
 #[must_use]
-pub fn next_step(state: &SessionState, extent: &Extent) -> Step {
-    let candidates = state.candidates();
-    let searched = extent.initial_candidates + extent.iterations;
-    let count = candidates.len() as u32;
-
-    // All initial points are proposed and trained together, so that training can use all cores.
-    if count < extent.initial_candidates {
-        let count = extent.initial_candidates - count;
-        return Step::Propose { count, purpose: Purpose::Initial };
+pub fn next_step(
+    state: &SessionState,
+    extent: &Extent,
+    identification: Option<&IdentificationSettings>,
+) -> Step {
+    let missing = |purpose, wanted: u32| {
+        let count = wanted.saturating_sub(state.count_of(purpose));
+        (count > 0).then_some(Step::Propose { count, purpose })
+    };
+    let identifies = identification.filter(|_| match state.identification() {
+        Identification::None | Identification::Found { .. } => true,
+        Identification::Refused(_) => false,
+    });
+    // All excitations, and all initial points, are proposed together; policies can then train on all cores.
+    let together = match identifies {
+        Some(plan) => missing(Purpose::Excitation, plan.excitations),
+        None => missing(Purpose::Initial, extent.initial_candidates),
+    };
+    if let Some(step) = together.or_else(|| unfinished(state, extent, identifies)) {
+        return step;
     }
+    let searched = match (identifies, state.identification(), state.settled()) {
+        (Some(_), Identification::None, _) => Some(Step::Identify),
+        (Some(_), _, None) => Some(Step::Decide),
+        (Some(_), _, Some(_)) => None,
+        (None, ..) => (state.count_of(Purpose::Search) < extent.iterations)
+            .then_some(Step::Propose { count: 1, purpose: Purpose::Search })
+            .or_else(|| missing(Purpose::Verification, 1))
+            .or_else(|| missing(Purpose::Incumbent, u32::from(extent.verifies_incumbent))),
+    };
+    searched
+        .or_else(|| missing(Purpose::Baseline, u32::from(extent.baseline)))
+        .unwrap_or(Step::Done)
+}
+
+/// The training or rollout that the first unfinished candidate lacks; `None` if all are finished.
+fn unfinished(
+    state: &SessionState,
+    extent: &Extent,
+    identifies: Option<&IdentificationSettings>,
+) -> Option<Step> {
+    let candidates = state.candidates();
     let untrained: Vec<u32> =
         candidates.iter().filter(|it| !it.trained).map(|it| it.number).collect();
     if !untrained.is_empty() {
-        return Step::Train { candidates: untrained };
+        return Some(Step::Train { candidates: untrained });
     }
-    for it in candidates {
-        let wanted = match it.purpose {
-            Purpose::Verification | Purpose::Incumbent => extent.verification_rollouts,
-            Purpose::Initial | Purpose::Search => extent.rollouts,
+    candidates.iter().find_map(|it| {
+        let wanted = match (it.purpose, identifies) {
+            (Purpose::Excitation | Purpose::Baseline, _) => 1,
+            (Purpose::Verification | Purpose::Incumbent, _) => extent.verification_rollouts,
+            (Purpose::Initial | Purpose::Search, Some(plan)) => plan.rollouts,
+            (Purpose::Initial | Purpose::Search, None) => extent.rollouts,
         };
-        let rollout = it.finished.len() as u32;
-        if rollout < wanted {
-            let (candidate, attempt) = (it.number, it.void);
-            return if attempt > extent.repetitions {
-                Step::GiveUp { candidate, rollout }
-            } else {
-                Step::Rollout { candidate, rollout, attempt }
-            };
-        }
-    }
-    if count < searched {
-        Step::Propose { count: 1, purpose: Purpose::Search }
-    } else if count == searched {
-        Step::Propose { count: 1, purpose: Purpose::Verification }
-    } else if extent.verifies_incumbent && count == searched + 1 {
-        Step::Propose { count: 1, purpose: Purpose::Incumbent }
-    } else {
-        Step::Done
-    }
+        let (candidate, rollout, attempt) = (it.number, it.finished.len() as u32, it.void);
+        let given_up = attempt > extent.repetitions;
+        (rollout < wanted).then_some(if given_up {
+            Step::GiveUp { candidate, rollout }
+        } else {
+            Step::Rollout { candidate, rollout, attempt }
+        })
+    })
 }
 
 #[cfg(test)]
@@ -134,7 +167,7 @@ mod tests {
     use crate::session::Entry;
 
     fn next_step_after(entries: &[Entry], extent: &Extent) -> Step {
-        next_step(&SessionState::of(entries).unwrap(), extent)
+        next_step(&SessionState::of(entries).unwrap(), extent, None)
     }
 
     const EXTENT: Extent = Extent {
@@ -145,6 +178,7 @@ mod tests {
         verifies_incumbent: true,
         steps: MAX_STEPS as u32,
         repetitions: 3,
+        baseline: false,
     };
 
     /// Performs each step, with a fault now and then, and returns the ledger.
@@ -174,6 +208,7 @@ mod tests {
                     });
                 }
                 Step::GiveUp { .. } => panic!("gave up"),
+                Step::Identify | Step::Decide => panic!("nothing is to be identified"),
                 Step::Done => return entries,
             }
         }
@@ -239,5 +274,61 @@ mod tests {
             entries.push(Entry::RolloutVoid { candidate, rollout, attempt });
         }
         assert_eq!(next_step_after(&entries, &EXTENT), Step::GiveUp { candidate, rollout });
+    }
+
+    const IDENTIFIED: IdentificationSettings =
+        IdentificationSettings { excitations: 2, candidates: 4, ..IdentificationSettings::DEFAULT };
+
+    fn next_around(entries: &[Entry], extent: &Extent) -> Step {
+        next_step(&SessionState::of(entries).unwrap(), extent, Some(&IDENTIFIED))
+    }
+
+    fn proposed(candidate: u32, purpose: Purpose) -> Entry {
+        Entry::Proposed { candidate, purpose, psi: Vec::new() }
+    }
+
+    /// The entries of a finished candidate with so many rollouts.
+    fn finished(candidate: u32, purpose: Purpose, rollouts: u32) -> Vec<Entry> {
+        let finished = |rollout| Entry::RolloutFinished { candidate, rollout, attempt: 0 };
+        let mut entries = vec![proposed(candidate, purpose), Entry::Trained { candidate }];
+        entries.extend((0..rollouts).map(finished));
+        entries
+    }
+
+    #[test]
+    fn a_qube_is_excited_and_identified_before_the_search_is_decided() {
+        let extent = Extent { baseline: true, ..EXTENT };
+        let next = |entries: &[Entry]| next_around(entries, &extent);
+        let excite = |count| Step::Propose { count, purpose: Purpose::Excitation };
+        assert_eq!(next(&[]), excite(2));
+        let mut entries = vec![proposed(0, Purpose::Excitation)];
+        assert_eq!(next(&entries), excite(1));
+        entries.push(proposed(1, Purpose::Excitation));
+        assert_eq!(next(&entries), Step::Train { candidates: vec![0, 1] });
+        entries = finished(0, Purpose::Excitation, 1);
+        entries.extend(finished(1, Purpose::Excitation, 1));
+        assert_eq!(next(&entries), Step::Identify);
+
+        let mut refused = entries.clone();
+        refused.push(Entry::NotIdentified { reason: "it does not fit".into() });
+        assert_eq!(next(&refused), Step::Propose { count: 3, purpose: Purpose::Initial });
+
+        let found = |recordings| Entry::Identified {
+            recordings,
+            verdict: "fits".into(),
+            doubts: Vec::new(),
+        };
+        entries.push(found(2));
+        assert_eq!(next(&entries), Step::Decide);
+        entries.extend(finished(2, Purpose::Initial, IDENTIFIED.rollouts));
+        assert_eq!(next(&entries), Step::Decide);
+        entries.push(found(3));
+        assert_eq!(next(&entries), Step::Decide, "a better profile changes no plan");
+        entries.extend(finished(3, Purpose::Incumbent, extent.verification_rollouts));
+        assert_eq!(next(&entries), Step::Decide);
+        entries.push(Entry::Settled { expected_gain: 0.5 });
+        assert_eq!(next(&entries), Step::Propose { count: 1, purpose: Purpose::Baseline });
+        entries.extend(finished(4, Purpose::Baseline, 1));
+        assert_eq!(next(&entries), Step::Done);
     }
 }

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use super::{Candidate, Purpose, ScoredCandidate, Session, SessionError};
+use super::{Candidate, Identification, Purpose, ScoredCandidate, Session, SessionError};
 use crate::policy::{Policy, PolicyError};
 use crate::recording::read_on;
 use crate::scoring::{Latencies, Quietness};
@@ -20,6 +20,10 @@ pub struct SessionReport {
     pub observer_resets: u64,
     /// Folder of the session.
     pub directory: PathBuf,
+    /// What the session knows of the Qube.
+    pub identification: Identification,
+    /// Return that one more candidate was expected to gain when the search around an identified Qube ended.
+    pub settled: Option<f64>,
     /// Policy to use: the verified one with the highest mean return.
     pub best: Option<BestPolicy>,
 }
@@ -59,6 +63,8 @@ impl SessionReport {
             void_rollouts: 0,
             observer_resets: 0,
             directory: paths.root().to_owned(),
+            identification: session.state().identification().clone(),
+            settled: session.state().settled(),
             best: ScoredCandidate::best_verified(&candidates).map(|candidate| BestPolicy {
                 candidate,
                 policy: paths.candidate(candidate as u32).policy(),
@@ -95,6 +101,15 @@ impl SessionReport {
     /// The candidates of these purposes.
     pub fn of_purpose(&self, is: fn(Purpose) -> bool) -> impl Iterator<Item = &ScoredCandidate> {
         self.candidates.iter().filter(move |it| is(it.candidate.purpose))
+    }
+
+    /// Number of real rollouts whose data the method used: excitations and the search's rollouts, without those that
+    /// verify or compare.
+    #[must_use]
+    pub fn real_rollouts(&self) -> usize {
+        let is_used = |purpose: Purpose| purpose == Purpose::Excitation || purpose.is_searched();
+        let used = self.candidates.iter().filter(|it| is_used(it.candidate.purpose));
+        used.map(|it| it.verdicts.len()).sum()
     }
 
     /// Number of rollouts with a result.

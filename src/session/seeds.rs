@@ -21,6 +21,13 @@ pub enum SeedFor {
     Training {
         /// Number of the candidate.
         candidate: u32,
+        /// Number of the training for this candidate.
+        training: u32,
+    },
+    /// Simulations in which the policies of a candidate compete.
+    Evaluation {
+        /// Number of the candidate.
+        candidate: u32,
     },
     /// Emulated Qube of one attempt of one rollout, under virtual time.
     Emulator {
@@ -55,7 +62,8 @@ fn stream(purpose: SeedFor) -> u64 {
     };
     match purpose {
         SeedFor::Start { candidate, rollout } => number(1, candidate, rollout, 0),
-        SeedFor::Training { candidate } => number(2, candidate, 0, 0),
+        SeedFor::Training { candidate, training } => number(2, candidate, training, 0),
+        SeedFor::Evaluation { candidate } => number(7, candidate, 0, 0),
         SeedFor::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
         SeedFor::Search => number(4, 0, 0, 0),
         SeedFor::Qube { policy } => number(5, policy, 0, 0),
@@ -90,7 +98,10 @@ mod tests {
     fn purposes_do_not_share_a_stream() {
         let mut purposes = vec![SeedFor::Search];
         for candidate in 0..4 {
-            purposes.push(SeedFor::Training { candidate });
+            purposes.push(SeedFor::Evaluation { candidate });
+            for training in 0..3 {
+                purposes.push(SeedFor::Training { candidate, training });
+            }
             purposes.push(SeedFor::Qube { policy: candidate });
             purposes.push(SeedFor::Repetition { repetition: candidate });
             for rollout in 0..4 {

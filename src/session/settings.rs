@@ -1,17 +1,17 @@
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::Extent;
+use super::{Extent, IdentificationSettings};
 use crate::control::HomingSettings;
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Origin, Preset, TrainSettings};
-use crate::qube::{PlantModel, QubeModel};
+use crate::qube::{PlantModel, Profile, QubeModel};
 use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
 use crate::simulation::{
-    DomainDistribution, Family, Model, ProfileSettings, Psi, PsiError, PsiSpace, SensorModel,
-    SimulationSettings, box_file,
+    Direction, DomainDistribution, Family, Model, ProfileSettings, Psi, PsiError, PsiSpace,
+    SensorModel, SimulationSettings, box_file,
 };
 use crate::surrogate::SearchBox;
 
@@ -52,6 +52,10 @@ impl Default for EmulatedQubeSettings {
     }
 }
 
+/// Number of candidates around an identified Qube before the surrogate chooses: the simulations as identified, and two
+/// that tell it how the return depends on psi.
+pub(super) const INITIAL_AROUND: u32 = 3;
+
 /// The settings of a session, as `session.toml` contains them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -72,6 +76,10 @@ pub struct SessionSettings {
     pub family: Family,
     /// Number of candidates and rollouts.
     pub extent: Extent,
+    /// Identification before the search, which is then around the identified Qube; `model` and `psi` are those of the
+    /// search if that fails. Without this table the Qube is not identified.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub identification: Option<IdentificationSettings>,
     /// Estimator of the state on the Qube.
     pub estimator: EstimatorSettings,
     /// Box that ends a rollout.
@@ -106,6 +114,7 @@ impl SessionSettings {
             psi: PsiSpace::thesis(),
             family: Family::Normal,
             extent: Extent::QUICK,
+            identification: None,
             estimator: EstimatorSettings::default(),
             safety_box: SafetyBox::GUARDED,
             homing: HomingSettings::default(),
@@ -166,6 +175,21 @@ impl SessionSettings {
             *simulated = estimator;
         }
         self
+    }
+
+    /// The settings of the search around an identified Qube: psi says how the simulations differ from the latest
+    /// profile, along the directions of the errors of the first.
+    #[must_use]
+    pub fn around(self, plan: &IdentificationSettings, first: &Profile, latest: &Profile) -> Self {
+        let directions = Direction::of_errors(first);
+        let psi = PsiSpace::of_posterior(directions.len());
+        let profile = ProfileSettings { directions, ..ProfileSettings::of(latest, plan.spread) };
+        let extent = Extent {
+            initial_candidates: INITIAL_AROUND.min(plan.candidates),
+            rollouts: plan.rollouts,
+            ..self.extent
+        };
+        Self { model: Model::OptProfile, profile: Some(profile), psi, extent, ..self }
     }
 
     /// The strategy that chooses psi.

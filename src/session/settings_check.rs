@@ -44,6 +44,9 @@ impl SessionSettings {
                 return Err(format!("{name} = {value}: give a number from {least} to {most}"));
             }
         }
+        if let Some(identification) = &self.identification {
+            identification.check()?;
+        }
         self.training.check().map_err(|error| match error {
             TrainError::Setting { name, value, bound } => {
                 format!("training.{name} = {value}: it must be {bound}")

@@ -26,11 +26,34 @@ pub struct Finished {
     pub attempt: u32,
 }
 
+/// What a session knows of the Qube that it drives.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Identification {
+    /// The Qube is not identified yet, or is not to be.
+    #[default]
+    None,
+    /// The Qube is identified.
+    Found {
+        /// Number of recordings that its latest profile was fitted to.
+        recordings: u32,
+        /// Verdict of that fit, by name.
+        verdict: String,
+        /// What the verdict doubts, by name.
+        doubts: Vec<String>,
+        /// Number of recordings that its first profile was fitted to; psi is relative to that one.
+        first: u32,
+    },
+    /// The recordings identify no Qube, for this reason.
+    Refused(String),
+}
+
 /// The state of a session: its ledger's entries, folded one at a time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SessionState {
     entries: usize,
     candidates: Vec<Candidate>,
+    identification: Identification,
+    settled: Option<f64>,
 }
 
 impl SessionState {
@@ -53,6 +76,25 @@ impl SessionState {
     /// The candidates of the search, without those that verify its result.
     pub fn searched(&self) -> impl Iterator<Item = &Candidate> {
         self.candidates.iter().filter(|candidate| candidate.purpose.is_searched())
+    }
+
+    /// Number of candidates with this purpose.
+    #[must_use]
+    pub fn count_of(&self, purpose: Purpose) -> u32 {
+        self.candidates.iter().filter(|candidate| candidate.purpose == purpose).count() as u32
+    }
+
+    /// What is known of the Qube.
+    #[must_use]
+    pub fn identification(&self) -> &Identification {
+        &self.identification
+    }
+
+    /// The return that one more candidate was expected to gain when the search around an identified Qube ended; `None`
+    /// before its end.
+    #[must_use]
+    pub fn settled(&self) -> Option<f64> {
+        self.settled
     }
 
     /// Applies the next entry. An entry that cannot follow the earlier ones changes nothing.
@@ -89,6 +131,35 @@ impl SessionState {
                 let candidate = self.candidate_due(candidate, rollout, attempt)?;
                 candidate.finished.push(Finished { rollout, attempt });
                 candidate.void = 0;
+            }
+            Entry::Identified { recordings, ref verdict, ref doubts } => {
+                let first = match self.identification {
+                    Identification::None => recordings,
+                    Identification::Found { recordings: before, first, .. }
+                        if recordings > before =>
+                    {
+                        first
+                    }
+                    _ => return Err("the Qube is identified from these recordings already"),
+                };
+                self.identification = Identification::Found {
+                    recordings,
+                    verdict: verdict.clone(),
+                    doubts: doubts.clone(),
+                    first,
+                };
+            }
+            Entry::NotIdentified { ref reason } => {
+                if self.identification != Identification::None {
+                    return Err("it is decided already whether the Qube is identified");
+                }
+                self.identification = Identification::Refused(reason.clone());
+            }
+            Entry::Settled { expected_gain } => {
+                if self.settled.is_some() {
+                    return Err("the search has ended already");
+                }
+                self.settled = Some(expected_gain);
             }
             Entry::RolloutVoid { candidate, rollout, attempt } => {
                 self.candidate_due(candidate, rollout, attempt)?.void += 1;

@@ -90,7 +90,7 @@ impl ScoredCandidate {
     pub fn best_verified(candidates: &[Self]) -> Option<usize> {
         let mut best: Option<(usize, f64)> = None;
         for (index, it) in candidates.iter().enumerate() {
-            let verified = !it.candidate.purpose.is_searched();
+            let verified = it.candidate.purpose.verifies();
             let Some(mean) = it.mean_return().filter(|_| verified) else { continue };
             if best.is_none_or(|(_, so_far)| mean > so_far) {
                 best = Some((index, mean));

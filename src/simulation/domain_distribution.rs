@@ -1,6 +1,7 @@
 use std::collections::BTreeMap;
 
 use libm::{exp, sqrt};
+use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
 use super::distribution::{held_in_range, largest_standard_deviation};

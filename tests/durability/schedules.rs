@@ -46,6 +46,7 @@ pub fn settings(seed: u64) -> SessionSettings {
         verifies_incumbent: true,
         steps: STEPS,
         repetitions: 3,
+        baseline: false,
     };
     settings.homing.method = HomingMethod::Hand;
     // The files are under test here; the guard's simulations would take most of the time.

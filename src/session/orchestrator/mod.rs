@@ -1,3 +1,8 @@
+//! Performs the method's steps in their order: proposals, identification, trainings, rollouts.
+
+mod identification;
+mod training;
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,21 +15,21 @@ use super::{
     ScoredCandidate, SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState,
     Step, next_step, settings_checksum,
 };
-use crate::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
-use crate::learning::{Origin, TrainSettings, Trained, curve_csv};
-use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
+use crate::jobs::{Executor, LocalExecutor};
+use crate::policy::{EXCITATION_STEPS, MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, Doubt, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::scoring::{Verdict, score, score_recording};
 use crate::search::{Observation, SearchError};
-use crate::storage::{SETTINGS_BYTES, write_whole};
+use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
 
 /// A session in its folder: the algorithm of the method's section 1, one step at a time.
 pub struct Session {
     folder: SessionFolder,
     ledger: Ledger,
+    /// Settings of the search: as the session began, or around the Qube that it has identified.
     settings: SessionSettings,
     rig_settings: RigSettings,
     rig: Option<Rig>,
@@ -53,10 +58,7 @@ impl Session {
     ) -> Result<Self, SessionError> {
         let mut ledger = Ledger::open(folder.disk(), &folder.paths().ledger())?;
         bind(&mut ledger, &folder)?;
-        for candidate in ledger.state().candidates() {
-            settings.psi.psi(&candidate.psi)?;
-        }
-        Ok(Self {
+        let mut session = Self {
             folder,
             ledger,
             settings,
@@ -68,7 +70,13 @@ impl Session {
             profile: None,
             today: Vec::new(),
             not_begun: 0,
-        })
+        };
+        session.guard_as_known();
+        session.search_around_identified()?;
+        for candidate in session.ledger.state().candidates().iter().filter(|it| has_psi(it)) {
+            session.settings.psi.psi(&candidate.psi)?;
+        }
+        Ok(session)
     }
 
     /// Compares the rig with its profile after the first rollouts and reports the drift.
@@ -120,8 +128,10 @@ impl Session {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped);
             }
-            match next_step(self.ledger.state(), &self.settings.extent) {
+            match self.next_step() {
                 Step::Propose { count, purpose } => self.propose(count, purpose, tell)?,
+                Step::Identify => self.identify(tell)?,
+                Step::Decide => self.decide(tell)?,
                 Step::Train { candidates } => self.train(&candidates, tell)?,
                 Step::Rollout { candidate, rollout, attempt } => {
                     self.rollout(candidate, rollout, attempt, tell)?;
@@ -133,6 +143,11 @@ impl Session {
             }
         }
         Ok(())
+    }
+
+    fn next_step(&self) -> Step {
+        let SessionSettings { extent, identification, .. } = &self.settings;
+        next_step(self.ledger.state(), extent, identification.as_ref())
     }
 
     /// Acknowledges the session's doubt for the operator: the Qube is examined when it is next opened.
@@ -163,7 +178,7 @@ impl Session {
     /// Connects, checks and homes a real Qube before any training, so that its defects do not show after
     /// hours.
     fn connect_early(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
-        let is_over = next_step(self.ledger.state(), &self.settings.extent) == Step::Done;
+        let is_over = self.next_step() == Step::Done;
         if !is_over && self.rig_settings.is_hardware() {
             let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
             self.ready_rig(first, tell)?;
@@ -181,6 +196,12 @@ impl Session {
     #[must_use]
     pub fn settings(&self) -> &SessionSettings {
         &self.settings
+    }
+
+    /// The state that the ledger gives.
+    #[must_use]
+    pub fn state(&self) -> &SessionState {
+        self.ledger.state()
     }
 
     /// The ledger's entries so far.
@@ -250,14 +271,25 @@ impl Session {
                 points.into_iter().skip((all - count) as usize).collect()
             }
             Purpose::Search => strategy.propose(&self.observations()?, count as usize)?,
+            Purpose::Excitation | Purpose::Baseline => vec![Vec::new(); count as usize],
             Purpose::Verification => vec![strategy.best(&self.observations()?)?.point],
             Purpose::Incumbent => vec![self.incumbent()?.psi],
         };
         for psi in chosen {
-            let candidate = self.ledger.state().candidates().len() as u32;
-            self.ledger.append(Entry::Proposed { candidate, purpose, psi })?;
-            tell(SessionEvent::Proposed { candidate, purpose });
+            self.append_proposal(purpose, psi, tell)?;
         }
+        Ok(())
+    }
+
+    fn append_proposal(
+        &mut self,
+        purpose: Purpose,
+        psi: Vec<f64>,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let candidate = self.ledger.state().candidates().len() as u32;
+        self.ledger.append(Entry::Proposed { candidate, purpose, psi })?;
+        tell(SessionEvent::Proposed { candidate, purpose });
         Ok(())
     }
 
@@ -274,66 +306,6 @@ impl Session {
             .max_by(|(one, _), (other, _)| one.total_cmp(other))
             .map(|(_, candidate)| candidate)
             .ok_or(SearchError::NothingEvaluated.into())
-    }
-
-    fn train(
-        &mut self,
-        numbers: &[u32],
-        tell: &mut dyn FnMut(SessionEvent),
-    ) -> Result<(), SessionError> {
-        let all = self.ledger.state().candidates().to_vec();
-        let (mut due, mut jobs) = (Vec::new(), Vec::new());
-        for &number in numbers {
-            self.folder.make_candidate(number)?;
-            // Policy files appear atomically: an existing file was trained before a crash.
-            if !self.folder.disk().exists(&self.policy_path(number)) {
-                let candidate = &all[number as usize];
-                if candidate.purpose == Purpose::Incumbent {
-                    let incumbent = self.incumbent()?.number;
-                    let policy = self.policy(incumbent)?;
-                    write_whole(self.folder.disk(), &self.policy_path(number), &policy)?;
-                    continue;
-                }
-                let psi = self.settings.psi.psi(&candidate.psi)?;
-                let simulation = self.settings.simulation(&psi);
-                due.push(number);
-                jobs.push(TrainingJob {
-                    distribution: self.settings.distribution(&psi)?,
-                    settings: TrainSettings { simulation, ..self.settings.training.clone() },
-                    seed: derived_seed(self.settings.seed, SeedFor::Training { candidate: number }),
-                });
-            }
-        }
-        let mut failed = None;
-        let (folder, settings) = (&self.folder, &self.settings);
-        self.executor.train(&jobs, &self.stop, &mut |event| match event {
-            JobEvent::Update { job, update } => {
-                tell(SessionEvent::Training { candidate: due[job], update: &update });
-            }
-            JobEvent::Finished { job, result } => {
-                let candidate = due[job];
-                let saved = result.map_err(SessionError::from).and_then(|trained| {
-                    let best_return = trained.best_return;
-                    let psi = settings.psi.psi(&all[candidate as usize].psi)?;
-                    save(folder, candidate, *trained, settings.origin(&psi))?;
-                    Ok(best_return)
-                });
-                match saved {
-                    Ok(best_return) => {
-                        tell(SessionEvent::Trained { candidate, best_return: Some(best_return) });
-                    }
-                    Err(error) => failed = Some(error),
-                }
-            }
-        });
-        if let Some(error) = failed {
-            return Err(error);
-        }
-        // The entries are in the order of the candidates' numbers, whichever was trained first.
-        for &candidate in numbers {
-            self.ledger.append(Entry::Trained { candidate })?;
-        }
-        Ok(())
     }
 
     fn rollout(
@@ -443,7 +415,12 @@ impl Session {
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let policy = self.policy(candidate)?;
-        let psi = self.ledger.state().candidates()[candidate as usize].psi.clone();
+        let Candidate { psi, purpose, .. } =
+            self.ledger.state().candidates()[candidate as usize].clone();
+        let (name, steps) = match purpose {
+            Purpose::Excitation => ("excitation by chirp".into(), EXCITATION_STEPS),
+            _ => (format!("candidate {candidate}"), self.settings.extent.steps),
+        };
         let plan = RolloutPlan {
             session: self.settings.name.clone(),
             candidate: Some(candidate),
@@ -451,10 +428,10 @@ impl Session {
             attempt,
             psi: self.settings.psi.with_names(&psi),
             seed: self.settings.seed,
-            policy: format!("candidate {candidate}"),
+            policy: name,
             estimator: self.settings.estimator,
             safety_box: self.settings.safety_box,
-            steps: self.settings.extent.steps,
+            steps,
         };
         let disk = self.folder.shared_disk();
         let rig = self.ready_rig(SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
@@ -526,6 +503,11 @@ impl Session {
     }
 }
 
+/// Whether the candidate has a psi: excitations and the baseline have none.
+fn has_psi(candidate: &Candidate) -> bool {
+    candidate.purpose.is_searched() || candidate.purpose.verifies()
+}
+
 /// Writes into an empty ledger which settings it belongs to, and compares those of another with the
 /// folder's. A ledger of a program that wrote no such line belongs to any.
 fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError> {
@@ -550,16 +532,4 @@ fn doubt_of(recording: &Recording) -> Option<Doubt> {
     let board = recording.header.device.get("serial").cloned().unwrap_or_default();
     let unix_s = recording.header.started_unix_ns.map(|time_ns| time_ns / 1_000_000_000);
     fault.leaves_doubt().then_some(Doubt { fault: Some(fault), board, unix_s })
-}
-
-fn save(
-    folder: &SessionFolder,
-    candidate: u32,
-    trained: Trained,
-    origin: Origin,
-) -> Result<(), SessionError> {
-    let paths = folder.paths().candidate(candidate);
-    write_whole(folder.disk(), &paths.curve(), curve_csv(&trained.curve).as_bytes())?;
-    write_whole(folder.disk(), &paths.policy(), &trained.into_policy(origin).to_bytes())?;
-    Ok(())
 }

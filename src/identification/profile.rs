@@ -1,0 +1,27 @@
+use super::Identified;
+use crate::qube::{Correlations, PlantName, Profile, Provenance};
+
+impl Identified {
+    /// The profile of the identified Qube with the errors of its values; `recordings` are the names of the files that
+    /// it was fitted to.
+    #[must_use]
+    pub fn profile(&self, name: &str, recordings: Vec<String>) -> Profile {
+        let named = |unknown: super::Unknown| unknown.name().to_owned();
+        let errors = self.estimates.iter().map(|it| (named(it.unknown), it.standard_error));
+        let names = self.estimates.iter().map(|it| named(it.unknown)).collect();
+        Profile {
+            name: name.to_owned(),
+            plant: PlantName::QUBE,
+            parameters: self.model.parameters,
+            nonidealities: self.model.nonidealities,
+            standard_errors: errors.collect(),
+            correlations: Some(Correlations::new(names, &self.correlations)),
+            provenance: Some(Provenance {
+                recordings,
+                program_version: env!("CARGO_PKG_VERSION").to_owned(),
+                held_out_rms_rad: None,
+                note: None,
+            }),
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! Decides how the search around an identified Qube goes on.
+
+use super::{Purpose, ScoredCandidate};
+
+/// Part of a policy's return below which the gain that is expected of one more candidate is not worth its rollouts.
+pub const WORTHWHILE_GAIN: f64 = 0.01;
+
+/// The next move of the search around an identified Qube.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Decision {
+    /// Evaluate one more candidate.
+    Propose,
+    /// Verify the policy of this candidate.
+    Verify {
+        /// Number of the candidate.
+        candidate: u32,
+    },
+    /// End the search if one more candidate is expected to gain less than `enough`; evaluate it otherwise.
+    SettleBelow {
+        /// Mean return of the verified policy.
+        verified: f64,
+        /// Smallest gain that is worth a candidate.
+        enough: f64,
+    },
+    /// End the search: the largest number of candidates is reached.
+    Settle,
+}
+
+/// Decides after the candidates so far, of which all rollouts are finished.
+///
+/// A candidate whose rollouts all succeed and whose mean return is the highest is verified at once. Once its policy is
+/// verified with success in every rollout, only an expected gain keeps the search going. At the largest number of
+/// candidates the best is verified, whatever its rollouts were.
+#[must_use]
+pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
+    let searched = || candidates.iter().filter(|it| it.candidate.purpose.is_searched());
+    let is_full = searched().count() as u32 >= largest;
+    let mut best: Option<(&ScoredCandidate, f64)> = None;
+    for it in searched() {
+        let Some(mean) = it.mean_return() else { continue };
+        if best.is_none_or(|(_, so_far)| mean >= so_far) {
+            best = Some((it, mean));
+        }
+    }
+    let Some((best, _)) = best else { return Decision::Propose };
+    let verification = candidates.iter().find(|it| {
+        it.candidate.purpose == Purpose::Incumbent && it.candidate.psi == best.candidate.psi
+    });
+    let succeeds = |it: &ScoredCandidate| it.successes() == it.verdicts.len();
+    match verification {
+        None if is_full || succeeds(best) => Decision::Verify { candidate: best.candidate.number },
+        None => Decision::Propose,
+        Some(_) if is_full => Decision::Settle,
+        Some(verified) if succeeds(verified) => {
+            let verified = verified.mean_return().unwrap_or(0.0);
+            Decision::SettleBelow { verified, enough: WORTHWHILE_GAIN * verified }
+        }
+        Some(_) => Decision::Propose,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::samples;
+    use crate::scoring::Verdict;
+    use crate::session::Candidate;
+    use crate::telemetry::{Ending, RolloutOutcome};
+
+    fn scored(
+        number: u32,
+        purpose: Purpose,
+        place: f64,
+        returns: &[(f64, bool)],
+    ) -> ScoredCandidate {
+        let candidate = Candidate {
+            number,
+            purpose,
+            psi: vec![place],
+            trained: true,
+            finished: Vec::new(),
+            void: 0,
+        };
+        let verdict = |&(return_, success): &(f64, bool)| Verdict::Result {
+            return_,
+            success,
+            outcome: RolloutOutcome { ending: Ending::Completed, ..samples::outcome() },
+        };
+        ScoredCandidate { candidate, verdicts: returns.iter().map(verdict).collect() }
+    }
+
+    const GOOD: (f64, bool) = (540.0, true);
+    const BAD: (f64, bool) = (120.0, false);
+
+    #[test]
+    fn the_best_candidate_is_verified_and_a_verified_one_ends_the_search() {
+        let mut candidates = vec![scored(0, Purpose::Excitation, 0.0, &[(1.0, false)])];
+        assert_eq!(decide(&candidates, 10), Decision::Propose);
+        candidates.push(scored(1, Purpose::Initial, 0.0, &[BAD]));
+        assert_eq!(decide(&candidates, 10), Decision::Propose);
+        candidates.push(scored(2, Purpose::Search, 1.0, &[GOOD]));
+        assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 2 });
+        candidates.push(scored(3, Purpose::Incumbent, 1.0, &[GOOD; 5]));
+        let settle = Decision::SettleBelow { verified: 540.0, enough: 5.4 };
+        assert_eq!(decide(&candidates, 10), settle);
+        assert_eq!(decide(&candidates, 2), Decision::Settle);
+        // A better candidate is verified in its turn.
+        candidates.push(scored(4, Purpose::Search, 2.0, &[(545.0, true)]));
+        assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 4 });
+    }
+
+    #[test]
+    fn a_policy_that_fails_its_verification_keeps_the_search_going_to_its_largest_number() {
+        let candidates = vec![
+            scored(1, Purpose::Initial, 0.0, &[GOOD]),
+            scored(2, Purpose::Incumbent, 0.0, &[GOOD, GOOD, BAD, GOOD, GOOD]),
+        ];
+        assert_eq!(decide(&candidates, 2), Decision::Propose);
+        assert_eq!(decide(&candidates, 1), Decision::Settle);
+    }
+
+    #[test]
+    fn without_a_success_the_best_is_verified_at_the_largest_number() {
+        let candidates = vec![
+            scored(1, Purpose::Initial, 0.0, &[BAD]),
+            scored(2, Purpose::Search, 1.0, &[(300.0, false)]),
+        ];
+        assert_eq!(decide(&candidates, 3), Decision::Propose);
+        assert_eq!(decide(&candidates, 2), Decision::Verify { candidate: 2 });
+    }
+}

@@ -1,0 +1,93 @@
+use serde::{Deserialize, Serialize};
+
+/// The settings of a session that identifies its Qube first and searches around what it found.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct IdentificationSettings {
+    /// Number of recordings under an excitation, of 10 s each.
+    pub excitations: u32,
+    /// Largest voltage of an excitation, V.
+    pub excitation_v: f64,
+    /// Largest number of candidates. One means that a policy is trained around the identified Qube and nothing is
+    /// searched.
+    pub candidates: u32,
+    /// Number of rollouts of each candidate.
+    pub rollouts: u32,
+    /// Standard deviation of the simulations beside the identification's errors, as a part of each value: it stands
+    /// for the errors of the model itself.
+    pub spread: f64,
+    /// Number of trainings of each candidate, which differ in their seed; the best policy in simulations is kept.
+    pub trainings: u32,
+}
+
+impl IdentificationSettings {
+    /// One excitation, up to ten candidates of one rollout.
+    pub const DEFAULT: Self = Self {
+        excitations: 1,
+        excitation_v: 1.5,
+        candidates: 10,
+        rollouts: 1,
+        spread: 0.1,
+        trainings: 2,
+    };
+
+    /// Checks that every setting is in its range; describes the first that is not.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), String> {
+        let counts = [
+            ("excitations", self.excitations, 1..=10),
+            ("candidates", self.candidates, 1..=1000),
+            ("rollouts", self.rollouts, 1..=100),
+            ("trainings", self.trainings, 1..=64),
+        ];
+        for (name, value, range) in counts {
+            if !range.contains(&value) {
+                let (least, most) = range.into_inner();
+                return Err(format!(
+                    "identification.{name} = {value}: give a number from {least} to {most}"
+                ));
+            }
+        }
+        let numbers =
+            [("excitation_v", self.excitation_v, 0.1..=3.0), ("spread", self.spread, 0.0..=1.0)];
+        for (name, value, range) in numbers {
+            if !range.contains(&value) {
+                let (least, most) = range.into_inner();
+                return Err(format!(
+                    "identification.{name} = {value}: give a number from {least} to {most}"
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Default for IdentificationSettings {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_setting_out_of_range_is_named() {
+        assert_eq!(IdentificationSettings::DEFAULT.check(), Ok(()));
+        let default = IdentificationSettings::DEFAULT;
+        for (wrong, name) in [
+            (
+                IdentificationSettings { excitations: 0, ..default },
+                "identification.excitations = 0",
+            ),
+            (IdentificationSettings { spread: f64::NAN, ..default }, "identification.spread = NaN"),
+            (IdentificationSettings { excitation_v: 9.0, ..default }, "excitation_v = 9"),
+        ] {
+            let reason = wrong.check().unwrap_err();
+            assert!(reason.contains(name) && reason.contains("from"), "{reason}");
+        }
+    }
+}

@@ -1,0 +1,238 @@
+//! Identifies the Qube from the session's recordings and decides how the search around it goes on.
+
+use super::Session;
+use crate::identification::{
+    Identified, IdentifyError, Unknown, Verdict, check_recording, identify,
+};
+use crate::policy::Policy;
+use crate::qube::{Profile, QubeModel};
+use crate::recording::{Recording, read_on};
+use crate::replay::MotionLog;
+use crate::session::decision::{Decision, decide};
+use crate::session::settings::INITIAL_AROUND;
+use crate::session::{
+    Entry, FolderError, Identification, Purpose, ScoredCandidate, SessionError, SessionEvent,
+};
+use crate::storage::{SETTINGS_BYTES, write_whole};
+
+impl Session {
+    /// Guards an emulated Qube that is to be identified like a real one, which nobody knows before.
+    pub(super) fn guard_as_known(&mut self) {
+        if self.settings.identification.is_some() {
+            self.rig_settings.unidentified = true;
+        }
+    }
+
+    /// Searches around the Qube that the ledger says was identified; guards it by its latest profile.
+    pub(super) fn search_around_identified(&mut self) -> Result<(), SessionError> {
+        let Identification::Found { recordings, first, .. } = *self.ledger.state().identification()
+        else {
+            return Ok(());
+        };
+        let (first, latest) = (self.profile_of(first)?, self.profile_of(recordings)?);
+        let plan = self.settings.identification.unwrap_or_default();
+        self.settings = self.settings.clone().around(&plan, &first, &latest);
+        // A profile of a real Qube holds for its own board only; each rollout in virtual time has another one.
+        if self.rig_settings.is_hardware() && self.rig_settings.board.is_none() {
+            self.rig_settings.board = self.identified_board()?;
+        }
+        self.rig_settings.profile = Some(latest);
+        // The guard's belief is set when the rig is opened.
+        self.rig = None;
+        Ok(())
+    }
+
+    /// Identifies the Qube from its excitations.
+    pub(super) fn identify(
+        &mut self,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        match self.fitted()? {
+            Ok(found) => self.append_profile(found, tell),
+            Err(reason) => {
+                tell(SessionEvent::NotIdentified(&reason));
+                Ok(self.ledger.append(Entry::NotIdentified { reason })?)
+            }
+        }
+    }
+
+    /// Appends the next proposal around the identified Qube, or the end of the search.
+    pub(super) fn decide(
+        &mut self,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let plan = self.settings.identification.unwrap_or_default();
+        let scored = self.scored_candidates()?;
+        match decide(&scored, plan.candidates) {
+            Decision::Propose => self.propose_around(tell),
+            Decision::Verify { candidate } => {
+                let psi = self.ledger.state().candidates()[candidate as usize].psi.clone();
+                self.append_proposal(Purpose::Incumbent, psi, tell)
+            }
+            Decision::SettleBelow { verified, enough } => {
+                let expected_gain = self.expected_gain(&scored, verified)?;
+                if expected_gain < enough {
+                    return self.settle(expected_gain, tell);
+                }
+                tell(SessionEvent::GoesOn { expected_gain, enough });
+                self.propose_around(tell)
+            }
+            Decision::Settle => {
+                let verified = ScoredCandidate::best_verified(&scored)
+                    .and_then(|index| scored[index].mean_return())
+                    .unwrap_or(0.0);
+                let expected_gain = self.expected_gain(&scored, verified)?;
+                self.settle(expected_gain, tell)
+            }
+        }
+    }
+
+    fn settle(
+        &mut self,
+        expected_gain: f64,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        self.ledger.append(Entry::Settled { expected_gain })?;
+        tell(SessionEvent::Settled { expected_gain });
+        Ok(())
+    }
+
+    /// Updates the profile with the rollouts so far and proposes a candidate around it: first the simulations as
+    /// identified, then points of the search.
+    fn propose_around(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
+        let searched = self.ledger.state().searched().count() as u32;
+        if searched == 0 {
+            let psi = self.settings.psi.as_identified();
+            return self.append_proposal(Purpose::Initial, psi, tell);
+        }
+        let rollouts = self.recordings()?.len() as u32;
+        let is_used = |it: &Identification| matches!(it, Identification::Found { recordings, .. } if *recordings >= rollouts);
+        if !is_used(self.ledger.state().identification())
+            && let Ok(found) = self.fitted()?
+        {
+            self.append_profile(found, tell)?;
+        }
+        let purpose = if searched < INITIAL_AROUND { Purpose::Initial } else { Purpose::Search };
+        let mut strategy = self.settings.search()?;
+        let psi = strategy.propose(&self.observations()?, 1)?.remove(0);
+        self.append_proposal(purpose, psi, tell)
+    }
+
+    /// The return that one more candidate is expected to gain over the verified policy.
+    ///
+    /// From the third candidate on, the surrogate tells what its best point earns more than the best evaluated one.
+    /// Before, it knows nothing of the box, and the simulations of the Qube as it is known tell how much more their
+    /// best policy earns there: the search can win back no more than what was lost from simulation to reality.
+    fn expected_gain(
+        &mut self,
+        scored: &[ScoredCandidate],
+        verified: f64,
+    ) -> Result<f64, SessionError> {
+        let observations = self.observations()?;
+        if observations.len() as u32 >= INITIAL_AROUND {
+            let best = self.settings.search()?.best(&observations)?;
+            return Ok((best.expected_return - best.best_evaluated_return).max(0.0));
+        }
+        let mut simulated = 0.0_f64;
+        for it in scored.iter().filter(|it| it.candidate.purpose.is_searched()) {
+            let number = it.candidate.number;
+            if let Ok(Policy::Network(policy)) = Policy::from_bytes(&self.policy(number)?) {
+                let evaluation = self.simulated(number, &policy.network)?;
+                simulated = simulated.max(evaluation.mean_return());
+            }
+        }
+        Ok((simulated - verified).max(0.0))
+    }
+
+    /// The profile that all recordings so far give, or the reason why they give none.
+    fn fitted(&mut self) -> Result<Result<Found, String>, SessionError> {
+        let recordings = self.recordings()?;
+        let logs: Vec<MotionLog> = recordings.iter().filter_map(MotionLog::of_recording).collect();
+        let unknowns: Vec<Unknown> = Unknown::all().collect();
+        let usable: Vec<MotionLog> =
+            logs.into_iter().filter(|log| check_recording(log).is_ok()).collect();
+        let found = match identify(&usable, &unknowns, &QubeModel::NOMINAL) {
+            Ok(found) => found,
+            Err(IdentifyError::NoRecordings) => {
+                return Ok(Err("no recording shows a motion that can be fitted".into()));
+            }
+            Err(error) => return Ok(Err(error.to_string())),
+        };
+        let doubts: Vec<String> = found.assessment.doubts.iter().map(ToString::to_string).collect();
+        if found.assessment.verdict == Verdict::DoesNotFit {
+            return Ok(Err(format!(
+                "the model does not describe this Qube: {}",
+                doubts.join("; ")
+            )));
+        }
+        let count = recordings.len() as u32;
+        let name = format!("{} from {count} recordings", self.settings.name);
+        Ok(Ok(Found {
+            recordings: count,
+            profile: found.profile(&name, Vec::new()),
+            found,
+            doubts,
+        }))
+    }
+
+    fn append_profile(
+        &mut self,
+        found: Found,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let Found { recordings, profile, found, doubts } = found;
+        let path = self.folder.paths().profile(recordings);
+        let io = |error: toml::ser::Error| FolderError::Io {
+            path: path.clone(),
+            source: std::io::Error::other(error),
+        };
+        let text = toml::to_string_pretty(&profile).map_err(io)?;
+        write_whole(self.folder.disk(), &path, text.as_bytes())?;
+        let verdict = found.assessment.verdict.name();
+        tell(SessionEvent::Identified { recordings, verdict, doubts: &doubts });
+        let verdict = verdict.to_owned();
+        self.ledger.append(Entry::Identified { recordings, verdict, doubts })?;
+        self.search_around_identified()
+    }
+
+    /// Reads a profile of the session's folder.
+    fn profile_of(&self, recordings: u32) -> Result<Profile, SessionError> {
+        let path = self.folder.paths().profile(recordings);
+        let bytes = self
+            .folder
+            .disk()
+            .read(&path, SETTINGS_BYTES)
+            .map_err(|source| FolderError::Io { path: path.clone(), source })?;
+        let lost = |reason: String| SessionError::ProfileLost { path: path.clone(), reason };
+        let text = String::from_utf8(bytes).map_err(|error| lost(error.to_string()))?;
+        Profile::parse(&text).map_err(|error| lost(error.to_string()))
+    }
+
+    /// The recordings that identify the Qube: those of excitations and of the search's candidates, in order.
+    fn recordings(&self) -> Result<Vec<Recording>, SessionError> {
+        let mut recordings = Vec::new();
+        for candidate in self.ledger.state().candidates() {
+            if candidate.purpose == Purpose::Excitation || candidate.purpose.is_searched() {
+                for finished in &candidate.finished {
+                    let path = self.recording(candidate.number, finished.rollout, finished.attempt);
+                    recordings.push(read_on(self.folder.disk(), &path)?);
+                }
+            }
+        }
+        Ok(recordings)
+    }
+
+    /// Serial number of the board that made the first excitation.
+    fn identified_board(&self) -> Result<Option<String>, SessionError> {
+        let first = self.recordings()?.into_iter().next();
+        Ok(first.and_then(|recording| recording.header.device.get("serial").cloned()))
+    }
+}
+
+/// A profile with what is told of it.
+struct Found {
+    recordings: u32,
+    profile: Profile,
+    found: Identified,
+    doubts: Vec<String>,
+}

@@ -1,0 +1,236 @@
+//! Trains the policies of candidates, each with one seed or with several of which the best is kept.
+
+use super::Session;
+use crate::jobs::{JobEvent, TrainingJob};
+use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_afresh};
+use crate::policy::{Excitation, ExcitationShape, Network, Policy};
+use crate::session::seeds::{SeedFor, derived_seed};
+use crate::session::{
+    Candidate, Entry, Identification, Purpose, SessionError, SessionEvent, SessionFolder,
+};
+use crate::simulation::{DomainDistribution, Evaluation, Model, SimulationSettings};
+use crate::storage::write_whole;
+
+/// Number of rounds of trainings before the best of those that fail is kept.
+const ROUNDS: u32 = 3;
+
+/// Number of fresh simulations by which a policy is chosen.
+const CHOSEN_OF_STARTS: usize = 256;
+
+/// Part of the worst simulated rollouts that decides which policy is chosen: a mean would hide that a policy falls on
+/// some of the Qubes that this one may be.
+const WORST: f64 = 0.1;
+
+/// Smallest return at that part of a training that has not failed: a swing-up that balances earns more than 400, and a
+/// pendulum that hangs or turns less than 100.
+const SUCCEEDED: f64 = 300.0;
+
+/// The trainings of one candidate that compete.
+struct Competition {
+    /// Number of trainings that have not ended.
+    missing: u32,
+    /// Best policy so far with its score, until it is written.
+    best: Option<(f64, Trained)>,
+}
+
+impl Session {
+    /// Trains the policies of these candidates.
+    pub(super) fn train(
+        &mut self,
+        numbers: &[u32],
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let mut due = Vec::new();
+        for &number in numbers {
+            self.folder.make_candidate(number)?;
+            // Policy files appear atomically: an existing file was trained before a crash.
+            if self.folder.disk().exists(&self.policy_path(number)) {
+                continue;
+            }
+            let candidate = self.ledger.state().candidates()[number as usize].clone();
+            match candidate.purpose {
+                Purpose::Incumbent => {
+                    let incumbent = self.incumbent()?.number;
+                    let policy = self.policy(incumbent)?;
+                    write_whole(self.folder.disk(), &self.policy_path(number), &policy)?;
+                }
+                Purpose::Excitation => {
+                    let bytes = self.excitation(number).to_bytes();
+                    write_whole(self.folder.disk(), &self.policy_path(number), &bytes)?;
+                }
+                Purpose::Initial | Purpose::Search | Purpose::Verification | Purpose::Baseline => {
+                    due.push(candidate);
+                }
+            }
+        }
+        let trainings = self.trainings();
+        for round in 0..ROUNDS {
+            let is_last = round + 1 == ROUNDS;
+            due = self.train_round(due, round * trainings, trainings, is_last, tell)?;
+        }
+        // The entries are in the order of the candidates' numbers, whichever was trained first.
+        for &candidate in numbers {
+            self.ledger.append(Entry::Trained { candidate })?;
+        }
+        Ok(())
+    }
+
+    /// Number of trainings of one candidate: several around an identified Qube, of which the best is kept.
+    fn trainings(&self) -> u32 {
+        match (self.ledger.state().identification(), &self.settings.identification) {
+            (Identification::Found { .. }, Some(plan)) => plan.trainings,
+            _ => 1,
+        }
+    }
+
+    /// The excitation of a candidate; consecutive ones start in opposite directions.
+    fn excitation(&self, candidate: u32) -> Policy {
+        let limit_v = self.settings.identification.unwrap_or_default().excitation_v;
+        Policy::Excitation(Excitation::of_rollout(ExcitationShape::Chirp, limit_v, candidate))
+    }
+
+    /// Trains each candidate with several seeds, numbered from `first` on, and keeps its best policy as soon as all of
+    /// its trainings have ended. Returns the candidates whose trainings have all failed in simulation; in the last
+    /// round the best of them is kept nonetheless.
+    fn train_round(
+        &self,
+        candidates: Vec<Candidate>,
+        first: u32,
+        trainings: u32,
+        is_last: bool,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<Vec<Candidate>, SessionError> {
+        let (mut jobs, mut of_job) = (Vec::new(), Vec::new());
+        let mut competitions = Vec::new();
+        for (index, candidate) in candidates.iter().enumerate() {
+            let (distribution, settings) = self.training_of(candidate)?;
+            // The baseline is for comparison, and nothing depends on its luck.
+            let trainings = if candidate.purpose == Purpose::Baseline { 1 } else { trainings };
+            for training in first..first + trainings {
+                let purpose = SeedFor::Training { candidate: candidate.number, training };
+                let seed = derived_seed(self.settings.seed, purpose);
+                let (distribution, settings) = (distribution.clone(), settings.clone());
+                jobs.push(TrainingJob { distribution, settings, seed });
+                of_job.push((index, training));
+            }
+            competitions.push(Competition { missing: trainings, best: None });
+        }
+        let mut failed = None;
+        self.executor.train(&jobs, &self.stop, &mut |event| match event {
+            JobEvent::Update { job, update } => {
+                let (index, training) = of_job[job];
+                let candidate = candidates[index].number;
+                tell(SessionEvent::Training { candidate, training, update: &update });
+            }
+            JobEvent::Finished { job, result } => {
+                let (candidate, competition) =
+                    (&candidates[of_job[job].0], &mut competitions[of_job[job].0]);
+                let kept = result
+                    .map_err(SessionError::from)
+                    .and_then(|trained| self.compete(candidate, competition, *trained, is_last));
+                match kept {
+                    Ok(Some(best_return)) => {
+                        let (candidate, best_return) = (candidate.number, Some(best_return));
+                        tell(SessionEvent::Trained { candidate, best_return });
+                    }
+                    Ok(None) => {}
+                    Err(error) => failed = Some(error),
+                }
+            }
+        });
+        if let Some(error) = failed {
+            return Err(error);
+        }
+        let again = candidates.into_iter().zip(&competitions).filter(|(_, it)| it.best.is_some());
+        Ok(again.map(|(candidate, _)| candidate).collect())
+    }
+
+    /// Enters a policy into its candidate's competition. The last one decides it: the best is written and its return
+    /// told, unless it fails in simulation and another round may be better.
+    fn compete(
+        &self,
+        candidate: &Candidate,
+        competition: &mut Competition,
+        trained: Trained,
+        is_last: bool,
+    ) -> Result<Option<f64>, SessionError> {
+        let competes = competition.missing > 1 || competition.best.is_some();
+        let score = if competes {
+            worst_return(&self.simulated(candidate.number, &trained.network)?)
+        } else {
+            SUCCEEDED
+        };
+        competition.missing -= 1;
+        if competition.best.as_ref().is_none_or(|(best, _)| score > *best) {
+            competition.best = Some((score, trained));
+        }
+        let decided = |(score, _): &(f64, Trained)| *score >= SUCCEEDED || is_last;
+        if competition.missing > 0 || !competition.best.as_ref().is_some_and(decided) {
+            return Ok(None);
+        }
+        let Some((_, best)) = competition.best.take() else { return Ok(None) };
+        let best_return = best.best_return;
+        save(&self.folder, candidate.number, best, self.origin(candidate)?)?;
+        Ok(Some(best_return))
+    }
+
+    /// The distribution and settings of a candidate's training.
+    fn training_of(
+        &self,
+        candidate: &Candidate,
+    ) -> Result<(DomainDistribution, TrainSettings), SessionError> {
+        let settings = &self.settings;
+        if candidate.purpose == Purpose::Baseline {
+            let nominal =
+                Model::Nominal.distribution(settings.plant(), settings.family, None, None)?;
+            // What one trains who knows of no gap: the Qube's sensors, and no history of commands.
+            let simulation = SimulationSettings { history: 0, ..settings.training.simulation };
+            return Ok((nominal, TrainSettings { simulation, ..TrainSettings::quick() }));
+        }
+        let psi = settings.psi.psi(&candidate.psi)?;
+        let simulation = settings.simulation(&psi);
+        let training = TrainSettings { simulation, ..settings.training.clone() };
+        Ok((settings.distribution(&psi)?, training))
+    }
+
+    /// The origin that a candidate's policy file records.
+    fn origin(&self, candidate: &Candidate) -> Result<Origin, SessionError> {
+        if candidate.purpose == Purpose::Baseline {
+            let (model, preset) = (Model::Nominal.name().into(), Preset::Quick.name().into());
+            return Ok(Origin { model, psi: None, preset });
+        }
+        Ok(self.settings.origin(&self.settings.psi.psi(&candidate.psi)?))
+    }
+
+    /// Evaluates a policy of a candidate in fresh simulations of the Qube as it is known now.
+    pub(super) fn simulated(
+        &self,
+        candidate: u32,
+        network: &Network,
+    ) -> Result<Evaluation, SessionError> {
+        let settings = &self.settings;
+        let seed = derived_seed(settings.seed, SeedFor::Evaluation { candidate });
+        let simulation = &settings.training.simulation;
+        let distribution = settings.base_distribution()?;
+        Ok(evaluate_afresh(network, &distribution, simulation, seed, CHOSEN_OF_STARTS))
+    }
+}
+
+/// The return that all but the worst tenth of the rollouts reach.
+fn worst_return(evaluation: &Evaluation) -> f64 {
+    let mut returns = evaluation.returns.clone();
+    returns.sort_by(f64::total_cmp);
+    returns.get((WORST * returns.len() as f64) as usize).copied().unwrap_or(0.0)
+}
+
+fn save(
+    folder: &SessionFolder,
+    candidate: u32,
+    trained: Trained,
+    origin: Origin,
+) -> Result<(), SessionError> {
+    let paths = folder.paths().candidate(candidate);
+    write_whole(folder.disk(), &paths.curve(), curve_csv(&trained.curve).as_bytes())?;
+    write_whole(folder.disk(), &paths.policy(), &trained.into_policy(origin).to_bytes())?;
+    Ok(())
+}

@@ -1,0 +1,98 @@
+//! Tests sessions that identify their Qube first and search around what they found.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use qube_hil::qube::Profile;
+use serde_json::Value;
+
+/// Trainings too short to learn a swing-up.
+const SMALL: &str = "seed = 5\n\
+    [extent]\ninitial_candidates = 2\niterations = 0\nrollouts = 1\nverification_rollouts = 2\nbaseline = true\n\
+    [training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
+
+fn session(directory: &Path, settings: &str, arguments: &[&str]) -> Value {
+    std::fs::write(directory.join("small.toml"), settings).unwrap();
+    let mut command = Command::cargo_bin("qube-hil").unwrap();
+    command.current_dir(directory).args(["session", "--clock", "virtual", "--json"]);
+    let output = command.args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn list<'a>(told: &'a Value, key: &str) -> &'a [Value] {
+    told[key].as_array().unwrap_or_else(|| panic!("{key}: {told}"))
+}
+
+#[test]
+fn a_qube_is_identified_and_its_errors_are_what_is_searched() {
+    let directory = tempfile::tempdir().unwrap();
+    let settings = format!("{SMALL}[identification]\ncandidates = 2\n");
+    let arguments = ["--config", "small.toml", "--profile", "lab", "--out", "s"];
+    let told = session(directory.path(), &settings, &arguments);
+
+    let excitations = list(&told, "excitations");
+    assert_eq!(excitations.len(), 1);
+    let known = &told["identification"];
+    assert!(known["verdict"].as_str().unwrap().starts_with("fits"), "{known}");
+    let text = std::fs::read_to_string(directory.path().join("s/profile-1.toml")).unwrap();
+    let profile = Profile::parse(&text).unwrap();
+    let delay_s = profile.nonidealities.command_delay_s;
+    assert!((0.008..0.014).contains(&delay_s), "{delay_s}");
+
+    // The first candidate is trained on the Qube as it was identified, the second elsewhere.
+    let candidates = list(&told, "candidates");
+    let psi = |candidate: &Value| candidate["psi"].as_object().unwrap().clone();
+    assert_eq!(candidates.len(), 2);
+    assert!(psi(&candidates[0]).contains_key("log_width"), "{told}");
+    assert!(psi(&candidates[0]).values().all(|value| value == 0.0), "{told}");
+    assert!(psi(&candidates[1]).values().any(|value| value != 0.0), "{told}");
+    // Its recording was used to identify the Qube anew.
+    assert_eq!(known["recordings"], 2);
+
+    let [verified] = list(&told, "verified") else { panic!("{told}") };
+    assert_eq!((&verified["purpose"], list(verified, "returns").len()), (&"incumbent".into(), 2));
+    assert_eq!(list(&told, "baseline").len(), 1);
+    assert!(told["expected_gain"].as_f64().unwrap() >= 0.0, "{told}");
+    assert_eq!(told["real_rollouts"], 3);
+    // A finished session is only read.
+    let again = session(directory.path(), &settings, &["--resume", "s"]);
+    assert_eq!(again["best"], told["best"]);
+}
+
+#[test]
+fn a_qube_that_cannot_be_identified_is_searched_as_an_unknown_one() {
+    let directory = tempfile::tempdir().unwrap();
+    // No Qube has an arm three times as heavy as the name plate says.
+    let settings = format!("{SMALL}[identification]\ncandidates = 2\n");
+    let arguments = ["--config", "small.toml", "--scale", "M_r=3", "--out", "s"];
+    let told = session(directory.path(), &settings, &arguments);
+    let refused = told["identification"]["refused"].as_str().unwrap_or_else(|| panic!("{told}"));
+    assert!(refused.contains("M_r"), "{refused}");
+    let candidates = list(&told, "candidates");
+    assert_eq!(candidates.len(), 2);
+    assert!(candidates[0]["psi"].get("mean_M_p").is_some(), "{told}");
+    assert_eq!(told["expected_gain"], Value::Null);
+}
+
+#[test]
+fn a_method_that_does_not_fit_its_arguments_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    for (arguments, words) in [
+        (&["--method", "bayrn", "--candidates", "3"][..], "--candidates"),
+        (&["--method", "posterior", "--candidates", "3"], "one candidate"),
+        (&["--method", "identified", "--candidates", "0"], "--candidates"),
+    ] {
+        let mut command = Command::cargo_bin("qube-hil").unwrap();
+        let output = command
+            .current_dir(directory.path())
+            .args(["session", "--clock", "virtual", "--out", "s"])
+            .args(arguments)
+            .output()
+            .unwrap();
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        assert!(told.contains(words), "{told}");
+        assert!(!directory.path().join("s").exists());
+    }
+}
