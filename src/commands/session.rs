@@ -190,7 +190,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
     }
-    if let Some(warning) = unidentified(&rig_settings, settings.safety_box.guard) {
+    // A session that identifies its Qube needs no such advice.
+    if settings.identification.is_none()
+        && let Some(warning) = unidentified(&rig_settings, settings.safety_box.guard)
+    {
         eprintln!("warning: {warning}");
     }
     if rig_settings.checks() {
