@@ -10,10 +10,15 @@ pub const IDEAL: &str = "ideal";
 /// Profile that comes with the program: a real Qube of which recordings are published.
 const LAB: &str = include_str!("../../profiles/lab.toml");
 
-/// The specimen of a plant with this name: `ideal`, `lab`, or a profile file.
+/// The model of the specimen of a plant with this name: `ideal`, `lab`, or a profile file.
 pub fn named(name: &str, plant: &PlantModel) -> Result<QubeModel, Failure> {
+    Ok(named_profile(name, plant)?.model())
+}
+
+/// The profile of the specimen of a plant with this name: `ideal`, `lab`, or a profile file.
+pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure> {
     Ok(match name {
-        IDEAL => plant.nominal(),
+        IDEAL => Profile::exact(IDEAL, &plant.nominal()),
         "lab" if !plant.name.is_qube() => {
             return Err(Failure::usage(format!(
                 "lab is a Qube and no {}: give ideal, or a profile that identify --plant wrote",
@@ -21,9 +26,8 @@ pub fn named(name: &str, plant: &PlantModel) -> Result<QubeModel, Failure> {
             )));
         }
         "lab" => Profile::parse(LAB)
-            .map_err(|error| Failure::failed(format!("the profile lab: {error}")))?
-            .model(),
-        path => load(Path::new(path), plant)?.model(),
+            .map_err(|error| Failure::failed(format!("the profile lab: {error}")))?,
+        path => load(Path::new(path), plant)?,
     })
 }
 

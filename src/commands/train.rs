@@ -21,8 +21,8 @@ use crate::jobs::{Executor, LocalExecutor, TrainingJob};
 use crate::learning::{Checkpointing, Origin, Preset, TrainError, TrainSettings, TrainUpdate};
 use crate::qube::{MAX_HISTORY, Nonideality, PlantModel};
 use crate::simulation::{
-    Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Model, Psi, SensorModel,
-    SimulationSettings,
+    Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Model, ProfileSettings, Psi,
+    SensorModel, SimulationSettings,
 };
 
 /// Train one policy in randomised simulation
@@ -45,7 +45,8 @@ pub struct Arguments {
     #[arg(long, value_name = "lab|FILE", conflicts_with_all = ["model", "psi"])]
     profile: Option<String>,
 
-    /// Standard deviations around the profile, as a part of each of its values (0.1 is 10 %)
+    /// Standard deviations around the profile beside the errors that it names, as a part of each of its
+    /// values (0.1 is 10 %)
     #[arg(long, value_name = "PART", default_value_t = 0.1, requires = "profile", value_parser = spread)]
     spread: f64,
 
@@ -314,8 +315,10 @@ fn distribution(
 ) -> Result<DomainDistribution, Failure> {
     let distribution = match &arguments.profile {
         Some(name) => {
-            let model = profile::named(name, plant)?;
-            DomainDistribution::around(&model, arguments.spread, Family::Normal)
+            let profile = profile::named_profile(name, plant)?;
+            let around = ProfileSettings::of(&profile, arguments.spread);
+            Model::Profile
+                .distribution(plant, Family::Normal, Some(&around), None)
                 .map_err(|error| Failure::usage(format!("--profile {name}: {error}")))?
         }
         None if psi.is_some() && !arguments.model.is_searched() => {
