@@ -12,7 +12,7 @@ use crate::session::EmulatedQubeSettings;
 #[command(next_help_heading = "The emulated Qube")]
 pub struct EmulatedArguments {
     /// `ideal` (the thesis's equations), `lab` (a real Qube, from published recordings), or a file
-    /// that `identify` wrote [default: ideal]
+    /// that `identify` wrote [default: ideal; lab for a `session` that identifies it]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<String>,
 

@@ -49,16 +49,20 @@ use crate::simulation::SensorModel;
     qube-hil session --resume logs/monday          # after Ctrl-C, crash or fault\n  \
     qube-hil session --clock virtual --seed 3      # as fast as the processor can\n\n\
     The table at the end has a line for each candidate:\n  \
-    purpose      excitation: it identifies the Qube; initial: a point that the search starts\n               \
-    from; search: proposed from the returns so far; recommended: by the search;\n               \
-    N again: candidate N's own policy, run once more; nominal: a policy of the nominal Qube\n  \
-    mean return  of its rollouts: each step of 10 ms earns at most 1 for a pendulum that is upright and\n               \
-    quiet in the middle, so that 6 s earn at most 600\n  \
-    rollouts     how many ended in success, of how many: upright during the last second\n  \
-    psi          each entry's place between the ends of its range, from 0 to 9; around an identified Qube\n               \
-    log_width: natural logarithm of the factor of every spread; shift_N: how far the means lie\n               \
-    along the identification's Nth widest error, in its standard deviations; mean_lag, std_lag:\n               \
-    lag beside the identified delay")]
+    purpose      excitation: it identifies the Qube; initial: where the search\n               \
+    starts; search: proposed from the returns so far;\n               \
+    recommended: by the search; N again: candidate N's own\n               \
+    policy, run once more; nominal: a policy of the nominal Qube\n  \
+    mean return  of its rollouts: each step of 10 ms earns at most 1 for a\n               \
+    pendulum that is upright and quiet in the middle, so that\n               \
+    6 s earn at most 600\n  \
+    rollouts     how many ended in success, of how many: upright during the\n               \
+    last second\n  \
+    psi          each entry's place between the ends of its range, from 0 to\n               \
+    9. Around an identified Qube: log_width, the logarithm of the\n               \
+    factor of every spread; shift_N, how far the means lie along\n               \
+    the identification's Nth widest error, in its standard\n               \
+    deviations; mean_lag and std_lag, a lag beside the delay")]
 pub struct Arguments {
     /// Extent: `quick` takes minutes, `thesis` is the published extent and budget
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
