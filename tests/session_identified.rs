@@ -58,6 +58,14 @@ fn a_qube_is_identified_and_its_errors_are_what_is_searched() {
     // A finished session is only read.
     let again = session(directory.path(), &settings, &["--resume", "s"]);
     assert_eq!(again["best"], told["best"]);
+    // The guard follows the profile: a changed one is refused.
+    std::fs::write(directory.path().join("s/profile-1.toml"), text + "# mine\n").unwrap();
+    let mut command = Command::cargo_bin("qube-hil").unwrap();
+    let resume = ["session", "--clock", "virtual", "--resume", "s"];
+    let output = command.current_dir(directory.path()).args(resume).output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(3), "{told}");
+    assert!(told.contains("profile-1.toml") && told.contains("was changed"), "{told}");
 }
 
 #[test]

@@ -19,7 +19,7 @@ const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 pub enum Entry {
     /// The session began with these settings: the first line, which ledgers of older programs lack.
     Begun {
-        /// The checksum of `session.toml`, as [`settings_checksum`] computes it.
+        /// The checksum of `session.toml`, as [`file_checksum`] computes it.
         settings: String,
     },
     /// A psi was chosen. Candidates are numbered from 0 in the order of these entries.
@@ -53,6 +53,8 @@ pub enum Entry {
         verdict: String,
         /// What the verdict doubts, by name.
         doubts: Vec<String>,
+        /// The checksum of the profile, as [`file_checksum`] computes it: the guard follows that file.
+        checksum: String,
     },
     /// The recordings identify no Qube; the search goes on as for an unknown one.
     NotIdentified {
@@ -233,9 +235,9 @@ impl Ledger {
     }
 }
 
-/// The checksum of the bytes of a `session.toml`, by which a ledger knows its own.
+/// The checksum of the bytes of a whole file, by which a ledger knows its own `session.toml` and profiles.
 #[must_use]
-pub fn settings_checksum(bytes: &[u8]) -> String {
+pub fn file_checksum(bytes: &[u8]) -> String {
     format!("{:016x}", FILE_CHECKSUM.checksum(bytes))
 }
 
@@ -380,7 +382,7 @@ mod tests {
             |candidate| Entry::Proposed { candidate, purpose: Purpose::Initial, psi: vec![] };
         let finished = |rollout, attempt| Entry::RolloutFinished { candidate: 0, rollout, attempt };
         let trained = Entry::Trained { candidate: 0 };
-        let begun = || Entry::Begun { settings: settings_checksum(b"seed = 1") };
+        let begun = || Entry::Begun { settings: file_checksum(b"seed = 1") };
         parse(lines(&[begun(), proposed(0), trained.clone()]).as_bytes()).unwrap();
         for (entries, line) in [
             (vec![begun(), begun()], 2),

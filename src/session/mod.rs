@@ -37,8 +37,7 @@ pub use folder::{FolderError, SessionFolder, put_aside};
 pub use header::RolloutPlan;
 pub use identification_settings::IdentificationSettings;
 pub use ledger::{
-    DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, parse as parse_ledger,
-    settings_checksum,
+    DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, file_checksum, parse as parse_ledger,
 };
 pub use orchestrator::Session;
 pub use paths::{PolicyPaths, SessionPaths, recording_in};

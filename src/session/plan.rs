@@ -317,6 +317,7 @@ mod tests {
             recordings,
             verdict: "fits".into(),
             doubts: Vec::new(),
+            checksum: String::new(),
         };
         entries.push(found(2));
         assert_eq!(next(&entries), Step::Decide);

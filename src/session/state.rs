@@ -40,8 +40,9 @@ pub enum Identification {
         verdict: String,
         /// What the verdict doubts, by name.
         doubts: Vec<String>,
-        /// Number of recordings that its first profile was fitted to; psi is relative to that one.
-        first: u32,
+        /// Profiles in the order in which they were found: the number of recordings that each was fitted to, and the
+        /// checksum of its file. Psi is relative to the first.
+        profiles: Vec<(u32, String)>,
     },
     /// The recordings identify no Qube, for this reason.
     Refused(String),
@@ -132,21 +133,22 @@ impl SessionState {
                 candidate.finished.push(Finished { rollout, attempt });
                 candidate.void = 0;
             }
-            Entry::Identified { recordings, ref verdict, ref doubts } => {
-                let first = match self.identification {
-                    Identification::None => recordings,
-                    Identification::Found { recordings: before, first, .. }
-                        if recordings > before =>
+            Entry::Identified { recordings, ref verdict, ref doubts, ref checksum } => {
+                let mut profiles = match &self.identification {
+                    Identification::None => Vec::new(),
+                    Identification::Found { recordings: before, profiles, .. }
+                        if recordings > *before =>
                     {
-                        first
+                        profiles.clone()
                     }
                     _ => return Err("the Qube is identified from these recordings already"),
                 };
+                profiles.push((recordings, checksum.clone()));
                 self.identification = Identification::Found {
                     recordings,
                     verdict: verdict.clone(),
                     doubts: doubts.clone(),
-                    first,
+                    profiles,
                 };
             }
             Entry::NotIdentified { ref reason } => {

@@ -12,6 +12,7 @@ use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
     Entry, FolderError, Identification, Purpose, ScoredCandidate, SessionError, SessionEvent,
+    file_checksum,
 };
 use crate::storage::{SETTINGS_BYTES, write_whole};
 
@@ -25,11 +26,13 @@ impl Session {
 
     /// Searches around the Qube that the ledger says was identified; guards it by its latest profile.
     pub(super) fn search_around_identified(&mut self) -> Result<(), SessionError> {
-        let Identification::Found { recordings, first, .. } = *self.ledger.state().identification()
-        else {
+        let Identification::Found { profiles, .. } = self.ledger.state().identification() else {
             return Ok(());
         };
-        let (first, latest) = (self.profile_of(first)?, self.profile_of(recordings)?);
+        let (Some(first), Some(latest)) = (profiles.first(), profiles.last()) else {
+            return Ok(());
+        };
+        let (first, latest) = (self.profile_of(first)?, self.profile_of(latest)?);
         let plan = self.settings.identification.unwrap_or_default();
         self.settings = self.settings.clone().around(&plan, &first, &latest);
         // A profile of a real Qube holds for its own board only; each rollout in virtual time has another one.
@@ -105,9 +108,11 @@ impl Session {
             let psi = self.settings.psi.as_identified();
             return self.append_proposal(Purpose::Initial, psi, tell);
         }
-        let rollouts = self.recordings()?.len() as u32;
-        let is_used = |it: &Identification| matches!(it, Identification::Found { recordings, .. } if *recordings >= rollouts);
-        if !is_used(self.ledger.state().identification())
+        let used = match self.ledger.state().identification() {
+            Identification::Found { recordings, .. } => *recordings as usize,
+            _ => 0,
+        };
+        if self.recordings()?.len() > used
             && let Ok(found) = self.fitted()?
         {
             self.append_profile(found, tell)?;
@@ -166,7 +171,7 @@ impl Session {
             )));
         }
         let count = recordings.len() as u32;
-        let name = format!("{} from {count} recordings", self.settings.name);
+        let name = format!("identified from {count} recordings");
         Ok(Ok(Found {
             recordings: count,
             profile: found.profile(&name, Vec::new()),
@@ -191,19 +196,23 @@ impl Session {
         let verdict = found.assessment.verdict.name();
         tell(SessionEvent::Identified { recordings, verdict, doubts: &doubts });
         let verdict = verdict.to_owned();
-        self.ledger.append(Entry::Identified { recordings, verdict, doubts })?;
+        let checksum = file_checksum(text.as_bytes());
+        self.ledger.append(Entry::Identified { recordings, verdict, doubts, checksum })?;
         self.search_around_identified()
     }
 
-    /// Reads a profile of the session's folder.
-    fn profile_of(&self, recordings: u32) -> Result<Profile, SessionError> {
-        let path = self.folder.paths().profile(recordings);
+    /// Reads a profile of the session's folder and compares it with its checksum in the ledger.
+    fn profile_of(&self, (recordings, checksum): &(u32, String)) -> Result<Profile, SessionError> {
+        let path = self.folder.paths().profile(*recordings);
         let bytes = self
             .folder
             .disk()
             .read(&path, SETTINGS_BYTES)
             .map_err(|source| FolderError::Io { path: path.clone(), source })?;
         let lost = |reason: String| SessionError::ProfileLost { path: path.clone(), reason };
+        if file_checksum(&bytes) != *checksum {
+            return Err(lost("it was changed".into()));
+        }
         let text = String::from_utf8(bytes).map_err(|error| lost(error.to_string()))?;
         Profile::parse(&text).map_err(|error| lost(error.to_string()))
     }

@@ -13,7 +13,7 @@ use super::seeds::{SeedFor, derived_seed};
 use super::{
     Candidate, DRIFT_ROLLOUTS, Drift, Entry, FolderError, Ledger, Purpose, RolloutPlan,
     ScoredCandidate, SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState,
-    Step, next_step, settings_checksum,
+    Step, file_checksum, next_step,
 };
 use crate::jobs::{Executor, LocalExecutor};
 use crate::policy::{EXCITATION_STEPS, MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
@@ -516,7 +516,7 @@ fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError>
         .disk()
         .read(&path, SETTINGS_BYTES)
         .map_err(|source| FolderError::Io { path: path.clone(), source })?;
-    let found = settings_checksum(&bytes);
+    let found = file_checksum(&bytes);
     match ledger.entries().first() {
         None => Ok(ledger.append(Entry::Begun { settings: found })?),
         Some(Entry::Begun { settings }) if *settings != found => {

@@ -11,7 +11,7 @@ use crate::session::{
 use crate::simulation::{DomainDistribution, Evaluation, Model, SimulationSettings};
 use crate::storage::write_whole;
 
-/// Number of rounds of trainings before the best of those that fail is kept.
+/// Number of rounds of trainings; if all fail in simulation, the best of the last round is kept.
 const ROUNDS: u32 = 3;
 
 /// Number of fresh simulations by which a policy is chosen.
