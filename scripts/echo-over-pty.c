@@ -1,6 +1,6 @@
-/* The least that a control program and a board can do over a pty: 100 times a second the host asks
-   for a sample, the board answers, the host sends its act. The board measures from sample to act.
-   Frames as long as those of PROTOCOL.md, no content. Prints one JSON object, microseconds.
+/* Measures the shortest exchange of a control program and a board over a pty: 100 times a second the host
+   asks for a sample, the board answers, the host sends its act. The board measures the time from sample to
+   act. Frames are as long as those of PROTOCOL.md, without content. Prints one JSON object, microseconds.
 
    usage: echo-over-pty SECONDS [PRIORITY [REQUEST REPLY ACT]]    (priority 0: not real time) */
 #define _GNU_SOURCE
@@ -86,7 +86,7 @@ int main(int count, char **words) {
     if (turns < 1 || request_bytes > LONGEST || reply_bytes > LONGEST || act_bytes > LONGEST) return 2;
     sample_to_act_ns = calloc(turns, sizeof *sample_to_act_ns);
     mlockall(MCL_CURRENT | MCL_FUTURE);
-    /* As cyclictest does by default: no processor goes to sleep while this is open. */
+    /* No processor goes to sleep while this file is open; cyclictest does the same by default. */
     int32_t awake = 0;
     int latency = open("/dev/cpu_dma_latency", O_WRONLY);
     if (latency >= 0 && write(latency, &awake, sizeof awake) < 0) perror("cpu_dma_latency");

@@ -25,9 +25,9 @@ pub enum Reply {
     Disarm(DisarmReply),
     /// Answer to a request that was not carried out.
     Refusal {
-        /// Type of that request.
+        /// Type of the refused request.
         refused_type: u8,
-        /// Reason.
+        /// Reason of the refusal.
         reason: RefusalReason,
     },
 }
@@ -55,7 +55,7 @@ pub struct HelloReply {
     pub dropped_frames: u16,
 }
 
-/// One sample.
+/// The answer to a sample request: the readings of one instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SampleReply {
     /// Time at which the encoders were read, by the device's clock, microseconds modulo 2^32.
@@ -155,7 +155,7 @@ wire_enum! {
 wire_enum! {
     /// The states of a device; `PROTOCOL.md` has the table of transitions.
     DeviceState {
-        /// Started, or greeted by another version. The motor is off.
+        /// Started, or greeted by a host of another protocol version. The motor is off.
         Idle = 0,
         /// Greeted. The motor is off.
         Greeted = 1,

@@ -13,7 +13,7 @@ use crate::telemetry::Fault;
 pub struct Failure {
     code: u8,
     message: String,
-    /// Fault in the table that caused it, if any.
+    /// Fault that caused the failure, if one of the table of faults did.
     fault: Option<Fault>,
 }
 
@@ -38,7 +38,7 @@ impl Failure {
         Self { code: 4, message: message.to_string(), fault: None }
     }
 
-    /// Exit code 128 + signal: stopped by a signal, with the state kept.
+    /// Exit code 128 + signal: stopped by a signal; finished work is on disk.
     pub fn interrupted(signal: i32, message: impl ToString) -> Self {
         let code = 128_u8.wrapping_add(signal as u8);
         Self { code, message: message.to_string(), fault: None }

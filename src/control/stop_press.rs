@@ -25,9 +25,10 @@ const RETURN_TICKS: u32 = 300;
 
 /// Presses the arm outward against the stop that it touches.
 ///
-/// The arm is at its stop already, so it cannot move far even if no host is left to end the
-/// voltage. A rehearsal ends when a hand has pushed the arm off its stop and the arm has come back.
-/// Any press ends when the voltage does not hold the arm, time is up, or the link is lost.
+/// The arm is at its stop already, so it cannot move far even if the host vanishes while the voltage is on. A
+/// rehearsal tests the voltage before the operator unplugs the board: it ends when a hand has pushed the arm off its
+/// stop and the arm has come back. Any press ends when the voltage does not hold the arm, time is up, or the link is
+/// lost.
 #[derive(Debug)]
 pub struct StopPress {
     plant: PlantModel,
@@ -38,8 +39,9 @@ pub struct StopPress {
     estimator: Estimator,
     watch: Watch,
     ticks: u32,
-    /// Direction of the stop, and the angle at which the arm rests against it.
+    /// Direction of the stop, 1 or -1; 0 before the first sample.
     outward: f64,
+    /// Angle at which the arm rests against the stop, positive outward, rad; `None` until it rests.
     rest_rad: Option<f64>,
     pushed_ticks: u32,
     state: State,
@@ -163,7 +165,7 @@ impl Motion for StopPress {
         self.output(Some(wanted_v), None)
     }
 
-    /// A press is part of a check.
+    /// Always [`ControlState::Checking`], because a press is part of a check.
     fn control_state(&self) -> ControlState {
         ControlState::Checking
     }

@@ -8,18 +8,19 @@ pub struct TrainUpdate {
     /// Mean return of the deterministic policy from the fixed starts, under the training's own
     /// distribution.
     pub mean_return: f64,
-    /// Smallest of those returns.
+    /// Smallest return of the deterministic policy from the fixed starts.
     pub worst_return: f64,
     /// Mean reward in the batch times 600. The policy explores, and the reward includes the penalty on
     /// voltage changes.
     pub training_return: f64,
     /// Trajectories in the batch; more than the number of pendulums when some left the safety box.
     pub trajectories: u32,
-    /// Mean over minibatches of (r - 1) - ln r, r the ratio of new to old probability.
+    /// Approximate KL divergence, the mean over minibatches: (r - 1) - ln r, where r is the ratio of new to old
+    /// probability.
     pub approximate_kl: f64,
-    /// Largest value over minibatches.
+    /// Largest approximate KL divergence of a minibatch.
     pub largest_kl: f64,
-    /// Share of samples whose ratio was outside the clip range.
+    /// Share of samples whose ratio of new to old probability was outside the clip range.
     pub clip_fraction: f64,
     /// Explained variance of the value network before the update: 1 - variance of (return - value) /
     /// variance of return.

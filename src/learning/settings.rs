@@ -7,7 +7,8 @@ use super::TrainError;
 use crate::qube::MAX_HISTORY;
 use crate::simulation::{SensorModel, SimulationSettings};
 
-/// The settings of a training. The presets [`Self::thesis`] and [`Self::quick`] alone define these numbers.
+/// The settings of a training. The presets [`Self::thesis`], [`Self::quick`] and [`Self::robust`] alone define their
+/// values.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainSettings {
@@ -51,7 +52,7 @@ pub struct TrainSettings {
     pub smallest_log_std: f32,
     /// Weight of a change of voltage in the training reward, 1/V^2: a step whose voltage differs by dV from
     /// the one before earns exp(-weight dV^2) times its reward. The weight grows over the first half of the
-    /// updates. It also decides which policy is chosen; reported returns do not include it.
+    /// updates. The weighted reward also decides which policy is chosen; reported returns do not include the weight.
     pub voltage_change_weight: f32,
     /// Number of fixed starts in the evaluation after each update.
     pub evaluation_starts: u16,
@@ -143,18 +144,18 @@ impl TrainSettings {
         bounded("threads", self.threads, 1..=1024, "at least 1")
     }
 
-    /// A policy in seconds: 60 updates of 9,600 transitions, each of which may move the policy farther. For
-    /// trials and for searches that train many policies. The wider exploration at the start makes up for
-    /// the few pendulums: without it one policy in ten settles for a slower swing-up.
+    /// The preset for a policy in seconds, for trials and for searches that train many policies: 60 updates of 9,600
+    /// transitions. A wider clip range lets each update move the policy farther. The wider exploration at the start
+    /// makes up for the few pendulums: without it one policy in ten settles for a slower swing-up.
     #[must_use]
     pub fn quick() -> Self {
         Self { updates: 60, num_envs: 16, clip: 0.2, first_log_std: 0.4, ..Self::thesis() }
     }
 
-    /// A policy for the machine in half a minute. The simulation has the machine's sensors, and the
-    /// observation contains the last two commands, for Qubes with a delay and uncertain parameters. There
-    /// is more to learn than for [`Self::quick`], so it has four times the pendulums in twice the updates.
-    /// A change of voltage costs reward: without that penalty a policy that balances a real Qube buzzes.
+    /// The preset for a policy that runs on a real Qube, in half a minute. The simulation has the Qube's sensors, and
+    /// the observation contains the last two commands, for Qubes with a delay and uncertain parameters. There is more
+    /// to learn than with [`Self::quick`], so there are four times the pendulums and twice the updates. A change of
+    /// voltage costs reward: without that penalty the motor buzzes while the policy balances a real Qube.
     #[must_use]
     pub fn robust() -> Self {
         Self {

@@ -58,7 +58,7 @@ impl Encoder {
         2.0 * PI / f64::from(self.counts_per_revolution)
     }
 
-    /// Counts of this encoder for each count of a Qube's.
+    /// Counts of this encoder for each count of a Qube's encoder.
     #[must_use]
     pub fn counts_of_qube(self) -> f64 {
         f64::from(self.counts_per_revolution) / f64::from(COUNTS_PER_REVOLUTION)
@@ -112,7 +112,7 @@ impl Encoders {
     /// The encoders of a Qube.
     pub const QUBE: Self = Self { theta: Encoder::QUBE, alpha: Encoder::QUBE };
 
-    /// Whether these are a Qube's.
+    /// Whether both encoders have the resolution of a Qube's.
     #[must_use]
     pub fn are_qube(&self) -> bool {
         *self == Self::QUBE
@@ -140,14 +140,13 @@ pub fn counts(angle_rad: f64) -> i32 {
     Encoder::QUBE.counts(angle_rad)
 }
 
-/// The angle of a Qube's count's edge, in rad.
+/// The angle at the edge of a count of a Qube's encoder, rad.
 #[must_use]
 pub fn angle_rad(counts: i32) -> f64 {
     Encoder::QUBE.angle_rad(counts)
 }
 
-/// An angle rounded down to its count of a Qube's encoder, in rad: [`angle_rad`] of [`counts`], for any number
-/// type.
+/// An angle rounded down to a count of a Qube's encoder, rad: [`angle_rad`] of [`counts`], for any number type.
 #[must_use]
 #[inline(always)]
 pub fn quantised<T: Scalar>(angle_rad: T) -> T {

@@ -3,8 +3,8 @@ use std::fmt::Write as _;
 /// Numbers that JSON cannot represent (NaN of any kind, infinities), kept by name and bits in one text
 /// beside the fields: `wanted_v=7ff8000000000000 ...`.
 ///
-/// A string in the field itself would violate the schema's `number` in the most important tick, and `null`
-/// would lose the kind of number.
+/// Such numbers appear in the tick in which something fails, so they must not be lost. A string in the field itself
+/// would violate the schema, which demands a `number`; `null` alone would not tell NaN from an infinity.
 #[derive(Debug, Default)]
 pub(super) struct NotFinite {
     text: String,

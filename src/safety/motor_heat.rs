@@ -6,16 +6,15 @@ use crate::qube::{CONTROL_PERIOD_S, Measurement, MotorRating, PlantModel};
 /// Load at which the operator is warned.
 pub const WARNING_LOAD: f64 = 0.7;
 
-/// Load at which the arm is braked. It is below 1, so that 0.54 A reach it in finite time, and
-/// above (0.5 / 0.54)^2 = 0.86, the 0.5 A that the Qube's amplifier may give continuously.
+/// Load at which the arm is braked. It is below 1, so that the rated current of 0.54 A reaches it in finite time. It is
+/// above (0.5 / 0.54)^2 = 0.86, the load of the 0.5 A that the Qube's amplifier may give continuously.
 pub const LARGEST_LOAD: f64 = 0.9;
 
 /// Load to which a motor above [`WARNING_LOAD`] cools before the next motion begins.
 pub const COOLED_LOAD: f64 = 0.5;
 
-/// Smallest accepted winding resistance of a Qube, ohm: the smallest known fit is 3.7; another plant's is in
-/// proportion to its nominal one. A reading
-/// that needs less is a fault of the sensor.
+/// Smallest accepted winding resistance of a Qube, ohm; the smallest known fit is 3.7. For another plant it is scaled
+/// by the ratio of the nominal resistances. A current reading that needs a smaller resistance is a fault of the sensor.
 const LEAST_RESISTANCE_OHM: f64 = 3.5;
 
 /// Allowed zero error of the current sensor, A.
@@ -24,9 +23,9 @@ const CURRENT_OFFSET_A: f64 = 0.1;
 /// Estimate of the winding's temperature rise, relative to that at the rated continuous current: a
 /// first-order model of (current / rated current)^2, known as I^2 t.
 ///
-/// In the long run any current below the rating gives a load below 1. Every thermal model that is a
-/// mixture of first-order parts, none faster than this one, stays below 1 as long as this one does,
-/// because its output is an average over the past of this one.
+/// In the long run any current below the rating gives a load below 1. A more detailed thermal model is a mixture of
+/// first-order parts. If none of them is faster than this model, the mixture is an average over this model's past, so
+/// it stays below 1 as long as this model does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorHeat {
@@ -91,8 +90,8 @@ impl MotorHeat {
         self.rating.time_constant_s / std::f64::consts::LN_10
     }
 
-    /// Advances the model by one control period and by those skipped before it, under this voltage
-    /// and velocity of the arm, in the convention's signs.
+    /// Advances the model by one control period and by those skipped before it. Voltage and velocity of the arm have
+    /// the signs of the conventions of [`crate::qube`].
     pub fn pass(
         &mut self,
         skipped_periods: u32,

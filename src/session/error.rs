@@ -64,10 +64,10 @@ pub enum SessionError {
          settings"
     )]
     SettingsChanged {
-        /// Its `session.toml`.
+        /// Path of the session's `session.toml`.
         path: PathBuf,
     },
-    /// A profile that the session has made is not there or is damaged.
+    /// A profile that the session identified is missing or damaged.
     #[error(
         "{path}: the profile that this session identified is lost: {reason}. Restore it from a backup"
     )]
@@ -77,16 +77,16 @@ pub enum SessionError {
         /// Defect of the file.
         reason: String,
     },
-    /// The ledger failed.
+    /// The ledger could not be used.
     #[error(transparent)]
     Ledger(#[from] LedgerError),
-    /// The folder failed.
+    /// The session's folder could not be used.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// The rig failed.
+    /// The rig could not be opened or used.
     #[error(transparent)]
     Rig(#[from] RigError),
-    /// A recording failed.
+    /// A recording could not be written or read.
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// A policy is invalid.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 /// ```text
 /// session.toml                            the resolved configuration
 /// ledger.jsonl                            decisions and finished work
-/// profile-1.toml                          the Qube as 1 recording identifies it
+/// profile-1.toml                          the Qube as identified from 1 recording
 /// candidates/000/                         the files of candidate 0's policy
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,7 +38,7 @@ impl SessionPaths {
         self.root.join("ledger.jsonl")
     }
 
-    /// Path of the profile that so many recordings gave.
+    /// Path of the profile that was fitted to this number of recordings.
     #[must_use]
     pub fn profile(&self, recordings: u32) -> PathBuf {
         self.root.join(format!("profile-{recordings}.toml"))
@@ -61,8 +61,8 @@ impl SessionPaths {
 ///
 /// ```text
 /// policy.safetensors                      the trained policy
-/// curve.csv                               its training
-/// rollout-0-attempt-0.mcap                a rollout of it
+/// curve.csv                               the learning curve of its training
+/// rollout-0-attempt-0.mcap                the recording of one of its rollouts
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PolicyPaths {

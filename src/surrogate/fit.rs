@@ -92,7 +92,7 @@ struct Search {
     priors: PriorSet,
 }
 
-/// Ranges of the variances, of standardised outputs. The lower bound of the noise is BoTorch's;
+/// Ranges of the variances of noise and signal, for standardised outputs. The lower bound of the noise is BoTorch's;
 /// the others only keep the arithmetic finite.
 const NOISE_RANGE: (f64, f64) = (PriorSet::LEAST_NOISE_VARIANCE, 1e3);
 const SIGNAL_RANGE: (f64, f64) = (1e-4, 1e4);
@@ -101,7 +101,7 @@ impl Search {
     fn starts(&self, dimensions: usize, settings: &FitSettings) -> Vec<Vec<f64>> {
         let mut random = ChaCha8Rng::seed_from_u64(settings.seed);
         let signal_is_free = self.priors.signal_variance().is_some();
-        // The mode or median of the lengthscales' prior, and a noise variance of a tenth.
+        // The lengthscale of the first start: the mode or median of its prior.
         let usual = match self.priors {
             PriorSet::Gamma => 0.5,
             PriorSet::Lognormal => (dimensions as f64).sqrt(),

@@ -34,12 +34,13 @@ pub struct Maximum {
 const CLOUDS: [f64; 3] = [0.2, 0.05, 0.01];
 /// Points in each cloud.
 const CLOUD_POINTS: usize = 8;
-/// Smallest distance between starts in some coordinate of the unit cube, while enough points remain.
+/// Distance on the unit cube by which two starts differ in at least one coordinate. Closer points are used only when
+/// too few others remain.
 const APART: f64 = 0.03;
 
-/// Maximises an acquisition over the box: Owen-scrambled Sobol points and clouds around the
-/// `hints` (points in the box's own units near which a maximum is likely, such as the best ones
-/// known), then bounded L-BFGS from the best of them.
+/// Maximises an acquisition over the box. It evaluates Owen-scrambled Sobol points and clouds around the `hints`, then
+/// follows the gradient from the best of them by bounded L-BFGS. Hints are points in the box's own units near which a
+/// maximum is likely, such as the best ones known.
 #[must_use]
 pub fn maximise(
     acquisition: &dyn Acquisition,
@@ -117,8 +118,8 @@ pub fn sobol_point(index: usize, dimensions: usize, seed: u32) -> Vec<f64> {
         .collect()
 }
 
-/// Chooses the first `count` points of a sorted list that keep their distance, filled up with the first of
-/// the others.
+/// Chooses `count` points of a list that begins with the best: the first ones that are farther apart than [`APART`],
+/// and, if these are too few, the first of the others.
 fn spread_out(sorted: &[(f64, Vec<f64>)], count: usize) -> Vec<&[f64]> {
     let mut chosen: Vec<&[f64]> = Vec::with_capacity(count);
     let mut left = Vec::new();

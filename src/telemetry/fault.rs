@@ -1,5 +1,5 @@
 //! The table of faults: the cause of each, the operator's step, and the program's reaction.
-//! `docs/faults.md` shows it, and a test compares.
+//! `docs/faults.md` contains this table; a test compares them.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Consequence {
-    /// Nothing is known against the Qube: the program greets, waits for 1 s at rest, homes and repeats, a
-    /// limited number of times.
+    /// The program repeats the rollout a limited number of times, because nothing points to a defect of the Qube. It
+    /// greets the board, waits for 1 s at rest and homes before each repetition.
     TryAgain,
-    /// The link is lost: the program opens the same port again under the same identity for a limited time,
-    /// then continues as with [`TryAgain`](Self::TryAgain), with a new zero.
+    /// The program opens the same port again, because the link is lost. It tries for a limited time and accepts only
+    /// the same board. Then it continues as with [`TryAgain`](Self::TryAgain), with a new zero.
     Reconnect,
-    /// A sensor or the motor is in doubt: the run or session ends. Nothing moves before an operator has
+    /// The run or session ends, because a sensor or the motor is in doubt. Nothing moves before an operator has
     /// acknowledged the fault and an examination has passed.
     Examine,
     /// The run or session ends, because the same rollout would end the same way.
@@ -191,8 +191,8 @@ impl Fault {
         name
     }
 
-    /// Whether the fault is one of timing only: samples or commands came too late, and nothing is known
-    /// against the Qube.
+    /// Whether the fault concerns timing only: samples or commands came too late, and nothing points to a defect of the
+    /// Qube.
     #[must_use]
     pub fn is_timing_fault(self) -> bool {
         self.consequence() == Consequence::TryAgain
@@ -214,7 +214,7 @@ impl Fault {
     }
 }
 
-/// The table as Markdown; `docs/faults.md` shows it, and a test compares.
+/// The table as Markdown, as `docs/faults.md` contains it.
 #[must_use]
 pub fn fault_table() -> String {
     let mut text = String::from(

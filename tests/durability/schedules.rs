@@ -26,13 +26,14 @@ use crate::fault_port::{KINDS, Plan};
 use crate::simulated_disk::{DiskFault, SimulatedDisk, Stopped};
 use crate::world::{STEPS, Wiring};
 
-/// Number of different sessions.
+/// Number of different undisturbed sessions, the worlds of the schedules.
 const WORLDS: u64 = 4;
 
-/// Lives with faults; later lives have none, so that a schedule ends.
+/// Number of lives with faults in a schedule; a life is one run of the process. Later lives have no faults, so that a
+/// schedule ends.
 const DISTURBED_LIVES: u32 = 3;
 
-/// Three candidates with one rollout each, trained on next to nothing.
+/// Settings of a session of four rollouts (two candidates of the search, two verifications), hardly trained.
 pub fn settings(seed: u64) -> SessionSettings {
     let mut settings = SessionSettings::quick();
     settings.name = "schedule".into();
@@ -66,7 +67,7 @@ pub fn ledger_path() -> PathBuf {
     root().join("ledger.jsonl")
 }
 
-/// An undisturbed session.
+/// A session that ran without faults, its disk and ledger afterwards, and the number of its operations.
 pub struct Undisturbed {
     pub settings: SessionSettings,
     pub disk: SimulatedDisk,
@@ -109,7 +110,7 @@ impl Undisturbed {
     }
 }
 
-/// One life of the process: its ending, and the entries that were recorded for certain.
+/// One life of the process: its result, the entries of the ledger at its end, and its operations on the wire.
 pub struct Life {
     pub result: Result<(), SessionError>,
     pub entries: Vec<Entry>,
@@ -145,7 +146,7 @@ pub fn live(
     Life { result, entries, wire_operations, longest_on_us: wiring.must_end_safe() }
 }
 
-/// The result of a schedule.
+/// Counts over the lives of one schedule, or of several.
 #[derive(Default)]
 struct Told {
     lives: u64,
@@ -233,7 +234,7 @@ impl Schedule {
             }
 
             let Err(error) = life.result else { break };
-            assert!(error.to_string().len() > 5, "an end without a sentence");
+            assert!(error.to_string().len() > 5, "an error without a message");
             if matches!(error, SessionError::GivenUp { .. }) {
                 told.given_up += 1;
                 break;
@@ -346,7 +347,7 @@ fn no_schedule_of_faults_loses_or_repeats_anything() {
     );
 }
 
-/// The recordings of a world, in the order of their rollouts.
+/// The recordings on a disk, in the order of their rollouts.
 pub fn recordings(disk: &SimulatedDisk) -> Vec<PathBuf> {
     let is_recording = |path: &Path| path.extension().is_some_and(|it| it == "mcap");
     disk.files().into_iter().filter(|path| is_recording(path)).collect()

@@ -19,7 +19,7 @@ use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 
 use super::wire::SharedWire;
 
-/// A motion that records when the policy got the motor and when it lost it.
+/// A motion that records the times at which the policy gets and loses control of the motor.
 struct Noted<'a> {
     tick: &'a mut Tick,
     clock: VirtualClock,
@@ -53,13 +53,13 @@ impl Motion for Noted<'_> {
 /// The result of a rollout, in the emulated Qube's time.
 pub struct Outcome {
     pub ending: Ending,
-    /// Times at which the policy got the motor and lost it, s.
+    /// Times at which the policy got and lost control of the motor, s.
     pub ran_s: (f64, f64),
     /// Final error of the arm's zero, rad.
     pub zero_off_rad: f64,
 }
 
-/// Homes such a Qube and runs a rollout, optionally with a fault; `None` if homing fails.
+/// Homes an emulated Qube and runs a rollout, optionally with a fault; `None` if homing fails.
 pub fn rollout(
     qube: EmulatorSettings,
     policy: &Policy,
@@ -98,7 +98,7 @@ pub fn rollout(
 /// A fault of the emulated Qube from this time on, s.
 type FaultFrom = fn(f64) -> EmulatorFault;
 
-/// A kind of freeze of the arm's encoder, with a constructor for its onset.
+/// The kinds of freeze of the arm's encoder: a name, and the fault as a function of its onset.
 pub const KINDS: [(&str, FaultFrom); 3] = [
     ("dead", |after_s| EmulatorFault::FrozenTheta { after_s }),
     ("stuck", |after_s| EmulatorFault::StuckTheta { after_s }),
@@ -129,8 +129,8 @@ impl Freeze {
     }
 }
 
-/// An undisturbed rollout, and the same rollout with a freeze of each of the [`KINDS`] at an
-/// instant that the seed spreads evenly over the rollout. `None` if the Qube is not homed.
+/// Runs an undisturbed rollout, then the same rollout with a freeze of each of the [`KINDS`]; `None` if the Qube is not
+/// homed. The seed determines the instant of the freeze: over many seeds these are spread evenly over the rollout.
 pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<Freeze>)> {
     let healthy = rollout(qube, policy, None)?;
     let (from_s, to_s) = healthy.ran_s;

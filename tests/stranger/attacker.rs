@@ -4,20 +4,22 @@ use qube_hil::qube::State;
 use super::genes::Genes;
 use super::moves::{Moves, MovesKind, Segment, features, weigh};
 
-/// A policy that attacks: it moves the arm and may strike once, at the worst moment.
+/// A policy that tries to throw the arm against its stop: it moves the arm and may strike once, in a state of its
+/// choice.
 pub struct Attacker {
     moves: Moves,
     strike: Option<Strike>,
     step: u32,
 }
 
-/// A strike: full pushes, one after the other.
+/// A strike: a sequence of pushes that begins once, in a certain state.
 struct Strike {
-    /// Step from which on the strike waits for its state.
+    /// First step at which the strike may begin.
     from: u32,
-    /// The strike begins when the state, with these weights, becomes positive.
+    /// Weights of the state's features; the strike begins when their weighted sum is positive.
     state: [f64; 6],
     segments: Vec<Segment>,
+    /// Step at which the strike began.
     since: Option<u32>,
 }
 

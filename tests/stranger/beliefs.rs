@@ -15,7 +15,7 @@ pub enum Known {
     Identified,
 }
 
-/// A Qube of a belief: its parameters and the fractions of a voltage that arrive.
+/// A Qube within a belief: its parameters, and the fractions of positive and negative voltages that reach its motor.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnQube {
     pub model: QubeModel,
@@ -33,8 +33,7 @@ impl Known {
         ForesightSettings { identified, ..ForesightSettings::default() }
     }
 
-    /// The belief from which the Qube is drawn: that about the identified Qube, or that about any
-    /// Qube.
+    /// The belief from which the Qube is drawn: the identified Qube's, or the one for any Qube.
     fn belief(self) -> Belief {
         let ForesightSettings { belief, identified, .. } = self.settings();
         identified.map_or(belief, |identified| identified.belief)
@@ -50,7 +49,7 @@ impl Known {
         }
         let least = belief.least_share;
         let (weak, side) = (between(least, 1.0), between(-1.0, 1.0));
-        // A weak supply on both sides, or an amplifier that is weak on one.
+        // Either the supply is weak for both signs, or the amplifier is weak for one.
         let positive_share = if side > 0.3 { 1.0 } else { weak };
         let negative_share = if side < -0.3 { 1.0 } else { weak };
         DrawnQube { model, positive_share, negative_share }

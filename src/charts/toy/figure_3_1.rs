@@ -9,7 +9,7 @@ use crate::surrogate::{
 /// Samples in the three blocks of the figure.
 pub const SAMPLES: [usize; 3] = [3, 7, 15];
 
-/// Sample seeds: the columns.
+/// Number of columns, each with a sample seed of its own.
 const COLUMNS: u64 = 3;
 /// Powers of ten on the axes: the lengthscale in widths of the range, and the noise's standard
 /// deviation in standard deviations of the samples.
@@ -17,11 +17,11 @@ const LENGTHSCALES: (f64, f64) = (-2.0, 1.0);
 const NOISES: (f64, f64) = (-2.0, 0.5);
 /// Cells of the surface along each axis.
 const CELLS: usize = 90;
-/// Steps of colour.
+/// Number of colour levels of the surface.
 const LEVELS: usize = 48;
 
-/// One block: the posterior at the most likely hyperparameters, and below it how likely all others
-/// are; one column for each of three sample seeds.
+/// Draws one block with a column for each of three sample seeds: above, the posterior at the most likely
+/// hyperparameters; below, the log marginal likelihood over all hyperparameters.
 pub fn draw(samples: usize, seed: u64) -> anyhow::Result<String> {
     let mut svg = String::new();
     {
@@ -51,7 +51,7 @@ pub fn draw(samples: usize, seed: u64) -> anyhow::Result<String> {
 
 /// The log marginal likelihood over lengthscale and noise.
 struct Surface {
-    /// Values, rows of noise, columns of lengthscale.
+    /// Log marginal likelihoods: a row for each noise, a column for each lengthscale.
     values: Vec<Vec<f64>>,
     best: Hyperparameters,
     highest: f64,
@@ -107,7 +107,8 @@ impl Surface {
         Ok(Self { values, best: hyperparameters(highest.1, highest.2), highest: highest.0 })
     }
 
-    /// Values more than ten below the maximum are drawn with the lowest colour.
+    /// The value up to which the surface has the lowest colour: the maximum less nine times its magnitude, or less 9
+    /// where the magnitude is below 1.
     fn floor(&self) -> f64 {
         self.highest - 9.0 * self.highest.abs().max(1.0)
     }
@@ -206,8 +207,8 @@ fn star(radius: i32) -> Polygon<(i32, i32)> {
     Polygon::new((0..10).map(corner).collect::<Vec<_>>(), RED.filled())
 }
 
-/// Dark violet over green to yellow: even steps for the eye, also in grey and for the colour-blind
-/// (after matplotlib's viridis).
+/// The colour of a fraction, from dark violet over green to yellow. Its steps look even, also in grey and to the
+/// colour-blind (after matplotlib's viridis).
 fn viridis(fraction: f64) -> RGBColor {
     const STOPS: [(f64, f64, f64); 6] = [
         (68.0, 1.0, 84.0),

@@ -15,7 +15,7 @@ use crate::preflight::conformance::{CHECKS, Deviation, Speaker};
 use crate::rig::{ClockChoice, DeviceChoice, RigError};
 use crate::telemetry::CheckResult;
 
-/// A wire for raw bytes, with which the checks speak the protocol themselves.
+/// A connection that carries raw bytes: the checks write and read the frames of the protocol themselves.
 struct Wire {
     transport: Box<dyn Transport>,
     clock: Arc<dyn Clock>,
@@ -68,7 +68,7 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The remedy of a deviation is the protocol's requirement.
+/// The row of a check in the table. The remedy of a deviation is the protocol's requirement.
 fn row(result: &CheckResult) -> Row {
     let promise = result.cure.clone();
     Row { remedy: promise.map(|promise| ("must be:", promise)), ..Row::from(result) }

@@ -49,7 +49,7 @@ pub struct EmulatorSettings {
 /// Positions of the stops of a Qube of the published design, rad.
 pub const NOMINAL_STOPS_RAD: [f64; 2] = stops_of(&PlantModel::QUBE);
 
-/// Positions of the stops of a plant as it is described, rad.
+/// Positions of the nominal stops of a plant, rad.
 const fn stops_of(plant: &PlantModel) -> [f64; 2] {
     [-plant.limits.hard_stop_rad, plant.limits.hard_stop_rad]
 }

@@ -8,19 +8,19 @@ use crate::jobs::LocalExecutor;
 use crate::search::{Observation, Strategy, StrategyKind};
 use crate::session::{SeedFor, Session, SessionEvent, SessionSettings, derived_seed};
 
-/// The recommendations of a search: after each candidate the best point of the strategy. The session runs
-/// no more candidates than needed, so that nothing is searched after a success.
+/// The recommendations of a search: the best point of the strategy after each candidate. The session evaluates a
+/// candidate only when its recommendation is asked for, so nothing is searched after a success.
 pub(super) struct FromSearch<'a> {
     run: &'a MethodRun<'a>,
     settings: SessionSettings,
     strategy: Box<dyn Strategy>,
     session: Option<Session>,
-    /// Candidates with all their rollouts.
+    /// Candidates whose rollouts are complete, in order.
     evaluated: Vec<Observation>,
 }
 
 impl<'a> FromSearch<'a> {
-    /// Recommendations in the folder of a method's run.
+    /// Prepares the search of a method's run, whose folder contains the session of the search.
     ///
     /// # Errors
     /// The settings are invalid for the strategy.

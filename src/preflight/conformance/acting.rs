@@ -19,7 +19,7 @@ pub(super) fn unarmed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
 pub(super) fn act(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     speaker.arm()?;
     let mut before = speaker.sample_armed()?;
-    ensure!(before.sample_to_act_us == NO_ACT_US, "it tells of an act that never was");
+    ensure!(before.sample_to_act_us == NO_ACT_US, "it reports an act although there was none");
     for voltage_mv in VOLTAGES_MV {
         let sequence = speaker.act(voltage_mv)?;
         // A second act does not change the time from the sample to the first one.
@@ -45,7 +45,7 @@ pub(super) fn act(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
         before = after;
     }
     let idle = speaker.sample_armed()?;
-    ensure!(idle.sample_to_act_us == NO_ACT_US, "it tells of an act that never was");
+    ensure!(idle.sample_to_act_us == NO_ACT_US, "it reports an act although there was none");
     Ok(())
 }
 

@@ -55,7 +55,7 @@ pub(super) fn sample(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
             "reserved bits are set: {:08b}",
             sample.status.0
         );
-        ensure!(sample.sample_to_act_us == 0xFFFF, "it tells of an act that never was");
+        ensure!(sample.sample_to_act_us == 0xFFFF, "it reports an act although there was none");
         last = sample;
     }
     Ok(())

@@ -8,9 +8,9 @@ use crate::elementary::{inverse_square_root, sin_cos};
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, Dynamics, InLanes, Lanes, QubeLanes, State};
 use crate::safety::{BrakeLaw, Particle};
 
-/// Reserve of angle before an end, in addition to the angle that the momentum needs, rad. It covers later
-/// swings, while the brake takes their energy. With 0.5 rad, one of 90 000 accepted states in which the
-/// pendulum is nearly at rest reaches the end 0.7 s later; with 0.3 rad, four do.
+/// Reserve of angle before an end of the arm's range, in addition to the angle that the momentum needs, rad. It covers
+/// the pendulum's later swings, until the brake has taken their energy. With 0.5 rad, one of 90 000
+/// accepted states in which the pendulum is nearly at rest reaches the end 0.7 s later; with 0.3 rad, four do.
 const SLACK_RAD: f32 = 0.7;
 
 /// Share of the full braking torque that the momentum test relies on.
@@ -21,12 +21,12 @@ const BRAKING_SHARE: f32 = 0.25;
 /// again.
 const SWINGING: f32 = 2.2;
 
-/// Detects that none of sixteen particles' arms can reach an end any more while the brake works.
+/// Detects when the brake keeps the arms of all sixteen particles away from the ends, without simulating on.
 ///
-/// An arm passes if its energy is too small, or if its momentum is. Both tests only save simulation: the
-/// property tests search for states that they accept and a simulation of 1.5 s rejects, and find none. The
-/// energy test follows from an argument; the momentum test looks no farther than the first swing, and that
-/// search chose its constants.
+/// An arm passes if its energy or its momentum is too small to reach an end. The energy test follows from an argument
+/// (`energy_holds`). The momentum test looks no farther than the first swing; the property tests chose its
+/// constants. These tests search for states that are accepted here and that a simulation of 1.5 s rejects, and find
+/// none.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct CalmLanes {
@@ -127,9 +127,9 @@ impl CalmLanes {
         (energy_j < high_j) & (energy_j < low_j)
     }
 
-    /// Least energy that a lane's arm has given to spring and cable at this angle, on its way to the end on
-    /// this side (1 or -1), J, up to a constant. Where the spring pushes the arm towards its middle, its
-    /// energy counts in full; beyond the middle it counts less the dead zone.
+    /// Least energy, J up to a constant, that spring and cable have taken from a lane's arm at this angle. The arm
+    /// moves to the end on this side (1 or -1). Before the brake's middle the spring's energy counts in full; beyond
+    /// it, the part that the motor's dead zone withholds is subtracted.
     #[inline(always)]
     fn held_j(
         &self,
