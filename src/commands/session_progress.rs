@@ -133,8 +133,8 @@ impl SessionProgress {
                 }
                 self.connected = true;
             }
-            SessionEvent::Identified { recordings, verdict, doubts } => {
-                self.line(identified(*recordings, verdict, doubts));
+            SessionEvent::Identified { recordings, doubts } => {
+                self.line(identified(*recordings, doubts));
             }
             SessionEvent::NotIdentified(reason) => self.line(format!(
                 "not identified: {reason}. The search goes on as for an unknown Qube"
@@ -179,16 +179,12 @@ impl SessionProgress {
 }
 
 /// The outcome of an identification as a sentence.
-pub fn identified(recordings: u32, verdict: &str, doubts: &[String]) -> String {
+pub fn identified(recordings: u32, doubts: &[String]) -> String {
     let from =
         if recordings == 1 { "1 recording".into() } else { format!("{recordings} recordings") };
-    match (verdict, doubts) {
-        (_, []) => format!("identified from {from}: the model describes this Qube"),
-        (_, doubts) => format!(
-            "identified from {from}: the model describes this Qube but for {}",
-            doubts.join("; ")
-        ),
-    }
+    let but =
+        if doubts.is_empty() { String::new() } else { format!(" but for {}", doubts.join("; ")) };
+    format!("identified from {from}: the model describes this Qube{but}")
 }
 
 /// Numbers count from 0, as the candidates' folders do.

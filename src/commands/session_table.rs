@@ -106,9 +106,9 @@ impl SessionTable {
                     one_line(reason)
                 );
             }
-            Identification::Found { recordings, verdict, doubts, .. } => {
+            Identification::Found { recordings, doubts, .. } => {
                 let profile = report.directory.join(format!("profile-{recordings}.toml"));
-                let told = identified(*recordings, verdict, doubts);
+                let told = identified(*recordings, doubts);
                 format!(
                     "\n{told}\nits profile, with the errors of its values: {}\n",
                     profile.display()
@@ -175,6 +175,7 @@ fn valued(psi: &PsiSpace, scored: &ScoredCandidate) -> Value {
         "psi": psi.with_names(&scored.candidate.psi),
         "returns": scored.returns(),
         "mean_return": scored.mean_return(),
+        "successes": scored.successes(),
     })
 }
 

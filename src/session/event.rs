@@ -13,12 +13,10 @@ pub enum SessionEvent<'a> {
         /// Reason of the proposal.
         purpose: Purpose,
     },
-    /// The Qube was identified from recordings, with this verdict and these doubts.
+    /// The Qube was identified from recordings, with these doubts.
     Identified {
         /// Number of recordings.
         recordings: u32,
-        /// Verdict of the fit, by name.
-        verdict: &'a str,
         /// What the verdict doubts, by name.
         doubts: &'a [String],
     },

@@ -104,6 +104,12 @@ impl Purpose {
         matches!(self, Self::Initial | Self::Search)
     }
 
+    /// Whether its rollouts inform the method: they identify the Qube or evaluate a psi.
+    #[must_use]
+    pub fn informs(self) -> bool {
+        self == Self::Excitation || self.is_searched()
+    }
+
     /// Whether its rollouts verify the result.
     #[must_use]
     pub fn verifies(self) -> bool {

@@ -107,8 +107,7 @@ impl SessionReport {
     /// verify or compare.
     #[must_use]
     pub fn real_rollouts(&self) -> usize {
-        let is_used = |purpose: Purpose| purpose == Purpose::Excitation || purpose.is_searched();
-        let used = self.candidates.iter().filter(|it| is_used(it.candidate.purpose));
+        let used = self.candidates.iter().filter(|it| it.candidate.purpose.informs());
         used.map(|it| it.verdicts.len()).sum()
     }
 

@@ -1,5 +1,7 @@
 //! Identifies the Qube from the session's recordings and decides how the search around it goes on.
 
+use std::path::PathBuf;
+
 use super::Session;
 use crate::identification::{
     Identified, IdentifyError, Unknown, Verdict, check_recording, identify,
@@ -11,14 +13,14 @@ use crate::replay::MotionLog;
 use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
-    Entry, FolderError, Identification, Purpose, ScoredCandidate, SessionError, SessionEvent,
-    file_checksum,
+    Candidate, Entry, Finished, FolderError, Identification, Purpose, ScoredCandidate,
+    SessionError, SessionEvent, file_checksum,
 };
 use crate::storage::{SETTINGS_BYTES, write_whole};
 
 impl Session {
     /// Guards an emulated Qube that is to be identified like a real one, which nobody knows before.
-    pub(super) fn guard_as_known(&mut self) {
+    pub(super) fn guard_as_unknown(&mut self) {
         if self.settings.identification.is_some() {
             self.rig_settings.unidentified = true;
         }
@@ -112,7 +114,7 @@ impl Session {
             Identification::Found { recordings, .. } => *recordings as usize,
             _ => 0,
         };
-        if self.recordings()?.len() > used
+        if self.used_recordings().len() > used
             && let Ok(found) = self.fitted()?
         {
             self.append_profile(found, tell)?;
@@ -193,9 +195,8 @@ impl Session {
         };
         let text = toml::to_string_pretty(&profile).map_err(io)?;
         write_whole(self.folder.disk(), &path, text.as_bytes())?;
-        let verdict = found.assessment.verdict.name();
-        tell(SessionEvent::Identified { recordings, verdict, doubts: &doubts });
-        let verdict = verdict.to_owned();
+        let verdict = found.assessment.verdict.name().to_owned();
+        tell(SessionEvent::Identified { recordings, doubts: &doubts });
         let checksum = file_checksum(text.as_bytes());
         self.ledger.append(Entry::Identified { recordings, verdict, doubts, checksum })?;
         self.search_around_identified()
@@ -219,22 +220,26 @@ impl Session {
 
     /// The recordings that identify the Qube: those of excitations and of the search's candidates, in order.
     fn recordings(&self) -> Result<Vec<Recording>, SessionError> {
-        let mut recordings = Vec::new();
-        for candidate in self.ledger.state().candidates() {
-            if candidate.purpose == Purpose::Excitation || candidate.purpose.is_searched() {
-                for finished in &candidate.finished {
-                    let path = self.recording(candidate.number, finished.rollout, finished.attempt);
-                    recordings.push(read_on(self.folder.disk(), &path)?);
-                }
-            }
-        }
-        Ok(recordings)
+        let read = |path: &PathBuf| Ok(read_on(self.folder.disk(), path)?);
+        self.used_recordings().iter().map(read).collect()
+    }
+
+    /// The paths of those recordings.
+    fn used_recordings(&self) -> Vec<PathBuf> {
+        let of = |candidate: &Candidate| {
+            let number = candidate.number;
+            let path = |it: &Finished| self.recording(number, it.rollout, it.attempt);
+            candidate.finished.iter().map(path).collect::<Vec<_>>()
+        };
+        let candidates = self.ledger.state().candidates().iter();
+        candidates.filter(|it| it.purpose.informs()).flat_map(of).collect()
     }
 
     /// Serial number of the board that made the first excitation.
     fn identified_board(&self) -> Result<Option<String>, SessionError> {
-        let first = self.recordings()?.into_iter().next();
-        Ok(first.and_then(|recording| recording.header.device.get("serial").cloned()))
+        let Some(first) = self.used_recordings().into_iter().next() else { return Ok(None) };
+        let recording = read_on(self.folder.disk(), &first)?;
+        Ok(recording.header.device.get("serial").cloned())
     }
 }
 

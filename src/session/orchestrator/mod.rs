@@ -71,7 +71,7 @@ impl Session {
             today: Vec::new(),
             not_begun: 0,
         };
-        session.guard_as_known();
+        session.guard_as_unknown();
         session.search_around_identified()?;
         for candidate in session.ledger.state().candidates().iter().filter(|it| has_psi(it)) {
             session.settings.psi.psi(&candidate.psi)?;
