@@ -1,7 +1,6 @@
 //! Parses the command line; every error names its option.
 
 use std::ffi::OsString;
-use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, CommandFactory, FromArgMatches};
@@ -12,7 +11,7 @@ use super::output::Output;
 
 /// Parses these arguments. An error is printed, and `Err` has its exit code; `--help` prints and
 /// ends the program.
-pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, ExitCode> {
+pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     let mut command = command();
     let matches = command.try_get_matches_from_mut(&arguments);
     let read = matches.and_then(|matches| CommandLine::from_arg_matches(&matches));
@@ -33,7 +32,7 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, ExitCode> {
     let cause = told.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned();
     let output = Output::new(arguments.iter().any(|argument| argument == "--json"));
     let _ = output.finish(Err(Failure::usage(cause)));
-    Err(ExitCode::from(2))
+    Err(2)
 }
 
 /// The commands; negative numbers count as values, because no option is a digit.

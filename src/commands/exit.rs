@@ -1,7 +1,5 @@
 //! Maps outcomes to exit codes, in this one place.
 
-use std::process::ExitCode;
-
 use serde_json::{Value, json};
 
 use super::command_hints::after_fault;
@@ -81,8 +79,8 @@ impl Failure {
     }
 
     /// Prints the message and returns the exit code.
-    pub fn report(&self) -> ExitCode {
+    pub fn report(&self) -> u8 {
         tell(&format!("qube-hil: {}", with_short_numbers(&self.message)));
-        ExitCode::from(self.code)
+        self.code
     }
 }

@@ -46,6 +46,7 @@ mod toy;
 mod train;
 mod words_gone;
 
+use std::ffi::OsString;
 use std::io::IsTerminal;
 use std::process::ExitCode;
 
@@ -105,7 +106,13 @@ enum Command {
 /// Parses the command line, runs the command, and returns the exit code.
 #[must_use]
 pub fn main() -> ExitCode {
-    let command_line = match command_line::read(std::env::args_os().collect()) {
+    ExitCode::from(main_with(std::env::args_os().collect()))
+}
+
+/// Runs the program with these arguments, of which the first is the program's name, and returns the exit code.
+#[must_use]
+pub fn main_with(arguments: Vec<OsString>) -> u8 {
+    let command_line = match command_line::read(arguments) {
         Ok(command_line) => command_line,
         Err(exit_code) => return exit_code,
     };
@@ -127,7 +134,7 @@ pub fn main() -> ExitCode {
         Command::Soak(arguments) => soak::run(arguments, &output),
     };
     match output.finish(outcome) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => 0,
         Err(failure) => failure.report(),
     }
 }

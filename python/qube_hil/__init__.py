@@ -1,0 +1,55 @@
+"""The Quanser Qube for robot learning: the simulator, the guard and the 100 Hz loop of the program ``qube-hil``.
+
+Importing the package registers ``qube_hil/Qube-v0`` with Gymnasium.
+"""
+
+from ._core import MAX_STEPS, MAX_VOLTAGE_V, VERSION as __version__
+from .data import Candidate, Recording, Session, recording
+from .distributions import Constant, Distribution, Normal, Uniform
+from .envs import QubeEnv, QubeVectorEnv, register
+from .errors import (
+    ActionError,
+    EpisodeOverError,
+    IdentificationError,
+    PolicyError,
+    QubeHilError,
+    RecordingError,
+    SessionError,
+    SettingsError,
+    TrainingError,
+)
+from .learning import Estimate, Identified, Trained, identify, train
+from .policies import Policy
+
+register()
+
+__all__ = [
+    "MAX_STEPS",
+    "MAX_VOLTAGE_V",
+    "ActionError",
+    "Candidate",
+    "Constant",
+    "Distribution",
+    "EpisodeOverError",
+    "Estimate",
+    "IdentificationError",
+    "Identified",
+    "Normal",
+    "Policy",
+    "PolicyError",
+    "QubeEnv",
+    "QubeHilError",
+    "QubeVectorEnv",
+    "Recording",
+    "RecordingError",
+    "Session",
+    "SessionError",
+    "SettingsError",
+    "Trained",
+    "TrainingError",
+    "Uniform",
+    "__version__",
+    "identify",
+    "recording",
+    "train",
+]

@@ -1,0 +1,84 @@
+"""The compiled part of the package."""
+
+from collections.abc import Callable
+from typing import Any, Final, final
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "MAX_STEPS",
+    "MAX_VOLTAGE_V",
+    "VERSION",
+    "Policy",
+    "Simulation",
+    "identify",
+    "main",
+    "read_recording",
+    "read_session",
+    "train",
+]
+VERSION: Final[str]
+MAX_VOLTAGE_V: Final[float]
+MAX_STEPS: Final[int]
+
+@final
+class Simulation:
+    def __new__(
+        cls, num_envs: int, model: str, distributions: str, settings: str
+    ) -> Simulation: ...
+    @property
+    def observation_size(self) -> int: ...
+    @property
+    def episodes(self) -> npt.NDArray[np.uint64]: ...
+    @property
+    def distribution(self) -> str: ...
+    def reset(self, seed: int | None, observations: npt.NDArray[np.float32]) -> None: ...
+    def step(
+        self,
+        actions: npt.NDArray[np.float32],
+        observations: npt.NDArray[np.float32],
+        rewards: npt.NDArray[np.float32],
+        terminated: npt.NDArray[np.bool_],
+        truncated: npt.NDArray[np.bool_],
+        final_observations: npt.NDArray[np.float32],
+    ) -> bool: ...
+    def step_one(
+        self, action: npt.NDArray[np.float32]
+    ) -> tuple[npt.NDArray[np.float32], float, bool, bool]: ...
+    def state(self, index: int) -> list[float]: ...
+    def model(self, episode: int) -> dict[str, float]: ...
+
+@final
+class Policy:
+    @staticmethod
+    def load(path: str) -> Policy: ...
+    @staticmethod
+    def from_bytes(bytes: bytes) -> Policy: ...
+    def to_bytes(self) -> bytes: ...
+    def save(self, path: str, force: bool) -> None: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def observation_size(self) -> int: ...
+    @property
+    def sizes(self) -> list[int] | None: ...
+    @property
+    def training(self) -> str | None: ...
+    def voltages(
+        self, observations: npt.NDArray[np.float32], voltages_v: npt.NDArray[np.float32]
+    ) -> None: ...
+
+def identify(paths: list[str], name: str, fixed: list[str]) -> str: ...
+def read_recording(path: str) -> dict[str, Any]: ...
+def read_session(folder: str) -> str: ...
+def train(
+    model: str,
+    distributions: str,
+    preset: str,
+    simulation: str | None,
+    changes: str,
+    seed: int,
+    tell: Callable[[str], None],
+) -> tuple[Policy, float, str]: ...
+def main(arguments: list[str]) -> int: ...

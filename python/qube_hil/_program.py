@@ -1,0 +1,13 @@
+"""The command ``qube-hil``, which the package brings."""
+
+import signal
+import sys
+
+from ._core import main as _main
+
+
+def main() -> int:
+    """Runs the program with the arguments of this process and returns its exit code."""
+    # The program has its own handling of Ctrl-C; Python's would only note the signal.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    return _main(["qube-hil", *sys.argv[1:]])

@@ -1,0 +1,255 @@
+"""Gymnasium environments over the program's simulation."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from . import distributions as _distributions
+from . import settings as _settings
+from ._core import Simulation
+from .distributions import Distribution
+from .errors import ActionError, EpisodeOverError, SettingsError
+
+Float32s = npt.NDArray[np.float32]
+Bools = npt.NDArray[np.bool_]
+
+_ENV_ID = "qube_hil/Qube-v0"
+_STATE_SIZE = 6
+
+
+def register() -> None:
+    """Registers ``qube_hil/Qube-v0`` with Gymnasium. Importing the package does this."""
+    if _ENV_ID not in gymnasium.registry:
+        gymnasium.register(
+            _ENV_ID,
+            entry_point="qube_hil.envs:QubeEnv",
+            vector_entry_point="qube_hil.envs:QubeVectorEnv",
+        )
+
+
+def observation_space(observation_size: int) -> spaces.Box:
+    """The space of one observation: sin and cos of the arm's and the pendulum's angle, 0.1 times the arm's and 0.05
+    times the pendulum's velocity in rad/s, then the last commands as fractions of 5 V, newest first."""
+    bounds = np.ones(observation_size, np.float32)
+    bounds[4:_STATE_SIZE] = np.inf
+    return spaces.Box(-bounds, bounds, dtype=np.float32)
+
+
+def action_space() -> spaces.Box:
+    """The space of one action: a voltage as a fraction of 5 V, shape ``[1]``."""
+    return spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+
+def _as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Float32s:
+    """The actions as float32 in this shape."""
+    array = np.asarray(actions)
+    if array.dtype != np.float32:
+        if array.dtype.kind not in "fiu":
+            raise ActionError(
+                f"the actions have the type {array.dtype}: give numbers of type float32"
+            )
+        with np.errstate(over="ignore"):
+            array = array.astype(np.float32)
+    if array.shape != shape:
+        raise ActionError(f"the actions have the shape {array.shape}: give {shape}")
+    return array
+
+
+def _as_seed(seed: object) -> int | None:
+    """A seed from 0 to 2^64 - 1, or None."""
+    if seed is None:
+        return None
+    if isinstance(seed, (int, np.integer)) and 0 <= seed < 2**64:
+        return int(seed)
+    raise SettingsError(f"seed = {seed!r}: give one whole number from 0 to 2^64 - 1")
+
+
+def _simulation(
+    num_envs: int,
+    model: str,
+    distributions: Mapping[str, Distribution | float] | None,
+    settings: str | Mapping[str, Any],
+) -> Simulation:
+    return Simulation(
+        num_envs, model, _distributions.written(distributions), _settings.written(settings)
+    )
+
+
+class QubeEnv(gymnasium.Env[Any, Any]):
+    """One simulated Qube: swing the pendulum up and balance it, 600 steps of 10 ms.
+
+    Args:
+        model: Distribution of the simulated Qubes: ``nominal``, ``handcrafted``, ``nominal-handcrafted`` or ``robust``.
+        distributions: Distributions of quantities that replace those of the model, by name, such as
+            ``{"M_p": Normal(0.024, 0.005), "command_delay_s": Uniform(0.0, 0.016)}``.
+        settings: Sensors, history, reward and box: ``thesis``, ``machine``, ``robust``, or a mapping.
+        seed: Seed of the episodes until ``reset`` names another.
+
+    An observation is ``float32 [6 + history]``, an action ``float32 [1]``, a fraction of 5 V. The reward of a step is
+    in (0, 1]. An episode is terminated where the state leaves the box, and truncated after 600 steps. ``info`` of
+    ``reset`` has the number of the episode under its seed.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 100}
+
+    def __init__(
+        self,
+        model: str = "nominal",
+        distributions: Mapping[str, Distribution | float] | None = None,
+        settings: str | Mapping[str, Any] = "thesis",
+        seed: int = 0,
+        render_mode: None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise SettingsError(f"render_mode = {render_mode!r}: there is none, give None")
+        self.render_mode = None
+        self._simulation = _simulation(1, model, distributions, settings)
+        self._first_seed = _as_seed(seed)
+        self._is_running = False
+        size = self._simulation.observation_size
+        self._observations: Float32s = np.zeros((1, size), np.float32)
+        self.observation_space = observation_space(size)
+        self.action_space = action_space()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float32s, dict[str, Any]]:
+        """Begins the next episode of the seed, or the first one of another seed."""
+        super().reset(seed=seed)
+        given = self._first_seed if seed is None else _as_seed(seed)
+        self._first_seed = None
+        self._simulation.reset(given, self._observations)
+        self._is_running = True
+        return self._observations[0].copy(), {"episode_number": int(self._simulation.episodes[0])}
+
+    def step(self, action: Float32s) -> tuple[Float32s, float, bool, bool, dict[str, Any]]:
+        """Applies a voltage, a fraction of 5 V, for 10 ms."""
+        if not self._is_running:
+            raise EpisodeOverError("no episode is running: call reset() first")
+        if type(action) is not np.ndarray or action.dtype != np.float32:
+            action = _as_actions(action, (1,))
+        observation, reward, terminated, truncated = self._simulation.step_one(action)
+        self._is_running = not (terminated or truncated)
+        return observation, reward, terminated, truncated, {}
+
+    @property
+    def state(self) -> Float32s:
+        """The true state: theta, alpha (rad, alpha is 0 where the pendulum hangs), theta_dot, alpha_dot (rad/s)."""
+        return np.array(self._simulation.state(0), np.float32)
+
+    def qube(self, episode_number: int) -> dict[str, float]:
+        """The parameters and nonidealities of an episode's Qube under the last seed, in SI units."""
+        return self._simulation.model(episode_number)
+
+
+class QubeVectorEnv(VectorEnv[Any, Any, Any]):
+    """Many simulated Qubes, each in an episode of its own, advanced at once.
+
+    Args as for `QubeEnv`; ``num_envs`` is the number of Qubes. With ``copy=False`` each step returns the same arrays
+    again, overwritten, which is faster.
+
+    A Qube whose episode ends begins the next one in the same step (``AutoresetMode.SAME_STEP``). Its last observation
+    is then in ``info["final_obs"]``, where ``info["_final_obs"]`` is true. Episodes are numbered as they begin: the
+    same seed gives the same episodes, whatever ``num_envs``.
+    """
+
+    metadata: dict[str, Any] = {
+        "render_modes": [],
+        "render_fps": 100,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        model: str = "nominal",
+        distributions: Mapping[str, Distribution | float] | None = None,
+        settings: str | Mapping[str, Any] = "thesis",
+        seed: int = 0,
+        copy: bool = True,
+        render_mode: None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise SettingsError(f"render_mode = {render_mode!r}: there is none, give None")
+        self.render_mode = None
+        self._simulation = _simulation(num_envs, model, distributions, settings)
+        self._first_seed = _as_seed(seed)
+        self._has_begun = False
+        self._copy = copy
+        self.num_envs = num_envs
+        size = self._simulation.observation_size
+        self.single_observation_space = observation_space(size)
+        self.single_action_space = action_space()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._observations: Float32s = np.zeros((num_envs, size), np.float32)
+        self._final: Float32s = np.zeros((num_envs, size), np.float32)
+        self._rewards: Float32s = np.zeros(num_envs, np.float32)
+        self._terminated: Bools = np.zeros(num_envs, np.bool_)
+        self._truncated: Bools = np.zeros(num_envs, np.bool_)
+
+    def reset(
+        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float32s, dict[str, Any]]:
+        """Begins the next episode of the seed in every Qube, or the first ones of another seed."""
+        given = self._first_seed if seed is None else _as_seed(seed)
+        self._first_seed = None
+        self._simulation.reset(given, self._observations)
+        self._has_begun = True
+        return self._handed(self._observations), {"episode_number": self._simulation.episodes}
+
+    def step(
+        self, actions: Float32s
+    ) -> tuple[Float32s, Float32s, Bools, Bools, dict[str, Any]]:
+        """Applies voltages, fractions of 5 V of shape ``[num_envs, 1]``, for 10 ms."""
+        if not self._has_begun:
+            raise EpisodeOverError("no episode is running: call reset() first")
+        if type(actions) is not np.ndarray or actions.dtype != np.float32:
+            actions = _as_actions(actions, (self.num_envs, 1))
+        elif actions.ndim != 2:
+            raise ActionError(
+                f"the actions have the shape {actions.shape}: give {(self.num_envs, 1)}"
+            )
+        ended = self._simulation.step(
+            actions,
+            self._observations,
+            self._rewards,
+            self._terminated,
+            self._truncated,
+            self._final,
+        )
+        info: dict[str, Any] = {}
+        if ended:
+            mask = self._terminated | self._truncated
+            info = {
+                "final_obs": self._final.copy(),
+                "_final_obs": mask,
+                "episode_number": self._simulation.episodes,
+                "_episode_number": mask,
+            }
+        return (
+            self._handed(self._observations),
+            self._handed(self._rewards),
+            self._handed(self._terminated),
+            self._handed(self._truncated),
+            info,
+        )
+
+    def _handed(self, array: Any) -> Any:
+        return array.copy() if self._copy else array
+
+    @property
+    def states(self) -> Float32s:
+        """The true states ``[num_envs, 4]``: theta, alpha, theta_dot, alpha_dot in rad and rad/s."""
+        states = [self._simulation.state(index) for index in range(self.num_envs)]
+        return np.array(states, np.float32)
+
+    def qube(self, episode_number: int) -> dict[str, float]:
+        """The parameters and nonidealities of an episode's Qube under the last seed, in SI units."""
+        return self._simulation.model(episode_number)

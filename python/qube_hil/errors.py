@@ -1,0 +1,37 @@
+"""The exceptions of the package. Each carries the program's sentence: what, where, what to do."""
+
+
+class QubeHilError(Exception):
+    """Any error of this package."""
+
+
+class SettingsError(QubeHilError, ValueError):
+    """Settings, a distribution or an argument are refused."""
+
+
+class ActionError(QubeHilError, ValueError):
+    """An action has another shape or type, or is not a finite number. Nothing has moved."""
+
+
+class EpisodeOverError(QubeHilError, RuntimeError):
+    """The episode is over, or none has begun: call ``reset`` first."""
+
+
+class PolicyError(QubeHilError, ValueError):
+    """A policy cannot be read, written or made."""
+
+
+class RecordingError(QubeHilError, ValueError):
+    """A recording cannot be read, or one of its bytes has changed."""
+
+
+class SessionError(QubeHilError, ValueError):
+    """A folder is no session, or a part of it cannot be read."""
+
+
+class IdentificationError(QubeHilError, ValueError):
+    """Recordings cannot be fitted, or no Qube explains them."""
+
+
+class TrainingError(QubeHilError, RuntimeError):
+    """A training has failed."""

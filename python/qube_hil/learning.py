@@ -1,0 +1,117 @@
+"""Training by the program's PPO, and identification."""
+
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core
+from . import distributions as _distributions
+from . import settings as _settings
+from .distributions import Distribution
+from .errors import SettingsError
+from .policies import Policy
+
+
+@dataclass(frozen=True)
+class Trained:
+    """The result of a training."""
+
+    policy: Policy
+    """The policy with the highest score of all updates."""
+    best_return: float
+    """Its mean return during training. The best of many is an overestimate: evaluate it afresh."""
+    curve: dict[str, npt.NDArray[np.float64]]
+    """The learning curve: arrays ``[updates]`` by name."""
+
+
+def train(
+    model: str = "nominal",
+    *,
+    distributions: Mapping[str, Distribution | float] | None = None,
+    preset: str = "quick",
+    simulation: str | Mapping[str, Any] | None = None,
+    seed: int = 0,
+    callback: Callable[[dict[str, Any]], object] | None = None,
+    **changes: Any,
+) -> Trained:
+    """Trains one policy by PPO, as the command ``train`` does: the same arguments give the same bytes.
+
+    Args:
+        model, distributions: Distribution of the simulated Qubes, as for `QubeEnv`.
+        preset: Budget and settings: ``quick`` (seconds), ``robust`` (half a minute) or ``thesis``.
+        simulation: Sensors, history, reward and box, as for `QubeEnv`; None stands for the preset's.
+        seed: Seed of every random number.
+        callback: Called after each update with its statistics, such as ``mean_return``. An exception ends the training.
+        changes: Settings of the training that differ from the preset's, such as ``updates=20``.
+
+    Ctrl-C ends the training with a ``KeyboardInterrupt``.
+    """
+
+    def tell(update: str) -> None:
+        if callback is not None:
+            callback(json.loads(update))
+
+    try:
+        changed = json.dumps(changes, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise SettingsError(f"the training's settings cannot be written as JSON: {error}") from error
+    if not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**64:
+        raise SettingsError(f"seed = {seed!r}: give one whole number from 0 to 2^64 - 1")
+    core, best_return, curve = _core.train(
+        model,
+        _distributions.written(distributions),
+        preset,
+        None if simulation is None else _settings.written(simulation),
+        changed,
+        int(seed),
+        tell,
+    )
+    points = json.loads(curve)
+    columns = {name: np.array([point[name] for point in points], np.float64) for name in points[0]}
+    return Trained(Policy(core), best_return, columns)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The estimate of one quantity of a Qube."""
+
+    value: float
+    """Value in its SI unit."""
+    standard_error: float
+    """Standard error in the same unit."""
+    told_by_data: float
+    """Share of the prior variance that the data removed; near 0, the value is the prior's."""
+
+
+@dataclass(frozen=True)
+class Identified:
+    """The result of an identification."""
+
+    estimates: dict[str, Estimate]
+    """Estimates by the quantity's name."""
+    verdict: str
+    """Whether the model describes the Qube: ``fits``, ``fits_but`` or ``does_not_fit``."""
+    doubts: list[str]
+    """What the verdict doubts."""
+    profile: str
+    """The profile as TOML, as the program's commands read it."""
+
+
+def identify(
+    recordings: Iterable[str | os.PathLike[str]],
+    *,
+    name: str = "identified",
+    fixed: Iterable[str] = (),
+) -> Identified:
+    """Fits a Qube to recordings (MCAP, or CSV with the columns of `docs/reference/files.md`) by maximum likelihood."""
+    if isinstance(recordings, (str, os.PathLike)):
+        recordings = [recordings]
+    paths = [os.fspath(path) for path in recordings]
+    read = json.loads(_core.identify(paths, name, list(fixed)))
+    estimates = {it.pop("name"): Estimate(**it) for it in read["estimates"]}
+    return Identified(estimates, read["verdict"], read["doubts"], read["profile"])

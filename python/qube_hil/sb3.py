@@ -1,0 +1,80 @@
+"""The simulation for Stable-Baselines3, which must be installed besides this package."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv
+
+from .envs import QubeVectorEnv
+
+
+class QubeVecEnv(VecEnv):  # type: ignore[misc]
+    """A `QubeVectorEnv` as Stable-Baselines3 wants it; the arguments are the same.
+
+    The last observation of an episode is in ``infos[i]["terminal_observation"]``, and ``infos[i]["TimeLimit.truncated"]``
+    is true where it was cut short by time. Episode statistics are in ``infos[i]["episode"]``, as `VecMonitor` gives them.
+    """
+
+    def __init__(self, num_envs: int = 80, **settings: Any) -> None:
+        self._envs = QubeVectorEnv(num_envs, **settings)
+        self._next_seed: int | None = None
+        self._actions = np.zeros((num_envs, 1), np.float32)
+        self._returns = np.zeros(num_envs)
+        self._lengths = np.zeros(num_envs, np.int64)
+        self.render_mode = None
+        super().__init__(
+            num_envs, self._envs.single_observation_space, self._envs.single_action_space
+        )
+
+    def reset(self) -> Any:
+        observations, _ = self._envs.reset(seed=self._next_seed)
+        self._next_seed = None
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        return observations
+
+    def step_async(self, actions: Any) -> None:
+        self._actions = actions
+
+    def step_wait(self) -> Any:
+        observations, rewards, terminated, truncated, info = self._envs.step(self._actions)
+        self._returns += rewards
+        self._lengths += 1
+        ended = terminated | truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for index in np.flatnonzero(ended):
+            infos[index] = {
+                "terminal_observation": info["final_obs"][index],
+                "TimeLimit.truncated": bool(truncated[index]),
+                "episode": {"r": self._returns[index], "l": int(self._lengths[index])},
+            }
+        self._returns[ended] = 0.0
+        self._lengths[ended] = 0
+        return observations, rewards, ended, infos
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Gives the next `reset` this seed, which all episodes share."""
+        self._next_seed = seed
+        return [seed] * self.num_envs
+
+    def close(self) -> None:
+        self._envs.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self._envs, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise AttributeError(f"{attr_name}: the simulated Qubes have no attribute that can be set")
+
+    def env_method(
+        self, method_name: str, *arguments: Any, indices: Any = None, **named: Any
+    ) -> list[Any]:
+        method = getattr(self._envs, method_name)
+        return [method(*arguments, **named) for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[Any]:
+        return [None] * self.num_envs

@@ -1,0 +1,23 @@
+//! The exceptions of the package, which `qube_hil/errors.py` defines.
+
+use std::fmt::Display;
+
+use pyo3::{PyErr, import_exception};
+
+import_exception!(qube_hil.errors, ActionError);
+import_exception!(qube_hil.errors, IdentificationError);
+import_exception!(qube_hil.errors, PolicyError);
+import_exception!(qube_hil.errors, RecordingError);
+import_exception!(qube_hil.errors, SessionError);
+import_exception!(qube_hil.errors, SettingsError);
+import_exception!(qube_hil.errors, TrainingError);
+
+/// An exception for settings that the program refuses, with its sentence.
+pub fn bad_settings(error: impl Display) -> PyErr {
+    SettingsError::new_err(error.to_string())
+}
+
+/// An exception for a policy that the program refuses, with its sentence.
+pub fn bad_policy(error: impl Display) -> PyErr {
+    PolicyError::new_err(error.to_string())
+}

@@ -1,0 +1,69 @@
+//! Identification of a Qube from its recordings.
+
+use std::path::{Path, PathBuf};
+
+use pyo3::prelude::*;
+use qube_hil::identification::{Unknown, check_recording, identify as fit};
+use qube_hil::qube::QubeModel;
+use qube_hil::replay::MotionLog;
+use serde_json::json;
+
+use crate::errors::{IdentificationError, bad_settings};
+
+/// Fits a Qube to recordings, MCAP or CSV. Returns JSON: estimates, verdict, doubts, and the profile as TOML.
+#[pyfunction]
+pub fn identify(
+    py: Python<'_>,
+    paths: Vec<PathBuf>,
+    name: &str,
+    fixed: Vec<String>,
+) -> PyResult<String> {
+    let names: Vec<&str> = Unknown::all().map(Unknown::name).collect();
+    if let Some(unknown) = fixed.iter().find(|name| !names.contains(&name.as_str())) {
+        let known = names.join(", ");
+        return Err(bad_settings(format!(
+            "there is no quantity {unknown:?}: give some of {known}"
+        )));
+    }
+    let unknowns: Vec<Unknown> =
+        Unknown::all().filter(|it| !fixed.iter().any(|name| name == it.name())).collect();
+    if unknowns.is_empty() {
+        return Err(bad_settings("every quantity is fixed: leave at least one to identify"));
+    }
+    py.detach(|| fitted(&paths, name, &unknowns)).map_err(IdentificationError::new_err)
+}
+
+fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String, String> {
+    let logs = paths.iter().map(|path| read(path)).collect::<Result<Vec<_>, _>>()?;
+    let identified =
+        fit(&logs, unknowns, &QubeModel::NOMINAL).map_err(|error| error.to_string())?;
+    let file_name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into();
+    let profile = identified.profile(name, paths.iter().map(file_name).collect());
+    let estimates = identified.estimates.iter().map(|estimate| {
+        json!({
+            "name": estimate.unknown.name(),
+            "value": estimate.value,
+            "standard_error": estimate.standard_error,
+            "told_by_data": estimate.told_by_data,
+        })
+    });
+    let assessment = &identified.assessment;
+    let result = json!({
+        "estimates": estimates.collect::<Vec<_>>(),
+        "verdict": assessment.verdict.name(),
+        "doubts": assessment.doubts.iter().map(|doubt| doubt.name()).collect::<Vec<_>>(),
+        "profile": toml::to_string_pretty(&profile).map_err(|error| error.to_string())?,
+    });
+    Ok(result.to_string())
+}
+
+fn read(path: &Path) -> Result<MotionLog, String> {
+    let log = MotionLog::read(path).map_err(|error| error.to_string())?;
+    let told = |what: &dyn std::fmt::Display| format!("{}: {what}", path.display());
+    if !log.plant.is_qube() {
+        let plant = log.plant.name;
+        return Err(told(&format!("it is of the plant {plant}, and a fit knows a Qube only")));
+    }
+    check_recording(&log).map_err(|why| told(&why))?;
+    Ok(log)
+}

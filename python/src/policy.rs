@@ -1,0 +1,139 @@
+//! Policies: files, and their voltages.
+
+use std::path::{Path, PathBuf};
+
+use numpy::{PyReadonlyArray2, PyReadwriteArray2, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use qube_hil::policy::{Controller, Policy as Kind};
+use qube_hil::qube::{MAX_VOLTAGE_V, OBSERVATION_SIZE, State};
+use qube_hil::storage::{Disk, MachineDisk, write_whole};
+
+use crate::errors::{ActionError, bad_policy};
+
+/// A policy: a trained network, or the classical controller.
+#[pyclass(module = "qube_hil._core")]
+pub struct Policy {
+    pub(crate) policy: Kind,
+}
+
+#[pymethods]
+impl Policy {
+    /// Reads a policy file.
+    #[staticmethod]
+    fn load(path: PathBuf) -> PyResult<Self> {
+        Ok(Self { policy: Kind::load(&path).map_err(bad_policy)? })
+    }
+
+    /// Reads the bytes of a policy file.
+    #[staticmethod]
+    fn from_bytes(bytes: &[u8]) -> PyResult<Self> {
+        let bad = |fault| bad_policy(format!("the policy {fault}"));
+        Ok(Self { policy: Kind::from_bytes(bytes).map_err(bad)? })
+    }
+
+    /// The bytes of the policy's file.
+    fn to_bytes<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        PyBytes::new(py, &self.policy.to_bytes())
+    }
+
+    /// Writes the policy file, which appears whole or not at all. A file of that name is replaced with `force` alone.
+    fn save(&self, path: PathBuf, force: bool) -> PyResult<()> {
+        if !force && MachineDisk.exists(&path) {
+            let path = path.display();
+            return Err(bad_policy(format!(
+                "{path}: exists already: give another name, or force=True"
+            )));
+        }
+        write(&path, &self.policy.to_bytes())
+    }
+
+    /// The kind: `network`, `classical` or `excitation`.
+    #[getter]
+    fn kind(&self) -> &'static str {
+        match self.policy {
+            Kind::Network(_) => "network",
+            Kind::Classical(_) => "classical",
+            Kind::Excitation(_) => "excitation",
+        }
+    }
+
+    /// Length of the observation.
+    #[getter]
+    fn observation_size(&self) -> usize {
+        match &self.policy {
+            Kind::Network(policy) => policy.network.sizes()[0],
+            Kind::Classical(_) | Kind::Excitation(_) => OBSERVATION_SIZE,
+        }
+    }
+
+    /// Sizes of the network's layers from the observation to the output; `None` without a network.
+    #[getter]
+    fn sizes(&self) -> Option<Vec<usize>> {
+        match &self.policy {
+            Kind::Network(policy) => Some(policy.network.sizes().to_vec()),
+            Kind::Classical(_) | Kind::Excitation(_) => None,
+        }
+    }
+
+    /// The record of the training as JSON; `None` without a network.
+    #[getter]
+    fn training(&self) -> PyResult<Option<String>> {
+        let Kind::Network(policy) = &self.policy else { return Ok(None) };
+        serde_json::to_string(&policy.training).map(Some).map_err(bad_policy)
+    }
+
+    /// Writes the voltages for observations `[n, observation_size]`, V, to `voltages_v`, `[n, 1]`.
+    fn voltages(
+        &mut self,
+        py: Python<'_>,
+        observations: PyReadonlyArray2<'_, f32>,
+        mut voltages_v: PyReadwriteArray2<'_, f32>,
+    ) -> PyResult<()> {
+        let size = self.observation_size();
+        let [count, given] = [observations.shape()[0], observations.shape()[1]];
+        if given != size {
+            return Err(ActionError::new_err(format!(
+                "the observation has {given} entries: this policy sees {size}"
+            )));
+        }
+        if voltages_v.shape() != [count, 1] {
+            return Err(ActionError::new_err(format!("voltages_v: give [{count}, 1]")));
+        }
+        let observations = observations.as_array();
+        let voltages_v = voltages_v.as_slice_mut().map_err(bad_policy)?;
+        if !observations.iter().all(|entry| entry.is_finite()) {
+            return Err(ActionError::new_err(
+                "an observation has an entry that is not a finite number",
+            ));
+        }
+        py.detach(|| {
+            let mut observation = vec![0.0; size];
+            for (row, voltage_v) in observations.outer_iter().zip(voltages_v) {
+                observation.iter_mut().zip(row).for_each(|(entry, &seen)| *entry = seen);
+                *voltage_v = match &mut self.policy {
+                    Kind::Network(policy) => policy.network.voltage_of_observation_v(&observation),
+                    other => other.voltage_v(&state_of(&observation)) as f32,
+                };
+                *voltage_v = voltage_v.clamp(-MAX_VOLTAGE_V as f32, MAX_VOLTAGE_V as f32);
+            }
+        });
+        Ok(())
+    }
+}
+
+/// The state of an observation, with both angles within half a turn.
+fn state_of(observation: &[f32]) -> State {
+    let entry = |index: usize| f64::from(observation[index]);
+    State {
+        theta: entry(0).atan2(entry(1)),
+        alpha: entry(2).atan2(entry(3)),
+        theta_dot: entry(4) / 0.1,
+        alpha_dot: entry(5) / 0.05,
+    }
+}
+
+/// Writes a file whole.
+fn write(path: &Path, bytes: &[u8]) -> PyResult<()> {
+    write_whole(&MachineDisk, path, bytes).map_err(bad_policy)
+}

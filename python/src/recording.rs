@@ -1,0 +1,85 @@
+//! Recordings of rollouts as columns.
+
+use std::path::PathBuf;
+
+use numpy::PyArray1;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict, PyString};
+use qube_hil::qube::{Measurement, RAD_PER_COUNT};
+use qube_hil::recording::{Completeness, Recording, read};
+use qube_hil::scoring::return_of;
+use qube_hil::telemetry::{Phase, TickRecord};
+
+use crate::errors::RecordingError;
+
+/// Reads a recording and checks every byte. Returns a dictionary: `columns`, `header` and `outcome` as JSON (outcome
+/// is `None` in a recording that is cut off), `policy`, `return`, `whole`.
+#[pyfunction]
+pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
+    let recording =
+        py.detach(|| read(&path)).map_err(|error| RecordingError::new_err(error.to_string()))?;
+    let json = |error: serde_json::Error| RecordingError::new_err(error.to_string());
+    let read = PyDict::new(py);
+    read.set_item("columns", columns(py, &recording)?)?;
+    read.set_item("header", serde_json::to_string(&recording.header).map_err(json)?)?;
+    let outcome = recording.outcome.as_ref().map(serde_json::to_string);
+    read.set_item("outcome", outcome.transpose().map_err(json)?)?;
+    read.set_item("policy", PyBytes::new(py, &recording.policy))?;
+    read.set_item("return", return_of(&recording.ticks, &recording.header.reward))?;
+    read.set_item("whole", recording.completeness == Completeness::Whole)?;
+    Ok(read)
+}
+
+/// One array for each quantity of the ticks.
+fn columns<'py>(py: Python<'py>, recording: &Recording) -> PyResult<Bound<'py, PyDict>> {
+    let ticks = &recording.ticks;
+    let calibration = &recording.header.settings.calibration;
+    let first_ns = ticks.first().map_or(0, |tick| tick.deadline_ns);
+    let columns = PyDict::new(py);
+    macro_rules! column {
+        ($name:literal, $of:expr) => {
+            columns.set_item($name, PyArray1::from_iter(py, ticks.iter().map($of)))?
+        };
+    }
+    let sampled = |of: fn(&Measurement) -> f64| {
+        move |tick: &TickRecord| tick.measurement.as_ref().map_or(f64::NAN, of)
+    };
+    column!("tick", |tick| tick.tick);
+    column!("time_s", |tick| 1e-9 * tick.deadline_ns.wrapping_sub(first_ns) as f64);
+    let phase = |tick: &TickRecord| PyString::intern(py, name(tick.phase));
+    let phases = ticks.iter().map(phase).collect::<Vec<_>>();
+    columns.set_item("phase", py.import("numpy")?.call_method1("array", (phases, "<U8"))?)?;
+    column!("theta_rad", |tick| tick.state.theta);
+    column!("alpha_rad", |tick| tick.state.alpha);
+    column!("theta_dot_rad_s", |tick| tick.state.theta_dot);
+    column!("alpha_dot_rad_s", |tick| tick.state.alpha_dot);
+    column!("wanted_v", |tick| tick.wanted_v.unwrap_or(f64::NAN));
+    column!("voltage_v", |tick| f64::from(tick.voltage_mv) / 1000.0);
+    let weights = &recording.header.reward;
+    column!("reward", |tick| return_of(std::slice::from_ref(tick), weights));
+    column!("has_sample", |tick| tick.measurement.is_some());
+    column!("device_time_s", sampled(|sample| 1e-6 * sample.device_time_us as f64));
+    column!("theta_counts", sampled(|sample| sample.theta_counts.into()));
+    column!("alpha_counts", sampled(|sample| sample.alpha_counts.into()));
+    let angles = |tick: &TickRecord| tick.measurement.map(|sample| calibration.angles_rad(&sample));
+    column!("measured_theta_rad", |tick| angles(tick).map_or(f64::NAN, |(theta, _)| theta));
+    column!("measured_alpha_rad", |tick| angles(tick).map_or(f64::NAN, |(_, alpha)| alpha));
+    let rad_s = |sample: &Measurement| f64::from(sample.tachometer_counts_s) * RAD_PER_COUNT;
+    column!("tachometer_rad_s", sampled(rad_s));
+    column!("current_a", sampled(|sample| sample.current_a.into()));
+    column!("applied_v", sampled(|sample| f64::from(sample.applied_mv) / 1000.0));
+    let sample_to_act = |sample: &Measurement| sample.sample_to_act_us.map_or(f64::NAN, f64::from);
+    column!("sample_to_act_us", sampled(sample_to_act));
+    column!("lateness_us", |tick| 1e-3 * tick.lateness_ns as f64);
+    column!("turnaround_us", |tick| 1e-3 * tick.turnaround_ns as f64);
+    column!("skipped_periods", |tick| tick.skipped_periods);
+    Ok(columns)
+}
+
+fn name(phase: Phase) -> &'static str {
+    match phase {
+        Phase::Settling => "settling",
+        Phase::Running => "running",
+        Phase::Braking => "braking",
+    }
+}

@@ -1,0 +1,144 @@
+//! Training by PPO.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::Duration;
+
+use pyo3::prelude::*;
+use qube_hil::learning::{
+    Origin, Preset, TrainError, TrainSettings, TrainUpdate, Trained, train as train_on,
+};
+use qube_hil::simulation::{DomainDistribution, SimulationSettings};
+use serde_json::{Map, Value};
+
+use crate::errors::{TrainingError, bad_settings};
+use crate::policy::Policy;
+use crate::simulation::{read_distribution, read_settings};
+
+/// Time between two looks for Ctrl-C.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Trains a policy and calls `tell` with each update as JSON. Ctrl-C and an exception of `tell` end the training.
+///
+/// `simulation` is JSON, or `None` for the preset's; `changes` are settings of the training as JSON. Returns the
+/// policy, its best return, and the learning curve as JSON.
+#[pyfunction]
+#[allow(
+    clippy::too_many_arguments,
+    reason = "the arguments of a training, by name in the package's function"
+)]
+pub fn train(
+    py: Python<'_>,
+    model: &str,
+    distributions: &str,
+    preset: &str,
+    simulation: Option<&str>,
+    changes: &str,
+    seed: u64,
+    tell: &Bound<'_, PyAny>,
+) -> PyResult<(Policy, f64, String)> {
+    let named =
+        Preset::NAMED.into_iter().find(|known| known.name() == preset).ok_or_else(|| {
+            let names = Preset::NAMED.map(Preset::name).join(", ");
+            bad_settings(format!("there is no preset {preset:?}: give one of {names}"))
+        })?;
+    let of_preset = named.settings_or(TrainSettings::default());
+    let mut settings = changed(&of_preset, changes)?;
+    settings.simulation = match simulation {
+        Some(json) => read_settings(json)?,
+        // As the command `train` does.
+        None if model == "robust" => {
+            let history = SimulationSettings::robust().history;
+            SimulationSettings { history, ..of_preset.simulation }
+        }
+        None => of_preset.simulation,
+    };
+    let distribution = read_distribution(model, distributions, &settings.simulation)?;
+    settings.check().map_err(bad_settings)?;
+    let origin = Origin {
+        model: origin(model, distributions),
+        psi: None,
+        preset: Preset::of(&settings).name().to_owned(),
+    };
+    let trained = supervised(py, &distribution, &settings, seed, tell)?;
+    let best_return = trained.best_return;
+    let curve = serde_json::to_string(&trained.curve).map_err(bad_settings)?;
+    Ok((Policy { policy: trained.into_policy(origin) }, best_return, curve))
+}
+
+/// Trains in a thread of its own while this one calls `tell` and looks for Ctrl-C.
+fn supervised(
+    py: Python<'_>,
+    distribution: &DomainDistribution,
+    settings: &TrainSettings,
+    seed: u64,
+    tell: &Bound<'_, PyAny>,
+) -> PyResult<Trained> {
+    let stop = AtomicBool::new(false);
+    let (updates, told) = channel();
+    std::thread::scope(|scope| {
+        let stop = &stop;
+        let training = scope.spawn(move || {
+            train_on(distribution, settings, seed, None, stop, |update| {
+                // The receiver outlives the training.
+                let _ = updates.send(*update);
+            })
+        });
+        let followed = follow(py, told, tell);
+        if followed.is_err() {
+            stop.store(true, Ordering::Relaxed);
+        }
+        let joined = py.detach(|| training.join());
+        followed?;
+        match joined {
+            Ok(trained) => {
+                trained.map_err(|error: TrainError| TrainingError::new_err(error.to_string()))
+            }
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+    })
+}
+
+/// Calls `tell` with each update until the training ends.
+fn follow(py: Python<'_>, told: Receiver<TrainUpdate>, tell: &Bound<'_, PyAny>) -> PyResult<()> {
+    let mut told = std::sync::Mutex::new(told);
+    loop {
+        py.check_signals()?;
+        let receiver = &mut told;
+        let next = py.detach(|| match receiver.get_mut() {
+            Ok(receiver) => receiver.recv_timeout(LOOK),
+            Err(_) => Err(RecvTimeoutError::Disconnected),
+        });
+        match next {
+            Ok(update) => {
+                tell.call1((serde_json::to_string(&update).map_err(bad_settings)?,))?;
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+        }
+    }
+}
+
+/// The settings with some of them replaced.
+fn changed(settings: &TrainSettings, changes: &str) -> PyResult<TrainSettings> {
+    let changes: Map<String, Value> = serde_json::from_str(changes).map_err(bad_settings)?;
+    let mut all = serde_json::to_value(settings).map_err(bad_settings)?;
+    for (name, value) in changes {
+        match all.get_mut(&name) {
+            Some(entry) if name != "simulation" => *entry = value,
+            _ => return Err(bad_settings(format!("a training has no setting {name:?}"))),
+        }
+    }
+    let named = |error| bad_settings(format!("the training's settings: {error}"));
+    serde_json::from_value(all).map_err(named)
+}
+
+/// The name of the distribution in the policy's file.
+fn origin(model: &str, distributions: &str) -> String {
+    let replaced: Map<String, Value> = serde_json::from_str(distributions).unwrap_or_default();
+    if replaced.is_empty() {
+        return model.to_owned();
+    }
+    let names: Vec<String> = replaced.into_iter().map(|(name, _)| name).collect();
+    format!("{model} with its own {}", names.join(", "))
+}

@@ -1,0 +1,134 @@
+"""Training, policies and identification."""
+
+import _thread
+import threading
+
+import numpy as np
+import pytest
+from conftest import program
+
+import qube_hil
+from qube_hil import Normal, Policy, QubeVectorEnv
+
+SMALL = {"updates": 3, "epochs": 1, "num_envs": 16}
+
+
+def test_a_training_gives_the_bytes_of_the_command(tmp_path):
+    file = tmp_path / "mine.safetensors"
+    program("train", "--model", "robust", "--preset", "quick", "--seed", 3, "--out", file)
+    told = []
+    trained = qube_hil.train("robust", seed=3, callback=told.append)
+    assert trained.policy.to_bytes() == file.read_bytes()
+    assert [update["update"] for update in told] == list(range(60))
+    assert (trained.curve["mean_return"] == [update["mean_return"] for update in told]).all()
+    assert trained.best_return == trained.curve["mean_return"].max()
+    assert trained.policy.training["best_return"] == trained.best_return
+
+
+def test_a_trained_policy_earns_in_the_environment_what_its_training_says():
+    trained = qube_hil.train(seed=1)
+    env = QubeVectorEnv(100)
+    observations, _ = env.reset(seed=11)
+    returns = np.zeros(100)
+    for _ in range(qube_hil.MAX_STEPS):
+        observations, rewards, terminated, _, _ = env.step(trained.policy.act(observations))
+        assert not terminated.any()
+        returns += rewards
+    assert trained.best_return > 400.0
+    assert abs(returns.mean() - trained.best_return) < 0.1 * trained.best_return
+
+
+def test_an_exception_of_the_callback_ends_the_training():
+    def ends(update):
+        raise LookupError(f"in update {update['update']}")
+
+    with pytest.raises(LookupError, match="in update 0"):
+        qube_hil.train(callback=ends)
+
+
+def test_ctrl_c_ends_the_training():
+    begun = threading.Event()
+
+    def interrupt():
+        begun.wait()
+        _thread.interrupt_main()
+
+    interrupter = threading.Thread(target=interrupt)
+    interrupter.start()
+    with pytest.raises(KeyboardInterrupt):
+        qube_hil.train(preset="thesis", updates=1_000_000, callback=lambda _: begun.set())
+    interrupter.join()
+
+
+def test_settings_and_distributions_are_taken_and_recorded():
+    trained = qube_hil.train(
+        distributions={"M_p": Normal(0.03, 0.001)}, simulation="robust", **SMALL
+    )
+    assert len(trained.curve["update"]) == 3
+    assert trained.policy.sizes == [8, 64, 64, 1]
+    assert trained.policy.training["preset"] == "custom"
+    assert "M_p" in trained.policy.training["model"]
+    for wrong in [{"updates": 0}, {"epoch": 1}, {"updates": "many"}, {"preset": "none"}, {"seed": -1}]:
+        with pytest.raises(qube_hil.SettingsError):
+            qube_hil.train(**wrong)
+
+
+def test_a_policy_is_saved_and_read(tmp_path):
+    policy = qube_hil.train(**SMALL).policy
+    file = tmp_path / "p.safetensors"
+    policy.save(file)
+    again = Policy.load(file)
+    assert again.to_bytes() == policy.to_bytes() == file.read_bytes()
+    with pytest.raises(qube_hil.PolicyError, match="exists already"):
+        policy.save(file)
+    policy.save(file, force=True)
+    observations = np.random.default_rng(0).normal(size=(50, 6)).astype(np.float32)
+    assert (again.act(observations) == policy.act(observations)).all()
+    single = policy.act(observations[7])
+    assert single.shape == (1,) and single == policy.act(observations)[7]
+    assert np.abs(policy.act(1e3 * observations)).max() <= 1.0
+
+
+def test_what_is_no_policy_or_observation_is_named(tmp_path):
+    with pytest.raises(qube_hil.PolicyError, match="missing"):
+        Policy.load(tmp_path / "missing")
+    with pytest.raises(qube_hil.PolicyError, match="safetensors"):
+        Policy.from_bytes(b"nothing")
+    policy = qube_hil.train(**SMALL).policy
+    for wrong in [np.zeros(5), np.zeros((2, 3, 6)), np.full(6, np.nan), "x", None]:
+        with pytest.raises(qube_hil.ActionError):
+            policy.act(wrong)
+
+
+def test_the_classical_controller_swings_up_a_simulated_qube(swing_up):
+    policy = qube_hil.recording(swing_up).policy
+    assert (policy.kind, policy.sizes, policy.training) == ("classical", None, None)
+    env = qube_hil.QubeEnv(settings="machine")
+    observation, _ = env.reset(seed=0)
+    total = 0.0
+    for _ in range(qube_hil.MAX_STEPS):
+        observation, reward, terminated, _, _ = env.step(policy.act(observation))
+        assert not terminated
+        total += reward
+    assert total > 400.0
+
+
+def test_a_qube_is_identified_from_its_recordings(tmp_path):
+    program(
+        "run", "--clock", "virtual", "--excite", "chirp", "--rollouts", 2, "--profile", "lab",
+        "--out", tmp_path / "chirps",
+    )
+    recordings = sorted((tmp_path / "chirps").glob("*.mcap"))
+    found = qube_hil.identify(recordings)
+    assert found.verdict in ("fits", "fits_but")
+    resistance = found.estimates["R_m"]
+    assert resistance.standard_error > 0.0
+    file = tmp_path / "found.toml"
+    file.write_text(found.profile)
+    program("train", "--profile", file, "--preset", "quick", "--out", tmp_path / "around.safetensors")
+    with pytest.raises(qube_hil.SettingsError, match="R_x"):
+        qube_hil.identify(recordings, fixed=["R_x"])
+    with pytest.raises(qube_hil.IdentificationError):
+        qube_hil.identify([])
+    with pytest.raises(qube_hil.IdentificationError, match="missing.mcap"):
+        qube_hil.identify(tmp_path / "missing.mcap")

@@ -1,0 +1,216 @@
+"""The environments over the simulation."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import qube_hil
+from qube_hil import Normal, QubeEnv, QubeVectorEnv, Uniform
+
+
+def pushing(observations):
+    """A deterministic policy that carries some arms out of the box and holds others."""
+    return np.float32(0.6) * np.sign(observations[:, :1]) - np.float32(0.2) * observations[:, 4:5]
+
+
+def episodes(num_envs, steps, **settings):
+    """Returns, lengths and last observations of the episodes that end within these steps, by number."""
+    env = QubeVectorEnv(num_envs, **settings)
+    observations, info = env.reset(seed=7)
+    numbers = info["episode_number"]
+    returns, lengths = np.zeros(num_envs), np.zeros(num_envs, int)
+    finished = {}
+    for _ in range(steps):
+        observations, rewards, terminated, truncated, info = env.step(pushing(observations))
+        returns += rewards
+        lengths += 1
+        for index in np.flatnonzero(terminated | truncated):
+            assert info["_final_obs"][index]
+            finished[int(numbers[index])] = (
+                returns[index],
+                lengths[index],
+                bool(terminated[index]),
+                info["final_obs"][index].tobytes(),
+            )
+            returns[index], lengths[index] = 0.0, 0
+        numbers = info.get("episode_number", numbers)
+    return finished
+
+
+@pytest.mark.parametrize("model, settings", [("handcrafted", "thesis"), ("robust", "robust")])
+def test_the_same_seed_gives_the_same_episodes_whatever_the_number_of_qubes(model, settings):
+    few = episodes(3, 1300, model=model, settings=settings)
+    many = episodes(37, 700, model=model, settings=settings)
+    common = few.keys() & many.keys()
+    assert len(common) >= 6
+    assert all(few[number] == many[number] for number in common)
+
+
+def test_one_qube_alone_goes_as_it_does_among_others():
+    env, single = QubeVectorEnv(5, model="robust"), QubeEnv(model="robust")
+    observations, _ = env.reset(seed=3)
+    alone, info = single.reset(seed=3)
+    assert info == {"episode_number": 0}
+    for _ in range(50):
+        assert (alone == observations[0]).all()
+        action = pushing(observations)
+        observations, rewards, terminated, truncated, _ = env.step(action)
+        alone, reward, left, over, _ = single.step(action[0])
+        assert (reward, left, over) == (rewards[0], terminated[0], truncated[0])
+        if left:
+            break
+        assert (single.state == env.states[0]).all()
+    assert left
+
+
+def test_gymnasium_finds_nothing_wrong():
+    with warnings.catch_warnings():
+        # Velocities have no bounds.
+        warnings.filterwarnings("ignore", message=".*Box observation space.*")
+        check_env(gymnasium.make("qube_hil/Qube-v0", settings="robust").unwrapped)
+    env = gymnasium.make_vec("qube_hil/Qube-v0", num_envs=4, model="robust")
+    assert isinstance(env, QubeVectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(env)
+    observations, _ = env.reset(seed=0)
+    ended = []
+    for _ in range(600):
+        observations, _, _, _, info = env.step(0.0 * observations[:, :1])
+        ended.extend(info["episode"]["l"][info["_episode"]] if "episode" in info else [])
+    assert ended == [600] * 4
+
+
+def test_an_episode_that_leaves_the_box_is_terminated_and_one_that_is_over_truncated():
+    env = QubeEnv()
+    env.reset(seed=0)
+    steps = [env.step(np.ones(1, np.float32)) for _ in range(20)]
+    assert not any(step[2] or step[3] for step in steps)
+    while not (last := env.step(np.ones(1, np.float32)))[2]:
+        pass
+    assert last[3] is False
+    with pytest.raises(qube_hil.EpisodeOverError, match="reset"):
+        env.step(np.ones(1, np.float32))
+    env.reset()
+    idle = [env.step(np.zeros(1, np.float32)) for _ in range(qube_hil.MAX_STEPS)]
+    assert [step[3] for step in idle] == [False] * 599 + [True]
+    assert not any(step[2] for step in idle)
+    assert sum(step[1] for step in idle) < 1.0
+
+
+def test_seeds_name_episodes_and_without_one_they_go_on():
+    env = QubeEnv(seed=5)
+    first, info = env.reset()
+    second, info = env.reset()
+    assert info["episode_number"] == 1
+    assert (first != second).any()
+    again, info = env.reset(seed=5)
+    assert (again == first).all() and info["episode_number"] == 0
+    other, _ = env.reset(seed=6)
+    assert (other != first).any()
+
+
+def test_distributions_replace_those_of_the_model():
+    env = QubeVectorEnv(
+        16,
+        model="robust",
+        distributions={"M_p": Normal(0.03, 0.001), "command_delay_s": Uniform(0.01, 0.02), "R_m": 9.0},
+    )
+    env.reset(seed=1)
+    qubes = [env.qube(number) for number in range(300)]
+    delays = [qube["command_delay_s"] for qube in qubes]
+    masses = [qube["M_p"] for qube in qubes]
+    assert 0.01 <= min(delays) < 0.011 and 0.019 < max(delays) <= 0.02
+    assert abs(np.mean(masses) - 0.03) < 0.0002 and 0.0008 < np.std(masses) < 0.0012
+    assert {qube["R_m"] for qube in qubes} == {9.0}
+    assert len({qube["coulomb_torque_n_m"] for qube in qubes}) > 200
+
+
+def test_an_arm_that_is_pushed_turns_and_the_last_commands_are_observed():
+    env = QubeEnv(settings="robust")
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == (8,) and (observation[6:] == 0.0).all()
+    env.step(np.array([0.3], np.float32))
+    observation, *_ = env.step(np.array([-1.7], np.float32))
+    # Actions are clipped to the motor's 5 V.
+    assert np.allclose(observation[6:], [-1.0, 0.3])
+
+
+def test_arrays_are_written_over_where_the_caller_wants_no_copies():
+    env = QubeVectorEnv(4, copy=False)
+    first, _ = env.reset(seed=0)
+    second, *_ = env.step(np.ones((4, 1), np.float32))
+    assert second is first
+    env = QubeVectorEnv(4)
+    first, _ = env.reset(seed=0)
+    kept = first.copy()
+    env.step(np.ones((4, 1), np.float32))
+    assert (first == kept).all()
+
+
+@pytest.mark.parametrize(
+    "action, told",
+    [
+        (np.array([np.nan], np.float32), "finite"),
+        (np.array([np.inf]), "finite"),
+        (np.zeros(2, np.float32), "shape"),
+        (np.zeros((1, 1)), "shape"),
+        (np.float32(0.0), "shape"),
+        (np.array(["1"]), "type"),
+        (np.array([True]), "type"),
+        (None, "type"),
+    ],
+)
+def test_an_action_that_is_none_is_refused_and_moves_nothing(action, told):
+    env = QubeEnv()
+    env.reset(seed=0)
+    before = env.state
+    with pytest.raises(qube_hil.ActionError, match=told):
+        env.step(action)
+    assert (env.state == before).all()
+    env = QubeVectorEnv(3)
+    env.reset(seed=0)
+    before = env.states
+    actions = None if action is None else np.stack([np.zeros_like(action), action, action])
+    with pytest.raises(qube_hil.ActionError, match=told):
+        env.step(actions)
+    assert (env.states == before).all()
+
+
+@pytest.mark.parametrize(
+    "settings, told",
+    [
+        ({"num_envs": 0}, "num_envs"),
+        ({"model": "none"}, "nominal, handcrafted"),
+        ({"settings": "none"}, "thesis, machine, robust"),
+        ({"settings": {"histroy": 2}}, "histroy"),
+        ({"settings": {"history": 5}}, "0 to 4"),
+        ({"settings": {"reward": float("nan")}}, "JSON"),
+        ({"settings": {"sensors": {"type": "encoders", "estimator": {"corner_rad_s": -1.0}}}}, "corner"),
+        ({"distributions": {"M_x": 1.0}}, "M_x"),
+        ({"distributions": {"M_p": "heavy"}}, "heavy"),
+        ({"distributions": {"M_p": -1.0}}, "M_p"),
+        ({"distributions": {"M_p": float("nan")}}, "finite"),
+        ({"distributions": {"M_p": Uniform(2.0, 1.0)}}, "smaller"),
+        ({"distributions": {"command_delay_s": Uniform(0.0, 0.2)}}, "delay"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 1.5}, "seed"),
+        ({"render_mode": "human"}, "render_mode"),
+    ],
+)
+def test_settings_that_cannot_be_are_named(settings, told):
+    with pytest.raises(qube_hil.SettingsError, match=told):
+        QubeVectorEnv(**settings)
+    with pytest.raises(ValueError):
+        QubeVectorEnv(**settings)
+
+
+def test_nothing_moves_before_a_reset():
+    for env in [QubeEnv(), QubeVectorEnv(1)]:
+        with pytest.raises(qube_hil.EpisodeOverError):
+            env.step(np.zeros(env.action_space.shape, np.float32))
+    with pytest.raises(qube_hil.SettingsError, match="seed"):
+        QubeVectorEnv(2).reset(seed=[1, 2])
