@@ -64,6 +64,8 @@ pub mod preflight;
 pub mod qube;
 pub mod recording;
 pub mod replay;
+#[cfg(feature = "cli")]
+pub mod report;
 pub mod rig;
 pub mod safety;
 pub mod scoring;

@@ -101,6 +101,7 @@ fn commands_print_the_fields_of_the_page() {
     succeeds("`run`", &chirp);
     succeeds("`replay`", &["replay", "run/rollout-0.mcap"]);
     succeeds("`replay`", &["replay", "run/rollout-0.mcap", "--simulate"]);
+    succeeds("`report`", &["report", "run/rollout-0.mcap"]);
     succeeds("`recover`", &["recover", "run/rollout-0.mcap"]);
     let whole = std::fs::read(directory.path().join("run/rollout-0.mcap")).unwrap();
     std::fs::write(directory.path().join("cut.mcap"), &whole[..whole.len() / 2]).unwrap();

@@ -2,7 +2,7 @@ use plotters::prelude::*;
 
 use super::{DrawingError, Panel, PlotError};
 use crate::qube::{DomainParameter, DomainParameters};
-use crate::simulation::{Distribution, DomainDistribution};
+use crate::simulation::DomainDistribution;
 
 /// Masses and lengths, the parameters of figure 5.2.
 const SHOWN: [DomainParameter; 4] = [
@@ -47,7 +47,7 @@ fn density_panel(
         .iter()
         .map(|(_, distribution)| {
             let drawn = distribution.get(parameter);
-            (0..POINTS).map(|index| (at(index), density(&drawn, at(index)) * nominal)).collect()
+            (0..POINTS).map(|index| (at(index), drawn.density(at(index)) * nominal)).collect()
         })
         .collect();
     // A single narrow density must not flatten the others.
@@ -88,39 +88,10 @@ fn density_panel(
         .draw()
 }
 
-/// The density at a value; zero for a constant, which has no density.
-fn density(distribution: &Distribution, value: f64) -> f64 {
-    let (mean, deviation) = (distribution.mean(), distribution.standard_deviation());
-    if deviation == 0.0 {
-        return 0.0;
-    }
-    let z = (value - mean) / deviation;
-    match distribution {
-        Distribution::Constant { .. } => 0.0,
-        Distribution::Normal { .. } => {
-            (-0.5 * z * z).exp() / (deviation * (2.0 * std::f64::consts::PI).sqrt())
-        }
-        Distribution::Uniform { .. } if z.abs() <= 3.0_f64.sqrt() => {
-            1.0 / (12.0_f64.sqrt() * deviation)
-        }
-        Distribution::Uniform { .. } => 0.0,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::simulation::Family;
-
-    #[test]
-    fn densities_integrate_to_one() {
-        let (mean, standard_deviation) = (0.1, 0.02);
-        for family in [Family::Normal, Family::Uniform] {
-            let distribution = family.with_moments(mean, standard_deviation);
-            let sum: f64 = (0..2000).map(|i| density(&distribution, f64::from(i) * 1e-4)).sum();
-            assert!((sum * 1e-4 - 1.0).abs() < 2e-3, "{family:?}: {sum}");
-        }
-    }
 
     #[test]
     fn the_figure_shows_every_recipe() {

@@ -62,6 +62,11 @@ impl Failure {
         Self { message, ..self }
     }
 
+    /// The sentence for the user.
+    pub fn cause(&self) -> &str {
+        &self.message
+    }
+
     /// Whether the request was invalid.
     pub fn is_usage(&self) -> bool {
         self.code == 2

@@ -32,6 +32,7 @@ mod printable;
 mod profile;
 mod recover;
 mod replay;
+mod report;
 mod run;
 mod service_manager;
 mod session;
@@ -99,6 +100,7 @@ enum Command {
     Benchmark(benchmark::Arguments),
     Toy(toy::Arguments),
     Replay(replay::Arguments),
+    Report(report::Arguments),
     Recover(recover::Arguments),
     Soak(soak::Arguments),
 }
@@ -130,6 +132,7 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
         Command::Benchmark(arguments) => benchmark::run(&arguments, &output),
         Command::Toy(arguments) => toy::run(&arguments, &output),
         Command::Replay(arguments) => replay::run(&arguments, &output),
+        Command::Report(arguments) => report::run(&arguments, &output),
         Command::Recover(arguments) => recover::run(&arguments, &output),
         Command::Soak(arguments) => soak::run(arguments, &output),
     };

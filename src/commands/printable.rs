@@ -3,6 +3,8 @@
 
 use std::borrow::Cow;
 
+use crate::report::is_obeyed;
+
 /// Escapes everything that a terminal would obey instead of showing: control characters (except line ends
 /// and tabs, which the program's own tables contain), and characters that change the direction of writing
 /// or have no width.
@@ -79,23 +81,6 @@ fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {
         }
     }
     Cow::Owned(whole)
-}
-
-/// Whether a terminal obeys the character: Unicode's control characters including C1; line and paragraph
-/// separators; characters that change the direction of writing (UAX 9); characters without width; tags.
-fn is_obeyed(letter: char) -> bool {
-    letter.is_control()
-        || matches!(
-            letter,
-            '\u{061c}'
-                | '\u{180e}'
-                | '\u{200b}'..='\u{200f}'
-                | '\u{2028}'..='\u{202e}'
-                | '\u{2060}'..='\u{206f}'
-                | '\u{feff}'
-                | '\u{fff9}'..='\u{fffb}'
-                | '\u{e0000}'..='\u{e007f}'
-        )
 }
 
 #[cfg(test)]

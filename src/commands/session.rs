@@ -16,6 +16,7 @@ use super::keyboard::Keyboard;
 use super::output::Output;
 use super::printable::tell;
 use super::profile;
+use super::report;
 use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
@@ -238,9 +239,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Ok(table) => {
             let ended = ended.and_then(|()| table.check_best_policy());
             let mut result: Value = table.json();
+            let mut text = table.text();
+            let report = report::write_into_session(session.folder().paths().root());
+            match &report {
+                Ok(path) => text.push_str(&format!("a page for a browser: {}\n", path.display())),
+                Err(reason) => tell(&format!("warning: no report was written: {reason}")),
+            }
+            result["report"] = json!(report.ok().map(|path| path.to_string_lossy().into_owned()));
             result["wall_s"] = json!(started.elapsed().as_secs_f64());
             result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
-            output.print(&table.text(), &result);
+            output.print(&text, &result);
             ended
         }
         Err(error) => ended.and(Err(failed(error))),

@@ -34,6 +34,20 @@ impl Latencies {
         self.lateness_us.len()
     }
 
+    /// Number of wake-ups that were late by at most each of these bounds, in rising order, and by more than the bound
+    /// before; what is later than the last bound counts there.
+    #[must_use]
+    pub fn lateness_counts(&self, bounds_us: &[f64]) -> Vec<u64> {
+        let mut counts = vec![0; bounds_us.len()];
+        for lateness_us in &self.lateness_us {
+            let bound = bounds_us.partition_point(|bound| bound < lateness_us);
+            if let Some(count) = counts.get_mut(bound.min(bounds_us.len().saturating_sub(1))) {
+                *count += 1;
+            }
+        }
+        counts
+    }
+
     /// Lateness of wake-ups, microseconds.
     #[must_use]
     pub fn lateness_us(&self) -> LatencySummary {
@@ -68,6 +82,15 @@ mod tests {
         let expected = LatencySummary { p50: 500.0, p99: 990.0, p999: 999.0, max: 1000.0 };
         assert_eq!(summary(&values), expected);
         assert_eq!(summary(&[]), LatencySummary::default());
+    }
+
+    #[test]
+    fn every_wake_up_is_counted_once() {
+        let mut latencies = Latencies::default();
+        let late = |lateness_ns| TickRecord { lateness_ns, ..TickRecord::default() };
+        latencies.add(&[late(0), late(10_000), late(10_001), late(99_000_000)]);
+        assert_eq!(latencies.lateness_counts(&[10.0, 20.0, 30.0]), [2, 1, 1]);
+        assert!(latencies.lateness_counts(&[]).is_empty());
     }
 
     #[test]

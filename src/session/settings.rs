@@ -8,12 +8,12 @@ use crate::estimation::EstimatorSettings;
 use crate::learning::{Origin, Preset, TrainSettings};
 use crate::qube::{PlantModel, Profile, QubeModel};
 use crate::safety::{Guard, SafetyBox};
-use crate::search::{BayRnSettings, SearchError, Strategy, StrategyKind};
+use crate::search::{BayRn, BayRnSettings, Observation, SearchError, Strategy, StrategyKind};
 use crate::simulation::{
     Direction, DomainDistribution, Family, Model, ProfileSettings, Psi, PsiError, PsiSpace,
     SensorModel, SimulationSettings, box_file,
 };
-use crate::surrogate::SearchBox;
+use crate::surrogate::{GaussianProcess, SearchBox};
 
 /// The settings of the emulated Qube of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -197,10 +197,27 @@ impl SessionSettings {
     /// # Errors
     /// The settings are invalid for the strategy.
     pub fn search(&self) -> Result<Box<dyn Strategy>, SearchError> {
-        let search_box = SearchBox::new(self.psi.lower(), self.psi.upper())?;
+        self.strategy.build(&self.search_box()?, &self.bayrn(), self.seed)
+    }
+
+    /// The surrogate that the strategy fits to data; `None` for a strategy without one.
+    ///
+    /// # Errors
+    /// The settings are invalid for the strategy, or the data cannot be fitted.
+    pub fn surrogate(&self, data: &[Observation]) -> Result<Option<GaussianProcess>, SearchError> {
+        if self.strategy != StrategyKind::BayRn {
+            return Ok(None);
+        }
+        BayRn::new(self.search_box()?, self.bayrn(), self.seed)?.surrogate(data).map(Some)
+    }
+
+    fn search_box(&self) -> Result<SearchBox, SearchError> {
+        Ok(SearchBox::new(self.psi.lower(), self.psi.upper())?)
+    }
+
+    fn bayrn(&self) -> BayRnSettings {
         let initial_points = self.extent.initial_candidates as usize;
-        let bayrn = BayRnSettings { initial_points, ..self.bayrn.clone() };
-        self.strategy.build(&search_box, &bayrn, self.seed)
+        BayRnSettings { initial_points, ..self.bayrn.clone() }
     }
 
     /// Selects a preset's training, in the same simulation.
@@ -267,7 +284,6 @@ impl Default for SessionSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::search::Observation;
 
     #[test]
     fn the_surrogate_takes_over_when_the_initial_candidates_are_known() {

@@ -1,6 +1,5 @@
-use super::{
-    Candidate, LedgerError, SessionPaths, SessionState, ledger::MAX_FILE_BYTES, parse_ledger,
-};
+use super::ledger::{MAX_FILE_BYTES, Parsed};
+use super::{Candidate, Entry, LedgerError, SessionPaths, SessionState, parse_ledger};
 use crate::recording::RecordingError;
 use crate::scoring::{Verdict, mean_return, score};
 use crate::search::Observation;
@@ -10,6 +9,7 @@ use crate::storage::Disk;
 pub struct SessionView<'a> {
     disk: &'a dyn Disk,
     paths: SessionPaths,
+    entries: Vec<Entry>,
     state: SessionState,
 }
 
@@ -20,14 +20,21 @@ impl<'a> SessionView<'a> {
     /// The ledger cannot be read or is damaged.
     pub fn read(disk: &'a dyn Disk, paths: SessionPaths) -> Result<Self, LedgerError> {
         let path = paths.ledger();
-        let mut state = SessionState::default();
+        let mut parsed = Parsed::default();
         if disk.exists(&path) {
             let bytes = disk
                 .read(&path, MAX_FILE_BYTES)
                 .map_err(|source| LedgerError::Io { path: path.clone(), source })?;
-            state = parse_ledger(&bytes).map_err(|damage| damage.in_file(&path))?.state;
+            parsed = parse_ledger(&bytes).map_err(|damage| damage.in_file(&path))?;
         }
-        Ok(Self { disk, paths, state })
+        let Parsed { entries, state, .. } = parsed;
+        Ok(Self { disk, paths, entries, state })
+    }
+
+    /// The ledger's entries in order.
+    #[must_use]
+    pub fn entries(&self) -> &[Entry] {
+        &self.entries
     }
 
     /// The state that the ledger gives.

@@ -1,4 +1,4 @@
-use libm::sqrt;
+use libm::{exp, sqrt};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -156,6 +156,24 @@ impl Distribution {
         }
     }
 
+    /// The density of the draws at a value, without the truncation; zero for a constant, which has no density.
+    #[must_use]
+    pub fn density(&self, value: f64) -> f64 {
+        let (mean, deviation) = (self.mean(), self.standard_deviation());
+        if deviation == 0.0 {
+            return 0.0;
+        }
+        let z = (value - mean) / deviation;
+        match self {
+            Self::Constant { .. } => 0.0,
+            Self::Normal { .. } => {
+                exp(-0.5 * z * z) / (deviation * sqrt(2.0 * std::f64::consts::PI))
+            }
+            Self::Uniform { .. } if z.abs() <= sqrt(3.0) => 1.0 / (sqrt(12.0) * deviation),
+            Self::Uniform { .. } => 0.0,
+        }
+    }
+
     /// Checks that every draw of this quantity is physical.
     ///
     /// # Errors
@@ -271,6 +289,18 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn densities_integrate_to_one() {
+        for distribution in [
+            Distribution::Normal { mean: 0.1, standard_deviation: 0.02 },
+            Distribution::Uniform { mean: 0.1, standard_deviation: 0.02 },
+        ] {
+            let sum: f64 = (0..2000).map(|i| distribution.density(f64::from(i) * 1e-4)).sum();
+            assert!((sum * 1e-4 - 1.0).abs() < 2e-3, "{distribution:?}: {sum}");
+        }
+        assert_eq!(Distribution::Constant { value: 0.1 }.density(0.1), 0.0);
     }
 
     #[test]

@@ -14,9 +14,9 @@ use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
     Candidate, Entry, Finished, FolderError, Identification, Purpose, ScoredCandidate,
-    SessionError, SessionEvent, file_checksum,
+    SessionError, SessionEvent, file_checksum, identified_profile,
 };
-use crate::storage::{SETTINGS_BYTES, write_whole};
+use crate::storage::write_whole;
 
 impl Session {
     /// Guards an emulated Qube that is to be identified like a real one, which nobody knows before.
@@ -202,20 +202,9 @@ impl Session {
         self.search_around_identified()
     }
 
-    /// Reads a profile of the session's folder and compares it with its checksum in the ledger.
-    fn profile_of(&self, (recordings, checksum): &(u32, String)) -> Result<Profile, SessionError> {
-        let path = self.folder.paths().profile(*recordings);
-        let bytes = self
-            .folder
-            .disk()
-            .read(&path, SETTINGS_BYTES)
-            .map_err(|source| FolderError::Io { path: path.clone(), source })?;
-        let lost = |reason: String| SessionError::ProfileLost { path: path.clone(), reason };
-        if file_checksum(&bytes) != *checksum {
-            return Err(lost("it was changed".into()));
-        }
-        let text = String::from_utf8(bytes).map_err(|error| lost(error.to_string()))?;
-        Profile::parse(&text).map_err(|error| lost(error.to_string()))
+    /// The profile in the session's folder.
+    fn profile_of(&self, found: &(u32, String)) -> Result<Profile, SessionError> {
+        identified_profile(self.folder.disk(), self.folder.paths(), found)
     }
 
     /// The recordings that identify the Qube: those of excitations and of the search's candidates, in order.

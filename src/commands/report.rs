@@ -1,0 +1,200 @@
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::destination::OutputFile;
+use super::exit::Failure;
+use super::output::Output;
+use super::printable::one_line;
+use super::profile;
+use super::replay::recording_failure;
+use crate::qube::PlantModel;
+use crate::recording::{Recording, read};
+use crate::report::{ReportError, SessionSource, recordings_page, session_page};
+use crate::session::{ScoredCandidate, SessionPaths};
+use crate::storage::{MachineDisk, write_whole};
+
+/// Name of a session's report in its folder.
+const REPORT: &str = "report.html";
+
+/// Write a session or recordings as one page for a browser, with figures to zoom and pendulums to play
+///
+/// The page is one file that loads nothing: it works from a disk, in a mail, and on paper. That of a session shows
+/// the outcome, what the search did, every rollout beside the simulator, the recommended distribution, the
+/// identification, what the search believes, the trainings, timing, faults, and the commands to repeat it. `session`
+/// writes it at its end.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil report logs/monday                    # writes logs/monday/report.html\n  \
+    qube-hil report logs/monday/candidates/002/*.mcap --out five.html\n  \
+    qube-hil report --profile logs/monday/profile-1.toml rollout-0.mcap")]
+pub struct Arguments {
+    /// Folder of a session, or recordings (.mcap)
+    #[arg(required = true, value_name = "DIR|FILE")]
+    paths: Vec<PathBuf>,
+
+    /// File for the page [default: report.html in the session's folder; beside a recording, with its name]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+
+    /// Replace the file of --out
+    #[arg(long, requires = "out")]
+    force: bool,
+
+    /// The Qube to simulate beside recordings: `ideal`, `lab`, or a file that `identify` wrote [default: the nominal
+    /// plant of each recording; a session's identified Qube]
+    #[arg(long, value_name = "ideal|lab|FILE")]
+    profile: Option<String>,
+}
+
+/// Writes the page and says where it is.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let asked = match &arguments.out {
+        Some(path) => Some((path.clone(), OutputFile::prepare(path, arguments.force)?)),
+        None => None,
+    };
+    let folders = arguments.paths.iter().filter(|path| path.is_dir()).count();
+    let (page, default) = match &arguments.paths[..] {
+        [folder] if folders == 1 => {
+            if arguments.profile.is_some() {
+                return Err(Failure::usage(
+                    "a session is shown beside the Qube that it identified: leave --profile out, or name its recordings",
+                ));
+            }
+            (of_session(folder)?, folder.join(REPORT))
+        }
+        _ if folders > 0 => {
+            return Err(Failure::usage(
+                "give the folder of one session, or recordings, and not both",
+            ));
+        }
+        files => {
+            (of_recordings(files, arguments.profile.as_deref())?, files[0].with_extension("html"))
+        }
+    };
+    let path = match asked {
+        Some((path, file)) => {
+            file.write(page.as_bytes())?;
+            path
+        }
+        None => {
+            OutputFile::prepare(&default, true)?.write(page.as_bytes())?;
+            default
+        }
+    };
+    let shown = path.display().to_string();
+    let kilobytes = page.len().div_ceil(1000);
+    let text = format!("report in {shown} ({kilobytes} kB); open it in a browser");
+    output.print(&text, &json!({ "report": shown, "bytes": page.len() }));
+    Ok(())
+}
+
+/// Writes the report of a session into its folder, and returns its path.
+///
+/// # Errors
+/// The reason in a sentence.
+pub fn write_into_session(folder: &Path) -> Result<PathBuf, String> {
+    let page = of_session(folder).map_err(|failure| failure.cause().to_owned())?;
+    let path = folder.join(REPORT);
+    write_whole(&MachineDisk, &path, page.as_bytes()).map_err(|error| error.to_string())?;
+    Ok(path)
+}
+
+fn of_session(folder: &Path) -> Result<String, Failure> {
+    let source = SessionSource::read(&MachineDisk, folder).map_err(failure)?;
+    let name = folder.canonicalize().ok();
+    let name = name.as_deref().unwrap_or(folder).file_name().unwrap_or(folder.as_os_str());
+    let commands = session_commands(&source, folder);
+    session_page(&source, &name.to_string_lossy(), &commands).map_err(failure)
+}
+
+fn of_recordings(files: &[PathBuf], profile: Option<&str>) -> Result<String, Failure> {
+    let model = match profile {
+        Some(name) => Some(profile::named(name, &PlantModel::QUBE)?),
+        None => None,
+    };
+    let mut recordings: Vec<(String, Recording)> = Vec::new();
+    for path in files {
+        let recording = read(path).map_err(|error| recording_failure(&error))?;
+        recordings.push((path.to_string_lossy().into_owned(), recording));
+    }
+    let shown: Vec<String> = files.iter().map(|path| quoted(path.as_os_str())).collect();
+    let commands = [(
+        "Check that every recorded voltage comes out again:".to_owned(),
+        format!("qube-hil replay {}", shown.join(" ")),
+    )];
+    recordings_page(&recordings, model.as_ref(), &commands).map_err(failure)
+}
+
+/// The commands that use and repeat a session, each with its purpose.
+fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, String)> {
+    let paths = SessionPaths::new(folder);
+    let root = quoted(folder.as_os_str());
+    let mut commands = Vec::new();
+    if !source.is_finished() {
+        commands
+            .push(("Continue this session:".into(), format!("qube-hil session --resume {root}")));
+    }
+    if let Some(best) = ScoredCandidate::best_verified(source.candidates()) {
+        let number = source.candidates()[best].candidate.number;
+        let policy = quoted(paths.candidate(number).policy().as_os_str());
+        let run = format!("qube-hil run --policy {policy}");
+        commands.push((
+            "Run the best policy, here on the emulated Qube; add --device PORT for a real one:"
+                .into(),
+            run,
+        ));
+    }
+    let recordings = format!("qube-hil replay {root}/candidates/*/*.mcap");
+    commands.push(("Check that every recorded voltage comes out again:".into(), recordings));
+    let settings = quoted(paths.configuration().as_os_str());
+    let (clock, same) = if source.is_of_computed_time() {
+        (" --clock virtual", "Repeat this session; the same program gives the same results:")
+    } else {
+        ("", "Repeat this session; in real time its results differ a little:")
+    };
+    let repeat = format!("qube-hil session --config {settings}{clock} --out {root}-again");
+    commands.push((same.into(), repeat));
+    commands
+}
+
+/// A path as a shell reads it.
+fn quoted(path: &OsStr) -> String {
+    let path = path.to_string_lossy();
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-+=:@,".contains(letter);
+    if !path.is_empty() && path.chars().all(is_plain) && !path.starts_with('-') {
+        return path.into_owned();
+    }
+    format!("'{}'", path.replace('\'', "'\\''"))
+}
+
+fn failure(error: ReportError) -> Failure {
+    let told = one_line(&error.to_string()).into_owned();
+    match error {
+        ReportError::NotASession { .. } => {
+            Failure::usage(format!("{told}. Give a session's folder, or recordings"))
+        }
+        ReportError::Configuration(_) => Failure::usage(told),
+        ReportError::Ledger(_) => Failure::data_lost(told),
+        ReportError::Data(_) => Failure::failed(told),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_is_one_word_for_a_shell() {
+        for (path, word) in [
+            ("logs/monday", "logs/monday"),
+            ("my logs", "'my logs'"),
+            ("it's $(rm)", "'it'\\''s $(rm)'"),
+            ("-x", "'-x'"),
+            ("", "''"),
+        ] {
+            assert_eq!(quoted(OsStr::new(path)), word);
+        }
+    }
+}

@@ -1,0 +1,25 @@
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use crate::session::{ConfigurationError, LedgerError};
+
+/// The reason why no report can be written.
+#[derive(Debug, Error)]
+pub enum ReportError {
+    /// The folder is not a session.
+    #[error("{path} is not a session: it has no session.toml")]
+    NotASession {
+        /// Path of the folder.
+        path: PathBuf,
+    },
+    /// The settings cannot be read.
+    #[error(transparent)]
+    Configuration(#[from] ConfigurationError),
+    /// The ledger cannot be read.
+    #[error(transparent)]
+    Ledger(#[from] LedgerError),
+    /// The data of the figures cannot be written.
+    #[error("the figures could not be written: {0}")]
+    Data(#[from] serde_json::Error),
+}

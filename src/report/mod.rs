@@ -1,0 +1,28 @@
+//! Reports: a session, an experiment or recordings as one HTML page that loads nothing, with figures to zoom and
+//! pendulums to play.
+//!
+//! [`SessionSource`] reads a session's folder, [`session_page`] writes the page; [`recordings_page`] writes that of
+//! recordings. A page is a pure function of what was read: the figures are data, which the page's own
+//! script draws with uPlot. Every text from a file is escaped, and the page's content policy allows no other script
+//! and no request.
+//!
+//! Only the feature `cli` builds this room. It may import `session`, `scoring`, `replay`, `identification`, `recording`,
+//! `search`, `surrogate`, `simulation`, `telemetry`, `storage` and `qube`.
+
+mod chart;
+mod error;
+mod escape;
+mod motion;
+mod nearest;
+mod page;
+mod provenance;
+mod recordings;
+mod returns;
+mod rollout;
+mod session;
+mod timing;
+
+pub use error::ReportError;
+pub use escape::is_obeyed;
+pub use recordings::recordings_page;
+pub use session::{SessionSource, session_page};

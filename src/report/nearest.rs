@@ -1,0 +1,91 @@
+use crate::qube::CONTROL_PERIOD_S;
+use crate::recording::Recording;
+use crate::telemetry::Phase;
+
+/// The nearest approach of a rollout to one limit of its safety box, while the policy had the motor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Nearest {
+    /// Quantity in words.
+    pub quantity: &'static str,
+    /// Which angle of the player's figures it is; `None` for a velocity.
+    pub angle: Option<&'static str>,
+    /// Its value, rad or rad/s.
+    pub value: f64,
+    /// Its limit, rad or rad/s.
+    pub limit: f64,
+    /// The value as a share of the limit.
+    pub share: f64,
+    /// Unit of value and limit.
+    pub unit: &'static str,
+    /// Time from the policy's first tick, s.
+    pub time_s: f64,
+}
+
+/// The nearest approaches of a recording to the four limits of its box; empty if the policy never had the motor.
+#[must_use]
+pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
+    let limits = recording.header.settings.safety_box;
+    let running = || recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
+    let Some(first) = running().next() else { return Vec::new() };
+    type Of = fn(&crate::qube::State) -> f64;
+    let quantities: [(&'static str, Option<&'static str>, Of, f64, &'static str); 4] = [
+        ("arm's angle θ", Some("theta"), |state| state.theta, limits.theta, "rad"),
+        ("pendulum's angle α", Some("alpha"), |state| state.alpha, limits.alpha, "rad"),
+        ("arm's velocity", None, |state| state.theta_dot, limits.theta_dot, "rad/s"),
+        ("pendulum's velocity", None, |state| state.alpha_dot, limits.alpha_dot, "rad/s"),
+    ];
+    let mut found = Vec::new();
+    for (quantity, angle, of, limit, unit) in quantities {
+        let largest =
+            running().max_by(|one, other| of(&one.state).abs().total_cmp(&of(&other.state).abs()));
+        let Some(tick) = largest else { continue };
+        let value = of(&tick.state);
+        let time_s = f64::from(tick.tick.wrapping_sub(first.tick)) * CONTROL_PERIOD_S;
+        found.push(Nearest {
+            quantity,
+            angle,
+            value,
+            limit,
+            share: value.abs() / limit,
+            unit,
+            time_s,
+        });
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::State;
+    use crate::recording::{Completeness, samples};
+    use crate::telemetry::TickRecord;
+
+    #[test]
+    fn the_largest_values_under_the_policy_count_and_no_others() {
+        let tick = |tick, phase, theta, alpha_dot| TickRecord {
+            tick,
+            phase,
+            state: State { theta, alpha_dot, ..State::default() },
+            ..TickRecord::default()
+        };
+        let ticks = vec![
+            tick(0, Phase::Settling, 2.2, 0.0),
+            tick(5, Phase::Running, 0.1, -20.0),
+            tick(6, Phase::Running, -1.15, 3.0),
+            tick(7, Phase::Braking, 2.2, 50.0),
+        ];
+        let recording = Recording {
+            header: samples::header(),
+            policy: Vec::new(),
+            ticks,
+            outcome: None,
+            completeness: Completeness::Whole,
+        };
+        let found = nearest_approaches(&recording);
+        let theta = &found[0];
+        assert_eq!((theta.value, theta.limit, theta.time_s), (-1.15, 2.3, 0.01));
+        assert!((theta.share - 0.5).abs() < 1e-12);
+        assert_eq!((found[3].value, found[3].share, found[3].time_s), (-20.0, 0.5, 0.0));
+    }
+}

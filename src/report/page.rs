@@ -1,0 +1,305 @@
+use std::fmt::Write;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use super::chart::{Chart, Map};
+use super::escape::{escaped, inert};
+use super::motion::Motion;
+
+/// uPlot 1.6.32 by Leon Sorokin, MIT; its licence is beside it.
+const PLOTS: &str = include_str!("assets/uPlot.iife.min.js");
+const PLOTS_STYLE: &str = include_str!("assets/uPlot.min.css");
+const SCRIPT: &str = include_str!("assets/report.js");
+const STYLE: &str = include_str!("assets/report.css");
+
+/// A page in the making: HTML, and the data of its figures. Every text that it is given is escaped.
+#[derive(Debug, Default)]
+pub struct Page {
+    title: String,
+    body: String,
+    charts: Vec<Chart>,
+    maps: Vec<Map>,
+    motions: Vec<Motion>,
+    first_motion: usize,
+}
+
+/// The data of a page's figures.
+#[derive(Serialize)]
+struct Data<'a> {
+    charts: &'a [Chart],
+    maps: &'a [Map],
+    motions: &'a [Motion],
+    first_motion: usize,
+}
+
+/// A cell of a table.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cell {
+    /// Words.
+    Text(String),
+    /// A number with its digits, aligned to the right.
+    Number(String),
+}
+
+impl Cell {
+    /// A number with so many decimals; a dash for none.
+    pub fn number(value: Option<f64>, decimals: usize) -> Self {
+        Self::Number(match value {
+            Some(value) if value.is_finite() => format!("{value:.decimals$}"),
+            _ => "–".into(),
+        })
+    }
+
+    /// A number with four significant digits.
+    pub fn significant(value: f64) -> Self {
+        Self::Number(significant(value))
+    }
+}
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        Self::Text(text.into())
+    }
+}
+
+impl From<String> for Cell {
+    fn from(text: String) -> Self {
+        Self::Text(text)
+    }
+}
+
+/// A number with four significant digits; powers of ten where zeros would hide them.
+pub fn significant(value: f64) -> String {
+    let size = value.abs();
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    if !(1e-4..1e6).contains(&size) {
+        return format!("{value:.3e}");
+    }
+    let decimals = (3 - size.log10().floor() as i32).clamp(0, 8) as usize;
+    format!("{value:.decimals$}")
+}
+
+impl Page {
+    /// A page with this title.
+    pub fn new(title: impl Into<String>) -> Self {
+        Self { title: title.into(), ..Self::default() }
+    }
+
+    /// Adds a sentence about the outcome.
+    pub fn outcome(&mut self, text: &str) {
+        let _ = writeln!(self.body, "<p class=\"outcome\">{}</p>", escaped(text));
+    }
+
+    /// Begins a section.
+    pub fn section(&mut self, title: &str) {
+        let _ = writeln!(self.body, "<h2>{}</h2>", escaped(title));
+    }
+
+    /// Adds a heading within a section.
+    pub fn heading(&mut self, title: &str) {
+        let _ = writeln!(self.body, "<h3>{}</h3>", escaped(title));
+    }
+
+    /// Adds a paragraph.
+    pub fn paragraph(&mut self, text: &str) {
+        let _ = writeln!(self.body, "<p>{}</p>", escaped(text));
+    }
+
+    /// Adds lines of commands, each with its purpose.
+    pub fn commands(&mut self, commands: &[(String, String)]) {
+        for (purpose, command) in commands {
+            let (purpose, command) = (escaped(purpose), escaped(command));
+            let _ = writeln!(self.body, "<p class=\"facts\">{purpose}</p>\n<pre>{command}</pre>");
+        }
+    }
+
+    /// Adds a table. The row of the index `best` is emphasised.
+    pub fn table(&mut self, heads: &[&str], rows: &[Vec<Cell>], best: Option<usize>) {
+        let is_number = |column: usize| {
+            rows.first().is_some_and(|row| matches!(row.get(column), Some(Cell::Number(_))))
+        };
+        self.body.push_str("<div class=\"wide\"><table><thead><tr>");
+        for (column, head) in heads.iter().enumerate() {
+            let class = if is_number(column) { " class=\"n\"" } else { "" };
+            let _ = write!(self.body, "<th{class}>{}</th>", escaped(head));
+        }
+        self.body.push_str("</tr></thead><tbody>\n");
+        for (index, row) in rows.iter().enumerate() {
+            self.body.push_str(if best == Some(index) { "<tr class=\"best\">" } else { "<tr>" });
+            for cell in row {
+                let _ = match cell {
+                    Cell::Text(text) => {
+                        write!(self.body, "<td class=\"text\">{}</td>", escaped(text))
+                    }
+                    Cell::Number(text) => {
+                        write!(self.body, "<td class=\"n\">{}</td>", escaped(text))
+                    }
+                };
+            }
+            self.body.push_str("</tr>\n");
+        }
+        self.body.push_str("</tbody></table></div>\n");
+    }
+
+    /// Adds what only some readers open.
+    pub fn details(&mut self, summary: &str, inside: impl FnOnce(&mut Self)) {
+        let _ = writeln!(self.body, "<details><summary>{}</summary>", escaped(summary));
+        inside(self);
+        self.body.push_str("</details>\n");
+    }
+
+    /// Places the figures that `inside` adds beside each other where there is room.
+    pub fn grid(&mut self, inside: impl FnOnce(&mut Self)) {
+        self.body.push_str("<div class=\"grid\">\n");
+        inside(self);
+        self.body.push_str("</div>\n");
+    }
+
+    /// Adds a figure with a caption and a sentence that explains it.
+    pub fn chart(&mut self, caption: &str, explanation: &str, chart: Chart) {
+        let index = self.charts.len();
+        self.charts.push(chart);
+        self.figure(
+            caption,
+            explanation,
+            &format!(
+                "<div class=\"chart\" data-chart=\"{index}\" role=\"img\" aria-label=\"{}\"></div>",
+                escaped(caption)
+            ),
+        );
+    }
+
+    /// Adds a map.
+    pub fn map(&mut self, caption: &str, explanation: &str, map: Map) {
+        let index = self.maps.len();
+        self.maps.push(map);
+        self.figure(caption, explanation, &format!("<canvas class=\"map\" data-map=\"{index}\" role=\"img\" aria-label=\"{}\"></canvas>", escaped(caption)));
+    }
+
+    fn figure(&mut self, caption: &str, explanation: &str, content: &str) {
+        let (caption, explanation) = (escaped(caption), escaped(explanation));
+        let small = if explanation.is_empty() {
+            String::new()
+        } else {
+            format!(" <small>{explanation}</small>")
+        };
+        let _ = writeln!(
+            self.body,
+            "<figure><figcaption>{caption}{small}</figcaption>{content}</figure>"
+        );
+    }
+
+    /// Adds the player of these motions, with one of them chosen.
+    pub fn player(&mut self, motions: Vec<Motion>, first: usize) {
+        self.first_motion = first.min(motions.len().saturating_sub(1));
+        self.motions = motions;
+        self.body.push_str("<div class=\"player\" data-player></div>\n");
+    }
+
+    /// The whole page: one file that loads nothing.
+    ///
+    /// # Errors
+    /// The data cannot be written as JSON.
+    pub fn finish(&self) -> Result<String, serde_json::Error> {
+        let data = Data {
+            charts: &self.charts,
+            maps: &self.maps,
+            motions: &self.motions,
+            first_motion: self.first_motion,
+        };
+        let data = inert(&serde_json::to_string(&data)?);
+        let title = escaped(&self.title);
+        // Only these two scripts and this style may act, whatever a name in the page contains.
+        let style = format!("{PLOTS_STYLE}{STYLE}");
+        let policy = format!(
+            "default-src 'none'; script-src {} {}; style-src {}; img-src data:; base-uri 'none'; form-action 'none'",
+            hash(PLOTS),
+            hash(SCRIPT),
+            hash(&style)
+        );
+        Ok(format!(
+            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+             <meta http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\n\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+             <meta name=\"referrer\" content=\"no-referrer\">\n\
+             <link rel=\"icon\" href=\"data:,\">\n<title>{title}</title>\n<style>{style}</style>\n</head>\n\
+             <body>\n<h1>{title}</h1>\n{}\n\
+             <noscript><p class=\"script-off\">The figures of this page need JavaScript.</p></noscript>\n\
+             <script type=\"application/json\" id=\"data\">{data}</script>\n\
+             <script>{PLOTS}</script>\n<script>{SCRIPT}</script>\n</body>\n</html>\n",
+            self.body
+        ))
+    }
+}
+
+/// The hash by which a content policy names a script or a style.
+fn hash(text: &str) -> String {
+    format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text.as_bytes())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hash_is_that_of_the_standard() {
+        // The digest of the empty text, as FIPS 180-4 tools print it.
+        assert_eq!(hash(""), "'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='");
+    }
+
+    #[test]
+    fn hostile_names_stay_names_and_nothing_is_loaded() {
+        let hostile = "</script><script>alert(1)</script><img src=x onerror=alert(1)>\"'&";
+        let mut page = Page::new(hostile);
+        page.outcome(hostile);
+        page.section(hostile);
+        page.heading(hostile);
+        page.paragraph(hostile);
+        page.commands(&[(hostile.into(), hostile.into())]);
+        page.table(&[hostile], &[vec![hostile.into()]], None);
+        page.details(hostile, |page| page.chart(hostile, hostile, Chart::default()));
+        let html = page.finish().unwrap();
+        assert_eq!(html.matches("<script").count(), 3, "data, uPlot and the page's own");
+        assert_eq!(html.matches("</script>").count(), 3);
+        assert!(!html.contains("<img"));
+    }
+
+    #[test]
+    fn a_page_loads_nothing() {
+        let mut page = Page::new("a page");
+        page.chart("a figure", "explained", Chart::default());
+        let html = page.finish().unwrap();
+        for loading in [
+            " src=",
+            "@import",
+            "url(",
+            "<iframe",
+            "<object",
+            "fetch(",
+            "XMLHttpRequest",
+            "import(",
+        ] {
+            assert!(!html.contains(loading), "{loading}");
+        }
+        // The only address is in uPlot's own notice.
+        assert_eq!(html.matches("https://").count() + html.matches("http://").count(), 1);
+    }
+
+    #[test]
+    fn numbers_keep_four_digits() {
+        for (value, text) in [
+            (0.0, "0"),
+            (0.024, "0.02400"),
+            (541.23, "541.2"),
+            (12_345.6, "12346"),
+            (5.3e-8, "5.300e-8"),
+        ] {
+            assert_eq!(significant(value), text);
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! The report on single recordings.
+
+use super::ReportError;
+use super::page::{Cell, Page};
+use super::provenance::add_provenance;
+use super::rollout::{ROLLOUT_HEADS, RolloutView, add_player, first_upper, rollout_cells};
+use super::timing::add_timing;
+use crate::qube::QubeModel;
+use crate::recording::Recording;
+use crate::scoring::Latencies;
+
+/// The page of recordings, each with its name, beside the simulation of a model; without one, of each recording's
+/// nominal plant. `commands` say how to repeat what is shown, each with its purpose.
+///
+/// # Errors
+/// The data of the figures cannot be written.
+pub fn recordings_page(
+    recordings: &[(String, Recording)],
+    model: Option<&QubeModel>,
+    commands: &[(String, String)],
+) -> Result<String, ReportError> {
+    let title = match recordings {
+        [(name, _)] => format!("Recording {name}"),
+        _ => format!("{} recordings", recordings.len()),
+    };
+    let mut page = Page::new(title);
+    let mut latencies = Latencies::default();
+    let views: Vec<(&str, RolloutView)> = recordings
+        .iter()
+        .map(|(name, recording)| {
+            latencies.add(&recording.ticks);
+            let nominal = recording.header.settings.plant.nominal();
+            (name.as_str(), RolloutView::of(recording, model.unwrap_or(&nominal)))
+        })
+        .collect();
+    match &views[..] {
+        [(_, view)] => page.outcome(&(first_upper(&view.result()) + ".")),
+        _ => {
+            let successes = views.iter().filter(|(_, view)| view.verdict.is_success()).count();
+            page.outcome(&format!("{successes} of {} rollouts succeed.", views.len()));
+        }
+    }
+    page.section("Rollouts");
+    let motions = views.iter().map(|(name, view)| {
+        let name = format!("{name}: {}", view.result());
+        let policy = format!("policy {}", view.header.policy);
+        view.motion.clone().named(policy, name, view.sentence())
+    });
+    add_player(&mut page, motions.collect(), 0);
+    let heads: Vec<&str> = ["recording"].into_iter().chain(ROLLOUT_HEADS).collect();
+    let rows: Vec<Vec<Cell>> = views
+        .iter()
+        .map(|(name, view)| [Cell::from(*name)].into_iter().chain(rollout_cells(view)).collect())
+        .collect();
+    page.table(&heads, &rows, None);
+    if let [(_, view)] = &views[..] {
+        page.heading("How near the limits came");
+        let rows: Vec<Vec<Cell>> = view
+            .nearest
+            .iter()
+            .map(|it| {
+                vec![
+                    it.quantity.into(),
+                    Cell::number(Some(it.value), 2),
+                    Cell::number(Some(it.limit), 2),
+                    it.unit.into(),
+                    Cell::number(Some(100.0 * it.share), 0),
+                    Cell::number(Some(it.time_s), 2),
+                ]
+            })
+            .collect();
+        page.table(
+            &["quantity", "largest", "limit", "unit", "% of the limit", "at, s"],
+            &rows,
+            None,
+        );
+    }
+    add_timing(&mut page, &latencies);
+    add_provenance(&mut page, views.last().map(|(_, view)| &view.header), commands);
+    Ok(page.finish()?)
+}

@@ -1,0 +1,266 @@
+use super::motion::{Motion, simulated};
+use super::nearest::{Nearest, nearest_approaches};
+use super::page::{Cell, Page};
+use crate::qube::QubeModel;
+use crate::recording::{Completeness, Recording};
+use crate::replay::AngleError;
+use crate::scoring::{Behaviour, Quietness, QuietnessFigures, Verdict, score_recording};
+use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome};
+
+/// A rollout as a report shows it; the recording itself is not kept.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RolloutView {
+    /// Header of its recording.
+    pub header: RolloutHeader,
+    /// Outcome of its recording.
+    pub outcome: Option<RolloutOutcome>,
+    /// Verdict on the rollout.
+    pub verdict: Verdict,
+    /// Behaviour; `None` without a result.
+    pub behaviour: Option<Behaviour>,
+    /// Quietness of balancing; `None` where nothing balanced.
+    pub quietness: Option<QuietnessFigures>,
+    /// Nearest approaches to the limits of the safety box.
+    pub nearest: Vec<Nearest>,
+    /// Error of the simulation beside it.
+    pub simulation_error: Option<AngleError>,
+    /// Motion for the player, not yet named.
+    pub motion: Motion,
+    /// Defect of the file, if any.
+    pub defect: Option<String>,
+}
+
+impl RolloutView {
+    /// The view of a recording, beside the simulation of its voltages by a model.
+    #[must_use]
+    pub fn of(recording: &Recording, model: &QubeModel) -> Self {
+        let nearest = nearest_approaches(recording);
+        let simulated = simulated(recording, model);
+        let beside = simulated.as_ref().map(|(log, open_loop)| (log, open_loop));
+        Self {
+            header: recording.header.clone(),
+            outcome: recording.outcome.clone(),
+            verdict: score_recording(recording),
+            behaviour: Behaviour::of(recording),
+            quietness: Quietness::of(&recording.ticks).figures(),
+            motion: Motion::of(recording, beside, &nearest),
+            simulation_error: simulated.as_ref().map(|(_, open_loop)| open_loop.rmse),
+            nearest,
+            defect: match &recording.completeness {
+                Completeness::Whole => None,
+                Completeness::CutOff { lost_bytes, reason } => {
+                    Some(format!("the recording is cut off, {lost_bytes} bytes are lost: {reason}"))
+                }
+                Completeness::Recovered => {
+                    Some("the recording was recovered after it had been cut off".into())
+                }
+            },
+        }
+    }
+
+    /// The result in some words.
+    #[must_use]
+    pub fn result(&self) -> String {
+        match (&self.verdict, self.behaviour) {
+            (Verdict::Result { return_, .. }, Some(behaviour)) => {
+                format!("return {return_:.1}, {}", behaviour_words(behaviour))
+            }
+            (Verdict::Result { return_, .. }, None) => format!("return {return_:.1}"),
+            (Verdict::Void { reason }, _) => format!("void: {reason}"),
+            (Verdict::Unfinished, _) => "unfinished".into(),
+        }
+    }
+
+    /// The nearest approach to any limit.
+    #[must_use]
+    pub fn nearest_of_all(&self) -> Option<&Nearest> {
+        self.nearest.iter().max_by(|one, other| one.share.total_cmp(&other.share))
+    }
+
+    /// A sentence for the player: result, end, nearest approach and what the simulation is.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let mut parts = vec![first_upper(&self.result())];
+        if let Some(outcome) = &self.outcome {
+            parts.push(ending_words(outcome));
+        }
+        if let Some(nearest) = self.nearest_of_all() {
+            parts.push(format!(
+                "Nearest to a limit: the {} with {:.2} {} at {:.2} s, {:.0} % of {:.2}",
+                nearest.quantity,
+                nearest.value,
+                nearest.unit,
+                nearest.time_s,
+                100.0 * nearest.share,
+                nearest.limit
+            ));
+        }
+        if let Some(error) = self.simulation_error {
+            parts.push(format!(
+                "The simulator got the same voltages from the same start and nothing else; its errors add up to {:.2} rad in θ and {:.2} rad in α (root mean square)",
+                error.theta_rad, error.alpha_rad
+            ));
+        }
+        parts.extend(self.defect.as_deref().map(first_upper));
+        parts.join(". ") + "."
+    }
+}
+
+/// The behaviour in words.
+#[must_use]
+pub fn behaviour_words(behaviour: Behaviour) -> &'static str {
+    match behaviour {
+        Behaviour::Balanced => "success",
+        Behaviour::BalancedLate => "balanced too late",
+        Behaviour::LeftBox => "ended by the guard",
+        Behaviour::Chattered => "chattered",
+        Behaviour::Fell => "fell or never got up",
+        Behaviour::Fault => "fault",
+    }
+}
+
+/// How a rollout ended, as a sentence without its dot.
+fn ending_words(outcome: &RolloutOutcome) -> String {
+    match outcome.ending {
+        Ending::Completed => format!("The policy took all {} steps", outcome.steps),
+        Ending::LeftBox(limit) => {
+            format!("The guard ended it after {} steps, for the limit of {limit}", outcome.steps)
+        }
+        Ending::Stopped => "Somebody stopped it".into(),
+        Ending::Fault(fault) => format!("A fault ended it: {fault}"),
+    }
+}
+
+/// The text with a capital at its start.
+pub fn first_upper(text: &str) -> String {
+    let mut letters = text.chars();
+    match letters.next() {
+        Some(first) => first.to_uppercase().chain(letters).collect(),
+        None => String::new(),
+    }
+}
+
+/// Adds the player of these rollouts, named and grouped, within a budget of the page's size.
+pub fn add_player(page: &mut Page, motions: Vec<Motion>, first: usize) {
+    let (motions, first, note) = within_budget(motions, first);
+    page.paragraph(
+        "Choose a rollout, play it, or drag the slider. In the figures: drag to zoom, double-click to see all \
+         again, click to go to a time. Time counts from the policy's first tick.",
+    );
+    if let Some(note) = note {
+        page.paragraph(&note);
+    }
+    page.player(motions, first);
+}
+
+/// Largest size of all motions in a page, bytes; a page stays below 5 MB.
+const MOTION_BYTES: usize = 3_200_000;
+
+/// Every second, fourth or tenth tick at most.
+const STRIDES: [usize; 4] = [1, 2, 4, 10];
+
+/// The motions that fit into a page, thinned where they must be; the rest is left out, and the note says so.
+fn within_budget(motions: Vec<Motion>, first: usize) -> (Vec<Motion>, usize, Option<String>) {
+    let bytes: usize = motions.iter().map(Motion::bytes).sum();
+    let Some(stride) =
+        STRIDES.into_iter().find(|stride| bytes / stride <= MOTION_BYTES).or(Some(10))
+    else {
+        return (motions, first, None);
+    };
+    if stride == 1 {
+        return (motions, first, None);
+    }
+    let all = motions.len();
+    let mut kept = Vec::new();
+    let (mut used, mut kept_first) = (0, 0);
+    for (index, motion) in motions.into_iter().enumerate() {
+        let motion = motion.every(stride);
+        let is_first = index == first;
+        if used + motion.bytes() > MOTION_BYTES && !is_first {
+            continue;
+        }
+        used += motion.bytes();
+        if is_first {
+            kept_first = kept.len();
+        }
+        kept.push(motion);
+    }
+    let left_out = match all - kept.len() {
+        0 => String::new(),
+        count => format!(
+            " {count} of {all} rollouts are left out; a report on their recordings shows them."
+        ),
+    };
+    let note = format!("To keep this page small, every {stride}th tick is shown.{left_out}");
+    (kept, kept_first, Some(note))
+}
+
+/// The columns of a table of rollouts after those that name the rollout.
+pub const ROLLOUT_HEADS: [&str; 8] = [
+    "result",
+    "return",
+    "nearest to a limit",
+    "voltage change, V a tick",
+    "sign changes a second",
+    "copper loss, W",
+    "motor load, %",
+    "missed deadlines",
+];
+
+/// The cells of a rollout in those columns.
+#[must_use]
+pub fn rollout_cells(view: &RolloutView) -> Vec<Cell> {
+    let result = match (&view.verdict, view.behaviour) {
+        (Verdict::Result { .. }, Some(behaviour)) => behaviour_words(behaviour).to_owned(),
+        _ => view.result(),
+    };
+    let nearest = view
+        .nearest_of_all()
+        .map_or("–".into(), |it| format!("{:.0} %, {}", 100.0 * it.share, it.quantity));
+    let figure = |of: fn(&QuietnessFigures) -> f64| view.quietness.as_ref().map(of);
+    let load = view.outcome.as_ref().and_then(|outcome| outcome.largest_motor_load);
+    let missed = view.outcome.as_ref().map(|outcome| f64::from(outcome.missed_deadlines));
+    vec![
+        result.into(),
+        Cell::number(view.verdict.return_(), 1),
+        nearest.into(),
+        Cell::number(figure(|it| it.change_v), 2),
+        Cell::number(figure(|it| it.sign_changes_per_s), 1),
+        Cell::number(figure(|it| it.copper_loss_w), 2),
+        Cell::number(load.map(|load| 100.0 * load), 0),
+        Cell::number(missed, 0),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::samples;
+    use crate::telemetry::{Phase, TickRecord};
+
+    fn motion(ticks: u32) -> Motion {
+        let tick = |tick| TickRecord { tick, phase: Phase::Running, ..TickRecord::default() };
+        let recording = Recording {
+            header: samples::header(),
+            policy: Vec::new(),
+            ticks: (0..ticks).map(tick).collect(),
+            outcome: None,
+            completeness: Completeness::Whole,
+        };
+        Motion::of(&recording, None, &[])
+    }
+
+    #[test]
+    fn many_rollouts_are_thinned_then_left_out_and_the_page_says_so() {
+        let (kept, first, note) = within_budget(vec![motion(800); 10], 9);
+        assert_eq!((kept.len(), first, note), (10, 9, None));
+        let (kept, first, note) = within_budget(vec![motion(800); 800], 700);
+        assert_eq!((kept.len(), first), (800, 700));
+        assert!(note.unwrap().contains("every 2th"), "");
+        let (kept, first, note) = within_budget(vec![motion(30_000); 300], 299);
+        let bytes: usize = kept.iter().map(Motion::bytes).sum();
+        assert!(bytes <= MOTION_BYTES + motion(3_000).bytes(), "{bytes}");
+        assert_eq!(first, kept.len() - 1);
+        assert!(note.unwrap().contains("left out"));
+    }
+}

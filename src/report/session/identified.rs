@@ -1,0 +1,145 @@
+//! What the session found out about the Qube.
+
+use super::SessionSource;
+use super::distribution::words;
+use super::source::ComparedMotion;
+use crate::identification::{Phase, phase_error, start_state};
+use crate::qube::{Profile, Quantity, QubeModel};
+use crate::replay::simulate_from;
+use crate::report::chart::{Axis, Chart, Mark, Series, Style};
+use crate::report::page::{Cell, Page};
+use crate::session::Identification;
+
+/// Adds the identified Qube, with the recordings beside its simulation; nothing if nothing was to be identified.
+pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
+    match source.state.identification() {
+        Identification::None => {}
+        Identification::Refused(reason) => {
+            page.section("Identification");
+            page.paragraph(&format!(
+                "The Qube was not identified, and searched as an unknown one: {reason}"
+            ));
+        }
+        Identification::Found { recordings, verdict, doubts, .. } => {
+            page.section("Identification");
+            let from =
+                if *recordings == 1 { "1 recording" } else { &format!("{recordings} recordings") };
+            let fit =
+                if verdict == "fits" { "the model fits" } else { "the model fits, with doubts" };
+            page.paragraph(&format!("The Qube was identified from {from}: {fit}."));
+            for doubt in doubts {
+                page.paragraph(&format!("Doubt: {doubt}"));
+            }
+            if let Some((_, profile)) = source.profiles.last() {
+                add_values(page, source, profile);
+                add_predictions(page, &source.motions, &profile.model());
+            }
+        }
+    }
+}
+
+fn add_values(page: &mut Page, source: &SessionSource, profile: &Profile) {
+    let nominal = source.settings.plant().nominal();
+    let model = profile.model();
+    let rows: Vec<Vec<Cell>> = Quantity::all()
+        .map(|quantity| {
+            let error = profile.standard_errors.get(quantity.name());
+            vec![
+                words(quantity).into(),
+                Cell::significant(nominal.get(quantity)),
+                Cell::significant(model.get(quantity)),
+                error.map_or(Cell::Number("–".into()), |error| Cell::significant(*error)),
+                quantity.unit().into(),
+            ]
+        })
+        .collect();
+    page.table(&["quantity", "nominal", "identified", "standard error", "unit"], &rows, None);
+}
+
+fn add_predictions(page: &mut Page, motions: &[ComparedMotion], model: &QubeModel) {
+    if let Some(excitation) = motions.iter().find(|it| it.excitation) {
+        let words = if excitation.fitted { "fitted to it" } else { "not fitted to it" };
+        page.heading(&format!("{}, an excitation: the model was {words}", excitation.name));
+        let start = start_state(&excitation.log, model);
+        match simulate_from(&excitation.log, model, start) {
+            Ok(predicted) => {
+                let states = &predicted.simulated;
+                for (caption, angle) in [
+                    ("θ, the arm", (|state| state.theta) as fn(&crate::qube::State) -> f64),
+                    ("α, the pendulum", |state| state.alpha),
+                ] {
+                    let [both, residual] = prediction(excitation, states, angle, caption);
+                    page.chart(
+                        caption,
+                        "The model starts from the state that explains the first 0.2 s best and then gets the \
+                         voltages alone.",
+                        both,
+                    );
+                    page.chart("What the model misses", "Recorded minus predicted.", residual);
+                }
+            }
+            Err(error) => page.paragraph(&error.to_string()),
+        }
+    }
+    let mut rows: Vec<Vec<Cell>> = Vec::new();
+    for motion in motions.iter().filter(|it| !it.excitation) {
+        let logs = std::slice::from_ref(&motion.log);
+        let mut row: Vec<Cell> = vec![
+            motion.name.as_str().into(),
+            if motion.fitted { "fitted" } else { "held out" }.into(),
+        ];
+        for phase in Phase::ALL {
+            let error = phase_error(logs, model, phase);
+            let told = |value: f64| Cell::number((error.predictions > 0).then_some(value), 3);
+            row.extend([told(error.rms.theta_rad), told(error.rms.alpha_rad)]);
+        }
+        rows.push(row);
+    }
+    if !rows.is_empty() {
+        page.heading("Rollouts, predicted piece by piece");
+        page.paragraph(
+            "Each piece is predicted from a start state of its own: half a second while the pendulum swings, a tenth \
+             of a second while it balances. The error is that of the last sample, root mean square over all pieces, \
+             rad; a dash where no piece is long enough. A rollout that is held out was not used for the fit.",
+        );
+        let heads = ["rollout", "used", "swing, θ", "swing, α", "balance, θ", "balance, α"];
+        page.table(&heads, &rows, None);
+    }
+}
+
+fn prediction(
+    motion: &ComparedMotion,
+    states: &[crate::qube::State],
+    angle: fn(&crate::qube::State) -> f64,
+    caption: &str,
+) -> [Chart; 2] {
+    let samples = &motion.log.samples;
+    let pairs = || {
+        let pairs = samples.iter().zip(states);
+        pairs.map(|(sample, state)| (angle(&sample.state), angle(state)))
+    };
+    let both = Chart {
+        x: Axis::new("time", "s"),
+        y: Axis::new(caption, "rad"),
+        xs: samples.iter().map(|sample| (sample.time_s * 1e4).round() / 1e4).collect(),
+        series: vec![
+            Series::new("recorded", Style::Line, 0, pairs().map(|(recorded, _)| Some(recorded))),
+            Series::new(
+                "predicted",
+                Style::Dashed,
+                1,
+                pairs().map(|(_, predicted)| Some(predicted)),
+            ),
+        ],
+        ..Chart::default()
+    };
+    let residuals = pairs().map(|(recorded, predicted)| Some(1e3 * (recorded - predicted)));
+    let residual = Chart {
+        y: Axis::new("residual", "mrad"),
+        series: vec![Series::new("residual", Style::Line, 2, residuals)],
+        marks: vec![Mark::horizontal(0.0, "")],
+        height: Some(160),
+        ..both.clone()
+    };
+    [both, residual]
+}

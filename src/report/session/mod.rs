@@ -1,0 +1,11 @@
+//! The report on a session.
+
+mod distribution;
+mod identified;
+mod page;
+mod posterior;
+mod search;
+mod source;
+
+pub use page::session_page;
+pub use source::SessionSource;

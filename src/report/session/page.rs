@@ -1,0 +1,215 @@
+use super::{SessionSource, distribution, identified, posterior, search};
+use crate::report::ReportError;
+use crate::report::chart::{Axis, Chart, Mark, Series, Style};
+use crate::report::motion::Motion;
+use crate::report::page::{Cell, Page};
+use crate::report::provenance::add_provenance;
+use crate::report::rollout::{ROLLOUT_HEADS, RolloutView, add_player, rollout_cells};
+use crate::report::timing::add_timing;
+use crate::scoring::criterion::SUCCESS_RETURN;
+use crate::session::{Identification, Purpose, ScoredCandidate};
+
+/// The page of a session. `name` is the session's folder; `commands` repeat the session and use its result, each with
+/// its purpose.
+///
+/// # Errors
+/// The data of the figures cannot be written.
+pub fn session_page(
+    source: &SessionSource,
+    name: &str,
+    commands: &[(String, String)],
+) -> Result<String, ReportError> {
+    let mut page = Page::new(format!("Session {name}"));
+    let outcomes = outcome(source);
+    page.outcome(&outcomes[0]);
+    for sentence in &outcomes[1..] {
+        page.paragraph(sentence);
+    }
+    search::add_search(&mut page, source);
+    add_rollouts(&mut page, source);
+    distribution::add_distribution(&mut page, source);
+    identified::add_identification(&mut page, source);
+    posterior::add_posterior(&mut page, source);
+    add_curves(&mut page, source);
+    add_timing(&mut page, &source.latencies);
+    add_faults(&mut page, source);
+    let last = source.rollouts.last().map(|(_, view)| &view.header);
+    add_provenance(&mut page, last, commands);
+    Ok(page.finish()?)
+}
+
+/// The outcome: one sentence, and some more.
+fn outcome(source: &SessionSource) -> Vec<String> {
+    let largest = source.settings.extent.steps;
+    let mut sentences = Vec::new();
+    let best =
+        ScoredCandidate::best_verified(&source.candidates).map(|index| &source.candidates[index]);
+    let finished = source.is_finished();
+    match best {
+        Some(best) => {
+            let mean = best.mean_return().unwrap_or(0.0);
+            let whose = match best.candidate.purpose {
+                Purpose::Incumbent => format!("candidate {}", source.trained_as(&best.candidate)),
+                _ => "the search's recommendation".into(),
+            };
+            sentences.push(format!(
+                "The best policy, that of {whose}, balanced the pendulum in {} of {} verifying rollouts on the Qube, with a \
+                 mean return of {mean:.1} of at most {largest}.",
+                best.successes(),
+                best.verdicts.len(),
+            ));
+        }
+        None if finished => sentences.push("The session ended without a verified policy.".into()),
+        None => {
+            let searched = source.candidates.iter().filter(|it| it.candidate.purpose.is_searched());
+            let best = searched.clone().filter_map(ScoredCandidate::mean_return).reduce(f64::max);
+            sentences.push(match best {
+                Some(best) => format!(
+                    "No policy is verified yet; the best of {} candidates has a mean return of {best:.1} of at most {largest}.",
+                    searched.count()
+                ),
+                None => "No policy has run on the Qube yet.".into(),
+            });
+        }
+    }
+    if !finished {
+        sentences
+            .push("The session is not finished: this page shows it as far as it has come.".into());
+    }
+    let used = source.candidates.iter().filter(|it| it.candidate.purpose.informs());
+    let used: usize = used.map(|it| it.verdicts.len()).sum();
+    let all: usize = source.candidates.iter().map(|it| it.verdicts.len()).sum();
+    sentences.push(format!(
+        "{all} rollouts were recorded; {used} of them informed the method, the others verify or compare. A rollout \
+         succeeds if the pendulum is upright during the whole last second and the return is at least {SUCCESS_RETURN:.0}."
+    ));
+    if let (Identification::Found { .. }, Some(gain)) =
+        (source.state.identification(), source.state.settled())
+    {
+        sentences.push(format!("The search ended because one more candidate was expected to gain a return of {gain:.1}."));
+    }
+    let baseline = source.candidates.iter().find(|it| it.candidate.purpose == Purpose::Baseline);
+    if let Some(mean) = baseline.and_then(ScoredCandidate::mean_return) {
+        sentences.push(format!(
+            "For comparison, a policy that was trained on the nominal Qube alone earned {mean:.1}."
+        ));
+    }
+    sentences
+}
+
+fn add_rollouts(page: &mut Page, source: &SessionSource) {
+    page.section("Rollouts");
+    if source.rollouts.is_empty() {
+        return page.paragraph("There are none yet.");
+    }
+    let best = ScoredCandidate::best_verified(&source.candidates)
+        .map(|index| source.candidates[index].candidate.number);
+    let mut motions: Vec<Motion> = Vec::new();
+    let mut rows: Vec<Vec<Cell>> = Vec::new();
+    for (number, view) in &source.rollouts {
+        let candidate = &source.state.candidates()[*number as usize];
+        let purpose = source.purpose_words(candidate);
+        let group = format!("candidate {number}: {purpose}");
+        let rollout = view.header.rollout;
+        let told = match candidate.purpose {
+            Purpose::Excitation => "excitation".into(),
+            _ => view.result(),
+        };
+        let name = format!("candidate {number}, rollout {rollout}: {told}");
+        motions.push(view.motion.clone().named(group, name, sentence(candidate.purpose, view)));
+        let mut row = vec![Cell::Number(number.to_string()), Cell::Number(rollout.to_string())];
+        let mut cells = rollout_cells(view);
+        if candidate.purpose == Purpose::Excitation {
+            (cells[0], cells[1]) = ("excitation".into(), Cell::Number("–".into()));
+        }
+        row.extend(cells);
+        rows.push(row);
+    }
+    let first = source.rollouts.iter().position(|(number, _)| Some(*number) == best);
+    add_player(page, motions, first.unwrap_or(0));
+    let heads: Vec<&str> = ["candidate", "rollout"].into_iter().chain(ROLLOUT_HEADS).collect();
+    page.heading("All rollouts");
+    page.paragraph(
+        "Voltage change, sign changes and copper loss are means while the pendulum balances: a quiet policy has small \
+         ones. The motor's load is the largest of the rollout, as a share of its continuous rating.",
+    );
+    page.table(&heads, &rows, None);
+}
+
+/// The player's sentence; an excitation has no result.
+fn sentence(purpose: Purpose, view: &RolloutView) -> String {
+    let sentence = view.sentence();
+    match purpose {
+        Purpose::Excitation => {
+            let rest = sentence.split_once(". ").map_or("", |(_, rest)| rest);
+            format!("An excitation, which shows what the Qube is like. {rest}")
+        }
+        _ => sentence,
+    }
+}
+
+fn add_curves(page: &mut Page, source: &SessionSource) {
+    if source.curves.is_empty() {
+        return;
+    }
+    page.section("Trainings");
+    let curves = source.curves.iter().filter(|(_, curve)| !curve.is_empty());
+    let mut xs: Vec<f64> =
+        curves.clone().flat_map(|(_, curve)| curve.iter().map(|point| point[0])).collect();
+    xs.sort_by(f64::total_cmp);
+    xs.dedup();
+    let mut series = Vec::new();
+    for (number, curve) in curves {
+        let mut points = curve.iter().peekable();
+        let values: Vec<Option<f64>> = xs
+            .iter()
+            .map(|x| points.next_if(|point| point[0] == *x).map(|point| point[1]))
+            .collect();
+        let colour = *number as usize;
+        series.push(
+            Series::new(format!("candidate {number}"), Style::Line, colour, values).over_gaps(),
+        );
+    }
+    let chart = Chart {
+        x: Axis::new("simulated control steps", ""),
+        y: Axis::new("return", ""),
+        xs,
+        series,
+        marks: vec![Mark::horizontal(SUCCESS_RETURN, format!("success from {SUCCESS_RETURN:.0}"))],
+        y_range: Some([0.0, 1.04 * f64::from(source.settings.extent.steps)]),
+        ..Chart::default()
+    };
+    page.chart(
+        "Mean return in the simulations that each policy trains in",
+        "Evaluated without exploration after each update. A dive at the end is no harm: the best policy is kept.",
+        chart,
+    );
+}
+
+fn add_faults(page: &mut Page, source: &SessionSource) {
+    page.section("Faults");
+    if source.void.is_empty() {
+        page.paragraph("No fault ended a rollout.");
+    } else {
+        page.paragraph("A fault made these attempts void; the rollouts were repeated.");
+        let rows: Vec<Vec<Cell>> = source
+            .void
+            .iter()
+            .map(|(candidate, rollout, attempt, reason)| {
+                let numbers =
+                    [candidate, rollout, attempt].map(|number| Cell::Number(number.to_string()));
+                numbers.into_iter().chain([reason.as_str().into()]).collect()
+            })
+            .collect();
+        page.table(&["candidate", "rollout", "attempt", "fault"], &rows, None);
+    }
+    if source.observer_resets > 0 {
+        page.paragraph(&format!(
+            "The observer diverged {} times: its model or delay does not match this Qube.",
+            source.observer_resets
+        ));
+    }
+    for problem in &source.problems {
+        page.paragraph(&format!("Left out of this page: {problem}"));
+    }
+}

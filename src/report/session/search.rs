@@ -1,0 +1,94 @@
+//! The search: returns of the candidates, and their table.
+
+use super::SessionSource;
+use crate::report::chart::{Chart, Mark};
+use crate::report::page::{Cell, Page, significant};
+use crate::report::returns::{CandidateReturns, returns_chart};
+use crate::session::{Purpose, ScoredCandidate};
+
+/// Adds the returns of all candidates with a policy, and the table of all.
+pub(super) fn add_search(page: &mut Page, source: &SessionSource) {
+    page.section("What the search did");
+    let shown: Vec<&ScoredCandidate> = source
+        .candidates
+        .iter()
+        .filter(|it| it.candidate.purpose != Purpose::Excitation && it.mean_return().is_some())
+        .collect();
+    if shown.is_empty() {
+        page.paragraph("No policy has run on the Qube yet.");
+    } else {
+        let explanation = "A dot is one rollout, the line goes through the means of the candidates. Each step of \
+             10 ms earns at most 1, for a pendulum that is upright and quiet in the middle.";
+        page.chart("Return of each candidate on the Qube", explanation, returns(source, &shown));
+    }
+    add_table(page, source);
+}
+
+fn returns(source: &SessionSource, shown: &[&ScoredCandidate]) -> Chart {
+    let kind = |scored: &ScoredCandidate| match scored.candidate.purpose {
+        Purpose::Excitation => "excitation",
+        Purpose::Initial => "initial",
+        Purpose::Search => "searched",
+        Purpose::Verification | Purpose::Incumbent => "verification",
+        Purpose::Baseline => "nominal policy",
+    };
+    let mut boundaries = Vec::new();
+    for pair in shown.windows(2) {
+        let (before, after) = (kind(pair[0]), kind(pair[1]));
+        if before != after {
+            let at = 0.5 * f64::from(pair[0].candidate.number + pair[1].candidate.number);
+            boundaries.push(Mark::vertical(at, format!("{after} →")));
+        }
+    }
+    let of_candidate = |scored: &&ScoredCandidate| CandidateReturns {
+        number: scored.candidate.number,
+        returns: scored.returns(),
+        is_searched: scored.candidate.purpose.is_searched(),
+    };
+    let candidates: Vec<CandidateReturns> = shown.iter().map(of_candidate).collect();
+    returns_chart(&candidates, f64::from(source.settings.extent.steps), boundaries)
+}
+
+fn add_table(page: &mut Page, source: &SessionSource) {
+    let best = ScoredCandidate::best_verified(&source.candidates);
+    let rows: Vec<Vec<Cell>> = source
+        .candidates
+        .iter()
+        .map(|scored| {
+            let candidate = &scored.candidate;
+            let is_excitation = candidate.purpose == Purpose::Excitation;
+            let mean = scored.mean_return().filter(|_| !is_excitation);
+            let counted = if is_excitation {
+                format!("{} recorded", scored.verdicts.len())
+            } else {
+                format!("{} of {}", scored.successes(), scored.verdicts.len())
+            };
+            let names = source.search_settings(Some(candidate.number)).psi;
+            let psi: Vec<String> = if candidate.psi.len() == names.dimensions().len() {
+                names
+                    .names()
+                    .zip(&candidate.psi)
+                    .map(|(name, value)| format!("{name} {}", significant(*value)))
+                    .collect()
+            } else {
+                Vec::new()
+            };
+            vec![
+                Cell::Number(candidate.number.to_string()),
+                source.purpose_words(candidate).into(),
+                Cell::number(mean, 1),
+                Cell::Text(counted),
+                Cell::Text(psi.join(", ")),
+            ]
+        })
+        .collect();
+    if !rows.is_empty() {
+        page.table(&["candidate", "purpose", "mean return", "successes", "psi"], &rows, best);
+        page.paragraph(
+            "Purpose: an excitation identifies the Qube; initial candidates are where the search starts; searched ones \
+             follow from the returns so far; the recommended one is the search's best guess; \"N again\" is candidate N's \
+             own policy, run once more; nominal is a policy of the nominal Qube. Psi says in which simulations a \
+             policy trains.",
+        );
+    }
+}

@@ -1,0 +1,267 @@
+use std::path::Path;
+
+use crate::qube::Profile;
+use crate::recording::{Recording, read_on};
+use crate::replay::MotionLog;
+use crate::report::ReportError;
+use crate::report::rollout::RolloutView;
+use crate::scoring::{Latencies, Verdict, score_recording};
+use crate::session::{
+    Candidate, Entry, Identification, Purpose, ScoredCandidate, SessionPaths, SessionSettings,
+    SessionState, SessionView, Step, identified_profile, next_step,
+};
+use crate::storage::Disk;
+
+/// Largest size of a training curve, bytes; a long training's has some 200 kB.
+const CURVE_BYTES: u64 = 4 << 20;
+
+/// Number of recordings of each kind that the identification is compared with.
+const COMPARED: usize = 3;
+
+/// A session as it was read from its folder; nothing was written there.
+#[derive(Debug)]
+pub struct SessionSource {
+    /// Settings with which the session began.
+    pub(super) settings: SessionSettings,
+    /// Ledger's entries.
+    pub(super) entries: Vec<Entry>,
+    /// State that they give.
+    pub(super) state: SessionState,
+    /// Profiles that the session identified, each with its number of recordings, in order.
+    pub(super) profiles: Vec<(u32, Profile)>,
+    /// Candidates with their verdicts.
+    pub(super) candidates: Vec<ScoredCandidate>,
+    /// Rollouts with a result, in order, each with its candidate.
+    pub(super) rollouts: Vec<(u32, RolloutView)>,
+    /// Attempts that a fault ended: candidate, rollout, attempt, reason.
+    pub(super) void: Vec<(u32, u32, u32, String)>,
+    /// Learning curves by candidate: simulated steps, mean and worst return.
+    pub(super) curves: Vec<(u32, Vec<[f64; 3]>)>,
+    /// Timing of all ticks.
+    pub(super) latencies: Latencies,
+    /// Number of observer resets.
+    pub(super) observer_resets: u64,
+    /// Motions that the identification is compared with.
+    pub(super) motions: Vec<ComparedMotion>,
+    /// What could not be read, in words.
+    pub(super) problems: Vec<String>,
+}
+
+/// A motion beside which the identified Qube is simulated.
+#[derive(Debug)]
+pub(super) struct ComparedMotion {
+    /// Name of the rollout.
+    pub(super) name: String,
+    /// Whether the latest profile was fitted to it.
+    pub(super) fitted: bool,
+    /// Whether its policy is an excitation.
+    pub(super) excitation: bool,
+    /// The motion.
+    pub(super) log: MotionLog,
+}
+
+impl SessionSource {
+    /// Reads a session's folder. Recordings, profiles and curves that cannot be read are left out and named in the
+    /// report.
+    ///
+    /// # Errors
+    /// The folder is not a session; its settings or its ledger cannot be read.
+    pub fn read(disk: &dyn Disk, folder: &Path) -> Result<Self, ReportError> {
+        let paths = SessionPaths::new(folder);
+        if !disk.exists(&paths.configuration()) {
+            return Err(ReportError::NotASession { path: folder.to_owned() });
+        }
+        let settings = SessionSettings::load(&paths.configuration())?;
+        let view = SessionView::read(disk, paths.clone())?;
+        let mut source = Self {
+            settings,
+            entries: view.entries().to_vec(),
+            state: view.state().clone(),
+            profiles: Vec::new(),
+            candidates: Vec::new(),
+            rollouts: Vec::new(),
+            void: Vec::new(),
+            curves: Vec::new(),
+            latencies: Latencies::default(),
+            observer_resets: 0,
+            motions: Vec::new(),
+            problems: Vec::new(),
+        };
+        if let Identification::Found { profiles, .. } = source.state.identification() {
+            for found in profiles {
+                match identified_profile(disk, &paths, found) {
+                    Ok(profile) => source.profiles.push((found.0, profile)),
+                    Err(error) => source.problems.push(error.to_string()),
+                }
+            }
+        }
+        for candidate in source.state.candidates().to_vec() {
+            source.read_candidate(disk, &paths, candidate);
+        }
+        Ok(source)
+    }
+
+    fn read_candidate(&mut self, disk: &dyn Disk, paths: &SessionPaths, candidate: Candidate) {
+        let of_candidate = paths.candidate(candidate.number);
+        let number = candidate.number;
+        if disk.exists(&of_candidate.curve()) {
+            match read_curve(disk, &of_candidate.curve()) {
+                Ok(curve) => self.curves.push((number, curve)),
+                Err(reason) => self.problems.push(reason),
+            }
+        }
+        let mut verdicts = Vec::new();
+        for finished in &candidate.finished {
+            for attempt in 0..finished.attempt {
+                self.read_void(
+                    disk,
+                    &of_candidate.rollout(finished.rollout, attempt),
+                    [number, finished.rollout, attempt],
+                );
+            }
+            let path = of_candidate.rollout(finished.rollout, finished.attempt);
+            match read_on(disk, &path) {
+                Ok(recording) => {
+                    verdicts.push(score_recording(&recording));
+                    self.add(&candidate, &recording);
+                }
+                Err(error) => self.problems.push(error.to_string()),
+            }
+        }
+        for attempt in 0..candidate.void {
+            let rollout = candidate.finished.len() as u32;
+            let path = of_candidate.rollout(rollout, attempt);
+            self.read_void(disk, &path, [number, rollout, attempt]);
+        }
+        self.candidates.push(ScoredCandidate { candidate, verdicts });
+    }
+
+    fn read_void(&mut self, disk: &dyn Disk, path: &Path, [candidate, rollout, attempt]: [u32; 3]) {
+        let reason = match read_on(disk, path).map(|recording| score_recording(&recording)) {
+            Ok(Verdict::Void { reason }) => reason,
+            Ok(_) => "the ledger says so".into(),
+            Err(error) => error.to_string(),
+        };
+        self.void.push((candidate, rollout, attempt, reason));
+    }
+
+    fn add(&mut self, candidate: &Candidate, recording: &Recording) {
+        self.latencies.add(&recording.ticks);
+        self.observer_resets +=
+            recording.outcome.as_ref().map_or(0, |outcome| u64::from(outcome.observer_resets));
+        let model = match self.profiles.last() {
+            Some((_, profile)) => profile.model(),
+            None => recording.header.settings.plant.nominal(),
+        };
+        let number = candidate.number;
+        self.rollouts.push((number, RolloutView::of(recording, &model)));
+        let Some((fitted_to, _)) = self.profiles.last() else { return };
+        let informing =
+            self.candidates.iter().map(|it| &it.candidate).filter(|it| it.purpose.informs());
+        let before: usize = informing.map(|it| it.finished.len()).sum();
+        let fitted = candidate.purpose.informs()
+            && before + (recording.header.rollout as usize) < *fitted_to as usize;
+        let excitation = candidate.purpose == Purpose::Excitation;
+        let of_kind = |it: &&ComparedMotion| (it.fitted, it.excitation) == (fitted, excitation);
+        if self.motions.iter().filter(of_kind).count() < COMPARED
+            && let Some(log) = MotionLog::of_recording(recording)
+        {
+            let name = format!("candidate {number}, rollout {}", recording.header.rollout);
+            self.motions.push(ComparedMotion { name, fitted, excitation, log });
+        }
+    }
+
+    /// The candidates with the verdicts on their rollouts.
+    #[must_use]
+    pub fn candidates(&self) -> &[ScoredCandidate] {
+        &self.candidates
+    }
+
+    /// Whether the rollouts were made in computed time, which gives the same bytes again.
+    #[must_use]
+    pub fn is_of_computed_time(&self) -> bool {
+        self.rollouts.iter().all(|(_, view)| view.header.started_unix_ns.is_none())
+    }
+
+    /// Whether nothing is left to do in the session.
+    #[must_use]
+    pub fn is_finished(&self) -> bool {
+        let SessionSettings { extent, identification, .. } = &self.settings;
+        next_step(&self.state, extent, identification.as_ref()) == Step::Done
+    }
+
+    /// The settings of the search: around the identified Qube as it was known when a candidate was proposed, or as the
+    /// session began. `None` asks for the latest.
+    pub(super) fn search_settings(&self, candidate: Option<u32>) -> SessionSettings {
+        let mut known = None;
+        for entry in &self.entries {
+            match entry {
+                Entry::Identified { recordings, .. } => known = Some(*recordings),
+                Entry::Proposed { candidate: proposed, .. } if Some(*proposed) == candidate => {
+                    break;
+                }
+                _ => {}
+            }
+        }
+        let profile = |number: u32| self.profiles.iter().find(|(of, _)| *of == number);
+        match (self.profiles.first(), known.and_then(profile)) {
+            (Some((_, first)), Some((_, latest))) => {
+                let plan = self.settings.identification.unwrap_or_default();
+                self.settings.clone().around(&plan, first, latest)
+            }
+            _ => self.settings.clone(),
+        }
+    }
+
+    /// The candidate whose policy this one runs: another one for a verification of the incumbent.
+    pub(super) fn trained_as(&self, candidate: &Candidate) -> u32 {
+        let is_same = |it: &&Candidate| it.purpose.is_searched() && it.psi == candidate.psi;
+        match candidate.purpose {
+            Purpose::Incumbent => {
+                self.state.searched().find(is_same).map_or(candidate.number, |it| it.number)
+            }
+            _ => candidate.number,
+        }
+    }
+
+    /// Name of a candidate's purpose, as tables show it.
+    pub(super) fn purpose_words(&self, candidate: &Candidate) -> String {
+        match candidate.purpose {
+            Purpose::Excitation => "excitation".into(),
+            Purpose::Initial => "initial".into(),
+            Purpose::Search => "search".into(),
+            Purpose::Verification => "recommended".into(),
+            Purpose::Incumbent => format!("{} again", self.trained_as(candidate)),
+            Purpose::Baseline => "nominal".into(),
+        }
+    }
+}
+
+/// Simulated steps, mean and worst return of each update of a training.
+fn read_curve(disk: &dyn Disk, path: &Path) -> Result<Vec<[f64; 3]>, String> {
+    let shown = path.display();
+    let bytes = disk.read(path, CURVE_BYTES).map_err(|error| format!("{shown}: {error}"))?;
+    if bytes.len() as u64 > CURVE_BYTES {
+        return Err(format!("{shown} is longer than any training curve"));
+    }
+    let text = String::from_utf8_lossy(&bytes);
+    let mut lines = text.lines();
+    let heads: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let column = |name: &str| {
+        heads
+            .iter()
+            .position(|head| *head == name)
+            .ok_or_else(|| format!("{shown} has no column {name}"))
+    };
+    let columns = [column("steps")?, column("mean_return")?, column("worst_return")?];
+    let mut curve = Vec::new();
+    for line in lines {
+        let fields: Vec<&str> = line.split(',').collect();
+        let number = |column: usize| fields.get(column).and_then(|field| field.parse::<f64>().ok());
+        let [Some(steps), Some(mean), Some(worst)] = columns.map(number) else {
+            return Err(format!("{shown} has a line that is no update: {line}"));
+        };
+        curve.push([steps, mean, worst]);
+    }
+    Ok(curve)
+}

@@ -1,0 +1,71 @@
+use super::chart::{Axis, Chart, Series, Style};
+use super::page::{Cell, Page};
+use crate::scoring::Latencies;
+use crate::telemetry::LatencySummary;
+
+/// Bars per decade of the histogram.
+const PER_DECADE: i32 = 6;
+
+/// Adds the timing of all ticks: a histogram of the lateness, and percentiles.
+pub fn add_timing(page: &mut Page, latencies: &Latencies) {
+    page.section("Timing");
+    let (missed, ticks) = (latencies.missed_deadlines(), latencies.ticks());
+    page.paragraph(&format!(
+        "{ticks} ticks of 10 ms each; missed deadlines: {missed} (a tick was skipped, a whole period late, or without a valid sample)."
+    ));
+    let row = |name: &str, summary: LatencySummary| {
+        let number = |value: f64| Cell::number(Some(value), 0);
+        vec![
+            name.into(),
+            number(summary.p50),
+            number(summary.p99),
+            number(summary.p999),
+            number(summary.max),
+        ]
+    };
+    let lateness_us = latencies.lateness_us();
+    page.table(
+        &["µs", "median", "99 %", "99.9 %", "largest"],
+        &[
+            row("lateness of the wake-up", lateness_us),
+            row("from sample to act, by the board's clock", latencies.sample_to_act_us()),
+        ],
+        None,
+    );
+    if lateness_us.max <= 0.0 {
+        page.paragraph("Time was computed here, so that no tick is late.");
+        return;
+    }
+    let edges: Vec<f64> = (0..=5 * PER_DECADE)
+        .map(|step| 10_f64.powf(f64::from(step) / f64::from(PER_DECADE)))
+        .collect();
+    let counts = latencies.lateness_counts(&edges);
+    let half = 10_f64.powf(0.5 / f64::from(PER_DECADE));
+    // What is earlier than the first edge is drawn beside it.
+    let bars: Vec<(f64, u64)> = edges.iter().map(|edge| edge / half).zip(counts).collect();
+    let used = |bars: &[(f64, u64)]| bars.iter().position(|(_, count)| *count > 0);
+    let first = used(&bars).unwrap_or(0);
+    let from_end = bars.iter().rev().position(|(_, count)| *count > 0).unwrap_or(0);
+    let bars = &bars[first..bars.len() - from_end];
+    let chart = Chart {
+        x: Axis::new("lateness of the wake-up", "µs"),
+        y: Axis::new("ticks", ""),
+        xs: bars.iter().map(|(at, _)| *at).collect(),
+        series: vec![Series::new(
+            "ticks",
+            Style::Bars,
+            0,
+            bars.iter().map(|(_, count)| (*count > 0).then_some(*count as f64)),
+        )],
+        logarithmic: true,
+        y_logarithmic: true,
+        // A single tick is a bar, too.
+        y_range: Some([0.5, (2.0 * latencies.ticks() as f64).max(10.0)]),
+        ..Chart::default()
+    };
+    page.chart(
+        "How late the control loop woke",
+        "Each bar is a sixth of a decade wide; both axes are logarithmic, so that a single late tick shows.",
+        chart,
+    );
+}

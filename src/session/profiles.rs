@@ -1,0 +1,24 @@
+use super::{FolderError, SessionError, SessionPaths, file_checksum};
+use crate::qube::Profile;
+use crate::storage::{Disk, SETTINGS_BYTES};
+
+/// Reads a profile that a session identified, from its folder, and compares it with its checksum in the ledger.
+///
+/// # Errors
+/// The profile is missing, was changed, or is none.
+pub fn identified_profile(
+    disk: &dyn Disk,
+    paths: &SessionPaths,
+    (recordings, checksum): &(u32, String),
+) -> Result<Profile, SessionError> {
+    let path = paths.profile(*recordings);
+    let bytes = disk
+        .read(&path, SETTINGS_BYTES)
+        .map_err(|source| FolderError::Io { path: path.clone(), source })?;
+    let lost = |reason: String| SessionError::ProfileLost { path: path.clone(), reason };
+    if file_checksum(&bytes) != *checksum {
+        return Err(lost("it was changed".into()));
+    }
+    let text = String::from_utf8(bytes).map_err(|error| lost(error.to_string()))?;
+    Profile::parse(&text).map_err(|error| lost(error.to_string()))
+}

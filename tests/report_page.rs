@@ -1,0 +1,163 @@
+//! Tests the pages that `session` and `report` write, in a browser where there is one.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+/// Trainings too short to learn a swing-up.
+const SMALL: &str = "seed = 5\n\
+    [extent]\ninitial_candidates = 3\niterations = 1\nrollouts = 2\nverification_rollouts = 2\n\
+    [training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
+
+/// A name for folders that is markup and shell code.
+const HOSTILE: &str = "<img src=x onerror=alert(1)> $(id) 'x'";
+
+fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).args(arguments).output().unwrap()
+}
+
+#[track_caller]
+fn succeeds(directory: &Path, arguments: &[&str]) -> Value {
+    let output = qube_hil(directory, &[arguments, &["--json"]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// The commands of a page, as its reader sees them.
+fn commands(page: &str) -> Vec<String> {
+    let blocks = page.split("<pre>").skip(1).map(|rest| rest.split("</pre>").next().unwrap());
+    let letters = [("&lt;", "<"), ("&gt;", ">"), ("&quot;", "\""), ("&#39;", "'"), ("&amp;", "&")];
+    let read = |block: &str| {
+        letters.iter().fold(block.to_owned(), |it, (name, sign)| it.replace(name, sign))
+    };
+    blocks.map(read).collect()
+}
+
+/// Looks at pages in Chromium.
+fn look_at(pages: &[&Path]) {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/report-check");
+    let is_required = std::env::var_os("QUBE_HIL_REQUIRE_BROWSER").is_some();
+    let output = match Command::new(script).args(pages).output() {
+        Ok(output) => output,
+        Err(error) if !is_required => return eprintln!("skipped: scripts/report-check: {error}"),
+        Err(error) => panic!("scripts/report-check: {error}"),
+    };
+    let told = String::from_utf8_lossy(&output.stdout).into_owned()
+        + &String::from_utf8_lossy(&output.stderr);
+    match output.status.code() {
+        Some(0) => {}
+        Some(77) if !is_required => eprintln!("{told}"),
+        _ => panic!("{told}"),
+    }
+}
+
+#[test]
+fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    fs::write(directory.join("small.toml"), SMALL).unwrap();
+    let arguments = ["session", "--clock", "virtual", "--config", "small.toml", "--out", HOSTILE];
+    let told = succeeds(directory, &arguments);
+    let path = directory.join(told["report"].as_str().unwrap());
+    let page = fs::read_to_string(&path).unwrap();
+    assert!(page.len() < 5_000_000, "{}", page.len());
+    assert!(page.contains("verifying rollouts on the Qube"), "it begins with the outcome");
+    assert!(!page.contains("<img"), "a name became markup");
+    let best = format!("{:.1}", told["best"]["mean_return"].as_f64().unwrap());
+    assert!(page.contains(&format!("a mean return of {best} of at most 600")), "{best}");
+    for section in
+        ["What the search did", "Rollouts", "What the search believes", "Timing", "Provenance"]
+    {
+        assert!(page.contains(&format!("<h2>{section}</h2>")), "{section}");
+    }
+    // Written again, it is the same page.
+    let again = succeeds(directory, &["report", HOSTILE]);
+    assert_eq!(again["bytes"], page.len());
+    assert_eq!(fs::read_to_string(&path).unwrap(), page);
+
+    // The page's commands work as they stand.
+    let bin = Path::new(env!("CARGO_BIN_EXE_qube-hil")).parent().unwrap();
+    let search_path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
+    let commands = commands(&page);
+    assert_eq!(commands.len(), 3, "{commands:?}");
+    for command in &commands {
+        let clock = if command.contains(" run ") { " --clock virtual" } else { "" };
+        let line = format!("{command}{clock} --json");
+        let mut shell = Command::new("sh");
+        shell.current_dir(directory).env("PATH", &search_path).args(["-c", &line]);
+        let output = shell.output().unwrap();
+        assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+        if command.contains(" session ") {
+            let repeated: Value = serde_json::from_slice(&output.stdout).unwrap();
+            assert_eq!(repeated["candidates"], told["candidates"], "{line}");
+            assert_eq!(repeated["verified"], told["verified"], "{line}");
+        }
+    }
+
+    // What cannot be read is named, and the rest is shown.
+    let folder = directory.join(HOSTILE);
+    fs::remove_file(folder.join("candidates/001/rollout-0-attempt-0.mcap")).unwrap();
+    fs::write(folder.join("candidates/002/curve.csv"), "update,steps\n<b>\n").unwrap();
+    succeeds(directory, &["report", HOSTILE, "--out", "poorer.html"]);
+    let poorer = fs::read_to_string(directory.join("poorer.html")).unwrap();
+    assert_eq!(poorer.matches("Left out of this page: ").count(), 2);
+    look_at(&[&path, &directory.join("poorer.html")]);
+}
+
+#[test]
+fn an_identified_session_and_single_recordings_become_pages() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let settings = format!("{SMALL}[identification]\ncandidates = 1\n");
+    fs::write(directory.join("small.toml"), settings).unwrap();
+    let session = [
+        "session",
+        "--clock",
+        "virtual",
+        "--profile",
+        "lab",
+        "--config",
+        "small.toml",
+        "--out",
+        "s",
+    ];
+    let told = succeeds(directory, &session);
+    let page = fs::read_to_string(directory.join("s/report.html")).unwrap();
+    assert_eq!(told["report"], "s/report.html");
+    assert!(page.contains("The Qube was identified from 1 recording"), "no identification");
+    assert!(page.contains("held out"), "no prediction of a rollout");
+
+    succeeds(
+        directory,
+        &["report", "s/candidates/001/rollout-0-attempt-0.mcap", "--profile", "s/profile-1.toml"],
+    );
+    let single = directory.join("s/candidates/001/rollout-0-attempt-0.html");
+    let page = fs::read_to_string(&single).unwrap();
+    assert!(page.contains("How near the limits came"));
+    look_at(&[&directory.join("s/report.html"), &single]);
+}
+
+#[test]
+fn what_is_no_session_and_what_exists_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    fs::write(directory.join("mine.html"), "mine").unwrap();
+    fs::create_dir(directory.join("folder")).unwrap();
+    fs::write(directory.join("no.mcap"), "<script>").unwrap();
+    for (arguments, words) in [
+        (vec!["report", "folder"], "it has no session.toml"),
+        (vec!["report", "no.mcap"], "no.mcap"),
+        (vec!["report", "nowhere"], "nowhere"),
+        (vec!["report", "folder", "no.mcap"], "not both"),
+        (vec!["report", "no.mcap", "--out", "mine.html"], "--force"),
+    ] {
+        let output = qube_hil(directory, &arguments);
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {told}");
+        assert!(told.contains(words), "{arguments:?}: {told}");
+    }
+    assert_eq!(fs::read_to_string(directory.join("mine.html")).unwrap(), "mine");
+}
