@@ -143,9 +143,8 @@ impl ForesightSettings {
 impl Default for ForesightSettings {
     /// Settings for a Qube whose parameters lie within 30 % of the name plate's and of which nothing else is known.
     ///
-    /// A voltage is held for three periods, so that two lost samples in a row change nothing. A third one
-    /// changed nothing in any search, because few Qubes are as hard as the hardest particles. In searches with
-    /// horizons of 0.75 s and 1.5 s no arm stayed away from its ends for the shorter one and reached them in the
+    /// A voltage is held for four periods, so that three lost samples in a row change nothing, as many as are
+    /// tolerated. In searches with horizons of 0.75 s and 1.5 s no arm stayed away from its ends for the shorter one and reached them in the
     /// longer one.
     fn default() -> Self {
         Self {
@@ -153,7 +152,7 @@ impl Default for ForesightSettings {
             belief: Belief::of_any_qube(0.3),
             identified: None,
             margin_rad: 0.1,
-            held_periods: 3,
+            held_periods: 4,
             horizon_periods: Self::HORIZON_PERIODS,
         }
     }
