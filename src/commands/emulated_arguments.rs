@@ -1,9 +1,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use serde::Deserialize;
+
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::profile;
+use crate::device::emulator::Effects;
 use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN, PlantModel};
 use crate::session::EmulatedQubeSettings;
 
@@ -39,41 +42,60 @@ pub struct EmulatedArguments {
     #[arg(long, value_name = "DEGREES", value_parser = play)]
     play_deg: Option<f64>,
 
+    /// Effect that no simulation of the program has: presliding_rad, stribeck, hysteresis_n_m, slack, warming_per_w or
+    /// eccentricity_rad (docs/reference/commands.md), for instance presliding_rad=0.02; may be repeated
+    #[arg(long, value_name = "NAME=VALUE", value_parser = effect)]
+    effect: Vec<(String, f64)>,
+
     /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g), for instance M_p=1.1; may be
     /// repeated
     #[arg(long, value_name = "NAME=FACTOR", value_parser = scaling)]
     scale: Vec<(DomainParameter, f64)>,
 }
 
+/// An emulated Qube as an entry of a file names it; what it leaves out is as on the command line.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlantEntry {
+    /// Name of the plant in tables.
+    pub name: String,
+    profile: Option<String>,
+    gap: Option<f64>,
+    delay_ms: Option<f64>,
+    jitter_ms: Option<f64>,
+    cable_drift_rad_per_min: Option<f64>,
+    play_deg: Option<f64>,
+    #[serde(default)]
+    effects: BTreeMap<String, f64>,
+    #[serde(default)]
+    scale: BTreeMap<String, f64>,
+    #[serde(default)]
+    /// Relative width of each policy's own Qube.
+    pub vary: f64,
+}
+
 impl EmulatedArguments {
-    /// The arguments from a file's entries, checked by the rules of the command line.
+    /// The arguments of an entry in a file, checked by the rules of the command line.
     ///
     /// # Errors
-    /// Describes the first invalid entry.
-    pub fn checked(
-        profile: Option<String>,
-        gap: Option<f64>,
-        delay_ms: Option<f64>,
-        jitter_ms: Option<f64>,
-        cable_drift: Option<f64>,
-        scale: &BTreeMap<String, f64>,
-    ) -> Result<Self, String> {
+    /// Describes the first invalid value.
+    pub fn of_entry(entry: &PlantEntry) -> Result<Self, String> {
         let number = |name: &str, value: Option<f64>, rule: fn(&str) -> Result<f64, String>| {
             let check =
                 |value: f64| rule(&value.to_string()).map_err(|why| format!("{name}: {why}"));
             value.map(check).transpose()
         };
+        let effects = entry.effects.iter().map(|(name, value)| effect(&format!("{name}={value}")));
+        let scale = entry.scale.iter().map(|(name, factor)| scaling(&format!("{name}={factor}")));
         Ok(Self {
-            profile,
-            gap: number("gap", gap, factor)?,
-            delay_ms: number("delay_ms", delay_ms, milliseconds)?,
-            jitter_ms: number("jitter_ms", jitter_ms, milliseconds)?,
-            cable_drift: number("cable_drift_rad_per_min", cable_drift, drift)?,
-            play_deg: None,
-            scale: scale
-                .iter()
-                .map(|(symbol, factor)| scaling(&format!("{symbol}={factor}")))
-                .collect::<Result<_, _>>()?,
+            profile: entry.profile.clone(),
+            gap: number("gap", entry.gap, factor)?,
+            delay_ms: number("delay_ms", entry.delay_ms, milliseconds)?,
+            jitter_ms: number("jitter_ms", entry.jitter_ms, milliseconds)?,
+            cable_drift: number("cable_drift_rad_per_min", entry.cable_drift_rad_per_min, drift)?,
+            play_deg: number("play_deg", entry.play_deg, play)?,
+            effect: effects.collect::<Result<_, _>>()?,
+            scale: scale.collect::<Result<_, _>>()?,
         })
     }
 
@@ -99,6 +121,9 @@ impl EmulatedArguments {
         if let Some(degrees) = self.play_deg {
             name += &format!("+play{degrees}");
         }
+        for (effect, value) in &self.effect {
+            name += &format!("+{effect}{value}");
+        }
         for (parameter, factor) in &self.scale {
             name += &format!("+{}x{factor}", parameter.symbol());
         }
@@ -120,6 +145,7 @@ impl EmulatedArguments {
             || self.jitter_ms.is_some()
             || self.cable_drift.is_some()
             || self.play_deg.is_some()
+            || !self.effect.is_empty()
             || !self.scale.is_empty();
         if !asked {
             return Ok(None);
@@ -148,7 +174,15 @@ impl EmulatedArguments {
         }
         let command_jitter_s = 1e-3 * self.jitter_ms.unwrap_or_default();
         let play_rad = self.play_deg.unwrap_or_default().to_radians();
-        Ok(Some(EmulatedQubeSettings { model, command_jitter_s, play_rad }))
+        let mut effects = Effects::NONE;
+        for (name, value) in &self.effect {
+            for (known, slot, _) in effects.named() {
+                if known == name {
+                    *slot = *value;
+                }
+            }
+        }
+        Ok(Some(EmulatedQubeSettings { model, command_jitter_s, play_rad, effects }))
     }
 }
 
@@ -166,6 +200,17 @@ fn play(text: &str) -> Result<f64, String> {
 
 fn drift(text: &str) -> Result<f64, String> {
     between(text, -MAX_CABLE_DRIFT_RAD_PER_MIN, MAX_CABLE_DRIFT_RAD_PER_MIN)
+}
+
+fn effect(text: &str) -> Result<(String, f64), String> {
+    let (name, value) = text.split_once('=').ok_or("write it as presliding_rad=0.02")?;
+    let mut effects = Effects::NONE;
+    let named = effects.named();
+    let Some((_, _, most)) = named.iter().find(|(known, ..)| *known == name) else {
+        let known = named.map(|(known, ..)| known).join(", ");
+        return Err(format!("there is no effect {name}; there are {known}"));
+    };
+    Ok((name.to_owned(), between(value, 0.0, *most)?))
 }
 
 fn scaling(text: &str) -> Result<(DomainParameter, f64), String> {

@@ -1,9 +1,8 @@
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::emulated_arguments::EmulatedArguments;
+use super::emulated_arguments::{EmulatedArguments, PlantEntry};
 use super::exit::Failure;
 use super::number_arguments::between;
 use crate::experiment::Plant;
@@ -20,10 +19,11 @@ pub struct PlantArguments {
     vary: f64,
 
     /// Several Qubes: a TOML file with one table `[[plants]]` for each: name, profile, gap, delay_ms,
-    /// jitter_ms, cable_drift_rad_per_min, scale = { M_p = 1.1 }, vary; psi is searched on the first
+    /// jitter_ms, cable_drift_rad_per_min, play_deg, effects = { presliding_rad = 0.02 }, scale = { M_p = 1.1 }, vary;
+    /// psi is searched on the first
     #[arg(long, value_name = "FILE",
-          conflicts_with_all = ["profile", "gap", "delay_ms", "jitter_ms", "cable_drift", "scale",
-                              "vary"])]
+          conflicts_with_all = ["profile", "gap", "delay_ms", "jitter_ms", "cable_drift", "play_deg",
+                              "effect", "scale", "vary"])]
     plants: Option<PathBuf>,
 }
 
@@ -31,21 +31,6 @@ pub struct PlantArguments {
 #[serde(deny_unknown_fields)]
 struct PlantsFile {
     plants: Vec<PlantEntry>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PlantEntry {
-    name: String,
-    profile: Option<String>,
-    gap: Option<f64>,
-    delay_ms: Option<f64>,
-    jitter_ms: Option<f64>,
-    cable_drift_rad_per_min: Option<f64>,
-    #[serde(default)]
-    scale: BTreeMap<String, f64>,
-    #[serde(default)]
-    vary: f64,
 }
 
 impl PlantArguments {
@@ -64,26 +49,17 @@ impl PlantArguments {
             .map_err(|error| wrong(error.to_string()))?;
         let file: PlantsFile =
             toml::from_str(&text).map_err(|error| wrong(error.to_string().trim_end().into()))?;
-        file.plants.into_iter().map(|entry| entry.plant(path)).collect()
+        file.plants.into_iter().map(|entry| plant(entry, path)).collect()
     }
 }
 
-impl PlantEntry {
-    fn plant(self, path: &Path) -> Result<Plant, Failure> {
-        let Self { name, profile, gap, delay_ms, jitter_ms, cable_drift_rad_per_min, scale, vary } =
-            self;
-        // The rules of the command line apply here too.
-        let emulated = EmulatedArguments::checked(
-            profile,
-            gap,
-            delay_ms,
-            jitter_ms,
-            cable_drift_rad_per_min,
-            &scale,
-        )
-        .map_err(|reason| Failure::usage(format!("{}: plant {name}: {reason}", path.display())))?;
-        Ok(Plant { name, emulated: emulated.of_plant(&PlantModel::QUBE)?, vary })
-    }
+/// The plant of an entry in a file.
+fn plant(entry: PlantEntry, path: &Path) -> Result<Plant, Failure> {
+    let emulated = EmulatedArguments::of_entry(&entry).map_err(|reason| {
+        Failure::usage(format!("{}: plant {}: {reason}", path.display(), entry.name))
+    })?;
+    let emulated = emulated.of_plant(&PlantModel::QUBE)?;
+    Ok(Plant { name: entry.name, emulated, vary: entry.vary })
 }
 
 fn part(text: &str) -> Result<f64, String> {

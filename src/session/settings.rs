@@ -3,7 +3,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{Extent, IdentificationSettings};
 use crate::control::HomingSettings;
-use crate::device::emulator::EmulatorSettings;
+use crate::device::emulator::{Effects, EmulatorSettings};
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Origin, Preset, TrainSettings};
 use crate::qube::{PlantModel, Profile, QubeModel};
@@ -26,6 +26,13 @@ pub struct EmulatedQubeSettings {
     /// Backlash between motor and arm, rad.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub play_rad: f64,
+    /// Effects beyond the equations.
+    #[serde(default, skip_serializing_if = "has_none")]
+    pub effects: Effects,
+}
+
+fn has_none(effects: &Effects) -> bool {
+    *effects == Effects::NONE
 }
 
 fn is_zero(value: &f64) -> bool {
@@ -40,6 +47,7 @@ impl EmulatedQubeSettings {
             model: self.model,
             command_jitter_s: self.command_jitter_s,
             play_rad: self.play_rad,
+            effects: self.effects,
             seed,
             ..EmulatorSettings::default()
         }
@@ -48,7 +56,12 @@ impl EmulatedQubeSettings {
 
 impl Default for EmulatedQubeSettings {
     fn default() -> Self {
-        Self { model: QubeModel::NOMINAL, command_jitter_s: 0.0, play_rad: 0.0 }
+        Self {
+            model: QubeModel::NOMINAL,
+            command_jitter_s: 0.0,
+            play_rad: 0.0,
+            effects: Effects::NONE,
+        }
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod board;
 mod bridge;
+mod effects;
 mod fault;
 mod mishap;
 mod plant;
@@ -13,6 +14,7 @@ mod pty;
 
 pub use board::Board;
 pub use bridge::UsbBridge;
+pub use effects::Effects;
 pub use fault::{EmulatorFault, UnknownFault};
 pub use plant::Plant;
 pub use pty::EmulatedQube;
@@ -28,6 +30,8 @@ pub struct EmulatorSettings {
     pub command_jitter_s: f64,
     /// Backlash between motor and arm, rad: the angle by which one turns without the other.
     pub play_rad: f64,
+    /// Effects beyond the equations.
+    pub effects: Effects,
     /// Signs of encoders and motor.
     pub wiring: Wiring,
     /// Bridge between board and computer; `None` is a plain serial line.
@@ -68,6 +72,7 @@ impl Default for EmulatorSettings {
             model: QubeModel::NOMINAL,
             command_jitter_s: 0.0,
             play_rad: 0.0,
+            effects: Effects::NONE,
             wiring: Wiring::default(),
             bridge: None,
             start: None,

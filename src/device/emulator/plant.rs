@@ -7,6 +7,7 @@ use firmware_protocol::scaling::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::effects::{ActingEffects, EFFECTS_STEP_US};
 use super::mishap::{Mishap, TrueReadings};
 use super::play::Play;
 use super::{EmulatorSettings, Finger};
@@ -54,6 +55,7 @@ pub struct Plant {
     /// Largest speed at which the arm has touched a stop, rad/s.
     hardest_touch_rad_s: f64,
     play: Option<Play>,
+    effects: Option<ActingEffects>,
     /// Longest step while the arm touches nothing, us.
     longest_step_us: u64,
     voltage_v: f64,
@@ -75,8 +77,16 @@ impl Plant {
     /// A Qube at rest: the pendulum hangs, and the seed determines the positions of arm and counters.
     #[must_use]
     pub fn new(settings: &EmulatorSettings) -> Self {
-        let EmulatorSettings { model, command_jitter_s, seed, play_rad, start, finger, .. } =
-            *settings;
+        let EmulatorSettings {
+            model,
+            command_jitter_s,
+            seed,
+            play_rad,
+            effects,
+            start,
+            finger,
+            ..
+        } = *settings;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut jitter = random.clone();
         jitter.set_stream(JITTER_STREAM);
@@ -86,13 +96,20 @@ impl Plant {
         let dynamics = NonidealDynamics::new(&model);
         let state = start.unwrap_or(State { theta, ..State::default() });
         let play = (play_rad > 0.0).then(|| Play::new(play_rad, &state));
+        let effects = ActingEffects::new(effects);
+        let mut longest_step_us =
+            if play.is_some() { PLAY_STEP_US } else { stable_step_us(&dynamics) };
+        if effects.is_some() {
+            longest_step_us = longest_step_us.min(EFFECTS_STEP_US);
+        }
         let mut plant = Self {
             model,
             command_jitter_s,
             jitter,
-            longest_step_us: if play.is_some() { PLAY_STEP_US } else { stable_step_us(&dynamics) },
+            longest_step_us,
             dynamics,
             play,
+            effects,
             state,
             hardest_touch_rad_s: 0.0,
             voltage_v: 0.0,
@@ -145,10 +162,21 @@ impl Plant {
             let before = self.state;
             let step_s = step_us as f64 * 1e-6;
             let push_v = self.mishap.driven_v(self.voltage_v) + self.mishap.pushed_like_v();
-            self.state = match &mut self.play {
-                None => runge_kutta_4(&self.dynamics, before, push_v, step_s),
-                Some(play) => play.step(&self.dynamics, before, push_v, step_s),
+            self.warm(push_v, step_s);
+            let equations = match &self.effects {
+                None => self.dynamics,
+                Some(effects) => effects.equations(&self.dynamics),
             };
+            self.state = match &mut self.play {
+                None => runge_kutta_4(&equations, before, push_v, step_s),
+                Some(play) => play.step(&equations, before, push_v, step_s),
+            };
+            if let Some(effects) = &mut self.effects {
+                self.state = effects.push(&self.dynamics, self.state, step_s);
+                if let Some(play) = &mut self.play {
+                    play.follow(&self.state);
+                }
+            }
             self.time_us += step_us;
             if self.mishap.holds_pendulum() {
                 self.state = self.dynamics.ideal.with_pendulum_stopped(self.state, before.alpha);
@@ -164,6 +192,21 @@ impl Plant {
             }
         }
         self.let_mishap_go_on();
+    }
+
+    /// Changes the motor's resistance by what its winding has lost.
+    fn warm(&mut self, voltage_v: f64, step_s: f64) {
+        let Some(effects) = self.effects.as_mut().filter(|_| !self.motor_is_open) else { return };
+        let parameters = &self.model.parameters;
+        let back_emf_v = parameters.motor_back_emf_v_s * self.state.theta_dot;
+        let current_a = (voltage_v - back_emf_v) / parameters.motor_resistance_ohm;
+        let loss_w = current_a * current_a * parameters.motor_resistance_ohm;
+        let factor = effects.resistance_factor(loss_w, step_s);
+        if factor != 1.0 {
+            let mut warm = self.model;
+            warm.parameters.motor_resistance_ohm *= factor;
+            self.dynamics = NonidealDynamics::new(&warm);
+        }
     }
 
     /// The stop that the arm would have passed at an angle.
@@ -272,8 +315,12 @@ impl Plant {
     /// The readings of intact encoders.
     fn true_readings(&self) -> TrueReadings {
         let Encoders { theta, alpha } = self.encoders;
+        let counted_rad = match &self.effects {
+            None => self.state.theta,
+            Some(effects) => effects.counted_theta(self.state.theta),
+        };
         TrueReadings {
-            theta_counts: theta.counts(self.state.theta).wrapping_add(self.theta_offset_counts),
+            theta_counts: theta.counts(counted_rad).wrapping_add(self.theta_offset_counts),
             alpha_counts: alpha.counts(self.state.alpha).wrapping_add(self.alpha_offset_counts),
             tachometer_raw: tachometer_register(theta, self.state.theta_dot),
         }

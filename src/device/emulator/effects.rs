@@ -1,0 +1,271 @@
+//! Effects of a real Qube that no equation of the library has, so that identification and training meet them as they
+//! would meet a stranger. Only the emulated plant has them.
+
+use serde::{Deserialize, Serialize};
+
+use crate::qube::{Acceleration, Dynamics, EquationsOfMotion, NonidealDynamics, State};
+
+/// Velocity at which Stribeck's additional friction has fallen to a third, rad/s.
+const STRIBECK_VELOCITY_RAD_S: f64 = 0.3;
+
+/// Velocity at which a friction without presliding has three quarters of its torque, rad/s.
+const SLIDING_RAD_S: f64 = 0.05;
+
+/// Angle over which the cable's elastoplastic torque builds up, rad.
+const CABLE_YIELD_RAD: f64 = 0.1;
+
+/// Time constant of the winding's temperature, s.
+const WINDING_S: f64 = 20.0;
+
+/// Angle of the arm at which an encoder off its centre counts right, rad.
+const ECCENTRIC_ZERO_RAD: f64 = -0.7;
+
+/// Longest integration step with any of these effects, us.
+pub(super) const EFFECTS_STEP_US: u64 = 100;
+
+/// The effects beyond the equations; each is absent at 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Effects {
+    /// Angle by which the arm's friction gives way like a spring before it slides, rad (Dahl 1968).
+    #[serde(skip_serializing_if = "is_zero")]
+    pub presliding_rad: f64,
+    /// Part of the friction's torque that it has in addition near standstill (Stribeck 1902).
+    #[serde(skip_serializing_if = "is_zero")]
+    pub stribeck: f64,
+    /// Torque by which the cable lags behind the arm, N m.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub hysteresis_n_m: f64,
+    /// Part of its stiffness that the cable lacks on the negative side of its rest angle.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub slack: f64,
+    /// Part by which the winding's resistance grows for each watt that it loses, after a long time.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub warming_per_w: f64,
+    /// Largest error of the arm's encoder, which is off its centre, rad.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub eccentricity_rad: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+impl Effects {
+    /// No effect.
+    pub const NONE: Self = Self {
+        presliding_rad: 0.0,
+        stribeck: 0.0,
+        hysteresis_n_m: 0.0,
+        slack: 0.0,
+        warming_per_w: 0.0,
+        eccentricity_rad: 0.0,
+    };
+
+    /// Each effect with its name and the largest value that an emulated Qube accepts.
+    #[must_use]
+    pub fn named(&mut self) -> [(&'static str, &mut f64, f64); 6] {
+        [
+            ("presliding_rad", &mut self.presliding_rad, 0.2),
+            ("stribeck", &mut self.stribeck, 2.0),
+            ("hysteresis_n_m", &mut self.hysteresis_n_m, 0.002),
+            ("slack", &mut self.slack, 1.0),
+            ("warming_per_w", &mut self.warming_per_w, 1.0),
+            ("eccentricity_rad", &mut self.eccentricity_rad, 0.1),
+        ]
+    }
+
+    /// Checks that each effect is within its range; describes the first that is not.
+    ///
+    /// # Errors
+    /// An effect is out of its range.
+    pub fn check(mut self) -> Result<(), String> {
+        for (name, value, most) in self.named() {
+            if !(0.0..=most).contains(value) {
+                return Err(format!("{name} = {value}: give a number from 0 to {most}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The effects of a plant, with what they remember.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ActingEffects {
+    effects: Effects,
+    /// Angle by which the friction has given way, in its largest.
+    friction_strain: f64,
+    /// Angle by which the cable has yielded, in its largest.
+    cable_strain: f64,
+    /// Loss of the winding with the winding's inertia of temperature, W.
+    slow_loss_w: f64,
+}
+
+impl ActingEffects {
+    /// The effects of a cold plant at rest; `None` without any.
+    pub fn new(effects: Effects) -> Option<Self> {
+        (effects != Effects::NONE).then_some(Self {
+            effects,
+            friction_strain: 0.0,
+            cable_strain: 0.0,
+            slow_loss_w: 0.0,
+        })
+    }
+
+    /// Factor on the motor's resistance after a step with this copper loss.
+    pub fn resistance_factor(&mut self, loss_w: f64, step_s: f64) -> f64 {
+        self.slow_loss_w += step_s / WINDING_S * (loss_w - self.slow_loss_w);
+        1.0 + self.effects.warming_per_w * self.slow_loss_w
+    }
+
+    /// The angle that the arm's encoder counts.
+    pub fn counted_theta(&self, theta: f64) -> f64 {
+        theta + self.effects.eccentricity_rad * (theta - ECCENTRIC_ZERO_RAD).sin()
+    }
+
+    /// The plant's equations without what these effects replace.
+    pub fn equations(&self, dynamics: &NonidealDynamics) -> NonidealDynamics {
+        let coulomb_torque =
+            if self.effects.presliding_rad > 0.0 { 0.0 } else { dynamics.coulomb_torque };
+        NonidealDynamics { coulomb_torque, ..*dynamics }
+    }
+
+    /// The state after the effects' torques have acted on the arm for a step.
+    pub fn push(&mut self, dynamics: &NonidealDynamics, state: State, step_s: f64) -> State {
+        let torque_n_m = self.torque_n_m(dynamics, &state, step_s);
+        // The equations are linear in the torque, and these torques are small.
+        let unit = Dynamics { torque_per_volt: 1.0, ..dynamics.ideal };
+        let with: Acceleration = unit.acceleration(&state, torque_n_m);
+        let without: Acceleration = unit.acceleration(&state, 0.0);
+        State {
+            theta_dot: state.theta_dot + step_s * (with.theta - without.theta),
+            alpha_dot: state.alpha_dot + step_s * (with.alpha - without.alpha),
+            ..state
+        }
+    }
+
+    fn torque_n_m(&mut self, dynamics: &NonidealDynamics, state: &State, step_s: f64) -> f64 {
+        let Effects { presliding_rad, stribeck, hysteresis_n_m, slack, .. } = self.effects;
+        let velocity = state.theta_dot;
+        let slow = velocity / STRIBECK_VELOCITY_RAD_S;
+        let more = stribeck * (-slow * slow).exp();
+        let friction = if presliding_rad > 0.0 {
+            let largest = 1.0 + more;
+            self.friction_strain =
+                strained(self.friction_strain, velocity / presliding_rad, largest, step_s);
+            dynamics.coulomb_torque * self.friction_strain
+        } else {
+            let x = velocity / SLIDING_RAD_S;
+            dynamics.coulomb_torque * more * x / (1.0 / 3.0 + x.abs())
+        };
+        self.cable_strain = strained(self.cable_strain, velocity / CABLE_YIELD_RAD, 1.0, step_s);
+        let beyond_rest = (state.theta - dynamics.cable_rest).min(0.0);
+        let lacking = slack * dynamics.cable_stiffness * beyond_rest;
+        lacking - friction - hysteresis_n_m * self.cable_strain
+    }
+}
+
+/// The strain of an elastoplastic element after a step: it follows a rate and slips at its largest strain.
+fn strained(strain: f64, rate: f64, largest: f64, step_s: f64) -> f64 {
+    // Implicit in the strain, so that a fast arm cannot make it ring.
+    (strain + step_s * rate) / (1.0 + step_s * rate.abs() / largest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::emulator::{EmulatorSettings, Plant};
+    use crate::qube::{HARD_STOP_RAD, Nonidealities, QubeModel};
+
+    fn plant(effects: Effects) -> Plant {
+        let nonidealities = Nonidealities {
+            coulomb_torque_n_m: 1e-3,
+            cable_stiffness_n_m_rad: 1e-3,
+            ..Nonidealities::default()
+        };
+        let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
+        Plant::new(&EmulatorSettings { model, effects, ..EmulatorSettings::default() })
+    }
+
+    /// Where the arm is after a voltage for a time, from its start.
+    fn moved(plant: &mut Plant, voltage_v: f64, until_us: u64) -> f64 {
+        let start = plant.state().theta;
+        plant.set_voltage(voltage_v);
+        plant.advance_to(until_us);
+        plant.state().theta - start
+    }
+
+    #[test]
+    fn each_effect_changes_the_motion_and_gives_no_energy() {
+        let mut each = Effects::NONE;
+        let count = each.named().len();
+        for index in 0..count {
+            let mut effects = Effects::NONE;
+            let (name, value, most) = &mut effects.named()[index];
+            **value = 0.5 * *most;
+            let (name, mut with, mut without) = (*name, plant(effects), plant(Effects::NONE));
+            for (from_s, voltage_v) in [(0, 3.0), (1, -5.0), (2, 5.0), (3, 0.0)] {
+                for plant in [&mut with, &mut without] {
+                    moved(plant, voltage_v, (from_s + 1) * 1_000_000);
+                    assert!(plant.state().theta.abs() <= HARD_STOP_RAD);
+                }
+            }
+            assert_ne!(with.theta_counts(), without.theta_counts(), "{name}");
+            with.advance_to(60_000_000);
+            let state = with.state();
+            assert!(
+                state.theta_dot.abs() < 0.05 && state.alpha_dot.abs() < 0.5,
+                "{name}: {state:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn an_encoder_off_its_centre_miscounts_an_arm_that_moves_as_before() {
+        let mut with = plant(Effects { eccentricity_rad: 0.05, ..Effects::NONE });
+        let mut without = plant(Effects::NONE);
+        moved(&mut with, 2.0, 200_000);
+        moved(&mut without, 2.0, 200_000);
+        let moved_apart = (with.state().theta - without.state().theta).abs();
+        assert!(moved_apart < 1e-3, "{moved_apart}");
+        let apart = with.theta_counts() - without.theta_counts();
+        assert!((1..=17).contains(&apart.abs()), "{apart}");
+    }
+
+    #[test]
+    fn friction_with_presliding_springs_back_from_a_small_push() {
+        let mut plant = plant(Effects { presliding_rad: 0.05, ..Effects::NONE });
+        moved(&mut plant, 0.0, 20_000_000);
+        // Less than the friction's torque.
+        let pushed = moved(&mut plant, 0.1, 30_000_000);
+        assert!(pushed > 0.003, "{pushed}");
+        let back = moved(&mut plant, 0.0, 40_000_000);
+        assert!(back < -0.5 * pushed, "{pushed} and {back}");
+    }
+
+    #[test]
+    fn a_strain_slips_at_its_largest() {
+        let mut strain = 0.0;
+        for _ in 0..100_000 {
+            strain = strained(strain, 40.0, 1.5, 1e-4);
+        }
+        assert!((strain - 1.5).abs() < 1e-6);
+        assert!(strained(strain, 1e9, 1.5, 1e-4) <= 1.5 + 1e-9);
+    }
+
+    #[test]
+    fn a_winding_that_loses_power_grows_in_resistance() {
+        let mut acting =
+            ActingEffects::new(Effects { warming_per_w: 0.3, ..Effects::NONE }).unwrap();
+        let factor = (0..1_000_000).map(|_| acting.resistance_factor(0.5, 1e-4)).last().unwrap();
+        assert!((factor - 1.15).abs() < 2e-3, "{factor}");
+    }
+
+    #[test]
+    fn an_effect_out_of_range_is_named() {
+        assert_eq!(Effects::NONE.check(), Ok(()));
+        let reason = Effects { slack: 1.5, ..Effects::NONE }.check().unwrap_err();
+        assert!(reason.contains("slack = 1.5") && reason.contains("from 0 to 1"), "{reason}");
+        assert!(Effects { stribeck: f64::NAN, ..Effects::NONE }.check().is_err());
+    }
+}
