@@ -223,6 +223,80 @@ fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
 }
 
 #[test]
+fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
+    let arguments = [
+        "--strategies",
+        "robust,identify-mean,posterior,sequential,random",
+        "--budgets",
+        "0,1,2",
+        "--recipe",
+        "search.toml",
+        "--plants",
+        "beyond.toml",
+        "--repetitions",
+        "1",
+        "--rollouts",
+        "1",
+        "--trainings",
+        "2",
+        "--seed",
+        "4",
+        "--out",
+        "one",
+    ];
+    let prepare = |directory: &Path| {
+        let text = format!("name = \"tiny\"\nmodel = \"opt-nominal\"\n{TINY}{SEARCH}");
+        std::fs::write(directory.join("search.toml"), text).unwrap();
+        let plants = "[[plants]]\nname = \"lab\"\nprofile = \"lab\"\n\n\
+                      [[plants]]\nname = \"cable\"\nprofile = \"lab\"\nplay_deg = 0.5\n\
+                      effects = { hysteresis_n_m = 0.0002, slack = 1.0 }\n";
+        std::fs::write(directory.join("beyond.toml"), plants).unwrap();
+    };
+    let whole = tempfile::tempdir().unwrap();
+    prepare(whole.path());
+    let output = experiment(whole.path(), &arguments).args(["--json"]).output().unwrap();
+    let result: serde_json::Value = serde_json::from_str(&succeeds(&output)).unwrap();
+    let rows: Vec<(String, String)> = result["models"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|row| (row["plant"].as_str().unwrap().into(), row["model"].as_str().unwrap().into()))
+        .collect();
+    for plant in ["lab", "cable", "all plants"] {
+        let of_plant: Vec<&str> =
+            rows.iter().filter(|(on, _)| on == plant).map(|(_, row)| row.as_str()).collect();
+        // Only what takes no rollout has a recommendation without any.
+        let expected = [
+            "robust 0",
+            "robust 1",
+            "robust 2",
+            "identify-mean 1",
+            "identify-mean 2",
+            "posterior 1",
+            "posterior 2",
+            "sequential 1",
+            "sequential 2",
+            "random 1",
+            "random 2",
+        ];
+        assert_eq!(of_plant, expected, "{plant}");
+    }
+    // Policies are trained twice at most: robust and the first of random serve several budgets.
+    let names = files(&whole.path().join("one"));
+    let count = |start: &str, end: &str| {
+        names.keys().filter(|name| name.starts_with(start) && name.ends_with(end)).count()
+    };
+    assert_eq!(count("budgets/lab/robust", "policy.safetensors"), 1);
+    assert_eq!(count("budgets/cable/posterior", "identified-2.toml"), 1);
+    assert_eq!(count("budgets/cable/sequential/000/recordings", ".mcap"), 2);
+
+    let torn = tempfile::tempdir().unwrap();
+    prepare(torn.path());
+    run_with_interruptions(torn.path(), &arguments);
+    same_files(torn.path(), &names);
+}
+
+#[test]
 fn impossible_settings_are_refused_before_anything_is_made() {
     let directory = tempfile::tempdir().unwrap();
     prepare(directory.path());
@@ -236,7 +310,14 @@ fn impossible_settings_are_refused_before_anything_is_made() {
         (vec!["--recipe", "nominal.toml", "--policies", "0"], "policies"),
         (vec!["--recipe", "nominal.toml", "--plants", "far.toml"], "gap"),
         (vec!["--resume", "nowhere"], "no experiment"),
-        (vec!["--strategies", "baysian"], "bayrn, cem, cmaes, random, sobol, identify"),
+        (
+            vec!["--strategies", "baysian"],
+            "bayrn, cem, cmaes, random, sobol, robust, identify-mean",
+        ),
+        (vec!["--strategies", "robust"], "give budgets"),
+        (vec!["--strategies", "cem", "--budgets", "5,2"], "larger than the one before"),
+        (vec!["--recipe", "nominal.toml", "--effect", "slack=2"], "from 0 to 1"),
+        (vec!["--recipe", "nominal.toml", "--effect", "hunger=2"], "no effect hunger"),
         (vec!["--strategies", "cem,cem"], "cem is there twice"),
         (vec!["--strategies", "cem", "--models", "nominal"], "give one of opt-handcrafted"),
         (vec!["--strategies", "cem", "--models", "opt-nominal,opt-robust"], "one model"),

@@ -55,6 +55,7 @@ mod tests {
     fn two_recipes_are_one_line_of_at_most_80_columns() {
         let recipe = |name: &str, earned: f64, behaviour| RecipeResult {
             recipe: name.into(),
+            budget: None,
             plant: "lab".into(),
             psi: BTreeMap::new(),
             policies: (0..10)

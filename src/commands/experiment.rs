@@ -292,7 +292,11 @@ fn begun(
     };
     // A single policy reflects the luck of its training more than its recipe, so a recommendation is scored
     // by more policies rather than by more rollouts.
-    let (policies, rollouts) = if strategies.is_some() { (10, 2) } else { (20, 5) };
+    let (policies, rollouts) = match &strategies {
+        Some(strategies) if strategies.has_budgets() => (1, 5),
+        Some(_) => (10, 2),
+        None => (20, 5),
+    };
     let mut settings = ExperimentSettings {
         name: "experiment".into(),
         seed: arguments.seed,

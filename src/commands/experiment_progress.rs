@@ -19,6 +19,10 @@ impl ExperimentProgress {
     /// A display for an experiment of this extent.
     pub fn new(settings: &ExperimentSettings) -> Self {
         let (count, what) = match &settings.strategies {
+            Some(it) if it.has_budgets() => {
+                let rows = settings.plants.len() * it.methods.len() * it.budgets.len();
+                (rows as u64 * u64::from(it.repetitions), "scores")
+            }
             Some(it) => (it.methods.len() as u64 * u64::from(it.repetitions), "searches"),
             None => {
                 let series = settings.recipes.len() * settings.plants.len();

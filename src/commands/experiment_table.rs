@@ -191,6 +191,7 @@ mod tests {
         Results {
             recipes: vec![RecipeResult {
                 recipe: "nominal-handcrafted-with-a-long-name".into(),
+                budget: None,
                 plant: "lab".into(),
                 psi: Default::default(),
                 policies: policies.collect(),

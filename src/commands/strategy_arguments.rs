@@ -10,10 +10,11 @@ const SPREAD: f64 = 0.1;
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Searches compared by the real rollouts they need")]
 pub struct StrategyArguments {
-    /// Compare methods of finding one model's psi [default: opt-nominal's] instead of recipes: bayrn, cem,
-    /// cmaes, random, sobol; `identify` takes recordings instead and trains around the identified Qube. The
-    /// result is the number of real rollouts until the recommendation succeeds in 90 % of --policies x
-    /// --rollouts separate rollouts
+    /// Compare methods instead of recipes. bayrn, cem, cmaes, random and sobol search for one model's psi [default:
+    /// opt-nominal's]. The others take recordings and train around the Qube that these identify: on its values alone
+    /// (identify-mean), with a spread (identify), along the fit's errors (posterior), with rollouts of their own
+    /// policies as further recordings (sequential). robust takes no real rollout. The result is the number of real
+    /// rollouts until the recommendation succeeds in 90 % of --policies x --rollouts separate rollouts
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "resume")]
     pub strategies: Vec<Method>,
 
@@ -21,9 +22,24 @@ pub struct StrategyArguments {
     #[arg(long, default_value_t = 10, requires = "strategies")]
     repetitions: u32,
 
-    /// Largest number of recordings for `identify`
-    #[arg(long, default_value_t = 6, requires = "strategies")]
+    /// Largest number of recordings for methods that identify the Qube
+    #[arg(long, default_value_t = 6, requires = "strategies", conflicts_with = "budgets")]
     recordings: u32,
+
+    /// Score each method after these numbers of real rollouts, on every plant, instead of up to its first success; one
+    /// policy of --rollouts rollouts scores a repetition
+    #[arg(
+        long,
+        value_name = "NUMBERS",
+        value_delimiter = ',',
+        requires = "strategies",
+        conflicts_with = "policies"
+    )]
+    budgets: Vec<u32>,
+
+    /// Competing trainings of each scored policy, of which the best in simulation is kept
+    #[arg(long, default_value_t = 1, requires = "strategies")]
+    trainings: u32,
 }
 
 impl StrategyArguments {
@@ -34,6 +50,8 @@ impl StrategyArguments {
             repetitions: self.repetitions,
             recordings: self.recordings,
             spread: SPREAD,
+            budgets: self.budgets.clone(),
+            trainings: self.trainings,
         })
     }
 }

@@ -40,12 +40,14 @@ pub struct Comparison {
 }
 
 impl Results {
-    /// Every pair of recipes on every plant on which both have policies of equal number.
+    /// Every pair of recipes, of equal budgets, on every plant on which both have policies of equal number.
     #[must_use]
     pub fn comparisons(&self) -> Vec<Comparison> {
         let mut comparisons = Vec::new();
         for (index, first) in self.recipes.iter().enumerate() {
-            let others = self.recipes[index + 1..].iter().filter(|it| it.plant == first.plant);
+            let others = self.recipes[index + 1..]
+                .iter()
+                .filter(|it| it.plant == first.plant && it.budget == first.budget);
             comparisons.extend(others.filter_map(|second| compare(first, second)));
         }
         let by_success = holm(&comparisons.iter().map(|it| it.success_p).collect::<Vec<_>>());

@@ -18,6 +18,7 @@ use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 /// strategies/identify/000/recordings/             or the recordings of a repetition without one,
 /// strategies/identify/000/identified-1.toml       and the Qube that was found in the first of them
 /// strategies/STRATEGY/000/judged/003/000/         policies as above, of the third recommendation
+/// budgets/PLANT/STRATEGY/000/                     the same of a comparison at fixed budgets
 /// ```
 #[derive(Debug)]
 pub struct ExperimentFolder {
@@ -94,6 +95,12 @@ impl ExperimentFolder {
     #[must_use]
     pub fn policies(&self, recipe: &str) -> PolicyFolders {
         PolicyFolders(self.root.join("policies").join(recipe))
+    }
+
+    /// Folder of one repetition of a method on a plant, in a comparison at fixed budgets.
+    #[must_use]
+    pub fn repetition_on(&self, plant: &str, strategy: &str, repetition: u32) -> PathBuf {
+        self.root.join("budgets").join(plant).join(strategy).join(format!("{repetition:03}"))
     }
 
     /// Folder of one repetition of a method in a comparison of strategies.

@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::sync::atomic::AtomicBool;
@@ -34,6 +35,8 @@ pub struct RecipeResult {
     pub recipe: String,
     /// Name of the plant.
     pub plant: String,
+    /// Number of real rollouts that the recipe took, in a comparison of methods at fixed budgets.
+    pub budget: Option<u32>,
     /// Psi of the recipe by name; empty without one.
     pub psi: BTreeMap<String, f64>,
     /// Policies that have completed all their rollouts on the plant, in order.
@@ -156,6 +159,9 @@ impl Results {
     /// An existing policy or recording cannot be read.
     pub fn read(experiment: &Experiment) -> Result<Self, ExperimentError> {
         let settings = experiment.settings();
+        if let Some(strategies) = settings.strategies.as_ref().filter(|it| it.has_budgets()) {
+            return Ok(Self { recipes: experiment.budget_results(strategies)? });
+        }
         let mut recipes = Vec::new();
         let mut trained = Vec::new();
         let mut all_simulations = Vec::new();
@@ -175,6 +181,7 @@ impl Results {
             all_simulations.push(simulations);
             recipes.extend(settings.plants.iter().map(|plant| RecipeResult {
                 recipe: recipe.name.clone(),
+                budget: None,
                 plant: plant.name.clone(),
                 psi: psi.value().map(Psi::named_values).unwrap_or_default(),
                 policies: Vec::new(),
@@ -191,8 +198,9 @@ impl Results {
             let recipe = &settings.recipes[index];
             let ran = experiment.ran(recipe, number)?;
             if ran.iter().any(Option::is_some) {
-                let simulated_return =
-                    experiment.simulated_return(recipe, number, distribution, simulation)?;
+                let path = experiment.folder().policies(&recipe.name).policy(number).policy();
+                let starts = settings.simulated_starts as usize;
+                let simulated_return = simulated_return(&path, distribution, simulation, starts)?;
                 let mut recipes = recipes.lock().unwrap_or_else(PoisonError::into_inner);
                 for (plant, rollouts) in ran.into_iter().enumerate() {
                     let Some(rollouts) = rollouts else { continue };
@@ -224,23 +232,20 @@ impl Experiment {
         };
         self.settings().plants.iter().map(on).collect()
     }
+}
 
-    fn simulated_return(
-        &self,
-        recipe: &Recipe,
-        policy: u32,
-        distribution: &DomainDistribution,
-        simulation: &SimulationSettings,
-    ) -> Result<f64, ExperimentError> {
-        let path = self.folder().policies(&recipe.name).policy(policy).policy();
-        let Policy::Network(policy) = Policy::load(&path)? else {
-            return Ok(f64::NAN);
-        };
-        let starts = self.settings().simulated_starts as usize;
-        let evaluation =
-            evaluate_afresh(&policy.network, distribution, simulation, FRESH_SEED, starts);
-        Ok(evaluation.mean_return())
-    }
+/// The mean return of a policy file in simulations, from fresh starts.
+pub(super) fn simulated_return(
+    path: &Path,
+    distribution: &DomainDistribution,
+    simulation: &SimulationSettings,
+    starts: usize,
+) -> Result<f64, ExperimentError> {
+    let Policy::Network(policy) = Policy::load(path)? else {
+        return Ok(f64::NAN);
+    };
+    let evaluation = evaluate_afresh(&policy.network, distribution, simulation, FRESH_SEED, starts);
+    Ok(evaluation.mean_return())
 }
 
 #[cfg(test)]
@@ -275,6 +280,7 @@ mod tests {
     fn a_recipe_is_summed_up_over_its_policies() {
         let result = RecipeResult {
             recipe: "nominal".into(),
+            budget: None,
             plant: "lab".into(),
             psi: BTreeMap::new(),
             policies: vec![policy([500.0; 5], 5), policy([100.0; 5], 0), policy([0.0; 5], 0)],

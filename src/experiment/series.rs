@@ -4,8 +4,10 @@ use std::sync::atomic::AtomicBool;
 use super::folder::{PolicyFolders, make};
 use super::rollouts::{Record, Repeated};
 use super::{ExperimentError, Plant, Recipe, RolloutResult};
-use crate::jobs::{Executor, LocalExecutor, TrainingJob};
-use crate::learning::{TrainSettings, curve_csv};
+use crate::jobs::{
+    CHOSEN_OF_STARTS, Executor, LocalExecutor, ROUNDS, SUCCEEDED, TrainingJob, worst_return,
+};
+use crate::learning::{TrainSettings, Trained, curve_csv, evaluate_afresh};
 use crate::policy::Policy;
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::session::{EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed};
@@ -24,6 +26,8 @@ pub(super) struct Series<'a> {
     pub psi: Option<&'a Psi>,
     /// Seed from which, with a policy's number, every random number follows.
     pub seed: u64,
+    /// Number of competing trainings of a policy; the best in simulation is kept.
+    pub trainings: u32,
     /// Folders of the policies and their recordings.
     pub folders: PolicyFolders,
     /// Settings of the rig.
@@ -45,18 +49,48 @@ impl Series<'_> {
             return Ok(None);
         }
         make(paths.folder())?;
-        let simulation = self.recipe.simulation(self.psi);
-        let training = self.recipe.settings.training.clone();
-        let settings = TrainSettings { threads: 1, simulation, ..training };
-        let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy, training: 0 });
-        let job = TrainingJob { distribution: self.recipe.distribution(self.psi)?, settings, seed };
-        let trained = LocalExecutor::on_cores(1).train_one(&job, self.stop, &mut |_| ())?;
+        let trained = self.best_of_trainings(policy)?;
         let best_return = trained.best_return;
         let curve = curve_csv(&trained.curve);
         write_whole(&MachineDisk, &paths.curve(), curve.as_bytes())?;
         let file = trained.into_policy(self.recipe.origin(self.psi)).to_bytes();
         write_whole(&MachineDisk, &path, &file)?;
         Ok(Some(best_return))
+    }
+
+    /// The best of the policy's trainings; if all of a round fail in simulation, the next round follows.
+    fn best_of_trainings(&self, policy: u32) -> Result<Trained, ExperimentError> {
+        let distribution = self.recipe.distribution(self.psi)?;
+        let simulation = self.recipe.simulation(self.psi);
+        let settings =
+            TrainSettings { threads: 1, simulation, ..self.recipe.settings.training.clone() };
+        let train = |training: u32| {
+            let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy, training });
+            let (distribution, settings) = (distribution.clone(), settings.clone());
+            let job = TrainingJob { distribution, settings, seed };
+            LocalExecutor::on_cores(1).train_one(&job, self.stop, &mut |_| ())
+        };
+        if self.trainings <= 1 {
+            return Ok(train(0)?);
+        }
+        let fresh = derived_seed(self.seed, SeedFor::Evaluation { candidate: policy });
+        let scored = |training: u32| -> Result<(f64, Trained), ExperimentError> {
+            let trained = train(training)?;
+            let (network, starts) = (&trained.network, CHOSEN_OF_STARTS);
+            let simulated = evaluate_afresh(network, &distribution, &simulation, fresh, starts);
+            Ok((worst_return(&simulated), trained))
+        };
+        let mut best = scored(0)?;
+        for training in 1..ROUNDS * self.trainings {
+            if training % self.trainings == 0 && best.0 >= SUCCEEDED {
+                break;
+            }
+            let next = scored(training)?;
+            if next.0 > best.0 {
+                best = next;
+            }
+        }
+        Ok(best.1)
     }
 
     /// Runs a policy on an emulated plant. The Qube of each rollout follows from the seed alone, so that a

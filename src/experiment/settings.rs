@@ -147,8 +147,8 @@ impl ExperimentSettings {
                 Model::searched_names()
             ));
         }
-        if self.plants.len() > 1 {
-            return Err("strategies are compared on one plant: give one".into());
+        if self.plants.len() > 1 && !strategies.has_budgets() {
+            return Err("strategies are compared on one plant: give one, or budgets".into());
         }
         Ok(())
     }
@@ -195,6 +195,8 @@ mod tests {
             repetitions: 10,
             recordings: 6,
             spread: 0.1,
+            budgets: vec![0, 2, 5],
+            trainings: 2,
         };
         ExperimentSettings { recipes: vec![recipe], strategies: Some(strategies), ..settings() }
     }
@@ -242,9 +244,17 @@ mod tests {
         );
         let twice = wrong(|it| it.strategies.as_mut().unwrap().methods.push(Method::Identify));
         assert!(twice.contains("identify is there twice"), "{twice}");
+        let robust = wrong(|it| it.strategies.as_mut().unwrap().budgets.clear());
+        assert!(robust.contains("give budgets"), "{robust}");
+        let falling = wrong(|it| it.strategies.as_mut().unwrap().budgets = vec![2, 2]);
+        assert!(falling.contains("larger than the one before"), "{falling}");
         let more = Plant { name: "more".into(), ..settings().plants[0].clone() };
         let mut two = of_strategies();
         two.plants.push(more);
+        assert_eq!(two.check(), Ok(()));
+        let strategies = two.strategies.as_mut().unwrap();
+        strategies.budgets.clear();
+        strategies.methods.retain(|method| *method != Method::Robust);
         assert!(two.check().unwrap_err().contains("one plant"));
     }
 }

@@ -5,7 +5,7 @@ use super::folder::make;
 use super::queue::Queue;
 use super::search::{RecipePsi, found_psi, open_search, searched};
 use super::series::Series;
-use super::strategies::Access;
+use super::strategies::{Access, Trial};
 use super::{
     ExperimentError, ExperimentFolder, ExperimentSettings, Method, Recipe, RecommendationResult,
     Repetition, RolloutResult,
@@ -82,6 +82,8 @@ enum WorkItem {
         /// Number of the policy.
         policy: u32,
     },
+    /// Score one repetition of a method at the budgets.
+    AtBudgets(Trial),
     /// Run one repetition of a method.
     Repetition {
         /// Method of the comparison.
@@ -166,6 +168,10 @@ impl Experiment {
 
     fn items(&self) -> Vec<WorkItem> {
         if let Some(strategies) = &self.settings.strategies {
+            if strategies.has_budgets() {
+                let trials = strategies.trials(self.settings.plants.len());
+                return trials.map(WorkItem::AtBudgets).collect();
+            }
             let of = |(method, repetition)| WorkItem::Repetition { method, repetition };
             return strategies.repetitions().map(of).collect();
         }
@@ -200,6 +206,12 @@ impl Experiment {
             WorkItem::Policy { recipe, policy } => {
                 let recipe = &self.settings.recipes[recipe];
                 self.make_policy(recipe, policy, tell)?;
+                Ok(Vec::new())
+            }
+            WorkItem::AtBudgets(trial) => {
+                if let Some(strategies) = &self.settings.strategies {
+                    self.at_budgets(strategies, trial, Access::Work(tell))?;
+                }
                 Ok(Vec::new())
             }
             WorkItem::Repetition { method, repetition } => {
@@ -279,6 +291,7 @@ impl Experiment {
             recipe,
             psi,
             seed: self.settings.seed,
+            trainings: 1,
             folders: self.folder.policies(&recipe.name),
             rig: &self.rig,
             stop: &self.stop,

@@ -25,8 +25,10 @@
 
 mod executor;
 mod local;
+mod selection;
 mod training_job;
 
 pub use executor::{Executor, JobEvent};
 pub use local::LocalExecutor;
+pub use selection::{CHOSEN_OF_STARTS, ROUNDS, SUCCEEDED, worst_return};
 pub use training_job::TrainingJob;

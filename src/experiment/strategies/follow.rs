@@ -1,11 +1,13 @@
-use super::identified::FromRecordings;
+use std::path::PathBuf;
+
+use super::identified::{FromRecordings, Further, Width};
 use super::repetition::{RecommendationResult, Repetition, name};
-use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
+use super::run::{
+    Access, MethodRun, Recommendation, Recommendations, Recommended, WithoutRollouts,
+};
 use super::score::{Decision, score};
 use super::search::FromSearch;
 use super::{Method, StrategySettings};
-use crate::experiment::folder::PolicyFolders;
-use crate::experiment::series::Series;
 use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Plant};
 use crate::session::{SeedFor, derived_seed};
 
@@ -20,21 +22,9 @@ impl Experiment {
         (method, number): (Method, u32),
         access: Access,
     ) -> Result<Repetition, ExperimentError> {
-        let plant = &self.settings().plants[0];
-        let emulated = plant.for_policy(self.settings().seed, number);
-        let run = MethodRun {
-            experiment: self,
-            name: name(method, number),
-            recipe: &self.settings().recipes[0],
-            seed: derived_seed(self.settings().seed, SeedFor::Repetition { repetition: number }),
-            plant: Plant { emulated, vary: 0.0, ..plant.clone() },
-            folder: self.folder().repetition(method.name(), number),
-            access,
-        };
-        let mut recommendations: Box<dyn Recommendations + '_> = match method {
-            Method::Search(kind) => Box::new(FromSearch::new(&run, kind)?),
-            Method::Identify => Box::new(FromRecordings::new(&run, strategies)),
-        };
+        let folder = self.folder().repetition(method.name(), number);
+        let run = self.method_run((method, number), &self.settings().plants[0], folder, access);
+        let mut recommendations = recommendations_of(&run, method, strategies)?;
         let mut repetition = Repetition {
             method,
             number,
@@ -45,6 +35,46 @@ impl Experiment {
         run.follow(recommendations.as_mut(), &mut repetition)?;
         Ok(repetition)
     }
+
+    /// One repetition of a method on a plant.
+    pub(super) fn method_run<'a>(
+        &'a self,
+        (method, number): (Method, u32),
+        plant: &Plant,
+        folder: PathBuf,
+        access: Access<'a>,
+    ) -> MethodRun<'a> {
+        let emulated = plant.for_policy(self.settings().seed, number);
+        MethodRun {
+            experiment: self,
+            name: name(method, number),
+            recipe: &self.settings().recipes[0],
+            seed: derived_seed(self.settings().seed, SeedFor::Repetition { repetition: number }),
+            plant: Plant { emulated, vary: 0.0, ..plant.clone() },
+            folder,
+            access,
+        }
+    }
+}
+
+/// The recommendations of a method in one of its runs.
+///
+/// # Errors
+/// The settings are invalid for the method.
+pub(super) fn recommendations_of<'a>(
+    run: &'a MethodRun<'a>,
+    method: Method,
+    settings: &'a StrategySettings,
+) -> Result<Box<dyn Recommendations + 'a>, ExperimentError> {
+    let identified = |width, further| FromRecordings::new(run, settings, width, further);
+    Ok(match method {
+        Method::Search(kind) => Box::new(FromSearch::new(run, kind)?),
+        Method::Robust => Box::new(WithoutRollouts(run)),
+        Method::IdentifyMean => Box::new(identified(Width::Exact, Further::Excitations)),
+        Method::Identify => Box::new(identified(Width::Spread, Further::Excitations)),
+        Method::Posterior => Box::new(identified(Width::Posterior, Further::Excitations)),
+        Method::SequentialPosterior => Box::new(identified(Width::Posterior, Further::Rollouts)),
+    })
 }
 
 impl MethodRun<'_> {
@@ -89,15 +119,8 @@ impl MethodRun<'_> {
         steps: u32,
     ) -> Result<Option<Decision>, ExperimentError> {
         let settings = self.experiment.settings();
-        let series = Series {
-            experiment: &settings.name,
-            recipe: &recommendation.recipe,
-            psi: recommendation.psi.as_ref(),
-            seed: self.seed,
-            folders: PolicyFolders::of_recommendation(&self.folder, steps),
-            rig: self.experiment.rig(),
-            stop: self.experiment.stop(),
-        };
+        let trainings = settings.strategies.as_ref().map_or(1, |it| it.trainings);
+        let series = self.series(recommendation, steps, trainings);
         score(&series, &self.plant, settings.policies, settings.rollouts, self.access)
     }
 }

@@ -11,15 +11,32 @@ use crate::search::StrategyKind;
 pub enum Method {
     /// Searches for psi with a strategy.
     Search(StrategyKind),
-    /// Identifies the Qube from recordings under an excitation and trains policies around the result,
-    /// without a search.
+    /// Takes no real rollout and trains for a Qube that nobody has identified.
+    Robust,
+    /// Identifies the Qube from recordings under an excitation and trains on the result alone, as if it were exact
+    /// (classical system identification, thesis [12], [16]).
+    IdentifyMean,
+    /// Identifies the Qube from recordings under an excitation and trains with a spread around each value.
     Identify,
+    /// Identifies the Qube from recordings under an excitation and trains along the errors of the fit, beside the
+    /// spread.
+    Posterior,
+    /// Does as [`Method::Posterior`] after the first recording; each further recording is a rollout of the policy that
+    /// the recordings before it give.
+    SequentialPosterior,
 }
 
 impl Method {
     /// Every method.
     pub fn all() -> impl Iterator<Item = Self> {
-        StrategyKind::ALL.into_iter().map(Self::Search).chain([Self::Identify])
+        let others = [
+            Self::Robust,
+            Self::IdentifyMean,
+            Self::Identify,
+            Self::Posterior,
+            Self::SequentialPosterior,
+        ];
+        StrategyKind::ALL.into_iter().map(Self::Search).chain(others)
     }
 
     /// The method's name.
@@ -27,7 +44,11 @@ impl Method {
     pub fn name(self) -> &'static str {
         match self {
             Self::Search(kind) => kind.name(),
+            Self::Robust => "robust",
+            Self::IdentifyMean => "identify-mean",
             Self::Identify => "identify",
+            Self::Posterior => "posterior",
+            Self::SequentialPosterior => "sequential",
         }
     }
 }
@@ -76,7 +97,7 @@ mod tests {
         let message = "baysian".parse::<Method>().unwrap_err();
         assert!(
             message.contains("baysian")
-                && message.contains("bayrn, cem, cmaes, random, sobol, identify")
+                && message.contains("bayrn, cem, cmaes, random, sobol, robust")
         );
     }
 }

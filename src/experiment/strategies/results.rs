@@ -91,13 +91,15 @@ impl StrategyResult {
 
 impl StrategyResults {
     /// Reads all finished work, on as many threads as the experiment has; `None` where the experiment
-    /// compares no methods.
+    /// does not compare methods up to their first success.
     ///
     /// # Errors
     /// An existing session or recording cannot be read.
     pub fn read(experiment: &Experiment) -> Result<Option<Self>, ExperimentError> {
         let settings = experiment.settings();
-        let Some(strategies) = &settings.strategies else { return Ok(None) };
+        let Some(strategies) = settings.strategies.as_ref().filter(|it| !it.has_budgets()) else {
+            return Ok(None);
+        };
         let read = Mutex::new(Vec::new());
         // Results are needed after a stop request too.
         let never = AtomicBool::new(false);

@@ -1,8 +1,10 @@
 use std::path::PathBuf;
 
+use crate::experiment::folder::PolicyFolders;
+use crate::experiment::series::Series;
 use crate::experiment::work::Tell;
 use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
-use crate::simulation::Psi;
+use crate::simulation::{Model, Psi};
 
 /// The recipe and psi that a method recommends for training policies.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,4 +72,48 @@ pub(super) struct MethodRun<'a> {
     pub folder: PathBuf,
     /// Whether missing results are made.
     pub access: Access<'a>,
+}
+
+impl MethodRun<'_> {
+    /// The recommendation where nothing is known of the Qube: the distribution `robust`.
+    pub fn without_identification(&self) -> Recommendation {
+        let recipe = Recipe::of(Model::Robust, &self.recipe.settings);
+        Recommendation { recipe, psi: None }
+    }
+
+    /// The policies of the recommendation after `steps` candidates or recordings.
+    pub fn series<'b>(
+        &'b self,
+        recommendation: &'b Recommendation,
+        steps: u32,
+        trainings: u32,
+    ) -> Series<'b> {
+        Series {
+            experiment: &self.experiment.settings().name,
+            recipe: &recommendation.recipe,
+            psi: recommendation.psi.as_ref(),
+            seed: self.seed,
+            trainings,
+            folders: PolicyFolders::of_recommendation(&self.folder, steps),
+            rig: self.experiment.rig(),
+            stop: self.experiment.stop(),
+        }
+    }
+}
+
+/// The recommendations of the method `robust`, which takes no real rollout.
+pub(super) struct WithoutRollouts<'a>(pub &'a MethodRun<'a>);
+
+impl Recommendations for WithoutRollouts<'_> {
+    fn count(&self) -> u32 {
+        1
+    }
+
+    fn rollouts_each(&self) -> u32 {
+        0
+    }
+
+    fn after(&mut self, _steps: u32) -> Result<Recommended, ExperimentError> {
+        Ok(Recommended::Found(Box::new(self.0.without_identification())))
+    }
 }

@@ -12,13 +12,39 @@ pub struct StrategySettings {
     /// Number of repetitions of each method. Methods share the seed of a repetition, and with it the random
     /// numbers where they do the same.
     pub repetitions: u32,
-    /// Largest number of recordings for `identify`, each 10 s under a chirp.
+    /// Largest number of recordings for methods that identify the Qube; excitations last 10 s.
     pub recordings: u32,
     /// Standard deviation of the training distribution around an identified Qube, as a part of each value.
     pub spread: f64,
+    /// Numbers of real rollouts after which each method's recommendation is scored, in rising order. Without any, each
+    /// recommendation is scored until the first one succeeds.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub budgets: Vec<u32>,
+    /// Number of competing trainings of each scored policy; the best in simulation is kept.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub trainings: u32,
+}
+
+fn one() -> u32 {
+    1
+}
+
+fn is_one(count: &u32) -> bool {
+    *count == 1
 }
 
 impl StrategySettings {
+    /// Whether methods are compared at fixed budgets instead of up to their first success.
+    #[must_use]
+    pub fn has_budgets(&self) -> bool {
+        !self.budgets.is_empty()
+    }
+
+    /// Largest number of recordings of a method that identifies the Qube.
+    pub(super) fn most_recordings(&self) -> u32 {
+        self.budgets.last().copied().unwrap_or(self.recordings)
+    }
+
     /// Every repetition of every method, first repetitions first.
     pub(in crate::experiment) fn repetitions(&self) -> impl Iterator<Item = (Method, u32)> {
         (0..self.repetitions)
@@ -42,6 +68,15 @@ impl StrategySettings {
             if !(1..=1000).contains(&value) {
                 return Err(format!("{name} = {value}: give a number from 1 to 1000"));
             }
+        }
+        if !self.budgets.is_sorted_by(|a, b| a < b) || self.budgets.last() > Some(&1000) {
+            return Err("budgets: give numbers of real rollouts up to 1000, each larger than the one before".into());
+        }
+        if !self.has_budgets() && self.methods.contains(&Method::Robust) {
+            return Err("robust takes no real rollouts: give budgets to compare it".into());
+        }
+        if !(1..=64).contains(&self.trainings) {
+            return Err(format!("trainings = {}: give a number from 1 to 64", self.trainings));
         }
         if !(0.0..=1.0).contains(&self.spread) {
             return Err(format!("spread = {}: give a number from 0 to 1", self.spread));

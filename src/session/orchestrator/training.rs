@@ -1,7 +1,7 @@
 //! Trains the policies of candidates, each with one seed or with several of which the best is kept.
 
 use super::Session;
-use crate::jobs::{JobEvent, TrainingJob};
+use crate::jobs::{CHOSEN_OF_STARTS, JobEvent, ROUNDS, SUCCEEDED, TrainingJob, worst_return};
 use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_afresh};
 use crate::policy::{Excitation, ExcitationShape, Network, Policy};
 use crate::session::seeds::{SeedFor, derived_seed};
@@ -10,20 +10,6 @@ use crate::session::{
 };
 use crate::simulation::{DomainDistribution, Evaluation, Model, SimulationSettings};
 use crate::storage::write_whole;
-
-/// Number of rounds of trainings; if all fail in simulation, the best of the last round is kept.
-const ROUNDS: u32 = 3;
-
-/// Number of fresh simulations by which a policy is chosen.
-const CHOSEN_OF_STARTS: usize = 256;
-
-/// Part of the worst simulated rollouts that decides which policy is chosen: a mean would hide that a policy falls on
-/// some of the Qubes that this one may be.
-const WORST: f64 = 0.1;
-
-/// Smallest return at that part of a training that has not failed: a swing-up that balances earns more than 400, and a
-/// pendulum that hangs or turns less than 100.
-const SUCCEEDED: f64 = 300.0;
 
 /// The trainings of one candidate that compete.
 struct Competition {
@@ -214,13 +200,6 @@ impl Session {
         let distribution = settings.base_distribution()?;
         Ok(evaluate_afresh(network, &distribution, simulation, seed, CHOSEN_OF_STARTS))
     }
-}
-
-/// The return that all but the worst tenth of the rollouts reach.
-fn worst_return(evaluation: &Evaluation) -> f64 {
-    let mut returns = evaluation.returns.clone();
-    returns.sort_by(f64::total_cmp);
-    returns.get((WORST * returns.len() as f64) as usize).copied().unwrap_or(0.0)
 }
 
 fn save(

@@ -1,0 +1,236 @@
+//! Scores methods at fixed budgets of real rollouts, on every plant, without stopping at the first success.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Mutex, PoisonError};
+
+use super::follow::recommendations_of;
+use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
+use super::{Method, StrategySettings};
+use crate::experiment::queue::Queue;
+use crate::experiment::results::simulated_return;
+use crate::experiment::rollouts::all_of;
+use crate::experiment::{
+    Experiment, ExperimentError, ExperimentEvent, PolicyResult, RecipeResult, RolloutResult,
+};
+
+/// Name of the plant under which the repetitions on all plants are summed up.
+const ALL_PLANTS: &str = "all plants";
+
+/// One repetition of a method on a plant.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::experiment) struct Trial {
+    /// Index of the plant.
+    pub plant: usize,
+    /// Method of the comparison.
+    pub method: Method,
+    /// Number of the repetition.
+    pub number: u32,
+}
+
+impl StrategySettings {
+    /// Every repetition of every method on each of `plants`, first repetitions first.
+    pub(in crate::experiment) fn trials(&self, plants: usize) -> impl Iterator<Item = Trial> {
+        (0..self.repetitions).flat_map(move |number| {
+            (0..plants).flat_map(move |plant| {
+                self.methods.iter().map(move |&method| Trial { plant, method, number })
+            })
+        })
+    }
+}
+
+impl Experiment {
+    /// Scores a method's recommendation at each budget that allows one; the results are by the budgets' indices.
+    /// Where the recordings identify no Qube, the recommendation is the one for an unknown Qube.
+    ///
+    /// # Errors
+    /// The work ends early, or a file cannot be read.
+    pub(in crate::experiment) fn at_budgets(
+        &self,
+        strategies: &StrategySettings,
+        trial: Trial,
+        access: Access,
+    ) -> Result<Vec<(usize, PolicyResult)>, ExperimentError> {
+        let Trial { method, number, .. } = trial;
+        let plant = &self.settings().plants[trial.plant];
+        let folder = self.folder().repetition_on(&plant.name, method.name(), number);
+        let run = self.method_run((method, number), plant, folder, access);
+        let mut recommendations = recommendations_of(&run, method, strategies)?;
+        let mut results: Vec<(usize, PolicyResult)> = Vec::new();
+        let mut scored: Option<u32> = None;
+        for (index, &budget) in strategies.budgets.iter().enumerate() {
+            let Some(steps) = steps_within(recommendations.as_ref(), budget) else { continue };
+            // A budget that allows no further candidate has the recommendation of the one before.
+            if scored == Some(steps)
+                && let Some((_, last)) = results.last()
+            {
+                results.push((index, last.clone()));
+                continue;
+            }
+            let recommendation = match recommendations.after(steps)? {
+                Recommended::Found(recommendation) => *recommendation,
+                Recommended::Refused(_) => run.without_identification(),
+                Recommended::NotOnDisk => break,
+            };
+            let Some(result) =
+                run.scored_on_its_plant(&recommendation, steps, number, strategies)?
+            else {
+                break;
+            };
+            if let Access::Work(tell) = access {
+                let (recipe, results) = (&row_name(method, budget), &result.rollouts);
+                let (policy, plant) = (number, &plant.name);
+                tell(ExperimentEvent::Ran { recipe, policy, plant, results });
+            }
+            scored = Some(steps);
+            results.push((index, result));
+        }
+        Ok(results)
+    }
+
+    /// The results of all finished repetitions: a row for each plant, method and budget, and the rows of all plants
+    /// together.
+    ///
+    /// # Errors
+    /// An existing session, policy or recording cannot be read.
+    pub(in crate::experiment) fn budget_results(
+        &self,
+        strategies: &StrategySettings,
+    ) -> Result<Vec<RecipeResult>, ExperimentError> {
+        let plants = &self.settings().plants;
+        let rows: Mutex<BTreeMap<(usize, usize, usize), Vec<PolicyResult>>> = Mutex::default();
+        // Results are needed after a stop request too.
+        let never = AtomicBool::new(false);
+        Queue::new(strategies.trials(plants.len()), &never).run(self.threads(), |trial| {
+            let results = self.at_budgets(strategies, trial, Access::ReadOnly)?;
+            let method = strategies.methods.iter().position(|it| *it == trial.method);
+            let mut rows = rows.lock().unwrap_or_else(PoisonError::into_inner);
+            for (budget, result) in results {
+                let row = (trial.plant, method.unwrap_or_default(), budget);
+                rows.entry(row).or_default().push(result);
+            }
+            Ok(Vec::new())
+        })?;
+        let rows = rows.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let mut results = Vec::new();
+        let mut pooled: BTreeMap<(usize, usize), Vec<PolicyResult>> = BTreeMap::new();
+        for ((plant, method, budget), mut policies) in rows {
+            policies.sort_by_key(|policy| policy.number);
+            let first = plant as u32 * strategies.repetitions;
+            let renumbered = policies
+                .iter()
+                .map(|policy| PolicyResult { number: first + policy.number, ..policy.clone() });
+            pooled.entry((method, budget)).or_default().extend(renumbered);
+            results.push(row(&plants[plant].name, strategies, (method, budget), policies));
+        }
+        if plants.len() > 1 {
+            let rows = pooled
+                .into_iter()
+                .map(|(which, policies)| row(ALL_PLANTS, strategies, which, policies));
+            results.extend(rows);
+        }
+        Ok(results)
+    }
+}
+
+impl MethodRun<'_> {
+    /// Trains and runs the recommended policy; `None`: the run is read-only, and a result is missing on disk.
+    fn scored_on_its_plant(
+        &self,
+        recommendation: &Recommendation,
+        steps: u32,
+        number: u32,
+        strategies: &StrategySettings,
+    ) -> Result<Option<PolicyResult>, ExperimentError> {
+        let series = self.series(recommendation, steps, strategies.trainings);
+        let settings = self.experiment.settings();
+        let rollouts: Vec<RolloutResult> = if self.access.works() {
+            series.train(0)?;
+            series.run_in_virtual_time(0, &self.plant, settings.rollouts)?
+        } else {
+            let folder = series.folders.rollouts(0, &self.plant.name);
+            match all_of(&folder, settings.rollouts, self.recipe.settings.extent.repetitions)? {
+                Some(results) => results,
+                None => return Ok(None),
+            }
+        };
+        // The simulations are not needed while the work goes on.
+        let simulated_return = if self.access.works() {
+            f64::NAN
+        } else {
+            let Recommendation { recipe, psi } = recommendation;
+            let distribution = recipe.distribution(psi.as_ref())?;
+            let simulation = recipe.simulation(psi.as_ref());
+            let path = series.folders.policy(0).policy();
+            let starts = settings.simulated_starts as usize;
+            simulated_return(&path, &distribution, &simulation, starts)?
+        };
+        Ok(Some(PolicyResult { number, simulated_return, rollouts }))
+    }
+}
+
+/// The number of candidates or recordings within a budget of real rollouts; `None` where it allows no recommendation.
+fn steps_within(recommendations: &dyn Recommendations, budget: u32) -> Option<u32> {
+    let most = recommendations.count();
+    let steps = match recommendations.rollouts_each() {
+        0 => most,
+        each => (budget / each).min(most),
+    };
+    (steps > 0).then_some(steps)
+}
+
+fn row(
+    plant: &str,
+    strategies: &StrategySettings,
+    (method, budget): (usize, usize),
+    policies: Vec<PolicyResult>,
+) -> RecipeResult {
+    let budget = strategies.budgets[budget];
+    RecipeResult {
+        recipe: row_name(strategies.methods[method], budget),
+        budget: Some(budget),
+        plant: plant.to_owned(),
+        psi: BTreeMap::new(),
+        policies,
+    }
+}
+
+/// The name of a method at a budget, such as `posterior 2`.
+fn row_name(method: Method, budget: u32) -> String {
+    format!("{method} {budget}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Counted {
+        each: u32,
+    }
+
+    impl Recommendations for Counted {
+        fn count(&self) -> u32 {
+            10
+        }
+
+        fn rollouts_each(&self) -> u32 {
+            self.each
+        }
+
+        fn after(&mut self, _steps: u32) -> Result<Recommended, ExperimentError> {
+            Ok(Recommended::NotOnDisk)
+        }
+    }
+
+    #[test]
+    fn a_budget_allows_the_candidates_whose_rollouts_fit_into_it() {
+        let steps = |each, budget| steps_within(&Counted { each }, budget);
+        assert_eq!(
+            [0, 1, 2, 5, 50].map(|budget| steps(2, budget)),
+            [None, None, Some(1), Some(2), Some(10)]
+        );
+        assert_eq!(steps(1, 2), Some(2));
+        // What takes no rollout needs no budget.
+        assert_eq!(steps(0, 0), Some(10));
+    }
+}

@@ -1,0 +1,38 @@
+use crate::simulation::Evaluation;
+
+/// Number of rounds of competing trainings: if all trainings of a round fail in simulation, the next one trains with
+/// other seeds; the best of the last round is kept.
+pub const ROUNDS: u32 = 3;
+
+/// Number of fresh simulations by which the best of several trainings is chosen.
+pub const CHOSEN_OF_STARTS: usize = 256;
+
+/// Smallest [`worst_return`] of a training that has not failed: a swing-up that balances earns more than 400, and a
+/// pendulum that hangs or turns less than 100.
+pub const SUCCEEDED: f64 = 300.0;
+
+/// Part of the worst simulated rollouts that decides which policy is chosen: a mean would hide that a policy falls on
+/// some of the Qubes that this one may be.
+const WORST: f64 = 0.1;
+
+/// The return that all but the worst tenth of the rollouts reach, by which competing trainings are compared.
+#[must_use]
+pub fn worst_return(evaluation: &Evaluation) -> f64 {
+    let mut returns = evaluation.returns.clone();
+    returns.sort_by(f64::total_cmp);
+    returns.get((WORST * returns.len() as f64) as usize).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_policy_that_falls_in_a_fifth_of_its_simulations_scores_by_its_falls() {
+        let returns: Vec<f64> = (0..20).map(|it| if it % 5 == 0 { 90.0 } else { 540.0 }).collect();
+        let evaluation = Evaluation { steps: vec![600; 20], returns };
+        assert_eq!(worst_return(&evaluation), 90.0);
+        let returns = (0..20).map(|it| if it == 3 { 90.0 } else { 540.0 }).collect();
+        assert_eq!(worst_return(&Evaluation { returns, ..evaluation }), 540.0);
+    }
+}
