@@ -5,12 +5,16 @@ Importing the package registers ``qube_hil/Qube-v0`` with Gymnasium.
 
 from ._core import MAX_STEPS, MAX_VOLTAGE_V, VERSION as __version__
 from .data import Candidate, Recording, Session, recording
+from .device import QubeDeviceEnv
 from .distributions import Constant, Distribution, Normal, Uniform
 from .envs import QubeEnv, QubeVectorEnv, register
 from .errors import (
     ActionError,
+    ClosedError,
+    DeviceError,
     EpisodeOverError,
     IdentificationError,
+    LateError,
     PolicyError,
     QubeHilError,
     RecordingError,
@@ -28,15 +32,19 @@ __all__ = [
     "MAX_VOLTAGE_V",
     "ActionError",
     "Candidate",
+    "ClosedError",
     "Constant",
+    "DeviceError",
     "Distribution",
     "EpisodeOverError",
     "Estimate",
     "IdentificationError",
     "Identified",
+    "LateError",
     "Normal",
     "Policy",
     "PolicyError",
+    "QubeDeviceEnv",
     "QubeEnv",
     "QubeHilError",
     "QubeVectorEnv",

@@ -35,3 +35,15 @@ class IdentificationError(QubeHilError, ValueError):
 
 class TrainingError(QubeHilError, RuntimeError):
     """A training has failed."""
+
+
+class DeviceError(QubeHilError, RuntimeError):
+    """The Qube cannot be opened, or a fault ended the episode. The motor is off."""
+
+
+class LateError(DeviceError):
+    """Too many answers in a row came too late. The arm was braked, and the motor is off."""
+
+
+class ClosedError(QubeHilError, RuntimeError):
+    """The Qube is closed, or belongs to another process."""

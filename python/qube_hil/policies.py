@@ -64,7 +64,7 @@ class Policy:
 
     @property
     def kind(self) -> str:
-        """The kind: ``network``, ``classical`` or ``excitation``."""
+        """The kind: ``network``, ``classical``, ``excitation``, or ``external`` (a program of its own)."""
         return self._core.kind
 
     @property

@@ -5,7 +5,11 @@ use std::fmt::Display;
 use pyo3::{PyErr, import_exception};
 
 import_exception!(qube_hil.errors, ActionError);
+import_exception!(qube_hil.errors, ClosedError);
+import_exception!(qube_hil.errors, DeviceError);
+import_exception!(qube_hil.errors, EpisodeOverError);
 import_exception!(qube_hil.errors, IdentificationError);
+import_exception!(qube_hil.errors, LateError);
 import_exception!(qube_hil.errors, PolicyError);
 import_exception!(qube_hil.errors, RecordingError);
 import_exception!(qube_hil.errors, SessionError);

@@ -4,7 +4,9 @@
 //! it. Every function that takes long releases Python's lock. Errors are the classes of `qube_hil/errors.py`, with
 //! the library's sentences.
 
+mod device;
 mod errors;
+mod exchange;
 mod identification;
 mod policy;
 mod program;
@@ -18,6 +20,8 @@ use pyo3::prelude::*;
 /// The compiled part of `qube_hil`; the package's Python modules wrap it.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::device::Device;
     #[pymodule_export]
     use super::identification::identify;
     #[pymodule_export]

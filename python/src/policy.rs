@@ -48,13 +48,14 @@ impl Policy {
         write(&path, &self.policy.to_bytes())
     }
 
-    /// The kind: `network`, `classical` or `excitation`.
+    /// The kind: `network`, `classical`, `excitation` or `external`.
     #[getter]
     fn kind(&self) -> &'static str {
         match self.policy {
             Kind::Network(_) => "network",
             Kind::Classical(_) => "classical",
             Kind::Excitation(_) => "excitation",
+            Kind::External(_) => "external",
         }
     }
 
@@ -63,7 +64,7 @@ impl Policy {
     fn observation_size(&self) -> usize {
         match &self.policy {
             Kind::Network(policy) => policy.network.sizes()[0],
-            Kind::Classical(_) | Kind::Excitation(_) => OBSERVATION_SIZE,
+            Kind::Classical(_) | Kind::Excitation(_) | Kind::External(_) => OBSERVATION_SIZE,
         }
     }
 
@@ -72,7 +73,7 @@ impl Policy {
     fn sizes(&self) -> Option<Vec<usize>> {
         match &self.policy {
             Kind::Network(policy) => Some(policy.network.sizes().to_vec()),
-            Kind::Classical(_) | Kind::Excitation(_) => None,
+            Kind::Classical(_) | Kind::Excitation(_) | Kind::External(_) => None,
         }
     }
 
@@ -90,6 +91,12 @@ impl Policy {
         observations: PyReadonlyArray2<'_, f32>,
         mut voltages_v: PyReadwriteArray2<'_, f32>,
     ) -> PyResult<()> {
+        if let Kind::External(external) = &self.policy {
+            return Err(bad_policy(format!(
+                "the policy is the controller {:?} outside of this program, which is not in the file",
+                external.name()
+            )));
+        }
         let size = self.observation_size();
         let [count, given] = [observations.shape()[0], observations.shape()[1]];
         if given != size {

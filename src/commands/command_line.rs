@@ -28,11 +28,16 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     };
     // If stderr is closed, the error cannot be shown.
     let _ = error.print();
-    let told = error.to_string();
-    let cause = told.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned();
+    let cause = first_line(&error);
     let output = Output::new(arguments.iter().any(|argument| argument == "--json"));
     let _ = output.finish(Err(Failure::usage(cause)));
     Err(2)
+}
+
+/// The first line of an error, which says what is wrong.
+pub fn first_line(error: &clap::Error) -> String {
+    let told = error.to_string();
+    told.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned()
 }
 
 /// The commands; negative numbers count as values, because no option is a digit.

@@ -89,3 +89,9 @@ impl Failure {
         self.code
     }
 }
+
+impl std::fmt::Display for Failure {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(&with_short_numbers(&self.message))
+    }
+}

@@ -50,7 +50,9 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
             Failure::usage(format!("nothing was run: {}", too_wide(&reason)))
         }
         RigError::OtherPlant(_) | RigError::Device(_) => Failure::usage(error),
-        RigError::Policy(_) => Failure::usage(one_line(&error.to_string())),
+        RigError::Policy(_) | RigError::External { .. } => {
+            Failure::usage(one_line(&error.to_string()))
+        }
     };
     failure.of(fault)
 }

@@ -57,8 +57,10 @@ use tracing_subscriber::EnvFilter;
 use output::Output;
 
 use crate::clock::RealtimeReport;
+use crate::rig::RigSettings;
 use crate::safety::{LARGEST_LOAD, WARNING_LOAD};
 use crate::scoring::{Latencies, Quietness};
+use crate::session::RolloutPlan;
 use crate::telemetry::LatencySummary;
 
 /// Hardware-in-the-loop for the Quanser Qube: train policies over a distribution of simulations, run them
@@ -139,6 +141,22 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
     match output.finish(outcome) {
         Ok(()) => 0,
         Err(failure) => failure.report(),
+    }
+}
+
+/// The settings of a rig, and the plan of its rollouts but for their controller, that these options of the command
+/// `run` ask for. The options that choose a policy, a number of rollouts or a folder have no effect.
+///
+/// # Errors
+/// An option is unknown or has a bad value, or hardware is not to be driven so; the text says why.
+pub fn rollouts_asked(options: Vec<OsString>) -> Result<(RigSettings, RolloutPlan), String> {
+    let run = ["qube-hil", "run", "--policy", "classical"].map(OsString::from);
+    let command_line = CommandLine::try_parse_from(run.into_iter().chain(options));
+    match command_line.map_err(|error| command_line::first_line(&error))?.command {
+        Command::Run(arguments) => {
+            run::for_external(&arguments).map_err(|failure| failure.to_string())
+        }
+        _ => Err("the options are not those of `run`".to_owned()),
     }
 }
 

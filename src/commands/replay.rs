@@ -11,10 +11,9 @@ use super::output::{Output, path_as_text};
 use super::printable::one_line;
 use super::profile;
 use crate::charts::motion_svg;
-use crate::policy::Policy;
 use crate::qube::{PlantModel, QubeModel};
 use crate::recording::{Completeness, Recording, RecordingError, read};
-use crate::replay::{AngleError, MotionLog, Rerun, rerun, simulate_beside};
+use crate::replay::{AngleError, MotionLog, Rerun, controller_of, rerun, simulate_beside};
 use crate::safety::Foreseen;
 use crate::storage::{MachineDisk, write_whole};
 use crate::telemetry::RolloutOutcome;
@@ -204,7 +203,7 @@ fn replay_file(
 /// The recording cannot be replayed.
 fn rerun_recording(recording: &Recording, report: &mut Report) -> Result<Option<Problem>, Problem> {
     let path = report.path.display().to_string();
-    let policy = Policy::from_bytes(&recording.policy).map_err(|error| {
+    let policy = controller_of(recording).map_err(|error| {
         Problem::usage(one_line(&format!("{path}: its policy cannot be run: {error}")))
     })?;
     let rerun = rerun(recording, policy);

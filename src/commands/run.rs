@@ -14,7 +14,7 @@ use self::results::Results;
 use self::series::Series;
 use super::command_hints::unidentified;
 use super::destination::OutputFolder;
-use super::device_arguments::{CheckArguments, DeviceArguments};
+use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
@@ -119,20 +119,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
 
     let device = arguments.device.choose()?;
-    let plant = device.plant;
-    controller.check_plant(&plant)?;
-    let estimator = arguments.estimator.settings(&plant)?.unwrap_or_default();
+    controller.check_plant(&device.plant)?;
     let profile = device.profile.as_ref().map(Profile::model);
-    let emulated = arguments.emulated.of_plant(&plant)?;
-    let emulator = emulated.emulator(arguments.seed);
-    let guard = arguments.guard.into();
-    let safety_box = SafetyBox { guard, ..SafetyBox::default() }.within_travel(&plant);
-    let safety_box = device.safety_box(safety_box);
-    let consent = arguments.consent.beside(Some(arguments.guard))?;
-    let settings = RigSettings {
-        limits: device.limits("--guard", &safety_box, consent)?,
-        ..device.rig_settings(emulator, estimator, arguments.check)
-    };
+    let (settings, plan) = asked(&arguments, &device)?;
     let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
     folder.check_for_recordings(arguments.rollouts.into())?;
     let directory = folder.path().to_owned();
@@ -144,7 +133,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
     }
-    if let Some(warning) = unidentified(&settings, safety_box.guard) {
+    if let Some(warning) = unidentified(&settings, plan.safety_box.guard) {
         eprintln!("warning: {warning}");
     }
     if settings.checks() {
@@ -153,13 +142,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if settings.homing.method == HomingMethod::Stops {
         eprintln!("homing: the arm looks for its stops");
     }
-    let plan = RolloutPlan {
-        seed: arguments.seed,
-        estimator,
-        safety_box,
-        steps: controller.steps,
-        ..RolloutPlan::single("run", &controller.name)
-    };
+    let plan = RolloutPlan { steps: controller.steps, policy: controller.name.clone(), ..plan };
     let mut results = Results::new(arguments.excite.is_some());
     let mut series =
         Series { settings, plan, controller, directory, stop: &stop, keyboard: &keyboard };
@@ -178,4 +161,30 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         }
     }
     ended
+}
+
+/// The settings of the rig, and the plan of the rollouts but for their controller.
+fn asked(
+    arguments: &Arguments,
+    device: &ChosenDevice,
+) -> Result<(RigSettings, RolloutPlan), Failure> {
+    let plant = device.plant;
+    let estimator = arguments.estimator.settings(&plant)?.unwrap_or_default();
+    let emulator = arguments.emulated.of_plant(&plant)?.emulator(arguments.seed);
+    let guard = arguments.guard.into();
+    let safety_box = SafetyBox { guard, ..SafetyBox::default() }.within_travel(&plant);
+    let safety_box = device.safety_box(safety_box);
+    let consent = arguments.consent.beside(Some(arguments.guard))?;
+    let settings = RigSettings {
+        limits: device.limits("--guard", &safety_box, consent)?,
+        ..device.rig_settings(emulator, estimator, arguments.check)
+    };
+    let seed = arguments.seed;
+    let plan = RolloutPlan { seed, estimator, safety_box, ..RolloutPlan::single("run", "") };
+    Ok((settings, plan))
+}
+
+/// The rig and the plan that these options of the command ask for, for a controller of the caller's own.
+pub fn for_external(arguments: &Arguments) -> Result<(RigSettings, RolloutPlan), Failure> {
+    asked(arguments, &arguments.device.choose()?)
 }

@@ -161,6 +161,7 @@ pub fn drive_warm(
             observer_resets: motion.observer_resets(),
             foreseen: motion.foreseen(),
             largest_motor_load: Some(largest_motor_load),
+            last_answer_v: None,
             lateness_us: lateness.summary(),
             sample_to_act_us: sample_to_act.summary(),
         },

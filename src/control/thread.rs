@@ -13,7 +13,7 @@ use super::{
 use crate::clock::{Clock, RealtimeReport, enter_realtime};
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::MeasuredRig;
-use crate::policy::Policy;
+use crate::policy::Controller;
 use crate::safety::MotorHeat;
 use crate::telemetry::{TickRecord, TickSettings};
 
@@ -32,7 +32,7 @@ enum Command {
     Cool,
     Motor(MotorHeat),
     Home(Box<HomingSettings>),
-    Rollout(Box<TickSettings>, Box<Policy>, rtrb::Producer<TickRecord>),
+    Rollout(Box<TickSettings>, Box<dyn Controller>, rtrb::Producer<TickRecord>),
     Lend(Borrower),
 }
 
@@ -159,10 +159,10 @@ impl ControlThread {
     pub fn rollout(
         &self,
         settings: TickSettings,
-        policy: Policy,
+        controller: Box<dyn Controller>,
         records: rtrb::Producer<TickRecord>,
     ) -> Result<Result<DriveReport, ControlError>, ThreadGone> {
-        match self.ask(Command::Rollout(Box::new(settings), Box::new(policy), records))? {
+        match self.ask(Command::Rollout(Box::new(settings), controller, records))? {
             Event::Finished(result) => Ok(result),
             _ => Err(ThreadGone),
         }
@@ -268,7 +268,7 @@ fn obey(
             let homed = Homed { rig: homing.measured(), travel_rad: homing.travel_rad() };
             Event::Homed(driven.map(|report| (report, homed)))
         }
-        Command::Rollout(settings, policy, mut records) => {
+        Command::Rollout(settings, controller, mut records) => {
             let before = *state;
             let driven = allowed(state, ControlEvent::Rollout).and_then(|()| {
                 if let Err(error) = undriven.compare(&settings, device, clock, stop) {
@@ -278,7 +278,7 @@ fn obey(
                     }
                     return Err(error);
                 }
-                let mut tick = Tick::new(&settings, *policy);
+                let mut tick = Tick::new(&settings, controller);
                 driven(state, motor, device, clock, &mut tick, Some(&mut records), stop)
             });
             undriven.left_at = None;
@@ -337,7 +337,7 @@ mod tests {
     use crate::device::LinkFault;
     use crate::estimation::Calibration;
     use crate::estimation::EstimatorSettings;
-    use crate::policy::{ClassicalController, ClassicalGains};
+    use crate::policy::{ClassicalController, ClassicalGains, Policy};
     use crate::qube::{PlantModel, State};
     use crate::safety::SafetyBox;
     use crate::telemetry::{Ending, Fault};
@@ -366,7 +366,10 @@ mod tests {
     fn rollout(thread: &ControlThread, settings: TickSettings) -> Result<Ending, ControlError> {
         let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
         let (producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
-        thread.rollout(settings, policy, producer).unwrap().map(|report| report.outcome.ending)
+        thread
+            .rollout(settings, Box::new(policy), producer)
+            .unwrap()
+            .map(|report| report.outcome.ending)
     }
 
     fn is_refused(result: &Result<Ending, ControlError>) -> bool {

@@ -13,8 +13,8 @@ use thiserror::Error;
 
 use super::network::{LayerWeights, NetworkError, bias_name, check_sizes, weight_name};
 use super::{
-    ClassicalController, ClassicalGains, Excitation, ExcitationShape, Network, NetworkPolicy,
-    Policy, TrainingRecord,
+    ClassicalController, ClassicalGains, Excitation, ExcitationShape, External, Network,
+    NetworkPolicy, Policy, TrainingRecord,
 };
 use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
 
@@ -189,6 +189,7 @@ enum ControllerMetadata {
     Network(Box<NetworkMetadata>),
     Classical,
     Excitation { shape: ExcitationShape, voltage_v: f64 },
+    External { name: String },
 }
 
 #[derive(Serialize, Deserialize)]
@@ -247,6 +248,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
             }
             Ok(Policy::Excitation(Excitation::new(shape, voltage_v)))
         }
+        ControllerMetadata::External { name } => {
+            refuse_others(&tensors, |_| false)?;
+            Ok(Policy::External(External::new(&name)))
+        }
     }
 }
 
@@ -271,6 +276,9 @@ pub(super) fn write(policy: &Policy) -> Vec<u8> {
         Policy::Excitation(excitation) => {
             let (shape, voltage_v) = (excitation.shape(), excitation.limit_v());
             (ControllerMetadata::Excitation { shape, voltage_v }, Vec::new())
+        }
+        Policy::External(external) => {
+            (ControllerMetadata::External { name: external.name().to_owned() }, Vec::new())
         }
     };
     let json = serde_json::to_string(&Metadata { format_version: FORMAT_VERSION, controller });

@@ -99,6 +99,15 @@ fn a_classical_controller_comes_back() {
 }
 
 #[test]
+fn an_external_controller_comes_back_as_a_name() {
+    let answering = External::new("mine").answering(vec![1.0]);
+    match Policy::from_bytes(&Policy::External(answering).to_bytes()).unwrap() {
+        Policy::External(read) => assert_eq!(read, External::new("mine")),
+        other => panic!("{other:?} came back"),
+    }
+}
+
+#[test]
 fn an_excitation_comes_back_and_one_beyond_the_motor_is_refused() {
     for shape in [ExcitationShape::Chirp, ExcitationShape::Steps] {
         let bytes = Policy::Excitation(Excitation::new(shape, -1.25)).to_bytes();

@@ -64,6 +64,7 @@
 
 mod classical;
 mod excitation;
+mod external;
 mod file;
 #[cfg(test)]
 mod file_tests;
@@ -75,6 +76,7 @@ use std::path::Path;
 
 pub use classical::{ClassicalController, ClassicalGains};
 pub use excitation::{EXCITATION_STEPS, Excitation, ExcitationShape};
+pub use external::External;
 pub use file::{FORMAT_VERSION, MAX_FILE_BYTES, PolicyError, PolicyFault};
 pub use network::{LayerWeights, MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
 pub use trained_for::OtherPlant;
@@ -97,6 +99,8 @@ pub enum Policy {
     Classical(ClassicalController),
     /// A voltage over time without feedback from the pendulum.
     Excitation(Excitation),
+    /// A controller outside of this program, which only a replay can run again.
+    External(External),
 }
 
 /// A network and its training record.
@@ -153,13 +157,14 @@ impl Controller for Policy {
             Self::Network(policy) => policy.network.start(),
             Self::Classical(controller) => controller.start(),
             Self::Excitation(excitation) => excitation.start(),
+            Self::External(external) => external.start(),
         }
     }
 
     fn applied(&mut self, voltage_v: f64) {
         match self {
             Self::Network(policy) => policy.network.applied(voltage_v),
-            Self::Classical(_) | Self::Excitation(_) => {}
+            Self::Classical(_) | Self::Excitation(_) | Self::External(_) => {}
         }
     }
 
@@ -168,6 +173,7 @@ impl Controller for Policy {
             Self::Network(policy) => policy.network.voltage_v(state),
             Self::Classical(controller) => controller.voltage_v(state),
             Self::Excitation(excitation) => excitation.voltage_v(state),
+            Self::External(external) => external.voltage_v(state),
         }
     }
 }

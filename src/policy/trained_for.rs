@@ -31,7 +31,8 @@ pub enum OtherPlant {
 }
 
 impl Policy {
-    /// Checks that the policy may run on this plant. An excitation is made for none and runs on all; the classical
+    /// Checks that the policy may run on this plant. An excitation is made for none and runs on all, and so does what
+    /// an external controller has answered; the classical
     /// controller is tuned for the built-in Qube.
     ///
     /// # Errors
@@ -40,7 +41,7 @@ impl Policy {
         let made_for = match self {
             Self::Network(policy) => &policy.training.plant,
             Self::Classical(_) => &PlantModel::QUBE,
-            Self::Excitation(_) => return Ok(()),
+            Self::Excitation(_) | Self::External(_) => return Ok(()),
         };
         if made_for == plant {
             Ok(())

@@ -52,6 +52,7 @@ pub(crate) fn header() -> RolloutHeader {
 
 pub(crate) fn outcome() -> RolloutOutcome {
     RolloutOutcome {
+        last_answer_v: None,
         ending: Ending::LeftBox(Limit::Theta),
         phase: Phase::Braking,
         steps: 20,

@@ -1,5 +1,5 @@
 use crate::control::{Motion, Tick, TickInput};
-use crate::policy::Controller;
+use crate::policy::{Controller, Policy, PolicyFault};
 use crate::recording::Recording;
 use crate::safety::{Foreseen, Guard};
 use crate::scoring::return_of;
@@ -48,9 +48,23 @@ impl Rerun {
     }
 }
 
+/// The controller of a recording: the policy attached to it, or an external controller's recorded answers.
+///
+/// # Errors
+/// The attachment is not a policy.
+pub fn controller_of(recording: &Recording) -> Result<Policy, PolicyFault> {
+    let Policy::External(external) = Policy::from_bytes(&recording.policy)? else {
+        return Policy::from_bytes(&recording.policy);
+    };
+    let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
+    // The guard replaces an answer that it refuses, and the phase is then another one.
+    let last_v = recording.outcome.as_ref().and_then(|outcome| outcome.last_answer_v);
+    let answers_v = running.filter_map(|tick| tick.wanted_v).chain(last_v);
+    Ok(Policy::External(external.answering(answers_v.collect())))
+}
+
 /// Feeds the recorded measurements and times to the tick that ran on the machine and compares its
-/// decisions. `policy` is the controller that drove the rollout, as a rule the
-/// [`Policy`](crate::policy::Policy) attached to the recording.
+/// decisions. `policy` is the controller that drove the rollout, as a rule that of [`controller_of`].
 ///
 /// Comparison ends where ticks are missing (the recorder had no room, or a block is damaged), because the
 /// filters' memory is lost with them. It also ends where a rollout under [`Guard::Envelope`] brakes,
@@ -142,8 +156,8 @@ mod tests {
     use super::*;
     use crate::estimation::{EstimatorSettings, ObserverSettings};
     use crate::policy::{
-        ClassicalController, ClassicalGains, Controller, LayerWeights, Network, NetworkPolicy,
-        Policy, SimulatedGuard, SimulatedSensors, TrainingRecord,
+        ClassicalController, ClassicalGains, Controller, External, LayerWeights, Network,
+        NetworkPolicy, Policy, SimulatedGuard, SimulatedSensors, TrainingRecord,
     };
     use crate::qube::{
         CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, Nonidealities, PlantModel,
@@ -263,6 +277,39 @@ mod tests {
         assert!(rerun.actions_compared > 300);
         assert!(rerun.return_recorded > 1.0);
         assert_eq!(rerun.ending, Some(Ending::Completed));
+    }
+
+    #[test]
+    fn an_external_controller_is_replayed_by_its_recorded_answers() {
+        let answers_v = (0..300).map(|tick| 0.5 * f64::sin(0.3 * f64::from(tick))).collect();
+        let driven = Policy::External(External::new("mine").answering(answers_v));
+        let mut recording = recorded_rollout(driven, None);
+        recording.policy = Policy::External(External::new("mine")).to_bytes();
+        assert_eq!(recording.outcome.as_ref().map(|it| it.ending), Some(Ending::Completed));
+        let again = rerun(&recording, controller_of(&recording).unwrap());
+        assert!(again.agrees() && again.actions_compared > 300, "{again:?}");
+        // Everything but the answers is recomputed.
+        let running = recording.ticks.iter_mut().filter(|tick| tick.phase == Phase::Running);
+        running.last().unwrap().voltage_mv += 1;
+        let changed = rerun(&recording, controller_of(&recording).unwrap());
+        assert_eq!(changed.actions_different, 1);
+    }
+
+    #[test]
+    fn an_answer_that_the_guard_refused_is_replayed_from_the_outcome() {
+        let mut recording = recorded_rollout(classical(ClassicalGains::default()), None);
+        recording.policy = Policy::External(External::new("mine")).to_bytes();
+        let running = |tick: &TickRecord| tick.phase == Phase::Running;
+        let asked = recording.ticks.iter().filter(|tick| running(tick) && tick.wanted_v.is_some());
+        let asked = asked.count();
+        for last_v in [None, Some(4.5)] {
+            recording.outcome.as_mut().unwrap().last_answer_v = last_v;
+            let mut controller = controller_of(&recording).unwrap();
+            let state = State::default();
+            let answers = (0..=asked).map(|_| Controller::voltage_v(&mut controller, &state));
+            let last = answers.last().unwrap();
+            assert!(last_v.map_or(last.is_nan(), |last_v| last == last_v), "{last}");
+        }
     }
 
     #[test]

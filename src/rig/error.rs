@@ -131,6 +131,15 @@ pub enum RigError {
     /// The recording failed.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// The policy is a name for a controller outside of this program.
+    #[error(
+        "the policy is the controller {name:?} outside of this program: a recording of it can be replayed, and only \
+         its own program can run it"
+    )]
+    External {
+        /// Name of the controller.
+        name: String,
+    },
     /// The bytes are not a valid policy.
     #[error("the policy cannot be run: {0}")]
     Policy(#[from] PolicyFault),

@@ -1,12 +1,15 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::error::link_fault;
 use super::{Rig, RigError};
-use crate::control::{ControlError, RING_CAPACITY};
+use crate::control::{ControlError, DriveReport, RING_CAPACITY};
 use crate::estimation::MeasuredStops;
-use crate::policy::Policy;
+use crate::policy::{Controller, External, Policy};
 use crate::preflight::admit_processor;
+use crate::qube::State;
 use crate::recording::Recorder;
 use crate::safety::{ForesightSettings, Guard, Limit, SafetyBox};
 use crate::storage::Disk;
@@ -30,6 +33,29 @@ fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> Safety
     SafetyBox { theta: of_the_task.theta.min(widest_rad), ..*of_the_task }
 }
 
+/// A controller that notes its last answer.
+struct Noted {
+    controller: Box<dyn Controller>,
+    /// Bits of the last answer, V; not a number before the first.
+    last_v: Arc<AtomicU64>,
+}
+
+impl Controller for Noted {
+    fn start(&mut self) {
+        self.controller.start();
+    }
+
+    fn applied(&mut self, voltage_v: f64) {
+        self.controller.applied(voltage_v);
+    }
+
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        let answer_v = self.controller.voltage_v(state);
+        self.last_v.store(answer_v.to_bits(), Ordering::Relaxed);
+        answer_v
+    }
+}
+
 impl Rig {
     /// Runs one rollout and records it to `path`. The rig fills device, calibration and time into the
     /// header.
@@ -43,6 +69,43 @@ impl Rig {
         header: RolloutHeader,
         policy_file: &[u8],
     ) -> Result<Recorded, RigError> {
+        let policy = Policy::from_bytes(policy_file)?;
+        policy.check_plant(&self.plant)?;
+        if let Policy::External(external) = &policy {
+            return Err(RigError::External { name: external.name().to_owned() });
+        }
+        self.recorded(disk, path, header, policy_file, Box::new(policy), None)
+    }
+
+    /// Runs one rollout like [`Self::rollout`] with a controller outside of the policies that a file may hold, under
+    /// the same guard. The recording has its answers, so that a replay recomputes everything else.
+    ///
+    /// # Errors
+    /// [`Self::rollout`] would fail for another reason than its policy.
+    pub fn rollout_by(
+        &self,
+        disk: &dyn Disk,
+        path: &Path,
+        header: RolloutHeader,
+        name: &str,
+        controller: Box<dyn Controller>,
+    ) -> Result<Recorded, RigError> {
+        let file = Policy::External(External::new(name)).to_bytes();
+        let last_v = Arc::new(AtomicU64::new(f64::NAN.to_bits()));
+        let noted = Noted { controller, last_v: Arc::clone(&last_v) };
+        self.recorded(disk, path, header, &file, Box::new(noted), Some(&last_v))
+    }
+
+    /// Runs and records one rollout; `last_v` has the bits of an external controller's last answer.
+    fn recorded(
+        &self,
+        disk: &dyn Disk,
+        path: &Path,
+        header: RolloutHeader,
+        policy_file: &[u8],
+        controller: Box<dyn Controller>,
+        last_v: Option<&AtomicU64>,
+    ) -> Result<Recorded, RigError> {
         header.settings.safety_box.guard.check_driven()?;
         if self.is_hardware() {
             self.limits.admit(&header.settings.safety_box)?;
@@ -50,8 +113,6 @@ impl Rig {
                 admit_processor(self.foresight_time_us)?;
             }
         }
-        let policy = Policy::from_bytes(policy_file)?;
-        policy.check_plant(&self.plant)?;
         let safety_box = header.settings.safety_box.inside_travel(&self.plant);
         let settings = TickSettings {
             calibration: self.measured.calibration,
@@ -77,8 +138,8 @@ impl Rig {
         };
         let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let recorder = Recorder::start(disk, path, header, policy_file, consumer)?;
-        let report = match self.control.rollout(settings, policy, producer)? {
-            Ok(report) => report,
+        let report = match self.control.rollout(settings, controller, producer)? {
+            Ok(report) => with_last_answer(report, last_v),
             Err(error) => {
                 recorder.discard(disk);
                 return Err(self.not_begun(error));
@@ -135,4 +196,11 @@ impl Rig {
         ];
         itself.into_iter().chain(link).map(|(name, value)| (name.to_owned(), value)).collect()
     }
+}
+
+/// The report with an external controller's last answer, where that is a number.
+fn with_last_answer(mut report: DriveReport, last_v: Option<&AtomicU64>) -> DriveReport {
+    let answer_v = last_v.map(|last_v| f64::from_bits(last_v.load(Ordering::Relaxed)));
+    report.outcome.last_answer_v = answer_v.filter(|answer_v| answer_v.is_finite());
+    report
 }

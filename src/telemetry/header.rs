@@ -138,6 +138,10 @@ pub struct RolloutOutcome {
     /// Largest load of the motor, 1 at its continuous rating; `None` in older recordings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_motor_load: Option<f64>,
+    /// Last answer of an external controller, V, which the guard may have refused; the earlier ones are in the
+    /// ticks. `None` for every other policy.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_answer_v: Option<f64>,
     /// Lateness of wake-ups, microseconds.
     pub lateness_us: LatencySummary,
     /// Time from sample to act by the device's clock, microseconds.

@@ -8,6 +8,7 @@ use crate::policy::{
     SimulatedSensors,
 };
 use crate::qube::{MAX_STEPS, PlantModel};
+use crate::rig::RigError;
 
 /// The controller of the rollouts: its name for the header, and the bytes of its file for each rollout.
 pub struct RunController {
@@ -64,7 +65,12 @@ pub fn policy(name: &str) -> Result<Policy, Failure> {
     if name == "classical" {
         return Ok(Policy::Classical(ClassicalController::new(ClassicalGains::default())));
     }
-    Policy::load(Path::new(name)).map_err(|error| failures::policy(&error))
+    let policy = Policy::load(Path::new(name)).map_err(|error| failures::policy(&error))?;
+    if let Policy::External(external) = &policy {
+        let controller = external.name().to_owned();
+        return Err(Failure::usage(format!("{name}: {}", RigError::External { name: controller })));
+    }
+    Ok(policy)
 }
 
 /// Whether a policy was trained on states that no Qube shows.

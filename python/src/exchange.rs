@@ -1,0 +1,147 @@
+//! The place where the control thread and Python meet: a state goes out, a voltage comes back.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use qube_hil::policy::Controller;
+use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, RewardWeights, State};
+
+/// Late answers in a row after which the arm is braked.
+pub const MAX_LATE_IN_A_ROW: u32 = 10;
+
+/// What control thread and Python share. Both hold the lock only to copy a few numbers.
+#[derive(Default)]
+pub struct Exchange {
+    slot: Mutex<Slot>,
+    changed: Condvar,
+}
+
+/// The shared numbers of one episode.
+#[derive(Clone, Copy, Default)]
+pub struct Slot {
+    /// Number of times that the policy was asked.
+    pub asked: u64,
+    /// Whether the control thread waits for an answer now.
+    waiting: bool,
+    /// Estimated state of the last ask.
+    pub state: State,
+    /// Last commands as fractions of 5 V, newest first.
+    pub commands: [f32; MAX_HISTORY],
+    /// Rewards since the episode began.
+    pub earned: f64,
+    /// Answers that came too late.
+    pub late: u64,
+    /// Whether too many in a row were late.
+    pub gave_up: bool,
+    /// Whether the rollout is over.
+    pub over: bool,
+    answer_v: Option<f64>,
+}
+
+impl Exchange {
+    /// Begins an episode.
+    pub fn begin(&self) {
+        *self.lock() = Slot::default();
+    }
+
+    /// Ends an episode.
+    pub fn end(&self) {
+        self.lock().over = true;
+        self.changed.notify_all();
+    }
+
+    /// Wakes both sides, after a stop was requested.
+    pub fn wake(&self) {
+        // With the lock, so that nobody who has just read the flag falls asleep afterwards.
+        drop(self.lock());
+        self.changed.notify_all();
+    }
+
+    /// Answers the ask of this number, if the control thread still waits for it. Otherwise the answer is void: it is
+    /// for a state that has passed.
+    pub fn answer(&self, asked: u64, voltage_v: f64) {
+        let mut slot = self.lock();
+        if slot.waiting && slot.asked == asked {
+            slot.answer_v = Some(voltage_v);
+            self.changed.notify_all();
+        }
+    }
+
+    /// Waits for an ask after the one of this number, or the end of the episode, for at most this time.
+    pub fn next_ask(&self, after: u64, time: Duration) -> Option<Slot> {
+        let until = |slot: &mut Slot| !slot.over && slot.asked <= after;
+        let waited = self.changed.wait_timeout_while(self.lock(), time, until);
+        let (slot, timeout) = waited.unwrap_or_else(PoisonError::into_inner);
+        (!timeout.timed_out()).then_some(*slot)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Slot> {
+        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The controller on the control thread's side.
+///
+/// Unlike the controllers of the library it waits within the tick, because its voltage comes from elsewhere: for its
+/// deadline at most, or under a virtual clock until the answer is there. It allocates nothing. After a late answer it
+/// holds the last voltage; after [`MAX_LATE_IN_A_ROW`] it requests a stop, for which the tick brakes.
+pub struct Remote {
+    pub exchange: Arc<Exchange>,
+    /// Time that an answer has; `None` waits until it is there.
+    pub deadline: Option<Duration>,
+    /// Request to stop, which the tick reads too.
+    pub stop: Arc<AtomicBool>,
+    pub reward: RewardWeights,
+    pub held_v: f64,
+    pub late_in_a_row: u32,
+}
+
+impl Controller for Remote {
+    fn start(&mut self) {
+        (self.held_v, self.late_in_a_row) = (0.0, 0);
+    }
+
+    fn applied(&mut self, voltage_v: f64) {
+        let mut slot = self.exchange.lock();
+        if slot.asked > 0 {
+            slot.commands.rotate_right(1);
+            slot.commands[0] = (voltage_v / MAX_VOLTAGE_V) as f32;
+            slot.earned += self.reward.reward(&slot.state, voltage_v);
+        }
+    }
+
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        let due = self.deadline.map(|deadline| Instant::now() + deadline);
+        let mut slot = self.exchange.lock();
+        slot.asked += 1;
+        slot.state = *state;
+        slot.answer_v = None;
+        slot.waiting = true;
+        self.exchange.changed.notify_all();
+        while slot.answer_v.is_none() && !self.stop.load(Ordering::Relaxed) {
+            let left = due.map(|due| due.saturating_duration_since(Instant::now()));
+            slot = match left {
+                Some(Duration::ZERO) => break,
+                Some(left) => {
+                    let waited = self.exchange.changed.wait_timeout(slot, left);
+                    waited.unwrap_or_else(PoisonError::into_inner).0
+                }
+                None => self.exchange.changed.wait(slot).unwrap_or_else(PoisonError::into_inner),
+            };
+        }
+        slot.waiting = false;
+        match slot.answer_v.take() {
+            Some(answer_v) => (self.held_v, self.late_in_a_row) = (answer_v, 0),
+            None => {
+                slot.late += 1;
+                self.late_in_a_row += 1;
+                if self.late_in_a_row >= MAX_LATE_IN_A_ROW {
+                    slot.gave_up = true;
+                    self.stop.store(true, Ordering::Relaxed);
+                }
+            }
+        }
+        self.held_v
+    }
+}

@@ -1,0 +1,252 @@
+"""A Qube that Python drives: the emulated one, mostly in virtual time."""
+
+import gc
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+from conftest import program
+
+import qube_hil
+from qube_hil import QubeDeviceEnv
+
+
+@pytest.fixture
+def virtual(tmp_path):
+    """Makes environments in virtual time, and closes them."""
+    made = []
+
+    def make(**options):
+        options = {"clock": "virtual", "recordings": tmp_path / "episodes", **options}
+        made.append(QubeDeviceEnv(**options))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+def episode(env, act, **reset):
+    """Runs an episode: its rewards, its last step, and the observations."""
+    observation, _ = env.reset(**reset)
+    rewards, observations = [], [observation]
+    while True:
+        observation, reward, terminated, truncated, info = env.step(act(observation))
+        rewards.append(reward)
+        observations.append(observation)
+        if terminated or truncated:
+            return rewards, terminated, info, observations
+
+
+def replayed(path):
+    """What the program says of a recording that it replays."""
+    (report,) = json.loads(program("replay", "--json", path).splitlines()[-1])["recordings"]
+    return report
+
+
+@pytest.fixture(scope="session")
+def classical(swing_up):
+    return qube_hil.recording(swing_up).policy
+
+
+def test_the_classical_controller_swings_up_from_python_and_its_recording_replays(
+    virtual, classical
+):
+    env = virtual()
+    assert env.deadline_ms is None
+    rewards, terminated, info, observations = episode(env, classical.act)
+    assert not terminated and info["ending"] == "completed" and len(rewards) == 600
+    assert info["return"] > 400.0 and info["late_answers"] == 0
+    # Every tick has a sample here, so that each is a step of Python's.
+    assert np.isclose(sum(rewards), info["return"])
+    read = qube_hil.recording(info["recording"])
+    running = read["phase"] == "running"
+    assert read.return_ == info["return"] and running.sum() == 600
+    seen = np.sin(read["theta_rad"][running]).astype(np.float32)
+    assert np.allclose([observation[0] for observation in observations[:-1]], seen, atol=1e-6)
+    assert read.policy.kind == "external"
+    again = replayed(info["recording"])
+    assert again["actions_different"] == 0 and again["actions_compared"] == len(read["tick"])
+    with pytest.raises(qube_hil.PolicyError, match="outside"):
+        read.policy.act(observations[0])
+    # The recording's policy is a name, which cannot be run.
+    file = info["recording"].with_suffix(".safetensors")
+    file.write_bytes(read.policy.to_bytes())
+    program("run", "--clock", "virtual", "--policy", file, code=2)
+
+
+def test_the_same_actions_give_the_same_bytes(virtual, classical, tmp_path):
+    recordings = []
+    for folder in ["first", "second"]:
+        env = virtual(recordings=tmp_path / folder, seed=4)
+        for _ in range(2):
+            recordings.append(episode(env, classical.act)[2]["recording"])
+    first, other, again, again_other = [path.read_bytes() for path in recordings]
+    assert (first, other) == (again, again_other) and first != other
+    assert [path.name for path in recordings] == ["episode-0000.mcap", "episode-0001.mcap"] * 2
+
+
+def test_the_guard_takes_over_and_what_it_refused_replays_too(virtual):
+    env = virtual()
+    _, terminated, info, _ = episode(env, lambda _: np.ones(1, np.float32))
+    assert terminated and "brake" in info["ending"]
+    outcome = qube_hil.recording(info["recording"]).outcome
+    assert outcome["ending"]["kind"] == "left_box" and outcome["last_answer_v"] == 5.0
+    assert replayed(info["recording"])["actions_different"] == 0
+    env = virtual(guard="box")
+    _, terminated, info, _ = episode(env, lambda _: np.ones(1, np.float32))
+    assert terminated and "theta" in info["ending"]
+    assert replayed(info["recording"])["actions_different"] == 0
+
+
+def test_a_changed_voltage_in_a_recording_is_found(virtual):
+    env = virtual()
+    _, _, info, _ = episode(env, lambda seen: -seen[:1])
+    data = info["recording"].read_bytes()
+    assert replayed(info["recording"])["actions_different"] == 0
+    middle = len(data) // 2
+    info["recording"].write_bytes(data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :])
+    program("replay", info["recording"], code=2)
+
+
+def test_an_exception_or_a_reset_in_the_middle_brakes(virtual):
+    env = virtual()
+    observation, _ = env.reset()
+    for _ in range(10):
+        observation, *_ = env.step(np.array([0.2], np.float32))
+    first = env._recording
+    for wrong, told in [
+        (np.array([np.nan], np.float32), "finite"),
+        (np.zeros(2, np.float32), "shape"),
+        (np.array(["1"]), "type"),
+    ]:
+        with pytest.raises(qube_hil.ActionError, match=told):
+            env.step(wrong)
+        with pytest.raises(qube_hil.EpisodeOverError):
+            env.step(np.zeros(1, np.float32))
+        read = qube_hil.recording(env._recording)
+        assert read.outcome["ending"]["kind"] == "stopped" and read["phase"][-1] == "braking"
+        env.reset()
+        env.step(np.zeros(1, np.float32))
+    assert replayed(first)["actions_different"] == 0
+    # A reset ends the running episode.
+    running = env._recording
+    env.reset()
+    assert qube_hil.recording(running).outcome["ending"]["kind"] == "stopped"
+
+
+def test_a_closed_qube_and_a_forked_process_are_refused(virtual):
+    env = virtual()
+    with pytest.raises(qube_hil.EpisodeOverError):
+        env.step(np.zeros(1, np.float32))
+    env.reset()
+    env.step(np.zeros(1, np.float32))
+    child = os.fork()
+    if child == 0:
+        # Nothing of pytest may run in the child, and its end must not wait for threads that it does not have.
+        try:
+            env.step(np.zeros(1, np.float32))
+        except qube_hil.ClosedError as error:
+            if "forked" in str(error):
+                env.close()
+                del env
+                gc.collect()
+                os._exit(7)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+    env.step(np.zeros(1, np.float32))
+    env.close()
+    env.close()
+    assert qube_hil.recording(env._recording).outcome["ending"]["kind"] == "stopped"
+    for call in [env.reset, lambda: env.step(np.zeros(1, np.float32))]:
+        with pytest.raises(qube_hil.ClosedError):
+            call()
+
+
+@pytest.mark.parametrize(
+    "options, told",
+    [
+        ({"device": "/dev/missing", "clock": "wall"}, "missing"),
+        ({"device": "/dev/missing"}, "virtual"),
+        ({"clock": "sundial"}, "sundial"),
+        ({"unknown_option": 1}, "unknown-option"),
+        ({"deadline_ms": 20.0}, "8.5"),
+        ({"history": 9}, "history"),
+        ({"seed": -1}, "seed"),
+        ({"guard": "none"}, "none"),
+    ],
+)
+def test_what_cannot_be_opened_is_named(virtual, options, told):
+    with pytest.raises((qube_hil.SettingsError, qube_hil.DeviceError), match=told):
+        virtual(**options)
+
+
+def in_a_process(code, folder, send=None):
+    """Runs code in another interpreter; with a signal, sends it once the code prints a line."""
+    code = textwrap.dedent(code)
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    if send is not None:
+        process.stdout.readline()
+        process.send_signal(send)
+    out, errors = process.communicate(timeout=120)
+    return process.returncode, out, errors
+
+
+def test_an_interpreter_that_ends_brakes(tmp_path):
+    code, _, errors = in_a_process(
+        """
+        import numpy as np, qube_hil
+        env = qube_hil.QubeDeviceEnv(clock="virtual")
+        env.reset()
+        env.step(np.zeros(1, np.float32))
+        raise SystemExit(5)
+        """,
+        tmp_path,
+    )
+    assert code == 5, errors
+    read = qube_hil.recording(tmp_path / "episodes/episode-0000.mcap")
+    assert read.outcome["ending"]["kind"] == "stopped" and read["phase"][-1] == "braking"
+
+
+def test_in_real_time_late_answers_brake_and_so_does_ctrl_c(tmp_path):
+    code, out, errors = in_a_process(
+        """
+        import time, numpy as np, qube_hil
+        env = qube_hil.QubeDeviceEnv(deadline_ms=5.0)
+        env.reset()
+        env.step(np.full(1, 0.01, np.float32))
+        time.sleep(1.0)
+        try:
+            for _ in range(100):
+                env.step(np.zeros(1, np.float32))
+        except qube_hil.LateError as error:
+            late = error
+        env.reset()
+        print("running", flush=True)
+        try:
+            while True:
+                try:
+                    env.step(np.zeros(1, np.float32))
+                except qube_hil.LateError:
+                    # On a busy machine; the next episode goes on.
+                    env.reset()
+        except KeyboardInterrupt:
+            print(late)
+        """,
+        tmp_path,
+        signal.SIGINT,
+    )
+    assert code == 0, errors
+    assert "too late" in out and "5.0 ms" in out
+    recordings = sorted((tmp_path / "episodes").glob("*.mcap"))
+    assert len(recordings) >= 2
+    for recording in recordings:
+        assert qube_hil.recording(recording).outcome["ending"]["kind"] == "stopped"
+        assert replayed(recording)["actions_different"] == 0
