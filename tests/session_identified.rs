@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use assert_cmd::Command;
+use qube_hil::policy::Policy;
 use qube_hil::qube::Profile;
 use serde_json::Value;
 
@@ -81,6 +82,30 @@ fn a_qube_that_cannot_be_identified_is_searched_as_an_unknown_one() {
     assert_eq!(candidates.len(), 2);
     assert!(candidates[0]["psi"].get("mean_M_p").is_some(), "{told}");
     assert_eq!(told["expected_gain"], Value::Null);
+}
+
+#[test]
+fn where_the_fit_is_doubted_a_policy_for_an_unknown_qube_competes() {
+    let directory = tempfile::tempdir().unwrap();
+    // Policies of so small a training differ by luck alone, so the one for an unknown Qube wins with some seeds.
+    let kept = |effect: &[&str], seed: u32| {
+        let settings = format!("{SMALL}[identification]\ncandidates = 1\n")
+            .replace("seed = 5", &format!("seed = {seed}"));
+        let out = format!("s{seed}{}", effect.len());
+        let arguments =
+            [&["--config", "small.toml", "--profile", "lab", "--out", &out], effect].concat();
+        let told = session(directory.path(), &settings, &arguments);
+        let policy = directory.path().join(out).join("candidates/001/policy.safetensors");
+        let Policy::Network(policy) = Policy::load(&policy).unwrap() else { panic!("a network") };
+        (list(&told["identification"], "doubts").len(), policy.training.model.clone())
+    };
+    let eccentric = ["--effect", "eccentricity_rad=0.03"];
+    let doubted: Vec<(usize, String)> = (1..=4).map(|seed| kept(&eccentric, seed)).collect();
+    assert!(doubted.iter().all(|(doubts, _)| *doubts > 0), "{doubted:?}");
+    assert!(doubted.iter().any(|(_, model)| model == "robust"), "{doubted:?}");
+    assert!(doubted.iter().any(|(_, model)| model == "opt-profile"), "{doubted:?}");
+    let sure: Vec<(usize, String)> = (1..=2).map(|seed| kept(&[], seed)).collect();
+    assert!(sure.iter().all(|it| *it == (0, "opt-profile".to_owned())), "{sure:?}");
 }
 
 #[test]

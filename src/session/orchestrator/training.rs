@@ -11,12 +11,23 @@ use crate::session::{
 use crate::simulation::{DomainDistribution, Evaluation, Model, SimulationSettings};
 use crate::storage::write_whole;
 
+/// The Qubes that a policy is trained for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum TrainedFor {
+    /// Those of the candidate's psi.
+    Psi,
+    /// Those that an unknown Qube may be.
+    Unknown,
+    /// The nominal one.
+    Nominal,
+}
+
 /// The trainings of one candidate that compete.
 struct Competition {
     /// Number of trainings that have not ended.
     missing: u32,
-    /// Best policy so far with its score, until it is written.
-    best: Option<(f64, Trained)>,
+    /// Best policy so far with its score and purpose, until it is written.
+    best: Option<(f64, Trained, TrainedFor)>,
 }
 
 impl Session {
@@ -49,10 +60,8 @@ impl Session {
                 }
             }
         }
-        let trainings = self.trainings();
         for round in 0..ROUNDS {
-            let is_last = round + 1 == ROUNDS;
-            due = self.train_round(due, round * trainings, trainings, is_last, tell)?;
+            due = self.train_round(due, round, tell)?;
         }
         // The entries are in the order of the candidates' numbers, whichever was trained first.
         for &candidate in numbers {
@@ -61,12 +70,23 @@ impl Session {
         Ok(())
     }
 
-    /// Number of trainings of one candidate: several around an identified Qube, of which the best is kept.
-    fn trainings(&self) -> u32 {
-        match (self.ledger.state().identification(), &self.settings.identification) {
-            (Identification::Found { .. }, Some(plan)) => plan.trainings,
-            _ => 1,
+    /// The trainings of a candidate in each round: several around an identified Qube, of which the best is kept. Where
+    /// its identification is doubted, a policy for an unknown Qube competes with the first candidate's.
+    fn trainings(&self, candidate: &Candidate) -> Vec<TrainedFor> {
+        if candidate.purpose == Purpose::Baseline {
+            // It is for comparison, and nothing depends on its luck.
+            return vec![TrainedFor::Nominal];
         }
+        let (Identification::Found { doubts, .. }, Some(plan)) =
+            (self.ledger.state().identification(), &self.settings.identification)
+        else {
+            return vec![TrainedFor::Psi];
+        };
+        let mut trainings = vec![TrainedFor::Psi; plan.trainings as usize];
+        if !doubts.is_empty() && candidate.psi == self.settings.psi.as_identified() {
+            trainings.push(TrainedFor::Unknown);
+        }
+        trainings
     }
 
     /// The excitation of a candidate; consecutive ones start in opposite directions.
@@ -75,45 +95,43 @@ impl Session {
         Policy::Excitation(Excitation::of_rollout(ExcitationShape::Chirp, limit_v, candidate))
     }
 
-    /// Trains each candidate with several seeds, numbered from `first` on, and keeps its best policy as soon as all of
-    /// its trainings have ended. Returns the candidates whose trainings have all failed in simulation; in the last
-    /// round the best of them is kept nonetheless.
+    /// Carries out a round of each candidate's trainings and keeps its best policy as soon as all of them have ended.
+    /// Returns the candidates whose trainings have all failed in simulation; in the last round the best of them is
+    /// kept nonetheless.
     fn train_round(
         &self,
         candidates: Vec<Candidate>,
-        first: u32,
-        trainings: u32,
-        is_last: bool,
+        round: u32,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<Vec<Candidate>, SessionError> {
+        let is_last = round + 1 == ROUNDS;
         let (mut jobs, mut of_job) = (Vec::new(), Vec::new());
         let mut competitions = Vec::new();
         for (index, candidate) in candidates.iter().enumerate() {
-            let (distribution, settings) = self.training_of(candidate)?;
-            // The baseline is for comparison, and nothing depends on its luck.
-            let trainings = if candidate.purpose == Purpose::Baseline { 1 } else { trainings };
-            for training in first..first + trainings {
-                let purpose = SeedFor::Training { candidate: candidate.number, training };
-                let seed = derived_seed(self.settings.seed, purpose);
-                let (distribution, settings) = (distribution.clone(), settings.clone());
+            let trainings = self.trainings(candidate);
+            let missing = trainings.len() as u32;
+            for (training, purpose) in (round * missing..).zip(trainings) {
+                let (distribution, settings) = self.training_of(candidate, purpose)?;
+                let seed_for = SeedFor::Training { candidate: candidate.number, training };
+                let seed = derived_seed(self.settings.seed, seed_for);
                 jobs.push(TrainingJob { distribution, settings, seed });
-                of_job.push((index, training));
+                of_job.push((index, training, purpose));
             }
-            competitions.push(Competition { missing: trainings, best: None });
+            competitions.push(Competition { missing, best: None });
         }
         let mut failed = None;
         self.executor.train(&jobs, &self.stop, &mut |event| match event {
             JobEvent::Update { job, update } => {
-                let (index, training) = of_job[job];
+                let (index, training, _) = of_job[job];
                 let candidate = candidates[index].number;
                 tell(SessionEvent::Training { candidate, training, update: &update });
             }
             JobEvent::Finished { job, result } => {
-                let (candidate, competition) =
-                    (&candidates[of_job[job].0], &mut competitions[of_job[job].0]);
-                let kept = result
-                    .map_err(SessionError::from)
-                    .and_then(|trained| self.compete(candidate, competition, *trained, is_last));
+                let (index, _, purpose) = of_job[job];
+                let (candidate, competition) = (&candidates[index], &mut competitions[index]);
+                let kept = result.map_err(SessionError::from).and_then(|trained| {
+                    self.compete(candidate, competition, (*trained, purpose), is_last)
+                });
                 match kept {
                     Ok(Some(best_return)) => {
                         let (candidate, best_return) = (candidate.number, Some(best_return));
@@ -137,7 +155,7 @@ impl Session {
         &self,
         candidate: &Candidate,
         competition: &mut Competition,
-        trained: Trained,
+        (trained, purpose): (Trained, TrainedFor),
         is_last: bool,
     ) -> Result<Option<f64>, SessionError> {
         let competes = competition.missing > 1 || competition.best.is_some();
@@ -147,16 +165,16 @@ impl Session {
             SUCCEEDED
         };
         competition.missing -= 1;
-        if competition.best.as_ref().is_none_or(|(best, _)| score > *best) {
-            competition.best = Some((score, trained));
+        if competition.best.as_ref().is_none_or(|(best, ..)| score > *best) {
+            competition.best = Some((score, trained, purpose));
         }
-        let decided = |(score, _): &(f64, Trained)| *score >= SUCCEEDED || is_last;
+        let decided = |best: &(f64, Trained, TrainedFor)| best.0 >= SUCCEEDED || is_last;
         if competition.missing > 0 || !competition.best.as_ref().is_some_and(decided) {
             return Ok(None);
         }
-        let Some((_, best)) = competition.best.take() else { return Ok(None) };
+        let Some((_, best, purpose)) = competition.best.take() else { return Ok(None) };
         let best_return = best.best_return;
-        save(&self.folder, candidate.number, best, self.origin(candidate)?)?;
+        save(&self.folder, candidate.number, best, self.origin(candidate, purpose)?)?;
         Ok(Some(best_return))
     }
 
@@ -164,28 +182,38 @@ impl Session {
     fn training_of(
         &self,
         candidate: &Candidate,
+        purpose: TrainedFor,
     ) -> Result<(DomainDistribution, TrainSettings), SessionError> {
         let settings = &self.settings;
-        if candidate.purpose == Purpose::Baseline {
-            let nominal =
-                Model::Nominal.distribution(settings.plant(), settings.family, None, None)?;
-            // What one trains who knows of no gap: the Qube's sensors, and no history of commands.
-            let simulation = SimulationSettings { history: 0, ..settings.training.simulation };
-            return Ok((nominal, TrainSettings { simulation, ..TrainSettings::quick() }));
-        }
-        let psi = settings.psi.psi(&candidate.psi)?;
-        let simulation = settings.simulation(&psi);
-        let training = TrainSettings { simulation, ..settings.training.clone() };
-        Ok((settings.distribution(&psi)?, training))
+        let base = |model: Model| model.distribution(settings.plant(), settings.family, None, None);
+        Ok(match purpose {
+            TrainedFor::Psi => {
+                let psi = settings.psi.psi(&candidate.psi)?;
+                let simulation = settings.simulation(&psi);
+                let training = TrainSettings { simulation, ..settings.training.clone() };
+                (settings.distribution(&psi)?, training)
+            }
+            TrainedFor::Unknown => (base(Model::Robust)?, settings.training.clone()),
+            TrainedFor::Nominal => {
+                // What one trains who knows of no gap: the Qube's sensors, and no history of commands.
+                let simulation = SimulationSettings { history: 0, ..settings.training.simulation };
+                (base(Model::Nominal)?, TrainSettings { simulation, ..TrainSettings::quick() })
+            }
+        })
     }
 
     /// The origin that a candidate's policy file records.
-    fn origin(&self, candidate: &Candidate) -> Result<Origin, SessionError> {
-        if candidate.purpose == Purpose::Baseline {
-            let (model, preset) = (Model::Nominal.name().into(), Preset::Quick.name().into());
-            return Ok(Origin { model, psi: None, preset });
-        }
-        Ok(self.settings.origin(&self.settings.psi.psi(&candidate.psi)?))
+    fn origin(&self, candidate: &Candidate, purpose: TrainedFor) -> Result<Origin, SessionError> {
+        let without_psi = |model: Model, preset: Preset| Origin {
+            model: model.name().into(),
+            psi: None,
+            preset: preset.name().into(),
+        };
+        Ok(match purpose {
+            TrainedFor::Psi => self.settings.origin(&self.settings.psi.psi(&candidate.psi)?),
+            TrainedFor::Unknown => without_psi(Model::Robust, self.settings.preset()),
+            TrainedFor::Nominal => without_psi(Model::Nominal, Preset::Quick),
+        })
     }
 
     /// Evaluates a policy of a candidate in fresh simulations of the Qube as it is known now.
