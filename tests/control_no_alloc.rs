@@ -15,7 +15,9 @@ use qube_hil::control::{Homing, HomingMethod, HomingSettings, Motion, RING_CAPAC
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::estimation::{Calibration, EstimatorSettings, ObserverSettings};
-use qube_hil::policy::{ClassicalController, ClassicalGains, Network, Policy};
+use qube_hil::policy::{
+    Activation, ClassicalController, ClassicalGains, LayerWeights, Network, OutputKind, Policy,
+};
 use qube_hil::qube::{MAX_HISTORY, Measurement, State};
 use qube_hil::safety::{ForesightSettings, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
@@ -122,6 +124,19 @@ fn network_with_history() -> Policy {
     Policy::Network(policy)
 }
 
+/// A network of the largest size that other programs bring, with weights so small that it rests.
+fn large_network() -> Policy {
+    let Policy::Network(mut policy) = network() else { unreachable!("it is a network") };
+    let sizes = [10, 256, 256, 256, 1];
+    let layers = sizes.windows(2).map(|size| LayerWeights {
+        weight: vec![1e-4; size[0] * size[1]],
+        bias: vec![1e-3; size[1]],
+    });
+    let network = Network::new(&sizes, &layers.collect::<Vec<_>>(), 5.0).expect("a network");
+    policy.network = network.with_functions(Activation::Elu, OutputKind::Tanh);
+    Policy::Network(policy)
+}
+
 fn rollout(policy: Policy, max_steps: u32) -> Tick {
     rollout_seen_by(EstimatorSettings::default(), policy, max_steps)
 }
@@ -183,6 +198,7 @@ fn a_rollout_in_virtual_time_allocates_nothing() {
         (classical(), EstimatorSettings::default()),
         (network(), EstimatorSettings::default()),
         (network_with_history(), EstimatorSettings::default()),
+        (large_network(), EstimatorSettings::default()),
         (network(), EstimatorSettings::observer(delayed)),
     ] {
         let clock = VirtualClock::default();

@@ -102,6 +102,11 @@ fn commands_print_the_fields_of_the_page() {
     succeeds("`replay`", &["replay", "run/rollout-0.mcap"]);
     succeeds("`replay`", &["replay", "run/rollout-0.mcap", "--simulate"]);
     succeeds("`report`", &["report", "run/rollout-0.mcap"]);
+    let model = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/onnx/silu-wrapped.onnx");
+    succeeds(
+        "`import`",
+        &["import", model, "--action-scale", "5", "--out", "imported.safetensors"],
+    );
     succeeds("`recover`", &["recover", "run/rollout-0.mcap"]);
     let whole = std::fs::read(directory.path().join("run/rollout-0.mcap")).unwrap();
     std::fs::write(directory.path().join("cut.mcap"), &whole[..whole.len() / 2]).unwrap();

@@ -56,6 +56,16 @@ class Policy:
     def load(path: str) -> Policy: ...
     @staticmethod
     def from_bytes(bytes: bytes) -> Policy: ...
+    @staticmethod
+    def from_layers(
+        layers: list[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]],
+        activation: str,
+        output: str,
+        action_scale_v: float,
+        observation: str | None,
+        history: int,
+        corner_rad_s: float,
+    ) -> Policy: ...
     def to_bytes(self) -> bytes: ...
     def save(self, path: str, force: bool) -> None: ...
     @property

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from . import _core
 from ._core import MAX_VOLTAGE_V
 from .envs import Float32s
-from .errors import ActionError
+from .errors import ActionError, PolicyError
 
 
 class Policy:
@@ -29,6 +30,79 @@ class Policy:
     def from_bytes(cls, data: bytes) -> "Policy":
         """Reads the bytes of a policy file, such as `Recording.policy`."""
         return cls(_core.Policy.from_bytes(data))
+
+    @classmethod
+    def from_layers(
+        cls,
+        layers: Sequence[tuple[npt.ArrayLike, npt.ArrayLike | None]],
+        *,
+        action_scale_v: float,
+        activation: str = "tanh",
+        output: str = "linear",
+        observation: Sequence[str] | None = None,
+        history: int = 0,
+        filter_rad_s: float = 200.0,
+    ) -> "Policy":
+        """Makes a policy of the layers of a multilayer perceptron.
+
+        Args:
+            layers: Weights ``[outputs, inputs]`` and biases ``[outputs]`` (or None) of each layer, the last with one output.
+            action_scale_v: Voltage for an output of 1, V; negative where the signs differ.
+            activation: ``tanh``, ``relu``, ``elu`` or ``silu``, in all hidden layers.
+            output: ``linear`` or ``tanh``.
+            observation: Entries of the observation in the network's order, as the option of `qube-hil import`; None for
+                the program's own.
+            history: Number of last commands in the program's own observation.
+            filter_rad_s: Corner of the velocity filter in training, for the policy's record.
+        """
+        arrays = []
+        for weight, bias in layers:
+            try:
+                matrix = np.asarray(weight, np.float32)
+                vector = np.zeros(len(matrix), np.float32) if bias is None else np.asarray(bias, np.float32)
+            except (TypeError, ValueError) as error:
+                raise PolicyError(f"a layer is not made of arrays of numbers: {error}") from error
+            if matrix.ndim != 2 or vector.ndim != 1:
+                raise PolicyError(
+                    f"a layer has the shapes {matrix.shape} and {vector.shape}: give [outputs, inputs] and [outputs]"
+                )
+            arrays.append((matrix, vector))
+        names = None if observation is None else ",".join(observation)
+        return cls(
+            _core.Policy.from_layers(
+                arrays, activation, output, action_scale_v, names, history, filter_rad_s
+            )
+        )
+
+    @classmethod
+    def from_torch(cls, module: Any, *, action_scale_v: float, **named: Any) -> "Policy":
+        """Makes a policy of a ``torch.nn.Sequential`` of ``Linear`` layers with ``Tanh``, ``ReLU``, ``ELU`` or ``SiLU``
+        between them, and ``Tanh`` at the end or nothing. ``named`` is as for `from_layers`."""
+        layers, activation, output = _layers_of(list(module))
+        return cls.from_layers(
+            layers, action_scale_v=action_scale_v, activation=activation, output=output, **named
+        )
+
+    @classmethod
+    def from_sb3(cls, model: Any, *, action_scale_v: float = 5.0, **named: Any) -> "Policy":
+        """Makes a policy of the actor of a Stable-Baselines3 model: PPO or A2C, SAC, or TD3, with a policy of the kind
+        ``MlpPolicy``. An action of 1 is ``action_scale_v``, as in the environments of this package. Observations that
+        ``VecNormalize`` has scaled are refused. ``named`` is as for `from_layers`."""
+        if getattr(model, "get_vec_normalize_env", lambda: None)() is not None:
+            raise PolicyError("the model sees observations that VecNormalize has scaled: train it without")
+        policy = model.policy
+        if hasattr(policy, "mlp_extractor"):
+            modules = [*policy.mlp_extractor.policy_net, policy.action_net]
+        elif hasattr(policy, "actor") and hasattr(policy.actor, "latent_pi"):
+            modules = [*policy.actor.latent_pi, policy.actor.mu, _LastTanh()]
+        elif hasattr(policy, "actor"):
+            modules = list(policy.actor.mu)
+        else:
+            raise PolicyError(f"the policy {type(policy).__name__} has no actor that is known")
+        layers, activation, output = _layers_of(modules)
+        return cls.from_layers(
+            layers, action_scale_v=action_scale_v, activation=activation, output=output, **named
+        )
 
     def to_bytes(self) -> bytes:
         """The bytes of the policy's file; equal policies give equal bytes."""
@@ -86,3 +160,40 @@ class Policy:
     def __repr__(self) -> str:
         sizes = "" if self.sizes is None else f" {self.sizes}"
         return f"<qube_hil.Policy: {self.kind}{sizes}>"
+
+
+class _LastTanh:
+    """The function that SAC's actor applies to its mean, which is none of its modules."""
+
+
+#: Activations by the names of torch's classes.
+_ACTIVATIONS = {"Tanh": "tanh", "_LastTanh": "tanh", "ReLU": "relu", "ELU": "elu", "SiLU": "silu"}
+
+
+def _layers_of(modules: list[Any]) -> tuple[list[tuple[Any, Any]], str, str]:
+    """The layers of modules in order, their activation and the function of the output."""
+    layers: list[tuple[Any, Any]] = []
+    activations: list[str] = []
+    for module in modules:
+        kind = type(module).__name__
+        if kind in ("Identity", "Flatten"):
+            continue
+        if kind == "Linear":
+            if len(layers) != len(activations):
+                raise PolicyError("two Linear layers follow each other without an activation")
+            bias = None if module.bias is None else module.bias.detach().cpu().numpy()
+            layers.append((module.weight.detach().cpu().numpy(), bias))
+        elif kind in _ACTIVATIONS and getattr(module, "alpha", 1.0) == 1.0:
+            if len(layers) != len(activations) + 1:
+                raise PolicyError(f"the activation {kind} does not follow a Linear layer")
+            activations.append(_ACTIVATIONS[kind])
+        else:
+            raise PolicyError(f"the module {kind} is not known: Linear, Tanh, ReLU, ELU and SiLU are")
+    output = "linear"
+    if layers and len(activations) == len(layers):
+        if activations.pop() != "tanh":
+            raise PolicyError("the last activation is no Tanh")
+        output = "tanh"
+    if len(set(activations)) > 1:
+        raise PolicyError(f"the hidden layers have several activations: {activations}")
+    return layers, (activations or ["tanh"])[0], output

@@ -2,10 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use numpy::{PyReadonlyArray2, PyReadwriteArray2, PyUntypedArrayMethods};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use qube_hil::policy::{Controller, Policy as Kind};
+use qube_hil::policy::onnx::{Layers, Sight};
+use qube_hil::policy::{
+    Activation, Controller, LayerWeights, NetworkPolicy, OutputKind, Policy as Kind, TrainingRecord,
+};
 use qube_hil::qube::{MAX_VOLTAGE_V, OBSERVATION_SIZE, State};
 use qube_hil::storage::{Disk, MachineDisk, write_whole};
 
@@ -30,6 +33,59 @@ impl Policy {
     fn from_bytes(bytes: &[u8]) -> PyResult<Self> {
         let bad = |fault| bad_policy(format!("the policy {fault}"));
         Ok(Self { policy: Kind::from_bytes(bytes).map_err(bad)? })
+    }
+
+    /// Makes a policy of layers: weights `[outputs][inputs]` row by row, and biases. `observation` names the entries of
+    /// the observation; without it, it is the program's own with `history` last commands.
+    #[staticmethod]
+    #[allow(clippy::too_many_arguments, reason = "what a file of weights does not say")]
+    fn from_layers(
+        layers: Vec<(PyReadonlyArray2<'_, f32>, PyReadonlyArray1<'_, f32>)>,
+        activation: &str,
+        output: &str,
+        action_scale_v: f32,
+        observation: Option<&str>,
+        history: usize,
+        corner_rad_s: f64,
+    ) -> PyResult<Self> {
+        let activation = Activation::named(activation).ok_or_else(|| {
+            let names = Activation::ALL.map(Activation::name).join(", ");
+            bad_policy(format!("there is no activation {activation:?}: give one of {names}"))
+        })?;
+        let output = match output {
+            "linear" => OutputKind::Linear,
+            "tanh" => OutputKind::Tanh,
+            other => {
+                return Err(bad_policy(format!(
+                    "there is no output {other:?}: give linear or tanh"
+                )));
+            }
+        };
+        if !(action_scale_v.abs() > 0.0 && action_scale_v.abs() <= 100.0) {
+            return Err(bad_policy(format!(
+                "action_scale_v = {action_scale_v}: give a voltage from -100 to 100 that is not 0"
+            )));
+        }
+        if !(1.0..=10_000.0).contains(&corner_rad_s) {
+            return Err(bad_policy(format!("filter_rad_s = {corner_rad_s}: give 1 to 10000")));
+        }
+        let sight = match observation {
+            Some(names) => Sight::parse(names).map_err(bad_policy)?,
+            None => Sight::own(history),
+        };
+        let inputs = layers.first().map_or(0, |(weight, _)| weight.shape()[1]);
+        let layer = |(weight, bias): &(PyReadonlyArray2<'_, f32>, PyReadonlyArray1<'_, f32>)| {
+            LayerWeights {
+                weight: weight.as_array().iter().copied().collect(),
+                bias: bias.as_array().iter().copied().collect(),
+            }
+        };
+        let layers = layers.iter().map(layer).collect();
+        let network = Layers { layers, inputs, activation, output }
+            .network(&sight, action_scale_v)
+            .map_err(|error| bad_policy(format!("the policy {error}")))?;
+        let training = TrainingRecord::imported(corner_rad_s);
+        Ok(Self { policy: Kind::Network(NetworkPolicy { network, training }) })
     }
 
     /// The bytes of the policy's file.

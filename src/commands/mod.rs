@@ -22,6 +22,7 @@ mod experiment_table;
 mod failures;
 mod guard_argument;
 mod identify;
+mod import;
 mod keyboard;
 mod named_values;
 mod number_arguments;
@@ -94,6 +95,7 @@ enum Command {
     Session(session::Arguments),
     Experiment(experiment::Arguments),
     Train(train::Arguments),
+    Import(import::Arguments),
     Identify(identify::Arguments),
     Run(run::Arguments),
     Check(check::Arguments),
@@ -126,6 +128,7 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
         Command::Session(arguments) => session::run(arguments, &output),
         Command::Experiment(arguments) => experiment::run(arguments, &output),
         Command::Train(arguments) => train::run(arguments, &output),
+        Command::Import(arguments) => import::run(&arguments, &output),
         Command::Identify(arguments) => identify::run(&arguments, &output),
         Command::Run(arguments) => run::run(arguments, &output),
         Command::Check(arguments) => check::run(&arguments, &output),

@@ -13,13 +13,14 @@ use thiserror::Error;
 
 use super::network::{LayerWeights, NetworkError, bias_name, check_sizes, weight_name};
 use super::{
-    ClassicalController, ClassicalGains, Excitation, ExcitationShape, External, Network,
-    NetworkPolicy, Policy, TrainingRecord,
+    Activation, ClassicalController, ClassicalGains, Excitation, ExcitationShape, External,
+    Network, NetworkPolicy, OutputKind, Policy, TrainingRecord,
 };
-use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
+use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
 
-/// Version of the format; files of other versions are refused.
-pub const FORMAT_VERSION: u32 = 1;
+/// Newest version of the format; files of later versions are refused. A network that version 1 can express is written
+/// in version 1, so that its bytes stay.
+pub const FORMAT_VERSION: u32 = 2;
 
 /// Largest file that is read, bytes: ten times the largest network within the limits.
 pub const MAX_FILE_BYTES: u64 = 8 << 20;
@@ -41,6 +42,7 @@ const OBSERVATION_LAYOUT: [&str; OBSERVATION_SIZE + MAX_HISTORY] = [
     "last command but three / 5 V",
 ];
 
+/// The activation of every network in version 1.
 const ACTIVATION: &str = "tanh";
 
 /// The reason why a policy file cannot be read.
@@ -91,7 +93,7 @@ pub enum PolicyFault {
     },
     /// The file has another version of the format.
     #[error(
-        "has format version {version}, this program reads version {FORMAT_VERSION}. Train it again or use the program that wrote it"
+        "has format version {version}, this program reads versions 1 to {FORMAT_VERSION}. Train it again or use the program that wrote it"
     )]
     Version {
         /// Version of the file.
@@ -115,8 +117,19 @@ pub enum PolicyFault {
         /// Layer sizes of the network.
         sizes: Vec<usize>,
     },
+    /// The file lacks the conventions of its version, or has others.
+    #[error(
+        "does not name the conventions of this program in format version {version}: signs, zeros, units and period must be \
+         its own. Train or import it again"
+    )]
+    Conventions {
+        /// Version of the file.
+        version: u32,
+    },
     /// The activation function is not supported.
-    #[error("has the activation `{activation}`; this program has `{ACTIVATION}`. Train it again")]
+    #[error(
+        "has the activation `{activation}`; version 1 of the format has `{ACTIVATION}`, version 2 also relu, elu and silu. Train it again"
+    )]
     Activation {
         /// Activation function that the file names.
         activation: String,
@@ -199,7 +212,44 @@ struct NetworkMetadata {
     sizes: Vec<usize>,
     activation: String,
     action_scale_v: f32,
+    /// Function of the output; from version 2 on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    output: Option<OutputKind>,
+    /// What a reader of another program must know; from version 2 on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    conventions: Option<Conventions>,
     training: TrainingRecord,
+}
+
+/// The conventions of every network of this program, in words and numbers. A file that names others is refused.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Conventions {
+    theta_rad: String,
+    alpha_rad: String,
+    positive_voltage: String,
+    last_command: String,
+    largest_voltage_v: f64,
+    period_s: f64,
+    velocity_filter: String,
+}
+
+impl Conventions {
+    fn of_this_program() -> Self {
+        Self {
+            theta_rad: "0 in the middle between the stops"
+                .into(),
+            alpha_rad: "0 where the pendulum hangs, +-pi upright".into(),
+            positive_voltage: "turns the arm to positive theta, and the pendulum lags behind".into(),
+            last_command:
+                "voltage sent, after guard and rounding to 1 mV, newest first; 0 before the first"
+                    .into(),
+            largest_voltage_v: MAX_VOLTAGE_V,
+            period_s: CONTROL_PERIOD_S,
+            velocity_filter: "v = e^(-corner T) v + (1 - e^(-corner T)) (x - previous x) / T, on the angles of the encoders"
+                .into(),
+        }
+    }
 }
 
 pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
@@ -214,28 +264,45 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
 
     let not_understood = |source| PolicyFault::Metadata { source };
     let VersionOnly { format_version } = serde_json::from_str(json).map_err(not_understood)?;
-    if format_version != FORMAT_VERSION {
+    if !(1..=FORMAT_VERSION).contains(&format_version) {
         return Err(PolicyFault::Version { version: format_version });
     }
     let metadata: Metadata = serde_json::from_str(json).map_err(not_understood)?;
     match metadata.controller {
         ControllerMetadata::Network(metadata) => {
-            let NetworkMetadata { observation, sizes, activation, action_scale_v, training } =
-                *metadata;
+            let NetworkMetadata {
+                observation,
+                sizes,
+                activation,
+                action_scale_v,
+                output,
+                conventions,
+                training,
+            } = *metadata;
+            let is_second = format_version >= 2;
+            if is_second != output.is_some()
+                || is_second != conventions.is_some()
+                || conventions.is_some_and(|it| it != Conventions::of_this_program())
+            {
+                return Err(PolicyFault::Conventions { version: format_version });
+            }
             let known = OBSERVATION_LAYOUT
                 .get(..observation.len())
                 .is_some_and(|layout| layout == observation);
             if !known || observation.len() < OBSERVATION_SIZE {
                 return Err(PolicyFault::Observation { layout: observation });
             }
-            if activation != ACTIVATION {
+            let known = Activation::named(&activation)
+                .filter(|&known| is_second || known == Activation::default());
+            let Some(function) = known else {
                 return Err(PolicyFault::Activation { activation });
-            }
+            };
             check_sizes(&sizes)?;
             if observation.len() != sizes[0] {
                 return Err(PolicyFault::Inputs { entries: observation.len(), sizes });
             }
-            let network = Network::new(&sizes, &read_layers(&tensors, &sizes)?, action_scale_v)?;
+            let network = Network::new(&sizes, &read_layers(&tensors, &sizes)?, action_scale_v)?
+                .with_functions(function, output.unwrap_or_default());
             Ok(Policy::Network(NetworkPolicy { network, training }))
         }
         ControllerMetadata::Classical => {
@@ -256,6 +323,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
 }
 
 pub(super) fn write(policy: &Policy) -> Vec<u8> {
+    let is_second = matches!(policy, Policy::Network(it) if !is_of_the_first_version(&it.network));
+    let format_version = if is_second { 2 } else { 1 };
     let (controller, tensors) = match policy {
         Policy::Network(NetworkPolicy { network, training }) => (
             ControllerMetadata::Network(Box::new(NetworkMetadata {
@@ -264,8 +333,10 @@ pub(super) fn write(policy: &Policy) -> Vec<u8> {
                     .map(|&entry| entry.to_owned())
                     .collect(),
                 sizes: network.sizes().to_vec(),
-                activation: ACTIVATION.to_owned(),
+                activation: network.activation().name().to_owned(),
                 action_scale_v: network.action_scale_v(),
+                output: is_second.then(|| network.output()),
+                conventions: is_second.then(Conventions::of_this_program),
                 training: training.clone(),
             })),
             layer_tensors(network),
@@ -281,10 +352,15 @@ pub(super) fn write(policy: &Policy) -> Vec<u8> {
             (ControllerMetadata::External { name: external.name().to_owned() }, Vec::new())
         }
     };
-    let json = serde_json::to_string(&Metadata { format_version: FORMAT_VERSION, controller });
+    let json = serde_json::to_string(&Metadata { format_version, controller });
     let json = json.expect("plain structs with text keys always become JSON");
     let metadata = HashMap::from([(METADATA_KEY.to_owned(), json)]);
     serialize(tensors, Some(metadata)).expect("tensors whose bytes follow from their shapes")
+}
+
+/// Whether version 1 of the format can express a network.
+fn is_of_the_first_version(network: &Network) -> bool {
+    (network.activation(), network.output()) == (Activation::Tanh, OutputKind::Linear)
 }
 
 /// A tensor ready for serialisation.

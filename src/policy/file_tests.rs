@@ -99,6 +99,46 @@ fn a_classical_controller_comes_back() {
 }
 
 #[test]
+fn a_network_with_other_functions_comes_back_in_version_2_with_its_conventions() {
+    let Policy::Network(plain) = network_policy() else { unreachable!() };
+    let first = Policy::Network(plain.clone()).to_bytes();
+    let has = |bytes: &[u8], text: &str| String::from_utf8_lossy(bytes).contains(text);
+    assert!(has(&first, r#"format_version\":1,"#) && !has(&first, "conventions"));
+    for activation in Activation::ALL {
+        for output in [OutputKind::Linear, OutputKind::Tanh] {
+            let network = plain.network.clone().with_functions(activation, output);
+            let policy = Policy::Network(NetworkPolicy { network, ..plain.clone() });
+            let bytes = policy.to_bytes();
+            let is_first = (activation, output) == (Activation::Tanh, OutputKind::Linear);
+            assert_eq!(has(&bytes, "conventions"), !is_first);
+            match Policy::from_bytes(&bytes).unwrap() {
+                Policy::Network(read) => {
+                    assert_eq!(
+                        (read.network.activation(), read.network.output()),
+                        (activation, output)
+                    );
+                    assert_eq!(Policy::Network(read).to_bytes(), bytes);
+                }
+                other => panic!("{other:?} came back"),
+            }
+        }
+    }
+}
+
+#[test]
+fn another_convention_is_refused() {
+    let Policy::Network(plain) = network_policy() else { unreachable!() };
+    let network = plain.network.clone().with_functions(Activation::Relu, OutputKind::Linear);
+    let bytes = Policy::Network(NetworkPolicy { network, ..plain }).to_bytes();
+    let text = b"+-pi upright";
+    let place = bytes.windows(text.len()).position(|window| window == text).unwrap();
+    let mut changed = bytes.clone();
+    changed[place] = b'-';
+    let refused = Policy::from_bytes(&changed).unwrap_err();
+    assert!(matches!(refused, PolicyFault::Conventions { version: 2 }), "{refused}");
+}
+
+#[test]
 fn an_external_controller_comes_back_as_a_name() {
     let answering = External::new("mine").answering(vec![1.0]);
     match Policy::from_bytes(&Policy::External(answering).to_bytes()).unwrap() {

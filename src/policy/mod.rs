@@ -62,6 +62,7 @@
 //! # Ok::<(), qube_hil::device::DeviceError>(())
 //! ```
 
+mod activation;
 mod classical;
 mod excitation;
 mod external;
@@ -69,11 +70,13 @@ mod file;
 #[cfg(test)]
 mod file_tests;
 mod network;
+pub mod onnx;
 mod trained_for;
 mod training_record;
 
 use std::path::Path;
 
+pub use activation::{Activation, OutputKind};
 pub use classical::{ClassicalController, ClassicalGains};
 pub use excitation::{EXCITATION_STEPS, Excitation, ExcitationShape};
 pub use external::External;

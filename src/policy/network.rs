@@ -1,5 +1,6 @@
 use thiserror::Error;
 
+use super::{Activation, OutputKind};
 use crate::elementary::{InstructionSet, VectorKernel, dispatch, tanh};
 use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State, observation};
 
@@ -61,8 +62,8 @@ pub enum NetworkError {
     },
 }
 
-/// A multilayer perceptron: observation in, tanh in the hidden layers, one linear output, which times the
-/// action scale is the voltage.
+/// A multilayer perceptron: observation in, an activation (tanh, unless told otherwise) in the hidden layers, and one
+/// output, linear or tanh, which times the action scale is the voltage.
 ///
 /// The observation contains the state and, for networks with more inputs, the last commands as fractions of
 /// 5 V, newest first. The network remembers commands from [`Self::start`] to the next start;
@@ -74,6 +75,8 @@ pub enum NetworkError {
 pub struct Network {
     sizes: Vec<usize>,
     action_scale_v: f32,
+    activation: Activation,
+    output: OutputKind,
     layers: Vec<Layer>,
     /// Inputs and outputs of the current layer, each as wide as the widest layer.
     activations: [Vec<f32>; 2],
@@ -122,10 +125,30 @@ impl Network {
         Ok(Self {
             sizes: sizes.to_vec(),
             action_scale_v,
+            activation: Activation::default(),
+            output: OutputKind::default(),
             layers: layers.map(|(layer, size)| Layer::new(layer, size[0], size[1])).collect(),
             activations: [vec![0.0; widest], vec![0.0; widest]],
             commands: [0.0; MAX_HISTORY],
         })
+    }
+
+    /// The same network with these functions of its neurons.
+    #[must_use]
+    pub fn with_functions(self, activation: Activation, output: OutputKind) -> Self {
+        Self { activation, output, ..self }
+    }
+
+    /// The function of the hidden neurons.
+    #[must_use]
+    pub fn activation(&self) -> Activation {
+        self.activation
+    }
+
+    /// The function of the output.
+    #[must_use]
+    pub fn output(&self) -> OutputKind {
+        self.output
     }
 
     /// Layer sizes from the observation to the output.
@@ -187,11 +210,12 @@ impl Network {
     }
 }
 
-/// Compares weights and scale; the remembered commands do not count.
+/// Compares weights, functions and scale; the remembered commands do not count.
 impl PartialEq for Network {
     fn eq(&self, other: &Self) -> bool {
         self.sizes == other.sizes
             && self.action_scale_v == other.action_scale_v
+            && (self.activation, self.output) == (other.activation, other.output)
             && self.layers == other.layers
     }
 }
@@ -295,6 +319,7 @@ impl VectorKernel for Infer<'_> {
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> f32 {
         let history = self.network.history();
+        let (activation, output) = (self.network.activation, self.network.output);
         let Network { action_scale_v, layers, activations: [inputs, outputs], commands, .. } =
             self.network;
         match self.input {
@@ -308,13 +333,15 @@ impl VectorKernel for Infer<'_> {
         let last = layers.len() - 1;
         for layer in &layers[..last] {
             layer.apply(inputs, outputs);
-            for value in outputs.iter_mut() {
-                *value = tanh(*value);
-            }
+            activation.apply(outputs);
             std::mem::swap(inputs, outputs);
         }
         layers[last].apply(inputs, outputs);
-        *action_scale_v * outputs[0]
+        *action_scale_v
+            * match output {
+                OutputKind::Linear => outputs[0],
+                OutputKind::Tanh => tanh(outputs[0]),
+            }
     }
 }
 
@@ -376,6 +403,52 @@ mod tests {
             for state in states() {
                 let error = network.voltage_v(&state) - textbook_voltage(&network, &state, &[]);
                 assert!(error.abs() < 1e-4, "{sizes:?}: off by {error:e} V");
+            }
+        }
+    }
+
+    #[test]
+    fn other_functions_are_those_of_the_textbook() {
+        let function = |activation, x: f64| match activation {
+            Activation::Tanh => x.tanh(),
+            Activation::Relu => x.max(0.0),
+            Activation::Elu => {
+                if x > 0.0 {
+                    x
+                } else {
+                    x.exp() - 1.0
+                }
+            }
+            Activation::Silu => x / (1.0 + (-x).exp()),
+        };
+        for activation in Activation::ALL {
+            for output in [OutputKind::Linear, OutputKind::Tanh] {
+                let sizes = [6, 256, 256, 256, 1];
+                let mut network = network(&sizes).with_functions(activation, output);
+                let layers = network.layers();
+                for state in states().step_by(25) {
+                    let mut values = observation(&state).to_vec();
+                    for (index, layer) in layers.iter().enumerate() {
+                        let rows = layer.bias.iter().zip(layer.weight.chunks(values.len()));
+                        let sums = rows.map(|(bias, row)| {
+                            let products = row.iter().zip(&values).map(|(w, x)| f64::from(*w) * x);
+                            f64::from(*bias) + products.sum::<f64>()
+                        });
+                        let is_last = index + 1 == layers.len();
+                        values = sums
+                            .map(|sum| if is_last { sum } else { function(activation, sum) })
+                            .collect();
+                    }
+                    let expected = match output {
+                        OutputKind::Linear => values[0],
+                        OutputKind::Tanh => values[0].tanh(),
+                    };
+                    let error = network.voltage_v(&state) - 5.0 * expected;
+                    assert!(
+                        error.abs() < 1e-4 * (1.0 + expected.abs()),
+                        "{activation:?}: {error:e}"
+                    );
+                }
             }
         }
     }

@@ -39,6 +39,31 @@ pub struct TrainingRecord {
     pub program_version: String,
 }
 
+impl TrainingRecord {
+    /// The record of a network that another program trained for a Qube, seen through a velocity filter of this corner.
+    #[must_use]
+    pub fn imported(corner_rad_s: f64) -> Self {
+        Self {
+            model: "imported".into(),
+            psi: None,
+            seed: 0,
+            preset: "imported".into(),
+            steps: 0,
+            gradient_steps: 0,
+            sensors: SimulatedSensors::Encoders {
+                corner_rad_s,
+                counts_per_revolution: PlantModel::QUBE.encoders.theta.counts_per_revolution(),
+                observer: None,
+            },
+            guard: SimulatedGuard::Box,
+            voltage_change_weight: 0.0,
+            plant: PlantModel::QUBE,
+            best_return: None,
+            program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        }
+    }
+}
+
 fn is_zero(weight: &f32) -> bool {
     *weight == 0.0
 }

@@ -1,0 +1,136 @@
+"""Policies from elsewhere. The classes here stand for those of torch, of which the names and attributes count."""
+
+import numpy as np
+import pytest
+
+import qube_hil
+from qube_hil import Policy
+
+RANDOM = np.random.default_rng(5)
+
+
+class Array:
+    def __init__(self, *shape):
+        self.values = RANDOM.normal(scale=0.3, size=shape).astype(np.float32)
+
+    def detach(self):
+        return self
+
+    def cpu(self):
+        return self
+
+    def numpy(self):
+        return self.values
+
+
+class Linear:
+    def __init__(self, inputs, outputs, bias=True):
+        self.weight, self.bias = Array(outputs, inputs), Array(outputs) if bias else None
+
+
+class Tanh:
+    pass
+
+
+class ReLU:
+    pass
+
+
+class ELU:
+    alpha = 1.0
+
+
+class SiLU:
+    pass
+
+
+class Softplus:
+    pass
+
+
+FUNCTIONS = {
+    Tanh: np.tanh,
+    ReLU: lambda x: np.maximum(x, 0.0),
+    ELU: lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
+    SiLU: lambda x: x / (1.0 + np.exp(-x)),
+}
+
+
+def computed(modules, observations):
+    values = observations.astype(np.float64)
+    for module in modules:
+        if isinstance(module, Linear):
+            values = values @ module.weight.values.T
+            values = values if module.bias is None else values + module.bias.values
+        else:
+            values = FUNCTIONS[type(module)](values)
+    return values
+
+
+@pytest.mark.parametrize("activation", FUNCTIONS)
+@pytest.mark.parametrize("last", [[], [Tanh()]])
+def test_a_sequential_gives_its_own_outputs(activation, last, tmp_path):
+    modules = [Linear(8, 256), activation(), Linear(256, 30, bias=False), activation(), Linear(30, 1), *last]
+    policy = Policy.from_torch(modules, action_scale_v=2.0, history=2)
+    observations = RANDOM.uniform(-1.0, 1.0, size=(200, 8)).astype(np.float32)
+    expected = np.clip(2.0 * computed(modules, observations), -5.0, 5.0)
+    assert np.abs(policy.voltage_v(observations) - expected).max() < 5e-6 * 5.0
+    policy.save(tmp_path / "p.safetensors")
+    again = Policy.load(tmp_path / "p.safetensors")
+    assert (again.voltage_v(observations) == policy.voltage_v(observations)).all()
+
+
+class Named:
+    def __init__(self, **named):
+        self.__dict__.update(named)
+
+
+def test_the_actors_of_ppo_and_sac_are_found():
+    hidden = [Linear(6, 12), Tanh(), Linear(12, 12), Tanh()]
+    action = Linear(12, 1)
+    ppo = Named(policy=Named(mlp_extractor=Named(policy_net=hidden), action_net=action))
+    observations = RANDOM.uniform(-1.0, 1.0, size=(50, 6)).astype(np.float32)
+    expected = computed([*hidden, action], observations)
+    assert np.abs(Policy.from_sb3(ppo).act(observations) - np.clip(expected, -1.0, 1.0)).max() < 1e-6
+    hidden = [Linear(6, 12), ReLU(), Linear(12, 12), ReLU()]
+    sac = Named(policy=Named(actor=Named(latent_pi=hidden, mu=action)))
+    expected = np.tanh(computed([*hidden, action], observations))
+    assert np.abs(Policy.from_sb3(sac).act(observations) - expected).max() < 1e-6
+    with pytest.raises(qube_hil.PolicyError, match="VecNormalize"):
+        Policy.from_sb3(Named(policy=ppo.policy, get_vec_normalize_env=lambda: object()))
+
+
+@pytest.mark.parametrize(
+    "modules, told",
+    [
+        ([Linear(6, 4), Softplus(), Linear(4, 1)], "Softplus"),
+        ([Linear(6, 4), Linear(4, 1)], "follow each other"),
+        ([Linear(6, 4), Tanh(), Linear(4, 1), ReLU()], "no Tanh"),
+        ([Linear(6, 4), Tanh(), Linear(4, 4), ReLU(), Linear(4, 1)], "several"),
+        ([Linear(6, 4), Tanh(), Linear(4, 2)], "1 output"),
+        ([Linear(6, 300), Tanh(), Linear(300, 1)], "256"),
+        ([Linear(7, 4), Tanh(), Linear(4, 1)], "7 inputs"),
+        ([], "0 inputs"),
+    ],
+)
+def test_a_module_that_is_no_policy_is_named(modules, told):
+    with pytest.raises(qube_hil.PolicyError, match=told):
+        Policy.from_torch(modules, action_scale_v=5.0)
+
+
+def test_arrays_and_names_that_cannot_be_are_named():
+    layers = [(np.ones((4, 6)), None), (np.ones((1, 4)), np.zeros(1))]
+    Policy.from_layers(layers, action_scale_v=-5.0)
+    for wrong, told in [
+        ({"action_scale_v": 0.0}, "action_scale_v"),
+        ({"activation": "gelu"}, "gelu"),
+        ({"output": "clip"}, "clip"),
+        ({"observation": ["sin_beta"]}, "sin_beta"),
+        ({"history": 2}, "6 inputs"),
+        ({"filter_rad_s": 0.0}, "filter"),
+        ({"layers": [(np.full((4, 6), np.nan), None), layers[1]]}, "NaN"),
+        ({"layers": [(np.ones(6), None)]}, "shapes"),
+        ({"layers": [("x", None)]}, "numbers"),
+    ]:
+        with pytest.raises(qube_hil.PolicyError, match=told):
+            Policy.from_layers(**{"layers": layers, "action_scale_v": 5.0, **wrong})

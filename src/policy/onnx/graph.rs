@@ -1,0 +1,248 @@
+//! From a graph of operators to the layers of a network.
+
+use super::model::{Graph, Node, Tensor};
+use super::{ImportError, Layers};
+use crate::policy::{Activation, LayerWeights, OutputKind};
+
+/// An operator of a network, in the order in which the observation passes them.
+enum Step {
+    /// A matrix, `[outputs][inputs]`, with or without a bias.
+    Matrix {
+        weight: Vec<f32>,
+        bias: Vec<f32>,
+        inputs: usize,
+    },
+    /// A constant that is added.
+    Added(Vec<f32>),
+    /// A constant that multiplies.
+    Multiplied(Vec<f32>),
+    Activation(Activation),
+}
+
+/// The layers between a graph's input and its first output.
+pub fn layers(graph: &Graph<'_>) -> Result<Layers, ImportError> {
+    let ([input], [output, ..]) = (graph.inputs.as_slice(), graph.outputs.as_slice()) else {
+        let (inputs, outputs) = (graph.inputs.len(), graph.outputs.len());
+        return Err(ImportError::Ends { inputs, outputs });
+    };
+    let mut steps = Vec::new();
+    let mut name = *output;
+    // Every operator is passed once; more passes would be a circle.
+    for _ in 0..=graph.nodes.len() {
+        if name == *input {
+            steps.reverse();
+            return assembled(steps);
+        }
+        let node = graph.maker(name).ok_or(ImportError::NotOnnx)?;
+        let (step, before) = step(graph, node)?;
+        steps.extend(step);
+        name = before;
+    }
+    Err(ImportError::NotOnnx)
+}
+
+/// The step of an operator, and the name of the value that it works on.
+fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str), ImportError> {
+    let input = |index: usize| node.inputs.get(index).copied().ok_or(ImportError::NotOnnx);
+    let constant = |name: &str| graph.constant(name);
+    let refused = |place| ImportError::Place { operator: node.operator.to_owned(), place };
+    let first = input(0)?;
+    match node.operator {
+        "Identity" | "Flatten" | "Expand" | "Reshape" => Ok((None, first)),
+        // To single or double precision.
+        "Cast" if matches!(node.integer("to", 0), 1 | 11) => Ok((None, first)),
+        "Gemm" => {
+            let by_default = node.integer("transA", 0) == 0
+                && node.number("alpha", 1.0) == 1.0
+                && node.number("beta", 1.0) == 1.0;
+            if !by_default {
+                return Err(refused(
+                    "with a transposed input or a factor, which this program does not know",
+                ));
+            }
+            let weight =
+                constant(input(1)?).ok_or_else(|| refused("whose weights are not constant"))?;
+            let matrix =
+                matrix(weight, node.integer("transB", 0) == 1).ok_or(ImportError::NotOnnx)?;
+            let bias = match node.inputs.get(2) {
+                Some(name) if !name.is_empty() => constant(name)
+                    .ok_or_else(|| refused("whose bias is not constant"))?
+                    .values
+                    .clone(),
+                _ => Vec::new(),
+            };
+            let (weight, inputs) = matrix;
+            Ok((Some(Step::Matrix { weight, bias, inputs }), first))
+        }
+        "MatMul" => {
+            let weight =
+                constant(input(1)?).ok_or_else(|| refused("whose weights are not constant"))?;
+            let (weight, inputs) = matrix(weight, false).ok_or(ImportError::NotOnnx)?;
+            Ok((Some(Step::Matrix { weight, bias: Vec::new(), inputs }), first))
+        }
+        "Add" | "Sub" | "Mul" | "Div" => {
+            let second = input(1)?;
+            let (value, other, swapped) = match (constant(first), constant(second)) {
+                (None, Some(value)) => (value, first, false),
+                (Some(value), None) => (value, second, true),
+                _ if node.operator == "Mul" => {
+                    return silu(graph, first, second)
+                        .map(|of| (Some(Step::Activation(Activation::Silu)), of))
+                        .ok_or_else(|| refused("of two values that are not constant"));
+                }
+                _ => return Err(refused("of two values that are not constant")),
+            };
+            let values = value.values.iter().copied();
+            let step = match (node.operator, swapped) {
+                ("Add", _) => Step::Added(values.collect()),
+                ("Sub", false) => Step::Added(values.map(|value| -value).collect()),
+                ("Mul", _) => Step::Multiplied(values.collect()),
+                ("Div", false) => Step::Multiplied(values.map(|value| 1.0 / value).collect()),
+                _ => {
+                    return Err(refused(
+                        "of a constant by a value, which this program does not know",
+                    ));
+                }
+            };
+            Ok((Some(step), other))
+        }
+        "Tanh" => Ok((Some(Step::Activation(Activation::Tanh)), first)),
+        "Relu" => Ok((Some(Step::Activation(Activation::Relu)), first)),
+        "Elu" if node.number("alpha", 1.0) == 1.0 => {
+            Ok((Some(Step::Activation(Activation::Elu)), first))
+        }
+        "Clip" => Err(refused(
+            "which this program's networks do not have: leave it out of the exported module",
+        )),
+        operator => Err(ImportError::Operator { operator: operator.to_owned() }),
+    }
+}
+
+/// The value x of a product x times Sigmoid(x), if these two are one.
+fn silu<'a>(graph: &Graph<'a>, first: &'a str, second: &'a str) -> Option<&'a str> {
+    let is_sigmoid_of = |gate: &str, of: &str| {
+        let maker = graph.maker(gate);
+        maker.is_some_and(|node| node.operator == "Sigmoid" && node.inputs == [of])
+    };
+    if is_sigmoid_of(second, first) {
+        Some(first)
+    } else {
+        is_sigmoid_of(first, second).then_some(second)
+    }
+}
+
+/// Weights as `[outputs][inputs]`, with the number of inputs.
+fn matrix(tensor: &Tensor, is_transposed: bool) -> Option<(Vec<f32>, usize)> {
+    let &[rows, columns] = tensor.shape.as_slice() else { return None };
+    if rows == 0 || columns == 0 || tensor.values.len() != rows.checked_mul(columns)? {
+        return None;
+    }
+    if is_transposed {
+        return Some((tensor.values.clone(), columns));
+    }
+    let column = |column: usize| (0..rows).map(move |row| tensor.values[row * columns + column]);
+    Some(((0..columns).flat_map(column).collect(), rows))
+}
+
+/// Puts the steps together; constants before the first matrix become a part of it.
+fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
+    let refused =
+        |operator: &str, place| ImportError::Place { operator: operator.to_owned(), place };
+    let mut before: Vec<Step> = Vec::new();
+    let mut layers: Vec<LayerWeights> = Vec::new();
+    let (mut inputs, mut activations, mut is_active) = (0, Vec::new(), true);
+    for step in steps {
+        match step {
+            Step::Matrix { weight, bias, inputs: seen } => {
+                if !is_active {
+                    return Err(refused(
+                        "Gemm or MatMul",
+                        "right after another one, without an activation",
+                    ));
+                }
+                let outputs = weight.len() / seen;
+                let bias = if bias.is_empty() { vec![0.0; outputs] } else { bias };
+                let mut layer = LayerWeights { weight, bias: spread(&bias, outputs)? };
+                if layers.is_empty() {
+                    inputs = seen;
+                    fold(&before, &mut layer, seen)?;
+                }
+                layers.push(layer);
+                is_active = false;
+            }
+            Step::Activation(activation) => {
+                if layers.is_empty() || is_active {
+                    return Err(refused("activation", "that does not follow a layer"));
+                }
+                activations.push(activation);
+                is_active = true;
+            }
+            constant if layers.is_empty() => before.push(constant),
+            Step::Added(values) if !is_active => {
+                if let Some(layer) = layers.last_mut() {
+                    let values = spread(&values, layer.bias.len())?;
+                    layer.bias.iter_mut().zip(values).for_each(|(bias, value)| *bias += value);
+                }
+            }
+            Step::Added(_) => return Err(refused("Add or Sub", "after an activation")),
+            Step::Multiplied(_) => {
+                return Err(refused(
+                    "Mul or Div",
+                    "by a constant after the first layer: leave it out and give its factor as the action scale",
+                ));
+            }
+        }
+    }
+    let output = if activations.len() == layers.len() && !layers.is_empty() {
+        match activations.pop() {
+            Some(Activation::Tanh) => OutputKind::Tanh,
+            _ => return Err(refused("activation", "after the last layer that is no Tanh")),
+        }
+    } else {
+        OutputKind::Linear
+    };
+    let activation = activations.first().copied().unwrap_or(Activation::Tanh);
+    if activations.iter().any(|&other| other != activation) {
+        return Err(refused("activation", "that differs from that of another hidden layer"));
+    }
+    Ok(Layers { layers, inputs, activation, output })
+}
+
+/// A constant as one value for each of `count` entries.
+fn spread(values: &[f32], count: usize) -> Result<Vec<f32>, ImportError> {
+    match values {
+        [one] => Ok(vec![*one; count]),
+        values if values.len() == count => Ok(values.to_vec()),
+        _ => Err(ImportError::Values { name: "beside a layer".to_owned() }),
+    }
+}
+
+/// Folds the constants before the first layer into it: W (a x + b) + c = (W a) x + (W b + c).
+fn fold(before: &[Step], layer: &mut LayerWeights, inputs: usize) -> Result<(), ImportError> {
+    let (mut factors, mut offsets) = (vec![1.0_f64; inputs], vec![0.0_f64; inputs]);
+    for step in before {
+        match step {
+            Step::Added(values) => {
+                for (offset, value) in offsets.iter_mut().zip(spread(values, inputs)?) {
+                    *offset += f64::from(value);
+                }
+            }
+            Step::Multiplied(values) => {
+                for (index, value) in spread(values, inputs)?.into_iter().enumerate() {
+                    factors[index] *= f64::from(value);
+                    offsets[index] *= f64::from(value);
+                }
+            }
+            Step::Matrix { .. } | Step::Activation(_) => {}
+        }
+    }
+    for (row, bias) in layer.weight.chunks_exact_mut(inputs).zip(&mut layer.bias) {
+        let shift: f64 =
+            row.iter().zip(&offsets).map(|(weight, offset)| f64::from(*weight) * offset).sum();
+        *bias = (f64::from(*bias) + shift) as f32;
+        for (weight, factor) in row.iter_mut().zip(&factors) {
+            *weight = (f64::from(*weight) * factor) as f32;
+        }
+    }
+    Ok(())
+}

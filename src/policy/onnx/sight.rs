@@ -1,0 +1,116 @@
+//! The observation of another program in this program's terms.
+
+use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE};
+
+/// Names of what an observation may contain, in this program's order, and the factor that this program's entry has.
+const NAMES: [(&str, f64); OBSERVATION_SIZE + MAX_HISTORY] = [
+    ("sin_theta", 1.0),
+    ("cos_theta", 1.0),
+    ("sin_alpha", 1.0),
+    ("cos_alpha", 1.0),
+    ("theta_dot", 0.1),
+    ("alpha_dot", 0.05),
+    ("command_1", 1.0),
+    ("command_2", 1.0),
+    ("command_3", 1.0),
+    ("command_4", 1.0),
+];
+
+/// The entries of another program's observation: what each is, and its factor.
+///
+/// Quantities are those of this program: angles in rad with alpha = 0 where the pendulum hangs, velocities in rad/s, and
+/// the last commands as fractions of 5 V, `command_1` the newest. A factor of -1 turns a sign, so that `-1*cos_alpha` is
+/// the cosine of an angle that is 0 upright.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sight {
+    /// Index in this program's observation, and the factor on its entry.
+    entries: Vec<(usize, f64)>,
+    inputs: usize,
+}
+
+impl Sight {
+    /// This program's own observation with so many last commands.
+    #[must_use]
+    pub fn own(history: usize) -> Self {
+        let inputs = OBSERVATION_SIZE + history.min(MAX_HISTORY);
+        Self { entries: (0..inputs).map(|index| (index, 1.0)).collect(), inputs }
+    }
+
+    /// Reads names separated by commas, each with or without a factor: `0.1*theta_dot, -1*cos_alpha`.
+    ///
+    /// # Errors
+    /// Names the entry that is unknown.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut entries = Vec::new();
+        for entry in text.split(',').map(str::trim) {
+            let (factor, name) = entry.split_once('*').unwrap_or(("1", entry));
+            let factor: f64 = factor.trim().parse().unwrap_or(f64::NAN);
+            let known = NAMES.iter().position(|(known, _)| *known == name.trim());
+            match known.filter(|_| factor.is_finite() && factor != 0.0) {
+                Some(index) => entries.push((index, factor / NAMES[index].1)),
+                None => {
+                    let names = NAMES.map(|(name, _)| name).join(", ");
+                    return Err(format!(
+                        "{entry:?} is no entry of an observation: give some of {names}, each with or without a factor, \
+                         as 0.1*theta_dot"
+                    ));
+                }
+            }
+        }
+        let last = entries.iter().map(|&(index, _)| index + 1).max().unwrap_or_default();
+        Ok(Self { entries, inputs: last.max(OBSERVATION_SIZE) })
+    }
+
+    /// Number of entries.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Whether there is no entry.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// Length of this program's observation, which has as many commands as are named.
+    #[must_use]
+    pub fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// The first layer's weights, `[outputs][entries]`, as weights of this program's observation.
+    pub(super) fn arranged(&self, weight: &[f32]) -> Vec<f32> {
+        let mut arranged = vec![0.0_f64; weight.len() / self.len().max(1) * self.inputs];
+        let rows = arranged.chunks_exact_mut(self.inputs);
+        for (row, given) in rows.zip(weight.chunks_exact(self.len().max(1))) {
+            for (&(index, factor), &weight) in self.entries.iter().zip(given) {
+                row[index] += factor * f64::from(weight);
+            }
+        }
+        arranged.into_iter().map(|weight| weight as f32).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn entries_are_put_where_this_program_has_them() {
+        let sight = Sight::parse("theta_dot, -1*cos_alpha, command_1").unwrap();
+        assert_eq!((sight.len(), sight.inputs()), (3, 7));
+        let arranged = sight.arranged(&[2.0, 3.0, 4.0]);
+        assert_eq!(arranged, [0.0, 0.0, 0.0, -3.0, 20.0, 0.0, 4.0]);
+        assert_eq!(Sight::own(1).arranged(&[1.0; 7]), [1.0; 7]);
+    }
+
+    #[test]
+    fn an_unknown_entry_is_named() {
+        for (wrong, told) in
+            [("sin_beta", "sin_beta"), ("0*theta_dot", "0*theta_dot"), ("", "\"\"")]
+        {
+            assert!(Sight::parse(wrong).unwrap_err().contains(told), "{wrong}");
+        }
+    }
+}
