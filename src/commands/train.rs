@@ -9,6 +9,7 @@ use serde_json::json;
 use super::destination::{OutputFile, check_folder};
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
+use super::failures;
 use super::named_values::{named, presets};
 use super::number_arguments::between;
 use super::output::Output;
@@ -18,7 +19,10 @@ use super::stop::Stop;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::jobs::{Executor, LocalExecutor, TrainingJob};
-use crate::learning::{Checkpointing, Origin, Preset, TrainError, TrainSettings, TrainUpdate};
+use crate::learning::{
+    Checkpointing, Origin, Preset, TrainError, TrainSettings, TrainUpdate, train_from,
+};
+use crate::policy::{NetworkPolicy, Policy};
 use crate::qube::{MAX_HISTORY, Nonideality, PlantModel};
 use crate::simulation::{
     Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Model, ProfileSettings, Psi,
@@ -99,6 +103,10 @@ pub struct Arguments {
     /// policy is the same as without an interruption
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
+
+    /// Go on from the weights of this policy, which must see the same observation
+    #[arg(long, value_name = "FILE", conflicts_with = "checkpoint")]
+    from: Option<PathBuf>,
 
     /// Threads to use, 1 or 2; the policy is the same
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
@@ -183,6 +191,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         voltage_change_weight,
         ..preset
     };
+    let start = arguments.from.as_deref().map(start).transpose()?;
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
     if let Some(folder) = arguments.checkpoint.as_deref().and_then(Path::parent)
         && !folder.as_os_str().is_empty()
@@ -209,17 +218,25 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         bar.set_position(u64::from(update.update) + 1);
         bar.set_message(format!("best return {best_return:.1}"));
     };
-    let executor = LocalExecutor::on_cores(1).checkpointed(checkpointing);
-    let trained = executor.train_one(&job, &stop.flag, &mut tell);
+    let trained = match &start {
+        Some(start) => {
+            let TrainingJob { distribution, settings, seed } = &job;
+            train_from(&start.network, distribution, settings, *seed, &stop.flag, tell)
+        }
+        None => {
+            let executor = LocalExecutor::on_cores(1).checkpointed(checkpointing);
+            executor.train_one(&job, &stop.flag, &mut tell)
+        }
+    };
     bar.finish_and_clear();
     let trained = trained.map_err(|error| match error {
         TrainError::Stopped => stop.failure(match &arguments.checkpoint {
             None => "stopped; nothing was written".into(),
             Some(path) => format!("stopped; the same command goes on from {}", path.display()),
         }),
-        TrainError::CheckpointDamaged { .. } | TrainError::CheckpointOfAnother { .. } => {
-            Failure::usage(error)
-        }
+        TrainError::CheckpointDamaged { .. }
+        | TrainError::CheckpointOfAnother { .. }
+        | TrainError::Start { .. } => Failure::usage(error),
         other => Failure::failed(other),
     })?;
     let wall_s = started.elapsed().as_secs_f64();
@@ -300,11 +317,22 @@ fn delays_s(text: &str) -> Result<(f64, f64), String> {
     }
 }
 
+/// The policy to go on from.
+fn start(path: &Path) -> Result<NetworkPolicy, Failure> {
+    match Policy::load(path).map_err(|error| failures::policy(&error))? {
+        Policy::Network(policy) => Ok(policy),
+        _ => Err(Failure::usage(format!("--from {}: it has no network", path.display()))),
+    }
+}
+
 fn origin(arguments: &Arguments, psi: Option<Psi>) -> Origin {
-    let model = match &arguments.profile {
+    let mut model = match &arguments.profile {
         Some(profile) => format!("around {profile}"),
         None => arguments.model.name().into(),
     };
+    if let Some(from) = &arguments.from {
+        model += &format!(" from {}", from.file_name().unwrap_or_default().to_string_lossy());
+    }
     Origin { model, psi, preset: arguments.preset.name().into() }
 }
 

@@ -11,6 +11,17 @@ pub enum TrainError {
     /// The stop flag was set.
     #[error("training was stopped before it was finished")]
     Stopped,
+    /// The policy to go on from is not like a trained one.
+    #[error(
+        "the policy to go on from has the layers {sizes:?}: a training goes on from {expected:?} with tanh, a linear output \
+         and a scale of 5 V. Give it the history that it was trained with, or give another policy"
+    )]
+    Start {
+        /// Layers of the policy.
+        sizes: Vec<usize>,
+        /// Layers of this training's networks.
+        expected: Vec<usize>,
+    },
     /// A setting is outside its range.
     #[error("training setting {name} = {value} cannot be used: it must be {bound}")]
     Setting {

@@ -48,6 +48,6 @@ pub use error::TrainError;
 pub use evaluation::evaluate_afresh;
 pub use preset::Preset;
 pub use settings::TrainSettings;
-pub use train::train;
+pub use train::{train, train_from};
 pub use trained::{Origin, Trained};
 pub use workbench::Workbench;

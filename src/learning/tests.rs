@@ -166,3 +166,31 @@ fn the_quick_preset_learns_to_swing_up_and_balance() {
     assert!(trained.curve.len() <= 40, "{} updates", trained.curve.len());
     assert!(trained.curve[0].mean_return < 100.0, "there was nothing to learn");
 }
+
+#[test]
+fn a_training_from_a_policy_begins_with_it_and_never_ends_below_it() {
+    let never = AtomicBool::new(false);
+    let distribution = DomainDistribution::nominal();
+    let settings = TrainSettings { updates: 25, ..TrainSettings::quick() };
+    let first = train(&distribution, &settings, 3, None, &never, |_| {}).unwrap();
+    // An update that learns nothing leaves the weights, so that the first evaluation is the policy's own.
+    let still = TrainSettings {
+        updates: 1,
+        learning_rate: 0.0,
+        last_learning_rate: 0.0,
+        ..TrainSettings::quick()
+    };
+    let same = train_from(&first.network, &distribution, &still, 4, &never, |_| {}).unwrap();
+    assert_eq!((&same.network, same.best_return), (&first.network, first.best_return));
+    assert_eq!(same.final_network, first.network);
+    let more = TrainSettings { updates: 10, ..TrainSettings::quick() };
+    let further =
+        |seed| train_from(&first.network, &distribution, &more, seed, &never, |_| {}).unwrap();
+    let (one, again) = (further(5), further(5));
+    assert_eq!(one, again);
+    assert!(one.best_return >= first.best_return, "{} {}", one.best_return, first.best_return);
+    let longer = SimulationSettings { history: 2, ..settings.simulation };
+    let other = TrainSettings { simulation: longer, ..more };
+    let refused = train_from(&first.network, &distribution, &other, 5, &never, |_| {});
+    assert!(matches!(refused, Err(TrainError::Start { .. })));
+}

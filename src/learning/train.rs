@@ -5,13 +5,14 @@ use super::calm::Calm;
 use super::checkpoint::Checkpointing;
 use super::collect::{Batch, Collector};
 use super::curve::TrainUpdate;
-use super::export::exported;
+use super::export::{exported, imported};
 use super::network::LOG_STD;
 use super::optimise::optimise;
 use super::state::TrainingState;
 use super::trained::Trained;
 use super::transition::Transition;
 use super::{TrainError, TrainSettings};
+use crate::policy;
 use crate::simulation::{DomainDistribution, Evaluation, evaluate_and_tell};
 
 /// Seed of the fixed starts and Qubes on which every policy is evaluated during training.
@@ -32,13 +33,49 @@ pub fn train(
     seed: u64,
     checkpointing: Option<&Checkpointing>,
     stop: &AtomicBool,
-    mut tell: impl FnMut(&TrainUpdate),
+    tell: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
     settings.check()?;
     let mut training = TrainingState::new(distribution, settings, seed);
     if let Some(checkpointing) = checkpointing {
         checkpointing.resume(&mut training)?;
     }
+    finished(training, checkpointing, stop, tell)
+}
+
+/// Trains like [`train`], from the weights of a policy instead of random ones. Its exploration begins at the smallest
+/// standard deviation. The result is `start` itself where no update improves on it.
+///
+/// # Errors
+/// `start` has other layers, functions or another scale than a trained network; or [`train`] would fail.
+pub fn train_from(
+    start: &policy::Network,
+    distribution: &DomainDistribution,
+    settings: &TrainSettings,
+    seed: u64,
+    stop: &AtomicBool,
+    tell: impl FnMut(&TrainUpdate),
+) -> Result<Trained, TrainError> {
+    settings.check()?;
+    let size = settings.simulation.observation_size();
+    let start = imported(start, size, settings.smallest_log_std)?;
+    let mut training = TrainingState::new(distribution, settings, seed);
+    training.policy.network = start.clone();
+    training.best = start;
+    let (evaluation, calm_return) = training.evaluate();
+    training.best_return = evaluation.mean_return();
+    let is_weighted = settings.voltage_change_weight > 0.0;
+    training.best_score = if is_weighted { calm_return } else { training.best_return };
+    finished(training, None, stop, tell)
+}
+
+/// Performs the updates that are left.
+fn finished(
+    mut training: TrainingState<'_>,
+    checkpointing: Option<&Checkpointing>,
+    stop: &AtomicBool,
+    mut tell: impl FnMut(&TrainUpdate),
+) -> Result<Trained, TrainError> {
     while !training.is_finished() {
         let update = training.update(stop)?;
         tell(update);
