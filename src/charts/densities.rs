@@ -1,7 +1,8 @@
 use plotters::prelude::*;
 
+use super::style::{FAINT, FONT, INK, Key, LINE, TEXT, TITLE, colour, with_key};
 use super::{DrawingError, Panel, PlotError};
-use crate::qube::{DomainParameter, DomainParameters};
+use crate::qube::{DomainParameter, DomainParameters, Quantity};
 use crate::simulation::DomainDistribution;
 
 /// Masses and lengths, the parameters of figure 5.2.
@@ -13,10 +14,11 @@ const SHOWN: [DomainParameter; 4] = [
 ];
 
 /// Number of points of a density.
-const POINTS: usize = 300;
+const POINTS: usize = 600;
 
 /// Draws the thesis's figure 5.2: the densities of masses and lengths for each recipe, by its name; a dashed
-/// line marks the nominal value.
+/// line marks the nominal value. Each density is scaled to its own peak: its place and its width are what
+/// recipes differ in, and a narrow one would flatten all others.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -27,9 +29,21 @@ pub fn densities_svg(recipes: &[(String, DomainDistribution)]) -> Result<String,
 }
 
 fn densities(svg: &mut String, recipes: &[(String, DomainDistribution)]) -> Result<(), PlotError> {
-    let root = SVGBackend::with_string(svg, (1000, 750)).into_drawing_area();
+    let root = SVGBackend::with_string(svg, (1000, 780)).into_drawing_area();
     root.fill(&WHITE)?;
-    for (panel, parameter) in root.split_evenly((2, 2)).iter().zip(SHOWN) {
+    let spread = |distribution: &DomainDistribution| {
+        SHOWN.iter().any(|it| distribution.get(*it).standard_deviation() > 0.0)
+    };
+    let named = recipes.iter().enumerate();
+    let mut entries: Vec<(String, Key)> = named
+        .map(|(index, (name, distribution))| match spread(distribution) {
+            true => (name.clone(), Key::Line(colour(index), LINE)),
+            false => (format!("{name}: no spread"), Key::Line(WHITE, LINE)),
+        })
+        .collect();
+    entries.push(("nominal value".into(), Key::Dashed(INK)));
+    let panels = with_key(&root, &entries)?.split_evenly((2, 2));
+    for (panel, parameter) in panels.iter().zip(SHOWN) {
         density_panel(panel, parameter, recipes)?;
     }
     root.present()
@@ -43,49 +57,41 @@ fn density_panel(
     let nominal = DomainParameters::NOMINAL.get(parameter);
     let (low, high) = (0.3 * nominal, 1.7 * nominal);
     let at = |index: usize| low + (high - low) * index as f64 / (POINTS - 1) as f64;
-    let curves: Vec<Vec<(f64, f64)>> = recipes
-        .iter()
-        .map(|(_, distribution)| {
-            let drawn = distribution.get(parameter);
-            (0..POINTS).map(|index| (at(index), drawn.density(at(index)) * nominal)).collect()
-        })
-        .collect();
-    // A single narrow density must not flatten the others.
-    let highest = |curve: &Vec<(f64, f64)>| curve.iter().map(|point| point.1).fold(0.0, f64::max);
-    let top = curves.iter().map(highest).fold(1.0, f64::max).min(12.0) * 1.1;
+    let unit = Quantity::Parameter(parameter).unit();
     let mut chart = ChartBuilder::on(panel)
         .margin(10)
-        .caption(parameter.symbol(), ("sans-serif", 18))
-        .x_label_area_size(35)
-        .y_label_area_size(55)
-        .build_cartesian_2d(low..high, 0.0..top)?;
+        .margin_right(24)
+        .caption(parameter.symbol(), (FONT, TITLE))
+        .x_label_area_size(42)
+        .y_label_area_size(52)
+        .build_cartesian_2d(low..high, 0.0..1.08)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
+        .bold_line_style(FAINT)
         .x_labels(6)
-        .y_desc("density x nominal value")
+        .y_labels(5)
+        .x_desc(format!("{} [{unit}]", parameter.symbol()))
+        .y_desc("density / its peak")
+        .label_style((FONT, TEXT - 2))
+        .axis_desc_style((FONT, TEXT))
         .draw()?;
-    for (index, ((name, _), curve)) in recipes.iter().zip(curves).enumerate() {
-        if highest(&curve) == 0.0 {
+    chart.draw_series(DashedLineSeries::new(
+        [(nominal, 0.0), (nominal, 1.08)],
+        6,
+        5,
+        INK.stroke_width(1),
+    ))?;
+    for (index, (_, distribution)) in recipes.iter().enumerate() {
+        let drawn = distribution.get(parameter);
+        let peak = drawn.density(drawn.mean());
+        if peak == 0.0 {
             continue;
         }
-        let colour = Palette99::pick(index).to_rgba();
-        chart
-            .draw_series(LineSeries::new(curve, colour.stroke_width(2)))?
-            .label(name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
+        let curve = (0..POINTS).map(|point| (at(point), drawn.density(at(point)) / peak));
+        chart.draw_series(LineSeries::new(curve, colour(index).stroke_width(LINE)))?;
     }
-    chart.draw_series(DashedLineSeries::new(
-        [(nominal, 0.0), (nominal, top)],
-        4,
-        4,
-        BLACK.stroke_width(1),
-    ))?;
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .background_style(WHITE.mix(0.8))
-        .draw()
+    Ok(())
 }
 
 #[cfg(test)]
@@ -94,12 +100,15 @@ mod tests {
     use crate::simulation::Family;
 
     #[test]
-    fn the_figure_shows_every_recipe() {
+    fn the_figure_names_every_recipe_unit_and_line() {
         let recipes = [
             ("handcrafted".to_owned(), DomainDistribution::handcrafted(Family::Normal)),
             ("nominal".to_owned(), DomainDistribution::nominal()),
         ];
         let svg = densities_svg(&recipes).unwrap();
-        assert!(svg.contains("handcrafted") && svg.contains("L_p") && svg.ends_with("</svg>\n"));
+        for text in ["handcrafted", "nominal: no spread", "nominal value", "L_p [m]", "M_r [kg]"] {
+            assert!(svg.contains(text), "{text}");
+        }
+        assert!(svg.ends_with("</svg>\n"));
     }
 }

@@ -3,15 +3,20 @@
 //! Only the feature `cli` builds this room, so that the library without it needs no drawing library. The room
 //! may import `qube`, `simulation`, `replay`, `search` and `surrogate`.
 
+mod animation;
 mod densities;
 mod motion;
+mod noise;
 mod regret;
 mod searches;
 mod strategies;
+mod style;
 pub mod toy;
 
+pub use animation::animation_svg;
 pub use densities::densities_svg;
 pub use motion::motion_svg;
+pub use noise::noise_svg;
 pub use regret::regret_svg;
 pub use searches::searches_svg;
 pub use strategies::{StepLine, strategies_svg};

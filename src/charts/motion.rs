@@ -1,13 +1,13 @@
 use plotters::prelude::*;
 
+use super::style::{BLUE, FAINT, FONT, GREEN, INK, Key, LINE, TEXT, TITLE, VERMILION, with_key};
 use super::{DrawingError, Panel, PlotError};
 use crate::qube::State;
 use crate::replay::{MotionLog, OpenLoop};
 
-const RECORDED: RGBColor = RGBColor(31, 119, 180);
-const SIMULATED: RGBColor = RGBColor(214, 39, 40);
-
-/// Draws a log and its simulation as SVG: theta above, alpha below.
+/// Draws a log and its simulation as SVG: theta, alpha, and the voltage that both got.
+///
+/// The recording is a broad pale line under the simulation, so that a good simulation does not hide it.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -21,60 +21,86 @@ pub fn motion_svg(
     Ok(svg)
 }
 
+/// Width of the recorded line.
+const BROAD: u32 = 5;
+
 fn draw(
     svg: &mut String,
     title: &str,
     log: &MotionLog,
     open_loop: &OpenLoop,
 ) -> Result<(), PlotError> {
-    let root = SVGBackend::with_string(svg, (900, 700)).into_drawing_area();
+    let root = SVGBackend::with_string(svg, (900, 860)).into_drawing_area();
     root.fill(&WHITE)?;
     let rmse = open_loop.rmse;
-    let root = root.titled(title, ("sans-serif", 18))?;
-    let panels = root.split_evenly((2, 1));
+    let root = root.titled(title, (FONT, TITLE))?;
+    let entries = [
+        ("recorded".to_owned(), Key::Line(pale(BLUE), BROAD)),
+        ("simulated with the same voltages".to_owned(), Key::Line(VERMILION, LINE)),
+        ("voltage".to_owned(), Key::Line(GREEN, LINE)),
+    ];
+    let rest = with_key(&root, &entries)?;
+    let (angles, voltage) = rest.split_vertically(560);
+    let panels = angles.split_evenly((2, 1));
     let theta = format!("theta [rad], RMS error {:.3}", rmse.theta_rad);
     let alpha = format!("alpha [rad], RMS error {:.3}", rmse.alpha_rad);
-    draw_angle(&panels[0], &theta, log, open_loop, |state| state.theta)?;
-    draw_angle(&panels[1], &alpha, log, open_loop, |state| state.alpha)?;
+    let states = |angle: fn(&State) -> f64| {
+        let recorded = log.samples.iter().map(|sample| angle(&sample.state)).collect::<Vec<_>>();
+        (recorded, open_loop.simulated.iter().map(angle).collect::<Vec<_>>())
+    };
+    for (panel, label, angle) in [
+        (&panels[0], &theta, (|state| state.theta) as fn(&State) -> f64),
+        (&panels[1], &alpha, |state| state.alpha),
+    ] {
+        let (recorded, simulated) = states(angle);
+        let lines = [(recorded, pale(BLUE), BROAD), (simulated, VERMILION, LINE)];
+        draw_lines(panel, label, log, &lines)?;
+    }
+    let sent: Vec<f64> = log.samples.iter().map(|sample| sample.voltage_v).collect();
+    draw_lines(&voltage, "voltage [V]", log, &[(sent, GREEN, 1)])?;
     root.present()
 }
 
-fn draw_angle(
+/// The colour mixed with white.
+fn pale(colour: RGBColor) -> RGBColor {
+    let mix = |part: u8| (0.45 * f64::from(part) + 0.55 * 255.0) as u8;
+    RGBColor(mix(colour.0), mix(colour.1), mix(colour.2))
+}
+
+fn draw_lines(
     panel: &Panel<'_>,
     label: &str,
     log: &MotionLog,
-    open_loop: &OpenLoop,
-    angle: fn(&State) -> f64,
+    lines: &[(Vec<f64>, RGBColor, u32)],
 ) -> Result<(), PlotError> {
     let start_s = log.samples.first().map_or(0.0, |sample| sample.time_s);
     let times = || log.samples.iter().map(|sample| sample.time_s - start_s);
-    let recorded: Vec<_> =
-        times().zip(log.samples.iter().map(|sample| angle(&sample.state))).collect();
-    let simulated: Vec<_> = times().zip(open_loop.simulated.iter().map(angle)).collect();
-    let values = || recorded.iter().chain(&simulated).map(|(_, value)| *value);
+    let values = || lines.iter().flat_map(|(values, ..)| values.iter().copied());
     let (low, high) = (values().fold(f64::MAX, f64::min), values().fold(f64::MIN, f64::max));
     let margin = 0.05 * (high - low) + 0.01;
     let end_s = times().fold(0.0, f64::max);
     let mut chart = ChartBuilder::on(panel)
-        .margin(10)
-        .x_label_area_size(35)
-        .y_label_area_size(55)
+        .margin(8)
+        .margin_right(20)
+        .x_label_area_size(40)
+        .y_label_area_size(58)
         .build_cartesian_2d(0.0..end_s, low - margin..high + margin)?;
-    chart.configure_mesh().x_desc("time [s]").y_desc(label).light_line_style(WHITE).draw()?;
-    for (points, name, color) in
-        [(recorded, "recorded", RECORDED), (simulated, "simulated", SIMULATED)]
-    {
-        chart
-            .draw_series(LineSeries::new(points, color.stroke_width(2)))?
-            .label(name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], color.stroke_width(2)));
-    }
     chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperLeft)
-        .background_style(WHITE.mix(0.8))
-        .border_style(BLACK)
-        .draw()
+        .configure_mesh()
+        .x_desc("time [s]")
+        .y_desc(label)
+        .y_labels(7)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(FAINT)
+        .axis_style(INK)
+        .label_style((FONT, TEXT - 2))
+        .axis_desc_style((FONT, TEXT))
+        .draw()?;
+    for (values, colour, width) in lines {
+        let points = times().zip(values.iter().copied());
+        chart.draw_series(LineSeries::new(points, colour.stroke_width(*width)))?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -84,7 +110,7 @@ mod tests {
     use crate::replay::{MotionSample, simulate_beside};
 
     #[test]
-    fn both_curves_and_both_errors_are_in_the_picture() {
+    fn all_curves_and_both_errors_are_in_the_picture() {
         let samples = (0..50)
             .map(|step| MotionSample {
                 time_s: f64::from(step) * 0.01,
@@ -96,12 +122,20 @@ mod tests {
         let open_loop = simulate_beside(&log, &QubeModel::NOMINAL).unwrap();
         let svg = motion_svg("a < b & c", &log, &open_loop).unwrap();
         assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
-        for text in ["recorded", "simulated", "theta [rad]", "alpha [rad]", "a &lt; b &amp; c"] {
+        for text in [
+            "recorded",
+            "simulated",
+            "theta [rad]",
+            "alpha [rad]",
+            "voltage [V]",
+            "a &lt; b &amp; c",
+        ] {
             assert!(svg.contains(text), "{text}");
         }
         let lines = |color: &str| {
             svg.lines().filter(|line| line.contains("polyline") && line.contains(color)).count()
         };
-        assert_eq!((lines("#1F77B4"), lines("#D62728")), (4, 4), "two panels, each with a legend");
+        // Two angles, or one voltage, and the key.
+        assert_eq!((lines("#8CBFDC"), lines("#D55E00"), lines("#009E73")), (3, 3, 2));
     }
 }

@@ -1,21 +1,21 @@
 use plotters::prelude::*;
 
+use super::style::{self, FONT};
 use super::{DrawingError, Panel, PlotError};
 use crate::search::StrategyKind;
 use crate::search::benchmark::{Quartiles, RegretCurve};
 
-const FONT: &str = "sans-serif";
 /// Smallest regret that is drawn; below it the maximum counts as found.
 const FLOOR: f64 = 1e-6;
 
-/// Colours that differ in grey and for the colour-blind too (after Okabe and Ito).
+/// The colour of a strategy.
 fn colour(strategy: StrategyKind) -> RGBColor {
     match strategy {
-        StrategyKind::BayRn => RGBColor(0, 90, 160),
-        StrategyKind::Cem => RGBColor(213, 94, 0),
-        StrategyKind::CmaEs => RGBColor(0, 140, 100),
+        StrategyKind::BayRn => style::colour(0),
+        StrategyKind::Cem => style::colour(1),
+        StrategyKind::CmaEs => style::colour(2),
         StrategyKind::Random => RGBColor(120, 120, 120),
-        StrategyKind::Sobol => RGBColor(190, 100, 160),
+        StrategyKind::Sobol => style::colour(3),
     }
 }
 

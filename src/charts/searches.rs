@@ -1,6 +1,10 @@
 use plotters::prelude::*;
 
+use super::style::{BLUE, FAINT, FONT, GREEN, INK, Key, LIMIT, LINE, TEXT, TITLE, with_key};
 use super::{DrawingError, Panel, PlotError};
+
+/// Mean return from which a policy may count as successful.
+const SUCCESS: f64 = 400.0;
 
 /// Draws the thesis's figure 5.3: for each recipe, by its name, the return of each candidate in turn, and of
 /// the best so far; dots are single rollouts.
@@ -15,9 +19,16 @@ pub fn searches_svg(recipes: &[(String, Vec<Vec<f64>>)]) -> Result<String, Drawi
 
 fn searches(svg: &mut String, recipes: &[(String, Vec<Vec<f64>>)]) -> Result<(), PlotError> {
     let rows = recipes.len().max(1);
-    let root = SVGBackend::with_string(svg, (1000, 320 * rows as u32)).into_drawing_area();
+    let root = SVGBackend::with_string(svg, (1000, 30 + 320 * rows as u32)).into_drawing_area();
     root.fill(&WHITE)?;
-    let panels = root.split_evenly((rows, 2));
+    let entries = [
+        ("one rollout", Key::Dot(INK)),
+        ("mean of a candidate", Key::Line(BLUE, LINE)),
+        ("best mean so far", Key::Line(GREEN, LINE)),
+        ("success from 400", Key::Dashed(LIMIT)),
+    ];
+    let entries = entries.map(|(name, key)| (name.to_owned(), key));
+    let panels = with_key(&root, &entries)?.split_evenly((rows, 2));
     for ((name, candidates), pair) in recipes.iter().zip(panels.chunks(2)) {
         let means: Vec<f64> = candidates.iter().map(|it| mean(it)).collect();
         let best: Vec<f64> = means
@@ -27,8 +38,8 @@ fn searches(svg: &mut String, recipes: &[(String, Vec<Vec<f64>>)]) -> Result<(),
                 Some(*best)
             })
             .collect();
-        search_panel(&pair[0], &format!("{name}: each candidate"), &means, candidates)?;
-        search_panel(&pair[1], &format!("{name}: best so far"), &best, &[])?;
+        search_panel(&pair[0], &format!("{name}: each candidate"), &means, BLUE, candidates)?;
+        search_panel(&pair[1], &format!("{name}: best so far"), &best, GREEN, &[])?;
     }
     root.present()
 }
@@ -37,29 +48,41 @@ fn search_panel(
     panel: &Panel<'_>,
     title: &str,
     line: &[f64],
+    colour: RGBColor,
     dots: &[Vec<f64>],
 ) -> Result<(), PlotError> {
-    let last = line.len().max(2) as f64 - 0.5;
+    let count = line.len().max(1) as i32;
     let mut chart = ChartBuilder::on(panel)
         .margin(10)
-        .caption(title, ("sans-serif", 16))
-        .x_label_area_size(35)
-        .y_label_area_size(55)
-        .build_cartesian_2d(-0.5..last, 0.0..600.0)?;
+        .caption(title, (FONT, TITLE))
+        .x_label_area_size(40)
+        .y_label_area_size(56)
+        .build_cartesian_2d((0..count - 1).into_segmented(), 0.0..600.0)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
+        .bold_line_style(FAINT)
+        .disable_x_mesh()
         .x_desc("candidate")
-        .x_label_formatter(&|candidate| format!("{candidate:.0}"))
+        .x_labels(line.len().clamp(1, 13))
+        .x_label_formatter(&|place| match place {
+            SegmentValue::CenterOf(candidate) => candidate.to_string(),
+            _ => String::new(),
+        })
         .y_desc("return on the Qube")
         .y_label_formatter(&|return_| format!("{return_:.0}"))
+        .label_style((FONT, TEXT - 2))
+        .axis_desc_style((FONT, TEXT))
         .draw()?;
+    let centre = |candidate: usize| SegmentValue::CenterOf(candidate as i32);
+    let ends = [(SegmentValue::Exact(0), SUCCESS), (SegmentValue::Exact(count), SUCCESS)];
+    chart.draw_series(DashedLineSeries::new(ends, 6, 5, LIMIT.stroke_width(1)))?;
+    let points = line.iter().enumerate().map(|(candidate, value)| (centre(candidate), *value));
+    chart.draw_series(LineSeries::new(points, colour.stroke_width(LINE)))?;
     let dots = dots.iter().enumerate().flat_map(|(candidate, returns)| {
-        returns.iter().map(move |return_| (candidate as f64, *return_))
+        returns.iter().map(move |return_| (centre(candidate), *return_))
     });
-    chart.draw_series(dots.map(|at| Circle::new(at, 2, BLACK.mix(0.4).filled())))?;
-    let points = line.iter().enumerate().map(|(candidate, value)| (candidate as f64, *value));
-    chart.draw_series(LineSeries::new(points, RGBColor(31, 119, 180).stroke_width(2)))?;
+    chart.draw_series(dots.map(|at| Circle::new(at, 4, INK.stroke_width(1))))?;
     Ok(())
 }
 
@@ -73,9 +96,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_figure_shows_every_rollout() {
-        let returns = vec![vec![5.0, 500.0], vec![540.0]];
+    fn the_figure_shows_every_rollout_and_numbers_each_candidate_once() {
+        let returns = vec![vec![5.0, 500.0], vec![540.0], vec![1.0], vec![2.0], vec![3.0]];
         let svg = searches_svg(&[("opt".to_owned(), returns)]).unwrap();
-        assert!(svg.contains("opt: best so far") && svg.matches("<circle").count() == 3);
+        // One more is in the key.
+        assert!(svg.contains("opt: best so far") && svg.matches("<circle").count() == 7);
+        for candidate in 0..5 {
+            let label = format!("\n{candidate}\n");
+            assert_eq!(
+                svg.matches(&label).count(),
+                if candidate == 0 { 4 } else { 2 },
+                "{candidate}"
+            );
+        }
+        assert!(svg.contains("one rollout") && svg.contains("success from 400"));
     }
 }

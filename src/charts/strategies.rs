@@ -1,5 +1,6 @@
 use plotters::prelude::*;
 
+use super::style::{FAINT, FONT, INK, TEXT, TITLE, colour};
 use super::{DrawingError, PlotError};
 
 /// A line of steps with its name.
@@ -11,8 +12,11 @@ pub struct StepLine {
     pub corners: Vec<(f64, f64)>,
 }
 
+/// Distance by which lines are set apart, so that equal ones do not hide each other, shares.
+const APART: f64 = 0.012;
+
 /// Draws the share of repetitions whose recommendation has succeeded against real rollouts, a step line for
-/// each method. A line below 1 at its end has repetitions that never succeed. `last` is the right end of the
+/// each method. A line below 1 at its end has repetitions that never succeeded. `last` is the right end of the
 /// axis.
 ///
 /// # Errors
@@ -24,30 +28,44 @@ pub fn strategies_svg(title: &str, lines: &[StepLine], last: f64) -> Result<Stri
 }
 
 fn draw(svg: &mut String, title: &str, steps: &[StepLine], last: f64) -> Result<(), PlotError> {
-    let root = SVGBackend::with_string(svg, (1000, 450)).into_drawing_area();
+    let root = SVGBackend::with_string(svg, (1000, 500)).into_drawing_area();
     root.fill(&WHITE)?;
+    let (root, note) = root.split_vertically(476);
+    let words = "Lines are drawn a little apart, so that equal ones can be told apart. A line that ends below 1 has repetitions that never succeeded.";
+    note.draw(&Text::new(words, (60, 2), (FONT, TEXT - 2).into_font().color(&INK)))?;
     // Lines end anywhere at the right; their names are beside them.
-    let (lines, names) = root.split_horizontally(880);
+    let (lines, names) = root.split_horizontally(860);
+    let below = APART * steps.len() as f64 + 0.02;
     let mut chart = ChartBuilder::on(&lines)
         .margin(10)
-        .caption(title, ("sans-serif", 18))
-        .x_label_area_size(35)
-        .y_label_area_size(45)
+        .caption(title, (FONT, TITLE))
+        .x_label_area_size(42)
+        .y_label_area_size(52)
         // A logarithmic axis shows one or two recordings as well as a hundred rollouts.
-        .build_cartesian_2d((1.0..last).log_scale(), 0.0..1.05)?;
+        .build_cartesian_2d((1.0..last).log_scale(), -below..1.05)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
+        .bold_line_style(FAINT)
         .x_desc("real rollouts")
         .y_desc("share of repetitions")
         .x_label_formatter(&|rollouts| format!("{rollouts:.0}"))
+        .y_label_formatter(&|share| {
+            if *share < -1e-9 { String::new() } else { format!("{share:.1}") }
+        })
+        .label_style((FONT, TEXT - 2))
+        .axis_desc_style((FONT, TEXT))
         .draw()?;
     for (index, line) in steps.iter().enumerate() {
-        let style = Palette99::pick(index).to_rgba().stroke_width(2);
-        chart.draw_series(LineSeries::new(line.corners.iter().copied(), style))?;
+        let style = colour(index).stroke_width(3);
+        let lower = APART * index as f64;
+        let corners = line.corners.iter().map(|(rollouts, share)| (*rollouts, share - lower));
+        chart.draw_series(LineSeries::new(corners, style))?;
         let below = 60 + 24 * index as i32;
-        names.draw(&PathElement::new([(8, below), (28, below)], style))?;
-        names.draw(&Text::new(line.name.as_str(), (34, below - 7), ("sans-serif", 14)))?;
+        names.draw(&PathElement::new([(8, below), (32, below)], style))?;
+        let never = line.corners.iter().all(|corner| corner.1 == 0.0);
+        let name = if never { format!("{}: never", line.name) } else { line.name.clone() };
+        names.draw(&Text::new(name, (38, below - 8), (FONT, TEXT).into_font().color(&INK)))?;
     }
     root.present()
 }
@@ -57,11 +75,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_figure_names_every_line() {
+    fn the_figure_names_every_line_and_hides_none() {
         let line = |name: &str, corners| StepLine { name: name.into(), corners };
-        let lines = [line("cem", vec![(1.0, 0.0), (125.0, 0.5)]), line("random", Vec::new())];
+        let flat = vec![(1.0, 0.0), (125.0, 0.0)];
+        let lines =
+            [line("cem", flat.clone()), line("random", flat), line("bayrn", vec![(1.0, 0.5)])];
         let svg = strategies_svg("opt-nominal on lab", &lines, 125.0).unwrap();
-        assert!(svg.contains("cem") && svg.contains("opt-nominal on lab"), "{svg}");
+        assert!(svg.contains("cem: never") && svg.contains("opt-nominal on lab"), "{svg}");
         assert!(svg.ends_with("</svg>\n"));
+        let flat: Vec<&str> = svg
+            .lines()
+            .filter(|it| it.contains("polyline") && it.contains("stroke-width=\"3\""))
+            .collect();
+        let heights: std::collections::BTreeSet<&str> = flat
+            .iter()
+            .filter_map(|it| it.split("points=\"").nth(1)?.split([',', ' ']).nth(1))
+            .collect();
+        assert!(heights.len() >= 3, "{flat:?}");
     }
 }

@@ -10,7 +10,7 @@ use super::exit::Failure;
 use super::output::{Output, path_as_text};
 use super::printable::one_line;
 use super::profile;
-use crate::charts::motion_svg;
+use crate::charts::{animation_svg, motion_svg};
 use crate::qube::{PlantModel, QubeModel};
 use crate::recording::{Completeness, Recording, RecordingError, read};
 use crate::replay::{AngleError, MotionLog, Rerun, controller_of, rerun, simulate_beside};
@@ -30,6 +30,7 @@ use crate::telemetry::RolloutOutcome;
 #[command(after_help = "Examples:\n  \
     qube-hil replay logs/monday/*.mcap\n  \
     qube-hil replay --simulate --plot plots logs/monday/rollout-0.mcap\n  \
+    qube-hil replay --animate swing-up.svg logs/monday/rollout-0.mcap\n  \
     qube-hil replay --simulate --profile lab chirp.csv")]
 pub struct Arguments {
     /// Recordings (.mcap), with --simulate also tables (.csv)
@@ -44,6 +45,10 @@ pub struct Arguments {
     /// plant of each recording]
     #[arg(long, value_name = "ideal|lab|FILE", requires = "simulate")]
     profile: Option<String>,
+
+    /// File for a moving picture (.svg) of the recording, for pages and slides: the pendulum and its angles
+    #[arg(long, value_name = "FILE")]
+    animate: Option<PathBuf>,
 
     /// Folder for one picture (.svg) of each recording with its simulation
     #[arg(long, value_name = "DIR", requires = "simulate")]
@@ -132,6 +137,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         fs::create_dir_all(folder)
             .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;
     }
+    if arguments.animate.is_some() && arguments.files.len() > 1 {
+        return Err(Failure::usage("--animate draws one recording: name one file"));
+    }
     let mut reports = Vec::new();
     let mut problems = Vec::new();
     for path in &arguments.files {
@@ -170,9 +178,9 @@ fn replay_file(
 ) -> Result<(), Problem> {
     let path = report.path.clone();
     let is_csv = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
-    if is_csv && !arguments.simulate {
+    if is_csv && !arguments.simulate && arguments.animate.is_none() {
         return Err(Problem::usage(format!(
-            "{}: a table has no policy to run again; add --simulate to lay the simulator beside it",
+            "{}: a table has no policy to run again; add --simulate to lay the simulator beside it, or --animate to see it move",
             path.display()
         )));
     }
@@ -189,6 +197,11 @@ fn replay_file(
             None => return problem.map_or(Ok(()), Err),
         }
     };
+    if let Some(picture) = &arguments.animate {
+        let name = picture_name(&arguments.files, &path);
+        let svg = animation_svg(&name, &log);
+        write_whole(&MachineDisk, picture, svg.as_bytes()).map_err(Problem::failed)?;
+    }
     if arguments.simulate {
         let nominal = log.plant.nominal();
         simulate_file(arguments, model.unwrap_or(&nominal), &log, report)?;

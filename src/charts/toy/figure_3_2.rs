@@ -2,6 +2,7 @@ use plotters::prelude::*;
 
 use super::posterior_panel::{self, Area, FONT, RED, places};
 use super::problem::{RANGE, Samples};
+use crate::charts::style::GREEN;
 use crate::surrogate::{
     Criterion, ExpectedImprovement, FitSettings, GaussianProcess, MaximiserSettings, OnProcess,
     ProbabilityOfImprovement, UpperConfidenceBound, maximise,
@@ -11,7 +12,6 @@ use crate::surrogate::{
 const ROWS: usize = 4;
 /// Number of random samples before the first iteration.
 const FIRST: usize = 4;
-const GREEN: RGBColor = RGBColor(30, 130, 76);
 
 /// Four iterations of the search with PI, EI and UCB from the same first samples: posterior and
 /// samples, and below them the acquisition function with its maximum, which is the next sample.
@@ -98,11 +98,11 @@ fn acquisition_panel(
         .label_style((FONT, 13))
         .axis_desc_style((FONT, 14))
         .draw()?;
-    chart.draw_series(LineSeries::new(values.iter().copied(), GREEN.stroke_width(2)))?;
+    chart.draw_series(LineSeries::new(values.iter().copied(), GREEN.stroke_width(3)))?;
     chart.draw_series(vertical(next, lowest, highest + room))?;
     Ok(())
 }
 
 fn vertical(x: f64, from: f64, to: f64) -> [PathElement<(f64, f64)>; 1] {
-    [PathElement::new(vec![(x, from), (x, to)], RED.stroke_width(2))]
+    [PathElement::new(vec![(x, from), (x, to)], RED.stroke_width(3))]
 }

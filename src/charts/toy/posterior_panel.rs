@@ -2,16 +2,18 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 use super::problem::{RANGE, Samples, curve};
+use crate::charts::style::VERMILION;
+pub use crate::charts::style::{BLUE, FONT};
 use crate::surrogate::GaussianProcess;
 
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 pub type Chart<'a, 'b> =
     ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-pub const BLUE: RGBColor = RGBColor(31, 90, 166);
-pub const GREY: RGBColor = RGBColor(110, 110, 110);
-pub const RED: RGBColor = RGBColor(196, 40, 40);
-pub const FONT: &str = "sans-serif";
+/// The true curve, which stands behind.
+pub const GREY: RGBColor = RGBColor(90, 96, 106);
+/// The chosen point.
+pub const RED: RGBColor = VERMILION;
 
 /// Points along the horizontal axis of a curve.
 pub fn places() -> impl Iterator<Item = f64> + Clone {
@@ -51,11 +53,11 @@ pub fn draw<'a, 'b>(
     outline.extend(band(-1.0).collect::<Vec<_>>().into_iter().rev());
     chart.draw_series([Polygon::new(outline, BLUE.mix(0.18).filled())])?;
     let truth = places().map(|x| (x, curve(x)));
-    chart.draw_series(DashedLineSeries::new(truth, 5, 4, GREY.stroke_width(1)))?;
+    chart.draw_series(DashedLineSeries::new(truth, 5, 4, GREY.stroke_width(2)))?;
     let mean = places().map(|x| (x, process.mean(&[x]).clamp(-3.0, 1.5)));
-    chart.draw_series(LineSeries::new(mean, BLUE.stroke_width(2)))?;
+    chart.draw_series(LineSeries::new(mean, BLUE.stroke_width(3)))?;
     let dots =
-        samples.x.iter().zip(&samples.y).map(|(x, y)| Circle::new((x[0], *y), 3, BLACK.filled()));
+        samples.x.iter().zip(&samples.y).map(|(x, y)| Circle::new((x[0], *y), 4, BLACK.filled()));
     chart.draw_series(dots)?;
     Ok(chart)
 }
@@ -76,7 +78,7 @@ pub fn draw_key(area: &Area, further: &[(&str, RGBColor)]) -> anyhow::Result<()>
     for i in 0..3 {
         area.draw(&PathElement::new(
             vec![(x + 9 * i, 12), (x + 9 * i + 5, 12)],
-            GREY.stroke_width(1),
+            GREY.stroke_width(2),
         ))?;
     }
     area.draw(&text(x + 32, "true curve"))?;

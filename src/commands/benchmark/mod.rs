@@ -11,7 +11,7 @@ use serde_json::json;
 use super::exit::Failure;
 use super::output::Output;
 use super::printable::tell;
-use crate::charts::regret_svg;
+use crate::charts::{noise_svg, regret_svg};
 use crate::search::benchmark::{
     Objective, RegretCurve, SearchVariant, TwoHumped, VariantResult, simple_regret,
 };
@@ -137,7 +137,7 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut text = format!(
         "expected return of the point found, {repetitions} repetitions: mean ± 95 % interval\n"
     );
-    let mut results = Vec::new();
+    let (mut results, mut pictured) = (Vec::new(), Vec::new());
     for problem in [TwoHumped::THESIS, TwoHumped::NOISY] {
         let table = noise_table(arguments, problem, repetitions)?;
         text += &format!(
@@ -155,6 +155,14 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             );
         }
         results.push(json!({ "problem": problem, "methods": table }));
+        let title = format!(
+            "{} dimensions, {} candidates with {} rollouts each",
+            problem.dimensions, problem.candidates, problem.rollouts
+        );
+        pictured.push((title, table));
+        // The picture of the results so far, so that a long run can be watched.
+        let svg = noise_svg(&pictured).map_err(Failure::failed)?;
+        arguments.write("noise.svg", &svg)?;
     }
     let value = json!({ "repetitions": repetitions, "noise": results });
     arguments.write("noise.json", &value.to_string())?;

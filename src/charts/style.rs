@@ -1,0 +1,91 @@
+//! The one style of all figures: colours that colour-blind people can tell apart (Okabe and Ito 2008), fonts and strokes.
+
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::{Panel, PlotError};
+
+/// Colour of axes, names and what is nominal.
+pub const INK: RGBColor = RGBColor(40, 44, 52);
+/// Colour of grids and of what stands behind.
+pub const FAINT: RGBColor = RGBColor(215, 219, 224);
+/// Blue: what was recorded or measured.
+pub const BLUE: RGBColor = RGBColor(0, 114, 178);
+/// Vermilion: what was simulated or searched.
+pub const VERMILION: RGBColor = RGBColor(213, 94, 0);
+/// Green: what was sent, or the best so far.
+pub const GREEN: RGBColor = RGBColor(0, 158, 115);
+/// Red: limits.
+pub const LIMIT: RGBColor = RGBColor(138, 28, 28);
+
+/// Colours of lines that have no meaning of their own, in order.
+const PALETTE: [RGBColor; 7] = [
+    BLUE,
+    VERMILION,
+    GREEN,
+    RGBColor(166, 83, 127),
+    RGBColor(178, 119, 0),
+    RGBColor(86, 180, 233),
+    INK,
+];
+
+/// Font of all figures.
+pub const FONT: &str = "sans-serif";
+/// Size of names of axes and of keys.
+pub const TEXT: u32 = 15;
+/// Size of titles.
+pub const TITLE: u32 = 18;
+/// Width of a line.
+pub const LINE: u32 = 2;
+
+/// The colour of the line with this index.
+pub fn colour(index: usize) -> RGBColor {
+    PALETTE[index % PALETTE.len()]
+}
+
+/// A mark in a key.
+#[derive(Clone, Copy)]
+pub enum Key {
+    /// A line of a width.
+    Line(RGBColor, u32),
+    /// A dashed line.
+    Dashed(RGBColor),
+    /// A small circle.
+    Dot(RGBColor),
+}
+
+/// Draws names with their marks in one row at the top of a panel, apart from the data, and returns the rest of it.
+pub fn with_key<'a>(panel: &Panel<'a>, entries: &[(String, Key)]) -> Result<Panel<'a>, PlotError> {
+    let width = panel.dim_in_pixel().0 as i32;
+    let room = |name: &str| 48 + 8 * name.chars().count() as i32;
+    let (mut x, mut row) = (14, 0);
+    let mut places = Vec::new();
+    for (name, key) in entries {
+        if x > 14 && x + room(name) > width {
+            (x, row) = (14, row + 1);
+        }
+        places.push((x, 14 + 22 * row, name, key));
+        x += room(name);
+    }
+    let (top, rest) = panel.split_vertically(28 + 22 * row);
+    for (x, y, name, key) in places {
+        match *key {
+            Key::Line(colour, width) => {
+                top.draw(&PathElement::new([(x, y), (x + 26, y)], colour.stroke_width(width)))?;
+            }
+            Key::Dashed(colour) => {
+                for part in 0..3 {
+                    let from = x + 9 * part;
+                    top.draw(&PathElement::new(
+                        [(from, y), (from + 6, y)],
+                        colour.stroke_width(LINE),
+                    ))?;
+                }
+            }
+            Key::Dot(colour) => top.draw(&Circle::new((x + 13, y), 4, colour.stroke_width(1)))?,
+        }
+        let style = (FONT, TEXT).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
+        top.draw(&Text::new(name.clone(), (x + 32, y), style))?;
+    }
+    Ok(rest)
+}
