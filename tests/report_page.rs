@@ -141,6 +141,34 @@ fn an_identified_session_and_single_recordings_become_pages() {
 }
 
 #[test]
+fn an_experiment_becomes_a_page_and_a_rollout_a_moving_picture() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let recipe = "name = \"tiny\"\nmodel = \"handcrafted\"\n[settings.training]\nupdates = 1\nnum_envs = 16\nepochs = 1\n";
+    fs::write(directory.join("tiny.toml"), recipe).unwrap();
+    fs::write(directory.join("other.toml"), recipe.replace("tiny", "other")).unwrap();
+    let arguments =
+        ["experiment", "--recipe", "tiny.toml", "--recipe", "other.toml", "--policies", "2"];
+    let told = succeeds(directory, &[&arguments[..], &["--rollouts", "1", "--out", "e"]].concat());
+    assert_eq!(told["report"], "e/report.html");
+    let path = directory.join("e/report.html");
+    let page = fs::read_to_string(&path).unwrap();
+    for words in
+        ["Recipes in pairs", "How the rollouts ended", "Distributions of simulations", "policy 0"]
+    {
+        assert!(page.contains(words), "{words}");
+    }
+    assert_eq!(succeeds(directory, &["report", "e"])["bytes"], page.len());
+    look_at(&[&path]);
+
+    let run = ["run", "--policy", "classical", "--clock", "virtual", "--out", "run"];
+    succeeds(directory, &run);
+    succeeds(directory, &["replay", "run/rollout-0.mcap", "--animate", "moving.svg"]);
+    let svg = fs::read_to_string(directory.join("moving.svg")).unwrap();
+    assert!(svg.len() < 100_000 && svg.matches("<animate").count() == 10, "{}", svg.len());
+}
+
+#[test]
 fn what_is_no_session_and_what_exists_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();

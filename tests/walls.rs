@@ -85,7 +85,7 @@ const ROOMS: &[Room] = &[
     // Drawing, apart from what it shows.
     room("charts", &["qube", "simulation", "replay", "search", "surrogate"]),
     // A page is written from what other rooms read and computed.
-    room("report", &["session", "scoring", "replay", "identification", "recording", "search", "surrogate",
+    room("report", &["experiment", "session", "scoring", "replay", "identification", "recording", "search", "surrogate",
                      "simulation", "telemetry", "storage", "qube"]),
     room("commands", EVERY_ROOM),
 ];

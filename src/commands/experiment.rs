@@ -19,6 +19,7 @@ use super::named_values::{named, presets};
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
 use super::printable::tell;
+use super::report;
 use super::stop::Stop;
 use super::strategy_arguments::{StrategyArguments, check_device};
 use crate::estimation::EstimatorSettings;
@@ -235,7 +236,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     result["directory"] = json!(directory);
     result["wall_s"] = json!(started.elapsed().as_secs_f64());
     result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
-    let text = format!("{}\neverything is in {directory}", report.text());
+    let mut text = format!("{}\neverything is in {directory}", report.text());
+    let page = report::write_into_experiment(&report, &experiment);
+    match &page {
+        Ok(path) => text.push_str(&format!("\na page for a browser: {}", path.display())),
+        Err(reason) => tell(&format!("warning: no report was written: {reason}")),
+    }
+    result["report"] = json!(page.ok().map(|path| path.to_string_lossy().into_owned()));
     if ended.is_err() {
         output.print(&text, &result);
         return ended;

@@ -6,9 +6,12 @@ use super::exit::Failure;
 use super::{experiment_table, failures, strategy_table};
 use crate::charts::{DrawingError, StepLine, densities_svg, searches_svg, strategies_svg};
 use crate::experiment::{
-    Experiment, ExperimentError, Results, SearchReturns, StrategyResult, StrategyResults,
+    Experiment, ExperimentError, PolicyResult, Results, SearchReturns, StrategyResult,
+    StrategyResults,
 };
-use crate::session::FolderError;
+use crate::recording::read;
+use crate::report::{NamedRollouts, RolloutView, recipes_page, strategies_page};
+use crate::session::{FolderError, recording_in};
 use crate::simulation::DomainDistribution;
 use crate::storage::{Disk, MachineDisk, write_whole};
 
@@ -56,6 +59,29 @@ impl ExperimentReport {
         }
     }
 
+    /// The page for a browser, with the commands that repeat the experiment.
+    ///
+    /// # Errors
+    /// A search or the data of a figure cannot be read or written.
+    pub fn page(
+        &self,
+        experiment: &Experiment,
+        commands: &[(String, String)],
+    ) -> Result<String, String> {
+        let name = &experiment.settings().name;
+        match self {
+            Self::Strategies(results) => strategies_page(name, results, commands),
+            Self::Recipes(results) => {
+                let distributions =
+                    experiment.distributions().map_err(|error| error.to_string())?;
+                let searches = experiment.searches().map_err(|error| error.to_string())?;
+                let rollouts = examples(experiment, results);
+                recipes_page(name, results, &distributions, &searches, rollouts, commands)
+            }
+        }
+        .map_err(|error| error.to_string())
+    }
+
     /// The figures; those of recipes need the searches and distributions too.
     ///
     /// # Errors
@@ -69,6 +95,33 @@ impl ExperimentReport {
             },
         })
     }
+}
+
+/// Largest number of recipes and plants whose rollouts a page shows.
+const SHOWN: usize = 20;
+
+/// The first rollout of the best and of the worst policy of each recipe on each plant; what cannot be read is left out.
+fn examples(experiment: &Experiment, results: &Results) -> NamedRollouts {
+    let mut rollouts = NamedRollouts::new();
+    for result in results.recipes.iter().take(SHOWN) {
+        let earned = |policy: &PolicyResult| policy.mean_return().unwrap_or(f64::NEG_INFINITY);
+        let order =
+            |one: &&PolicyResult, other: &&PolicyResult| earned(one).total_cmp(&earned(other));
+        let best = result.policies.iter().max_by(order);
+        let worst = result.policies.iter().min_by(order);
+        let others = worst.filter(|worst| best.is_some_and(|best| best.number != worst.number));
+        for policy in best.into_iter().chain(others) {
+            let folder =
+                experiment.folder().policies(&result.recipe).rollouts(policy.number, &result.plant);
+            let attempts = (0..).map(|attempt| recording_in(&folder, 0, attempt));
+            let Some(path) = attempts.take_while(|path| path.exists()).last() else { continue };
+            let Ok(recording) = read(&path) else { continue };
+            let name = format!("{} on {}, policy {}", result.recipe, result.plant, policy.number);
+            let nominal = recording.header.settings.plant.nominal();
+            rollouts.push((name, RolloutView::of(&recording, &nominal)));
+        }
+    }
+    rollouts
 }
 
 /// The figures of an experiment as data.

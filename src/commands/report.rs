@@ -1,36 +1,41 @@
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde_json::json;
 
 use super::destination::OutputFile;
 use super::exit::Failure;
+use super::experiment_report::ExperimentReport;
 use super::output::Output;
 use super::printable::one_line;
 use super::profile;
 use super::replay::recording_failure;
+use crate::device::emulator::EmulatorSettings;
+use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings};
 use crate::qube::PlantModel;
 use crate::recording::{Recording, read};
 use crate::report::{ReportError, SessionSource, recordings_page, session_page};
+use crate::rig::RigSettings;
 use crate::session::{ScoredCandidate, SessionPaths};
 use crate::storage::{MachineDisk, write_whole};
 
 /// Name of a session's report in its folder.
 const REPORT: &str = "report.html";
 
-/// Write a session or recordings as one page for a browser, with figures to zoom and pendulums to play
+/// Write a session, an experiment or recordings as one page for a browser, with figures to zoom and pendulums to play
 ///
 /// The page is one file that loads nothing: it works from a disk, in a mail, and on paper. That of a session shows
 /// the outcome, what the search did, every rollout beside the simulator, the recommended distribution, the
 /// identification, what the search believes, the trainings, timing, faults, and the commands to repeat it. `session`
-/// writes it at its end.
+/// and `experiment` write it at their end.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil report logs/monday                    # writes logs/monday/report.html\n  \
     qube-hil report logs/monday/candidates/002/*.mcap --out five.html\n  \
     qube-hil report --profile logs/monday/profile-1.toml rollout-0.mcap")]
 pub struct Arguments {
-    /// Folder of a session, or recordings (.mcap)
+    /// Folder of a session or of an experiment, or recordings (.mcap)
     #[arg(required = true, value_name = "DIR|FILE")]
     paths: Vec<PathBuf>,
 
@@ -62,12 +67,14 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                     "a session is shown beside the Qube that it identified: leave --profile out, or name its recordings",
                 ));
             }
-            (of_session(folder)?, folder.join(REPORT))
+            let page = match folder.join("experiment.toml").exists() {
+                true => of_experiment(folder)?,
+                false => of_session(folder)?,
+            };
+            (page, folder.join(REPORT))
         }
         _ if folders > 0 => {
-            return Err(Failure::usage(
-                "give the folder of one session, or recordings, and not both",
-            ));
+            return Err(Failure::usage("give one folder, or recordings, and not both"));
         }
         files => {
             (of_recordings(files, arguments.profile.as_deref())?, files[0].with_extension("html"))
@@ -99,6 +106,51 @@ pub fn write_into_session(folder: &Path) -> Result<PathBuf, String> {
     let path = folder.join(REPORT);
     write_whole(&MachineDisk, &path, page.as_bytes()).map_err(|error| error.to_string())?;
     Ok(path)
+}
+
+/// Writes the report of an experiment into its folder, and returns its path.
+///
+/// # Errors
+/// The reason in a sentence.
+pub fn write_into_experiment(
+    results: &ExperimentReport,
+    experiment: &Experiment,
+) -> Result<PathBuf, String> {
+    let page = page_of_experiment(results, experiment)?;
+    let path = experiment.folder().root().join(REPORT);
+    write_whole(&MachineDisk, &path, page.as_bytes()).map_err(|error| error.to_string())?;
+    Ok(path)
+}
+
+fn page_of_experiment(
+    results: &ExperimentReport,
+    experiment: &Experiment,
+) -> Result<String, String> {
+    let root = quoted(experiment.folder().root().as_os_str());
+    let commands = [
+        (
+            "Go on, or show the table again:".to_owned(),
+            format!("qube-hil experiment --resume {root}"),
+        ),
+        (
+            "Draw the figures as files, and write the table for a spreadsheet:".to_owned(),
+            format!(
+                "qube-hil experiment --resume {root} --table --figures figures --csv table.csv"
+            ),
+        ),
+    ];
+    results.page(experiment, &commands)
+}
+
+/// The page of the finished work of an experiment. The rig is there for its type alone: nothing moves.
+fn of_experiment(folder: &Path) -> Result<String, Failure> {
+    let folder = ExperimentFolder::open(folder).map_err(Failure::usage)?;
+    let settings = ExperimentSettings::load(&folder.settings()).map_err(Failure::usage)?;
+    let rig = RigSettings::emulated(EmulatorSettings::default());
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let experiment = Experiment::new(folder, settings, rig, threads, Arc::default());
+    let results = ExperimentReport::read(&experiment).map_err(Failure::data_lost)?;
+    page_of_experiment(&results, &experiment).map_err(Failure::failed)
 }
 
 fn of_session(folder: &Path) -> Result<String, Failure> {

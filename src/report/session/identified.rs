@@ -1,12 +1,12 @@
 //! What the session found out about the Qube.
 
 use super::SessionSource;
-use super::distribution::words;
 use super::source::ComparedMotion;
 use crate::identification::{Phase, phase_error, start_state};
 use crate::qube::{Profile, Quantity, QubeModel};
 use crate::replay::simulate_from;
 use crate::report::chart::{Axis, Chart, Mark, Series, Style};
+use crate::report::densities::words;
 use crate::report::page::{Cell, Page};
 use crate::session::Identification;
 

@@ -1,0 +1,90 @@
+//! Densities of simulated quantities as figures, and the quantities in words.
+
+use super::chart::{Axis, Chart, Mark, Series, Style};
+use crate::qube::{DomainParameter, Quantity};
+use crate::simulation::Distribution;
+
+/// The masses and lengths of the thesis's figure 5.2, which are drawn first.
+pub const FIRST: [DomainParameter; 4] = [
+    DomainParameter::RotaryMass,
+    DomainParameter::PendulumMass,
+    DomainParameter::RotaryLength,
+    DomainParameter::PendulumLength,
+];
+
+/// Number of places of each density.
+const PLACES: usize = 121;
+
+/// The densities of a quantity by name, without those that have no spread; the nominal value is marked.
+pub fn density_chart(quantity: Quantity, curves: &[(&str, Distribution)], nominal: f64) -> Chart {
+    let spread = || {
+        let named = curves.iter().enumerate();
+        named.filter(|(_, (_, it))| it.standard_deviation() > 0.0 && it.mean().is_finite())
+    };
+    let ends = |it: &Distribution| {
+        let reach = 3.5 * it.standard_deviation();
+        [it.mean() - reach, it.mean() + reach]
+    };
+    let all = || spread().flat_map(|(_, (_, it))| ends(it)).chain([nominal]);
+    let (low, high) =
+        (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
+    let margin = 0.03 * (high - low);
+    let (low, high) = (low - margin, high + margin);
+    let between = |from: f64, to: f64| {
+        (0..PLACES).map(move |index| from + (to - from) * index as f64 / (PLACES - 1) as f64)
+    };
+    // A narrow density needs places of its own.
+    let own = spread().flat_map(|(_, (_, it))| {
+        let [from, to] = ends(it);
+        between(from, to)
+    });
+    let mut xs: Vec<f64> = between(low, high).chain(own).collect();
+    xs.sort_by(f64::total_cmp);
+    let series = spread().map(|(index, (name, it))| {
+        let style = if index == 0 { Style::Line } else { Style::Dashed };
+        Series::new(*name, style, index, xs.iter().map(|&x| Some(it.density(x))))
+    });
+    let unit = quantity.unit();
+    Chart {
+        x: Axis::new(words(quantity), unit),
+        y: Axis::new("density", &per(unit)),
+        series: series.collect(),
+        marks: vec![Mark::vertical(nominal, "nominal")],
+        x_range: Some([low, high]),
+        height: Some(210),
+        xs,
+        ..Chart::default()
+    }
+}
+
+/// The unit of a density.
+fn per(unit: &str) -> String {
+    if unit.contains([' ', '/']) { format!("1/({unit})") } else { format!("1/{unit}") }
+}
+
+/// A quantity in words, with its symbol.
+pub fn words(quantity: Quantity) -> String {
+    use crate::qube::Nonideality as G;
+    use DomainParameter as P;
+    let name = match quantity {
+        Quantity::Parameter(P::Gravity) => "gravity",
+        Quantity::Parameter(P::MotorResistance) => "motor's resistance",
+        Quantity::Parameter(P::MotorBackEmf) => "motor's back EMF",
+        Quantity::Parameter(P::RotaryDamping) => "arm's damping",
+        Quantity::Parameter(P::PendulumDamping) => "pendulum's damping",
+        Quantity::Parameter(P::RotaryMass) => "arm's mass",
+        Quantity::Parameter(P::PendulumMass) => "pendulum's mass",
+        Quantity::Parameter(P::RotaryLength) => "arm's length",
+        Quantity::Parameter(P::PendulumLength) => "pendulum's length",
+        Quantity::Nonideality(G::CoulombTorque) => "arm's dry friction",
+        Quantity::Nonideality(G::PositiveDeadZone) => "dead zone of positive voltages",
+        Quantity::Nonideality(G::NegativeDeadZone) => "dead zone of negative voltages",
+        Quantity::Nonideality(G::CableStiffness) => "cable's stiffness",
+        Quantity::Nonideality(G::CableRest) => "cable's rest angle",
+        Quantity::Nonideality(G::CommandDelay) => "delay of a command",
+    };
+    match quantity {
+        Quantity::Parameter(_) => format!("{name}, {}", quantity.symbol()),
+        Quantity::Nonideality(_) => name.to_owned(),
+    }
+}

@@ -1,0 +1,373 @@
+//! The report on an experiment.
+
+use super::ReportError;
+use super::chart::{Axis, Chart, Mark, Series, Style};
+use super::densities::{FIRST, density_chart, words};
+use super::page::{Cell, Page};
+use super::provenance::add_provenance;
+use super::returns::{CandidateReturns, returns_chart};
+use super::rollout::{RolloutView, add_player, behaviour_words, first_upper};
+use crate::experiment::{
+    Comparison, RecipeResult, Results, SearchReturns, StrategyResult, StrategyResults,
+};
+use crate::qube::{MAX_STEPS, PlantModel, Quantity};
+use crate::scoring::Behaviour;
+use crate::scoring::criterion::SUCCESS_RETURN;
+use crate::simulation::DomainDistribution;
+
+/// Rollouts of an experiment that a page shows, each with its name.
+pub type NamedRollouts = Vec<(String, RolloutView)>;
+
+/// The page of an experiment that compares recipes. `rollouts` are examples; `commands` repeat the experiment, each with
+/// its purpose.
+///
+/// # Errors
+/// The data of the figures cannot be written.
+pub fn recipes_page(
+    name: &str,
+    results: &Results,
+    distributions: &[(String, DomainDistribution)],
+    searches: &SearchReturns,
+    rollouts: NamedRollouts,
+    commands: &[(String, String)],
+) -> Result<String, ReportError> {
+    let mut page = Page::new(format!("Experiment {name}"));
+    let with_policies = || results.recipes.iter().filter(|it| !it.policies.is_empty());
+    let best = with_policies().max_by(|one, other| one.real().0.total_cmp(&other.real().0));
+    page.outcome(&match best {
+        None => "No policy has completed its rollouts yet.".into(),
+        Some(best) => format!(
+            "The recipe {} has the largest mean return on {}, {:.1} of at most {MAX_STEPS}; {} of its {} policies succeed.",
+            best.recipe,
+            best.plant,
+            best.real().0,
+            best.successes(),
+            best.policies.len()
+        ),
+    });
+    page.paragraph(&format!(
+        "A policy succeeds when its mean return is at least {SUCCESS_RETURN:.0} and at least four of five rollouts balance to the end."
+    ));
+    let mut plants: Vec<&str> = Vec::new();
+    for recipe in &results.recipes {
+        if !plants.contains(&recipe.plant.as_str()) {
+            plants.push(&recipe.plant);
+        }
+    }
+    let comparisons = results.comparisons();
+    for plant in plants {
+        let recipes: Vec<&RecipeResult> =
+            results.recipes.iter().filter(|it| it.plant == plant).collect();
+        page.section(&format!("On {plant}"));
+        add_returns(&mut page, &recipes);
+        add_behaviours(&mut page, &recipes);
+        let of_plant: Vec<&Comparison> =
+            comparisons.iter().filter(|it| it.plant == plant).collect();
+        add_comparisons(&mut page, &of_plant);
+    }
+    add_distributions(&mut page, distributions);
+    add_searches(&mut page, searches);
+    let header = rollouts.first().map(|(_, view)| view.header.clone());
+    add_examples(&mut page, rollouts);
+    add_provenance(&mut page, header.as_ref(), commands);
+    Ok(page.finish()?)
+}
+
+/// The page of an experiment that compares strategies.
+///
+/// # Errors
+/// The data of the figures cannot be written.
+pub fn strategies_page(
+    name: &str,
+    results: &StrategyResults,
+    commands: &[(String, String)],
+) -> Result<String, ReportError> {
+    let mut page = Page::new(format!("Experiment {name}"));
+    let needed = |it: &StrategyResult| it.rollouts_within_which(0.9);
+    let best = results
+        .strategies
+        .iter()
+        .filter_map(|it| Some((needed(it)?, it)))
+        .min_by_key(|(rollouts, _)| *rollouts);
+    page.outcome(&match best {
+        Some((rollouts, best)) => format!(
+            "{} needs the fewest real rollouts: within {rollouts} of them, nine of ten repetitions recommend simulations whose policies succeed.",
+            first_upper(best.method.name())
+        ),
+        None => "No strategy has recommended simulations whose policies succeed in nine of ten repetitions.".into(),
+    });
+    page.section(&format!("{} on {}", results.recipe, results.plant));
+    let rows: Vec<Vec<Cell>> = results
+        .strategies
+        .iter()
+        .map(|it| {
+            let interval = it.reached_interval();
+            let within = |share| {
+                it.rollouts_within_which(share)
+                    .map_or("–".to_owned(), |rollouts| rollouts.to_string())
+            };
+            vec![
+                it.method.name().into(),
+                Cell::Number(it.repetitions.len().to_string()),
+                Cell::Number(it.reached().to_string()),
+                Cell::Number(format!(
+                    "{:.0} to {:.0} %",
+                    100.0 * interval.lower,
+                    100.0 * interval.upper
+                )),
+                Cell::Number(within(0.5)),
+                Cell::Number(within(0.9)),
+            ]
+        })
+        .collect();
+    let heads = [
+        "strategy",
+        "repetitions",
+        "succeeded",
+        "95 %",
+        "rollouts for half of them",
+        "rollouts for nine of ten",
+    ];
+    page.table(&heads, &rows, None);
+    let last = results.strategies.iter().filter_map(StrategyResult::budget).max().unwrap_or(1);
+    let mut xs: Vec<f64> = results
+        .strategies
+        .iter()
+        .flat_map(|it| it.corners().into_iter().map(|(at, _)| at))
+        .chain([1.0, f64::from(last)])
+        .collect();
+    xs.retain(|at| *at >= 1.0);
+    xs.sort_by(f64::total_cmp);
+    xs.dedup();
+    let mut series = Vec::new();
+    for (index, strategy) in results.strategies.iter().enumerate() {
+        let corners = strategy.corners();
+        let end = strategy.budget().map_or(0.0, f64::from);
+        let share = |at: f64| {
+            corners.iter().filter(|corner| corner.0 <= at).map(|corner| corner.1).next_back()
+        };
+        let values = xs.iter().map(|at| if *at <= end { share(*at).or(Some(0.0)) } else { None });
+        series.push(Series::new(strategy.method.name(), Style::Steps, index, values));
+    }
+    let chart = Chart {
+        x: Axis::new("real rollouts", ""),
+        y: Axis::new("share of repetitions", ""),
+        xs,
+        series,
+        logarithmic: true,
+        y_range: Some([0.0, 1.05]),
+        ..Chart::default()
+    };
+    page.chart(
+        "Repetitions whose recommendation succeeds",
+        "A line ends at the strategy's budget; below 1 it has repetitions that never succeeded.",
+        chart,
+    );
+    add_provenance(&mut page, None, commands);
+    Ok(page.finish()?)
+}
+
+fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
+    let rows: Vec<Vec<Cell>> = recipes
+        .iter()
+        .map(|recipe| {
+            let (simulated, real) = (recipe.simulated(), recipe.real());
+            let [returns, success] = [recipe.return_interval(), recipe.success_interval()];
+            let quietness = recipe.quietness().figures();
+            let some = |text: String| {
+                Cell::Number(if recipe.policies.is_empty() { "–".into() } else { text })
+            };
+            vec![
+                recipe.recipe.as_str().into(),
+                Cell::Number(recipe.policies.len().to_string()),
+                some(format!("{:.1} ± {:.1}", simulated.0, simulated.1)),
+                some(format!("{:.1} ± {:.1}", real.0, real.1)),
+                some(format!("{:.0} to {:.0}", returns.lower, returns.upper)),
+                some(format!("{} of {}", recipe.successes(), recipe.policies.len())),
+                some(format!("{:.0} to {:.0} %", 100.0 * success.lower, 100.0 * success.upper)),
+                Cell::number(quietness.as_ref().map(|it| it.change_v), 2),
+                Cell::number(quietness.as_ref().map(|it| it.copper_loss_w), 2),
+            ]
+        })
+        .collect();
+    let heads = [
+        "recipe",
+        "policies",
+        "return in simulation",
+        "return on the plant",
+        "95 % of its mean",
+        "succeed",
+        "95 %",
+        "voltage change, V a tick",
+        "copper loss, W",
+    ];
+    page.table(&heads, &rows, None);
+    page.paragraph("Means ± standard deviations over policies.");
+    let mut places: Vec<(f64, [Option<f64>; 2])> = Vec::new();
+    for (index, recipe) in recipes.iter().enumerate() {
+        let returns = recipe.returns();
+        let spread = 0.5 / returns.len().max(1) as f64;
+        let middle = (returns.len().max(1) - 1) as f64 / 2.0;
+        for (policy, return_) in returns.iter().enumerate() {
+            places.push((index as f64 + spread * (policy as f64 - middle), [Some(*return_), None]));
+        }
+        if !returns.is_empty() {
+            places.push((index as f64, [None, Some(recipe.real().0)]));
+        }
+    }
+    places.sort_by(|one, other| one.0.total_cmp(&other.0));
+    let mut marks =
+        vec![Mark::horizontal(SUCCESS_RETURN, format!("success from {SUCCESS_RETURN:.0}"))];
+    marks.extend(
+        recipes
+            .iter()
+            .enumerate()
+            .map(|(index, recipe)| Mark::vertical(index as f64 - 0.45, recipe.recipe.as_str())),
+    );
+    let chart = Chart {
+        x: Axis::new("recipe, in the order of the table", ""),
+        y: Axis::new("mean return of a policy", ""),
+        xs: places.iter().map(|place| place.0).collect(),
+        series: vec![
+            Series::new("policy", Style::Dots, 0, places.iter().map(|place| place.1[0])),
+            Series::new(
+                "mean of the recipe",
+                Style::Dots,
+                1,
+                places.iter().map(|place| place.1[1]),
+            ),
+        ],
+        marks,
+        whole: true,
+        x_range: Some([-0.5, recipes.len() as f64 - 0.5]),
+        y_range: Some([0.0, 1.04 * MAX_STEPS as f64]),
+        ..Chart::default()
+    };
+    if recipes.iter().any(|recipe| !recipe.policies.is_empty()) {
+        page.chart("Return of each policy", "A dot is the mean of a policy's rollouts.", chart);
+    }
+}
+
+fn add_behaviours(page: &mut Page, recipes: &[&RecipeResult]) {
+    let rows: Vec<Vec<Cell>> = recipes
+        .iter()
+        .filter(|recipe| !recipe.policies.is_empty())
+        .map(|recipe| {
+            let shares =
+                Behaviour::ALL.map(|it| Cell::Number(format!("{:.0} %", 100.0 * recipe.share(it))));
+            [Cell::from(recipe.recipe.as_str())].into_iter().chain(shares).collect()
+        })
+        .collect();
+    if rows.is_empty() {
+        return;
+    }
+    page.heading("How the rollouts ended");
+    let heads: Vec<&str> =
+        ["recipe"].into_iter().chain(Behaviour::ALL.map(behaviour_words)).collect();
+    page.table(&heads, &rows, None);
+}
+
+fn add_comparisons(page: &mut Page, comparisons: &[&Comparison]) {
+    if comparisons.is_empty() {
+        return;
+    }
+    page.heading("Recipes in pairs");
+    page.paragraph(
+        "Policies of equal number have equal seeds. The p-values are McNemar's exact test and a permutation test, \
+         corrected by Holm. The last column is the share of all pairs in which the second's return is higher.",
+    );
+    let p = |value: f64| {
+        Cell::Number(if value < 0.001 { "< 0.001".into() } else { format!("{value:.3}") })
+    };
+    let rows: Vec<Vec<Cell>> = comparisons
+        .iter()
+        .map(|it| {
+            vec![
+                it.first.as_str().into(),
+                it.second.as_str().into(),
+                Cell::Number(format!("{:+.0} %", 100.0 * it.success_difference)),
+                p(it.success_p),
+                Cell::Number(format!("{:+.1}", it.return_difference)),
+                p(it.return_p),
+                Cell::Number(format!("{:.0} %", 100.0 * it.superiority)),
+            ]
+        })
+        .collect();
+    let heads = [
+        "first",
+        "second",
+        "success, second − first",
+        "p",
+        "return, second − first",
+        "p",
+        "second is higher",
+    ];
+    page.table(&heads, &rows, None);
+}
+
+fn add_distributions(page: &mut Page, distributions: &[(String, DomainDistribution)]) {
+    let spread = |quantity: Quantity| {
+        distributions.iter().any(|(_, it)| it.get(quantity).standard_deviation() > 0.0)
+    };
+    let shown: Vec<Quantity> =
+        FIRST.into_iter().map(Quantity::Parameter).filter(|it| spread(*it)).collect();
+    if shown.is_empty() {
+        return;
+    }
+    page.section("Distributions of simulations");
+    page.paragraph("As the thesis's figure 5.2. A recipe without spread has no curve.");
+    let nominal = PlantModel::QUBE.nominal();
+    page.grid(|page| {
+        for quantity in shown {
+            let curves: Vec<_> =
+                distributions.iter().map(|(name, it)| (name.as_str(), it.get(quantity))).collect();
+            let chart = density_chart(quantity, &curves, nominal.get(quantity));
+            page.chart(&first_upper(&words(quantity)), "", chart);
+        }
+    });
+}
+
+fn add_searches(page: &mut Page, searches: &SearchReturns) {
+    let searches: Vec<_> =
+        searches.iter().filter(|(_, candidates)| !candidates.is_empty()).collect();
+    if searches.is_empty() {
+        return;
+    }
+    page.section("Searches");
+    page.paragraph(
+        "As the thesis's figure 5.3: the returns of each candidate in turn; a dot is one rollout.",
+    );
+    page.grid(|page| {
+        for (recipe, candidates) in searches {
+            page.chart(recipe, "", search_chart(candidates));
+        }
+    });
+}
+
+fn search_chart(candidates: &[Vec<f64>]) -> Chart {
+    let numbered = (0..).zip(candidates).filter(|(_, returns)| !returns.is_empty());
+    let candidates: Vec<CandidateReturns> = numbered
+        .map(|(number, returns)| CandidateReturns {
+            number,
+            returns: returns.clone(),
+            is_searched: true,
+        })
+        .collect();
+    returns_chart(&candidates, MAX_STEPS as f64, Vec::new())
+}
+
+fn add_examples(page: &mut Page, rollouts: NamedRollouts) {
+    if rollouts.is_empty() {
+        return;
+    }
+    page.section("Rollouts");
+    page.paragraph(
+        "Of each recipe on each plant, the first rollout of its best and of its worst policy.",
+    );
+    let motions = rollouts.into_iter().map(|(name, view)| {
+        let told = format!("{name}: {}", view.result());
+        let sentence = view.sentence();
+        view.motion.named(name, told, sentence)
+    });
+    add_player(page, motions.collect(), 0);
+}
