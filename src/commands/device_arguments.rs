@@ -9,10 +9,10 @@ use super::number_arguments::between;
 use super::plant_file::PlantArgument;
 use super::printable::tell;
 use super::profile;
-use crate::clock::MonotonicClock;
+use crate::clock::{Clock, MonotonicClock};
 use crate::control::{HomingMethod, HomingSettings};
-use crate::device::Tty;
 use crate::device::emulator::EmulatorSettings;
+use crate::device::{Device, HilLink, Tty};
 use crate::estimation::EstimatorSettings;
 use crate::qube::{MotorRating, PlantModel, Profile};
 use crate::rig::{ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, Recovery, RigSettings};
@@ -46,8 +46,9 @@ pub struct DeviceArguments {
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Which Qube")]
 pub struct QubeArguments {
-    /// `emulated`, or the serial port of a Qube [default: the port in --qube, else emulated]
-    #[arg(long, value_name = "emulated|PORT")]
+    /// `emulated`, the serial port of a Qube's board, or `hil:CARD@ID` for a Qube with the USB panel through the
+    /// vendor's library (`hil`: qube_servo2_usb@0) [default: the port in --qube, else emulated]
+    #[arg(long, value_name = "emulated|PORT|hil:CARD@ID")]
     device: Option<String>,
 
     /// File with this Qube's properties (signs, port, limits), as `check --write` writes it [default with a
@@ -148,14 +149,22 @@ impl QubeArguments {
         let port_of_file = file.as_ref().and_then(|file| file.port.clone());
         let choice = match (self.device.as_deref(), path) {
             (Some(EMULATED), _) | (None, None) => DeviceChoice::Emulated,
-            (Some(port), _) => DeviceChoice::Port(port.to_owned()),
-            (None, Some(path)) => DeviceChoice::Port(port_of_file.ok_or_else(|| {
-                Failure::usage(format!("{} names no port: give --device too", path.display()))
-            })?),
+            (Some(port), _) => DeviceChoice::named(port)
+                .map_err(|error| Failure::usage(format!("--device: {error}")))?,
+            (None, Some(path)) => {
+                let Some(port) = port_of_file else {
+                    let message = format!("{} names no port: give --device too", path.display());
+                    return Err(Failure::usage(message));
+                };
+                DeviceChoice::named(&port)
+                    .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?
+            }
         };
         let clock = match choice {
             DeviceChoice::Emulated => ClockChoice::Virtual,
-            DeviceChoice::Port(_) | DeviceChoice::Other(_) => ClockChoice::Wall,
+            DeviceChoice::Port(_) | DeviceChoice::Hil(_) | DeviceChoice::Other(_) => {
+                ClockChoice::Wall
+            }
         };
         let named = file.as_ref().and_then(|file| file.profile.as_deref());
         let folder = path.and_then(Path::parent).unwrap_or(Path::new(""));
@@ -196,10 +205,17 @@ impl ChosenDevice {
             .map_err(|error| Failure::usage(format!("--plant: {}", too_wide(&error))))
     }
 
-    /// Checks that a port can be opened, before a command trains or writes anything.
+    /// Checks that a port or a card can be opened, before a command trains or writes anything. Nothing moves.
     pub fn check_port(&self) -> Result<(), Failure> {
-        let DeviceChoice::Port(port) = &self.choice else { return Ok(()) };
-        Tty::open(port, Arc::new(MonotonicClock)).map(drop).map_err(Failure::usage)
+        let clock: Arc<dyn Clock> = Arc::new(MonotonicClock);
+        let opened = match &self.choice {
+            DeviceChoice::Port(port) => Tty::open(port, clock).map(drop),
+            DeviceChoice::Hil(address) => {
+                HilLink::open(address, clock).and_then(|mut link| link.hello()).map(drop)
+            }
+            DeviceChoice::Emulated | DeviceChoice::Other(_) => Ok(()),
+        };
+        opened.map_err(Failure::usage)
     }
 
     /// Narrows a box to the limits of the file.
@@ -283,7 +299,7 @@ pub struct CheckArguments {
 impl CheckArguments {
     fn recovery(self, device: &DeviceChoice) -> Recovery {
         // Only a device that outlives this program can still be in doubt later.
-        let outlives = matches!(device, DeviceChoice::Port(_));
+        let outlives = matches!(device, DeviceChoice::Port(_) | DeviceChoice::Hil(_));
         let memory = doubts_folder().filter(|_| outlives).map(DoubtMemory::new);
         if outlives && memory.is_none() {
             eprintln!(

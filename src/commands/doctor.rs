@@ -6,7 +6,7 @@ use super::output::Output;
 use super::stop::Stop;
 use crate::preflight::doctor::{Diagnosis, Fitness, diagnose};
 
-/// Check this computer: rights to real time, serial ports, FTDI timers, and timing accuracy
+/// Check this computer: rights to real time, ports, FTDI timers, the vendor's library, and timing accuracy
 ///
 /// Nothing is changed and nothing moves. Exit code 0 when all is well or there is only advice, 1 when
 /// something must be cured first.
@@ -19,7 +19,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=3600))]
     seconds: u32,
 
-    /// Port to check (may be repeated) [default: all USB ports]
+    /// Port to check, or hil:CARD@ID for a Qube with the USB panel (may be repeated) [default: all USB ports]
     #[arg(long, value_name = "PORT")]
     device: Vec<String>,
 }

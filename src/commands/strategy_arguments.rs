@@ -1,7 +1,6 @@
 use super::device_arguments::ChosenDevice;
 use super::exit::Failure;
 use crate::experiment::{Method, StrategySettings};
-use crate::rig::DeviceChoice;
 
 /// Spread of the simulations around an identified Qube, the default of `train --profile`.
 const SPREAD: f64 = 0.1;
@@ -61,8 +60,8 @@ pub fn check_device(
     strategies: Option<&StrategySettings>,
     device: &ChosenDevice,
 ) -> Result<(), Failure> {
-    match (strategies, &device.choice) {
-        (Some(_), DeviceChoice::Port(port)) => Err(Failure::usage(format!(
+    match (strategies, device.choice.name()) {
+        (Some(_), Some(port)) => Err(Failure::usage(format!(
             "--strategies works with the emulated Qube only, not with {port}: scoring every recommendation \
              would take a real one thousands of rollouts. Leave --device and --qube out"
         ))),

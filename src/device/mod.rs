@@ -1,5 +1,5 @@
-//! Access to a Qube: the serial link of the host, and separately the emulator, which speaks the protocol
-//! from the device's side.
+//! Access to a Qube: the serial link of the host, the vendor's library for a Qube with the USB panel, and
+//! separately the emulator, which speaks the protocol from the device's side.
 //!
 //! The control thread sees a Qube only through the trait [`Device`]. The room may import `clock`, `qube`
 //! and the crate `firmware_protocol`. The emulator never imports the host's side of the link, because
@@ -16,6 +16,7 @@
 //! ```
 
 pub mod emulator;
+mod hil;
 mod in_process;
 mod port_fd;
 mod port_holder;
@@ -24,6 +25,7 @@ mod serial_link;
 mod transport;
 mod tty;
 
+pub use hil::{HilAddress, HilError, HilLink, NotAnAddress, find_library};
 pub use in_process::InProcessWire;
 pub use port_name::{available_ports, stable_port_name};
 pub use serial_link::SerialLink;
@@ -116,7 +118,7 @@ pub struct Identity {
     pub serial: String,
     /// Version of the firmware.
     pub firmware_version: String,
-    /// Version of the protocol.
+    /// Version of the protocol; 0 for a card behind the vendor's library.
     pub protocol_version: u16,
     /// Number that differs after each start of the device, so that the next hello reveals a restart.
     #[serde(default)]
@@ -245,6 +247,9 @@ pub enum DeviceError {
         /// Failure of the link.
         fault: LinkFault,
     },
+    /// The vendor's library, or the card behind it, failed.
+    #[error(transparent)]
+    Hil(#[from] HilError),
     /// Any other failure of the operating system.
     #[error("{port}: {source}")]
     Io {

@@ -3,7 +3,7 @@ use std::sync::Arc;
 use super::{ClockChoice, DeviceChoice, RigError, RigSettings};
 use crate::clock::{Clock, PunctualClock, VirtualClock};
 use crate::device::emulator::EmulatedQube;
-use crate::device::{Device, SerialLink};
+use crate::device::{Device, HilLink, SerialLink};
 
 /// A device, its clock, and the emulator that serves it, if one does.
 type Connection = (Box<dyn Device>, Arc<dyn Clock>, Option<EmulatedQube>);
@@ -31,8 +31,15 @@ pub(super) fn connect(settings: &RigSettings) -> Result<Connection, RigError> {
             let clock: Arc<dyn Clock> = Arc::new(PunctualClock::new());
             Ok((Box::new(SerialLink::open(port, Arc::clone(&clock))?), clock, None))
         }
+        (DeviceChoice::Hil(address), ClockChoice::Wall) => {
+            let clock: Arc<dyn Clock> = Arc::new(PunctualClock::new());
+            Ok((Box::new(HilLink::open(address, Arc::clone(&clock))?), clock, None))
+        }
         (DeviceChoice::Port(port), ClockChoice::Virtual) => {
             Err(RigError::VirtualPort { port: port.clone() })
+        }
+        (DeviceChoice::Hil(address), ClockChoice::Virtual) => {
+            Err(RigError::VirtualPort { port: address.to_string() })
         }
     }
 }

@@ -213,6 +213,7 @@ pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
         DeviceError::Link { fault: LinkFault::Gone, .. } => Some(Fault::LinkGone),
         DeviceError::Link { .. } | DeviceError::FellSilent { .. } => Some(Fault::NoSample),
         DeviceError::Restarted { .. } => Some(Fault::BoardRestarted),
+        DeviceError::Hil(error) if error.is_silence() => Some(Fault::NoSample),
         _ => None,
     }
 }

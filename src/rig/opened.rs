@@ -32,6 +32,8 @@ pub struct Rig {
     pub(super) preflight: Preflight,
     /// Measured link, except for the embedded emulator's plain line.
     pub(super) link: Option<MeasuredLink>,
+    /// Whether samples carry a time of the device; otherwise their age is unknown.
+    pub(super) has_device_clock: bool,
     clock: ClockChoice,
     pub(super) limits: HardwareLimits,
     stop: Arc<AtomicBool>,
@@ -102,6 +104,7 @@ impl Rig {
     pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let (device, clock, emulator) = connect(settings)?;
         let realtime = settings.clock == ClockChoice::Wall;
+        let has_device_clock = device.has_device_clock();
         let control = ControlThread::spawn(device, clock, realtime, Arc::clone(stop))
             .map_err(RigError::Thread)?;
         control.set_motor(MotorHeat::cold(&settings.plant, settings.limits.motor()))?;
@@ -126,6 +129,7 @@ impl Rig {
             homing,
             preflight: Preflight::Unknown,
             link: None,
+            has_device_clock,
             clock: settings.clock,
             limits: settings.limits,
             stop: Arc::clone(stop),

@@ -13,7 +13,7 @@ use crate::qube::State;
 use crate::recording::Recorder;
 use crate::safety::{ForesightSettings, Guard, Limit, SafetyBox};
 use crate::storage::Disk;
-use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickSettings};
+use crate::telemetry::{Ending, MeasuredLink, RolloutHeader, RolloutOutcome, TickSettings};
 
 /// A rollout whose recording is complete on disk.
 #[derive(Debug)]
@@ -26,6 +26,20 @@ pub struct Recorded {
 
 /// Smallest distance between the box and the nearer stop, rad: that of the thesis.
 const INSIDE_STOP_RAD: f64 = 0.09;
+
+/// Age that a sample without a time of the device may have beyond the time of its read, s: a driver that hands over
+/// what it read last, up to 1 kHz.
+const BUFFERED_S: f64 = 0.001;
+
+/// Range of the assumed age of such a sample, s.
+const LEAST_AGE_S: f64 = 0.002;
+const LONGEST_AGE_S: f64 = 0.01;
+
+/// Age that a sample without a time of the device may have, s: 99 of 100 reads of the measured link take less.
+fn unknown_age_s(link: Option<&MeasuredLink>) -> f64 {
+    let read_s = link.map_or(LONGEST_AGE_S, |link| link.round_trip_us.p99 * 1e-6);
+    (read_s + BUFFERED_S).clamp(LEAST_AGE_S, LONGEST_AGE_S)
+}
 
 /// Narrows the task's box to the rig's own stops.
 fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> SafetyBox {
@@ -120,9 +134,13 @@ impl Rig {
             safety_box: inside_stops(&safety_box, self.measured.stops),
             plant: self.plant,
             foresight: (header.settings.safety_box.guard == Guard::Foresight).then(|| {
-                ForesightSettings {
+                let foresight = ForesightSettings {
                     identified: self.identified.get(),
                     ..ForesightSettings::of_plant(&self.plant)
+                };
+                match self.has_device_clock {
+                    true => foresight,
+                    false => foresight.with_sample_age(unknown_age_s(self.link())),
                 }
             }),
             ..header.settings
@@ -194,7 +212,45 @@ impl Rig {
             // A pty has a different name each time, and under virtual time nothing may differ.
             ("port", identity.port.clone()),
         ];
-        itself.into_iter().chain(link).map(|(name, value)| (name.to_owned(), value)).collect()
+        let clock = (!self.has_device_clock).then(|| {
+            let age_ms = unknown_age_s(self.link()) * 1e3;
+            ("sample_age", format!("unknown, no clock; up to {age_ms:.1} ms assumed"))
+        });
+        itself
+            .into_iter()
+            .chain(link)
+            .chain(clock)
+            .map(|(name, value)| (name.to_owned(), value))
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::Profile;
+    use crate::safety::IdentifiedQube;
+    use crate::telemetry::LatencySummary;
+
+    #[test]
+    fn a_sample_without_a_clock_lengthens_every_delay_that_the_guard_allows_for() {
+        let link = |p99| {
+            let round_trip_us = LatencySummary { p99, ..LatencySummary::default() };
+            MeasuredLink { round_trip_us, lost: 0, sample_time_us: 6000 }
+        };
+        assert_eq!(unknown_age_s(Some(&link(3_000.0))), 0.004);
+        assert_eq!(unknown_age_s(Some(&link(10.0))), LEAST_AGE_S);
+        assert_eq!(unknown_age_s(Some(&link(50_000.0))), LONGEST_AGE_S);
+        assert_eq!(unknown_age_s(None), LONGEST_AGE_S);
+
+        let profile = Profile::exact("lab", &crate::qube::QubeModel::NOMINAL);
+        let identified = Some(IdentifiedQube::of(&profile));
+        let known = ForesightSettings { identified, ..ForesightSettings::default() };
+        let delay_s = |belief: crate::safety::Belief| belief.high.nonidealities.command_delay_s;
+        let older = known.with_sample_age(0.004);
+        assert!((delay_s(older.belief) - delay_s(known.belief) - 0.004).abs() < 1e-12);
+        let (known, older) = (known.identified.unwrap(), older.identified.unwrap());
+        assert!((delay_s(older.belief) - delay_s(known.belief) - 0.004).abs() < 1e-12);
     }
 }
 

@@ -4,7 +4,7 @@ use super::{Doubt, DoubtMemory};
 use crate::clock::Clock;
 use crate::control::HomingSettings;
 use crate::device::emulator::EmulatorSettings;
-use crate::device::{Device, DeviceError};
+use crate::device::{Device, DeviceError, HilAddress, NotAnAddress};
 use crate::qube::{PlantModel, Profile};
 use crate::safety::{Guard, HardwareLimits, IdentifiedQube};
 
@@ -21,17 +21,40 @@ pub enum DeviceChoice {
     Emulated,
     /// A serial port by its name.
     Port(String),
+    /// A Qube with the USB panel, through the vendor's library.
+    Hil(HilAddress),
     /// A device of another kind, with its own time.
     Other(Arc<dyn Connect>),
 }
 
 impl DeviceChoice {
-    /// Whether the device counts as hardware before it has answered. A port always does.
+    /// The device at a port, or at an address of the vendor's library, by its name.
+    ///
+    /// # Errors
+    /// The name begins as such an address does, and names no card.
+    pub fn named(name: &str) -> Result<Self, NotAnAddress> {
+        if HilAddress::is_meant(name) {
+            return Ok(Self::Hil(name.parse()?));
+        }
+        Ok(Self::Port(name.to_owned()))
+    }
+
+    /// Name of the device for messages, if it is outside this program.
+    #[must_use]
+    pub fn name(&self) -> Option<String> {
+        match self {
+            Self::Port(port) => Some(port.clone()),
+            Self::Hil(address) => Some(address.to_string()),
+            Self::Emulated | Self::Other(_) => None,
+        }
+    }
+
+    /// Whether the device counts as hardware before it has answered. A port and a card always do.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         match self {
             Self::Emulated => false,
-            Self::Port(_) => true,
+            Self::Port(_) | Self::Hil(_) => true,
             Self::Other(other) => other.is_hardware(),
         }
     }

@@ -166,6 +166,15 @@ impl Belief {
         Self { low, high, least_share: IDENTIFIED_SHARE, steps: independent_steps(profile) }
     }
 
+    /// The same belief behind a link whose samples may be older than they seem by up to this, s: the delay of a
+    /// command, counted from its sample, may be longer by that.
+    #[must_use]
+    pub fn with_sample_age(mut self, age_s: f64) -> Self {
+        let delay_s = self.high.nonidealities.command_delay_s + age_s;
+        self.high.nonidealities.command_delay_s = delay_s.min(LONGEST_DELAY_S);
+        self
+    }
+
     /// Checks that the two ends and the steps describe Qubes.
     ///
     /// # Errors

@@ -123,6 +123,15 @@ impl ForesightSettings {
         Self { belief: Belief::of_any_plant(plant, 0.3), ..Self::default() }
     }
 
+    /// The same settings behind a link whose samples may be older than they seem by up to this, s.
+    #[must_use]
+    pub fn with_sample_age(self, age_s: f64) -> Self {
+        let identified = self
+            .identified
+            .map(|known| IdentifiedQube { belief: known.belief.with_sample_age(age_s), ..known });
+        Self { belief: self.belief.with_sample_age(age_s), identified, ..self }
+    }
+
     /// The foresight for a plant with these stops; without them, with those of its description.
     #[must_use]
     pub fn foresight(&self, stops: Option<MeasuredStops>, plant: &PlantModel) -> TrustedForesight {

@@ -15,6 +15,7 @@ mod folder;
 mod header;
 mod identification_settings;
 mod ledger;
+mod library_watchdog;
 mod orchestrator;
 mod paths;
 mod plan;
@@ -40,6 +41,7 @@ pub use identification_settings::IdentificationSettings;
 pub use ledger::{
     DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, file_checksum, parse as parse_ledger,
 };
+pub use library_watchdog::LibraryWatchdog;
 pub use orchestrator::Session;
 pub use paths::{PolicyPaths, SessionPaths, recording_in};
 pub use plan::{Extent, Step, next_step};

@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::configuration::read;
 use super::settings_check::LARGEST_OFFSET_RAD;
-use super::{ConfigurationError, PowerTest};
+use super::{ConfigurationError, LibraryWatchdog, PowerTest};
 use crate::control::{HomingMethod, HomingSettings};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{MotorRating, PlantModel};
@@ -22,7 +22,8 @@ pub const QUBE_FILE: &str = "qube.toml";
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct QubeFile {
-    /// Serial port, best by id: such a name stays when other devices are plugged in.
+    /// Serial port, best by id: such a name stays when other devices are plugged in; or the card of a Qube with the USB
+    /// panel, `hil:CARD@ID`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub port: Option<String>,
     /// Serial number of the board; the signs of another rig would be dangerous.
@@ -41,6 +42,9 @@ pub struct QubeFile {
     /// Result of `check --power-test`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<PowerTest>,
+    /// Watchdog of a card behind the vendor's library, as the check has measured it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub watchdog: Option<LibraryWatchdog>,
     /// Thermal rating of the motor, no higher than the nominal one.
     #[serde(deserialize_with = "motor_rating", skip_serializing_if = "is_nominal")]
     pub motor: MotorRating,
@@ -295,6 +299,11 @@ mod tests {
             limits: RigLimits { theta_rad: 2.0, ..RigLimits::default() },
             power: Some(PowerTest {
                 usb_lost: crate::session::UsbLost::KeepsItsWord,
+                date: "2026-01-31".into(),
+                board: "0123456789abcdef".into(),
+            }),
+            watchdog: Some(LibraryWatchdog {
+                expired_ms: 51.3,
                 date: "2026-01-31".into(),
                 board: "0123456789abcdef".into(),
             }),

@@ -92,6 +92,9 @@ fn open(device: &ChosenDevice) -> Result<Wire, Failure> {
         (DeviceChoice::Port(port), ClockChoice::Virtual) => {
             Err(Failure::usage(RigError::VirtualPort { port: port.clone() }))
         }
+        (DeviceChoice::Hil(address), _) => Err(Failure::usage(format!(
+            "--conformance tests a board's firmware, and {address} has the vendor's. Leave --conformance out"
+        ))),
         (DeviceChoice::Other(_), _) => {
             Err(Failure::usage("only a port or the emulated Qube can be put to this test"))
         }

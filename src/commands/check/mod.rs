@@ -19,7 +19,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::device::stable_port_name;
 use crate::estimation::EstimatorSettings;
 use crate::rig::{Rig, RigSettings};
-use crate::session::{QUBE_FILE, QubeFile};
+use crate::session::{LibraryWatchdog, QUBE_FILE, QubeFile};
 use crate::telemetry::CheckVerdict;
 
 /// The writer that a file of a Qube names.
@@ -33,6 +33,7 @@ const WRITER: &str = "qube-hil check --write";
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil check --device /dev/ttyACM0\n  \
+    qube-hil check --device hil --write               # the USB panel, by the vendor's library\n  \
     qube-hil check --device /dev/ttyACM0 --write      # find out the signs, write qube.toml\n  \
     qube-hil check --qube qube.toml --home hand       # the arm was put into the middle\n  \
     qube-hil check --device /dev/ttyACM0 --power-test    # once a rig: the motor without its board\n  \
@@ -105,6 +106,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             port: Some(port),
             board: Some(rig.identity().serial.clone()),
             signs: examination.signs.into(),
+            watchdog: examination.library_watchdog_ms.map(|expired_ms| LibraryWatchdog {
+                expired_ms: (expired_ms * 10.0).round() / 10.0,
+                date: jiff::Zoned::now().date().to_string(),
+                board: rig.identity().serial.clone(),
+            }),
             ..base
         };
         match file.save(path, WRITER) {

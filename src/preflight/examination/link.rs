@@ -44,14 +44,17 @@ pub(super) struct RoundTrips {
 pub(super) fn identity(identity: &Identity, round_trips: &RoundTrips) -> CheckResult {
     // A Qube that does not answer with its module id, or speaks another protocol, got no further
     // than the hello.
+    let protocol = match identity.protocol_version {
+        0 => "the vendor's library".to_owned(),
+        version => format!("protocol {version}"),
+    };
     CheckResult::pass(
         "identity",
         format!(
-            "{} {}, firmware {}, protocol {}, at {}, {} emergency-stop switch",
+            "{} {}, firmware {}, {protocol}, at {}, {} emergency-stop switch",
             identity.kind,
             identity.serial,
             identity.firmware_version,
-            identity.protocol_version,
             identity.port,
             if round_trips.has_stop_switch { "with an" } else { "no" }
         ),

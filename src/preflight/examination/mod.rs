@@ -1,13 +1,15 @@
 //! The examination of a Qube before a session: it finds faults without driving the arm far.
 //!
 //! It runs on the control thread, between motions. The motor gets 48 mV for 50 ms to test the
-//! watchdog, and pushes of 0.1 s that begin with 0.25 V and grow up to 2.75 V while nothing moves.
+//! watchdog, and pushes of 0.1 s that begin with 0.25 V and grow up to 2.75 V while nothing moves. Where the
+//! watchdog is a library's, pushes of 0.05 s show first whether it switches the motor off.
 //! It is off after every step, however the step ends.
 
 mod evidence;
 mod link;
 mod motion;
 mod rest;
+mod silent_push;
 mod swing_fit;
 mod watchdog;
 
@@ -45,6 +47,9 @@ pub struct Examination {
     pub start_theta_counts: Option<i32>,
     /// Measured link.
     pub link: Option<MeasuredLink>,
+    /// Time from the last act until a library's watchdog had expired, ms, if the motor was seen to go off then; `None`
+    /// for a board's watchdog.
+    pub library_watchdog_ms: Option<f64>,
 }
 
 impl Examination {
@@ -86,6 +91,7 @@ pub fn examine(
         signs: settings.signs,
         start_theta_counts: None,
         link: None,
+        library_watchdog_ms: None,
     };
     let outcome = look_at_everything(device, clock, stop, settings, &mut found);
     // In every case: a device that still answers is switched off by a hello.
@@ -111,7 +117,7 @@ fn look_at_everything(
     found.start_theta_counts = round_trips.theta_counts;
     found.results.push(link::latency_timer(&identity.port, &round_trips));
     found.results.push(link::latency(&identity.port, &round_trips));
-    let watchdog = watchdog::check(device, clock, &identity.port)?;
+    let (watchdog, expired_ms) = watchdog::check(device, clock, &identity.port)?;
     let may_move = !watchdog.failed();
     found.results.push(watchdog);
     if !may_move {
@@ -124,6 +130,16 @@ fn look_at_everything(
     if !may_move {
         motion::skip(found, "not before the pendulum hangs still");
         return Ok(());
+    }
+    if !device.has_device_clock() {
+        let motor = silent_push::check(device, clock, stop, &identity.port)?;
+        let may_move = !motor.failed();
+        found.results.push(motor);
+        if !may_move {
+            motion::skip(found, "not before the watchdog works");
+            return Ok(());
+        }
+        found.library_watchdog_ms = expired_ms;
     }
     motion::check(device, clock, stop, settings, found)
 }

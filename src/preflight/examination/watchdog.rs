@@ -28,18 +28,25 @@ const ATTEMPTS: u32 = 20;
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
 const LATEST_US: u64 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u64 * 1000;
 
+/// Latest expiry of a library's watchdog, us: its resolution is not published.
+const LIBRARY_LATEST_US: u64 = 100_000;
+
+const LIBRARY_CURE: &str =
+    "do not run anything with it: install the vendor's present package, then check again";
+
 const CURE: &str = "do not run anything with it: flash the firmware of this release, then check that the board keeps the protocol";
 
 /// Age of a sample when it is requested, at most.
 const SAMPLE_AGE_US: u64 = 5_000;
 
 /// Arms the device, sends a small voltage and then nothing more: by the device's own report and
-/// clock the motor must go off.
+/// clock the motor must go off. A device without a clock only says that its watchdog has expired, by the computer's
+/// clock; the time, ms, is returned beside.
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
     port: &str,
-) -> Result<CheckResult, Interruption> {
+) -> Result<(CheckResult, Option<f64>), Interruption> {
     for _ in 0..ATTEMPTS {
         device.hello()?;
         match device.arm() {
@@ -51,7 +58,7 @@ pub(super) fn check(
                     "switch the Qube's power off and on, then check again"
                 };
                 let value = format!("the device refuses to be armed: {reason}");
-                return Ok(CheckResult::fail(NAME, value, cure));
+                return Ok((CheckResult::fail(NAME, value, cure), None));
             }
             Err(error) => return Err(error.into()),
         }
@@ -64,15 +71,23 @@ pub(super) fn check(
             }
         }
     }
-    Ok(CheckResult::fail(
+    let result = CheckResult::fail(
         NAME,
         "computer or link was too slow to see the motor on before the watchdog switched it off",
         "see to latency first",
-    ))
+    );
+    Ok((result, None))
 }
 
 /// One attempt; `None` if the computer or the link was too slow.
-fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckResult>, LinkFault> {
+fn try_once(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+) -> Result<Option<(CheckResult, Option<f64>)>, LinkFault> {
+    let is_board = device.has_device_clock();
+    let (latest_us, remedy) =
+        if is_board { (LATEST_US, CURE) } else { (LIBRARY_LATEST_US, LIBRARY_CURE) };
+    let failed = |value: String| Ok(Some((CheckResult::fail(NAME, value, remedy), None)));
     let Some(before) = sampled(device, clock)? else { return Ok(None) };
     let voltage_mv = clamp_to_mv(VOLTAGE_V, VOLTAGE_V).unwrap_or(0);
     match device.act(voltage_mv, before.device_time_us) {
@@ -85,11 +100,9 @@ fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckRe
         return Ok(None);
     };
     if on.applied_mv == 0 {
-        return Ok(Some(CheckResult::fail(
-            NAME,
-            format!("{voltage_mv} mV were sent and the device reports 0 mV at the motor"),
-            CURE,
-        )));
+        return failed(format!(
+            "{voltage_mv} mV were sent and the device reports 0 mV at the motor"
+        ));
     }
     let acted_us = before.device_time_us + u64::from(sample_to_act_us);
     let end_ns = clock.now_ns() + LONGEST_NS;
@@ -100,16 +113,19 @@ fn try_once(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<CheckRe
         let is_off = !later.status.armed && later.applied_mv == 0;
         let ms = elapsed_us as f64 * 1e-3;
         if later.status.watchdog_tripped && is_off {
-            return Ok(Some(if elapsed_us + SAMPLE_AGE_US < WATCHDOG_US {
-                CheckResult::fail(NAME, format!("off after {ms:.1} ms already"), CURE)
+            if elapsed_us + SAMPLE_AGE_US < WATCHDOG_US {
+                return failed(format!("off after {ms:.1} ms already"));
+            }
+            let value = if is_board {
+                format!("motor off {ms:.1} ms after the last act")
             } else {
-                CheckResult::pass(NAME, format!("motor off {ms:.1} ms after the last act"))
-            }));
+                format!("the library calls it expired {ms:.1} ms after the last act")
+            };
+            return Ok(Some((CheckResult::pass(NAME, value), Some(ms))));
         }
-        if elapsed_us > LATEST_US + SAMPLE_AGE_US {
+        if elapsed_us > latest_us + SAMPLE_AGE_US {
             // The motor does not stay on: it has 48 mV, and the hello that follows switches it off.
-            let value = format!("motor still on {ms:.1} ms after the last act");
-            return Ok(Some(CheckResult::fail(NAME, value, CURE)));
+            return failed(format!("motor still on {ms:.1} ms after the last act"));
         }
     }
     Ok(None)

@@ -1,0 +1,120 @@
+use thiserror::Error;
+
+/// A failure of the vendor's library or of the card behind it. Each message names the cause and the remedy.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum HilError {
+    /// No file of the library could be loaded.
+    #[error(
+        "the vendor's HIL library is not here (tried {tried}). Install the vendor's package quanser-sdk, or \
+         name its libhil.so in the environment variable QUBE_HIL_LIBHIL"
+    )]
+    NoLibrary {
+        /// Names that were tried, each with the loader's reason.
+        tried: String,
+    },
+    /// A library of another version.
+    #[error(
+        "{library} has no function {function}, so it is of another version. Install the vendor's present \
+         package quanser-sdk, or name another file in QUBE_HIL_LIBHIL"
+    )]
+    NoFunction {
+        /// File name of the library.
+        library: String,
+        /// Missing function.
+        function: &'static str,
+    },
+    /// The library finds no such card.
+    #[error(
+        "{port} is not there: {reason}. Switch the Qube on, plug its USB cable in, and see that the card's \
+         name is that of this Qube's panel"
+    )]
+    NoCard {
+        /// Address of the card.
+        port: String,
+        /// Words of the library.
+        reason: String,
+    },
+    /// Another program has opened the card.
+    #[error("{port} is in use by another program: {reason}. Stop that program first")]
+    Busy {
+        /// Address of the card.
+        port: String,
+        /// Words of the library.
+        reason: String,
+    },
+    /// The library has no licence for this card.
+    #[error("{port} may not be used: {reason}. Put the vendor's licence in place first")]
+    NoLicence {
+        /// Address of the card.
+        port: String,
+        /// Words of the library.
+        reason: String,
+    },
+    /// The user may not open the card.
+    #[error(
+        "{port} may not be opened by this user: {reason}. Install the vendor's udev rules, then plug the \
+         cable in again"
+    )]
+    NotPermitted {
+        /// Address of the card.
+        port: String,
+        /// Words of the library.
+        reason: String,
+    },
+    /// The card has no watchdog, so nothing would switch the motor off if this program died.
+    #[error(
+        "{port} has no watchdog ({reason}): the motor would stay on if this program died, so it is not \
+         switched on"
+    )]
+    NoWatchdog {
+        /// Address of the card.
+        port: String,
+        /// Words of the library.
+        reason: String,
+    },
+    /// A function failed for another reason.
+    #[error("{port}: {function} failed: {reason}")]
+    Failed {
+        /// Address of the card.
+        port: String,
+        /// Function of the library.
+        function: &'static str,
+        /// Words of the library.
+        reason: String,
+    },
+    /// A call has not returned.
+    #[error(
+        "{port}: the vendor's library has not returned from {function} for {waited_s:.1} s. Switch the Qube \
+         off at its own switch, end this program, and begin again"
+    )]
+    Hung {
+        /// Address of the card.
+        port: String,
+        /// Function of the library.
+        function: &'static str,
+        /// Time since it was called, s.
+        waited_s: f64,
+    },
+    /// The card was armed without a hello.
+    #[error("{port}: greet the card before it is armed")]
+    NotGreeted {
+        /// Address of the card.
+        port: String,
+    },
+    /// The thread that calls the library could not be started, or has ended.
+    #[error("{port}: the thread that calls the vendor's library has ended: {reason}")]
+    NoThread {
+        /// Address of the card.
+        port: String,
+        /// The cause.
+        reason: String,
+    },
+}
+
+impl HilError {
+    /// Whether the card, which was there, does not answer: a lost link and no wrong request.
+    #[must_use]
+    pub fn is_silence(&self) -> bool {
+        matches!(self, Self::Hung { .. })
+    }
+}

@@ -1,0 +1,161 @@
+use std::sync::Arc;
+use std::time::Duration;
+
+use firmware_protocol::MAX_SAMPLE_AGE_US;
+
+use super::panel::NoSample;
+use super::worker::{Job, Request, RequestKind, Worker};
+use super::{HilAddress, HilError};
+use crate::clock::{Clock, Nanoseconds};
+use crate::device::{Device, DeviceError, Identity, LinkFault};
+use crate::qube::Measurement;
+
+/// Longest wait for a hello: opening a card, or a connection to a virtual one, takes its time.
+const HELLO_TIME: Duration = Duration::from_secs(5);
+
+/// Longest wait for an arm and for the amplifier to go off.
+const ARM_TIME: Duration = Duration::from_secs(1);
+const OFF_TIME: Duration = Duration::from_millis(500);
+
+/// Largest age of the sample that an act answers, ns.
+const MAX_SAMPLE_AGE_NS: Nanoseconds = MAX_SAMPLE_AGE_US as Nanoseconds * 1000;
+
+/// A Qube with the USB panel, as a [`Device`] over the vendor's library.
+///
+/// The library gives no time of a sample: [`Measurement::device_time_us`] is the computer's time at which the
+/// read began, and how old the counts were then is unknown.
+pub struct HilLink {
+    worker: Worker,
+    address: HilAddress,
+    clock: Arc<dyn Clock>,
+    number: u64,
+    /// Whether a hello was answered and no fault has been latched since.
+    is_greeted: bool,
+    is_armed: bool,
+    /// Time of the last sample since the last hello, and when it was asked for, us and ns.
+    last_sample: Option<(u64, Nanoseconds)>,
+    is_tripped: bool,
+    sample_time_ns: Option<Nanoseconds>,
+}
+
+impl HilLink {
+    /// Loads the vendor's library. No card is opened before the first hello.
+    ///
+    /// # Errors
+    /// There is no such library, or it is of another version.
+    pub fn open(address: &HilAddress, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
+        let worker = Worker::start(address.clone(), Arc::clone(&clock))?;
+        Ok(Self {
+            worker,
+            address: address.clone(),
+            clock,
+            number: 0,
+            is_greeted: false,
+            is_armed: false,
+            last_sample: None,
+            is_tripped: false,
+            sample_time_ns: None,
+        })
+    }
+
+    /// Has a job done between motions.
+    fn perform<T>(
+        &self,
+        job: impl FnOnce(crossbeam_channel::Sender<Result<T, HilError>>) -> Job,
+        longest: Duration,
+    ) -> Result<T, DeviceError> {
+        let Some(result) = self.worker.perform(job, longest) else {
+            return Err(self.hung(longest).into());
+        };
+        Ok(result?)
+    }
+
+    fn hung(&self, longest: Duration) -> HilError {
+        let port = self.address.to_string();
+        let (function, waited_s) =
+            self.worker.under_way().unwrap_or(("a call", longest.as_secs_f64()));
+        HilError::Hung { port, function, waited_s }
+    }
+
+    fn ask(&mut self, expires_ns: Nanoseconds, kind: RequestKind) -> Result<u64, LinkFault> {
+        self.number += 1;
+        let request = Request { number: self.number, expires_ns, kind };
+        if self.worker.ask(request) { Ok(self.number) } else { Err(LinkFault::Full) }
+    }
+}
+
+impl Device for HilLink {
+    fn hello(&mut self) -> Result<Identity, DeviceError> {
+        (self.is_greeted, self.is_armed, self.is_tripped) = (false, false, false);
+        self.last_sample = None;
+        let identity = self.perform(Job::Hello, HELLO_TIME)?;
+        self.is_greeted = true;
+        Ok(identity)
+    }
+
+    fn arm(&mut self) -> Result<(), DeviceError> {
+        if !self.is_greeted {
+            return Err(HilError::NotGreeted { port: self.address.to_string() }.into());
+        }
+        self.perform(Job::Arm, ARM_TIME)?;
+        self.is_armed = true;
+        Ok(())
+    }
+
+    fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+        let asked_ns = self.clock.now_ns();
+        let number = self.ask(deadline_ns, RequestKind::Sample)?;
+        let reply = self.worker.wait(number, deadline_ns).ok_or(LinkFault::Timeout)?;
+        let measurement = match reply.sample {
+            Ok(reading) => reading.measurement,
+            Err(NoSample::Gone) => return Err(LinkFault::Gone),
+            Err(NoSample::Failed) => return Err(LinkFault::Timeout),
+        };
+        if self.is_armed && !measurement.status.armed {
+            self.is_armed = false;
+            self.is_tripped = measurement.status.watchdog_tripped;
+            // Latched until the next hello.
+            self.is_greeted = false;
+        }
+        self.last_sample = Some((measurement.device_time_us, asked_ns));
+        Ok(measurement)
+    }
+
+    fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+        if !self.is_armed {
+            let tripped = self.is_tripped;
+            return Err(if tripped { LinkFault::WatchdogTripped } else { LinkFault::NotArmed });
+        }
+        let last = self.last_sample.filter(|(sampled_us, _)| *sampled_us == sampled_at_us);
+        let (_, asked_ns) = last.ok_or(LinkFault::StaleSample)?;
+        let expires_ns = asked_ns + MAX_SAMPLE_AGE_NS;
+        if self.clock.now_ns() > expires_ns {
+            return Err(LinkFault::StaleSample);
+        }
+        self.ask(expires_ns, RequestKind::Act { voltage_mv, sampled_at_us }).map(|_| ())
+    }
+
+    fn disarm(&mut self) -> Result<(), DeviceError> {
+        self.is_armed = false;
+        self.perform(Job::Off, OFF_TIME)
+    }
+
+    fn has_device_clock(&self) -> bool {
+        false
+    }
+
+    fn sample_time_ns(&self) -> Option<Nanoseconds> {
+        self.sample_time_ns
+    }
+
+    fn set_sample_time_ns(&mut self, sample_time_ns: Nanoseconds) {
+        self.sample_time_ns = Some(sample_time_ns);
+    }
+}
+
+impl Drop for HilLink {
+    /// Switches the amplifier off and closes the card, on every way out of the control thread.
+    fn drop(&mut self) {
+        self.worker.end(OFF_TIME);
+    }
+}

@@ -1,0 +1,307 @@
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use firmware_protocol::WATCHDOG_MS;
+
+use super::card::{CallFailed, Calling, Card};
+use super::library::{Channels, Library, TextProperty};
+use super::{HilAddress, HilError};
+use crate::clock::{Clock, Nanoseconds};
+use crate::device::Identity;
+use crate::qube::{MAX_VOLTAGE_V, Measurement, Status};
+
+/// Time limit of the library's watchdog, s: that of the boards.
+const WATCHDOG_S: f64 = WATCHDOG_MS as f64 * 1e-3;
+
+/// Time without an act after which a sample asks whether the watchdog has expired, ns. Acts come every
+/// 10 ms, so a tick is spared the question.
+const DOUBTED_NS: Nanoseconds = 30_000_000;
+
+/// Consecutive acts that fail before the amplifier is switched off: their voltages have not reached the motor,
+/// which keeps an older one.
+const MAX_FAILED_ACTS: u32 = 2;
+
+/// What the amplifier is known to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Motor {
+    Off,
+    Armed,
+    Tripped,
+}
+
+/// A sample that the library did not give.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum NoSample {
+    /// The card is not open, or the library no longer knows it.
+    Gone,
+    /// The read failed.
+    Failed,
+}
+
+/// A sample, as the tick gets it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Reading {
+    pub(super) measurement: Measurement,
+}
+
+/// A Qube's panel behind the library. It lives in the one thread that calls the library.
+pub(super) struct Panel {
+    library: Arc<Library>,
+    address: HilAddress,
+    calling: Arc<Calling>,
+    clock: Arc<dyn Clock>,
+    card: Option<Card>,
+    motor: Motor,
+    /// Counts at the first read since the card was opened, which are this program's zeros. The card's own
+    /// counters are never set: a Servo 3 loses counts then.
+    base_counts: Option<[i32; 2]>,
+    /// Number that differs after each opening.
+    boot_id: u16,
+    last: Measurement,
+    fed_ns: Nanoseconds,
+    applied_mv: i16,
+    /// Time from the last sample to the act that answered it, until the next sample reports it.
+    sample_to_act_us: Option<u32>,
+    failed_acts: u32,
+}
+
+impl Panel {
+    pub(super) fn new(
+        library: Library,
+        address: HilAddress,
+        calling: Arc<Calling>,
+        clock: Arc<dyn Clock>,
+    ) -> Self {
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Self {
+            library: Arc::new(library),
+            address,
+            calling,
+            clock,
+            card: None,
+            motor: Motor::Off,
+            base_counts: None,
+            boot_id: since_1970.as_millis() as u16,
+            last: Measurement::default(),
+            fed_ns: 0,
+            applied_mv: 0,
+            sample_to_act_us: None,
+            failed_acts: 0,
+        }
+    }
+
+    /// Opens the card unless it is open, switches its amplifier off, and reads its identity.
+    pub(super) fn hello(&mut self) -> Result<Identity, HilError> {
+        if let Some(card) = self.card.take_if(|card| !card.is_valid()) {
+            card.close();
+        }
+        if self.card.is_none() {
+            self.open()?;
+        } else if self.off().is_err() {
+            // A card that was unplugged may still be valid to the library.
+            self.close();
+            self.open()?;
+        }
+        let identity = self.identity();
+        match self.read() {
+            Ok(channels) => {
+                self.base_counts.get_or_insert(channels.counts);
+                identity
+            }
+            Err(failed) => {
+                let error = self.error(failed);
+                self.close();
+                Err(error)
+            }
+        }
+    }
+
+    fn open(&mut self) -> Result<(), HilError> {
+        let card = Card::open(&self.library, &self.address, &self.calling, &self.clock)?;
+        self.card = Some(card);
+        self.base_counts = None;
+        self.boot_id = self.boot_id.wrapping_add(1);
+        let off = self.off();
+        if off.is_err() {
+            self.close();
+        }
+        off
+    }
+
+    fn identity(&self) -> Result<Identity, HilError> {
+        let card = self.card()?;
+        let serial = card.text(TextProperty::SerialNumber);
+        let firmware_version = card.text(TextProperty::FirmwareVersion);
+        Ok(Identity {
+            kind: self.address.card().to_owned(),
+            serial: serial.map_or_else(|| self.address.id().to_owned(), |serial| short(&serial)),
+            firmware_version: firmware_version.map_or("unknown".into(), |version| short(&version)),
+            protocol_version: 0,
+            boot_id: self.boot_id,
+            port: self.address.to_string(),
+        })
+    }
+
+    fn card(&self) -> Result<&Card, HilError> {
+        self.card.as_ref().ok_or_else(|| HilError::NotGreeted { port: self.address.to_string() })
+    }
+
+    fn error(&self, failed: CallFailed) -> HilError {
+        let port = self.address.to_string();
+        self.card
+            .as_ref()
+            .map_or(HilError::NotGreeted { port }, |card| card.error(&self.address, failed))
+    }
+
+    fn read(&self) -> Result<Channels, CallFailed> {
+        match &self.card {
+            Some(card) => card.read(),
+            None => Err(CallFailed { function: super::card::Function("hil_read"), code: -1 }),
+        }
+    }
+
+    /// Arms the amplifier at 0 V, with the watchdog running. It is off after any error.
+    pub(super) fn arm(&mut self) -> Result<(), HilError> {
+        let armed = self.try_arm();
+        if armed.is_err() {
+            let _ = self.off();
+        }
+        armed
+    }
+
+    fn try_arm(&mut self) -> Result<(), HilError> {
+        let card = self.card()?;
+        let enabled = card
+            .watchdog_clear()
+            .and_then(|()| card.write_voltage(0.0))
+            .and_then(|()| card.set_expiration_states())
+            .and_then(|()| card.watchdog_start(WATCHDOG_S))
+            .and_then(|()| card.enable(true));
+        enabled.map_err(|failed| self.error(failed))?;
+        self.fed_ns = self.clock.now_ns();
+        (self.motor, self.applied_mv, self.failed_acts) = (Motor::Armed, 0, 0);
+        self.sample_to_act_us = None;
+        Ok(())
+    }
+
+    /// Reads one sample. The tick hears of an expired watchdog by the sample's flags; its counts are then
+    /// those of the last sample, because the library gives none in that state.
+    pub(super) fn sample(&mut self) -> Result<Reading, NoSample> {
+        let Some(card) = &self.card else { return Err(NoSample::Gone) };
+        let asked_ns = self.clock.now_ns();
+        if self.motor == Motor::Armed
+            && asked_ns.saturating_sub(self.fed_ns) > DOUBTED_NS
+            && card.watchdog_is_expired()
+        {
+            self.motor = Motor::Tripped;
+        }
+        let asked_ns = self.clock.now_ns();
+        match card.read() {
+            Ok(channels) => self.take(&channels),
+            Err(_) if self.motor == Motor::Armed && card.watchdog_is_expired() => {
+                self.motor = Motor::Tripped;
+            }
+            Err(_) if self.motor == Motor::Tripped => {}
+            Err(_) if !card.is_valid() => return Err(NoSample::Gone),
+            Err(_) => return Err(NoSample::Failed),
+        }
+        if self.motor != Motor::Armed {
+            self.applied_mv = 0;
+        }
+        self.last.device_time_us = asked_ns / 1000;
+        self.last.applied_mv = self.applied_mv;
+        self.last.sample_to_act_us = self.sample_to_act_us.take();
+        self.last.status.armed = self.motor == Motor::Armed;
+        self.last.status.watchdog_tripped = self.motor == Motor::Tripped;
+        Ok(Reading { measurement: self.last })
+    }
+
+    fn take(&mut self, channels: &Channels) {
+        let [theta_base, alpha_base] = *self.base_counts.get_or_insert(channels.counts);
+        let [theta, alpha] = channels.counts;
+        let [amplifier_fault, stall_detected, stall_error] = channels.flags;
+        self.last = Measurement {
+            theta_counts: theta.wrapping_sub(theta_base),
+            alpha_counts: alpha.wrapping_sub(alpha_base),
+            tachometer_counts_s: channels.tachometer_counts_s as i32,
+            current_a: channels.current_a as f32,
+            status: Status { amplifier_fault, stall_detected, stall_error, ..Status::default() },
+            ..self.last
+        };
+    }
+
+    /// Writes a voltage and feeds the watchdog if the write succeeded, so that a motor that keeps an old
+    /// voltage is not fed. Does nothing unless the amplifier is armed.
+    pub(super) fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) {
+        let voltage_v = f64::from(voltage_mv) * 1e-3;
+        if self.motor != Motor::Armed || voltage_v.abs() > MAX_VOLTAGE_V {
+            return;
+        }
+        let Some(card) = &self.card else { return };
+        let fed = card.write_voltage(voltage_v).and_then(|()| card.watchdog_reload());
+        let now_ns = self.clock.now_ns();
+        match fed {
+            Ok(true) => {
+                (self.fed_ns, self.applied_mv, self.failed_acts) = (now_ns, voltage_mv, 0);
+                let late_us = (now_ns / 1000).saturating_sub(sampled_at_us);
+                self.sample_to_act_us = Some(u32::try_from(late_us).unwrap_or(u32::MAX));
+            }
+            Ok(false) => self.motor = Motor::Tripped,
+            Err(_) if card.watchdog_is_expired() => self.motor = Motor::Tripped,
+            Err(_) => {
+                self.failed_acts += 1;
+                if self.failed_acts >= MAX_FAILED_ACTS {
+                    let _ = self.off();
+                }
+            }
+        }
+    }
+
+    /// Switches the amplifier off: disabled and at 0 V, then the watchdog is stopped. If the library refuses because
+    /// the watchdog has expired, once more after clearing that. If even that fails, nobody feeds the watchdog, which
+    /// is left its time to switch off, and the card is closed.
+    pub(super) fn off(&mut self) -> Result<(), HilError> {
+        self.motor = Motor::Off;
+        self.applied_mv = 0;
+        let Some(card) = &self.card else { return Ok(()) };
+        let mut off = switched_off(card);
+        if off.is_err() && card.watchdog_is_expired() {
+            // Clearing may bring the outputs back that were before, so both are written at once again.
+            let _ = card.watchdog_clear();
+            off = switched_off(card);
+        }
+        let Err(failed) = off else {
+            let _ = card.watchdog_stop();
+            return Ok(());
+        };
+        let error = card.error(&self.address, failed);
+        let _ = card.watchdog_start(WATCHDOG_S);
+        self.clock.sleep_until(self.clock.now_ns() + 2 * (WATCHDOG_S * 1e9) as Nanoseconds);
+        self.close();
+        Err(error)
+    }
+
+    /// Closes the card. The amplifier must be off.
+    pub(super) fn close(&mut self) {
+        if let Some(card) = self.card.take() {
+            card.close();
+        }
+        self.motor = Motor::Off;
+        self.base_counts = None;
+    }
+}
+
+/// Disables the amplifier and writes 0 V. Each is tried whatever becomes of the other; a disabled amplifier at
+/// another voltage is off, an enabled one at 0 V is not.
+fn switched_off(card: &Card) -> Result<(), CallFailed> {
+    let disabled = card.enable(false);
+    let at_zero = card.write_voltage(0.0);
+    disabled.and(at_zero)
+}
+
+/// A name of the card for messages and file names: letters, digits and a few signs.
+fn short(text: &str) -> String {
+    const LONGEST: usize = 64;
+    let is_plain = |letter: &char| letter.is_ascii_alphanumeric() || "._-".contains(*letter);
+    text.chars().filter(is_plain).take(LONGEST).collect()
+}

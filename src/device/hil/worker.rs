@@ -1,0 +1,268 @@
+use std::os::fd::OwnedFd;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender};
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::io::Errno;
+
+use super::card::Calling;
+use super::library::Library;
+use super::panel::{NoSample, Panel, Reading};
+use super::{HilAddress, HilError};
+use crate::clock::{Clock, Nanoseconds, enter_realtime};
+use crate::device::Identity;
+
+/// Requests of the tick that may wait for a call that has not returned.
+const RING: usize = 8;
+
+/// Time that the end of the process waits for the amplifier to go off.
+const AT_EXIT: Duration = Duration::from_millis(200);
+
+/// A request of the tick.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Request {
+    pub(super) number: u64,
+    /// Time after which nobody waits for it: it is dropped then.
+    pub(super) expires_ns: Nanoseconds,
+    pub(super) kind: RequestKind,
+}
+
+/// The kinds of requests of the tick.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum RequestKind {
+    Sample,
+    Act { voltage_mv: i16, sampled_at_us: u64 },
+}
+
+/// An answer to a request for a sample.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reply {
+    pub(super) number: u64,
+    pub(super) sample: Result<Reading, NoSample>,
+}
+
+/// Work between motions, with the channel for its result.
+pub(super) enum Job {
+    Hello(Sender<Result<Identity, HilError>>),
+    Arm(Sender<Result<(), HilError>>),
+    Off(Sender<Result<(), HilError>>),
+    /// Closes the card and ends the thread.
+    End(Sender<Result<(), HilError>>),
+}
+
+/// The thread that calls the vendor's library, as the control thread sees it.
+///
+/// The tick's requests and answers are `Copy` and go through wait-free rings; each side wakes the other by a
+/// counter in the kernel (`eventfd`), on which a wait has a time limit as on a serial port.
+pub(super) struct Worker {
+    requests: rtrb::Producer<Request>,
+    replies: rtrb::Consumer<Reply>,
+    shared: Arc<Shared>,
+    clock: Arc<dyn Clock>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// The ends that may be used from any thread.
+struct Shared {
+    jobs: Sender<Job>,
+    /// Counted up for each request and job.
+    asked: OwnedFd,
+    /// Counted up for each reply.
+    answered: OwnedFd,
+    calling: Arc<Calling>,
+}
+
+impl Worker {
+    /// Starts the thread, in which the library is loaded. Nothing is opened yet.
+    pub(super) fn start(address: HilAddress, clock: Arc<dyn Clock>) -> Result<Self, HilError> {
+        let port = address.to_string();
+        let failed = |reason: String| HilError::NoThread { port: port.clone(), reason };
+        let counter = |flags| eventfd(0, flags | EventfdFlags::CLOEXEC);
+        let asked = counter(EventfdFlags::empty()).map_err(|error| failed(error.to_string()))?;
+        let answered =
+            counter(EventfdFlags::NONBLOCK).map_err(|error| failed(error.to_string()))?;
+        let (requests, to_serve) = rtrb::RingBuffer::new(RING);
+        let (to_reply, replies) = rtrb::RingBuffer::new(RING);
+        let (jobs, to_do) = crossbeam_channel::unbounded();
+        let calling = Arc::new(Calling::default());
+        let shared = Arc::new(Shared { jobs, asked, answered, calling });
+        let (loaded, is_loaded) = crossbeam_channel::bounded(1);
+        let (serving, its_clock) = (Arc::clone(&shared), Arc::clone(&clock));
+        let body = move || {
+            let calling = Arc::clone(&serving.calling);
+            let panel = Library::load()
+                .map(|library| Panel::new(library, address, calling, Arc::clone(&its_clock)));
+            match panel {
+                Ok(panel) => {
+                    let _ = loaded.send(Ok(()));
+                    // Without these rights calls are late, which the control thread has said already.
+                    let _ = enter_realtime();
+                    serve(panel, &serving, &to_do, to_serve, to_reply, &*its_clock);
+                }
+                Err(error) => {
+                    let _ = loaded.send(Err(error));
+                }
+            }
+        };
+        let thread = std::thread::Builder::new()
+            .name("hil library".into())
+            .spawn(body)
+            .map_err(|error| failed(error.to_string()))?;
+        is_loaded.recv().map_err(|_| failed("it stopped while it loaded the library".into()))??;
+        switch_off_at_exit(&shared);
+        Ok(Self { requests, replies, shared, clock, thread: Some(thread) })
+    }
+
+    /// Hands a request of the tick over, without waiting. False if earlier ones fill the ring.
+    pub(super) fn ask(&mut self, request: Request) -> bool {
+        self.requests.push(request).is_ok() && wake(&self.shared.asked)
+    }
+
+    /// Waits until `deadline_ns` for the answer to this request; older answers are dropped.
+    pub(super) fn wait(&mut self, number: u64, deadline_ns: Nanoseconds) -> Option<Reply> {
+        loop {
+            while let Ok(reply) = self.replies.pop() {
+                if reply.number == number {
+                    return Some(reply);
+                }
+            }
+            let left_ns = deadline_ns.saturating_sub(self.clock.now_ns());
+            if left_ns == 0 {
+                return None;
+            }
+            let timeout = Timespec {
+                tv_sec: (left_ns / 1_000_000_000) as i64,
+                tv_nsec: (left_ns % 1_000_000_000) as _,
+            };
+            let mut ready = [PollFd::new(&self.shared.answered, PollFlags::IN)];
+            match poll(&mut ready, Some(&timeout)) {
+                Ok(_) | Err(Errno::INTR) => {}
+                Err(_) => return None,
+            }
+            let mut count = [0; 8];
+            let _ = rustix::io::read(&self.shared.answered, &mut count);
+        }
+    }
+
+    /// Has a job done and waits for its result; `None` if it takes longer.
+    pub(super) fn perform<T>(
+        &self,
+        job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
+        longest: Duration,
+    ) -> Option<Result<T, HilError>> {
+        self.shared.perform(job, longest)
+    }
+
+    /// The call that has not returned, by name, and for how long, s.
+    pub(super) fn under_way(&self) -> Option<(&'static str, f64)> {
+        let (function, since_ns) = self.shared.calling.under_way()?;
+        let waited_s = self.clock.now_ns().saturating_sub(since_ns) as f64 * 1e-9;
+        Some((function.0, waited_s))
+    }
+
+    /// Closes the card and ends the thread, if its call returns in time. Otherwise the thread stays behind:
+    /// nothing can end a call of the library.
+    pub(super) fn end(&mut self, longest: Duration) {
+        let ended = self.shared.perform(Job::End, longest).is_some();
+        if let Some(thread) = self.thread.take().filter(|_| ended) {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Shared {
+    fn perform<T>(
+        &self,
+        job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
+        longest: Duration,
+    ) -> Option<Result<T, HilError>> {
+        let (result, done) = crossbeam_channel::bounded(1);
+        self.jobs.send(job(result)).ok()?;
+        wake(&self.asked);
+        done.recv_timeout(longest).ok()
+    }
+}
+
+/// Counts a counter up, which wakes the thread that waits for it.
+fn wake(counter: &OwnedFd) -> bool {
+    loop {
+        match rustix::io::write(counter, &1_u64.to_ne_bytes()) {
+            Err(Errno::INTR) => {}
+            written => return written.is_ok(),
+        }
+    }
+}
+
+/// The body of the thread: waits for requests and jobs and serves them, until a job ends it.
+fn serve(
+    mut panel: Panel,
+    shared: &Shared,
+    jobs: &Receiver<Job>,
+    mut requests: rtrb::Consumer<Request>,
+    mut replies: rtrb::Producer<Reply>,
+    clock: &dyn Clock,
+) {
+    loop {
+        let mut count = [0; 8];
+        if rustix::io::read(&shared.asked, &mut count).is_err_and(|error| error != Errno::INTR) {
+            break;
+        }
+        loop {
+            if let Ok(job) = jobs.try_recv() {
+                // The motion is over: its requests, and above all its voltages, are void.
+                while requests.pop().is_ok() {}
+                match job {
+                    Job::Hello(result) => drop(result.send(panel.hello())),
+                    Job::Arm(result) => drop(result.send(panel.arm())),
+                    Job::Off(result) => drop(result.send(panel.off())),
+                    Job::End(result) => {
+                        let off = panel.off();
+                        panel.close();
+                        let _ = result.send(off);
+                        return;
+                    }
+                }
+            } else if let Ok(Request { number, expires_ns, kind }) = requests.pop() {
+                if clock.now_ns() > expires_ns {
+                    continue;
+                }
+                match kind {
+                    RequestKind::Sample => {
+                        let sample = panel.sample();
+                        let _ = replies.push(Reply { number, sample });
+                        wake(&shared.answered);
+                    }
+                    RequestKind::Act { voltage_mv, sampled_at_us } => {
+                        panel.act(voltage_mv, sampled_at_us);
+                    }
+                }
+            } else {
+                break;
+            }
+        }
+    }
+}
+
+/// The workers that are alive, for the end of the process.
+static ALIVE: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
+
+/// Registers a worker whose amplifier is switched off when the process ends without dropping it, as by a second
+/// Ctrl-C. Only a killed process leaves that to the watchdog.
+fn switch_off_at_exit(shared: &Arc<Shared>) {
+    let mut alive = ALIVE.lock().unwrap_or_else(PoisonError::into_inner);
+    if alive.is_empty() {
+        // SAFETY: the function is a plain one that does not unwind, and stays loaded with the program.
+        unsafe { libc::atexit(at_exit) };
+    }
+    alive.retain(|worker| worker.strong_count() > 0);
+    alive.push(Arc::downgrade(shared));
+}
+
+extern "C" fn at_exit() {
+    let Ok(alive) = ALIVE.try_lock() else { return };
+    for worker in alive.iter().filter_map(Weak::upgrade) {
+        let _ = worker.perform(Job::Off, AT_EXIT);
+    }
+}

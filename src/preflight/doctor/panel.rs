@@ -1,0 +1,84 @@
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use super::Diagnosis;
+use crate::clock::{Clock, PunctualClock};
+use crate::device::{Device, DeviceError, HilAddress, HilError, HilLink, find_library};
+use crate::preflight::measure_link;
+use crate::telemetry::MeasuredLink;
+
+const LIBRARY: &str = "panel library";
+
+/// Installation of the vendor's library.
+const INSTALL: &str =
+    "install the vendor's package quanser-sdk, or name its libhil.so in QUBE_HIL_LIBHIL";
+
+/// Tests whether the vendor's library is here, and greets and samples each of these cards.
+pub(super) fn look(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
+    let library = match find_library() {
+        Ok(name) => Diagnosis::well(LIBRARY, format!("{name}, for a Qube with the USB panel")),
+        Err(HilError::NoLibrary { .. }) if cards.is_empty() => {
+            Diagnosis::well(LIBRARY, "not here; only a Qube with the USB panel needs it")
+        }
+        Err(HilError::NoLibrary { tried }) => {
+            Diagnosis::unfit(LIBRARY, format!("not here (tried {tried})"), INSTALL)
+        }
+        Err(HilError::NoFunction { library, function }) => {
+            Diagnosis::unfit(LIBRARY, format!("{library} has no function {function}"), INSTALL)
+        }
+        Err(error) => Diagnosis::unfit(LIBRARY, error.to_string(), INSTALL),
+    };
+    let is_here = library.cure.is_none();
+    let each = cards.iter().filter(|_| is_here).map(|card| of_card(card, measured(card, stop)));
+    std::iter::once(library).chain(each).collect()
+}
+
+fn of_card(card: &str, measured: Result<Option<MeasuredLink>, String>) -> Diagnosis {
+    let name = format!("card {card}");
+    match measured {
+        Ok(Some(link)) => {
+            let ms = |us: f64| us * 1e-3;
+            let times = link.round_trip_us;
+            let value = format!(
+                "answers; a sample takes p50 {:.2}, p99 {:.2}, max {:.2} ms",
+                ms(times.p50),
+                ms(times.p99),
+                ms(times.max)
+            );
+            Diagnosis::well(&name, value)
+        }
+        Ok(None) => Diagnosis::advice(&name, "not measured: stopped", "look again"),
+        Err(reason) => {
+            let (value, cure) =
+                reason.split_once(". ").unwrap_or((&reason, "see that it is there"));
+            Diagnosis::unfit(&name, value, cure)
+        }
+    }
+}
+
+/// The link to a card whose amplifier stays off.
+fn measured(card: &str, stop: &AtomicBool) -> Result<Option<MeasuredLink>, String> {
+    let address: HilAddress =
+        card.parse().map_err(|error: crate::device::NotAnAddress| error.to_string())?;
+    let clock: Arc<dyn Clock> = Arc::new(PunctualClock::new());
+    let sampled = || -> Result<Option<MeasuredLink>, DeviceError> {
+        let mut link = HilLink::open(&address, Arc::clone(&clock))?;
+        link.hello()?;
+        measure_link(&mut link, &*clock, stop, card)
+    };
+    sampled().map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Fitness;
+    use super::*;
+
+    #[test]
+    fn a_card_that_is_not_there_is_said_with_its_cure() {
+        let failed = of_card("hil", Err("hil is not there: no board. Plug it in. Now".into()));
+        assert_eq!(failed.verdict, Fitness::Unfit);
+        assert_eq!(failed.value, "hil is not there: no board");
+        assert_eq!(failed.cure.unwrap(), "Plug it in. Now");
+    }
+}

@@ -1,0 +1,205 @@
+//! Finds out whether a watchdog really switches the motor off, where only a library's word says so.
+//!
+//! The arm is pushed for 50 ms under the program's control, to and fro, and then once more each way with a single
+//! act and no word after it. A watchdog that works ends that push after 50 ms, and the arm turns as far as before; a
+//! motor that stays on takes it several times as far until the test switches it off. The pendulum hangs, and
+//! nothing else has moved yet.
+
+use std::sync::atomic::AtomicBool;
+
+use super::{Interruption, ensure_going, rest};
+use crate::clock::{Clock, Nanoseconds};
+use crate::device::{Device, DeviceError, LinkFault};
+use crate::qube::CONTROL_PERIOD_NS;
+use crate::safety::clamp_to_mv;
+use crate::telemetry::CheckResult;
+
+const NAME: &str = "watchdog-motor";
+
+/// Increment of the push, V, and number of increments, as of the pushes that find the signs.
+const STEP_V: f64 = 0.25;
+const STEPS: u32 = 11;
+
+/// Length of a push in control periods: the watchdog's 50 ms.
+const PUSH_PERIODS: u32 = 5;
+
+/// Periods for which the arm is observed. A motor that stays on for them takes it more than three times as far
+/// as a push does: s = a t^2 / 2 for 0.3 s, against 0.05 s and coasting.
+const OBSERVED_PERIODS: u32 = 30;
+
+/// Least travel of a push, counts, so that twice as far can be told from it.
+const LEAST_COUNTS: u32 = 20;
+
+/// Longest travel of an arm whose motor went off, as a multiple of a push's travel and in counts besides: a disabled
+/// motor may coast more freely than one at 0 V.
+const LONGEST_SHARE: u32 = 2;
+const LONGEST_MORE_COUNTS: u32 = 10;
+
+/// Samples or acts that may be lost within a push; a push that lost more is repeated.
+const MAX_LOST: u32 = 2;
+const DONE_AGAIN: u32 = 5;
+
+/// Time after which a sample counts as lost, ns.
+const PATIENCE_NS: Nanoseconds = 8_000_000;
+
+const CURE: &str = "do not run anything with it: this motor stays on if the program dies. Install the vendor's \
+                    present package, then check again";
+
+/// Pushes the arm with and without a watchdog's help and compares how far it turns.
+pub(super) fn check(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+    port: &str,
+) -> Result<CheckResult, Interruption> {
+    for step in 1..=STEPS {
+        let push_v = STEP_V * f64::from(step);
+        let mut pushed = [0; 2];
+        for (counts, direction) in pushed.iter_mut().zip([1.0, -1.0]) {
+            *counts = repeated(device, clock, stop, port, |device| {
+                supervised(device, clock, direction * push_v)
+            })?;
+        }
+        if pushed.iter().any(|counts| *counts < LEAST_COUNTS) {
+            continue;
+        }
+        let mut silent = [0; 2];
+        for (counts, direction) in silent.iter_mut().zip([1.0, -1.0]) {
+            *counts = repeated(device, clock, stop, port, |device| {
+                unsupervised(device, clock, direction * push_v)
+            })?;
+        }
+        return Ok(verdict(push_v, pushed, silent));
+    }
+    let most_v = STEP_V * f64::from(STEPS);
+    Ok(CheckResult::fail(
+        NAME,
+        format!("{most_v} V for 0.05 s do not move the arm, so nobody knows whether it works"),
+        "see that the Qube is switched on and the arm turns freely, then check again",
+    ))
+}
+
+fn verdict(push_v: f64, pushed: [u32; 2], silent: [u32; 2]) -> CheckResult {
+    let [forth, back] = silent;
+    let [pushed_forth, pushed_back] = pushed;
+    let value = format!(
+        "{push_v:.2} V for 0.05 s turn the arm by {pushed_forth} and {pushed_back} counts; without a word after \
+         it, by {forth} and {back} in 0.3 s"
+    );
+    let longest = |counts: u32| LONGEST_SHARE * counts + LONGEST_MORE_COUNTS;
+    if silent.iter().zip(pushed).all(|(counts, pushed)| *counts <= longest(pushed)) {
+        CheckResult::pass(NAME, format!("the motor goes off: {value}"))
+    } else {
+        CheckResult::fail(NAME, format!("the motor stays on: {value}"), CURE)
+    }
+}
+
+/// Repeats a push that the computer or the link has disturbed; waits for the arm to rest after each.
+fn repeated(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+    port: &str,
+    push: impl Fn(&mut dyn Device) -> Result<Option<i32>, LinkFault>,
+) -> Result<u32, Interruption> {
+    for _ in 0..DONE_AGAIN {
+        ensure_going(stop)?;
+        device.hello()?;
+        device.arm()?;
+        let from = push(device);
+        // Off, whatever became of the push; a hello also clears an expired watchdog.
+        device.hello()?;
+        let Ok(from) = from else { return Err(super::link::gone(port)) };
+        let to = sampled(device, clock);
+        rest::wait_for_the_arm(device, clock, stop, port)?;
+        if let (Some(from), Some(to)) = (from, to) {
+            return Ok(to.wrapping_sub(from).unsigned_abs());
+        }
+    }
+    Err(DeviceError::Link { port: port.to_owned(), fault: LinkFault::Timeout }.into())
+}
+
+/// Pushes for 50 ms and holds 0 V for the rest of the time. Returns the arm's count before; `None` if too much was
+/// lost.
+///
+/// # Errors
+/// The port is gone.
+fn supervised(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    push_v: f64,
+) -> Result<Option<i32>, LinkFault> {
+    let push_mv = clamp_to_mv(push_v, push_v.abs()).unwrap_or(0);
+    let (mut first, mut lost) = (None, 0);
+    let mut deadline_ns = clock.now_ns();
+    for period in 0..OBSERVED_PERIODS {
+        let voltage_mv = if period < PUSH_PERIODS { push_mv } else { 0 };
+        match acted(device, clock, voltage_mv) {
+            Ok(count) => first = first.or(Some(count)),
+            Err(LinkFault::Gone) => return Err(LinkFault::Gone),
+            Err(_) => lost += 1,
+        }
+        deadline_ns += CONTROL_PERIOD_NS;
+        clock.sleep_until(deadline_ns);
+    }
+    Ok(first.filter(|_| lost <= MAX_LOST))
+}
+
+/// Sends one act and says nothing more for as long.
+///
+/// # Errors
+/// The port is gone.
+fn unsupervised(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    push_v: f64,
+) -> Result<Option<i32>, LinkFault> {
+    let push_mv = clamp_to_mv(push_v, push_v.abs()).unwrap_or(0);
+    let begin_ns = clock.now_ns();
+    let first = match acted(device, clock, push_mv) {
+        Ok(count) => count,
+        Err(LinkFault::Gone) => return Err(LinkFault::Gone),
+        Err(_) => return Ok(None),
+    };
+    clock.sleep_until(begin_ns + u64::from(OBSERVED_PERIODS) * CONTROL_PERIOD_NS);
+    Ok(Some(first))
+}
+
+/// Answers a sample by a voltage; returns the arm's count.
+fn acted(device: &mut dyn Device, clock: &dyn Clock, voltage_mv: i16) -> Result<i32, LinkFault> {
+    let sample = device.sample(clock.now_ns() + PATIENCE_NS)?;
+    device.act(voltage_mv, sample.device_time_us)?;
+    Ok(sample.theta_counts)
+}
+
+fn sampled(device: &mut dyn Device, clock: &dyn Clock) -> Option<i32> {
+    device.sample(clock.now_ns() + PATIENCE_NS).ok().map(|sample| sample.theta_counts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::VirtualClock;
+    use crate::device::SerialLink;
+    use crate::device::emulator::EmulatorSettings;
+
+    #[test]
+    fn a_board_whose_watchdog_works_passes() {
+        let clock = VirtualClock::default();
+        let mut board = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
+        let stop = AtomicBool::new(false);
+        let result = check(&mut board, &clock, &stop, "here").unwrap();
+        assert!(!result.failed(), "{result:?}");
+        assert!(result.value.starts_with("the motor goes off"), "{result:?}");
+    }
+
+    #[test]
+    fn an_arm_that_turns_on_and_on_in_either_direction_is_a_motor_that_stays_on() {
+        assert!(!verdict(0.5, [24, 26], [30, 33]).failed());
+        assert!(!verdict(0.5, [24, 26], [58, 62]).failed());
+        for silent in [[59, 30], [30, 63], [90, 95]] {
+            let result = verdict(0.5, [24, 26], silent);
+            assert!(result.failed() && result.cure.unwrap().contains("do not run anything"));
+        }
+    }
+}

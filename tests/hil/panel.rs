@@ -1,0 +1,99 @@
+//! A Qube with the USB panel behind the test library, for whole processes.
+#![allow(dead_code, reason = "each test uses its part")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::sync::OnceLock;
+
+/// Path of the test library, which is built first: cargo builds no example for one test alone.
+pub fn library() -> &'static Path {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    BUILT.get_or_init(|| {
+        let test = std::env::current_exe().unwrap();
+        let folder = test.ancestors().nth(2).unwrap();
+        let profile = match folder.file_name().and_then(|name| name.to_str()) {
+            Some("debug") | None => "dev",
+            Some(profile) => profile,
+        };
+        let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
+        let built = Command::new(cargo)
+            .current_dir(env!("CARGO_MANIFEST_DIR"))
+            .args(["build", "--quiet", "--locked", "--example", "hil_library"])
+            .args(["--profile", profile, "--target-dir"])
+            .arg(folder.parent().unwrap())
+            .status();
+        assert!(built.is_ok_and(|status| status.success()), "the test library is not built");
+        let library = folder.join("examples/libhil_library.so");
+        assert!(library.exists(), "{}", library.display());
+        library
+    })
+}
+
+/// A directory with the state of the card's amplifier, and the settings of the test library.
+pub struct Panel {
+    directory: tempfile::TempDir,
+    variables: Vec<(&'static str, String)>,
+}
+
+impl Panel {
+    /// A healthy Qube with these settings of the test library.
+    pub fn new(variables: &[(&'static str, &str)]) -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let variables = variables.iter().map(|(name, value)| (*name, (*value).to_owned()));
+        Self { directory, variables: variables.collect() }
+    }
+
+    pub fn path(&self) -> &Path {
+        self.directory.path()
+    }
+
+    /// The program with these arguments, in the directory.
+    pub fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(self.path()).args(arguments).stdin(Stdio::null());
+        command.env("XDG_STATE_HOME", self.path()).env_remove("STATE_DIRECTORY");
+        command.env("TMPDIR", self.path());
+        command.env("QUBE_HIL_LIBHIL", library());
+        command.env("QUBE_TEST_HIL_STATE", self.path().join("amplifier"));
+        command.envs(self.variables.iter().map(|(name, value)| (name, value)));
+        command
+    }
+
+    pub fn run(&self, arguments: &[&str]) -> Ended {
+        Ended::of(self.command(arguments).output().unwrap())
+    }
+
+    /// How the program left the amplifier; `None` if it never opened the card.
+    pub fn amplifier(&self) -> Option<String> {
+        std::fs::read_to_string(self.path().join("amplifier")).ok()
+    }
+
+    /// Panics unless the amplifier is disabled, by the program or by the Qube's watchdog.
+    #[track_caller]
+    pub fn must_be_off(&self) {
+        let state = self.amplifier().expect("the card was opened");
+        assert!(state.starts_with("enabled false\n"), "{state}");
+    }
+
+    /// Number of calls of a function.
+    pub fn calls(&self, function: &str) -> u64 {
+        let state = self.amplifier().unwrap_or_default();
+        let line = state.lines().find_map(|line| line.strip_prefix(function)?.strip_prefix(' '));
+        line.map_or(0, |calls| calls.parse().unwrap())
+    }
+}
+
+/// A process that has ended.
+#[derive(Debug)]
+pub struct Ended {
+    pub code: Option<i32>,
+    pub out: String,
+    pub told: String,
+}
+
+impl Ended {
+    pub fn of(output: Output) -> Self {
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        Self { code: output.status.code(), out: text(&output.stdout), told: text(&output.stderr) }
+    }
+}
