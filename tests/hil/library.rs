@@ -82,6 +82,7 @@ struct Card {
     thread: ThreadId,
     is_open: bool,
     is_enabled: bool,
+    was_enabled: bool,
     voltage_v: f64,
     watchdog: Watchdog,
     /// Timeout and last feed while it runs, us.
@@ -137,6 +138,7 @@ impl Card {
             thread: std::thread::current().id(),
             is_open: false,
             is_enabled: false,
+            was_enabled: false,
             voltage_v: 0.0,
             watchdog,
             running: None,
@@ -186,6 +188,7 @@ impl Card {
         let Some(file) = variable("QUBE_TEST_HIL_STATE") else { return };
         let mut text = format!("enabled {}\nvoltage {}\n", self.is_enabled, self.voltage_v);
         let _ = writeln!(text, "expired {}\nopen {}", self.is_expired, self.is_open);
+        let _ = writeln!(text, "ever enabled {}", self.was_enabled);
         for (function, calls) in &self.calls {
             let _ = writeln!(text, "{function} {calls}");
         }
@@ -439,6 +442,7 @@ pub unsafe extern "C" fn hil_write_digital(
     let is_enabled = unsafe { *buffer } != 0;
     code(call_io("hil_write_digital", |card| {
         card.is_enabled = is_enabled;
+        card.was_enabled |= is_enabled;
         card.drive();
         Ok(0)
     }))
