@@ -225,6 +225,13 @@ impl Rig {
     }
 }
 
+/// The report with an external controller's last answer, where that is a number.
+fn with_last_answer(mut report: DriveReport, last_v: Option<&AtomicU64>) -> DriveReport {
+    let answer_v = last_v.map(|last_v| f64::from_bits(last_v.load(Ordering::Relaxed)));
+    report.outcome.last_answer_v = answer_v.filter(|answer_v| answer_v.is_finite());
+    report
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -252,11 +259,4 @@ mod tests {
         let (known, older) = (known.identified.unwrap(), older.identified.unwrap());
         assert!((delay_s(older.belief) - delay_s(known.belief) - 0.004).abs() < 1e-12);
     }
-}
-
-/// The report with an external controller's last answer, where that is a number.
-fn with_last_answer(mut report: DriveReport, last_v: Option<&AtomicU64>) -> DriveReport {
-    let answer_v = last_v.map(|last_v| f64::from_bits(last_v.load(Ordering::Relaxed)));
-    report.outcome.last_answer_v = answer_v.filter(|answer_v| answer_v.is_finite());
-    report
 }
