@@ -29,9 +29,14 @@ fn draw(svg: &mut String, problems: &[(String, Vec<VariantResult>)]) -> Result<(
 }
 
 fn noise_panel(panel: &Panel<'_>, name: &str, results: &[VariantResult]) -> Result<(), PlotError> {
+    // A single repetition has no interval.
+    let reach = |it: &VariantResult| {
+        let half_width = it.expected_return.half_width;
+        if half_width.is_finite() { half_width } else { 0.0 }
+    };
     let ends = results.iter().flat_map(|it| {
-        let interval = &it.expected_return;
-        [interval.mean - interval.half_width, interval.mean + interval.half_width]
+        let mean = it.expected_return.mean;
+        [mean - reach(it), mean + reach(it)]
     });
     let (low, high) =
         ends.fold((f64::MAX, f64::MIN), |(low, high), end| (low.min(end), high.max(end)));
@@ -68,7 +73,7 @@ fn noise_panel(panel: &Panel<'_>, name: &str, results: &[VariantResult]) -> Resu
         .draw()?;
     for (index, result) in results.iter().enumerate() {
         let interval = &result.expected_return;
-        let end = |sign: f64| (interval.mean + sign * interval.half_width, row(index));
+        let end = |sign: f64| (interval.mean + sign * reach(result), row(index));
         chart.draw_series([PathElement::new([end(-1.0), end(1.0)], INK.stroke_width(2))])?;
         chart.draw_series([Circle::new((interval.mean, row(index)), 5, BLUE.filled())])?;
     }
@@ -92,5 +97,13 @@ mod tests {
             );
         }
         assert_eq!(svg.matches("<circle").count(), SearchVariant::ALL.len());
+    }
+
+    #[test]
+    fn a_single_repetition_is_drawn_without_an_interval() {
+        let found = vec![vec![300.0]; SearchVariant::ALL.len()];
+        let svg = noise_svg(&[("one".into(), VariantResult::table(&found))]).unwrap();
+        assert_eq!(svg.matches("<circle").count(), SearchVariant::ALL.len());
+        assert!(!svg.contains("NaN"));
     }
 }
