@@ -19,6 +19,7 @@ mod experiment;
 mod experiment_progress;
 mod experiment_report;
 mod experiment_table;
+mod export;
 mod failures;
 mod guard_argument;
 mod identify;
@@ -105,6 +106,7 @@ enum Command {
     Toy(toy::Arguments),
     Replay(replay::Arguments),
     Report(report::Arguments),
+    Export(export::Arguments),
     Recover(recover::Arguments),
     Soak(soak::Arguments),
 }
@@ -138,6 +140,7 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
         Command::Toy(arguments) => toy::run(&arguments, &output),
         Command::Replay(arguments) => replay::run(&arguments, &output),
         Command::Report(arguments) => report::run(&arguments, &output),
+        Command::Export(arguments) => export::run(&arguments, &output),
         Command::Recover(arguments) => recover::run(&arguments, &output),
         Command::Soak(arguments) => soak::run(arguments, &output),
     };

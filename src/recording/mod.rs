@@ -19,6 +19,7 @@ mod recorder;
 mod recover;
 mod scan;
 mod scene;
+mod table;
 mod tick_messages;
 mod wire_format;
 mod writer;
@@ -27,6 +28,7 @@ pub use error::{RecordingError, Unreadable};
 pub use reader::{Completeness, Recording, parse, read, read_on};
 pub use recorder::Recorder;
 pub use recover::{Recovered, recover};
+pub use table::{COLUMNS, csv_table};
 pub use writer::{RolloutWriter, Sink};
 
 /// The version that [`crate::telemetry::RolloutHeader::format`] carries in files of this program.

@@ -1,0 +1,59 @@
+//! Tests the tables that `export` writes, against the recordings that the library reads.
+
+use std::process::{Command, Output};
+
+use qube_hil::recording::{COLUMNS, csv_table, read};
+use qube_hil::scoring::return_of;
+use qube_hil::telemetry::Phase;
+
+fn qube_hil(directory: &std::path::Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).args(arguments).output().unwrap()
+}
+
+#[test]
+fn every_tick_is_a_row_that_reads_back_exactly() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let run = ["run", "--policy", "classical", "--clock", "virtual", "--out", "run"];
+    assert!(qube_hil(directory, &run).status.success());
+    let export = ["export", "run/rollout-0.mcap", "--out", "tables"];
+    let output = qube_hil(directory, &export);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let table = std::fs::read_to_string(directory.join("tables/rollout-0.csv")).unwrap();
+    let mut recording = read(&directory.join("run/rollout-0.mcap")).unwrap();
+    assert_eq!(table, csv_table(&recording));
+
+    let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows[0], COLUMNS);
+    assert_eq!(rows.len(), recording.ticks.len() + 1);
+    let column = |name: &str| COLUMNS.iter().position(|it| *it == name).unwrap();
+    let mut earned = 0.0;
+    for (row, tick) in rows[1..].iter().zip(&recording.ticks) {
+        assert_eq!(row.len(), COLUMNS.len(), "{row:?}");
+        let number = |name: &str| row[column(name)].parse::<f64>().ok();
+        assert_eq!(number("theta_rad"), Some(tick.state.theta));
+        assert_eq!(number("alpha_dot_rad_s"), Some(tick.state.alpha_dot));
+        assert_eq!(number("wanted_v"), tick.wanted_v);
+        assert_eq!(number("voltage_v"), Some(f64::from(tick.voltage_mv) / 1000.0));
+        assert_eq!(number("theta_counts"), tick.measurement.map(|it| f64::from(it.theta_counts)));
+        assert_eq!(number("turnaround_ns"), Some(tick.turnaround_ns as f64));
+        assert_eq!(number("reward").is_some(), tick.phase == Phase::Running);
+        earned += number("reward").unwrap_or(0.0);
+    }
+    assert!((earned - return_of(&recording.ticks, &recording.header.reward)).abs() < 1e-9);
+
+    // What is missing or not finite is empty, and the row keeps its columns.
+    recording.ticks.truncate(1);
+    recording.ticks[0].measurement = None;
+    recording.ticks[0].state.theta = f64::NAN;
+    let table = csv_table(&recording);
+    let row: Vec<&str> = table.lines().nth(1).unwrap().split(',').collect();
+    assert_eq!(row.len(), COLUMNS.len(), "{row:?}");
+    assert_eq!((row[column("theta_rad")], row[column("device_time_us")]), ("", ""));
+    assert_ne!(row[column("deadline_ns")], "");
+
+    // An existing table is kept.
+    let output = qube_hil(directory, &export);
+    assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
+}
