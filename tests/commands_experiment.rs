@@ -289,6 +289,12 @@ fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
     assert_eq!(count("budgets/lab/robust", "policy.safetensors"), 1);
     assert_eq!(count("budgets/cable/posterior", "identified-2.toml"), 1);
     assert_eq!(count("budgets/cable/sequential/000/recordings", ".mcap"), 2);
+    let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
+    succeeds(&{ drawn }.output().unwrap());
+    let svg = std::fs::read_to_string(whole.path().join("figures/budgets.svg")).unwrap();
+    for words in ["after 0 real", "after 2 real", "all plants", "posterior", "cable"] {
+        assert!(svg.contains(words), "{words}");
+    }
 
     let torn = tempfile::tempdir().unwrap();
     prepare(torn.path());

@@ -4,6 +4,7 @@
 //! may import `qube`, `simulation`, `replay`, `search` and `surrogate`.
 
 mod animation;
+mod budgets;
 mod densities;
 mod motion;
 mod noise;
@@ -14,6 +15,7 @@ mod style;
 pub mod toy;
 
 pub use animation::animation_svg;
+pub use budgets::{ShareOfPlant, budgets_svg};
 pub use densities::densities_svg;
 pub use motion::motion_svg;
 pub use noise::noise_svg;

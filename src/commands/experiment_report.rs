@@ -4,10 +4,12 @@ use serde_json::Value;
 
 use super::exit::Failure;
 use super::{experiment_table, failures, strategy_table};
-use crate::charts::{DrawingError, StepLine, densities_svg, searches_svg, strategies_svg};
+use crate::charts::{
+    DrawingError, ShareOfPlant, StepLine, budgets_svg, densities_svg, searches_svg, strategies_svg,
+};
 use crate::experiment::{
-    Experiment, ExperimentError, PolicyResult, Results, SearchReturns, StrategyResult,
-    StrategyResults,
+    Experiment, ExperimentError, PolicyResult, RecipeResult, Results, SearchReturns,
+    StrategyResult, StrategyResults,
 };
 use crate::recording::read;
 use crate::report::{NamedRollouts, RolloutView, recipes_page, strategies_page};
@@ -89,6 +91,9 @@ impl ExperimentReport {
     pub fn figures(&self, experiment: &Experiment) -> Result<Figures<'_>, ExperimentError> {
         Ok(match self {
             Self::Strategies(results) => Figures::Strategies(results),
+            Self::Recipes(results) if results.recipes.iter().any(|it| it.budget.is_some()) => {
+                Figures::Budgets(results.recipes.iter().filter_map(share_of_plant).collect())
+            }
             Self::Recipes(_) => Figures::Recipes {
                 distributions: experiment.distributions()?,
                 searches: experiment.searches()?,
@@ -124,10 +129,26 @@ fn examples(experiment: &Experiment, results: &Results) -> NamedRollouts {
     rollouts
 }
 
+/// The share of successful repetitions of a method at a budget; `None` before one is finished.
+fn share_of_plant(result: &RecipeResult) -> Option<ShareOfPlant> {
+    let budget = result.budget.filter(|_| !result.policies.is_empty())?;
+    let method = result.recipe.strip_suffix(&format!(" {budget}")).unwrap_or(&result.recipe);
+    let interval = result.success_interval();
+    Some(ShareOfPlant {
+        plant: result.plant.clone(),
+        method: method.to_owned(),
+        budget,
+        share: result.success_rate(),
+        interval: [interval.lower, interval.upper],
+    })
+}
+
 /// The figures of an experiment as data.
 pub enum Figures<'a> {
     /// Success against real rollouts, of a comparison of strategies.
     Strategies(&'a StrategyResults),
+    /// Success after fixed numbers of real rollouts, of a comparison of methods.
+    Budgets(Vec<ShareOfPlant>),
     /// The distributions and searches of recipes.
     Recipes { distributions: Vec<(String, DomainDistribution)>, searches: SearchReturns },
 }
@@ -150,6 +171,10 @@ impl Figures<'_> {
                 let budgets = results.strategies.iter().filter_map(StrategyResult::budget);
                 let last = f64::from(budgets.max().unwrap_or(1).max(2));
                 drawn.push(("strategies.svg", strategies_svg(&title, &lines, last)?));
+            }
+            Self::Budgets(shares) => {
+                drawn
+                    .push(("budgets.svg", budgets_svg("policies that succeed, by plant", shares)?));
             }
             Self::Recipes { distributions, searches } => {
                 drawn.push(("figure-5.2.svg", densities_svg(distributions)?));
