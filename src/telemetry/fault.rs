@@ -81,7 +81,7 @@ macro_rules! faults {
 faults! {
     NoSample: TryAgain,
         "no valid sample for more than 35 ms",
-        "Close what keeps this computer busy; try another cable or USB port.";
+        "Close programs that keep this computer busy; try another cable or USB port.";
     LinkGone: Reconnect,
         "the port is gone (unplugged?)",
         "Switch the Qube off: its motor may still have its last voltage. Plug the cable in, then switch the Qube on.";
@@ -90,7 +90,7 @@ faults! {
         "Switch the Qube off: its motor may still have had its last voltage. Look at the board's supply and its USB cable.";
     WatchdogTripped: TryAgain,
         "the device's watchdog switched the motor off",
-        "Close what keeps this computer busy.";
+        "Close programs that keep this computer busy.";
     NotArmed: TryAgain,
         "the device was disarmed in the middle of a motion",
         "Look whether another program talks to the board.";
@@ -99,13 +99,13 @@ faults! {
         "See that nobody is near the arm, then close the switch. If nobody was at it, look at its wires.";
     DeviceClock: TryAgain,
         "the device's clock does not go with the computer's, or the same sample came twice",
-        "Close what keeps this computer busy. If it stays: flash the firmware of this release, then check that the board keeps the protocol.";
+        "Close programs that keep this computer busy. If it stays: flash the firmware of this release, then check that the board keeps the protocol.";
     CountsMoved: TryAgain,
         "a count of arm or pendulum moved while nothing was driven (a hand, or an encoder's cable)",
         "Keep hands off while a run lasts. If nobody was at it: look at the cables of both encoders.";
     TooLate: TryAgain,
         "five ticks in a row were more than 10 ms late",
-        "Close what keeps this computer busy.";
+        "Close programs that keep this computer busy.";
     Amplifier: Examine,
         "the amplifier reports a fault",
         "Switch the Qube off, let it cool down, look at its supply and at the motor.";

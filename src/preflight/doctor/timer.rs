@@ -50,7 +50,7 @@ fn diagnosis(ticks: u64, lateness_us: &LatencySummary) -> Diagnosis {
         "late by p50 {p50:.0}, p99 {p99:.0}, p99.9 {p999:.0}, max {max:.0} us in {ticks} ticks at \
          100 Hz"
     );
-    let cure = "close what keeps this computer busy (uptime shows its load; in a virtual machine: \
+    let cure = "close programs that keep this computer busy (uptime shows its load; in a virtual machine: \
                 the host's too)";
     if p99 > PERIOD_US {
         Diagnosis::unfit(NAME, value, cure)
