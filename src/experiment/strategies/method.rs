@@ -14,7 +14,7 @@ pub enum Method {
     /// Takes no real rollout and trains for a Qube that nobody has identified.
     Robust,
     /// Identifies the Qube from recordings under an excitation and trains on the result alone, as if it were exact
-    /// (classical system identification, thesis [12], [16]).
+    /// (classical system identification, references 12 and 16 of the thesis).
     IdentifyMean,
     /// Identifies the Qube from recordings under an excitation and trains with a spread around each value.
     Identify,
