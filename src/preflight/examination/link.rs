@@ -168,7 +168,7 @@ pub(super) fn latency(port: &str, round_trips: &RoundTrips) -> CheckResult {
     let cure = match latency_timer_ms(port) {
         Some(timer_ms) if timer_ms > 1 => latency_timer_cure(port),
         _ => format!(
-            "99 of 100 samples must take less than {:.1} ms. Close what else keeps this computer \
+            "99 of 100 samples must take less than {:.1} ms. Close other programs that keep this computer \
              busy, and plug the board in without a hub",
             LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-6
         ),
