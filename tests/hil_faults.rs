@@ -181,3 +181,10 @@ fn a_second_interrupt_ends_the_program_with_the_amplifier_off() {
     assert_eq!(child.wait().unwrap().code(), Some(130));
     panel.must_be_off();
 }
+
+#[test]
+fn a_call_that_hangs_after_an_expired_watchdog_was_cleared_leaves_the_amplifier_off() {
+    // A read that takes 120 ms lets the watchdog expire within homing. The first call that disables the amplifier is
+    // refused then, and the one after the watchdog was cleared hangs.
+    run("hil_read:hang=120:300:1+hil_write_digital:hang=3600000:4");
+}

@@ -8,7 +8,7 @@
 //! | variable | meaning |
 //! | --- | --- |
 //! | `QUBE_TEST_HIL_STATE` | file for the amplifier's state and the number of calls of each function |
-//! | `QUBE_TEST_HIL_FAULT` | `FUNCTION:KIND[:AT[:TIMES]]`: the KIND of fault from the AT-th call on, that many times |
+//! | `QUBE_TEST_HIL_FAULT` | `FUNCTION:KIND[:AT[:TIMES]]`, several with `+` between: the KIND of fault from the AT-th call on, that many times |
 //! | `QUBE_TEST_HIL_WATCHDOG` | `cuts` (default), `keeps` the motor's voltage, `none`, `never` expires |
 //! | `QUBE_TEST_HIL_CARD` | the card type that is plugged in (default `qube_servo2_usb`) |
 //! | `QUBE_TEST_HIL_SIGNS` | any of `theta`, `alpha`, `motor`: inverted |
@@ -92,7 +92,7 @@ struct Card {
     before: (bool, f64),
     signs: [i32; 3],
     calls: BTreeMap<&'static str, u64>,
-    fault: Option<Fault>,
+    faults: Vec<Fault>,
     stale: Option<[i32; 2]>,
     jump: [i32; 2],
     unplugged_until: Option<Instant>,
@@ -104,20 +104,25 @@ fn variable(name: &str) -> Option<String> {
 }
 
 impl Fault {
-    fn from_environment() -> Option<Self> {
-        let text = variable("QUBE_TEST_HIL_FAULT")?;
+    /// The faults in `QUBE_TEST_HIL_FAULT`, separated by `+`.
+    fn from_environment() -> Vec<Self> {
+        let text = variable("QUBE_TEST_HIL_FAULT").unwrap_or_default();
+        text.split('+').filter(|fault| !fault.is_empty()).map(Self::parse).collect()
+    }
+
+    fn parse(text: &str) -> Self {
         let mut parts = text.split(':');
-        let function = parts.next()?.to_owned();
+        let function = parts.next().unwrap_or_default().to_owned();
         let kind = parts.next().expect("FUNCTION:KIND");
         let (kind, value) = kind.split_once('=').unwrap_or((kind, "0"));
         let number = |part: Option<&str>, usual| part.map_or(usual, |it| it.parse().unwrap());
-        Some(Self {
+        Self {
             function,
             kind: kind.to_owned(),
             value: value.parse().unwrap(),
             at: number(parts.next(), 1),
             times: number(parts.next(), u64::MAX),
-        })
+        }
     }
 }
 
@@ -146,7 +151,7 @@ impl Card {
             before: (false, 0.0),
             signs: ["theta", "alpha", "motor"].map(sign),
             calls: BTreeMap::new(),
-            fault: Fault::from_environment(),
+            faults: Fault::from_environment(),
             stale: None,
             jump: [0; 2],
             unplugged_until: None,
@@ -224,9 +229,10 @@ fn call<T>(
     let calls = card.calls.entry(function).or_default();
     *calls += 1;
     let number = *calls;
-    let hit = card.fault.clone().filter(|fault| {
+    let hit = card.faults.iter().find(|fault| {
         fault.function == function && number >= fault.at && number - fault.at < fault.times
     });
+    let hit = hit.cloned();
     card.go_on();
     if let Some(fault) = hit {
         match fault.kind.as_str() {

@@ -266,8 +266,10 @@ impl Panel {
         let Some(card) = &self.card else { return Ok(()) };
         let mut off = switched_off(card);
         if off.is_err() && card.watchdog_is_expired() {
-            // Clearing may bring the outputs back that were before, so both are written at once again.
+            // Clearing may bring the outputs back that were before, and with them the motor. So the watchdog runs
+            // again before anything that might not return, and both outputs are written at once.
             let _ = card.watchdog_clear();
+            let _ = card.watchdog_start(WATCHDOG_S);
             off = switched_off(card);
         }
         let Err(failed) = off else {
