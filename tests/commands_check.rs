@@ -213,7 +213,16 @@ fn the_doctor_looks_at_the_computer_and_at_a_port() {
         let of_the_port = format!("port {}", port(&qube));
         assert_eq!(
             names,
-            ["scheduling", "memory", "sleep", "timer", "processor", "foresight", &of_the_port]
+            [
+                "scheduling",
+                "memory",
+                "sleep",
+                "timer",
+                "processor",
+                "foresight",
+                &of_the_port,
+                "panel library"
+            ]
         );
         assert_eq!(checks[6]["verdict"], "well");
         assert!(checks[3]["value"].as_str().unwrap().contains("100 ticks"), "{}", checks[3]);
