@@ -43,7 +43,7 @@ pub struct EmulatedArguments {
     play_deg: Option<f64>,
 
     /// Effect that no simulation of the program has: presliding_rad, stribeck, hysteresis_n_m, slack, warming_per_w or
-    /// eccentricity_rad (docs/reference/commands.md), for instance presliding_rad=0.02; may be repeated
+    /// eccentricity_rad (docs/hardware.md), for instance presliding_rad=0.02; may be repeated
     #[arg(long, value_name = "NAME=VALUE", value_parser = effect)]
     effect: Vec<(String, f64)>,
 

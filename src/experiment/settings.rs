@@ -125,6 +125,8 @@ impl ExperimentSettings {
             }
         }
         for plant in &self.plants {
+            let effects = plant.emulated.effects.check();
+            effects.map_err(|error| format!("plant {}: effects.{error}", plant.name))?;
             if !(0.0..=0.5).contains(&plant.vary) {
                 return Err(format!("vary = {}: give a number from 0 to 0.5", plant.vary));
             }
@@ -221,6 +223,9 @@ mod tests {
         assert!(wrong(|it| it.policies = 0).contains("policies"));
         assert!(wrong(|it| it.plants.clear()).contains("plant"));
         assert!(wrong(|it| it.plants[0].vary = 0.9).contains("vary"));
+        assert!(
+            wrong(|it| it.plants[0].emulated.effects.slack = 2.0).contains("effects.slack = 2")
+        );
         assert!(wrong(|it| it.recipes[1].name = "nominal".into()).contains("nominal"));
         assert!(wrong(|it| it.recipes[1].name = "../up".into()).contains("../up"));
     }

@@ -47,6 +47,7 @@ impl SessionSettings {
         if let Some(identification) = &self.identification {
             identification.check()?;
         }
+        self.emulated.effects.check().map_err(|error| format!("emulated.effects.{error}"))?;
         self.training.check().map_err(|error| match error {
             TrainError::Setting { name, value, bound } => {
                 format!("training.{name} = {value}: it must be {bound}")
