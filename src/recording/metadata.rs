@@ -8,6 +8,8 @@ use super::wire_format::CRC_32;
 
 /// Name of the metadata record with the rollout's header.
 pub(super) const HEADER: &str = "rollout";
+/// Name of the metadata record that says what the times of the file count from.
+pub(super) const CLOCK: &str = "clock";
 /// Name of the metadata record with the rollout's outcome.
 pub(super) const OUTCOME: &str = "outcome";
 /// Name of the metadata record of a recovered file.

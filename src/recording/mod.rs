@@ -1,8 +1,8 @@
 //! Rollouts as MCAP files: schemas, the writer thread, the reader, recovery after a crash.
 //!
 //! One file holds one rollout: its origin and settings (metadata), the policy (an attachment), every tick
-//! (six channels of flat JSON), and its ending (metadata). A rollout can be replayed from its own file
-//! alone, and [`read`] returns bit for bit what was recorded.
+//! (five channels of flat JSON, and one of frames for viewers as Protocol Buffers), and its ending (metadata). A
+//! rollout can be replayed from its own file alone, and [`read`] returns bit for bit what was recorded.
 //!
 //! Metadata and policy come first. Ticks follow in blocks of a tenth of a second, each compressed,
 //! checksummed and handed to the operating system as a whole: a killed process loses at most the last
@@ -14,6 +14,7 @@
 mod error;
 mod metadata;
 mod not_finite;
+mod protobuf;
 mod reader;
 mod recorder;
 mod recover;
@@ -33,6 +34,10 @@ pub use writer::{RolloutWriter, Sink};
 
 /// The version that [`crate::telemetry::RolloutHeader::format`] carries in files of this program.
 pub const FORMAT_VERSION: u32 = 1;
+
+/// Start of the times in a recording under a virtual clock, ns since 1970: the first instant of 2000. Viewers show a date,
+/// which is nobody's, and equal rollouts have equal bytes. The metadata `clock` says so.
+pub const VIRTUAL_EPOCH_UNIX_NS: u64 = 946_684_800_000_000_000;
 
 /// Name of the attachment that holds the policy file.
 pub const POLICY_ATTACHMENT: &str = "policy.safetensors";

@@ -1,14 +1,19 @@
-use schemars::JsonSchema;
-use serde::Serialize;
-
+use super::protobuf::Message;
 use crate::qube::{PlantModel, State};
 
-// The data of Foxglove's 3-D panel: a tree of frames for each tick, and once the bodies in them. Field
-// names and schema names are Foxglove's (foxglove.FrameTransforms, foxglove.SceneUpdate).
+// The data of the 3-D panels of Foxglove, Lichtblick and Rerun: a tree of frames for each tick, and once the bodies
+// in them, as Protocol Buffers by Foxglove's published schemas.
 //
 // Frames: `qube` is fixed to the table, z up, x along the arm at theta = 0. `arm` turns by theta about z.
 // `pendulum` is at the arm's tip and turns by alpha about the arm's axis x; its z points from the
 // pendulum's free end to the tip, so that alpha = 0 hangs and positive alpha swings towards positive theta.
+
+/// A schema of Foxglove, as it stands in recordings: its name, and its serialised `FileDescriptorSet`. The files are
+/// those of the package `foxglove` 0.30.3 (MIT, `foxglove/LICENSE`).
+pub(super) struct Schema {
+    pub(super) name: &'static str,
+    pub(super) descriptors: &'static [u8],
+}
 
 const BASE: &str = "qube";
 const ARM: &str = "arm";
@@ -17,20 +22,14 @@ const PENDULUM: &str = "pendulum";
 /// Height of the arm above the table, m, for the picture only.
 const ARM_HEIGHT_M: f64 = 0.2;
 
-#[derive(Clone, Copy, Serialize, JsonSchema)]
-struct Time {
-    sec: u64,
-    nsec: u32,
-}
-
-#[derive(Clone, Copy, Serialize, JsonSchema)]
+#[derive(Clone, Copy)]
 struct Vector3 {
     x: f64,
     y: f64,
     z: f64,
 }
 
-#[derive(Clone, Copy, Serialize, JsonSchema)]
+#[derive(Clone, Copy)]
 struct Quaternion {
     x: f64,
     y: f64,
@@ -38,9 +37,7 @@ struct Quaternion {
     w: f64,
 }
 
-#[derive(Serialize, JsonSchema)]
 struct FrameTransform {
-    timestamp: Time,
     parent_frame_id: &'static str,
     child_frame_id: &'static str,
     translation: Vector3,
@@ -48,19 +45,11 @@ struct FrameTransform {
 }
 
 /// Where arm and pendulum are.
-#[derive(Serialize, JsonSchema)]
-#[schemars(title = "foxglove.FrameTransforms")]
 pub(super) struct FrameTransforms {
+    time_ns: u64,
     transforms: [FrameTransform; 2],
 }
 
-#[derive(Serialize, JsonSchema)]
-struct Pose {
-    position: Vector3,
-    orientation: Quaternion,
-}
-
-#[derive(Serialize, JsonSchema)]
 struct Color {
     r: f64,
     g: f64,
@@ -68,53 +57,57 @@ struct Color {
     a: f64,
 }
 
-#[derive(Serialize, JsonSchema)]
 struct Cube {
-    pose: Pose,
+    center: Vector3,
     size: Vector3,
     color: Color,
 }
 
-#[derive(Serialize, JsonSchema)]
-struct Duration {
-    sec: i32,
-    nsec: u32,
-}
-
-#[derive(Serialize, JsonSchema)]
+/// A body, which has the name of its frame.
 struct Entity {
-    timestamp: Time,
     frame_id: &'static str,
-    id: &'static str,
-    lifetime: Duration,
-    frame_locked: bool,
-    cubes: [Cube; 1],
+    cube: Cube,
 }
 
 /// The bodies that hang in the frames: base, arm, pendulum.
-#[derive(Serialize, JsonSchema)]
-#[schemars(title = "foxglove.SceneUpdate")]
 pub(super) struct SceneUpdate {
+    time_ns: u64,
     entities: [Entity; 3],
-}
-
-fn time(time_ns: u64) -> Time {
-    Time { sec: time_ns / 1_000_000_000, nsec: (time_ns % 1_000_000_000) as u32 }
 }
 
 const UPRIGHT: Quaternion = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
 
+fn time(time_ns: u64) -> Message {
+    Message::default().integer(1, time_ns / 1_000_000_000).integer(2, time_ns % 1_000_000_000)
+}
+
+impl Vector3 {
+    fn message(self) -> Message {
+        Message::default().double(1, self.x).double(2, self.y).double(3, self.z)
+    }
+}
+
+impl Quaternion {
+    fn message(self) -> Message {
+        Message::default().double(1, self.x).double(2, self.y).double(3, self.z).double(4, self.w)
+    }
+}
+
 impl FrameTransforms {
-    /// The frames of one state of a plant. An angle that is not finite is drawn at zero, because JSON has no NaN.
-    pub(super) fn new(plant: &PlantModel, state: &State, log_time_ns: u64) -> Self {
+    pub(super) const SCHEMA: Schema = Schema {
+        name: "foxglove.FrameTransforms",
+        descriptors: include_bytes!("foxglove/FrameTransforms.bin"),
+    };
+
+    /// The frames of one state of a plant. An angle that is not finite is drawn at zero.
+    pub(super) fn new(plant: &PlantModel, state: &State, time_ns: u64) -> Self {
         let half = |angle: f64| if angle.is_finite() { 0.5 * angle } else { 0.0 };
         let (half_theta, half_alpha) = (half(state.theta), half(state.alpha));
-        let timestamp = time(log_time_ns);
         let arm_length_m = plant.parameters.rotary_length_m;
         Self {
+            time_ns,
             transforms: [
                 FrameTransform {
-                    timestamp,
                     parent_frame_id: BASE,
                     child_frame_id: ARM,
                     translation: Vector3 { x: 0.0, y: 0.0, z: ARM_HEIGHT_M },
@@ -125,7 +118,6 @@ impl FrameTransforms {
                     },
                 },
                 FrameTransform {
-                    timestamp,
                     parent_frame_id: ARM,
                     child_frame_id: PENDULUM,
                     translation: Vector3 { x: arm_length_m, y: 0.0, z: 0.0 },
@@ -138,26 +130,40 @@ impl FrameTransforms {
             ],
         }
     }
+
+    /// The message `foxglove.FrameTransforms`.
+    pub(super) fn to_bytes(&self) -> Vec<u8> {
+        let transform = |it: &FrameTransform| {
+            Message::default()
+                .message(1, &time(self.time_ns))
+                .text(2, it.parent_frame_id)
+                .text(3, it.child_frame_id)
+                .message(4, &it.translation.message())
+                .message(5, &it.rotation.message())
+        };
+        let add = |whole: Message, it| whole.message(1, &transform(it));
+        self.transforms.iter().fold(Message::default(), add).into_bytes()
+    }
 }
 
 impl SceneUpdate {
+    pub(super) const SCHEMA: Schema = Schema {
+        name: "foxglove.SceneUpdate",
+        descriptors: include_bytes!("foxglove/SceneUpdate.bin"),
+    };
+
     /// Boxes with the nominal lengths of a plant.
-    pub(super) fn new(plant: &PlantModel, log_time_ns: u64) -> Self {
+    pub(super) fn new(plant: &PlantModel, time_ns: u64) -> Self {
         let nominal = &plant.parameters;
         let (arm, pendulum) = (nominal.rotary_length_m, nominal.pendulum_length_m);
-        let entity = |frame_id, center, size, color| Entity {
-            timestamp: time(log_time_ns),
-            frame_id,
-            id: frame_id,
-            lifetime: Duration { sec: 0, nsec: 0 },
-            frame_locked: true,
-            cubes: [Cube { pose: Pose { position: center, orientation: UPRIGHT }, size, color }],
-        };
+        let entity =
+            |frame_id, center, size, color| Entity { frame_id, cube: Cube { center, size, color } };
         let gray = Color { r: 0.3, g: 0.3, b: 0.32, a: 1.0 };
         let silver = Color { r: 0.75, g: 0.75, b: 0.78, a: 1.0 };
         let red = Color { r: 0.8, g: 0.1, b: 0.1, a: 1.0 };
         let body_m = ARM_HEIGHT_M - 0.01;
         Self {
+            time_ns,
             entities: [
                 entity(
                     BASE,
@@ -179,6 +185,29 @@ impl SceneUpdate {
                 ),
             ],
         }
+    }
+    /// The message `foxglove.SceneUpdate`: nothing is deleted, and no body vanishes.
+    pub(super) fn to_bytes(&self) -> Vec<u8> {
+        let entity = |Entity { frame_id, cube }: &Entity| {
+            let pose = Message::default()
+                .message(1, &cube.center.message())
+                .message(2, &UPRIGHT.message());
+            let Color { r, g, b, a } = cube.color;
+            let color = Message::default().double(1, r).double(2, g).double(3, b).double(4, a);
+            let cube = Message::default()
+                .message(1, &pose)
+                .message(2, &cube.size.message())
+                .message(3, &color);
+            Message::default()
+                .message(1, &time(self.time_ns))
+                .text(2, frame_id)
+                .text(3, frame_id)
+                .message(4, &Message::default())
+                .flag(5, true)
+                .message(8, &cube)
+        };
+        let add = |whole: Message, it| whole.message(2, &entity(it));
+        self.entities.iter().fold(Message::default(), add).into_bytes()
     }
 }
 

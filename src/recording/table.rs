@@ -59,7 +59,7 @@ fn add_row(table: &mut String, recording: &Recording, tick: &TickRecord, first_n
     let reward = is_running.then(|| header.reward.reward(state, voltage_v));
     let _ = write!(table, "{},", tick.tick);
     number(table, Some(time_s));
-    let _ = write!(table, "{},", phase_number(tick.phase));
+    let _ = write!(table, "{},", tick.phase.number());
     for value in [state.theta, state.alpha, state.theta_dot, state.alpha_dot, voltage_v] {
         number(table, Some(value));
     }
@@ -106,13 +106,5 @@ fn number(table: &mut String, value: Option<f64>) {
     match value.filter(|value| value.is_finite()) {
         Some(value) => drop(write!(table, "{value},")),
         None => table.push(','),
-    }
-}
-
-fn phase_number(phase: Phase) -> u8 {
-    match phase {
-        Phase::Settling => 0,
-        Phase::Running => 1,
-        Phase::Braking => 2,
     }
 }

@@ -3,6 +3,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use proptest::prelude::*;
+use prost_reflect::{DescriptorPool, DynamicMessage, Value};
 
 use super::samples::{POLICY, header, outcome, recorded, tick, ticks};
 use super::writer::Sink;
@@ -303,22 +304,110 @@ fn it_is_an_mcap_file_for_others() {
 
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let stats = summary.stats.unwrap();
-    assert_eq!((stats.channel_count, stats.attachment_count, stats.metadata_count), (7, 1, 2));
+    assert_eq!((stats.channel_count, stats.attachment_count, stats.metadata_count), (7, 1, 3));
     let held_over = ticks.iter().filter(|tick| tick.measurement.is_none()).count();
     let ending_and_scene = 2;
     assert_eq!(stats.message_count as usize, 6 * ticks.len() - held_over + ending_and_scene);
 
-    let mut endings = 0;
+    let (mut endings, mut frames, mut bodies) = (0, 0, 0);
     for message in mcap::MessageStream::new(&bytes).unwrap() {
         let message = message.unwrap();
-        let value: serde_json::Value = serde_json::from_slice(&message.data).unwrap();
         let schema = message.channel.schema.as_ref().unwrap();
+        if schema.encoding == "protobuf" {
+            assert_eq!(message.channel.message_encoding, "protobuf");
+            let pool = DescriptorPool::decode(&*schema.data).unwrap();
+            let descriptor = pool.get_message_by_name(&schema.name).unwrap();
+            let decoded = DynamicMessage::decode(descriptor, &*message.data).unwrap();
+            assert_eq!(decoded.unknown_fields().count(), 0, "{decoded}");
+            match message.channel.topic.as_str() {
+                "/tf" => frames += list(&decoded, "transforms").len(),
+                "/scene" => bodies += list(&decoded, "entities").len(),
+                other => panic!("{other}"),
+            }
+            continue;
+        }
+        let value: serde_json::Value = serde_json::from_slice(&message.data).unwrap();
         assert_eq!(schema.encoding, "jsonschema");
         let schema: serde_json::Value = serde_json::from_slice(&schema.data).unwrap();
         assert_fits(&value, &schema);
-        endings += usize::from(value.get("ending") == Some(&"left_box: theta".into()));
+        if value.get("ending") == Some(&"left_box: theta".into()) {
+            assert_eq!(value["ending_number"], 2);
+            endings += 1;
+        }
     }
+    assert_eq!((frames, bodies), (2 * ticks.len(), 3));
     assert_eq!(endings, 1);
+}
+
+fn list(message: &DynamicMessage, field: &str) -> Vec<Value> {
+    message.get_field_by_name(field).unwrap().as_list().unwrap().to_vec()
+}
+
+/// The number in a field of nested messages.
+fn number_at(value: &Value, path: &[&str]) -> f64 {
+    match path.split_first() {
+        None => value.as_f64().unwrap(),
+        Some((field, rest)) => {
+            let message = value.as_message().unwrap();
+            number_at(&message.get_field_by_name(field).unwrap(), rest)
+        }
+    }
+}
+
+#[test]
+fn viewers_read_the_frames_and_bodies_that_were_meant() {
+    let mut tick = tick(0);
+    (tick.state.theta, tick.state.alpha) = (0.5, -1.0);
+    let bytes = recorded(&[tick]);
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        let schema = message.channel.schema.as_ref().unwrap();
+        if schema.encoding != "protobuf" {
+            continue;
+        }
+        let pool = DescriptorPool::decode(&*schema.data).unwrap();
+        let descriptor = pool.get_message_by_name(&schema.name).unwrap();
+        let decoded = DynamicMessage::decode(descriptor, &*message.data).unwrap();
+        if message.channel.topic == "/tf" {
+            let frames = list(&decoded, "transforms");
+            assert_eq!(number_at(&frames[0], &["rotation", "z"]), 0.25_f64.sin());
+            assert_eq!(number_at(&frames[0], &["rotation", "w"]), 0.25_f64.cos());
+            assert_eq!(number_at(&frames[1], &["rotation", "x"]), (-0.5_f64).sin());
+            assert_eq!(number_at(&frames[1], &["translation", "x"]), 0.085);
+        } else {
+            let bodies = list(&decoded, "entities");
+            let cubes = bodies[2].as_message().unwrap().get_field_by_name("cubes").unwrap();
+            let pendulum = &cubes.as_list().unwrap()[0];
+            assert_eq!(number_at(pendulum, &["size", "z"]), 0.129);
+            assert_eq!(number_at(pendulum, &["pose", "position", "z"]), -0.5 * 0.129);
+            assert_eq!(number_at(pendulum, &["pose", "orientation", "w"]), 1.0);
+            assert_eq!(number_at(pendulum, &["color", "r"]), 0.8);
+        }
+    }
+}
+
+#[test]
+fn times_of_a_virtual_clock_count_from_a_named_date() {
+    let log_times = |started_unix_ns| {
+        let header = crate::telemetry::RolloutHeader { started_unix_ns, ..header() };
+        let path = Path::new("memory");
+        let mut writer = RolloutWriter::begin(Vec::new(), path, header, POLICY).unwrap();
+        writer.write(&tick(0)).unwrap();
+        writer.write(&tick(1)).unwrap();
+        let bytes = writer.finish(&outcome()).unwrap();
+        let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+        let index = summary.metadata_indexes.iter().find(|it| it.name == "clock").unwrap();
+        let clock = mcap::read::metadata(&bytes, index).unwrap().metadata;
+        let stats = summary.stats.unwrap();
+        (clock, stats.message_start_time, stats.message_end_time)
+    };
+    let (clock, start_ns, end_ns) = log_times(None);
+    assert_eq!(clock["clock"], "virtual");
+    assert_eq!(clock["epoch_unix_ns"], VIRTUAL_EPOCH_UNIX_NS.to_string());
+    assert_eq!((start_ns, end_ns), (VIRTUAL_EPOCH_UNIX_NS, VIRTUAL_EPOCH_UNIX_NS + 10_000_000));
+    let (clock, start_ns, _) = log_times(Some(1_700_000_000_000_000_000));
+    assert_eq!((clock["clock"].as_str(), start_ns), ("wall", 1_700_000_000_000_000_000));
+    assert_eq!(clock["epoch_unix_ns"], "1700000000000000000");
 }
 
 /// Checks a value against a schema that uses only what viewers understand: one plain type a field.

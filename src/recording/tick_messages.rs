@@ -3,7 +3,7 @@ use serde::{Deserialize, Serialize};
 
 use super::not_finite::{NotFinite, restore, restore_bits};
 use crate::qube::{Measurement, State, Status};
-use crate::telemetry::{Phase, RolloutHeader, TickRecord};
+use crate::telemetry::{Ending, Phase, RolloutHeader, TickRecord};
 
 // Viewers accept few schemas: Foxglove refuses unions (which schemars writes for an Option or an enum with
 // documented variants) and references. Every field therefore has one plain type, and an absent value is
@@ -112,15 +112,22 @@ pub(super) struct CommandMessage {
 pub(super) struct SafetyMessage {
     /// settling, running or braking.
     #[schemars(with = "String")]
-    pub(super) phase: Phase,
+    phase: Phase,
+    /// The phase for viewers that plot numbers alone: 0 settling, 1 running, 2 braking.
+    #[serde(default)]
+    phase_number: u8,
     /// No valid sample came in time and the last voltage was held over.
-    pub(super) held_over: bool,
+    held_over: bool,
     /// Somebody had asked to stop.
-    pub(super) stop_requested: bool,
+    stop_requested: bool,
     /// How the rollout ended, in its last message only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "String")]
-    pub(super) ending: Option<String>,
+    ending: Option<String>,
+    /// The ending as a number: 1 completed, 2 left the box, 3 stopped, 4 fault.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "u8")]
+    ending_number: Option<u8>,
 }
 
 /// When things happened, by the host's clock.
@@ -234,10 +241,37 @@ impl SafetyMessage {
     pub(super) fn new(record: &TickRecord) -> Self {
         Self {
             phase: record.phase,
+            phase_number: record.phase.number(),
             held_over: record.measurement.is_none(),
             stop_requested: record.stop_requested,
             ending: None,
+            ending_number: None,
         }
+    }
+
+    /// The last message of a rollout, of which `last` is the last tick.
+    pub(super) fn of_ending(last: &TickRecord, ending: Ending) -> Self {
+        let number = match ending {
+            Ending::Completed => 1,
+            Ending::LeftBox(_) => 2,
+            Ending::Stopped => 3,
+            Ending::Fault(_) => 4,
+        };
+        Self { ending: Some(ending_text(ending)), ending_number: Some(number), ..Self::new(last) }
+    }
+}
+
+fn ending_text(ending: Ending) -> String {
+    match serde_json::to_value(ending) {
+        Ok(value) => {
+            let part = |name| value.get(name).and_then(|part| part.as_str());
+            match (part("kind"), part("detail")) {
+                (Some(kind), Some(detail)) => format!("{kind}: {detail}"),
+                (Some(kind), None) => kind.to_owned(),
+                _ => value.to_string(),
+            }
+        }
+        Err(_) => format!("{ending:?}"),
     }
 }
 

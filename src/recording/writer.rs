@@ -9,13 +9,15 @@ use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, Schema};
 use serde::Serialize;
 
-use super::scene::{FrameTransforms, SceneUpdate};
+use super::scene::{self, FrameTransforms, SceneUpdate};
 use super::tick_messages::{
     CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TimingMessage,
 };
-use super::{LAST_TICKS_ATTACHMENT, POLICY_ATTACHMENT, RecordingError, metadata};
+use super::{
+    LAST_TICKS_ATTACHMENT, POLICY_ATTACHMENT, RecordingError, VIRTUAL_EPOCH_UNIX_NS, metadata,
+};
 use crate::storage::{Disk, DiskFile, sync_name};
-use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
+use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
 /// Ticks in one block: a tenth of a second. The count does not depend on the clock, so that the bytes of a
 /// simulated rollout do not depend on the speed of the simulation.
@@ -140,7 +142,11 @@ impl<W: Sink> RolloutWriter<W> {
             .library(concat!("qube-hil ", env!("CARGO_PKG_VERSION")))
             .create(NoSeek::new(BufWriter::with_capacity(1 << 16, sink)))?;
         mcap.write_metadata(&Metadata { name: metadata::HEADER.to_owned(), metadata: fields })?;
-        let started_ns = header.started_unix_ns.unwrap_or(0);
+        mcap.write_metadata(&Metadata {
+            name: metadata::CLOCK.to_owned(),
+            metadata: clock_fields(&header),
+        })?;
+        let started_ns = header.started_unix_ns.unwrap_or(VIRTUAL_EPOCH_UNIX_NS);
         mcap.attach(&Attachment {
             log_time: started_ns,
             create_time: started_ns,
@@ -153,10 +159,10 @@ impl<W: Sink> RolloutWriter<W> {
             state: add_channel::<StateMessage, W>(&mut mcap, topic::STATE)?,
             command: add_channel::<CommandMessage, W>(&mut mcap, topic::COMMAND)?,
             safety: add_channel::<SafetyMessage, W>(&mut mcap, topic::SAFETY)?,
-            transforms: add_channel::<FrameTransforms, W>(&mut mcap, topic::TRANSFORMS)?,
+            transforms: add_drawing(&mut mcap, topic::TRANSFORMS, &FrameTransforms::SCHEMA)?,
             timing: add_channel::<TimingMessage, W>(&mut mcap, topic::TIMING)?,
         };
-        let scene = add_channel::<SceneUpdate, W>(&mut mcap, topic::SCENE)?;
+        let scene = add_drawing(&mut mcap, topic::SCENE, &SceneUpdate::SCHEMA)?;
         let last = (TickRecord::default(), started_ns);
         let json = Vec::with_capacity(1024);
         let mut writer = Self {
@@ -170,7 +176,7 @@ impl<W: Sink> RolloutWriter<W> {
             json,
         };
         let plant = writer.header.settings.plant;
-        writer.message(scene, &SceneUpdate::new(&plant, started_ns))?;
+        writer.bytes(scene, &SceneUpdate::new(&plant, started_ns).to_bytes())?;
         writer.close_block()?;
         Ok(writer)
     }
@@ -185,7 +191,7 @@ impl<W: Sink> RolloutWriter<W> {
 
     fn try_write(&mut self, tick: &TickRecord) -> Result<(), McapError> {
         let origin_ns = *self.origin_ns.get_or_insert(tick.deadline_ns);
-        let started_ns = self.header.started_unix_ns.unwrap_or(0);
+        let started_ns = self.header.started_unix_ns.unwrap_or(VIRTUAL_EPOCH_UNIX_NS);
         let log_time_ns = started_ns.saturating_add(tick.deadline_ns.saturating_sub(origin_ns));
         self.last = (*tick, log_time_ns);
         if let Some(measurement) = &tick.measurement {
@@ -197,7 +203,7 @@ impl<W: Sink> RolloutWriter<W> {
         self.message(self.channels.safety, &SafetyMessage::new(tick))?;
         let transforms =
             FrameTransforms::new(&self.header.settings.plant, &tick.state, log_time_ns);
-        self.message(self.channels.transforms, &transforms)?;
+        self.bytes(self.channels.transforms, &transforms.to_bytes())?;
         self.message(self.channels.timing, &TimingMessage::new(tick))?;
         self.ticks_in_block += 1;
         if self.ticks_in_block >= TICKS_PER_BLOCK {
@@ -281,8 +287,7 @@ impl<W: Sink> RolloutWriter<W> {
                 return Err(RecordingError::NotFinite { path, record: metadata::OUTCOME });
             };
             records.push(Metadata { name: metadata::OUTCOME.to_owned(), metadata });
-            let text = Some(ending_text(outcome.ending));
-            ending = Some(SafetyMessage { ending: text, ..SafetyMessage::new(&self.last.0) });
+            ending = Some(SafetyMessage::of_ending(&self.last.0, outcome.ending));
         }
         self.try_close(&records, ending).map_err(|source| RecordingError::write(&path, source))
     }
@@ -308,6 +313,15 @@ impl<W: Sink> RolloutWriter<W> {
     }
 
     fn message<T: Serialize>(&mut self, channel_id: u16, message: &T) -> Result<(), McapError> {
+        let mut json = std::mem::take(&mut self.json);
+        json.clear();
+        serde_json::to_writer(&mut json, message).map_err(io::Error::from)?;
+        let written = self.bytes(channel_id, &json);
+        self.json = json;
+        written
+    }
+
+    fn bytes(&mut self, channel_id: u16, message: &[u8]) -> Result<(), McapError> {
         let (tick, log_time) = (&self.last.0, self.last.1);
         let header = MessageHeader {
             channel_id,
@@ -315,10 +329,8 @@ impl<W: Sink> RolloutWriter<W> {
             log_time,
             publish_time: log_time.saturating_add(tick.lateness_ns),
         };
-        self.json.clear();
-        serde_json::to_writer(&mut self.json, message).map_err(io::Error::from)?;
         let mcap = self.mcap.as_mut().ok_or_else(closed)?;
-        mcap.write_to_known_channel(&header, &self.json)
+        mcap.write_to_known_channel(&header, message)
     }
 
     fn close_block(&mut self) -> Result<(), McapError> {
@@ -346,25 +358,31 @@ fn add_channel<T: JsonSchema, W: Sink>(mcap: &mut Mcap<W>, topic: &str) -> Resul
     mcap.add_channel(id, topic, "json", &BTreeMap::new())
 }
 
+/// Adds a channel that viewers draw.
+fn add_drawing<W: Sink>(
+    mcap: &mut Mcap<W>,
+    topic: &str,
+    schema: &scene::Schema,
+) -> Result<u16, McapError> {
+    let id = mcap.add_schema(schema.name, "protobuf", schema.descriptors)?;
+    mcap.add_channel(id, topic, "protobuf", &BTreeMap::new())
+}
+
+/// The clock of a recording's times, for readers of any program.
+fn clock_fields(header: &RolloutHeader) -> BTreeMap<String, String> {
+    let (clock, epoch_unix_ns) = match header.started_unix_ns {
+        Some(started_ns) => ("wall", started_ns),
+        None => ("virtual", VIRTUAL_EPOCH_UNIX_NS),
+    };
+    let fields = [("clock", clock.to_owned()), ("epoch_unix_ns", epoch_unix_ns.to_string())];
+    fields.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+}
+
 fn schema_of<T: JsonSchema>() -> Schema {
     SchemaSettings::draft07()
         .with(|settings| settings.inline_subschemas = true)
         .into_generator()
         .into_root_schema_for::<T>()
-}
-
-fn ending_text(ending: Ending) -> String {
-    match serde_json::to_value(ending) {
-        Ok(value) => {
-            let part = |name| value.get(name).and_then(|part| part.as_str());
-            match (part("kind"), part("detail")) {
-                (Some(kind), Some(detail)) => format!("{kind}: {detail}"),
-                (Some(kind), None) => kind.to_owned(),
-                _ => value.to_string(),
-            }
-        }
-        Err(_) => format!("{ending:?}"),
-    }
 }
 
 fn closed() -> io::Error {

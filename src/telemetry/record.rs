@@ -15,6 +15,18 @@ pub enum Phase {
     Braking,
 }
 
+impl Phase {
+    /// The phase for tools that read numbers alone: 0 settling, 1 running, 2 braking.
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        match self {
+            Self::Settling => 0,
+            Self::Running => 1,
+            Self::Braking => 2,
+        }
+    }
+}
+
 /// The record of one tick: its inputs and outputs, from which it can be replayed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TickRecord {
