@@ -61,7 +61,8 @@ fn child() {
     let Some(path) = std::env::var_os(CHILD) else { return };
     let (mut producer, consumer) = rtrb::RingBuffer::new(4096);
     let _recorder =
-        Recorder::start(&MachineDisk, Path::new(&path), header(), b"policy", consumer).unwrap();
+        Recorder::start(&MachineDisk, Path::new(&path), header(), b"policy", consumer, None)
+            .unwrap();
     let clock = MonotonicClock;
     let mut deadline_ns = clock.now_ns();
     // Ticks at 100 Hz, then none: the last ones wait in a block that is not full.

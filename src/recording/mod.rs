@@ -11,6 +11,7 @@
 //!
 //! The room may import `telemetry`, `qube` and `storage`.
 
+mod channels;
 mod error;
 mod metadata;
 mod not_finite;
@@ -22,14 +23,17 @@ mod scan;
 mod scene;
 mod table;
 mod tick_messages;
+mod viewer;
 mod wire_format;
 mod writer;
 
+pub use channels::{Channel, ChannelSchema, encode_scene, encode_tick};
 pub use error::{RecordingError, Unreadable};
 pub use reader::{Completeness, Recording, parse, read, read_on};
 pub use recorder::Recorder;
 pub use recover::{Recovered, recover};
 pub use table::{COLUMNS, csv_table};
+pub use viewer::Viewer;
 pub use writer::{RolloutWriter, Sink};
 
 /// The version that [`crate::telemetry::RolloutHeader::format`] carries in files of this program.

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-use super::writer::Sink;
-use super::{RecordingError, RolloutWriter};
+use super::writer::{Sink, start_unix_ns};
+use super::{RecordingError, RolloutWriter, Viewer};
 use crate::storage::Disk;
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
@@ -35,7 +35,7 @@ pub struct Recorder {
 
 impl Recorder {
     /// Creates the file, writes header and policy, and starts the thread. `ticks` is the consumer of the
-    /// control thread's ring.
+    /// control thread's ring. A viewer sees each tick as the recorder takes it from the ring.
     ///
     /// # Errors
     /// [`RolloutWriter::create`] fails, or the thread cannot be started.
@@ -45,10 +45,15 @@ impl Recorder {
         header: RolloutHeader,
         policy: &[u8],
         ticks: rtrb::Consumer<TickRecord>,
+        viewer: Option<Arc<dyn Viewer>>,
     ) -> Result<Self, RecordingError> {
         let in_real_time = header.started_unix_ns.is_some();
+        let begins = viewer.as_ref().map(|_| header.clone());
         let writer = RolloutWriter::create(disk, path, header, policy)?;
-        Self::spawn(path, writer, ticks, in_real_time)
+        if let (Some(viewer), Some(header)) = (&viewer, begins) {
+            viewer.begins(&header, start_unix_ns(&header));
+        }
+        Self::spawn(path, writer, ticks, in_real_time, viewer)
     }
 
     fn spawn<W: Sink + Send + 'static>(
@@ -56,6 +61,7 @@ impl Recorder {
         writer: RolloutWriter<W>,
         ticks: rtrb::Consumer<TickRecord>,
         in_real_time: bool,
+        viewer: Option<Arc<dyn Viewer>>,
     ) -> Result<Self, RecordingError> {
         let failed = Arc::new(AtomicBool::new(false));
         let (sender, receiver) = crossbeam_channel::bounded(1);
@@ -65,6 +71,7 @@ impl Recorder {
             outcome: receiver,
             failed: Arc::clone(&failed),
             in_real_time,
+            viewer,
         };
         let thread = Builder::new()
             .name("recorder".to_owned())
@@ -137,6 +144,7 @@ struct Worker<W: Sink> {
     outcome: Receiver<Closing>,
     failed: Arc<AtomicBool>,
     in_real_time: bool,
+    viewer: Option<Arc<dyn Viewer>>,
 }
 
 impl<W: Sink> Worker<W> {
@@ -151,6 +159,13 @@ impl<W: Sink> Worker<W> {
                 // Dropped, so that the bytes that the disk accepted are closed and synced now.
                 self.writer = None;
                 result = Err(error);
+            }
+            if let Some(viewer) = &self.viewer {
+                match &order {
+                    Ok((outcome, _)) => viewer.ended(Some(outcome)),
+                    Err(RecvTimeoutError::Disconnected) => viewer.ended(None),
+                    Err(RecvTimeoutError::Timeout) => {}
+                }
             }
             match order {
                 Ok((outcome, last_ticks)) => {
@@ -172,6 +187,9 @@ impl<W: Sink> Worker<W> {
     /// Writes the ticks in the ring, and flushes the open block when it is old.
     fn write_waiting(&mut self, block_opened: &mut Option<Instant>) -> Result<(), RecordingError> {
         while let Ok(tick) = self.ticks.pop() {
+            if let Some(viewer) = &self.viewer {
+                viewer.ticked(&tick);
+            }
             if let Some(writer) = &mut self.writer {
                 writer.write(&tick)?;
             }
@@ -228,7 +246,7 @@ mod tests {
         let disk = FullDisk { writes_left: 1 };
         let writer = RolloutWriter::begin(disk, path, header(), POLICY).unwrap();
         let (mut producer, consumer) = rtrb::RingBuffer::new(16);
-        let recorder = Recorder::spawn(path, writer, consumer, false).unwrap();
+        let recorder = Recorder::spawn(path, writer, consumer, false, None).unwrap();
         for number in 0..200 {
             while producer.is_full() {
                 std::thread::yield_now();

@@ -535,15 +535,51 @@ fn the_recorder_writes_what_comes_through_the_ring() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let (mut producer, consumer) = rtrb::RingBuffer::new(64);
-    let recorder = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer).unwrap();
+    let recorder = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, None).unwrap();
     for number in 0..33 {
         producer.push(tick(number)).unwrap();
     }
     assert_eq!(recorder.finish(outcome(), Vec::new()).unwrap(), path);
     assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(33)), "same bytes as in memory");
     let (_, consumer) = rtrb::RingBuffer::new(64);
-    let again = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer);
+    let again = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, None);
     assert!(matches!(again.err(), Some(RecordingError::Create { .. })), "never overwritten");
+}
+
+/// Notes what a viewer sees.
+#[derive(Debug, Default)]
+struct Noting(Mutex<Vec<String>>);
+
+impl Viewer for Noting {
+    fn begins(&self, header: &crate::telemetry::RolloutHeader, time_ns: u64) {
+        self.0.lock().unwrap().push(format!("{} at {time_ns}", header.policy));
+    }
+
+    fn ticked(&self, tick: &TickRecord) {
+        self.0.lock().unwrap().push(tick.tick.to_string());
+    }
+
+    fn ended(&self, outcome: Option<&crate::telemetry::RolloutOutcome>) {
+        self.0.lock().unwrap().push(format!("{:?}", outcome.map(|outcome| outcome.steps)));
+    }
+}
+
+#[test]
+fn a_viewer_sees_the_rollout_in_order_and_changes_no_byte() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    let (mut producer, consumer) = rtrb::RingBuffer::new(64);
+    let seen = Arc::new(Noting::default());
+    let viewer: Arc<dyn Viewer> = seen.clone();
+    let recorder =
+        Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, Some(viewer)).unwrap();
+    for number in 0..3 {
+        producer.push(tick(number)).unwrap();
+    }
+    recorder.finish(outcome(), Vec::new()).unwrap();
+    let begins = format!("nominal at {VIRTUAL_EPOCH_UNIX_NS}");
+    assert_eq!(*seen.0.lock().unwrap(), [&begins, "0", "1", "2", "Some(20)"]);
+    assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(3)), "same bytes as unseen");
 }
 
 #[test]
@@ -551,7 +587,7 @@ fn a_recorder_that_is_dropped_leaves_a_readable_recording() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let (mut producer, consumer) = rtrb::RingBuffer::new(64);
-    let recorder = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer).unwrap();
+    let recorder = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, None).unwrap();
     producer.push(tick(0)).unwrap();
     drop(recorder);
     let recording = read(&path).unwrap();

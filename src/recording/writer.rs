@@ -5,14 +5,9 @@ use std::path::{Path, PathBuf};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions};
-use schemars::generate::SchemaSettings;
-use schemars::{JsonSchema, Schema};
-use serde::Serialize;
 
-use super::scene::{self, FrameTransforms, SceneUpdate};
-use super::tick_messages::{
-    CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TimingMessage,
-};
+use super::channels::{Channel, encode_scene, encode_tick};
+use super::tick_messages::SafetyMessage;
 use super::{
     LAST_TICKS_ATTACHMENT, POLICY_ATTACHMENT, RecordingError, VIRTUAL_EPOCH_UNIX_NS, metadata,
 };
@@ -54,23 +49,14 @@ pub struct RolloutWriter<W: Sink> {
     path: PathBuf,
     /// `None` only once finished: dropping an `mcap::Writer` would close the file as if it were complete.
     mcap: Option<Mcap<W>>,
-    channels: Channels,
+    /// Numbers of the channels, in the order of [`Channel::ALL`].
+    channels: [u16; Channel::ALL.len()],
     header: RolloutHeader,
     /// Deadline of the first tick.
     origin_ns: Option<u64>,
     /// The last tick and its log time.
     last: (TickRecord, u64),
     ticks_in_block: u32,
-    json: Vec<u8>,
-}
-
-struct Channels {
-    measurement: u16,
-    state: u16,
-    command: u16,
-    safety: u16,
-    transforms: u16,
-    timing: u16,
 }
 
 /// Topics of the channels.
@@ -146,7 +132,7 @@ impl<W: Sink> RolloutWriter<W> {
             name: metadata::CLOCK.to_owned(),
             metadata: clock_fields(&header),
         })?;
-        let started_ns = header.started_unix_ns.unwrap_or(VIRTUAL_EPOCH_UNIX_NS);
+        let started_ns = start_unix_ns(&header);
         mcap.attach(&Attachment {
             log_time: started_ns,
             create_time: started_ns,
@@ -154,17 +140,14 @@ impl<W: Sink> RolloutWriter<W> {
             media_type: "application/octet-stream".to_owned(),
             data: policy.into(),
         })?;
-        let channels = Channels {
-            measurement: add_channel::<MeasurementMessage, W>(&mut mcap, topic::MEASUREMENT)?,
-            state: add_channel::<StateMessage, W>(&mut mcap, topic::STATE)?,
-            command: add_channel::<CommandMessage, W>(&mut mcap, topic::COMMAND)?,
-            safety: add_channel::<SafetyMessage, W>(&mut mcap, topic::SAFETY)?,
-            transforms: add_drawing(&mut mcap, topic::TRANSFORMS, &FrameTransforms::SCHEMA)?,
-            timing: add_channel::<TimingMessage, W>(&mut mcap, topic::TIMING)?,
-        };
-        let scene = add_drawing(&mut mcap, topic::SCENE, &SceneUpdate::SCHEMA)?;
+        let mut channels = [0; Channel::ALL.len()];
+        for (number, channel) in channels.iter_mut().zip(Channel::ALL) {
+            let schema = channel.schema();
+            let id = mcap.add_schema(&schema.name, schema.encoding, &schema.data)?;
+            *number =
+                mcap.add_channel(id, channel.topic(), schema.message_encoding, &BTreeMap::new())?;
+        }
         let last = (TickRecord::default(), started_ns);
-        let json = Vec::with_capacity(1024);
         let mut writer = Self {
             path,
             mcap: Some(mcap),
@@ -173,10 +156,9 @@ impl<W: Sink> RolloutWriter<W> {
             origin_ns: None,
             last,
             ticks_in_block: 0,
-            json,
         };
-        let plant = writer.header.settings.plant;
-        writer.bytes(scene, &SceneUpdate::new(&plant, started_ns).to_bytes())?;
+        let scene = encode_scene(&writer.header, started_ns);
+        writer.message(Channel::Scene, &scene)?;
         writer.close_block()?;
         Ok(writer)
     }
@@ -191,20 +173,14 @@ impl<W: Sink> RolloutWriter<W> {
 
     fn try_write(&mut self, tick: &TickRecord) -> Result<(), McapError> {
         let origin_ns = *self.origin_ns.get_or_insert(tick.deadline_ns);
-        let started_ns = self.header.started_unix_ns.unwrap_or(VIRTUAL_EPOCH_UNIX_NS);
+        let started_ns = start_unix_ns(&self.header);
         let log_time_ns = started_ns.saturating_add(tick.deadline_ns.saturating_sub(origin_ns));
         self.last = (*tick, log_time_ns);
-        if let Some(measurement) = &tick.measurement {
-            let message = MeasurementMessage::new(measurement, &self.header);
-            self.message(self.channels.measurement, &message)?;
-        }
-        self.message(self.channels.state, &StateMessage::new(&tick.state))?;
-        self.message(self.channels.command, &CommandMessage::new(tick))?;
-        self.message(self.channels.safety, &SafetyMessage::new(tick))?;
-        let transforms =
-            FrameTransforms::new(&self.header.settings.plant, &tick.state, log_time_ns);
-        self.bytes(self.channels.transforms, &transforms.to_bytes())?;
-        self.message(self.channels.timing, &TimingMessage::new(tick))?;
+        let mcap = self.mcap.as_mut().ok_or_else(closed)?;
+        encode_tick(&self.header, tick, log_time_ns, &mut |channel, message| {
+            let header = message_header(self.channels[channel as usize], &self.last);
+            mcap.write_to_known_channel(&header, message).map_err(io_error)
+        })?;
         self.ticks_in_block += 1;
         if self.ticks_in_block >= TICKS_PER_BLOCK {
             self.close_block()?;
@@ -298,7 +274,8 @@ impl<W: Sink> RolloutWriter<W> {
         ending: Option<SafetyMessage>,
     ) -> Result<W, io::Error> {
         if let Some(ending) = ending {
-            self.message(self.channels.safety, &ending).map_err(io_error)?;
+            let ending = serde_json::to_vec(&ending)?;
+            self.message(Channel::Safety, &ending).map_err(io_error)?;
         }
         self.close_block().map_err(io_error)?;
         let Some(mut mcap) = self.mcap.take() else { return Err(closed()) };
@@ -312,25 +289,9 @@ impl<W: Sink> RolloutWriter<W> {
         Ok(sink)
     }
 
-    fn message<T: Serialize>(&mut self, channel_id: u16, message: &T) -> Result<(), McapError> {
-        let mut json = std::mem::take(&mut self.json);
-        json.clear();
-        serde_json::to_writer(&mut json, message).map_err(io::Error::from)?;
-        let written = self.bytes(channel_id, &json);
-        self.json = json;
-        written
-    }
-
-    fn bytes(&mut self, channel_id: u16, message: &[u8]) -> Result<(), McapError> {
-        let (tick, log_time) = (&self.last.0, self.last.1);
-        let header = MessageHeader {
-            channel_id,
-            sequence: tick.tick,
-            log_time,
-            publish_time: log_time.saturating_add(tick.lateness_ns),
-        };
-        let mcap = self.mcap.as_mut().ok_or_else(closed)?;
-        mcap.write_to_known_channel(&header, message)
+    fn message(&mut self, channel: Channel, message: &[u8]) -> Result<(), McapError> {
+        let header = message_header(self.channels[channel as usize], &self.last);
+        self.mcap.as_mut().ok_or_else(closed)?.write_to_known_channel(&header, message)
     }
 
     fn close_block(&mut self) -> Result<(), McapError> {
@@ -351,38 +312,27 @@ impl<W: Sink> Drop for RolloutWriter<W> {
     }
 }
 
-fn add_channel<T: JsonSchema, W: Sink>(mcap: &mut Mcap<W>, topic: &str) -> Result<u16, McapError> {
-    let schema = schema_of::<T>();
-    let name = schema.get("title").and_then(|title| title.as_str()).unwrap_or(topic);
-    let id = mcap.add_schema(name, "jsonschema", schema.as_value().to_string().as_bytes())?;
-    mcap.add_channel(id, topic, "json", &BTreeMap::new())
+/// The header of a message of the last tick, which has this log time.
+fn message_header(channel_id: u16, (tick, log_time): &(TickRecord, u64)) -> MessageHeader {
+    MessageHeader {
+        channel_id,
+        sequence: tick.tick,
+        log_time: *log_time,
+        publish_time: log_time.saturating_add(tick.lateness_ns),
+    }
 }
 
-/// Adds a channel that viewers draw.
-fn add_drawing<W: Sink>(
-    mcap: &mut Mcap<W>,
-    topic: &str,
-    schema: &scene::Schema,
-) -> Result<u16, McapError> {
-    let id = mcap.add_schema(schema.name, "protobuf", schema.descriptors)?;
-    mcap.add_channel(id, topic, "protobuf", &BTreeMap::new())
+/// The time from which a recording's times count, ns since 1970.
+pub(super) fn start_unix_ns(header: &RolloutHeader) -> u64 {
+    header.started_unix_ns.unwrap_or(VIRTUAL_EPOCH_UNIX_NS)
 }
 
 /// The clock of a recording's times, for readers of any program.
 fn clock_fields(header: &RolloutHeader) -> BTreeMap<String, String> {
-    let (clock, epoch_unix_ns) = match header.started_unix_ns {
-        Some(started_ns) => ("wall", started_ns),
-        None => ("virtual", VIRTUAL_EPOCH_UNIX_NS),
-    };
-    let fields = [("clock", clock.to_owned()), ("epoch_unix_ns", epoch_unix_ns.to_string())];
+    let clock = if header.started_unix_ns.is_some() { "wall" } else { "virtual" };
+    let epoch_unix_ns = start_unix_ns(header).to_string();
+    let fields = [("clock", clock.to_owned()), ("epoch_unix_ns", epoch_unix_ns)];
     fields.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
-}
-
-fn schema_of<T: JsonSchema>() -> Schema {
-    SchemaSettings::draft07()
-        .with(|settings| settings.inline_subschemas = true)
-        .into_generator()
-        .into_root_schema_for::<T>()
 }
 
 fn closed() -> io::Error {

@@ -15,6 +15,7 @@ use crate::preflight::{
     homing_left_out, measure_link, not_homed,
 };
 use crate::qube::PlantModel;
+use crate::recording::Viewer;
 use crate::safety::{HardwareLimits, IdentifiedQube, MotorHeat};
 use crate::telemetry::{CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight};
 
@@ -43,6 +44,8 @@ pub struct Rig {
     pub(super) foresight_time_us: f64,
     /// Model that the guard uses, until a rollout contradicts it.
     pub(super) identified: Cell<Option<IdentifiedQube>>,
+    /// Viewer of rollouts while they are recorded.
+    pub(super) viewer: Option<Arc<dyn Viewer>>,
     /// Fault that ended the last motion, until the Qube is homed again.
     pub(super) last_fault: Cell<Option<Fault>>,
     /// Emulator, served until the rig is closed; dropped after the control thread.
@@ -137,6 +140,7 @@ impl Rig {
             memory: settings.recovery.memory.clone(),
             foresight_time_us: if is_hardware { foresight_time_us() } else { 0.0 },
             identified: Cell::new(settings.identified()),
+            viewer: settings.viewer.clone(),
             last_fault: Cell::new(None),
             _emulator: emulator,
         })

@@ -155,7 +155,8 @@ impl Rig {
             ..header
         };
         let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
-        let recorder = Recorder::start(disk, path, header, policy_file, consumer)?;
+        let recorder =
+            Recorder::start(disk, path, header, policy_file, consumer, self.viewer.clone())?;
         let report = match self.control.rollout(settings, controller, producer)? {
             Ok(report) => with_last_answer(report, last_v),
             Err(error) => {

@@ -6,6 +6,7 @@ use crate::control::HomingSettings;
 use crate::device::emulator::EmulatorSettings;
 use crate::device::{Device, DeviceError, HilAddress, NotAnAddress};
 use crate::qube::{PlantModel, Profile};
+use crate::recording::Viewer;
 use crate::safety::{Guard, HardwareLimits, IdentifiedQube};
 
 /// Time for which a lost link is retried, s.
@@ -113,6 +114,8 @@ pub struct RigSettings {
     pub limits: HardwareLimits,
     /// Reaction to faults.
     pub recovery: Recovery,
+    /// Viewer of rollouts while they are recorded.
+    pub viewer: Option<Arc<dyn Viewer>>,
 }
 
 /// The settings of the reaction to faults.
@@ -151,6 +154,7 @@ impl RigSettings {
             unidentified: false,
             limits: HardwareLimits::default(),
             recovery: Recovery::default(),
+            viewer: None,
         }
     }
 

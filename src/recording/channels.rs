@@ -1,0 +1,144 @@
+use std::io;
+
+use schemars::generate::SchemaSettings;
+use schemars::{JsonSchema, Schema};
+use serde::Serialize;
+
+use super::scene::{FrameTransforms, SceneUpdate};
+use super::tick_messages::{
+    CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TimingMessage,
+};
+use super::writer::topic;
+use crate::telemetry::{RolloutHeader, TickRecord};
+
+/// A channel of a recording, which live viewers get too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channel {
+    /// Reports of the board.
+    Measurement,
+    /// State that the policy saw.
+    State,
+    /// Voltages asked for and sent.
+    Command,
+    /// Phase, lost samples, stop requests, and the ending.
+    Safety,
+    /// Frames of arm and pendulum.
+    Transforms,
+    /// Deadlines and lateness; the last message of each tick, which completes it.
+    Timing,
+    /// Bodies in the frames, once a rollout.
+    Scene,
+}
+
+/// The schema of a channel's messages, as MCAP and live viewers want it.
+#[derive(Clone, Debug)]
+pub struct ChannelSchema {
+    /// Encoding of the messages: `json` or `protobuf`.
+    pub message_encoding: &'static str,
+    /// Name of the schema.
+    pub name: String,
+    /// Encoding of the schema: `jsonschema` or `protobuf`.
+    pub encoding: &'static str,
+    /// The schema: a text, or a serialised set of descriptors.
+    pub data: Vec<u8>,
+}
+
+impl Channel {
+    /// All channels, in the order of their declaration in a recording.
+    pub const ALL: [Self; 7] = [
+        Self::Measurement,
+        Self::State,
+        Self::Command,
+        Self::Safety,
+        Self::Transforms,
+        Self::Timing,
+        Self::Scene,
+    ];
+
+    /// Name of the channel.
+    #[must_use]
+    pub const fn topic(self) -> &'static str {
+        match self {
+            Self::Measurement => topic::MEASUREMENT,
+            Self::State => topic::STATE,
+            Self::Command => topic::COMMAND,
+            Self::Safety => topic::SAFETY,
+            Self::Transforms => topic::TRANSFORMS,
+            Self::Timing => topic::TIMING,
+            Self::Scene => topic::SCENE,
+        }
+    }
+
+    /// Schema of the channel's messages.
+    #[must_use]
+    pub fn schema(self) -> ChannelSchema {
+        match self {
+            Self::Measurement => json_schema::<MeasurementMessage>(),
+            Self::State => json_schema::<StateMessage>(),
+            Self::Command => json_schema::<CommandMessage>(),
+            Self::Safety => json_schema::<SafetyMessage>(),
+            Self::Timing => json_schema::<TimingMessage>(),
+            Self::Transforms => drawing(&FrameTransforms::SCHEMA),
+            Self::Scene => drawing(&SceneUpdate::SCHEMA),
+        }
+    }
+}
+
+fn drawing(schema: &super::scene::Schema) -> ChannelSchema {
+    ChannelSchema {
+        message_encoding: "protobuf",
+        name: schema.name.to_owned(),
+        encoding: "protobuf",
+        data: schema.descriptors.to_vec(),
+    }
+}
+
+fn json_schema<T: JsonSchema>() -> ChannelSchema {
+    let schema: Schema = SchemaSettings::draft07()
+        .with(|settings| settings.inline_subschemas = true)
+        .into_generator()
+        .into_root_schema_for::<T>();
+    let title = schema.get("title").and_then(|title| title.as_str()).unwrap_or_default();
+    ChannelSchema {
+        message_encoding: "json",
+        name: title.to_owned(),
+        encoding: "jsonschema",
+        data: schema.as_value().to_string().into_bytes(),
+    }
+}
+
+/// Encodes the messages of one tick and hands each to `take`, the last one that of [`Channel::Timing`]. `time_ns` is the
+/// time of the tick since 1970.
+///
+/// # Errors
+/// `take` fails.
+pub fn encode_tick(
+    header: &RolloutHeader,
+    tick: &TickRecord,
+    time_ns: u64,
+    take: &mut dyn FnMut(Channel, &[u8]) -> io::Result<()>,
+) -> io::Result<()> {
+    let mut buffer = Vec::with_capacity(512);
+    if let Some(measurement) = &tick.measurement {
+        let message = MeasurementMessage::new(measurement, header);
+        take(Channel::Measurement, json(&mut buffer, &message)?)?;
+    }
+    take(Channel::State, json(&mut buffer, &StateMessage::new(&tick.state))?)?;
+    take(Channel::Command, json(&mut buffer, &CommandMessage::new(tick))?)?;
+    take(Channel::Safety, json(&mut buffer, &SafetyMessage::new(tick))?)?;
+    let transforms = FrameTransforms::new(&header.settings.plant, &tick.state, time_ns);
+    take(Channel::Transforms, &transforms.to_bytes())?;
+    take(Channel::Timing, json(&mut buffer, &TimingMessage::new(tick))?)
+}
+
+/// The message of [`Channel::Scene`] for a rollout.
+#[must_use]
+pub fn encode_scene(header: &RolloutHeader, time_ns: u64) -> Vec<u8> {
+    SceneUpdate::new(&header.settings.plant, time_ns).to_bytes()
+}
+
+fn json<'a, T: Serialize>(buffer: &'a mut Vec<u8>, message: &T) -> io::Result<&'a [u8]> {
+    buffer.clear();
+    serde_json::to_writer(&mut *buffer, message)?;
+    Ok(buffer)
+}
