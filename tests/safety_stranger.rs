@@ -2,13 +2,15 @@
 //! every run of the tests.
 //!
 //! `cargo run --release --example strangers_adversary` searches at full size. This search has no
-//! mishaps on the link; with lost samples an arm can still reach its stop.
+//! mishaps on the link; one episode with lost samples, in which the arm once reached its stop, is repeated.
 
 #[path = "stranger/mod.rs"]
 mod stranger;
 
 use qube_hil::safety::Guard;
-use stranger::{Effort, Hunt, Known, Method};
+use qube_hil::telemetry::TickRules;
+use serde::Deserialize;
+use stranger::{Effort, Hunt, Known, Method, Scenario};
 
 /// Far fewer episodes than in the example.
 const EFFORT: Effort = Effort { generations: 3, population: 16 };
@@ -52,4 +54,24 @@ fn an_episode_repeats_bit_for_bit() {
     assert_eq!(trace.outcome, farthest.outcome);
     assert!(trace.lines.len() > 30 && trace.told.contains("zero off by"));
     assert!(stranger::summary(&[record]).contains("48 episodes"));
+}
+
+/// An episode that a search has found.
+#[derive(Deserialize)]
+struct Episode {
+    scenario: Scenario,
+    genes: Vec<f64>,
+}
+
+/// Three samples are lost twice within 0.1 s while the brake rings on the strongest motor with the lightest arm.
+#[test]
+fn samples_that_are_lost_twice_while_the_brake_rings_do_not_throw_the_arm_into_its_stop() {
+    let text = include_str!("fixtures/samples_lost_twice_while_the_brake_rings.json");
+    let Episode { scenario, genes } = serde_json::from_str(text).unwrap();
+    let hunt =
+        Hunt { seed: 3076, known: Known::Unknown, method: Method::Ce, guard: Guard::Foresight };
+    let untried = hunt.play_by(TickRules::Yielding, &scenario, &genes);
+    assert!(untried.is_hit(), "a brake whose voltages are not tried: {untried:?}");
+    let tried = hunt.play_by(TickRules::NEWEST, &scenario, &genes);
+    assert!(!tried.is_hit() && tried.farthest_rad < 2.2, "{tried:?}");
 }

@@ -30,6 +30,10 @@ const STOPS_MEASURED_WITHIN_RAD: f64 = 0.02;
 /// Ticks below that velocity after which the arm counts as stopped.
 const STOPPED_TICKS: u32 = 3;
 
+/// Shares of the brake's voltage that foresight tries in turn. After lost samples the arm may move against its
+/// estimated velocity already, hence the last one.
+const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
+
 /// Velocity at the end of braking above which the arm does not obey the motor, rad/s.
 const RUNAWAY_RAD_S: f64 = 5.0;
 
@@ -62,6 +66,8 @@ pub struct Tick<C = Policy> {
     brake: Brake,
     /// Whether the brake uses the arm's velocity alone, because the arm's count is doubted.
     damps: bool,
+    /// Control periods since the last sample.
+    periods_without_sample: u32,
     /// Last voltages sent, newest first, V; some may not have reached the motor yet.
     sent_v: [f32; MAX_HISTORY],
     /// Ending of the rollout.
@@ -111,6 +117,7 @@ impl<C: Controller> Tick<C> {
             foreseen: None,
             brake: brake_of(settings, false),
             damps: false,
+            periods_without_sample: 0,
             sent_v: [0.0; MAX_HISTORY],
             reason: Ending::Completed,
             estimates: Estimates::default(),
@@ -227,8 +234,24 @@ impl<C: Controller> Tick<C> {
                 let theta = self.estimates.guarded.theta;
                 self.asking.as_mut().map_or(wanted_v, |asking| asking.voltage_v(wanted_v, theta))
             }
-            Phase::Braking => self.brake.voltage_v(&self.estimates.guarded),
+            Phase::Braking => self.braking_voltage(),
         }
+    }
+
+    /// The voltage of the brake, or another share of it where foresight finds that the brake's own, held while
+    /// samples are lost, would drive some particle's arm into its stop: a firm brake throws a light arm back.
+    /// Where no share passes, it is the brake's own.
+    fn braking_voltage(&mut self) -> f64 {
+        let wanted_v = self.brake.voltage_v(&self.estimates.guarded);
+        if self.settings.rules < TickRules::Tried || self.damps {
+            return wanted_v;
+        }
+        let largest_v = self.settings.plant.limits.largest_voltage_v;
+        let passes = |share: &f64| {
+            clamp_to_mv(share * wanted_v, largest_v)
+                .is_ok_and(|voltage_mv| self.too_late_for(voltage_mv).is_none())
+        };
+        BRAKE_SHARES.into_iter().find(passes).unwrap_or(1.0) * wanted_v
     }
 
     /// The alarm for an arm that has not responded to a push that moves any arm.
@@ -299,6 +322,7 @@ fn brake_of(settings: &TickSettings, damps: bool) -> Brake {
 impl<C: Controller> Motion for Tick<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.periods_in_phase += input.skipped_periods;
+        self.periods_without_sample += 1 + input.skipped_periods;
         self.tell_policy_what_was_applied(input.skipped_periods);
         self.remember_sent(input.skipped_periods);
 
@@ -338,6 +362,12 @@ impl<C: Controller> Motion for Tick<C> {
             return self.output();
         };
         self.estimates = self.estimator.update(measurement);
+        let periods = std::mem::take(&mut self.periods_without_sample);
+        if self.settings.rules >= TickRules::Tried
+            && let Some(foresight) = &mut self.foresight
+        {
+            foresight.sampled_after(periods);
+        }
         let unpredicted = self.contradicts_profile(measurement.device_time_us);
 
         // Guard: change the phase if the state demands it. A brake that has just begun may find the
@@ -361,7 +391,7 @@ impl<C: Controller> Motion for Tick<C> {
             Ok(voltage_mv) => voltage_mv,
             Err(_) => {
                 self.take(ControlEvent::BrakeFault, Ending::Fault(Fault::NotANumber));
-                wanted_v = self.brake.voltage_v(&self.estimates.guarded);
+                wanted_v = self.braking_voltage();
                 clamp_to_mv(wanted_v, largest_v).unwrap_or(0)
             }
         };
@@ -375,7 +405,7 @@ impl<C: Controller> Motion for Tick<C> {
                 self.foreseen = Some(foreseen);
                 self.take(ControlEvent::LimitLeft, Ending::LeftBox(Limit::Foresight));
             }
-            wanted_v = self.brake.voltage_v(&self.estimates.guarded);
+            wanted_v = self.braking_voltage();
             self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
         }
         self.estimator.send(f64::from(self.voltage_mv) / 1000.0);

@@ -57,6 +57,16 @@ impl TrustedForesight {
         Self { any: self.any.at_level(level), identified }
     }
 
+    /// Sets the number of control periods between the last two samples for both beliefs;
+    /// [`Foresight::sampled_after`] says why.
+    pub fn sampled_after(&mut self, periods: u32) {
+        self.any.sampled_after(periods);
+        if let Some(Identified { foresight, prediction, .. }) = &mut self.identified {
+            foresight.sampled_after(periods);
+            prediction.sampled_after(periods);
+        }
+    }
+
     /// Takes the estimated state of a sample, its device time and the commands before it (V, newest
     /// first). Returns whether the motion contradicts every particle of a deciding profile.
     #[must_use]

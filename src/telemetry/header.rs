@@ -51,11 +51,14 @@ pub enum TickRules {
     /// As [`Damped`](Self::Damped); in addition, a brake that rings loses gain, and an arm whose count
     /// is in doubt is damped while it settles, too.
     Yielding,
+    /// As [`Yielding`](Self::Yielding); in addition, foresight tries each voltage of the brake, and knows how old a
+    /// velocity is after lost samples.
+    Tried,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::Yielding;
+    pub const NEWEST: Self = Self::Tried;
 }
 
 /// The record that precedes a rollout.

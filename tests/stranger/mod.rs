@@ -22,4 +22,6 @@ mod search;
 pub use beliefs::Known;
 pub use optimiser::Method;
 pub use report::{SearchRecord, summary};
+#[allow(unused_imports, reason = "the example reads no scenario")]
+pub use scenario::Scenario;
 pub use search::{Effort, Hunt};

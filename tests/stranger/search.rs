@@ -1,6 +1,7 @@
 use std::collections::BTreeMap;
 
 use qube_hil::safety::Guard;
+use qube_hil::telemetry::{TickRules, TickSettings};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
@@ -60,6 +61,13 @@ impl Hunt {
             optimiser.tell(&best_first);
         }
         record
+    }
+
+    /// Plays the episode of these genes by other rules of the tick.
+    #[allow(dead_code, reason = "the example plays by the newest rules alone")]
+    pub fn play_by(&self, rules: TickRules, scenario: &Scenario, genes: &[f64]) -> Outcome {
+        let settings = TickSettings { rules, ..settings(scenario, self.guard) };
+        play(scenario, &settings, genes)
     }
 
     /// Repeats an episode of a record, with a line for each tick.

@@ -39,6 +39,8 @@ pub struct Foresight<B> {
     ends: Ends,
     reach: Reach,
     filter: FilterGains<f32>,
+    /// Age of the estimated velocities, s.
+    lag_s: f32,
     /// Number of particles, without the copies that fill the last group.
     count: usize,
     particles: Vec<ParticleLanes>,
@@ -128,7 +130,8 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         let seen = vec![State::all(&at_rest); qubes.len()];
         let filter = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S).cast();
         let level = Level::best();
-        Self { brake, ends, reach, filter, count, particles, qubes, seen, level }
+        let lag_s = lag_s(&filter, 1);
+        Self { brake, ends, reach, filter, lag_s, count, particles, qubes, seen, level }
     }
 
     /// Uses this instruction set instead of the best one, for comparisons.
@@ -136,6 +139,12 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     pub fn at_level(mut self, level: Level) -> Self {
         self.level = level;
         self
+    }
+
+    /// Sets the number of control periods between the last two samples, which is 1 unless samples were lost.
+    /// Estimated velocities are differences of angles, so they are older where more samples were lost.
+    pub fn sampled_after(&mut self, periods: u32) {
+        self.lag_s = lag_s(&self.filter, periods);
     }
 
     /// Follows every arm to the horizon, for tests of the shortcut.
@@ -165,6 +174,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
             ends: self.ends,
             reach: self.reach,
             filter: &self.filter,
+            lag_s: self.lag_s,
             count: self.count,
             particles: &self.particles,
             qubes: &mut self.qubes,
@@ -229,6 +239,7 @@ struct Trial<'a, B> {
     ends: Ends,
     reach: Reach,
     filter: &'a FilterGains<f32>,
+    lag_s: f32,
     count: usize,
     particles: &'a [ParticleLanes],
     qubes: &'a mut [QubeLanes],
@@ -244,7 +255,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> Outlook {
         let Self { brake, ends, reach, filter, count, particles, qubes, seen, .. } = self;
-        let Self { state, sent_v, voltage_v, .. } = self;
+        let Self { lag_s, state, sent_v, voltage_v, .. } = self;
         let (groups, _) = qubes.as_chunks_mut::<GROUP>();
         let (seen_groups, _) = seen.as_chunks_mut::<GROUP>();
         let (particle_groups, _) = particles.as_chunks::<GROUP>();
@@ -255,7 +266,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
             for block in 0..GROUP {
                 let first_v = particles[block].arriving(&[voltage_v; BLOCK]);
                 seen[block] = State::all(&state);
-                resume(&mut qubes[block], &particles[block], &state, &sent_v, &first_v, filter);
+                resume(&mut qubes[block], &particles[block], &state, &sent_v, &first_v, lag_s);
                 narrow(&mut rooms[block], &qubes[block], &ends);
             }
             let mut over = [false; GROUP];
@@ -311,7 +322,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
 
 /// Starts a block from the estimated state plus each particle's error, with the last commands on their way.
 ///
-/// An estimated velocity is older than its angle by the filter's lag. Each particle's acceleration under the
+/// An estimated velocity is older than its angle by `lag_s`. Each particle's acceleration under the
 /// voltage that its motor had brings the velocity up to date.
 #[inline(always)]
 fn resume(
@@ -320,7 +331,7 @@ fn resume(
     state: &State<f32>,
     sent_v: &[f32; MAX_HISTORY],
     first_v: &Lanes,
-    filter: &FilterGains<f32>,
+    lag_s: f32,
 ) {
     let mut states = particles.error;
     for lane in 0..BLOCK {
@@ -333,12 +344,23 @@ fn resume(
     qubes.resume(&states, &arrived_v);
     qubes.begin_period(first_v);
     let (theta_dot_dot, alpha_dot_dot) = qubes.accelerations_before();
-    // The difference of two angles lags half a period; the filter's memory of earlier ones adds the rest.
-    let lag_s = CONTROL_PERIOD_S as f32 * (0.5 + filter.decay / (1.0 - filter.decay));
     for lane in 0..BLOCK {
         qubes.state.theta_dot[lane] += lag_s * theta_dot_dot[lane];
         qubes.state.alpha_dot[lane] += lag_s * alpha_dot_dot[lane];
     }
+}
+
+/// The age of an estimated velocity, s, when the last two samples are this many control periods apart and those
+/// before them one period.
+///
+/// The difference of two angles lags half the time between them; the filter's memory of earlier ones adds the rest.
+fn lag_s(filter: &FilterGains<f32>, periods: u32) -> f32 {
+    let regular_s = CONTROL_PERIOD_S as f32 * (0.5 + filter.decay / (1.0 - filter.decay));
+    if periods <= 1 {
+        return regular_s;
+    }
+    let half_s = 0.5 * CONTROL_PERIOD_S as f32 * periods as f32;
+    half_s + filter.decay.powi(periods.min(100) as i32) * (half_s + regular_s)
 }
 
 /// Updates the states that the estimator shows of a block after a period.

@@ -3,7 +3,7 @@
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
 )]
 
-use super::{Foresight, ParticleLanes, resume};
+use super::{Foresight, ParticleLanes, lag_s, resume};
 use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
 use crate::estimation::FilterGains;
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, MAX_HISTORY, QubeLanes, SUBSTEPS, State};
@@ -30,6 +30,8 @@ pub struct Prediction {
     particles: Vec<ParticleLanes>,
     qubes: Vec<QubeLanes>,
     filter: FilterGains<f32>,
+    /// Age of the estimated velocities, s.
+    lag_s: f32,
     level: Level,
     /// The current run of the particles; `None` before the first sample.
     run: Option<Run>,
@@ -53,9 +55,14 @@ impl Prediction {
     /// Predicts with the particles of a foresight.
     #[must_use]
     pub fn of<B>(foresight: &Foresight<B>) -> Self {
-        let Foresight { particles, qubes, filter, level, .. } = foresight;
+        let Foresight { particles, qubes, filter, lag_s, level, .. } = foresight;
         let (particles, qubes) = (particles.clone(), qubes.clone());
-        Self { particles, qubes, filter: *filter, level: *level, run: None }
+        Self { particles, qubes, filter: *filter, lag_s: *lag_s, level: *level, run: None }
+    }
+
+    /// Sets the number of control periods between the last two samples, as [`Foresight::sampled_after`] does.
+    pub fn sampled_after(&mut self, periods: u32) {
+        self.lag_s = lag_s(&self.filter, periods);
     }
 
     /// Restarts the particles at the next sample, because its angles may be counted from another zero.
@@ -93,8 +100,8 @@ impl Prediction {
                 && lies(state.alpha, state.alpha_dot, spread.alpha)
         });
         if !kept || self.run.is_none_or(|run| run.periods >= WINDOW_PERIODS) {
-            let Self { particles, qubes, filter, level, .. } = &mut *self;
-            let begin = Begin { particles, qubes, filter, state: state.cast(), sent_v };
+            let Self { particles, qubes, lag_s, level, .. } = &mut *self;
+            let begin = Begin { particles, qubes, lag_s: *lag_s, state: state.cast(), sent_v };
             dispatch_at(*level, begin);
             self.run = Some(Run { since_us: device_time_us, periods: 0 });
         }
@@ -106,7 +113,7 @@ impl Prediction {
 struct Begin<'a> {
     particles: &'a [ParticleLanes],
     qubes: &'a mut [QubeLanes],
-    filter: &'a FilterGains<f32>,
+    lag_s: f32,
     state: State<f32>,
     sent_v: &'a [f32; MAX_HISTORY],
 }
@@ -116,10 +123,10 @@ impl VectorKernel for Begin<'_> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
-        let Self { particles, qubes, filter, state, sent_v } = self;
+        let Self { particles, qubes, lag_s, state, sent_v } = self;
         for (qubes, particles) in qubes.iter_mut().zip(particles) {
             let first_v = particles.arriving(&[sent_v[0]; BLOCK]);
-            resume(qubes, particles, &state, sent_v, &first_v, filter);
+            resume(qubes, particles, &state, sent_v, &first_v, lag_s);
         }
     }
 }

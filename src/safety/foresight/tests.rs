@@ -164,6 +164,40 @@ fn it_agrees_with_a_simulation_of_each_particle_alone() {
     assert!(worst < 0.005, "{worst} rad");
 }
 
+/// Tests the velocity of an arm that has accelerated all along, by the estimate after three lost samples.
+#[test]
+fn a_velocity_is_brought_up_to_date_after_lost_samples() {
+    let particle = Particle::exact(QubeModel::NOMINAL);
+    let dynamics = NonidealDynamics::<f64>::new(&particle.model);
+    let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
+    let pushed_v = 5.0;
+    let at_rest = State { theta: 0.6, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+    let (mut state, mut shown, mut before_loss) = (at_rest, at_rest, at_rest);
+    for period in 1..=6 {
+        for _ in 0..FINE_STEPS {
+            let step_s = CONTROL_PERIOD_S / f64::from(FINE_STEPS);
+            state = runge_kutta_4(&dynamics, state, pushed_v, step_s);
+        }
+        shown = through_filters(&shown, state.theta, state.alpha, &gains);
+        if period == 2 {
+            before_loss = shown;
+        }
+    }
+    let four_periods = FilterGains::new(GUARD_CORNER_RAD_S, 4.0 * CONTROL_PERIOD_S);
+    let after_loss = through_filters(&before_loss, state.theta, state.alpha, &four_periods);
+    assert!(after_loss.theta_dot < shown.theta_dot - 1.0, "{after_loss:?}, {shown:?}");
+    let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, REACH);
+    let mut room_rad = |shown: &State, periods| {
+        foresight.sampled_after(periods);
+        let sent_v = [pushed_v as f32; MAX_HISTORY];
+        f64::from(foresight.look(&shown.cast(), &sent_v, 5.0).room_rad)
+    };
+    let true_rad = room_rad(&shown, 1);
+    let (stale_rad, mended_rad) = (room_rad(&after_loss, 1), room_rad(&after_loss, 4));
+    assert!((stale_rad - true_rad).abs() > 0.03, "{stale_rad} and {true_rad} rad");
+    assert!((mended_rad - true_rad).abs() < 0.01, "{mended_rad} and {true_rad} rad");
+}
+
 /// Looks for states that are accepted before the horizon and from which the arm reaches an end in 1.5 s,
 /// with as many Qubes at the corners of +-30 % as inside; gives how many are accepted early.
 fn search_for_hasty_acceptance(seed: u64, particles: u32) -> u32 {
