@@ -1,6 +1,9 @@
 """Recordings and sessions."""
 
+import csv
+
 import numpy as np
+import pyarrow.parquet
 import pytest
 from conftest import program
 
@@ -23,6 +26,24 @@ def test_a_recording_is_a_table_of_its_ticks(swing_up):
     wanted = np.clip(read["wanted_v"][running], -5.0, 5.0)
     assert np.nanmax(np.abs(wanted - read["voltage_v"][running])) < 0.0006
     assert read.header["policy"] == "classical"
+
+
+def test_a_parquet_table_has_the_numbers_of_the_recording(swing_up, tmp_path):
+    for format in ["csv", "parquet"]:
+        program("export", swing_up, "--out", tmp_path, "--format", format)
+    table = pyarrow.parquet.read_table(tmp_path / f"{swing_up.stem}.parquet")
+    read = qube_hil.recording(swing_up)
+    for column in ["theta_rad", "alpha_rad", "theta_dot_rad_s", "alpha_dot_rad_s", "voltage_v"]:
+        assert (table[column].to_numpy() == read[column]).all()
+    with (tmp_path / f"{swing_up.stem}.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert table.column_names == list(rows[0]) and table.num_rows == len(rows)
+    for name in table.column_names:
+        kind = float if str(table.schema.field(name).type) in ("double", "float") else int
+        expected = [kind(row[name]) if row[name] else None for row in rows]
+        if str(table.schema.field(name).type) == "float":
+            expected = [None if it is None else float(np.float32(it)) for it in expected]
+        assert table[name].to_pylist() == expected, name
 
 
 def test_a_damaged_recording_is_refused_and_a_cut_one_gives_what_is_there(swing_up, tmp_path):

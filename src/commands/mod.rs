@@ -28,6 +28,7 @@ mod keyboard;
 mod named_values;
 mod number_arguments;
 mod output;
+mod parquet_table;
 mod plant_arguments;
 mod plant_file;
 mod printable;

@@ -32,7 +32,7 @@ pub use error::{RecordingError, Unreadable};
 pub use reader::{Completeness, Recording, parse, read, read_on};
 pub use recorder::Recorder;
 pub use recover::{Recovered, recover};
-pub use table::{COLUMNS, csv_table};
+pub use table::{COLUMNS, Field, csv_table, table_rows};
 pub use viewer::Viewer;
 pub use writer::{RolloutWriter, Sink};
 

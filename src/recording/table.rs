@@ -3,7 +3,7 @@ use std::fmt::Write;
 use super::Recording;
 use crate::telemetry::{Phase, TickRecord};
 
-/// The columns of [`csv_table`], in order, with their units.
+/// The columns of a table, in order, with their units.
 pub const COLUMNS: [&str; 26] = [
     "tick",
     "time_s",
@@ -33,78 +33,90 @@ pub const COLUMNS: [&str; 26] = [
     "stop_requested",
 ];
 
-/// A recording as a table: a header with [`COLUMNS`] and a row for each tick, in numbers that read back exactly.
+/// One field of a table; `None` for a field without a value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Field {
+    /// A finite number.
+    Number(Option<f64>),
+    /// A finite number of single precision.
+    Single(Option<f32>),
+    /// A whole number of a signed quantity.
+    Whole(Option<i64>),
+    /// A count, a time or a flag.
+    Count(Option<u64>),
+}
+
+/// A row of a table for each tick of a recording, with a field for each of [`COLUMNS`]; a column's fields are of one kind.
 ///
 /// `theta_rad` to `alpha_dot_rad_s` are the estimated state that the policy saw, `voltage_v` is what was sent. The time
 /// counts by the host's clock from the first tick. `phase` is 0 while the arm settles, 1 under the policy, 2 in braking,
-/// because many tools read numbers alone. A field without a value is empty: the measurement of a tick whose sample did
-/// not come, the reward of a tick that is not the policy's, a number that is not finite.
+/// because many tools read numbers alone. A field without a value: the measurement of a tick whose sample did not come,
+/// the reward of a tick that is not the policy's, a number that is not finite.
+pub fn table_rows(recording: &Recording) -> impl Iterator<Item = [Field; COLUMNS.len()]> + '_ {
+    let first_ns = recording.ticks.first().map_or(0, |tick| tick.deadline_ns);
+    recording.ticks.iter().map(move |tick| row(recording, tick, first_ns))
+}
+
+/// A recording as a table in CSV: a header with [`COLUMNS`] and [`table_rows`], in numbers that read back exactly. A field
+/// without a value is empty.
 #[must_use]
 pub fn csv_table(recording: &Recording) -> String {
     let mut table = COLUMNS.join(",");
     table.push('\n');
-    let first_ns = recording.ticks.first().map_or(0, |tick| tick.deadline_ns);
-    for tick in &recording.ticks {
-        add_row(&mut table, recording, tick, first_ns);
+    for row in table_rows(recording) {
+        for (index, field) in row.into_iter().enumerate() {
+            if index > 0 {
+                table.push(',');
+            }
+            let _ = match field {
+                Field::Number(Some(value)) => write!(table, "{value}"),
+                Field::Single(Some(value)) => write!(table, "{value}"),
+                Field::Whole(Some(value)) => write!(table, "{value}"),
+                Field::Count(Some(value)) => write!(table, "{value}"),
+                _ => Ok(()),
+            };
+        }
+        table.push('\n');
     }
     table
 }
 
-fn add_row(table: &mut String, recording: &Recording, tick: &TickRecord, first_ns: u64) {
+fn row(recording: &Recording, tick: &TickRecord, first_ns: u64) -> [Field; COLUMNS.len()] {
     let header = &recording.header;
     let state = &tick.state;
-    let time_s = tick.deadline_ns.saturating_sub(first_ns) as f64 * 1e-9;
     let voltage_v = f64::from(tick.voltage_mv) / 1000.0;
     let is_running = tick.phase == Phase::Running;
-    let reward = is_running.then(|| header.reward.reward(state, voltage_v));
-    let _ = write!(table, "{},", tick.tick);
-    number(table, Some(time_s));
-    let _ = write!(table, "{},", tick.phase.number());
-    for value in [state.theta, state.alpha, state.theta_dot, state.alpha_dot, voltage_v] {
-        number(table, Some(value));
-    }
-    number(table, tick.wanted_v);
-    number(table, reward);
-    match &tick.measurement {
-        None => table.push_str(&",".repeat(11)),
-        Some(measurement) => {
-            let (theta_rad, alpha_rad) = header.settings.calibration.angles_rad(measurement);
-            number(table, Some(theta_rad));
-            number(table, Some(alpha_rad));
-            let _ = write!(
-                table,
-                "{},{},{},",
-                measurement.theta_counts, measurement.alpha_counts, measurement.tachometer_counts_s
-            );
-            match measurement.current_a.is_finite() {
-                true => drop(write!(table, "{},", measurement.current_a)),
-                false => table.push(','),
-            }
-            let _ = write!(table, "{},{},", measurement.applied_mv, measurement.device_time_us);
-            match measurement.sample_to_act_us {
-                Some(time_us) => drop(write!(table, "{time_us},")),
-                None => table.push(','),
-            }
-            let status = &measurement.status;
-            let _ =
-                write!(table, "{},{},", u8::from(status.armed), u8::from(status.emergency_stop));
-        }
-    }
-    let _ = writeln!(
-        table,
-        "{},{},{},{},{}",
-        tick.deadline_ns,
-        tick.lateness_ns,
-        tick.skipped_periods,
-        tick.turnaround_ns,
-        u8::from(tick.stop_requested)
-    );
-}
-
-/// Adds a field; empty for no value and for one that is not finite.
-fn number(table: &mut String, value: Option<f64>) {
-    match value.filter(|value| value.is_finite()) {
-        Some(value) => drop(write!(table, "{value},")),
-        None => table.push(','),
-    }
+    let measurement = tick.measurement.as_ref();
+    let angles_rad = measurement.map(|it| header.settings.calibration.angles_rad(it));
+    let number = |value: Option<f64>| Field::Number(value.filter(|value| value.is_finite()));
+    let whole = |value: Option<i32>| Field::Whole(value.map(i64::from));
+    let flag = |value: bool| Field::Count(Some(value.into()));
+    [
+        Field::Count(Some(tick.tick.into())),
+        number(Some(tick.deadline_ns.saturating_sub(first_ns) as f64 * 1e-9)),
+        Field::Count(Some(tick.phase.number().into())),
+        number(Some(state.theta)),
+        number(Some(state.alpha)),
+        number(Some(state.theta_dot)),
+        number(Some(state.alpha_dot)),
+        number(Some(voltage_v)),
+        number(tick.wanted_v),
+        number(is_running.then(|| header.reward.reward(state, voltage_v))),
+        number(angles_rad.map(|(theta_rad, _)| theta_rad)),
+        number(angles_rad.map(|(_, alpha_rad)| alpha_rad)),
+        whole(measurement.map(|it| it.theta_counts)),
+        whole(measurement.map(|it| it.alpha_counts)),
+        whole(measurement.map(|it| it.tachometer_counts_s)),
+        Field::Single(measurement.map(|it| it.current_a).filter(|it| it.is_finite())),
+        whole(measurement.map(|it| it.applied_mv.into())),
+        Field::Count(measurement.map(|it| it.device_time_us)),
+        Field::Count(measurement.and_then(|it| it.sample_to_act_us).map(Into::into)),
+        measurement.map_or(Field::Count(None), |it| flag(it.status.armed)),
+        measurement.map_or(Field::Count(None), |it| flag(it.status.emergency_stop)),
+        Field::Count(Some(tick.deadline_ns)),
+        Field::Count(Some(tick.lateness_ns)),
+        Field::Count(Some(tick.skipped_periods.into())),
+        Field::Count(Some(tick.turnaround_ns)),
+        flag(tick.stop_requested),
+    ]
 }
