@@ -27,7 +27,7 @@ fn everything_in_the_debian_package_exists_or_is_built_by_its_script() {
     let script = fs::read_to_string(root().join("scripts/deb")).unwrap();
     for (source, _) in assets() {
         let path = source.trim_end_matches("/*");
-        let is_built = source == "target/dist/qube-hil" || script.contains(&source);
+        let is_built = source == "target/dist/qube-hil" || script.contains(path);
         assert!(is_built || root().join(path).exists(), "{source} does not exist");
     }
     let scripts = manifest()["package"]["metadata"]["deb"]["maintainer-scripts"].clone();

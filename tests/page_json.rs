@@ -108,6 +108,10 @@ fn commands_print_the_fields_of_the_page() {
         &["import", model, "--action-scale", "5", "--out", "imported.safetensors"],
     );
     succeeds("`export`", &["export", "run/rollout-0.mcap"]);
+    succeeds("`config`", &["config", "print"]);
+    succeeds("`config`", &["config", "check", "small.toml"]);
+    succeeds("`completions`", &["completions", "bash"]);
+    succeeds("`manual`", &["manual"]);
     succeeds("`recover`", &["recover", "run/rollout-0.mcap"]);
     let whole = std::fs::read(directory.path().join("run/rollout-0.mcap")).unwrap();
     std::fs::write(directory.path().join("cut.mcap"), &whole[..whole.len() / 2]).unwrap();

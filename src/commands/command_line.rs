@@ -41,7 +41,7 @@ pub fn first_line(error: &clap::Error) -> String {
 }
 
 /// The commands; negative numbers count as values, because no option is a digit.
-fn command() -> Command {
+pub fn command() -> Command {
     CommandLine::command().mut_subcommands(|command| {
         command.mut_args(|argument| {
             let takes_values = argument.get_action().takes_values();

@@ -8,6 +8,8 @@ mod check_table;
 mod command_hints;
 mod command_line;
 mod comparison_table;
+mod completions;
+mod config;
 mod destination;
 mod device_arguments;
 mod doctor;
@@ -25,6 +27,7 @@ mod guard_argument;
 mod identify;
 mod import;
 mod keyboard;
+mod manual;
 mod named_values;
 mod number_arguments;
 mod output;
@@ -110,6 +113,9 @@ enum Command {
     Export(export::Arguments),
     Recover(recover::Arguments),
     Soak(soak::Arguments),
+    Config(config::Arguments),
+    Completions(completions::Arguments),
+    Manual(manual::Arguments),
 }
 
 /// Parses the command line, runs the command, and returns the exit code.
@@ -144,6 +150,9 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
         Command::Export(arguments) => export::run(&arguments, &output),
         Command::Recover(arguments) => recover::run(&arguments, &output),
         Command::Soak(arguments) => soak::run(arguments, &output),
+        Command::Config(arguments) => config::run(&arguments, &output),
+        Command::Completions(arguments) => completions::run(&arguments, &output),
+        Command::Manual(arguments) => manual::run(&arguments, &output),
     };
     match output.finish(outcome) {
         Ok(()) => 0,

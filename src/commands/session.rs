@@ -85,8 +85,8 @@ pub struct Arguments {
     #[arg(long, value_name = "true|false", num_args = 0..=1, default_missing_value = "true", conflicts_with = "resume")]
     baseline: Option<bool>,
 
-    /// TOML file whose entries override the preset; the session.toml in a session's folder shows every
-    /// entry
+    /// TOML file whose entries override the preset; `config print` explains every entry, `config check` checks a
+    /// file
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     config: Option<PathBuf>,
 
@@ -125,11 +125,21 @@ pub struct Arguments {
 
 /// The extent of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Preset {
+pub enum Preset {
     /// 6 initial candidates, 4 by the search, 2 rollouts each, training of half a minute
     Quick,
     /// 15 initial candidates, 10 by the search, 5 rollouts each, the published training budget
     Thesis,
+}
+
+impl Preset {
+    /// The settings of a session of this extent.
+    pub fn settings(self) -> SessionSettings {
+        match self {
+            Self::Quick => SessionSettings::quick(),
+            Self::Thesis => SessionSettings::thesis(),
+        }
+    }
 }
 
 /// How a session comes to its policy.
@@ -285,11 +295,7 @@ fn configured(
     consent: Option<GuardConsent>,
     device: &ChosenDevice,
 ) -> Result<SessionSettings, Failure> {
-    let preset = match arguments.preset {
-        Preset::Quick => SessionSettings::quick(),
-        Preset::Thesis => SessionSettings::thesis(),
-    };
-    let preset = preset.of_plant(&device.plant);
+    let preset = arguments.preset.settings().of_plant(&device.plant);
     let mut settings = match &arguments.config {
         Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
         None => preset,

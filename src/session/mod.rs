@@ -27,6 +27,8 @@ mod retired;
 mod seeds;
 mod settings;
 mod settings_check;
+mod settings_list;
+mod settings_words;
 mod state;
 mod view;
 
@@ -52,5 +54,6 @@ pub use report::{BestPolicy, SessionReport};
 pub use retired::{Retired, take_retired};
 pub use seeds::{SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, SessionSettings};
+pub use settings_list::{Difference, Setting};
 pub use state::{Candidate, Finished, Identification, SessionState};
 pub use view::{ScoredCandidate, SessionView};

@@ -1,0 +1,120 @@
+use std::path::PathBuf;
+
+use clap::Subcommand;
+use serde_json::json;
+use toml::Value;
+
+use super::exit::Failure;
+use super::output::Output;
+use super::session::Preset;
+use crate::session::{IdentificationSettings, SessionSettings};
+
+/// Explain the settings of a session, or check a file of them
+///
+/// `print` writes every setting with its default, unit, accepted values and meaning, as a file for `session --config`.
+/// A line that begins with # and no space is a setting that is absent by default. `check` reads files as `session
+/// --config` does: an error names line and key, and what a good file changes is listed.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    qube-hil config print > mine.toml          # every setting, to edit\n  \
+    qube-hil config check mine.toml            # before hours of work\n  \
+    qube-hil session --config mine.toml")]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// Print every setting with default, unit, accepted values and meaning
+    Print {
+        /// Extent whose defaults are printed
+        #[arg(long, value_enum, default_value_t = Preset::Quick)]
+        preset: Preset,
+    },
+    /// Check files of settings; exit code 2 and the line of the first error when one is bad
+    Check {
+        /// Files of settings (.toml)
+        #[arg(required = true, value_name = "FILE")]
+        files: Vec<PathBuf>,
+
+        /// Extent whose entries the files override
+        #[arg(long, value_enum, default_value_t = Preset::Quick)]
+        preset: Preset,
+    },
+}
+
+const HEAD: &str = "\
+# The settings of a session, each with its meaning, unit and accepted values. Keep only the lines that you change:
+# what a file does not name comes from the preset. Lines with # and no space are absent by default, with an example.
+# A plant other than the Qube is described in a file of its own (--plant).";
+
+/// Prints the settings or checks files of them.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    match &arguments.action {
+        Action::Print { preset } => print(*preset, output),
+        Action::Check { files, preset } => check(files, *preset, output),
+    }
+}
+
+fn print(preset: Preset, output: &Output) -> Result<(), Failure> {
+    let settings = match preset {
+        // As a session without arguments has them.
+        Preset::Quick => SessionSettings {
+            identification: Some(IdentificationSettings::DEFAULT),
+            ..preset.settings()
+        },
+        Preset::Thesis => preset.settings(),
+    };
+    let list = settings.list().map_err(Failure::failed)?;
+    let rows: Vec<_> = list
+        .iter()
+        .map(|setting| {
+            json!({
+                "key": setting.key,
+                "default": setting.default,
+                "unit": (!setting.unit.is_empty()).then_some(setting.unit),
+                "range": setting.range,
+                "meaning": setting.meaning,
+            })
+        })
+        .collect();
+    let text = settings.explained().map_err(Failure::failed)?;
+    output.print(&format!("{HEAD}\n\n{text}"), &json!({ "settings": rows }));
+    Ok(())
+}
+
+fn check(files: &[PathBuf], preset: Preset, output: &Output) -> Result<(), Failure> {
+    let defaults = preset.settings();
+    let (mut texts, mut rows) = (Vec::new(), Vec::new());
+    for file in files {
+        let settings = defaults.configured_by(file).map_err(Failure::usage)?;
+        let changes = settings.differences(&defaults).map_err(Failure::failed)?;
+        let shown = file.display().to_string();
+        let mut text = match changes.len() {
+            0 => format!("{shown}: good; it changes nothing"),
+            1 => format!("{shown}: good; it changes one setting"),
+            many => format!("{shown}: good; it changes {many} settings"),
+        };
+        for change in &changes {
+            let [value, default] = [&change.value, &change.default].map(told);
+            text += &format!("\n  {} = {value} (default {default})", change.key);
+        }
+        texts.push(text);
+        let changes: Vec<_> = changes
+            .into_iter()
+            .map(|it| json!({ "key": it.key, "value": it.value, "default": it.default }))
+            .collect();
+        rows.push(json!({ "file": shown, "changes": changes }));
+    }
+    output.print(&texts.join("\n"), &json!({ "files": rows }));
+    Ok(())
+}
+
+fn told(value: &Option<Value>) -> String {
+    match value {
+        None => "absent".into(),
+        Some(Value::Array(entries)) => format!("a list of {}", entries.len()),
+        Some(value) => value.to_string(),
+    }
+}

@@ -1,0 +1,454 @@
+//! The list of a session's settings, with meaning, unit, range and default, as a file that the program reads back.
+
+use std::fmt::Write;
+
+use toml::{Table, Value};
+
+use super::settings_words::words;
+use super::{ConfigurationError, IdentificationSettings, SessionSettings};
+use crate::device::emulator::Effects;
+use crate::estimation::{EstimatorSettings, ObserverSettings};
+use crate::qube::{DomainParameter, QubeModel};
+use crate::simulation::{Direction, ProfileSettings, SensorModel};
+
+/// One setting of a session.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setting {
+    /// Path of the key, as `extent.rollouts`.
+    pub key: String,
+    /// Default; `None` for a setting that is absent unless a file names it.
+    pub default: Option<Value>,
+    /// Value in TOML: the default, or an example of one that is absent.
+    pub shown: String,
+    /// Meaning in one line.
+    pub meaning: &'static str,
+    /// Unit; empty for a value without one.
+    pub unit: &'static str,
+    /// Accepted values in words, as the check of the settings describes them.
+    pub range: String,
+}
+
+/// A setting with another value than the default.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difference {
+    /// Path of the key.
+    pub key: String,
+    /// Value; `None` if it is absent.
+    pub value: Option<Value>,
+    /// Default; `None` if it is absent by default.
+    pub default: Option<Value>,
+}
+
+/// A line of the list.
+enum Line {
+    /// The header of a table, and whether the defaults have that table.
+    Header(String, bool),
+    Setting(Setting),
+}
+
+impl SessionSettings {
+    /// Every setting in the order of the file, with the values of these settings as defaults. A plant of one's own
+    /// (`training.simulation.plant`, `homing.signs.encoders`) is described in a file of its own.
+    ///
+    /// # Errors
+    /// A number has no TOML form.
+    pub fn list(&self) -> Result<Vec<Setting>, ConfigurationError> {
+        let settings = self.lines()?.into_iter().filter_map(|line| match line {
+            Line::Setting(setting) => Some(setting),
+            Line::Header(..) => None,
+        });
+        Ok(settings.collect())
+    }
+
+    /// These settings as a file in which each entry is explained; settings that are absent by default stand behind a
+    /// `#` without a space, with an example.
+    ///
+    /// # Errors
+    /// A number has no TOML form.
+    pub fn explained(&self) -> Result<String, ConfigurationError> {
+        let mut text = String::new();
+        let mut explained: Vec<String> = Vec::new();
+        for line in self.lines()? {
+            match line {
+                Line::Header(header, present) => {
+                    let mark = if present { "" } else { "#" };
+                    let _ = writeln!(text, "\n{mark}{header}");
+                }
+                Line::Setting(setting) => {
+                    let name = setting.key.rsplit('.').next().unwrap_or_default();
+                    if !explained.contains(&setting.key) {
+                        let _ = writeln!(text, "# {}", setting.explanation());
+                    }
+                    let mark = if setting.default.is_some() { "" } else { "#" };
+                    let _ = writeln!(text, "{mark}{name} = {}", setting.shown);
+                    explained.push(setting.key);
+                }
+            }
+        }
+        Ok(text)
+    }
+
+    /// The settings whose values differ between these and the defaults.
+    ///
+    /// # Errors
+    /// A number has no TOML form.
+    pub fn differences(&self, defaults: &Self) -> Result<Vec<Difference>, ConfigurationError> {
+        let (mut here, mut there) = (Vec::new(), Vec::new());
+        leaves("", Value::Table(Table::try_from(self)?), &mut here);
+        leaves("", Value::Table(Table::try_from(defaults)?), &mut there);
+        let value_in = |list: &[(String, Value)], key: &str| {
+            list.iter().find(|(other, _)| other == key).map(|(_, value)| value.clone())
+        };
+        let mut keys: Vec<&String> = here.iter().chain(&there).map(|(key, _)| key).collect();
+        keys.sort();
+        keys.dedup();
+        let rows = keys.into_iter().map(|key| Difference {
+            key: key.clone(),
+            value: value_in(&here, key),
+            default: value_in(&there, key),
+        });
+        Ok(rows.filter(|row| row.value != row.default).collect())
+    }
+
+    fn lines(&self) -> Result<Vec<Line>, ConfigurationError> {
+        let defaults = Table::try_from(self)?;
+        let fullest = self.with_everything();
+        let probed = Table::try_from(&fullest)?;
+        let text = toml::to_string(&fullest)?;
+        let mut lines = Vec::new();
+        let mut table: Vec<String> = Vec::new();
+        for line in text.lines().filter(|line| !line.is_empty()) {
+            if line.starts_with('[') {
+                let path = line.trim_matches(['[', ']']);
+                table = path.split('.').map(str::to_owned).collect();
+                lines.push(Line::Header(line.to_owned(), at(&defaults, &table).is_some()));
+            } else if let Some((name, shown)) = line.split_once(" = ") {
+                let mut path = table.clone();
+                path.push(name.to_owned());
+                let key = path.join(".");
+                let words = words(&key);
+                lines.push(Line::Setting(Setting {
+                    default: at(&defaults, &path).cloned(),
+                    shown: shown.to_owned(),
+                    meaning: words.map_or("", |words| words.meaning),
+                    unit: words.map_or("", |words| words.unit),
+                    range: range(&probed, &path),
+                    key,
+                }));
+            }
+        }
+        Ok(lines)
+    }
+
+    /// These settings with an example of each one that is absent.
+    fn with_everything(&self) -> Self {
+        let drifting = |mut model: QubeModel| {
+            if model.nonidealities.cable_drift_rad_per_min == 0.0 {
+                model.nonidealities.cable_drift_rad_per_min = 0.1;
+            }
+            model
+        };
+        let observing = |estimator: &EstimatorSettings| {
+            let observer = estimator.observer.unwrap_or(ObserverSettings::of(QubeModel::NOMINAL));
+            let model = drifting(observer.model);
+            EstimatorSettings {
+                observer: Some(ObserverSettings { model, ..observer }),
+                ..*estimator
+            }
+        };
+        let mut all = self.clone();
+        all.estimator = observing(&all.estimator);
+        all.homing.estimator = observing(&all.homing.estimator);
+        all.homing.travel_rad.get_or_insert(all.homing.expected_travel_rad());
+        all.identification.get_or_insert(IdentificationSettings::DEFAULT);
+        let of_lab =
+            ProfileSettings { model: QubeModel::NOMINAL, spread: 0.1, directions: Vec::new() };
+        let profile = all.profile.get_or_insert(of_lab);
+        profile.model = drifting(profile.model);
+        if profile.directions.is_empty() {
+            profile.directions =
+                vec![Direction::new(&[(DomainParameter::PendulumMass.into(), 0.001)])];
+        }
+        all.emulated.model = drifting(all.emulated.model);
+        let none_is = |value: &mut f64, example: f64| {
+            if *value == 0.0 {
+                *value = example;
+            }
+        };
+        none_is(&mut all.emulated.play_rad, 0.005);
+        let Effects {
+            presliding_rad,
+            stribeck,
+            hysteresis_n_m,
+            slack,
+            warming_per_w,
+            eccentricity_rad,
+        } = &mut all.emulated.effects;
+        none_is(presliding_rad, 0.01);
+        none_is(stribeck, 0.2);
+        none_is(hysteresis_n_m, 0.0001);
+        none_is(slack, 0.2);
+        none_is(warming_per_w, 0.02);
+        none_is(eccentricity_rad, 0.005);
+        all.extent.baseline = true;
+        all.preset.get_or_insert(self.preset());
+        all.training.target_return.get_or_insert(550.0);
+        let simulated = match &all.training.simulation.sensors {
+            SensorModel::Encoders { estimator } => *estimator,
+            SensorModel::TrueState => EstimatorSettings::default(),
+        };
+        all.training.simulation.sensors =
+            SensorModel::Encoders { estimator: observing(&simulated) };
+        all
+    }
+}
+
+impl Setting {
+    /// Meaning, unit and range in one line.
+    #[must_use]
+    pub fn explanation(&self) -> String {
+        let unit = if self.unit.is_empty() { String::new() } else { format!(", {}", self.unit) };
+        format!("{}{unit}: {}", self.meaning, self.range)
+    }
+}
+
+/// The value at a path; of an array of tables that of its first.
+fn at<'a>(table: &'a Table, path: &[String]) -> Option<&'a Value> {
+    let (name, below) = path.split_first()?;
+    let value = table.get(name)?;
+    let value = match value {
+        Value::Array(entries) if entries.iter().all(Value::is_table) && !below.is_empty() => {
+            entries.first()?
+        }
+        other => other,
+    };
+    if below.is_empty() { Some(value) } else { at(value.as_table()?, below) }
+}
+
+fn at_mut<'a>(table: &'a mut Table, path: &[String]) -> Option<&'a mut Value> {
+    let (name, below) = path.split_first()?;
+    let mut value = table.get_mut(name)?;
+    if below.is_empty() {
+        return Some(value);
+    }
+    if let Value::Array(entries) = value {
+        value = entries.first_mut()?;
+    }
+    at_mut(value.as_table_mut()?, below)
+}
+
+/// Every value that contains no others, with its key.
+fn leaves(key: &str, value: Value, found: &mut Vec<(String, Value)>) {
+    match value {
+        Value::Table(table) => {
+            for (name, value) in table {
+                let key = if key.is_empty() { name } else { format!("{key}.{name}") };
+                leaves(&key, value, found);
+            }
+        }
+        value => found.push((key.to_owned(), value)),
+    }
+}
+
+/// The accepted values in the words of the settings' own check, which is asked about values that cannot be right.
+fn range(settings: &Table, path: &[String]) -> String {
+    let Some(value) = at(settings, path) else { return String::new() };
+    let (trials, otherwise): (Vec<Value>, &str) = match value {
+        Value::Boolean(_) => return "true or false".into(),
+        Value::Integer(now) => {
+            let trials = [-1, 0, 65_535, 4_294_967_295, now + 1].map(Value::Integer);
+            (trials.into(), "a whole number")
+        }
+        Value::Float(_) => ([-1e300, 0.0, 1e300, f64::NAN].map(Value::Float).into(), "a number"),
+        Value::String(_) => return names(settings, path),
+        _ => return "a list".into(),
+    };
+    let key = path.join(".");
+    let mut ranges: Vec<String> = Vec::new();
+    for trial in trials {
+        let mut asked = settings.clone();
+        let Some(place) = at_mut(&mut asked, path) else { continue };
+        *place = trial;
+        let told = match asked.try_into::<SessionSettings>() {
+            Err(refused) => choices(refused.message()),
+            Ok(settings) => settings.check().err().and_then(|refused| bound(&refused, &key)),
+        };
+        if let Some(told) = told
+            && !ranges.contains(&told)
+        {
+            ranges.push(told);
+        }
+    }
+    if ranges.is_empty() { otherwise.into() } else { ranges.join("; ") }
+}
+
+/// The accepted names: those that the reader offers in place of an unknown one, and does not refuse.
+fn names(settings: &Table, path: &[String]) -> String {
+    let read = |name: &str| {
+        let mut asked = settings.clone();
+        if let Some(place) = at_mut(&mut asked, path) {
+            *place = Value::String(name.into());
+        }
+        asked.try_into::<SessionSettings>()
+    };
+    let Some(offered) = read("?").err().and_then(|refused| choices(refused.message())) else {
+        return "text".into();
+    };
+    let accepted = offered.split(", ").filter(|name| {
+        // Another variant may lack the fields that this one has.
+        read(name).map_or_else(|refused| !refused.message().contains(name), |_| true)
+    });
+    accepted.collect::<Vec<_>>().join(", ")
+}
+
+/// The names that an error offers in place of an unknown one.
+fn choices(refused: &str) -> Option<String> {
+    let (_, names) = refused.split_once("expected one of ").or_else(|| {
+        let (_, names) = refused.split_once("expected ")?;
+        names.starts_with('`').then_some(("", names))
+    })?;
+    Some(names.lines().next()?.replace("` or `", "`, `").replace('`', ""))
+}
+
+/// The range that an error of the check names for this key.
+fn bound(refused: &str, key: &str) -> Option<String> {
+    let (_, range) = refused.strip_prefix(key)?.split_once(": ")?;
+    let range = ["it must be ", "give a number ", "give "]
+        .iter()
+        .find_map(|words| range.strip_prefix(words))
+        .unwrap_or(range);
+    // The largest number that there is bounds nothing.
+    let bounded = range.split_once(" and up to ").filter(|(_, largest)| largest.len() > 24);
+    Some(bounded.map_or(range, |(above, _)| above).to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::path::Path;
+
+    use super::*;
+    use crate::learning::Preset;
+    use crate::session::retired::earlier_name;
+
+    /// The settings of a session without arguments.
+    fn of_a_session() -> SessionSettings {
+        let identification = Some(IdentificationSettings::DEFAULT);
+        SessionSettings { identification, ..SessionSettings::quick() }
+    }
+
+    fn read_back(text: &str) -> SessionSettings {
+        of_a_session().overridden_by_text(text, Path::new("printed.toml")).unwrap()
+    }
+
+    /// The list with every setting that is absent by default.
+    fn with_all(text: &str) -> String {
+        let lines = text.lines().map(|line| match line.strip_prefix('#') {
+            Some(setting) if !setting.starts_with(' ') => setting,
+            _ => line,
+        });
+        lines.collect::<Vec<_>>().join("\n")
+    }
+
+    #[test]
+    fn the_printed_list_reads_back_as_it_was() {
+        for settings in [of_a_session(), SessionSettings::quick(), SessionSettings::thesis()] {
+            let text = settings.explained().unwrap();
+            let again = settings.overridden_by_text(&text, Path::new("printed.toml")).unwrap();
+            assert_eq!(again, settings);
+            assert!(settings.differences(&again).unwrap().is_empty());
+        }
+        // With a target return the training is of no preset.
+        let everything =
+            SessionSettings { preset: Some(Preset::Custom), ..of_a_session().with_everything() };
+        assert_eq!(read_back(&with_all(&of_a_session().explained().unwrap())), everything);
+    }
+
+    /// The names that the program reads in a table: the reader lists them when it refuses an unknown one.
+    fn read_names(settings: &Table, table: &[String]) -> BTreeSet<String> {
+        let mut asked = settings.clone();
+        let unknown = ("unknown setting".to_owned(), Value::Boolean(true));
+        match table {
+            [] => drop(asked.insert(unknown.0, unknown.1)),
+            path => {
+                let mut place = at_mut(&mut asked, path).unwrap();
+                if let Value::Array(entries) = place {
+                    place = &mut entries[0];
+                }
+                drop(place.as_table_mut().unwrap().insert(unknown.0, unknown.1));
+            }
+        }
+        let refused = asked.try_into::<SessionSettings>().unwrap_err();
+        let names = choices(refused.message());
+        let names =
+            names.unwrap_or_else(|| panic!("[{}] lists no names: {refused}", table.join(".")));
+        names.split(", ").map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn no_setting_that_the_program_reads_is_missing() {
+        // Described in docs/reference/plants.md: a plant of one's own and its encoders.
+        const OF_PLANTS: [&str; 2] = ["plant", "encoders"];
+        let fullest = of_a_session().with_everything();
+        let table = Table::try_from(&fullest).unwrap();
+        let mut listed: Vec<Vec<String>> = Vec::new();
+        for line in of_a_session().lines().unwrap() {
+            let path = match line {
+                Line::Header(header, _) => header.trim_matches(['[', ']']).to_owned(),
+                Line::Setting(setting) => setting.key,
+            };
+            listed.push(path.split('.').map(str::to_owned).collect());
+        }
+        let mut tables: BTreeSet<Vec<String>> =
+            listed.iter().map(|path| path[..path.len() - 1].to_vec()).collect();
+        // The keys of a direction are quantities.
+        tables.remove(["profile", "directions"].map(str::to_owned).as_slice());
+        let mut compared = 0;
+        for path in tables {
+            let is_here =
+                |entry: &&Vec<String>| entry.len() > path.len() && entry.starts_with(&path);
+            let printed: BTreeSet<&String> =
+                listed.iter().filter(is_here).map(|entry| &entry[path.len()]).collect();
+            let earlier: Vec<_> = printed.iter().filter_map(|name| earlier_name(name)).collect();
+            for name in read_names(&table, &path) {
+                let is_known = printed.contains(&name)
+                    || earlier.contains(&name.as_str())
+                    || OF_PLANTS.contains(&name.as_str());
+                assert!(is_known, "[{}] {name} is read and not printed", path.join("."));
+                compared += 1;
+            }
+        }
+        assert!(compared > 150, "{compared}");
+    }
+
+    #[test]
+    fn every_setting_has_a_meaning_and_every_number_of_a_range_the_checks_own() {
+        let settings = of_a_session().list().unwrap();
+        for setting in &settings {
+            assert!(!setting.meaning.is_empty(), "{}", setting.key);
+            assert!(!setting.range.is_empty(), "{}", setting.key);
+        }
+        let of = |key: &str| settings.iter().find(|setting| setting.key == key).unwrap();
+        let rollouts = of("extent.rollouts");
+        assert_eq!(rollouts.range, "from 1 to 1000");
+        assert_eq!(rollouts.explanation(), "Number of rollouts of each candidate: from 1 to 1000");
+        assert_eq!(of("training.num_envs").range, "16 to 4096; a multiple of 16");
+        assert_eq!(of("family").range, "normal, uniform");
+        assert_eq!(of("homing.theta_offset_rad").unit, "rad");
+        assert!(
+            !of("model").range.contains("handcrafted, nominal"),
+            "only models with a psi: {}",
+            of("model").range
+        );
+        assert!(
+            of("estimator.corner_rad_s").range.contains("above 0"),
+            "{:?}",
+            of("estimator.corner_rad_s")
+        );
+        assert_eq!(
+            (of("profile.spread").default.as_ref(), of("profile.spread").shown.as_str()),
+            (None, "0.1")
+        );
+        assert!(settings.len() > 150, "{}", settings.len());
+    }
+}

@@ -1,0 +1,104 @@
+//! Tests `config`, `completions` and `manual` as a user runs them.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).args(arguments).output().unwrap()
+}
+
+#[track_caller]
+fn succeeds(directory: &Path, arguments: &[&str]) -> String {
+    let output = qube_hil(directory, arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn the_printed_settings_are_a_good_file_and_a_changed_one_is_listed() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    for preset in ["quick", "thesis"] {
+        let printed = succeeds(directory, &["config", "print", "--preset", preset]);
+        fs::write(directory.join("printed.toml"), &printed).unwrap();
+        let told = succeeds(directory, &["config", "check", "printed.toml", "--preset", preset]);
+        if preset == "thesis" {
+            assert!(told.contains("it changes nothing"), "{told}");
+        }
+        let changed = printed.replace("\nrollouts = ", "\nrollouts = 1");
+        fs::write(directory.join("changed.toml"), changed).unwrap();
+        let told = succeeds(directory, &["config", "check", "changed.toml", "--preset", preset]);
+        assert!(told.contains("extent.rollouts = 1"), "{told}");
+    }
+}
+
+#[test]
+fn an_error_names_line_and_key() {
+    let directory = tempfile::tempdir().unwrap();
+    for (text, line, key) in [
+        ("seed = 1\n[extent]\nrollouts = 0\n", "line 3", "extent.rollouts"),
+        ("[training]\n\nlearning_rat = 1.0\n", "line 3", "learning_rat"),
+        ("[training]\nupdates = \"many\"\n", "line 2", "updates"),
+        ("[training.simulation.sensors]\ntype = \"encoder\"\n", "line 2", "encoder"),
+        ("[[psi]]\nname = \"mean_M_x\"\n", "line 1", "mean_M_x"),
+        ("[homing]\n\n[homing.signs]\n", "line 3", "theta_zero_counts"),
+        ("[extent\n", "line 1", "extent"),
+    ] {
+        fs::write(directory.path().join("bad.toml"), text).unwrap();
+        let output = qube_hil(directory.path(), &["config", "check", "bad.toml"]);
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{text}: {told}");
+        let names_both = told.contains("bad.toml") && told.contains(line) && told.contains(key);
+        assert!(names_both, "{text}{line}, {key}: {told}");
+    }
+}
+
+#[test]
+fn a_shell_reads_its_completions() {
+    let directory = tempfile::tempdir().unwrap();
+    for shell in ["bash", "zsh", "fish"] {
+        let script = succeeds(directory.path(), &["completions", shell]);
+        for word in ["session", "export", "config", "rollouts"] {
+            assert!(script.contains(word), "{shell}: {word} is missing");
+        }
+        let path = directory.path().join(shell);
+        fs::write(&path, script).unwrap();
+        let read = Command::new(shell).arg("-n").arg(&path).stderr(Stdio::piped()).output();
+        match read {
+            Ok(read) => {
+                assert!(read.status.success(), "{shell}: {}", String::from_utf8_lossy(&read.stderr))
+            }
+            Err(_) => eprintln!("not read by {shell}, which is not here"),
+        }
+    }
+}
+
+#[test]
+fn every_command_has_a_manual_page_with_its_examples() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    succeeds(directory, &["manual", "--out", "man"]);
+    let page = |name: &str| {
+        let path = directory.join("man").join(name);
+        fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    };
+    let whole = page("qube-hil.1");
+    assert!(whole.contains(".TH") && whole.contains("Exit codes"), "{whole}");
+    let help = succeeds(directory, &["--help"]);
+    let commands = help.split("Commands:").nth(1).unwrap().split("Options:").next().unwrap();
+    let names: Vec<&str> = commands
+        .lines()
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|name| *name != "help")
+        .collect();
+    assert!(names.len() >= 19, "{names:?}");
+    for name in names {
+        let page = page(&format!("qube-hil-{name}.1"));
+        assert!(page.contains("SYNOPSIS") && page.contains("qube"), "{name}: {page}");
+    }
+    assert!(page("qube-hil-session.1").contains("\\-\\-resume"));
+    assert!(page("qube-hil-config-print.1").contains("\\-\\-preset"));
+}
