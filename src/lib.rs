@@ -59,6 +59,8 @@ pub mod experiment;
 pub mod identification;
 pub mod jobs;
 pub mod learning;
+#[cfg(feature = "live")]
+pub mod live;
 pub mod policy;
 pub mod preflight;
 pub mod qube;

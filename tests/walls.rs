@@ -84,6 +84,8 @@ const ROOMS: &[Room] = &[
                          "recording", "telemetry", "rig", "session", "scoring", "storage", "identification", "replay"]),
     // Drawing, apart from what it shows.
     room("charts", &["qube", "simulation", "replay", "search", "surrogate"]),
+    // What is recorded, shown while it happens.
+    room("live", &["recording", "telemetry"]),
     // A page is written from what other rooms read and computed.
     room("report", &["experiment", "session", "scoring", "replay", "identification", "recording", "search", "surrogate",
                      "simulation", "telemetry", "storage", "qube"]),

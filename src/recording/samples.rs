@@ -67,7 +67,7 @@ pub(crate) fn outcome() -> RolloutOutcome {
 }
 
 /// A tick with a value in every field.
-pub(super) fn tick(number: u32) -> TickRecord {
+pub(crate) fn tick(number: u32) -> TickRecord {
     let time_s = f64::from(number) * 0.01;
     let held_over = number % 7 == 3;
     TickRecord {

@@ -1,0 +1,306 @@
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use crossbeam_channel::{Receiver, Sender, TrySendError};
+use serde::Serialize;
+
+use super::Status;
+use crate::recording::{Channel, Viewer, encode_scene, encode_tick};
+use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
+
+/// Records that wait for the view's thread: ten seconds.
+pub(super) const WAITING_RECORDS: usize = 1024;
+
+/// Ticks that a connection may be behind before it loses some: ten seconds.
+const KEPT_TICKS: usize = 1024;
+
+/// Ticks that a connection takes at once.
+const TICKS_AT_ONCE: usize = 128;
+
+/// Time for which the start or the end of a rollout may wait for room in the queue. The tick does not wait with it: the
+/// recorder's ring has room for the longest rollout.
+const PATIENCE: Duration = Duration::from_millis(50);
+
+/// What the recorder's thread hands over.
+enum Event {
+    Begins(Box<RolloutHeader>, u64),
+    Tick(TickRecord),
+    Ended(Option<Box<RolloutOutcome>>),
+}
+
+/// The end of the queue at the recorder's thread.
+#[derive(Debug)]
+pub(super) struct Entrance {
+    events: Sender<Event>,
+    lost: Arc<AtomicU64>,
+}
+
+impl Viewer for Entrance {
+    fn begins(&self, header: &RolloutHeader, time_ns: u64) {
+        let event = Event::Begins(Box::new(header.clone()), time_ns);
+        // Without this event the page goes on with the rollout before; nothing else depends on it.
+        let _ = self.events.send_timeout(event, PATIENCE);
+    }
+
+    fn ticked(&self, tick: &TickRecord) {
+        if let Err(TrySendError::Full(_)) = self.events.try_send(Event::Tick(*tick)) {
+            self.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    fn ended(&self, outcome: Option<&RolloutOutcome>) {
+        let event = Event::Ended(outcome.cloned().map(Box::new));
+        let _ = self.events.send_timeout(event, PATIENCE);
+    }
+}
+
+/// A rollout as the page shows it.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct RolloutShown {
+    pub(super) number: u64,
+    session: String,
+    candidate: Option<u32>,
+    rollout: u32,
+    policy: String,
+    theta_limit_rad: f64,
+    voltage_limit_v: f64,
+    arm_m: f64,
+    pendulum_m: f64,
+    #[serde(skip)]
+    pub(super) time_ns: u64,
+    /// Message of the bodies.
+    #[serde(skip)]
+    pub(super) scene: Vec<u8>,
+}
+
+/// The end of a rollout as the page shows it.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct EndShown {
+    number: u64,
+    ending: String,
+    steps: u32,
+}
+
+/// One tick in the ring.
+#[derive(Debug)]
+pub(super) struct TickShown {
+    pub(super) time_ns: u64,
+    /// Time since the first tick (s), theta (rad), alpha (rad), voltage (V), phase, number of the rollout.
+    pub(super) point: [f64; 6],
+    /// Messages for Foxglove; empty while nobody listens.
+    pub(super) messages: Vec<(Channel, Vec<u8>)>,
+}
+
+/// The state that connections read.
+#[derive(Debug, Default)]
+struct Shown {
+    status: Status,
+    status_number: u64,
+    rollout: Option<Arc<RolloutShown>>,
+    end: Option<Arc<EndShown>>,
+    end_number: u64,
+    ticks: VecDeque<Arc<TickShown>>,
+    /// Number of the first tick in the ring.
+    first: u64,
+}
+
+/// The place of a connection in the feed.
+#[derive(Debug, Default)]
+pub(super) struct Place {
+    status: u64,
+    rollout: u64,
+    end: u64,
+    tick: u64,
+}
+
+/// What is new for a connection.
+#[derive(Debug, Default)]
+pub(super) struct News {
+    pub(super) status: Option<Status>,
+    pub(super) rollout: Option<Arc<RolloutShown>>,
+    pub(super) ticks: Vec<Arc<TickShown>>,
+    pub(super) end: Option<Arc<EndShown>>,
+    /// Ticks that the connection was too slow for.
+    pub(super) lost: u64,
+}
+
+/// The feed of all connections.
+#[derive(Debug, Default)]
+pub(super) struct Feed {
+    shown: Mutex<Shown>,
+    /// Number of connections that want encoded messages.
+    pub(super) listeners: AtomicUsize,
+    /// Whether the view is closing.
+    pub(super) closed: AtomicBool,
+    /// Ticks for which the queue had no room.
+    pub(super) lost: Arc<AtomicU64>,
+}
+
+impl Feed {
+    /// A queue into the feed: its entrance, and the end that [`Self::follow`] reads.
+    pub(super) fn entrance(&self) -> (Entrance, Exit) {
+        let (events, exit) = crossbeam_channel::bounded(WAITING_RECORDS);
+        (Entrance { events, lost: Arc::clone(&self.lost) }, Exit(exit))
+    }
+
+    fn shown(&self) -> MutexGuard<'_, Shown> {
+        self.shown.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes the status.
+    pub(super) fn tell(&self, change: impl FnOnce(&mut Status)) {
+        let mut shown = self.shown();
+        let before = shown.status.clone();
+        change(&mut shown.status);
+        if shown.status != before {
+            shown.status_number += 1;
+        }
+    }
+
+    /// Moves events into the ring until the queue's entrance is dropped or the view closes.
+    pub(super) fn follow(&self, Exit(events): Exit) {
+        let mut rollout: Option<(Box<RolloutHeader>, Arc<RolloutShown>)> = None;
+        let mut origin_ns = None;
+        loop {
+            let event = match events.recv_timeout(Duration::from_millis(50)) {
+                Ok(event) => event,
+                Err(error) if error.is_timeout() && !self.closed.load(Ordering::Relaxed) => {
+                    continue;
+                }
+                Err(_) => return,
+            };
+            match event {
+                Event::Begins(header, time_ns) => {
+                    let number = rollout.as_ref().map_or(1, |(_, shown)| shown.number + 1);
+                    let shown = Arc::new(rollout_shown(&header, number, time_ns));
+                    self.shown().rollout = Some(Arc::clone(&shown));
+                    rollout = Some((header, shown));
+                    origin_ns = None;
+                }
+                Event::Tick(tick) => {
+                    let Some((header, shown)) = &rollout else { continue };
+                    let since_ns =
+                        tick.deadline_ns.saturating_sub(*origin_ns.get_or_insert(tick.deadline_ns));
+                    self.add(self.tick_shown(header, shown, &tick, since_ns));
+                }
+                Event::Ended(outcome) => {
+                    let Some((_, rollout)) = &rollout else { continue };
+                    let end = end_shown(rollout.number, outcome.as_deref());
+                    let mut shown = self.shown();
+                    shown.end = Some(Arc::new(end));
+                    shown.end_number += 1;
+                }
+            }
+        }
+    }
+
+    fn tick_shown(
+        &self,
+        header: &RolloutHeader,
+        rollout: &RolloutShown,
+        tick: &TickRecord,
+        since_ns: u64,
+    ) -> TickShown {
+        let time_ns = rollout.time_ns.saturating_add(since_ns);
+        let mut messages = Vec::new();
+        if self.listeners.load(Ordering::Relaxed) > 0 {
+            // Encoding into memory cannot fail; a tick without messages is a tick that viewers miss.
+            let _ = encode_tick(header, tick, time_ns, &mut |channel, message| {
+                messages.push((channel, message.to_vec()));
+                Ok(())
+            });
+        }
+        let point = [
+            since_ns as f64 * 1e-9,
+            tick.state.theta,
+            tick.state.alpha,
+            f64::from(tick.voltage_mv) / 1000.0,
+            f64::from(tick.phase.number()),
+            rollout.number as f64,
+        ];
+        TickShown { time_ns, point, messages }
+    }
+
+    fn add(&self, tick: TickShown) {
+        let mut shown = self.shown();
+        if shown.ticks.len() >= KEPT_TICKS {
+            shown.ticks.pop_front();
+            shown.first += 1;
+        }
+        shown.ticks.push_back(Arc::new(tick));
+    }
+
+    /// A place from which a connection sees the present, and no tick of the past.
+    pub(super) fn place(&self) -> Place {
+        let shown = self.shown();
+        Place { tick: shown.first + shown.ticks.len() as u64, ..Place::default() }
+    }
+
+    /// What is new since a connection was at its place, up to a bounded amount.
+    pub(super) fn since(&self, place: &mut Place) -> News {
+        let shown = self.shown();
+        let mut news = News::default();
+        // Numbers count changes, and a place of 0 has seen none.
+        if place.status <= shown.status_number {
+            place.status = shown.status_number + 1;
+            news.status = Some(shown.status.clone());
+        }
+        if let Some(rollout) = &shown.rollout
+            && place.rollout != rollout.number
+        {
+            place.rollout = rollout.number;
+            news.rollout = Some(Arc::clone(rollout));
+        }
+        if place.end != shown.end_number {
+            place.end = shown.end_number;
+            news.end.clone_from(&shown.end);
+        }
+        news.lost = shown.first.saturating_sub(place.tick);
+        place.tick += news.lost;
+        let skipped = usize::try_from(place.tick - shown.first).unwrap_or(usize::MAX);
+        news.ticks.extend(shown.ticks.iter().skip(skipped).take(TICKS_AT_ONCE).cloned());
+        place.tick += news.ticks.len() as u64;
+        news
+    }
+}
+
+/// The end of the queue at the view's thread.
+pub(super) struct Exit(Receiver<Event>);
+
+fn rollout_shown(header: &RolloutHeader, number: u64, time_ns: u64) -> RolloutShown {
+    let settings = &header.settings;
+    RolloutShown {
+        number,
+        session: header.session.clone(),
+        candidate: header.candidate,
+        rollout: header.rollout,
+        policy: header.policy.clone(),
+        theta_limit_rad: settings.safety_box.theta,
+        voltage_limit_v: settings.plant.limits.largest_voltage_v,
+        arm_m: settings.plant.parameters.rotary_length_m,
+        pendulum_m: settings.plant.parameters.pendulum_length_m,
+        time_ns,
+        scene: encode_scene(header, time_ns),
+    }
+}
+
+fn end_shown(number: u64, outcome: Option<&RolloutOutcome>) -> EndShown {
+    let Some(outcome) = outcome else {
+        return EndShown { number, ending: "it never began".to_owned(), steps: 0 };
+    };
+    let ending = match outcome.ending {
+        Ending::Completed => "completed".to_owned(),
+        Ending::LeftBox(limit) => format!("left the box by {limit}"),
+        Ending::Stopped => "stopped".to_owned(),
+        Ending::Fault(fault) => format!("fault: {fault}"),
+    };
+    EndShown { number, ending, steps: outcome.steps }
+}
+
+/// The time by the wall clock, ns since 1970.
+pub(super) fn now_unix_ns() -> u64 {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since_1970.as_nanos()).unwrap_or(u64::MAX)
+}

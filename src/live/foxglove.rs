@@ -1,0 +1,328 @@
+use std::collections::HashMap;
+use std::io::{self, ErrorKind, Write};
+use std::net::TcpStream;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use schemars::generate::SchemaSettings;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tungstenite::handshake::derive_accept_key;
+use tungstenite::protocol::{Role, WebSocketConfig};
+use tungstenite::{Error, Message, WebSocket};
+
+use super::Status;
+use super::connection::STUCK_WITHIN;
+use super::feed::{Feed, News, now_unix_ns};
+use super::page::{self, Answer};
+use super::request::Request;
+use crate::recording::Channel;
+
+// Foxglove's WebSocket protocol (github.com/foxglove/ws-protocol, docs/spec.md) as far as a source of data needs it: the
+// server says what it is, advertises channels with their schemas, and sends messages of those that a client subscribes
+// to. It offers no other capability, and answers no other message.
+
+/// Names of the protocol: that of Foxglove's SDK, and the older one of Lichtblick and others. For what is used here
+/// both are the same.
+const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
+
+/// Largest message of a client, bytes: a subscription to every channel has some hundred.
+pub(super) const MAX_CLIENT_MESSAGE_BYTES: usize = 1 << 16;
+
+/// Bytes that wait for a slow client, after which messages are dropped.
+const MAX_WAITING_BYTES: usize = 1 << 20;
+
+/// Time for which the connection waits for a message of the client before it looks for news.
+const INTERVAL: Duration = Duration::from_millis(20);
+
+/// Number of messages of a client in a second, after which it is cut off.
+pub(super) const MAX_MESSAGES_A_SECOND: u32 = 100;
+
+/// Number of the channel with the state of the command, after those of a recording.
+const SESSION_CHANNEL: u64 = Channel::ALL.len() as u64 + 1;
+
+/// Opcode of a message with data.
+const MESSAGE_DATA: u8 = 1;
+
+/// A request of a client. Others are ignored: the server has announced that it can do nothing else.
+#[derive(Deserialize)]
+#[serde(tag = "op", rename_all = "camelCase")]
+enum ClientRequest {
+    Subscribe {
+        subscriptions: Vec<Subscription>,
+    },
+    #[serde(rename_all = "camelCase")]
+    Unsubscribe {
+        subscription_ids: Vec<u32>,
+    },
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Subscription {
+    id: u32,
+    channel_id: u64,
+}
+
+/// Counts a connection among those that want encoded messages.
+struct Listening<'a>(&'a AtomicUsize);
+
+impl<'a> Listening<'a> {
+    fn new(listeners: &'a AtomicUsize) -> Self {
+        listeners.fetch_add(1, Ordering::Relaxed);
+        Self(listeners)
+    }
+}
+
+impl Drop for Listening<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Answers a client that asks for a WebSocket, and serves it until it goes.
+pub(super) fn serve(feed: &Feed, mut stream: TcpStream, request: &Request, rest: Vec<u8>) {
+    let offered = request.header("sec-websocket-protocol").unwrap_or_default();
+    let chosen =
+        SUBPROTOCOLS.into_iter().find(|it| offered.split(',').any(|name| name.trim() == *it));
+    let (Some(protocol), Some(key), Some("13")) =
+        (chosen, request.header("sec-websocket-key"), request.header("sec-websocket-version"))
+    else {
+        return page::send(&mut stream, &Answer::refusal("400 Bad Request"));
+    };
+    let accept = derive_accept_key(key.as_bytes());
+    let head = format!(
+        "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+         Sec-WebSocket-Accept: {accept}\r\nSec-WebSocket-Protocol: {protocol}\r\n\r\n"
+    );
+    let timed = stream
+        .set_read_timeout(Some(INTERVAL))
+        .and_then(|()| stream.set_write_timeout(Some(INTERVAL)));
+    if timed.is_err() || stream.write_all(head.as_bytes()).is_err() {
+        return;
+    }
+    let config = WebSocketConfig::default()
+        .max_message_size(Some(MAX_CLIENT_MESSAGE_BYTES))
+        .max_frame_size(Some(MAX_CLIENT_MESSAGE_BYTES))
+        .read_buffer_size(4096)
+        .max_write_buffer_size(2 * MAX_WAITING_BYTES);
+    let socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
+    let _listening = Listening::new(&feed.listeners);
+    let mut client = Client {
+        socket,
+        subscriptions: HashMap::new(),
+        wants: Vec::new(),
+        stuck_since: None,
+        second: Instant::now(),
+        messages: 0,
+    };
+    // However a client goes, nothing else ends.
+    if let Err(error) = client.follow(feed) {
+        tracing::debug!("a live viewer is gone: {error}");
+    }
+}
+
+struct Client {
+    socket: WebSocket<TcpStream>,
+    /// Number of the subscription by that of the channel.
+    subscriptions: HashMap<u64, u32>,
+    /// Channels with a lasting message that the client has not seen.
+    wants: Vec<u64>,
+    /// When the client last took no bytes.
+    stuck_since: Option<Instant>,
+    second: Instant,
+    messages: u32,
+}
+
+impl Client {
+    fn follow(&mut self, feed: &Feed) -> Result<(), Error> {
+        self.put(Message::text(server_info().to_string()))?;
+        self.put(Message::text(advertisement().to_string()))?;
+        let mut place = feed.place();
+        let mut lasting = News::default();
+        loop {
+            let closes = feed.closed.load(Ordering::Relaxed);
+            let news = feed.since(&mut place);
+            self.tell(&news)?;
+            if closes {
+                let _ = self.socket.close(None);
+                return self.flush();
+            }
+            if news.status.is_some() {
+                lasting.status = news.status;
+            }
+            if news.rollout.is_some() {
+                lasting.rollout = news.rollout;
+            }
+            self.flush()?;
+            while let Some(message) = self.receive()? {
+                if let Message::Text(text) = message {
+                    self.obey(&text);
+                }
+            }
+            for channel in std::mem::take(&mut self.wants) {
+                self.tell_lasting(channel, &lasting)?;
+            }
+        }
+    }
+
+    /// Sends the messages of what is new. A client that is stuck misses them.
+    fn tell(&mut self, news: &News) -> Result<(), Error> {
+        if news.status.is_some() {
+            self.tell_lasting(SESSION_CHANNEL, news)?;
+        }
+        if news.rollout.is_some() {
+            self.tell_lasting(number(Channel::Scene), news)?;
+        }
+        for tick in &news.ticks {
+            if self.stuck_since.is_some() {
+                return Ok(());
+            }
+            for (channel, message) in &tick.messages {
+                self.data(number(*channel), tick.time_ns, message)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends the last message of a channel that says something once for long.
+    fn tell_lasting(&mut self, channel: u64, news: &News) -> Result<(), Error> {
+        if let (SESSION_CHANNEL, Some(status)) = (channel, &news.status) {
+            let message = serde_json::to_vec(status).unwrap_or_default();
+            return self.data(channel, now_unix_ns(), &message);
+        }
+        if let Some(rollout) = &news.rollout
+            && channel == number(Channel::Scene)
+        {
+            return self.data(channel, rollout.time_ns, &rollout.scene);
+        }
+        Ok(())
+    }
+
+    fn data(&mut self, channel: u64, time_ns: u64, message: &[u8]) -> Result<(), Error> {
+        let Some(subscription) = self.subscriptions.get(&channel) else { return Ok(()) };
+        let mut bytes = Vec::with_capacity(13 + message.len());
+        bytes.push(MESSAGE_DATA);
+        bytes.extend(subscription.to_le_bytes());
+        bytes.extend(time_ns.to_le_bytes());
+        bytes.extend(message);
+        self.put(Message::binary(bytes))
+    }
+
+    fn put(&mut self, message: Message) -> Result<(), Error> {
+        match self.socket.write(message) {
+            // No room: this message is lost.
+            Err(Error::WriteBufferFull(_)) => Ok(()),
+            other => self.passed(other),
+        }
+    }
+
+    fn flush(&mut self) -> Result<(), Error> {
+        let flushed = self.socket.flush();
+        if flushed.is_ok() {
+            self.stuck_since = None;
+        }
+        self.passed(flushed)
+    }
+
+    /// A client that takes no bytes for long is gone; for a moment that is no error.
+    fn passed(&mut self, result: Result<(), Error>) -> Result<(), Error> {
+        match result {
+            Err(Error::Io(error)) if is_waiting(&error) => {
+                let since = *self.stuck_since.get_or_insert_with(Instant::now);
+                if since.elapsed() < STUCK_WITHIN { Ok(()) } else { Err(Error::Io(error)) }
+            }
+            other => other,
+        }
+    }
+
+    /// The next message of the client, if one comes soon.
+    fn receive(&mut self) -> Result<Option<Message>, Error> {
+        match self.socket.read() {
+            Ok(message) => {
+                if self.second.elapsed() >= Duration::from_secs(1) {
+                    self.second = Instant::now();
+                    self.messages = 0;
+                }
+                self.messages += 1;
+                if self.messages > MAX_MESSAGES_A_SECOND {
+                    return Err(Error::Io(io::Error::other("it sends too many messages")));
+                }
+                Ok(Some(message))
+            }
+            Err(Error::Io(error)) if is_waiting(&error) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn obey(&mut self, text: &str) {
+        match serde_json::from_str(text) {
+            Ok(ClientRequest::Subscribe { subscriptions }) => {
+                for Subscription { id, channel_id } in subscriptions {
+                    if (1..=SESSION_CHANNEL).contains(&channel_id) {
+                        self.subscriptions.insert(channel_id, id);
+                        self.wants.push(channel_id);
+                    }
+                }
+            }
+            Ok(ClientRequest::Unsubscribe { subscription_ids }) => {
+                self.subscriptions.retain(|_, id| !subscription_ids.contains(id));
+            }
+            Err(_) => {}
+        }
+    }
+}
+
+fn is_waiting(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted)
+}
+
+/// Number of a channel for clients.
+fn number(channel: Channel) -> u64 {
+    channel as u64 + 1
+}
+
+fn server_info() -> Value {
+    json!({
+        "op": "serverInfo",
+        "name": concat!("qube-hil ", env!("CARGO_PKG_VERSION")),
+        "capabilities": [],
+        "metadata": {},
+        "sessionId": format!("{}-{}", std::process::id(), now_unix_ns()),
+    })
+}
+
+/// The channels with their schemas; those that are no text are in Base64, as the protocol wants.
+fn advertisement() -> Value {
+    let mut channels: Vec<Value> = Channel::ALL
+        .into_iter()
+        .map(|channel| {
+            let schema = channel.schema();
+            let data = match String::from_utf8(schema.data) {
+                Ok(text) if schema.encoding == "jsonschema" => text,
+                Ok(text) => BASE64_STANDARD.encode(text),
+                Err(error) => BASE64_STANDARD.encode(error.into_bytes()),
+            };
+            json!({
+                "id": number(channel),
+                "topic": channel.topic(),
+                "encoding": schema.message_encoding,
+                "schemaName": schema.name,
+                "schemaEncoding": schema.encoding,
+                "schema": data,
+            })
+        })
+        .collect();
+    let schema = SchemaSettings::draft07().into_generator().into_root_schema_for::<Status>();
+    channels.push(json!({
+        "id": SESSION_CHANNEL,
+        "topic": "/session",
+        "encoding": "json",
+        "schemaName": "qube.Session",
+        "schemaEncoding": "jsonschema",
+        "schema": schema.as_value().to_string(),
+    }));
+    json!({ "op": "advertise", "channels": channels })
+}

@@ -1,0 +1,161 @@
+use std::net::IpAddr;
+
+use super::request::Request;
+
+/// The names under which the view answers, and the web pages that may read it.
+///
+/// A page of any web site can connect to a server on this computer, and can give that server a name of its own
+/// (DNS rebinding). Browsers say in `Host` under which name they connect and in `Origin` which page does, so both are
+/// checked. Programs that are no browser send no `Origin`.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Admission {
+    /// Name of this computer.
+    pub(super) hostname: String,
+    /// Origins that the operator has named.
+    pub(super) origins: Vec<String>,
+}
+
+/// The reason why a request is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Refusal {
+    /// The name is not one of this computer.
+    Host,
+    /// The page is of another site.
+    Origin,
+}
+
+impl Admission {
+    /// Checks the name under which a client connects and the page from which it does.
+    pub(super) fn check(&self, request: &Request) -> Result<(), Refusal> {
+        let host = request.header("host").ok_or(Refusal::Host)?;
+        if !self.is_own(name_of(host)) {
+            return Err(Refusal::Host);
+        }
+        if !request.has("origin") {
+            return Ok(());
+        }
+        let origin = request.header("origin").ok_or(Refusal::Origin)?;
+        let is_allowed = is_same(origin, host)
+            || self.origins.iter().any(|allowed| allowed == origin)
+            // Viewers on the desk: pages of this computer's own servers, and programs with a scheme of their own.
+            // A web site has neither; a page in a sandbox says `null`.
+            || match origin.split_once("://") {
+                Some(("http" | "https", host)) => is_loopback(name_of(host)),
+                Some(_) => request.is_upgrade(),
+                None => false,
+            };
+        if is_allowed { Ok(()) } else { Err(Refusal::Origin) }
+    }
+
+    /// Whether a request comes from the view's own page or from a program that is no browser.
+    pub(super) fn is_own_page(request: &Request) -> bool {
+        match (request.has("origin"), request.header("origin"), request.header("host")) {
+            (false, _, _) => true,
+            (true, Some(origin), Some(host)) => is_same(origin, host),
+            _ => false,
+        }
+    }
+
+    fn is_own(&self, name: &str) -> bool {
+        let is_hostname = |own: &str| !own.is_empty() && name.eq_ignore_ascii_case(own);
+        is_address(name)
+            || is_loopback(name)
+            || is_hostname(&self.hostname)
+            || name
+                .strip_suffix(".local")
+                .is_some_and(|first| first.eq_ignore_ascii_case(&self.hostname))
+    }
+}
+
+fn is_same(origin: &str, host: &str) -> bool {
+    origin.strip_prefix("http://").is_some_and(|of_page| of_page.eq_ignore_ascii_case(host))
+}
+
+/// The name in `name:port`.
+fn name_of(host: &str) -> &str {
+    if let Some(rest) = host.strip_prefix('[') {
+        return rest.split(']').next().unwrap_or_default();
+    }
+    host.split(':').next().unwrap_or_default()
+}
+
+fn is_address(name: &str) -> bool {
+    name.parse::<IpAddr>().is_ok()
+}
+
+fn is_loopback(name: &str) -> bool {
+    name.eq_ignore_ascii_case("localhost")
+        || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn check(host: &str, origin: Option<&str>, upgrade: bool) -> Result<(), Refusal> {
+        let origin = origin.map(|origin| format!("Origin: {origin}\r\n")).unwrap_or_default();
+        let upgrade = if upgrade { "Upgrade: websocket\r\n" } else { "" };
+        let text = format!("GET / HTTP/1.1\r\nHost: {host}\r\n{origin}{upgrade}\r\n");
+        let (request, length) = Request::parse(text.as_bytes()).unwrap().unwrap();
+        assert_eq!(length, text.len());
+        let origins = vec!["https://app.foxglove.dev".to_owned()];
+        Admission { hostname: "bench".to_owned(), origins }.check(&request)
+    }
+
+    #[test]
+    fn the_computers_own_names_are_answered_and_no_others() {
+        for host in [
+            "127.0.0.1:8765",
+            "localhost:8765",
+            "[::1]:8765",
+            "192.168.1.7",
+            "bench:80",
+            "BENCH.local",
+        ] {
+            assert_eq!(check(host, None, false), Ok(()), "{host}");
+        }
+        for host in
+            ["evil.example:8765", "localhost.evil.example", "bench.evil.example", "", ".local"]
+        {
+            assert_eq!(check(host, None, true), Err(Refusal::Host), "{host}");
+        }
+    }
+
+    #[test]
+    fn pages_of_other_sites_are_refused() {
+        let host = "127.0.0.1:8765";
+        for origin in [
+            "https://evil.example",
+            "null",
+            "http://localhost.evil.example",
+            "http://evil.example:8765",
+            "x",
+        ] {
+            for upgrade in [false, true] {
+                assert_eq!(check(host, Some(origin), upgrade), Err(Refusal::Origin), "{origin}");
+            }
+        }
+        for origin in ["http://127.0.0.1:8765", "http://localhost:8080", "https://app.foxglove.dev"]
+        {
+            assert_eq!(check(host, Some(origin), true), Ok(()), "{origin}");
+        }
+        assert_eq!(check(host, Some("file://"), true), Ok(()), "a viewer on the desk");
+        assert_eq!(check(host, Some("file://"), false), Err(Refusal::Origin));
+        assert_eq!(check("192.168.1.7:80", Some("http://192.168.1.7:80"), false), Ok(()));
+        assert_eq!(
+            check("192.168.1.7:80", Some("http://192.168.1.8:80"), false),
+            Err(Refusal::Origin)
+        );
+    }
+
+    #[test]
+    fn two_headers_of_one_name_count_as_none() {
+        let text = "GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n";
+        let (request, _) = Request::parse(text.as_bytes()).unwrap().unwrap();
+        assert_eq!(Admission::default().check(&request), Err(Refusal::Host));
+        let text =
+            "POST /stop HTTP/1.1\r\nHost: h\r\nOrigin: http://h\r\nOrigin: http://evil\r\n\r\n";
+        let (request, _) = Request::parse(text.as_bytes()).unwrap().unwrap();
+        assert!(!Admission::is_own_page(&request));
+    }
+}

@@ -1,0 +1,154 @@
+use std::fmt::Write as _;
+use std::io::{ErrorKind, Read, Write};
+use std::net::{Shutdown, TcpStream};
+use std::sync::atomic::Ordering;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+
+use super::feed::{Feed, News};
+
+/// Interval at which the page gets what is new.
+const INTERVAL: Duration = Duration::from_millis(40);
+
+/// Interval after which a silent stream says that it is alive.
+const ALIVE: Duration = Duration::from_secs(5);
+
+/// Time for which a client may take its answer before the connection is closed.
+const LINGER: Duration = Duration::from_millis(500);
+
+/// What the page may do: run and show what comes from here, and nothing else.
+const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
+     img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// An answer with a body.
+pub(super) struct Answer {
+    status: &'static str,
+    kind: &'static str,
+    body: &'static str,
+}
+
+impl Answer {
+    /// A refusal, whose text is its status.
+    pub(super) fn refusal(status: &'static str) -> Self {
+        Self::text(status, status)
+    }
+
+    pub(super) fn text(status: &'static str, body: &'static str) -> Self {
+        Self { status, kind: "text/plain; charset=utf-8", body }
+    }
+}
+
+/// The page, or one of its parts.
+pub(super) fn asset(path: &str) -> Option<Answer> {
+    let (kind, body) = match path {
+        "/" => ("text/html; charset=utf-8", include_str!("assets/live.html")),
+        "/live.css" => ("text/css; charset=utf-8", include_str!("assets/live.css")),
+        "/report.css" => ("text/css; charset=utf-8", include_str!("../report/assets/report.css")),
+        "/live.js" => ("text/javascript; charset=utf-8", include_str!("assets/live.js")),
+        "/uPlot.css" => ("text/css; charset=utf-8", include_str!("../report/assets/uPlot.min.css")),
+        "/uPlot.js" => {
+            ("text/javascript; charset=utf-8", include_str!("../report/assets/uPlot.iife.min.js"))
+        }
+        _ => return None,
+    };
+    Some(Answer { status: "200 OK", kind, body })
+}
+
+/// Sends an answer, after which the connection ends.
+pub(super) fn send(stream: &mut TcpStream, answer: &Answer) {
+    let Answer { status, kind, body } = answer;
+    let head = head(status, kind, &format!("Content-Length: {}\r\n", body.len()));
+    let sent = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body.as_bytes()));
+    if sent.is_ok() && stream.shutdown(Shutdown::Write).is_ok() {
+        pass_over(stream);
+    }
+    // A client that is gone needs no answer.
+}
+
+/// Reads away what a client still sends, for a moment: a connection that is closed over unread bytes is reset, and the
+/// client would lose its answer.
+fn pass_over(stream: &mut TcpStream) {
+    let until = Instant::now() + LINGER;
+    let mut part = [0; 4096];
+    while Instant::now() < until {
+        let read = stream.set_read_timeout(Some(LINGER)).and_then(|()| stream.read(&mut part));
+        if !matches!(read, Ok(1..)) {
+            return;
+        }
+    }
+}
+
+fn head(status: &str, kind: &str, more: &str) -> String {
+    format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\n{more}Connection: close\r\nCache-Control: no-store\r\n\
+         Content-Security-Policy: {CONTENT_POLICY}\r\nX-Content-Type-Options: nosniff\r\n\
+         Referrer-Policy: no-referrer\r\nCross-Origin-Resource-Policy: same-origin\r\n\r\n"
+    )
+}
+
+/// Sends what happens as server-sent events until the client goes or takes nothing any more.
+pub(super) fn events(feed: &Feed, mut stream: TcpStream) {
+    let started = head("200 OK", "text/event-stream", "");
+    if stream.write_all(started.as_bytes()).is_err() || stream.set_nonblocking(false).is_err() {
+        return;
+    }
+    let mut place = feed.place();
+    let mut spoke = Instant::now();
+    loop {
+        let closes = feed.closed.load(Ordering::Relaxed);
+        let mut text = String::new();
+        tell(&mut text, &feed.since(&mut place));
+        if text.is_empty() && spoke.elapsed() >= ALIVE {
+            text.push_str(": alive\n\n");
+        }
+        if !text.is_empty() {
+            spoke = Instant::now();
+            if stream.write_all(text.as_bytes()).is_err() {
+                return;
+            }
+        }
+        if closes || is_gone(&stream) {
+            return;
+        }
+        thread::sleep(INTERVAL);
+    }
+}
+
+/// Whether the client has closed the connection.
+fn is_gone(stream: &TcpStream) -> bool {
+    let looked = stream.set_nonblocking(true).and_then(|()| stream.peek(&mut [0]));
+    let is_gone = match looked {
+        Ok(count) => count == 0,
+        Err(error) => !matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted),
+    };
+    is_gone || stream.set_nonblocking(false).is_err()
+}
+
+fn tell(text: &mut String, news: &News) {
+    if let Some(status) = &news.status {
+        event(text, "status", status);
+    }
+    if let Some(rollout) = &news.rollout {
+        event(text, "rollout", &**rollout);
+    }
+    if news.lost > 0 {
+        event(text, "lost", &news.lost);
+    }
+    if !news.ticks.is_empty() {
+        let points: Vec<_> = news.ticks.iter().map(|tick| tick.point).collect();
+        event(text, "ticks", &points);
+    }
+    if let Some(end) = &news.end {
+        event(text, "end", &**end);
+    }
+}
+
+/// Adds an event; JSON has no line break outside of its strings, and escapes those within.
+fn event<T: Serialize>(text: &mut String, name: &str, data: &T) {
+    if let Ok(data) = serde_json::to_string(data) {
+        // Writing to a String cannot fail.
+        let _ = write!(text, "event: {name}\ndata: {data}\n\n");
+    }
+}

@@ -1,0 +1,104 @@
+use std::io::{self, Read};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+/// Largest size of a request's head, bytes.
+pub(super) const MAX_HEAD_BYTES: usize = 8192;
+
+/// Largest number of headers.
+const MAX_HEADERS: usize = 64;
+
+/// Time within which the whole head must have come.
+const HEAD_WITHIN: Duration = Duration::from_secs(5);
+
+/// The head of a request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Request {
+    pub(super) method: String,
+    /// Path without its query.
+    pub(super) path: String,
+    headers: Vec<(String, String)>,
+}
+
+/// The reason why there is no request.
+#[derive(Debug)]
+pub(super) enum BadRequest {
+    /// The client is gone, or too slow.
+    Gone,
+    /// The head is too large.
+    TooLarge,
+    /// The bytes are no request.
+    Malformed,
+}
+
+impl Request {
+    /// The value of the header of this name in lower case; `None` if it is absent or there are several.
+    pub(super) fn header(&self, name: &str) -> Option<&str> {
+        let mut found = self.headers.iter().filter(|(header, _)| header == name);
+        match (found.next(), found.next()) {
+            (Some((_, value)), None) => Some(value),
+            _ => None,
+        }
+    }
+
+    /// Whether a header of this name is there.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.headers.iter().any(|(header, _)| header == name)
+    }
+
+    /// Whether the client asks for a WebSocket.
+    pub(super) fn is_upgrade(&self) -> bool {
+        self.header("upgrade").is_some_and(|value| value.eq_ignore_ascii_case("websocket"))
+    }
+
+    /// Reads a head, and returns it with the bytes that came after it.
+    pub(super) fn read(stream: &mut TcpStream) -> Result<(Self, Vec<u8>), BadRequest> {
+        let until = Instant::now() + HEAD_WITHIN;
+        let mut bytes = Vec::new();
+        let mut part = [0; 1024];
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
+                return Err(BadRequest::Gone);
+            }
+            match stream.read(&mut part) {
+                Ok(0) => return Err(BadRequest::Gone),
+                Ok(count) => bytes.extend(&part[..count]),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(_) => return Err(BadRequest::Gone),
+            }
+            if let Some((request, length)) = Self::parse(&bytes)? {
+                return Ok((request, bytes.split_off(length)));
+            }
+            if bytes.len() > MAX_HEAD_BYTES {
+                return Err(BadRequest::TooLarge);
+            }
+        }
+    }
+
+    /// The request in the bytes and the length of its head; `None` while some is missing.
+    pub(super) fn parse(bytes: &[u8]) -> Result<Option<(Self, usize)>, BadRequest> {
+        let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
+        let mut parsed = httparse::Request::new(&mut headers);
+        let length = match parsed.parse(bytes) {
+            Ok(httparse::Status::Complete(length)) => length,
+            Ok(httparse::Status::Partial) => return Ok(None),
+            Err(httparse::Error::TooManyHeaders) => return Err(BadRequest::TooLarge),
+            Err(_) => return Err(BadRequest::Malformed),
+        };
+        let (Some(method), Some(target)) = (parsed.method, parsed.path) else {
+            return Err(BadRequest::Malformed);
+        };
+        let text = |header: &httparse::Header<'_>| {
+            let value = std::str::from_utf8(header.value).ok()?;
+            Some((header.name.to_ascii_lowercase(), value.trim().to_owned()))
+        };
+        let headers = parsed.headers.iter().map(text).collect::<Option<_>>();
+        let request = Self {
+            method: method.to_owned(),
+            path: target.split('?').next().unwrap_or_default().to_owned(),
+            headers: headers.ok_or(BadRequest::Malformed)?,
+        };
+        Ok(Some((request, length)))
+    }
+}

@@ -1,0 +1,63 @@
+use std::io;
+use std::net::{SocketAddr, TcpListener};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::thread::{self, Builder};
+use std::time::Duration;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::setpriority_process;
+use thiserror::Error;
+
+use super::connection::{Shared, Slot, serve};
+
+/// Pause after each connection, which bounds the work that a flood of them makes.
+const PAUSE: Duration = Duration::from_millis(5);
+
+/// Time between two looks at whether the view closes.
+const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
+
+/// Niceness of the view's threads: whoever drives or trains comes first.
+const NICENESS: i32 = 10;
+
+/// The reason why nothing is served.
+#[derive(Debug, Error)]
+pub enum LiveError {
+    /// The address cannot be listened on.
+    #[error("{address}: {source}")]
+    Address {
+        /// Address that was asked for.
+        address: SocketAddr,
+        /// Error of the system.
+        source: io::Error,
+    },
+    /// A thread cannot be started, or there is no randomness for a token.
+    #[error("the live view cannot be started: {0}")]
+    System(#[source] io::Error),
+}
+
+/// Lowers the priority of the calling thread and of those that it starts.
+pub(super) fn step_back() {
+    // On Linux this is the calling thread alone. Without the right to it the view works all the same.
+    let _ = setpriority_process(None, NICENESS);
+}
+
+/// Takes connections until the view closes; each has a thread.
+pub(super) fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
+    step_back();
+    while !shared.feed.closed.load(Ordering::Relaxed) {
+        let mut waiting = [PollFd::new(listener, PollFlags::IN)];
+        if !matches!(poll(&mut waiting, Some(&LOOK)), Ok(1..)) {
+            continue;
+        }
+        if let Ok((stream, peer)) = listener.accept()
+            && let Some(slot) = Slot::take(shared, peer)
+        {
+            // Without a thread the connection is closed.
+            let _ = Builder::new()
+                .name("live client".to_owned())
+                .spawn(move || serve(&slot, stream, peer));
+        }
+        thread::sleep(PAUSE);
+    }
+}

@@ -1,0 +1,34 @@
+use schemars::JsonSchema;
+use serde::Serialize;
+
+// The doc comments are part of the schema that viewers get.
+
+/// The state of the command that runs.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
+#[schemars(title = "qube.Session")]
+pub struct Status {
+    /// The command: session, run or experiment.
+    pub command: String,
+    /// What it does now, in words.
+    pub doing: String,
+    /// Number of the candidate, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "u32")]
+    pub candidate: Option<u32>,
+    /// Largest number of candidates, or of rollouts where there are no candidates.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "u32")]
+    pub of: Option<u32>,
+    /// Largest return so far; the largest possible is 600.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub best_return: Option<f64>,
+    /// Estimate of the time left for the whole, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "f64")]
+    pub time_left_s: Option<f64>,
+    /// Somebody has asked to stop.
+    pub stop_requested: bool,
+    /// The command has ended.
+    pub ended: bool,
+}

@@ -1,0 +1,142 @@
+use std::fs::File;
+use std::io::{self, Read};
+use std::net::{SocketAddr, TcpListener};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread::{self, Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use super::connection::Shared;
+use super::feed::{Entrance, Feed};
+use super::origin::Admission;
+use super::server::{LiveError, accept, step_back};
+use super::status::Status;
+use crate::recording::Viewer;
+
+/// Time for which connections may end when the view closes.
+const FAREWELL: Duration = Duration::from_millis(500);
+
+/// The settings of a live view.
+#[derive(Clone, Debug)]
+pub struct LiveSettings {
+    /// Address to listen on; port 0 takes any that is free.
+    pub address: SocketAddr,
+    /// Origins of web pages that may read the feed, beside the view's own, such as `https://app.foxglove.dev`.
+    pub origins: Vec<String>,
+}
+
+/// A live view, served until it is dropped.
+pub struct LiveView {
+    address: SocketAddr,
+    shared: Arc<Shared>,
+    viewer: Arc<Entrance>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl LiveView {
+    /// Listens, and serves from threads of its own. `stop` is called with the address of a client that asks to stop.
+    ///
+    /// # Errors
+    /// The address cannot be listened on, or the system refuses threads or randomness.
+    pub fn serve(
+        settings: &LiveSettings,
+        stop: impl Fn(SocketAddr) + Send + Sync + 'static,
+    ) -> Result<Self, LiveError> {
+        let at = |source| LiveError::Address { address: settings.address, source };
+        let listener = TcpListener::bind(settings.address).map_err(at)?;
+        let address = listener.local_addr().map_err(at)?;
+        // A client that goes between poll and accept must not block the thread.
+        listener.set_nonblocking(true).map_err(at)?;
+        let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
+        let feed = Arc::new(Feed::default());
+        let shared = Arc::new(Shared {
+            feed: Arc::clone(&feed),
+            admission: Admission { hostname: name, origins: settings.origins.clone() },
+            token: token().map_err(LiveError::System)?,
+            stop: Box::new(stop),
+            open: [AtomicUsize::new(0), AtomicUsize::new(0)],
+        });
+        let (entrance, exit) = feed.entrance();
+        let of_clients = Arc::clone(&shared);
+        let threads = [
+            Builder::new().name("live".to_owned()).spawn(move || {
+                step_back();
+                feed.follow(exit);
+            }),
+            Builder::new()
+                .name("live listener".to_owned())
+                .spawn(move || accept(&listener, &of_clients)),
+        ];
+        let mut view =
+            Self { address, shared, viewer: Arc::new(entrance), threads: Vec::with_capacity(2) };
+        for thread in threads {
+            // On an error the view is dropped, which ends the other thread.
+            view.threads.push(thread.map_err(LiveError::System)?);
+        }
+        Ok(view)
+    }
+
+    /// Address that is listened on.
+    #[must_use]
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Address of the page. From other computers it carries the token that its Stop button needs.
+    #[must_use]
+    pub fn url(&self) -> String {
+        let ip = self.address.ip();
+        if ip.to_canonical().is_loopback() {
+            return format!("http://{}/", self.address);
+        }
+        let token = &self.shared.token;
+        match ip.is_unspecified() {
+            true => format!(
+                "http://{}:{}/#{token}",
+                self.shared.admission.hostname,
+                self.address.port()
+            ),
+            false => format!("http://{}/#{token}", self.address),
+        }
+    }
+
+    /// The end that a rig's recorder feeds.
+    #[must_use]
+    pub fn viewer(&self) -> Arc<dyn Viewer> {
+        Arc::<Entrance>::clone(&self.viewer)
+    }
+
+    /// Changes the state of the command that the view shows.
+    pub fn tell(&self, change: impl FnOnce(&mut Status)) {
+        self.shared.feed.tell(change);
+    }
+
+    /// Number of ticks that were not shown because the view's own thread was late.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        self.shared.feed.lost.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for LiveView {
+    fn drop(&mut self) {
+        self.tell(|status| status.ended = true);
+        self.shared.feed.closed.store(true, Ordering::Relaxed);
+        for thread in self.threads.drain(..) {
+            // A thread of the view that failed has ended nothing else.
+            let _ = thread.join();
+        }
+        let until = Instant::now() + FAREWELL;
+        let is_open = || self.shared.open.iter().any(|open| open.load(Ordering::Relaxed) > 0);
+        while is_open() && Instant::now() < until {
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+/// A token that nobody guesses.
+fn token() -> io::Result<String> {
+    let mut bytes = [0; 16];
+    File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
