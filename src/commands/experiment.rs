@@ -15,6 +15,7 @@ use super::experiment_progress::ExperimentProgress;
 use super::experiment_report::ExperimentReport;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
+use super::live::{Live, LiveArguments};
 use super::named_values::{named, presets};
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
@@ -153,6 +154,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     check: CheckArguments,
+
+    #[command(flatten)]
+    live: LiveArguments,
 }
 
 /// The families by name.
@@ -187,6 +191,12 @@ const SIMULATED_STARTS: u32 = 1000;
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let device = arguments.qube.choose()?;
+    if arguments.live.is_asked() && !device.choice.is_hardware() {
+        return Err(Failure::usage(
+            "--live shows an experiment on a Qube: on the emulated one many rollouts run at a time, in virtual time. \
+             Name a Qube with --device",
+        ));
+    }
     let consent = arguments.consent.beside(arguments.guard)?;
     let (folder, mut settings) = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,
@@ -215,6 +225,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     {
         eprintln!("warning: {warning}");
     }
+    let live = match arguments.table {
+        true => Live::default(),
+        false => arguments.live.serve("experiment", &stop)?,
+    };
+    let rig = live.watch(rig);
     let all = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = arguments.threads.map_or(all, usize::from);
     let failed = |error| failures::experiment(error, &stop, &resume);
@@ -222,7 +237,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag));
     let mut ended = Ok(());
     if !arguments.table {
-        ended = experiment.run(&|news| progress.tell(&news)).map_err(failed);
+        ended = experiment
+            .run(&|news| {
+                progress.tell(&news);
+                live.experiment(&news);
+            })
+            .map_err(failed);
         progress.finish();
     }
 

@@ -27,6 +27,11 @@ mod guard_argument;
 mod identify;
 mod import;
 mod keyboard;
+#[cfg(feature = "live")]
+mod live;
+#[cfg(not(feature = "live"))]
+#[path = "live_absent.rs"]
+mod live;
 mod manual;
 mod named_values;
 mod number_arguments;

@@ -20,6 +20,7 @@ use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::keyboard::Keyboard;
+use super::live::LiveArguments;
 use super::number_arguments::between;
 use super::output::Output;
 use super::printable::tell;
@@ -89,6 +90,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     check: CheckArguments,
+
+    #[command(flatten)]
+    live: LiveArguments,
 }
 
 /// The excitations by name.
@@ -128,6 +132,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(note) = &controller.note {
         tell(note);
     }
+    let live = arguments.live.serve("run", &stop)?;
+    let settings = live.watch(settings);
     let keyboard = Keyboard::watch(&stop);
     eprintln!("{}", keyboard.hint());
     if let Some(warning) = device.power_warning() {
@@ -144,8 +150,15 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     let plan = RolloutPlan { steps: controller.steps, policy: controller.name.clone(), ..plan };
     let mut results = Results::new(arguments.excite.is_some());
-    let mut series =
-        Series { settings, plan, controller, directory, stop: &stop, keyboard: &keyboard };
+    let mut series = Series {
+        settings,
+        plan,
+        controller,
+        directory,
+        stop: &stop,
+        keyboard: &keyboard,
+        live: &live,
+    };
     let ended = series.run(arguments.rollouts, &mut results);
     drop(keyboard);
 

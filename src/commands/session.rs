@@ -13,6 +13,7 @@ use super::exit::Failure;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::keyboard::Keyboard;
+use super::live::LiveArguments;
 use super::output::Output;
 use super::printable::tell;
 use super::profile;
@@ -121,6 +122,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     check: CheckArguments,
+
+    #[command(flatten)]
+    live: LiveArguments,
 }
 
 /// The extent of a session.
@@ -199,6 +203,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         )
     };
     let resume = format!("qube-hil session --resume {}", folder.paths().root().display());
+    let mut live = match arguments.live.serve("session", &stop) {
+        Ok(live) => live,
+        Err(failure) => {
+            if begins {
+                folder.withdraw();
+            }
+            return Err(failure);
+        }
+    };
+    let rig_settings = live.watch(rig_settings);
     let keyboard = Keyboard::watch(&stop);
     eprintln!("{}", keyboard.hint());
     tell(&format!("session in {}", folder.paths().root().display()));
@@ -217,6 +231,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings);
+    let candidates = progress.candidates();
     let mut session =
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
             .map_err(failed)?
@@ -226,6 +241,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         let ended = session.run(&mut |news| {
             service_manager::alive();
             progress.tell(&news);
+            live.tell(&news, candidates);
         });
         match ended.as_ref().err().and_then(SessionError::doubt) {
             Some(doubt) if keyboard.acknowledges(doubt, &stop) => session.acknowledge(),

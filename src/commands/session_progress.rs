@@ -73,6 +73,11 @@ impl SessionProgress {
         }
     }
 
+    /// Largest number of candidates.
+    pub fn candidates(&self) -> u32 {
+        self.candidates
+    }
+
     /// Shows one event.
     pub fn tell(&mut self, news: &SessionEvent) {
         match news {

@@ -4,6 +4,7 @@ use super::controller::RunController;
 use super::results::Results;
 use crate::commands::exit::Failure;
 use crate::commands::keyboard::Keyboard;
+use crate::commands::live::Live;
 use crate::commands::printable::tell;
 use crate::commands::stop::Stop;
 use crate::commands::{command_hints, failures, warn_without_realtime};
@@ -20,6 +21,7 @@ pub struct Series<'a> {
     pub directory: PathBuf,
     pub stop: &'a Stop,
     pub keyboard: &'a Keyboard,
+    pub live: &'a Live,
 }
 
 impl Series<'_> {
@@ -31,8 +33,10 @@ impl Series<'_> {
             Failure::usage(format!("--out {}: {error}", self.directory.display()))
         })?;
         for rollout in 0..rollouts {
+            self.live.rollout(rollout, rollouts);
             let recorded = self.rollout(&mut rig, rollout)?;
             results.add(&recorded.path)?;
+            self.live.returned(results.rollouts.last().and_then(|it| it.return_));
             if let Ending::LeftBox(limit) = recorded.outcome.ending
                 && let Some(hint) = command_hints::after_limit(limit)
             {

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::controller::{policy, trained_on_true_states};
 use super::*;
+use crate::commands::live::Live;
 use crate::control::HomingSettings;
 use crate::device::emulator::{EmulatorFault, EmulatorSettings};
 use crate::policy::{Policy, SimulatedSensors};
@@ -42,8 +43,16 @@ fn run_within(
     };
     let (stop, keyboard) = (Stop::default(), Keyboard::none());
     let directory = directory.to_owned();
-    let mut series =
-        Series { settings, plan, controller, directory, stop: &stop, keyboard: &keyboard };
+    let live = Live::default();
+    let mut series = Series {
+        settings,
+        plan,
+        controller,
+        directory,
+        stop: &stop,
+        keyboard: &keyboard,
+        live: &live,
+    };
     let mut results = Results::default();
     (series.run(rollouts, &mut results), results)
 }

@@ -1,0 +1,236 @@
+//! The option `--live`: rollouts shown while they happen, to browsers, Foxglove and Lichtblick.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use super::exit::Failure;
+use super::printable::tell;
+use super::stop::Stop;
+use crate::experiment::ExperimentEvent;
+use crate::live::{LiveError, LiveSettings, LiveView, Status};
+use crate::rig::RigSettings;
+use crate::session::{Purpose, SessionEvent};
+
+/// Port of Foxglove's protocol by custom.
+const PORT: u16 = 8765;
+
+/// The arguments of commands that can be watched.
+#[derive(Clone, Debug, Default, clap::Args)]
+#[command(next_help_heading = "Watching")]
+pub struct LiveArguments {
+    /// Show what happens while it happens: a page for browsers with a Stop button, and all channels for Foxglove and
+    /// Lichtblick. ADDR is a port or IP:PORT; other computers reach it only where ADDR is not of this one
+    /// [default: 127.0.0.1:8765]
+    #[arg(
+        long,
+        value_name = "ADDR",
+        num_args = 0..=1,
+        default_missing_value = "127.0.0.1:8765",
+        value_parser = address
+    )]
+    live: Option<SocketAddr>,
+
+    /// Let web pages of this origin read the live view too, such as https://app.foxglove.dev; may be repeated
+    #[arg(long, value_name = "ORIGIN", requires = "live", value_parser = origin)]
+    live_origin: Vec<String>,
+}
+
+fn address(text: &str) -> Result<SocketAddr, String> {
+    let here = IpAddr::V4(Ipv4Addr::LOCALHOST);
+    let port = text.strip_prefix(':').unwrap_or(text).parse().map(|port| (here, port));
+    let ip = text.parse().map(|ip: IpAddr| (ip, PORT));
+    text.parse()
+        .or_else(|_| port.map(SocketAddr::from))
+        .or_else(|_| ip.map(SocketAddr::from))
+        .map_err(|_| "give a port, an IP address, or IP:PORT, such as 0.0.0.0:8765".to_owned())
+}
+
+fn origin(text: &str) -> Result<String, String> {
+    let is_origin = text.split_once("://").is_some_and(|(scheme, host)| {
+        !scheme.is_empty() && !host.is_empty() && !host.contains(['/', ' '])
+    });
+    if is_origin {
+        Ok(text.to_owned())
+    } else {
+        Err("give SCHEME://HOST[:PORT] without a path".to_owned())
+    }
+}
+
+impl LiveArguments {
+    /// Whether the option is given.
+    pub fn is_asked(&self) -> bool {
+        self.live.is_some()
+    }
+
+    /// Serves the live view, if it is asked for, and says where.
+    pub fn serve(&self, command: &str, stop: &Stop) -> Result<Live, Failure> {
+        let Some(address) = self.live else { return Ok(Live::default()) };
+        let settings = LiveSettings { address, origins: self.live_origin.clone() };
+        let flag = Arc::clone(&stop.flag);
+        let stopping = move |peer: SocketAddr| {
+            if !flag.swap(true, Ordering::Relaxed) {
+                tell(&format!(
+                    "stopping, as the live view at {} asks: the arm is braked and the state is kept",
+                    peer.ip()
+                ));
+            }
+        };
+        let view = LiveView::serve(&settings, stopping).map_err(|error| match error {
+            LiveError::Address { .. } => {
+                Failure::usage(format!("--live {error}; give another address"))
+            }
+            LiveError::System(_) => Failure::failed(error),
+        })?;
+        tell(&format!("live view: {}", view.url()));
+        view.tell(|status| {
+            command.clone_into(&mut status.command);
+            status.doing = "at the beginning".to_owned();
+        });
+        Ok(Live { view: Some(view), ..Live::default() })
+    }
+}
+
+/// The live view of a command, if there is one.
+#[derive(Default)]
+pub struct Live {
+    view: Option<LiveView>,
+    /// When this process proposed its first candidate, and that candidate's number.
+    began: Option<(Instant, u32)>,
+    /// Numbers of the excitations.
+    excitations: Vec<u32>,
+}
+
+impl Live {
+    /// The settings of a rig that the view watches.
+    pub fn watch(&self, settings: RigSettings) -> RigSettings {
+        RigSettings { viewer: self.view.as_ref().map(LiveView::viewer), ..settings }
+    }
+
+    /// Says what the command does, in words.
+    pub fn doing(&self, what: &str) {
+        self.change(|status| what.clone_into(&mut status.doing));
+    }
+
+    /// Says that a rollout of several begins.
+    pub fn rollout(&self, rollout: u32, of: u32) {
+        self.change(|status| {
+            status.doing = format!("rollout {} of {of}", rollout + 1);
+            status.of = Some(of);
+        });
+    }
+
+    /// Says that a rollout has had this return.
+    pub fn returned(&self, return_: Option<f64>) {
+        self.change(|status| better(status, return_));
+    }
+
+    /// Shows one event of a session that has at most this number of candidates.
+    pub fn tell(&mut self, news: &SessionEvent, candidates: u32) {
+        let Some(view) = &self.view else { return };
+        match news {
+            SessionEvent::Proposed { candidate, purpose } => {
+                if *purpose == Purpose::Excitation {
+                    self.excitations.push(*candidate);
+                    return view.tell(|status| {
+                        "exciting the Qube to identify it".clone_into(&mut status.doing);
+                    });
+                }
+                let (began, first) = *self.began.get_or_insert((Instant::now(), *candidate));
+                let each = began.elapsed().checked_div(candidate.saturating_sub(first));
+                let left = each.map(|each| each * candidates.saturating_sub(*candidate));
+                view.tell(|status| {
+                    status.candidate = Some(*candidate);
+                    status.of = Some(candidates);
+                    status.time_left_s = left.map(|left| left.as_secs_f64());
+                    status.doing = match purpose {
+                        Purpose::Verification => "verifying the recommendation".to_owned(),
+                        Purpose::Incumbent => "verifying the best candidate's policy".to_owned(),
+                        _ => format!("candidate {}", candidate + 1),
+                    };
+                });
+            }
+            SessionEvent::Training { candidate, update, .. } => view.tell(|status| {
+                let (done, mean) = (update.update + 1, update.mean_return);
+                status.doing = format!(
+                    "training candidate {}: update {done}, return {mean:.0}",
+                    candidate + 1
+                );
+            }),
+            SessionEvent::Trained { candidate, .. } => {
+                view.tell(|status| {
+                    status.doing = format!("candidate {} is trained", candidate + 1)
+                });
+            }
+            SessionEvent::Rollout { candidate, rollout, verdict, .. } => view.tell(|status| {
+                status.doing = format!("candidate {}, rollout {}", candidate + 1, rollout + 1);
+                // An excitation is no attempt to balance.
+                if !self.excitations.contains(candidate) {
+                    better(status, verdict.return_());
+                }
+            }),
+            SessionEvent::Connected(_) => self.doing("connected; the arm is homed"),
+            _ => {}
+        }
+    }
+
+    /// Shows one event of an experiment.
+    pub fn experiment(&self, news: &ExperimentEvent) {
+        match news {
+            ExperimentEvent::Search {
+                name,
+                progress: SessionEvent::Proposed { candidate, .. },
+            } => {
+                self.doing(&format!("{name}: candidate {}", candidate + 1));
+            }
+            ExperimentEvent::Search { progress: SessionEvent::Rollout { verdict, .. }, .. } => {
+                self.returned(verdict.return_());
+            }
+            ExperimentEvent::Trained { recipe, policy, .. } => {
+                self.doing(&format!("{recipe}: policy {policy} is trained"));
+            }
+            ExperimentEvent::Ran { recipe, policy, results, .. } => {
+                self.doing(&format!("{recipe}: policy {policy} has run"));
+                for result in *results {
+                    self.returned(result.return_);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn change(&self, change: impl FnOnce(&mut Status)) {
+        if let Some(view) = &self.view {
+            view.tell(change);
+        }
+    }
+}
+
+fn better(status: &mut Status, return_: Option<f64>) {
+    // `None` is less than any number.
+    if status.best_return < return_ {
+        status.best_return = return_;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_may_be_a_port_or_an_ip_alone() {
+        assert_eq!(address("9000").unwrap().to_string(), "127.0.0.1:9000");
+        assert_eq!(address(":9000").unwrap().to_string(), "127.0.0.1:9000");
+        assert_eq!(address("0.0.0.0").unwrap().to_string(), "0.0.0.0:8765");
+        assert_eq!(address("[::1]:9000").unwrap().to_string(), "[::1]:9000");
+        assert_eq!(address("::1").unwrap().to_string(), "[::1]:8765");
+        for bad in ["localhost:9000", "70000", "", "127.0.0.1:x"] {
+            assert!(address(bad).unwrap_err().contains("IP:PORT"), "{bad}");
+        }
+        assert!(origin("https://app.foxglove.dev").is_ok());
+        for bad in ["app.foxglove.dev", "https://app.foxglove.dev/", "://x", "*"] {
+            assert!(origin(bad).is_err(), "{bad}");
+        }
+    }
+}
