@@ -1,10 +1,19 @@
 //! Tests sessions that identify their Qube first and search around what they found.
 
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 use assert_cmd::Command;
+use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::device::{DeviceError, SerialLink};
 use qube_hil::policy::Policy;
 use qube_hil::qube::Profile;
+use qube_hil::rig::{Connect, DeviceChoice, RigSettings, TimedDevice};
+use qube_hil::session::{
+    IdentificationSettings, Session, SessionEvent, SessionFolder, SessionSettings,
+};
 use serde_json::Value;
 
 /// Trainings too short to learn a swing-up.
@@ -106,6 +115,86 @@ fn where_the_fit_is_doubted_a_policy_for_an_unknown_qube_competes() {
     assert!(doubted.iter().any(|(_, model)| model == "opt-profile"), "{doubted:?}");
     let sure: Vec<(usize, String)> = (1..=2).map(|seed| kept(&[], seed)).collect();
     assert!(sure.iter().all(|it| *it == (0, "opt-profile".to_owned())), "{sure:?}");
+}
+
+/// A computer that, in its first connections, is late by two ticks five times a second: too often for a fit, too
+/// briefly for the watchdog.
+#[derive(Debug)]
+struct StallingComputer {
+    connections: AtomicU32,
+    stalling: u32,
+}
+
+#[derive(Debug)]
+struct StallingClock {
+    time: VirtualClock,
+    stalls_next_ns: AtomicU64,
+}
+
+impl Clock for StallingClock {
+    fn now_ns(&self) -> Nanoseconds {
+        self.time.now_ns()
+    }
+
+    fn sleep_until(&self, deadline_ns: Nanoseconds) {
+        self.time.sleep_until(deadline_ns);
+        if self.now_ns() >= self.stalls_next_ns.load(Ordering::Relaxed) {
+            self.time.advance(25_000_000);
+            self.stalls_next_ns.store(self.now_ns() + 200_000_000, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Connect for StallingComputer {
+    fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError> {
+        let time = VirtualClock::default();
+        let link = SerialLink::in_process(*emulator, time.clone());
+        let stalls = self.connections.fetch_add(1, Ordering::Relaxed) < self.stalling;
+        let first_ns = if stalls { 20_000_000_000 } else { u64::MAX };
+        Ok((Box::new(link), Arc::new(StallingClock { time, stalls_next_ns: first_ns.into() })))
+    }
+
+    fn is_hardware(&self) -> bool {
+        false
+    }
+}
+
+/// The numbers of repeated excitations, identifications and refusals of a session whose computer stalls in this many
+/// connections.
+fn excited_again(stalling: u32) -> [u32; 3] {
+    let directory = tempfile::tempdir().unwrap();
+    let mut settings = SessionSettings::quick();
+    (settings.extent.initial_candidates, settings.extent.iterations) = (1, 0);
+    (settings.extent.rollouts, settings.extent.verification_rollouts) = (1, 1);
+    (settings.training.updates, settings.training.num_envs, settings.training.epochs) = (1, 16, 1);
+    settings.identification =
+        Some(IdentificationSettings { candidates: 1, ..IdentificationSettings::DEFAULT });
+    let folder =
+        SessionFolder::create(&directory.path().join("s"), &settings.to_toml().unwrap()).unwrap();
+    let computer = StallingComputer { connections: AtomicU32::new(0), stalling };
+    let lab = Profile::parse(include_str!("../profiles/lab.toml")).unwrap().model();
+    let rig = RigSettings {
+        emulator: EmulatorSettings { model: lab, ..EmulatorSettings::default() },
+        homing: settings.homing,
+        ..RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(computer)))
+    };
+    let mut told = [0; 3];
+    let mut session =
+        Session::open(folder, settings, rig, Arc::new(AtomicBool::new(false))).unwrap();
+    let ran = session.run(&mut |event| match event {
+        SessionEvent::ExcitesAgain(_) => told[0] += 1,
+        SessionEvent::Identified { .. } => told[1] += 1,
+        SessionEvent::NotIdentified(_) => told[2] += 1,
+        _ => (),
+    });
+    ran.unwrap();
+    told
+}
+
+#[test]
+fn an_excitation_that_cannot_be_fitted_is_repeated() {
+    assert_eq!(excited_again(0), [0, 1, 0]);
+    assert_eq!(excited_again(2), [2, 1, 0]);
 }
 
 #[test]

@@ -95,6 +95,7 @@ impl ExperimentProgress {
             | SessionEvent::Connected(_)
             | SessionEvent::Drift(_)
             | SessionEvent::Identified { .. }
+            | SessionEvent::ExcitesAgain(_)
             | SessionEvent::NotIdentified(_)
             | SessionEvent::GoesOn { .. }
             | SessionEvent::Settled { .. } => {}

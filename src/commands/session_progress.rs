@@ -141,6 +141,9 @@ impl SessionProgress {
             SessionEvent::Identified { recordings, doubts } => {
                 self.line(identified(*recordings, doubts));
             }
+            SessionEvent::ExcitesAgain(reason) => {
+                self.line(format!("{reason}. Another recording is made"));
+            }
             SessionEvent::NotIdentified(reason) => self.line(format!(
                 "not identified: {reason}. The search goes on as for an unknown Qube"
             )),

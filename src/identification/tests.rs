@@ -7,8 +7,19 @@ use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
 /// A chirp from 5 Hz down, recorded from `truth` at 250 Hz through encoders.
 fn chirp(truth: &QubeModel, sign: f64, seconds: f64) -> MotionLog {
+    chirp_of(truth, sign, seconds, &|_| true)
+}
+
+/// A chirp of which only these samples were taken; voltages are held in between.
+fn chirp_of(
+    truth: &QubeModel,
+    sign: f64,
+    seconds: f64,
+    is_taken: &dyn Fn(usize) -> bool,
+) -> MotionLog {
     let count = (seconds * 250.0) as usize + 1;
     let samples: Vec<MotionSample> = (0..count)
+        .filter(|index| is_taken(*index))
         .map(|index| {
             let time_s = index as f64 / 250.0;
             let phase = 2.0 * std::f64::consts::PI * (5.0 * time_s - 0.4 * time_s * time_s);
@@ -18,7 +29,7 @@ fn chirp(truth: &QubeModel, sign: f64, seconds: f64) -> MotionLog {
         .collect();
     let mut states = Vec::new();
     let start = State { theta: -0.02, ..State::default() };
-    simulate_stretch(&samples, 0..count, truth, start, |state| states.push(state));
+    simulate_stretch(&samples, 0..samples.len(), truth, start, |state| states.push(state));
     let encoded = |state: State| State {
         theta: quantised(state.theta),
         alpha: quantised(state.alpha),
@@ -136,6 +147,27 @@ fn what_is_fixed_stays() {
     assert_eq!(found.estimates.len(), 2);
 }
 
+/// A busy computer skips ticks now and then, and the device holds the last voltage.
+#[test]
+fn a_recording_with_a_few_short_gaps_is_fitted_as_well() {
+    let is_lost = |index: usize| [133, 410, 620].iter().any(|it| (*it..it + 9).contains(&index));
+    let holed = chirp_of(&truth(), 1.0, 5.0, &|index| !is_lost(index));
+    assert_eq!(holed.samples.len(), 1251 - 27);
+    assert_eq!(check_recording(&holed), Ok(()));
+    let moves = [Nonideality::CommandDelay.into(), DomainParameter::RotaryMass.into()];
+    let found = identify(
+        &[holed],
+        &moves,
+        &QubeModel {
+            nonidealities: Nonidealities { command_delay_s: 0.0, ..truth().nonidealities },
+            ..truth()
+        },
+    )
+    .unwrap();
+    let delay_s = found.model.nonidealities.command_delay_s;
+    assert!((delay_s - truth().nonidealities.command_delay_s).abs() < 5e-4, "{delay_s}");
+}
+
 #[test]
 fn recordings_that_say_nothing_or_something_wrong_are_named() {
     let good = chirp(&truth(), 1.0, 4.0);
@@ -150,6 +182,8 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
     let mut gap = good.clone();
     gap.samples.drain(300..320);
     assert!(matches!(check_recording(&gap), Err(Unfit::Gap { .. })));
+    let holes = chirp_of(&truth(), 1.0, 4.0, &|index| index % 30 >= 9);
+    assert!(matches!(check_recording(&holes), Err(Unfit::Gap { .. })));
     let slow = changed(&|index, sample| sample.time_s = index as f64 / 40.0);
     assert!(matches!(slow, Unfit::Gap { .. }));
     assert_eq!(changed(&|_, sample| sample.voltage_v *= 0.1), Unfit::NoVoltage);

@@ -20,6 +20,8 @@ pub enum SessionEvent<'a> {
         /// What the verdict doubts, by name.
         doubts: &'a [String],
     },
+    /// No recording can be fitted yet, for this reason; another one is made.
+    ExcitesAgain(&'a str),
     /// The recordings identify no Qube, for this reason; the search goes on as for an unknown one.
     NotIdentified(&'a str),
     /// The search around the identified Qube ended: one more candidate was expected to gain this return.

@@ -54,11 +54,22 @@ impl Session {
     ) -> Result<(), SessionError> {
         match self.fitted()? {
             Ok(found) => self.append_profile(found, tell),
-            Err(reason) => {
+            Err(NotFitted::Unfit(reason)) if self.may_excite_again() => {
+                tell(SessionEvent::ExcitesAgain(&reason));
+                self.append_proposal(Purpose::Excitation, Vec::new(), tell)
+            }
+            Err(NotFitted::Unfit(reason) | NotFitted::Refused(reason)) => {
                 tell(SessionEvent::NotIdentified(&reason));
                 Ok(self.ledger.append(Entry::NotIdentified { reason })?)
             }
         }
+    }
+
+    /// Whether another recording may replace those that cannot be fitted, as a rollout is repeated after a fault.
+    fn may_excite_again(&self) -> bool {
+        let planned = self.settings.identification.unwrap_or_default().excitations;
+        let made = self.ledger.state().count_of(Purpose::Excitation);
+        made < planned + self.settings.extent.repetitions
     }
 
     /// Appends the next proposal around the identified Qube, or the end of the search.
@@ -152,25 +163,28 @@ impl Session {
     }
 
     /// The profile that all recordings so far give, or the reason why they give none.
-    fn fitted(&mut self) -> Result<Result<Found, String>, SessionError> {
+    fn fitted(&mut self) -> Result<Result<Found, NotFitted>, SessionError> {
         let recordings = self.recordings()?;
         let logs: Vec<MotionLog> = recordings.iter().filter_map(MotionLog::of_recording).collect();
         let unknowns: Vec<Unknown> = Unknown::all().collect();
-        let usable: Vec<MotionLog> =
-            logs.into_iter().filter(|log| check_recording(log).is_ok()).collect();
+        let mut unfit = "no recording shows a motion".to_owned();
+        let mut usable = Vec::new();
+        for log in logs {
+            match check_recording(&log) {
+                Ok(()) => usable.push(log),
+                Err(reason) => unfit = format!("the recording cannot be fitted: {reason}"),
+            }
+        }
         let found = match identify(&usable, &unknowns, &QubeModel::NOMINAL) {
             Ok(found) => found,
-            Err(IdentifyError::NoRecordings) => {
-                return Ok(Err("no recording shows a motion that can be fitted".into()));
-            }
-            Err(error) => return Ok(Err(error.to_string())),
+            Err(IdentifyError::NoRecordings) => return Ok(Err(NotFitted::Unfit(unfit))),
+            Err(error) => return Ok(Err(NotFitted::Refused(error.to_string()))),
         };
         let doubts: Vec<String> = found.assessment.doubts.iter().map(ToString::to_string).collect();
         if found.assessment.verdict == Verdict::DoesNotFit {
-            return Ok(Err(format!(
-                "the model does not describe this Qube: {}",
-                doubts.join("; ")
-            )));
+            let doubts = doubts.join("; ");
+            let reason = format!("the model does not describe this Qube: {doubts}");
+            return Ok(Err(NotFitted::Refused(reason)));
         }
         let count = recordings.len() as u32;
         let name = format!("identified from {count} recordings");
@@ -230,6 +244,14 @@ impl Session {
         let recording = read_on(self.folder.disk(), &first)?;
         Ok(recording.header.device.get("serial").cloned())
     }
+}
+
+/// The reason why recordings give no profile, in words.
+enum NotFitted {
+    /// None of them shows a motion that can be fitted; another one may.
+    Unfit(String),
+    /// Their motions are those of no Qube that the model describes.
+    Refused(String),
 }
 
 /// A profile with what is told of it.
