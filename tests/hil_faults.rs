@@ -23,7 +23,7 @@ const FREQUENT: &[u64] = &[1, 260, 420];
 const ACTS: &[u64] = &[1, 3, 150];
 
 /// The functions, and the calls at which each fails.
-const FUNCTIONS: [(&str, &[u64]); 11] = [
+const FUNCTIONS: [(&str, &[u64]); 14] = [
     ("hil_open", &[1]),
     ("hil_is_valid", RARE),
     ("hil_read", FREQUENT),
@@ -35,7 +35,14 @@ const FUNCTIONS: [(&str, &[u64]); 11] = [
     ("hil_watchdog_clear", RARE),
     ("hil_watchdog_stop", RARE),
     ("hil_get_string_property", RARE),
+    ("hil_watchdog_set_digital_expiration_state", &[1]),
+    ("hil_set_card_specific_options", &[1]),
+    ("hil_close", &[1]),
 ];
+
+/// Faults after which the program asks whether the watchdog has expired: a read that fails within the rollout, and one
+/// that takes so long within homing that it has.
+const ASKED_AFTER: [&str; 2] = ["hil_read:error=13:420:1", "hil_read:hang=120:300:1"];
 
 /// The faults of the sweep, as the test library reads them: all, or the lasting ones at each function's last place.
 fn faults(all: bool) -> Vec<String> {
@@ -51,6 +58,11 @@ fn faults(all: bool) -> Vec<String> {
             }
         }
     }
+    for first in ASKED_AFTER {
+        for kind in ["error=13", "hang=60", "hang=3600000"] {
+            faults.push(format!("{first}+hil_watchdog_is_expired:{kind}:1"));
+        }
+    }
     let counts =
         ["jump=65536", "jump=-16777216", "jump-alpha=65536", "jump-alpha=16777216", "stale"];
     faults.extend(counts.map(|kind| format!("hil_read:{kind}:420")));
@@ -60,9 +72,13 @@ fn faults(all: bool) -> Vec<String> {
 
 /// A short run under one fault; the panic of a breach names the fault.
 fn run(fault: &str) -> Ended {
-    let panel = Panel::new(&[("QUBE_TEST_HIL_FAULT", fault)]);
+    // Only this card has options.
+    let card =
+        if fault.starts_with("hil_set_card") { "qube_servo3_usb" } else { "qube_servo2_usb" };
+    let panel = Panel::new(&[("QUBE_TEST_HIL_FAULT", fault), ("QUBE_TEST_HIL_CARD", card)]);
     let arguments = ["run", "--policy", "classical", "--home", "hand", "--skip-check"];
-    let device = ["--device", "hil", "--out", "runs", "--link-patience", "1"];
+    let address = format!("hil:{card}@0");
+    let device = ["--device", &address, "--out", "runs", "--link-patience", "1"];
     let mut command = panel.command(&[&arguments[..], &device].concat());
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let begun = Instant::now();
@@ -77,6 +93,7 @@ fn run(fault: &str) -> Ended {
     let code = ended.code.unwrap_or(-1);
     assert!([0, 1, 2, 4].contains(&code), "{fault}: {ended:?}");
     assert!(!ended.told.contains("panicked"), "{fault}: {ended:?}");
+    assert!(ended.told.matches("qube-hil doctor").count() <= 1, "{fault}: {ended:?}");
     if let Some(state) = panel.amplifier() {
         assert!(state.starts_with("enabled false\n"), "{fault}: {state} {ended:?}");
     }

@@ -8,6 +8,7 @@ mod real_time;
 
 use panel::{Ended, Panel, library};
 use real_time::in_real_time;
+use serde_json::Value;
 
 /// Ends that leave nothing behind: nothing has moved, and the program says what to do.
 #[track_caller]
@@ -146,6 +147,33 @@ fn a_rollout_is_recorded_and_comes_out_again_bit_for_bit() {
         let ended = panel.run(&["replay", "runs/rollout-0.mcap"]);
         assert_eq!(ended.code, Some(0), "{ended:?}");
         assert!(ended.out.contains("the same bit for bit"), "{ended:?}");
+    });
+}
+
+#[test]
+fn a_session_identifies_a_card_and_its_recordings_come_out_again() {
+    const SMALL: &str = "seed = 5\n\
+        [extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\nverification_rollouts = 1\n\
+        [training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n\
+        [identification]\ncandidates = 1\n";
+    in_real_time(|| {
+        let panel = Panel::new(&[]);
+        std::fs::write(panel.path().join("small.toml"), SMALL).unwrap();
+        let checked = panel.run(&["check", "--device", "hil", "--write"]);
+        assert_eq!(checked.code, Some(0), "{checked:?}");
+        let arguments = ["session", "--config", "small.toml", "--qube", "qube.toml", "--out", "s"];
+        let ended = panel.run(&[&arguments[..], &["--device", "hil", "--json"]].concat());
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        panel.must_be_off();
+        let told: Value = serde_json::from_str(&ended.out).unwrap();
+        let verdict = told["identification"]["verdict"].as_str().unwrap();
+        assert!(verdict.starts_with("fits"), "{told}");
+        for candidate in ["000", "001"] {
+            let recording = format!("s/candidates/{candidate}/rollout-0-attempt-0.mcap");
+            let replayed = panel.run(&["replay", &recording]);
+            assert_eq!(replayed.code, Some(0), "{replayed:?}");
+            assert!(replayed.out.contains("the same bit for bit"), "{replayed:?}");
+        }
     });
 }
 

@@ -143,10 +143,12 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         }
         SessionError::InDoubt { .. } => Failure::fault(format!("{error}: {resume} --acknowledge")),
         SessionError::NotStartedAgain { ref source, .. } => {
-            let last_ticks = with_last_ticks(source);
-            Failure::fault(format!("{error}. Then go on with {resume}{last_ticks}"))
+            let (what, last_ticks) = (error.to_string(), with_last_ticks(source));
+            let what = what.trim_end_matches('.');
+            Failure::fault(format!("{what}. Then go on with {resume}.{last_ticks}"))
         }
-        SessionError::Rig(error) => rig(error, stop),
+        // With its fault and the command that helps.
+        SessionError::Rig(error) => return rig(error, stop),
         SessionError::Recording(error) => recording(&error),
         SessionError::Folder(error) => folder(&error),
         SessionError::Ledger(_) | SessionError::Training(_) | SessionError::Search(_) => {

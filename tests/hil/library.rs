@@ -23,6 +23,7 @@ use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
 use firmware_protocol::scaling::{CURRENT_COUNTS_PER_A, CURRENT_ZERO, tachometer_counts_s};
+use qube_hil::clock::enter_realtime;
 use qube_hil::device::emulator::{EmulatorSettings, Plant};
 
 /// Codes of the vendor's `quanser_errors.h`, negated.
@@ -46,6 +47,8 @@ fn start_watchdog() {
     static STARTED: Once = Once::new();
     STARTED.call_once(|| {
         std::thread::spawn(|| {
+            // A busy computer does not stop the Qube's own processor, and this thread holds the card's lock.
+            let _ = enter_realtime();
             loop {
                 std::thread::sleep(LOOK);
                 if let Some(card) = &mut *CARD.lock().unwrap_or_else(PoisonError::into_inner) {

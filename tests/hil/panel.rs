@@ -32,6 +32,9 @@ pub fn library() -> &'static Path {
 /// A directory with the state of the card's amplifier, and the settings of the test library.
 pub struct Panel {
     directory: tempfile::TempDir,
+    /// In memory where that can be had: the test library writes the amplifier's state in every tick, and a disk that
+    /// other programs keep busy would hold the Qube up.
+    state: tempfile::TempDir,
     variables: Vec<(&'static str, String)>,
 }
 
@@ -39,8 +42,9 @@ impl Panel {
     /// A healthy Qube with these settings of the test library.
     pub fn new(variables: &[(&'static str, &str)]) -> Self {
         let directory = tempfile::tempdir().unwrap();
+        let state = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
         let variables = variables.iter().map(|(name, value)| (*name, (*value).to_owned()));
-        Self { directory, variables: variables.collect() }
+        Self { directory, state, variables: variables.collect() }
     }
 
     pub fn path(&self) -> &Path {
@@ -54,7 +58,7 @@ impl Panel {
         command.env("XDG_STATE_HOME", self.path()).env_remove("STATE_DIRECTORY");
         command.env("TMPDIR", self.path());
         command.env("QUBE_HIL_LIBHIL", library());
-        command.env("QUBE_TEST_HIL_STATE", self.path().join("amplifier"));
+        command.env("QUBE_TEST_HIL_STATE", self.state.path().join("amplifier"));
         command.envs(self.variables.iter().map(|(name, value)| (name, value)));
         command
     }
@@ -65,7 +69,7 @@ impl Panel {
 
     /// How the program left the amplifier; `None` if it never opened the card.
     pub fn amplifier(&self) -> Option<String> {
-        std::fs::read_to_string(self.path().join("amplifier")).ok()
+        std::fs::read_to_string(self.state.path().join("amplifier")).ok()
     }
 
     /// Panics unless the amplifier is disabled, by the program or by the Qube's watchdog.

@@ -10,7 +10,8 @@
 //! | `library.rs` | loading, and the signatures: the one file with calls of foreign code |
 //! | `card.rs` | one card: typed calls, error codes as sentences |
 //! | `panel.rs` | what an amplifier is taken through: greet, arm, sample, act, off |
-//! | `worker.rs` | the thread that calls, and the exchange with it |
+//! | `thread.rs` | the one thread that calls |
+//! | `worker.rs` | what that thread does for one card, and the exchange with it |
 //! | `link.rs` | the [`Device`](super::Device) |
 
 mod address;
@@ -19,6 +20,7 @@ mod error;
 mod library;
 mod link;
 mod panel;
+mod thread;
 mod worker;
 
 pub use address::{HilAddress, NotAnAddress};

@@ -1,21 +1,24 @@
 use std::os::fd::OwnedFd;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::io::Errno;
 
 use super::card::Calling;
 use super::library::Library;
 use super::panel::{NoSample, Panel, Reading};
+use super::thread;
 use super::{HilAddress, HilError};
 use crate::clock::{Clock, Nanoseconds, enter_realtime};
 use crate::device::Identity;
 
 /// Requests of the tick that may wait for a call that has not returned.
 const RING: usize = 8;
+
+/// Longest wait for the thread to load the library and begin.
+const BEGIN_TIME: Duration = Duration::from_secs(1);
 
 /// Time that the end of the process waits for the amplifier to go off.
 const AT_EXIT: Duration = Duration::from_millis(200);
@@ -48,11 +51,11 @@ pub(super) enum Job {
     Hello(Sender<Result<Identity, HilError>>),
     Arm(Sender<Result<(), HilError>>),
     Off(Sender<Result<(), HilError>>),
-    /// Closes the card and ends the thread.
+    /// Closes the card, after which the thread is free for another worker.
     End(Sender<Result<(), HilError>>),
 }
 
-/// The thread that calls the vendor's library, as the control thread sees it.
+/// The thread that calls the vendor's library for one card, as the control thread sees it.
 ///
 /// The tick's requests and answers are `Copy` and go through wait-free rings; each side wakes the other by a
 /// counter in the kernel (`eventfd`), on which a wait has a time limit as on a serial port.
@@ -61,7 +64,6 @@ pub(super) struct Worker {
     replies: rtrb::Consumer<Reply>,
     shared: Arc<Shared>,
     clock: Arc<dyn Clock>,
-    thread: Option<JoinHandle<()>>,
 }
 
 /// The ends that may be used from any thread.
@@ -75,7 +77,7 @@ struct Shared {
 }
 
 impl Worker {
-    /// Starts the thread, in which the library is loaded. Nothing is opened yet.
+    /// Has the library's thread load the library and serve this worker. Nothing is opened yet.
     pub(super) fn start(address: HilAddress, clock: Arc<dyn Clock>) -> Result<Self, HilError> {
         let port = address.to_string();
         let failed = |reason: String| HilError::NoThread { port: port.clone(), reason };
@@ -88,31 +90,37 @@ impl Worker {
         let (jobs, to_do) = crossbeam_channel::unbounded();
         let calling = Arc::new(Calling::default());
         let shared = Arc::new(Shared { jobs, asked, answered, calling });
-        let (loaded, is_loaded) = crossbeam_channel::bounded(1);
+        // Without room, so that a worker that has given up waiting is not served.
+        let (loaded, is_loaded) = crossbeam_channel::bounded(0);
         let (serving, its_clock) = (Arc::clone(&shared), Arc::clone(&clock));
-        let body = move || {
+        let work = move || {
             let calling = Arc::clone(&serving.calling);
             let panel = Library::load()
                 .map(|library| Panel::new(library, address, calling, Arc::clone(&its_clock)));
             match panel {
-                Ok(panel) => {
-                    let _ = loaded.send(Ok(()));
+                Ok(panel) if loaded.send(Ok(())).is_ok() => {
                     // Without these rights calls are late, which the control thread has said already.
                     let _ = enter_realtime();
                     serve(panel, &serving, &to_do, to_serve, to_reply, &*its_clock);
                 }
+                Ok(_) => {}
                 Err(error) => {
                     let _ = loaded.send(Err(error));
                 }
             }
         };
-        let thread = std::thread::Builder::new()
-            .name("hil library".into())
-            .spawn(body)
-            .map_err(|error| failed(error.to_string()))?;
-        is_loaded.recv().map_err(|_| failed("it stopped while it loaded the library".into()))??;
+        thread::give(Box::new(work)).map_err(|error| failed(error.to_string()))?;
+        match is_loaded.recv_timeout(BEGIN_TIME) {
+            Ok(loaded) => loaded?,
+            Err(RecvTimeoutError::Timeout) => {
+                return Err(earlier_call(&*clock, port, BEGIN_TIME));
+            }
+            Err(RecvTimeoutError::Disconnected) => {
+                return Err(failed("it stopped while it loaded the library".into()));
+            }
+        }
         switch_off_at_exit(&shared);
-        Ok(Self { requests, replies, shared, clock, thread: Some(thread) })
+        Ok(Self { requests, replies, shared, clock })
     }
 
     /// Hands a request of the tick over, without waiting. False if earlier ones fill the ring.
@@ -157,22 +165,34 @@ impl Worker {
 
     /// The call that has not returned, by name, and for how long, s.
     pub(super) fn under_way(&self) -> Option<(&'static str, f64)> {
-        let (function, since_ns) = self.shared.calling.under_way()?;
-        let waited_s = self.clock.now_ns().saturating_sub(since_ns) as f64 * 1e-9;
-        Some((function.0, waited_s))
+        self.shared.under_way(&*self.clock)
     }
 
-    /// Closes the card and ends the thread, if its call returns in time. Otherwise the thread stays behind:
-    /// nothing can end a call of the library.
+    /// Closes the card, if the call under way returns in time: nothing can end a call of the library.
     pub(super) fn end(&mut self, longest: Duration) {
-        let ended = self.shared.perform(Job::End, longest).is_some();
-        if let Some(thread) = self.thread.take().filter(|_| ended) {
-            let _ = thread.join();
-        }
+        let _ = self.shared.perform(Job::End, longest);
     }
 }
 
+/// The error that the library's thread is still in a call of an earlier worker.
+fn earlier_call(clock: &dyn Clock, port: String, waited: Duration) -> HilError {
+    let alive = ALIVE.lock().unwrap_or_else(PoisonError::into_inner);
+    let under_way = alive
+        .iter()
+        .filter_map(Weak::upgrade)
+        .find_map(|worker| worker.under_way(clock))
+        .unwrap_or(("a call", waited.as_secs_f64()));
+    let (function, waited_s) = under_way;
+    HilError::Hung { port, function, waited_s }
+}
+
 impl Shared {
+    fn under_way(&self, clock: &dyn Clock) -> Option<(&'static str, f64)> {
+        let (function, since_ns) = self.calling.under_way()?;
+        let waited_s = clock.now_ns().saturating_sub(since_ns) as f64 * 1e-9;
+        Some((function.0, waited_s))
+    }
+
     fn perform<T>(
         &self,
         job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
@@ -195,7 +215,7 @@ fn wake(counter: &OwnedFd) -> bool {
     }
 }
 
-/// The body of the thread: waits for requests and jobs and serves them, until a job ends it.
+/// Waits for requests and jobs and serves them, until a job ends it.
 fn serve(
     mut panel: Panel,
     shared: &Shared,

@@ -1,0 +1,58 @@
+use std::io;
+use std::sync::{Mutex, PoisonError};
+
+use crossbeam_channel::Sender;
+
+/// A worker's whole time at the library, from loading it to closing the card.
+pub(super) type Work = Box<dyn FnOnce() + Send>;
+
+/// The one thread of this process that calls the vendor's library, once it has been started.
+static THREAD: Mutex<Option<Sender<Work>>> = Mutex::new(None);
+
+/// Has the library's thread do this work, after the work that it was given before.
+///
+/// Nobody outside the vendor knows whether a library that one thread has called may be called from another one, even
+/// after the card was closed. A session opens its card several times, so the thread outlives them.
+pub(super) fn give(work: Work) -> io::Result<()> {
+    let mut thread = THREAD.lock().unwrap_or_else(PoisonError::into_inner);
+    let work = match &*thread {
+        None => work,
+        // Work that panicked has ended its thread.
+        Some(to_do) => match to_do.send(work) {
+            Ok(()) => return Ok(()),
+            Err(unsent) => unsent.into_inner(),
+        },
+    };
+    let (to_do, given) = crossbeam_channel::unbounded::<Work>();
+    let body = move || given.iter().for_each(|work| work());
+    std::thread::Builder::new().name("hil library".into()).spawn(body)?;
+    let _ = to_do.send(work);
+    *thread = Some(to_do);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_work_is_done_by_one_thread_and_a_panic_does_not_end_that() {
+        let (told, heard) = crossbeam_channel::unbounded();
+        let tell = || {
+            let told = told.clone();
+            give(Box::new(move || told.send(std::thread::current().id()).unwrap())).unwrap();
+        };
+        tell();
+        tell();
+        let (first, second) = (heard.recv().unwrap(), heard.recv().unwrap());
+        assert_eq!(first, second);
+        assert_ne!(first, std::thread::current().id());
+        give(Box::new(|| panic!("as planned"))).unwrap();
+        // Work that is given before the thread has ended goes with it.
+        let next = std::iter::repeat_with(|| {
+            tell();
+            heard.recv_timeout(std::time::Duration::from_millis(200))
+        });
+        assert!(next.take(20).any(|told| told.is_ok()));
+    }
+}
