@@ -61,7 +61,7 @@ fn child() {
     let Some(path) = std::env::var_os(CHILD) else { return };
     let (mut producer, consumer) = rtrb::RingBuffer::new(4096);
     let _recorder =
-        Recorder::start(&MachineDisk, Path::new(&path), header(), b"policy", consumer, None)
+        Recorder::start(&MachineDisk, Path::new(&path), header(), b"policy", consumer, Vec::new())
             .unwrap();
     let clock = MonotonicClock;
     let mut deadline_ns = clock.now_ns();

@@ -274,7 +274,7 @@ impl ChosenDevice {
             limits: HardwareLimits::default()
                 .with_motor(self.motor())
                 .with_plant_consent(self.plant_consent),
-            viewer: None,
+            viewers: Vec::new(),
         }
     }
 }

@@ -15,12 +15,14 @@ use super::experiment_progress::ExperimentProgress;
 use super::experiment_report::ExperimentReport;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
+use super::keyboard::Keyboard;
 use super::live::{Live, LiveArguments};
 use super::named_values::{named, presets};
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
 use super::printable::tell;
 use super::report;
+use super::screen::{Screen, ScreenArgument};
 use super::stop::Stop;
 use super::strategy_arguments::{StrategyArguments, check_device};
 use crate::estimation::EstimatorSettings;
@@ -157,6 +159,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     live: LiveArguments,
+
+    #[command(flatten)]
+    screen: ScreenArgument,
 }
 
 /// The families by name.
@@ -229,11 +234,28 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         true => Live::default(),
         false => arguments.live.serve("experiment", &stop)?,
     };
-    let rig = live.watch(rig);
     let all = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = arguments.threads.map_or(all, usize::from);
     let failed = |error| failures::experiment(error, &stop, &resume);
-    let progress = ExperimentProgress::new(&settings);
+    let title = format!("qube-hil experiment in {}", folder.root().display());
+    let screen = match arguments.table {
+        true => Screen::none(),
+        false => arguments.screen.open(&title, output, &stop),
+    };
+    // Rollouts of emulated Qubes run beside each other, so none of them is shown.
+    let is_hardware = rig.is_hardware();
+    screen.progress().update(|state| {
+        state.has_rollouts = is_hardware;
+        state.can_pause = is_hardware;
+        if !is_hardware {
+            state.stop_effect = "finished work is kept, and --resume goes on";
+        }
+    });
+    let screens = screen.viewer().filter(|_| is_hardware);
+    let viewers = screens.into_iter().chain(live.viewer()).collect();
+    let rig = RigSettings { viewers, ..rig };
+    let keyboard = Keyboard::of_screen(&stop, &screen.progress());
+    let progress = ExperimentProgress::new(&settings, &screen.progress(), &stop);
     let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag));
     let mut ended = Ok(());
     if !arguments.table {
@@ -243,8 +265,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
                 live.experiment(&news);
             })
             .map_err(failed);
-        progress.finish();
     }
+    drop(keyboard);
+    drop(screen);
 
     let report = match ExperimentReport::read(&experiment) {
         Ok(report) => report,

@@ -1,23 +1,28 @@
-use std::time::Duration;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Instant;
 
-use indicatif::{ProgressBar, ProgressStyle};
-
-use super::printable::printable;
+use super::screen::Progress;
+use super::stop::Stop;
 use crate::experiment::{
     ExperimentEvent, ExperimentSettings, RecommendationResult, Repetition, Score,
 };
 use crate::scoring::Behaviour;
 use crate::session::SessionEvent;
 
-/// The display on stderr of a running experiment: a line for each finished piece of work, and a bar over
-/// policies or searches.
+/// The display of a running experiment: a line for each finished piece of work, and on the screen how many of the
+/// policies, searches or scores are done.
 pub struct ExperimentProgress {
-    bar: ProgressBar,
+    progress: Progress,
+    stop: Arc<AtomicBool>,
+    began: Instant,
+    count: u64,
+    done: AtomicU64,
 }
 
 impl ExperimentProgress {
     /// A display for an experiment of this extent.
-    pub fn new(settings: &ExperimentSettings) -> Self {
+    pub fn new(settings: &ExperimentSettings, progress: &Progress, stop: &Stop) -> Self {
         let (count, what) = match &settings.strategies {
             Some(it) if it.has_budgets() => {
                 let rows = settings.plants.len() * it.methods.len() * it.budgets.len();
@@ -29,13 +34,18 @@ impl ExperimentProgress {
                 (series as u64 * u64::from(settings.policies), "policies")
             }
         };
-        let bar = ProgressBar::new(count);
-        let template = format!("{{bar:30}} {{pos}} of {{len}} {what}, {{eta}} left  {{msg}}");
-        if let Ok(style) = ProgressStyle::with_template(&template) {
-            bar.set_style(style);
+        progress.update(|state| {
+            state.work = format!("{count} {what}");
+            state.phase = "training and rollouts".into();
+            state.done = Some((0, count));
+        });
+        Self {
+            progress: progress.clone(),
+            stop: Arc::clone(&stop.flag),
+            began: Instant::now(),
+            count,
+            done: AtomicU64::new(0),
         }
-        bar.enable_steady_tick(Duration::from_millis(200));
-        Self { bar }
     }
 
     /// Shows one event.
@@ -57,13 +67,24 @@ impl ExperimentProgress {
                 let mean = returns.iter().sum::<f64>() / returns.len().max(1) as f64;
                 let kinds = kinds.join(", ");
                 self.line(format!("{recipe} {policy} on {plant}: mean return {mean:.0}; {kinds}"));
-                self.bar.inc(1);
+                self.one_more();
+                self.progress.wait_while_paused(&self.stop);
             }
             ExperimentEvent::Scored { repetition, recommendation } => {
                 self.scored(repetition, recommendation);
             }
-            ExperimentEvent::Over { .. } => self.bar.inc(1),
+            ExperimentEvent::Over { .. } => self.one_more(),
         }
+    }
+
+    /// Counts one more finished piece of work.
+    fn one_more(&self) {
+        let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
+        let count = self.count;
+        self.progress.update(|state| {
+            state.done = Some((done, count));
+            state.expect_end(self.began.elapsed(), done as f64, count.saturating_sub(done) as f64);
+        });
     }
 
     fn scored(&self, repetition: &Repetition, recommendation: &RecommendationResult) {
@@ -85,11 +106,14 @@ impl ExperimentProgress {
             }
             SessionEvent::Training { candidate, update, .. } => {
                 let done = update.update + 1;
-                self.bar.set_message(format!("{name}: candidate {candidate}, update {done}"));
+                self.progress.update(|state| {
+                    state.phase = format!("{name}: candidate {candidate}, update {done}");
+                });
             }
             SessionEvent::Rollout { candidate, rollout, verdict, .. } => {
                 let return_ = verdict.return_().map_or("void".into(), |it| format!("{it:.0}"));
                 self.line(format!("{name}: candidate {candidate}, rollout {rollout}: {return_}"));
+                self.progress.wait_while_paused(&self.stop);
             }
             SessionEvent::Trained { .. }
             | SessionEvent::Connected(_)
@@ -102,14 +126,7 @@ impl ExperimentProgress {
         }
     }
 
-    /// Clears the bar.
-    pub fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
-
     fn line(&self, text: String) {
-        // A bar without a terminal is hidden and would swallow the line.
-        let text = printable(&text);
-        if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
+        self.progress.line(&text);
     }
 }

@@ -12,6 +12,7 @@ use rustix::stdio::stdin;
 use rustix::termios::isatty;
 use signal_hook::consts::SIGTSTP;
 
+use super::screen::Progress;
 use super::stop::Stop;
 use super::terminal;
 use crate::rig::Doubt;
@@ -26,6 +27,7 @@ const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 #[derive(Debug)]
 pub struct Keyboard {
     watched: Option<Watched>,
+    progress: Progress,
 }
 
 #[derive(Debug)]
@@ -43,19 +45,25 @@ struct Shared {
     suspended: Arc<AtomicBool>,
     ended: AtomicBool,
     wake: OwnedFd,
+    progress: Progress,
 }
 
 impl Keyboard {
-    /// Watches the terminal; the space bar requests a stop.
-    pub fn watch(stop: &Stop) -> Self {
-        let watched = if isatty(stdin()) { Watched::start(stop) } else { None };
-        Self { watched }
+    /// Watches the terminal; the space bar requests a stop. A screen reacts to its keys, too.
+    pub fn watch(stop: &Stop, progress: &Progress) -> Self {
+        let watched = if isatty(stdin()) { Watched::start(stop, progress) } else { None };
+        Self { watched, progress: progress.clone() }
+    }
+
+    /// Watches the terminal if it has a screen.
+    pub fn of_screen(stop: &Stop, progress: &Progress) -> Option<Self> {
+        progress.has_screen().then(|| Self::watch(stop, progress))
     }
 
     /// A keyboard without a terminal.
     #[cfg(test)]
     pub fn none() -> Self {
-        Self { watched: None }
+        Self { watched: None, progress: Progress::lines() }
     }
 
     /// The sentence on keys that the operator needs before anything moves.
@@ -70,10 +78,12 @@ impl Keyboard {
     /// stop request.
     pub fn acknowledges(&self, doubt: &Doubt, stop: &Stop) -> bool {
         let Some(Watched { shared, keys, .. }) = &self.watched else { return false };
-        eprintln!(
+        let question = format!(
             "{doubt}\nThe motor is off. Look at the Qube; then press a: it is examined, and driven \
              again. Any other key ends this."
         );
+        eprintln!("{question}");
+        self.progress.ask(&question);
         while keys.try_recv().is_ok() {}
         shared.asking.store(true, Ordering::Relaxed);
         let key = loop {
@@ -84,12 +94,13 @@ impl Keyboard {
             }
         };
         shared.asking.store(false, Ordering::Relaxed);
+        self.progress.answered();
         matches!(key, Some(b'a' | b'A'))
     }
 }
 
 impl Watched {
-    fn start(stop: &Stop) -> Option<Self> {
+    fn start(stop: &Stop, progress: &Progress) -> Option<Self> {
         let suspended = Arc::new(AtomicBool::new(false));
         signal_hook::flag::register(SIGTSTP, Arc::clone(&suspended)).ok()?;
         let wake = eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK).ok()?;
@@ -99,6 +110,7 @@ impl Watched {
             suspended,
             ended: AtomicBool::new(false),
             wake,
+            progress: progress.clone(),
         });
         let (sender, keys) = bounded(16);
         let watched = Arc::clone(&shared);
@@ -140,6 +152,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
             let _ = signal_hook::low_level::emulate_default_handler(SIGTSTP);
         }
         terminal::set_single_keys();
+        terminal::resume_screen();
         let input = stdin();
         let mut ready =
             [PollFd::new(&input, PollFlags::IN), PollFd::new(&shared.wake, PollFlags::IN)];
@@ -160,8 +173,14 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
         for &key in &buffer[..length] {
             if shared.asking.load(Ordering::Relaxed) {
                 let _ = keys.try_send(key);
-            } else if key == b' ' && !shared.stop.swap(true, Ordering::Relaxed) {
-                eprintln!("stopping: the arm is braked and the state is kept");
+                continue;
+            }
+            let is_stop = match shared.progress.has_screen() {
+                true => shared.progress.pressed(key),
+                false => key == b' ',
+            };
+            if is_stop && !shared.stop.swap(true, Ordering::Relaxed) {
+                eprintln!("stopping: {}", shared.progress.stop_effect());
             }
         }
     }

@@ -10,7 +10,7 @@ use super::printable::tell;
 use super::stop::Stop;
 use crate::experiment::ExperimentEvent;
 use crate::live::{LiveError, LiveSettings, LiveView, Status};
-use crate::rig::RigSettings;
+use crate::recording::Viewer;
 use crate::session::{Purpose, SessionEvent};
 
 /// Port of Foxglove's protocol by custom.
@@ -103,9 +103,9 @@ pub struct Live {
 }
 
 impl Live {
-    /// The settings of a rig that the view watches.
-    pub fn watch(&self, settings: RigSettings) -> RigSettings {
-        RigSettings { viewer: self.view.as_ref().map(LiveView::viewer), ..settings }
+    /// What follows rollouts for the view; `None` without one.
+    pub fn viewer(&self) -> Option<Arc<dyn Viewer>> {
+        self.view.as_ref().map(LiveView::viewer)
     }
 
     /// Says what the command does, in words.

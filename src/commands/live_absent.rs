@@ -1,9 +1,11 @@
 //! The live view of a program that is built without it: there is no such option, and nothing is watched.
 
+use std::sync::Arc;
+
 use super::exit::Failure;
 use super::stop::Stop;
 use crate::experiment::ExperimentEvent;
-use crate::rig::RigSettings;
+use crate::recording::Viewer;
 use crate::session::SessionEvent;
 
 /// No arguments.
@@ -25,8 +27,8 @@ impl LiveArguments {
 pub struct Live {}
 
 impl Live {
-    pub fn watch(&self, settings: RigSettings) -> RigSettings {
-        settings
+    pub fn viewer(&self) -> Option<Arc<dyn Viewer>> {
+        None
     }
 
     pub fn rollout(&self, _rollout: u32, _of: u32) {}

@@ -45,6 +45,7 @@ mod recover;
 mod replay;
 mod report;
 mod run;
+mod screen;
 mod service_manager;
 mod session;
 mod session_progress;
@@ -56,6 +57,7 @@ mod strategy_table;
 mod terminal;
 mod toy;
 mod train;
+mod training_progress;
 mod words_gone;
 
 use std::ffi::OsString;

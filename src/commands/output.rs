@@ -22,6 +22,11 @@ impl Output {
         Self { json, printed: Cell::new(false), error: RefCell::new(None) }
     }
 
+    /// Whether results are for scripts.
+    pub fn is_for_scripts(&self) -> bool {
+        self.json
+    }
+
     /// Prints a part of a result for people before the rest is known.
     pub fn print_for_people(&self, text: &str) {
         if !self.json {

@@ -24,6 +24,7 @@ use super::live::LiveArguments;
 use super::number_arguments::between;
 use super::output::Output;
 use super::printable::tell;
+use super::screen::ScreenArgument;
 use super::stop::Stop;
 use crate::control::HomingMethod;
 use crate::policy::ExcitationShape;
@@ -93,6 +94,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     live: LiveArguments,
+
+    #[command(flatten)]
+    screen: ScreenArgument,
 }
 
 /// The excitations by name.
@@ -132,9 +136,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(note) = &controller.note {
         tell(note);
     }
+    let title = format!("qube-hil run: {} in {}", controller.name, directory.display());
+    let screen = arguments.screen.open(&title, output, &stop);
     let live = arguments.live.serve("run", &stop)?;
-    let settings = live.watch(settings);
-    let keyboard = Keyboard::watch(&stop);
+    let viewers = screen.viewer().into_iter().chain(live.viewer()).collect();
+    let settings = RigSettings { viewers, ..settings };
+    let keyboard = Keyboard::watch(&stop, &screen.progress());
     eprintln!("{}", keyboard.hint());
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
@@ -158,9 +165,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         stop: &stop,
         keyboard: &keyboard,
         live: &live,
+        progress: screen.progress(),
     };
     let ended = series.run(arguments.rollouts, &mut results);
     drop(keyboard);
+    drop(screen);
 
     if let Some(profile) = &profile {
         results.compare(profile);

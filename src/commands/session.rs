@@ -18,12 +18,14 @@ use super::output::Output;
 use super::printable::tell;
 use super::profile;
 use super::report;
+use super::screen::ScreenArgument;
 use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_table::SessionTable;
 use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
 use crate::qube::{PlantModel, Profile};
+use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent};
 use crate::session::{
     EmulatedQubeSettings, IdentificationSettings, Session, SessionError, SessionFolder,
@@ -125,6 +127,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     live: LiveArguments,
+
+    #[command(flatten)]
+    screen: ScreenArgument,
 }
 
 /// The extent of a session.
@@ -193,7 +198,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     let profile = device.profile.as_ref().map(Profile::model);
     let stop = Stop::on_signals()?;
-    let rig_settings = crate::rig::RigSettings {
+    let root = folder.paths().root().display().to_string();
+    let screen = arguments.screen.open(&format!("qube-hil session in {root}"), output, &stop);
+    let rig_settings = RigSettings {
         homing: settings.homing,
         limits,
         ..device.rig_settings(
@@ -212,8 +219,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             return Err(failure);
         }
     };
-    let rig_settings = live.watch(rig_settings);
-    let keyboard = Keyboard::watch(&stop);
+    let viewers = screen.viewer().into_iter().chain(live.viewer()).collect();
+    let rig_settings = RigSettings { viewers, ..rig_settings };
+    let keyboard = Keyboard::watch(&stop, &screen.progress());
     eprintln!("{}", keyboard.hint());
     tell(&format!("session in {}", folder.paths().root().display()));
     if let Some(warning) = device.power_warning() {
@@ -230,7 +238,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
 
     let failed = |error| failures::session(error, &stop, &resume);
-    let mut progress = SessionProgress::new(&settings);
+    let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
     let candidates = progress.candidates();
     let mut session =
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
@@ -249,8 +257,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         }
     };
     service_manager::stopping();
-    progress.finish();
     drop(keyboard);
+    drop(screen);
     // Finished work is shown, whatever ended the session.
     if let Err(failure) = &ended
         && failure.is_usage()

@@ -1,19 +1,20 @@
 use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
-
 use super::command_hints;
-use super::printable::printable;
+use super::screen::{Progress, ScreenState};
+use super::stop::Stop;
 use super::warn_without_realtime;
 use crate::scoring::Verdict;
 use crate::session::{Purpose, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;
 
-/// The display on stderr of a running session: a line for each finished piece of work, and one live line
-/// for training.
+/// The display of a running session: a line for each finished piece of work, and the state of the work on the screen.
 pub struct SessionProgress {
-    bar: ProgressBar,
+    progress: Progress,
+    stop: Arc<AtomicBool>,
     candidates: u32,
     /// Whether the session may end with fewer candidates.
     may_end_early: bool,
@@ -22,37 +23,19 @@ pub struct SessionProgress {
     updates: u32,
     /// When this process proposed its first candidate, and that candidate's number.
     began: Option<(Instant, u32)>,
-    /// The candidates in training, each with the number of its training.
-    training: BTreeMap<(u32, u32), InTraining>,
+    /// The same for the first candidate that is trained, and the latest candidate: excitations take less time.
+    searched: Option<(Instant, u32)>,
+    latest: u32,
+    /// Number of trainings of each candidate.
+    trainings: u32,
+    /// Returns of each candidate's rollouts, and how many of them balanced.
+    returns: BTreeMap<u32, (Vec<f64>, u32)>,
     connected: bool,
-}
-
-/// The progress of a training.
-struct InTraining {
-    /// When its first update was done.
-    began: Instant,
-    updates: u32,
-    best_return: f64,
-}
-
-impl InTraining {
-    /// Describes the training, of which there are `updates` updates.
-    fn told(&self, candidate: u32, updates: u32) -> String {
-        let Self { began, updates: done, best_return } = self;
-        let each = began.elapsed().checked_div(done - 1).unwrap_or_default();
-        let left_s = (each * updates.saturating_sub(*done)).as_secs();
-        format!("{candidate} (update {done} of {updates}, best {best_return:.0}, {left_s} s left)")
-    }
 }
 
 impl SessionProgress {
     /// A display for a session of this extent.
-    pub fn new(settings: &SessionSettings) -> Self {
-        let bar = ProgressBar::new_spinner();
-        if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
-            bar.set_style(style);
-        }
-        bar.enable_steady_tick(Duration::from_millis(120));
+    pub fn new(settings: &SessionSettings, progress: &Progress, stop: &Stop) -> Self {
         let extent = &settings.extent;
         let searched = extent.initial_candidates + extent.iterations;
         let candidates = match &settings.identification {
@@ -61,14 +44,19 @@ impl SessionProgress {
             None => searched + 1 + u32::from(extent.verifies_incumbent),
         } + u32::from(extent.baseline);
         let updates = settings.training.updates;
+        progress.update(|state| state.phase = "opening the Qube, checking and homing it".into());
         Self {
-            bar,
+            progress: progress.clone(),
+            stop: Arc::clone(&stop.flag),
             candidates,
             may_end_early: settings.identification.is_some(),
             excitations: Vec::new(),
             updates,
             began: None,
-            training: BTreeMap::new(),
+            searched: None,
+            latest: 0,
+            trainings: settings.identification.map_or(1, |plan| plan.trainings.max(1)),
+            returns: BTreeMap::new(),
             connected: false,
         }
     }
@@ -95,6 +83,10 @@ impl SessionProgress {
                 if *purpose == Purpose::Excitation {
                     self.excitations.push(*candidate);
                 }
+                if *purpose != Purpose::Excitation {
+                    self.searched.get_or_insert((Instant::now(), *candidate));
+                }
+                self.proposed(*candidate, why);
                 if self.may_end_early {
                     let most = self.candidates;
                     self.line(format!("candidate {candidate} (of at most {most}): {why}"));
@@ -104,23 +96,22 @@ impl SessionProgress {
                 }
             }
             SessionEvent::Training { candidate, training, update } => {
-                let it = self.training.entry((*candidate, *training)).or_insert_with(|| InTraining {
-                    began: Instant::now(),
-                    updates: 0,
-                    best_return: f64::MIN,
+                let name = match training {
+                    0 => format!("candidate {candidate}"),
+                    again => format!("candidate {candidate}, training {again}"),
+                };
+                self.progress.update(|state| {
+                    state.phase = "training in simulation".into();
+                    let key = (*candidate, *training);
+                    state.add_update(key, &name, self.updates, update.mean_return);
+                    self.expect_end(state);
                 });
-                it.updates += 1;
-                it.best_return = it.best_return.max(update.mean_return);
-                let each: Vec<String> = self
-                    .training
-                    .iter()
-                    .map(|((number, _), it)| it.told(*number, self.updates))
-                    .collect();
-                self.bar.set_message(format!("training candidate {}", each.join(", ")));
             }
             SessionEvent::Trained { candidate, best_return } => {
-                self.training.retain(|(number, _), _| number != candidate);
-                self.bar.set_message("");
+                self.progress.update(|state| {
+                    state.trainings.retain(|(number, _), _| number != candidate);
+                    state.phase = "rollouts on the Qube".into();
+                });
                 if let Some(best_return) = best_return {
                     self.line(format!(
                         "candidate {candidate}: trained, earns {best_return:.0} in its simulations"
@@ -134,11 +125,13 @@ impl SessionProgress {
                         "connected to {} {} at {}; the arm is homed",
                         identity.kind, identity.serial, identity.port
                     ));
-                    self.bar.suspend(|| warn_without_realtime(rig.realtime()));
+                    warn_without_realtime(rig.realtime());
                 }
                 self.connected = true;
+                self.progress.update(|state| state.phase = "rollouts on the Qube".into());
             }
             SessionEvent::Identified { recordings, doubts } => {
+                self.progress.update(|state| state.phase = "planning".into());
                 self.line(identified(*recordings, doubts));
             }
             SessionEvent::ExcitesAgain(reason) => {
@@ -170,20 +163,71 @@ impl SessionProgress {
                 {
                     self.line(hint.into());
                 }
+                if !self.excitations.contains(candidate)
+                    && let Verdict::Result { return_, success, .. } = verdict
+                {
+                    self.returned(*candidate, *return_, *success);
+                }
+                self.progress.wait_while_paused(&self.stop);
             }
         }
     }
 
-    /// Clears the live line.
-    pub fn finish(&self) {
-        self.bar.finish_and_clear();
+    /// Shows a new candidate.
+    fn proposed(&mut self, candidate: u32, why: &str) {
+        self.latest = candidate;
+        let candidates = self.candidates;
+        let most = if self.may_end_early { "at most " } else { "" };
+        let work =
+            format!("candidate {candidate} ({} of {most}{candidates}): {why}", candidate + 1);
+        self.progress.update(|state| {
+            state.work = work;
+            state.phase = "preparing".into();
+            state.may_end_early = self.may_end_early;
+            state.done = Some((candidate.into(), candidates.into()));
+            self.expect_end(state);
+        });
+    }
+
+    /// Expects the end from the time of the candidates so far; the updates of the latest one count as its part.
+    fn expect_end(&self, state: &mut ScreenState) {
+        let Some((since, first)) = self.searched else { return };
+        let updates: usize = state.trainings.values().map(|training| training.returns.len()).sum();
+        let all = f64::from(self.updates) * f64::from(self.trainings);
+        let part = (updates as f64 / all.max(1.0)).min(1.0);
+        let done = f64::from(self.latest.saturating_sub(first)) + part;
+        state.expect_end(
+            since.elapsed(),
+            done,
+            f64::from(self.candidates.saturating_sub(self.latest)) - part,
+        );
+    }
+
+    /// Shows the best candidate after one more rollout.
+    fn returned(&mut self, candidate: u32, return_: f64, success: bool) {
+        let (returns, successes) = self.returns.entry(candidate).or_default();
+        returns.push(return_);
+        *successes += u32::from(success);
+        let best = best(&self.returns);
+        self.progress.update(|state| state.best = best);
     }
 
     fn line(&self, text: String) {
-        // A bar without a terminal is hidden and would swallow the line.
-        let text = printable(&text);
-        if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
+        self.progress.line(&text);
     }
+}
+
+/// The candidate with the largest mean return, in words.
+fn best(candidates: &BTreeMap<u32, (Vec<f64>, u32)>) -> String {
+    let mean = |returns: &[f64]| returns.iter().sum::<f64>() / returns.len().max(1) as f64;
+    let best = candidates.iter().max_by(|a, b| mean(&a.1.0).total_cmp(&mean(&b.1.0)));
+    best.map_or(String::new(), |(candidate, (returns, successes))| {
+        format!(
+            "best so far: candidate {candidate} with a return of {:.0}; {successes} of {} rollouts balance",
+            mean(returns),
+            returns.len()
+        )
+    })
 }
 
 /// The outcome of an identification as a sentence.
@@ -234,7 +278,7 @@ mod tests {
     #[test]
     fn the_last_candidate_is_the_last_of_all() {
         let settings = SessionSettings::quick();
-        let progress = SessionProgress::new(&settings);
+        let progress = SessionProgress::new(&settings, &Progress::lines(), &Stop::default());
         assert_eq!(progress.candidates, 12);
         assert_eq!(proposed(11, 12, "the last"), "candidate 11 (12 of 12): the last");
     }
@@ -248,10 +292,14 @@ mod tests {
     }
 
     #[test]
-    fn a_training_tells_its_total_and_the_time_left() {
-        let it = InTraining { began: Instant::now(), updates: 103, best_return: 412.3 };
-        assert_eq!(it.told(3, 120), "3 (update 103 of 120, best 412, 0 s left)");
-        let first = InTraining { updates: 1, ..it };
-        assert!(first.told(0, 120).contains("update 1 of 120"));
+    fn the_best_candidate_is_that_of_the_largest_mean_return() {
+        assert_eq!(best(&BTreeMap::new()), "");
+        let candidates = BTreeMap::from([
+            (0, (vec![500.0, 100.0], 1)),
+            (1, (vec![400.0], 1)),
+            (2, (vec![20.0], 0)),
+        ]);
+        let told = "best so far: candidate 1 with a return of 400; 1 of 1 rollouts balance";
+        assert_eq!(best(&candidates), told);
     }
 }

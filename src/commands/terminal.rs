@@ -1,8 +1,13 @@
-//! The terminal of an operator: single keys without echo while a Qube is driven, and back again.
+//! The terminal of an operator: single keys without echo while a Qube is driven, the screen, and back again.
 
-use std::sync::{Mutex, PoisonError};
+use std::fs::File;
+use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError, TryLockError};
+use std::time::Duration;
 
-use rustix::stdio::stdin;
+use rustix::io::fcntl_dupfd_cloexec;
+use rustix::stdio::{stderr, stdin};
 use rustix::termios::{
     LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcgetpgrp, tcsetattr,
 };
@@ -10,8 +15,105 @@ use rustix::termios::{
 /// Terminal settings before keys were read singly; `None` while they are in force.
 static COOKED: Mutex<Option<Termios>> = Mutex::new(None);
 
+/// The terminal of the screen; `None` without a screen.
+static SCREEN: Mutex<Option<ScreenTerminal>> = Mutex::new(None);
+
+/// Whether the next frame must be drawn whole.
+static REDRAW: AtomicBool = AtomicBool::new(false);
+
+/// Switches to the alternate screen and hides the cursor.
+const ENTER: &[u8] = b"\x1b[?1049h\x1b[?25l\x1b[2J";
+
+/// Switches back to what the terminal showed before, with its cursor.
+const LEAVE: &[u8] = b"\x1b[0m\x1b[?25h\x1b[?1049l";
+
+struct ScreenTerminal {
+    /// Stderr as it was, which is the terminal.
+    terminal: File,
+    /// Whether the terminal shows the screen; not while the program is suspended.
+    is_shown: bool,
+}
+
+impl ScreenTerminal {
+    fn show(&mut self) {
+        if !self.is_shown && self.terminal.write_all(ENTER).is_ok() {
+            self.is_shown = true;
+            REDRAW.store(true, Ordering::Relaxed);
+        }
+    }
+
+    fn hide(&mut self) {
+        if self.is_shown {
+            // A terminal that is gone needs no restoring.
+            let _ = self.terminal.write_all(LEAVE);
+            self.is_shown = false;
+        }
+    }
+}
+
+/// Shows an empty screen on the terminal behind stderr.
+///
+/// # Errors
+/// Stderr cannot be duplicated.
+pub fn enter_screen() -> io::Result<()> {
+    let terminal = File::from(fcntl_dupfd_cloexec(stderr(), 3)?);
+    let mut screen = ScreenTerminal { terminal, is_shown: false };
+    screen.show();
+    *SCREEN.lock().unwrap_or_else(PoisonError::into_inner) = Some(screen);
+    Ok(())
+}
+
+/// Ends the screen: the terminal shows what it did before.
+pub fn leave_screen() {
+    if let Some(mut screen) = SCREEN.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        screen.hide();
+    }
+}
+
+/// Shows the screen again after the program was suspended, once it is in the foreground.
+pub fn resume_screen() {
+    if let Ok(mut screen) = SCREEN.try_lock()
+        && let Some(screen) = screen.as_mut().filter(|screen| !screen.is_shown)
+        && is_foreground()
+    {
+        screen.show();
+    }
+}
+
+/// Writes to the screen while it is shown.
+pub fn write_screen(frame: &[u8]) {
+    let mut screen = SCREEN.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(screen) = screen.as_mut().filter(|screen| screen.is_shown) {
+        let _ = screen.terminal.write_all(frame);
+    }
+}
+
+/// Whether the next frame must be drawn whole; asking answers it.
+pub fn take_redraw() -> bool {
+    REDRAW.swap(false, Ordering::Relaxed)
+}
+
+/// Hides the screen for a while, unless a frame has been on its way to a halted terminal for too long.
+fn hide_screen() {
+    for _ in 0..20 {
+        let mut screen = match SCREEN.try_lock() {
+            Ok(screen) => screen,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => {
+                std::thread::sleep(Duration::from_millis(10));
+                continue;
+            }
+        };
+        if let Some(screen) = screen.as_mut() {
+            screen.hide();
+        }
+        return;
+    }
+}
+
 /// Restores the terminal, also for exits that drop nothing.
 pub fn restore() {
+    hide_screen();
     let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(cooked) = cooked.take() {
         let _ = tcsetattr(stdin(), OptionalActions::Now, &cooked);

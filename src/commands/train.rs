@@ -1,21 +1,23 @@
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::destination::{OutputFile, check_folder};
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
+use super::keyboard::Keyboard;
 use super::named_values::{named, presets};
 use super::number_arguments::between;
 use super::output::Output;
 use super::plant_file::PlantArgument;
 use super::profile;
+use super::screen::ScreenArgument;
 use super::stop::Stop;
+use super::training_progress::TrainingProgress;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::jobs::{Executor, LocalExecutor, TrainingJob};
@@ -121,6 +123,9 @@ pub struct Arguments {
 
     #[command(flatten)]
     estimator: EstimatorArguments,
+
+    #[command(flatten)]
+    screen: ScreenArgument,
 }
 
 impl Arguments {
@@ -203,21 +208,14 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Level::from(arguments.instruction_set).forbid_better();
     let stop = Stop::on_signals()?;
     let job = TrainingJob { distribution, settings, seed: arguments.seed };
-    let bar = ProgressBar::new(u64::from(job.settings.updates));
-    if let Ok(style) =
-        ProgressStyle::with_template("{bar:30} update {pos} of {len}, {eta} left  {msg}")
-    {
-        bar.set_style(style);
-    }
-    bar.enable_steady_tick(Duration::from_millis(200));
+    let title = format!("qube-hil train: {} for {}", origin.model, arguments.out.display());
+    let screen = arguments.screen.open(&title, output, &stop);
+    let keyboard = Keyboard::of_screen(&stop, &screen.progress());
+    let keeps = arguments.checkpoint.is_some();
+    let mut progress = TrainingProgress::new(job.settings.updates, keeps, &screen.progress());
 
     let started = Instant::now();
-    let mut best_return = f64::NEG_INFINITY;
-    let mut tell = |update: &TrainUpdate| {
-        best_return = best_return.max(update.mean_return);
-        bar.set_position(u64::from(update.update) + 1);
-        bar.set_message(format!("best return {best_return:.1}"));
-    };
+    let mut tell = |update: &TrainUpdate| progress.tell(update);
     let trained = match &start {
         Some(start) => {
             let TrainingJob { distribution, settings, seed } = &job;
@@ -228,7 +226,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             executor.train_one(&job, &stop.flag, &mut tell)
         }
     };
-    bar.finish_and_clear();
+    drop(keyboard);
+    drop(screen);
     let trained = trained.map_err(|error| match error {
         TrainError::Stopped => stop.failure(match &arguments.checkpoint {
             None => "stopped; nothing was written".into(),

@@ -35,7 +35,7 @@ pub struct Recorder {
 
 impl Recorder {
     /// Creates the file, writes header and policy, and starts the thread. `ticks` is the consumer of the
-    /// control thread's ring. A viewer sees each tick as the recorder takes it from the ring.
+    /// control thread's ring. Viewers see each tick as the recorder takes it from the ring.
     ///
     /// # Errors
     /// [`RolloutWriter::create`] fails, or the thread cannot be started.
@@ -45,15 +45,17 @@ impl Recorder {
         header: RolloutHeader,
         policy: &[u8],
         ticks: rtrb::Consumer<TickRecord>,
-        viewer: Option<Arc<dyn Viewer>>,
+        viewers: Vec<Arc<dyn Viewer>>,
     ) -> Result<Self, RecordingError> {
         let in_real_time = header.started_unix_ns.is_some();
-        let begins = viewer.as_ref().map(|_| header.clone());
+        let begins = (!viewers.is_empty()).then(|| header.clone());
         let writer = RolloutWriter::create(disk, path, header, policy)?;
-        if let (Some(viewer), Some(header)) = (&viewer, begins) {
-            viewer.begins(&header, start_unix_ns(&header));
+        if let Some(header) = begins {
+            for viewer in &viewers {
+                viewer.begins(&header, start_unix_ns(&header));
+            }
         }
-        Self::spawn(path, writer, ticks, in_real_time, viewer)
+        Self::spawn(path, writer, ticks, in_real_time, viewers)
     }
 
     fn spawn<W: Sink + Send + 'static>(
@@ -61,7 +63,7 @@ impl Recorder {
         writer: RolloutWriter<W>,
         ticks: rtrb::Consumer<TickRecord>,
         in_real_time: bool,
-        viewer: Option<Arc<dyn Viewer>>,
+        viewers: Vec<Arc<dyn Viewer>>,
     ) -> Result<Self, RecordingError> {
         let failed = Arc::new(AtomicBool::new(false));
         let (sender, receiver) = crossbeam_channel::bounded(1);
@@ -71,7 +73,7 @@ impl Recorder {
             outcome: receiver,
             failed: Arc::clone(&failed),
             in_real_time,
-            viewer,
+            viewers,
         };
         let thread = Builder::new()
             .name("recorder".to_owned())
@@ -144,7 +146,7 @@ struct Worker<W: Sink> {
     outcome: Receiver<Closing>,
     failed: Arc<AtomicBool>,
     in_real_time: bool,
-    viewer: Option<Arc<dyn Viewer>>,
+    viewers: Vec<Arc<dyn Viewer>>,
 }
 
 impl<W: Sink> Worker<W> {
@@ -160,7 +162,7 @@ impl<W: Sink> Worker<W> {
                 self.writer = None;
                 result = Err(error);
             }
-            if let Some(viewer) = &self.viewer {
+            for viewer in &self.viewers {
                 match &order {
                     Ok((outcome, _)) => viewer.ended(Some(outcome)),
                     Err(RecvTimeoutError::Disconnected) => viewer.ended(None),
@@ -187,7 +189,7 @@ impl<W: Sink> Worker<W> {
     /// Writes the ticks in the ring, and flushes the open block when it is old.
     fn write_waiting(&mut self, block_opened: &mut Option<Instant>) -> Result<(), RecordingError> {
         while let Ok(tick) = self.ticks.pop() {
-            if let Some(viewer) = &self.viewer {
+            for viewer in &self.viewers {
                 viewer.ticked(&tick);
             }
             if let Some(writer) = &mut self.writer {
@@ -246,7 +248,7 @@ mod tests {
         let disk = FullDisk { writes_left: 1 };
         let writer = RolloutWriter::begin(disk, path, header(), POLICY).unwrap();
         let (mut producer, consumer) = rtrb::RingBuffer::new(16);
-        let recorder = Recorder::spawn(path, writer, consumer, false, None).unwrap();
+        let recorder = Recorder::spawn(path, writer, consumer, false, Vec::new()).unwrap();
         for number in 0..200 {
             while producer.is_full() {
                 std::thread::yield_now();

@@ -535,14 +535,15 @@ fn the_recorder_writes_what_comes_through_the_ring() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let (mut producer, consumer) = rtrb::RingBuffer::new(64);
-    let recorder = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, None).unwrap();
+    let recorder =
+        Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, Vec::new()).unwrap();
     for number in 0..33 {
         producer.push(tick(number)).unwrap();
     }
     assert_eq!(recorder.finish(outcome(), Vec::new()).unwrap(), path);
     assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(33)), "same bytes as in memory");
     let (_, consumer) = rtrb::RingBuffer::new(64);
-    let again = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, None);
+    let again = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, Vec::new());
     assert!(matches!(again.err(), Some(RecordingError::Create { .. })), "never overwritten");
 }
 
@@ -570,9 +571,9 @@ fn a_viewer_sees_the_rollout_in_order_and_changes_no_byte() {
     let path = directory.path().join("rollout.mcap");
     let (mut producer, consumer) = rtrb::RingBuffer::new(64);
     let seen = Arc::new(Noting::default());
-    let viewer: Arc<dyn Viewer> = seen.clone();
+    let viewers: Vec<Arc<dyn Viewer>> = vec![seen.clone()];
     let recorder =
-        Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, Some(viewer)).unwrap();
+        Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, viewers).unwrap();
     for number in 0..3 {
         producer.push(tick(number)).unwrap();
     }
@@ -587,7 +588,8 @@ fn a_recorder_that_is_dropped_leaves_a_readable_recording() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let (mut producer, consumer) = rtrb::RingBuffer::new(64);
-    let recorder = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, None).unwrap();
+    let recorder =
+        Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, Vec::new()).unwrap();
     producer.push(tick(0)).unwrap();
     drop(recorder);
     let recording = read(&path).unwrap();

@@ -45,7 +45,7 @@ pub struct Rig {
     /// Model that the guard uses, until a rollout contradicts it.
     pub(super) identified: Cell<Option<IdentifiedQube>>,
     /// Viewer of rollouts while they are recorded.
-    pub(super) viewer: Option<Arc<dyn Viewer>>,
+    pub(super) viewers: Vec<Arc<dyn Viewer>>,
     /// Fault that ended the last motion, until the Qube is homed again.
     pub(super) last_fault: Cell<Option<Fault>>,
     /// Emulator, served until the rig is closed; dropped after the control thread.
@@ -140,7 +140,7 @@ impl Rig {
             memory: settings.recovery.memory.clone(),
             foresight_time_us: if is_hardware { foresight_time_us() } else { 0.0 },
             identified: Cell::new(settings.identified()),
-            viewer: settings.viewer.clone(),
+            viewers: settings.viewers.clone(),
             last_fault: Cell::new(None),
             _emulator: emulator,
         })

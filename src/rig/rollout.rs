@@ -156,7 +156,7 @@ impl Rig {
         };
         let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let recorder =
-            Recorder::start(disk, path, header, policy_file, consumer, self.viewer.clone())?;
+            Recorder::start(disk, path, header, policy_file, consumer, self.viewers.clone())?;
         let report = match self.control.rollout(settings, controller, producer)? {
             Ok(report) => with_last_answer(report, last_v),
             Err(error) => {

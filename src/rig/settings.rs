@@ -114,8 +114,8 @@ pub struct RigSettings {
     pub limits: HardwareLimits,
     /// Reaction to faults.
     pub recovery: Recovery,
-    /// Viewer of rollouts while they are recorded.
-    pub viewer: Option<Arc<dyn Viewer>>,
+    /// Viewers of rollouts while they are recorded.
+    pub viewers: Vec<Arc<dyn Viewer>>,
 }
 
 /// The settings of the reaction to faults.
@@ -154,7 +154,7 @@ impl RigSettings {
             unidentified: false,
             limits: HardwareLimits::default(),
             recovery: Recovery::default(),
-            viewer: None,
+            viewers: Vec::new(),
         }
     }
 

@@ -1,8 +1,11 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use crate::commands::printable::tell;
 
-/// Computes `work(0)`, `work(1)` ... `work(count - 1)` on several threads, with a bar on stderr, and
+/// Number of lines about the progress.
+const LINES: usize = 10;
+
+/// Computes `work(0)`, `work(1)` ... `work(count - 1)` on several threads, with ten lines on stderr, and
 /// returns the results in order.
 pub fn map<T: Send>(
     count: usize,
@@ -10,11 +13,7 @@ pub fn map<T: Send>(
     title: &str,
     work: impl Fn(usize) -> T + Sync,
 ) -> Vec<T> {
-    let bar = ProgressBar::new(count as u64).with_message(title.to_string());
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos} of {len}, {eta} left  {msg}") {
-        bar.set_style(style);
-    }
-    let next = AtomicUsize::new(0);
+    let (next, finished) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let labour = || {
         let mut done = Vec::new();
         loop {
@@ -23,7 +22,10 @@ pub fn map<T: Send>(
                 return done;
             }
             done.push((index, work(index)));
-            bar.inc(1);
+            let finished = finished.fetch_add(1, Ordering::Relaxed) + 1;
+            if finished * LINES % count < LINES {
+                tell(&format!("{title}: {finished} of {count}"));
+            }
         }
     };
     let mut results: Vec<(usize, T)> = std::thread::scope(|scope| {
@@ -37,7 +39,6 @@ pub fn map<T: Send>(
         }
         all
     });
-    bar.finish_and_clear();
     results.sort_by_key(|(index, _)| *index);
     results.into_iter().map(|(_, result)| result).collect()
 }

@@ -52,7 +52,30 @@ pub struct RolloutRow {
     told: String,
 }
 
+impl RolloutRow {
+    /// Return and outcome in words.
+    pub fn in_words(&self) -> String {
+        match self.return_ {
+            Some(return_) => format!("return {return_:.0}, {}", self.told),
+            None => self.told.clone(),
+        }
+    }
+}
+
 impl Results {
+    /// The largest return so far, in words; empty without one, and for excitations.
+    pub fn best(&self) -> String {
+        let returns = self.rollouts.iter().filter_map(|row| row.return_);
+        let successes = self.rollouts.iter().filter(|row| row.success).count();
+        match returns.max_by(f64::total_cmp) {
+            Some(best) if !self.excited => format!(
+                "best return so far: {best:.0}; {successes} of {} rollouts balance",
+                self.rollouts.len()
+            ),
+            _ => String::new(),
+        }
+    }
+
     /// No results yet, of an excitation or a policy.
     pub fn new(excited: bool) -> Self {
         Self { excited, ..Self::default() }

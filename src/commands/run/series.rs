@@ -1,4 +1,5 @@
 use std::path::PathBuf;
+use std::time::Instant;
 
 use super::controller::RunController;
 use super::results::Results;
@@ -6,6 +7,7 @@ use crate::commands::exit::Failure;
 use crate::commands::keyboard::Keyboard;
 use crate::commands::live::Live;
 use crate::commands::printable::tell;
+use crate::commands::screen::Progress;
 use crate::commands::stop::Stop;
 use crate::commands::{command_hints, failures, warn_without_realtime};
 use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
@@ -22,18 +24,29 @@ pub struct Series<'a> {
     pub stop: &'a Stop,
     pub keyboard: &'a Keyboard,
     pub live: &'a Live,
+    pub progress: Progress,
 }
 
 impl Series<'_> {
     /// Runs the rollouts and adds their results.
     pub fn run(&mut self, rollouts: u32, results: &mut Results) -> Result<(), Failure> {
+        self.progress.update(|state| {
+            state.phase = "opening the Qube, checking and homing it".into();
+            state.done = Some((0, rollouts.into()));
+            state.has_trainings = false;
+        });
         let mut rig = self.open()?;
+        let began = Instant::now();
         warn_without_realtime(rig.realtime());
         std::fs::create_dir_all(&self.directory).map_err(|error| {
             Failure::usage(format!("--out {}: {error}", self.directory.display()))
         })?;
         for rollout in 0..rollouts {
             self.live.rollout(rollout, rollouts);
+            self.progress.update(|state| {
+                state.work = format!("rollout {rollout} ({} of {rollouts})", rollout + 1);
+                state.phase = "rollouts on the Qube".into();
+            });
             let recorded = self.rollout(&mut rig, rollout)?;
             results.add(&recorded.path)?;
             self.live.returned(results.rollouts.last().and_then(|it| it.return_));
@@ -46,6 +59,22 @@ impl Series<'_> {
                 break;
             }
             let last = rollout + 1 == rollouts;
+            let done = u64::from(rollout) + 1;
+            self.progress.update(|state| {
+                state.done = Some((done, rollouts.into()));
+                let to_do = u64::from(rollouts) - done;
+                state.expect_end(began.elapsed(), done as f64, to_do as f64);
+                state.best = results.best();
+                if let Some(row) = results.rollouts.last() {
+                    state.add_message(&format!("rollout {rollout}: {}", row.in_words()));
+                }
+            });
+            if !last {
+                self.progress.wait_while_paused(&self.stop.flag);
+                if self.stop.requested() {
+                    break;
+                }
+            }
             if let Ending::Fault(fault) = recorded.outcome.ending
                 && !last
             {

@@ -5,6 +5,7 @@ use std::path::Path;
 use super::controller::{policy, trained_on_true_states};
 use super::*;
 use crate::commands::live::Live;
+use crate::commands::screen::Progress;
 use crate::control::HomingSettings;
 use crate::device::emulator::{EmulatorFault, EmulatorSettings};
 use crate::policy::{Policy, SimulatedSensors};
@@ -44,6 +45,7 @@ fn run_within(
     let (stop, keyboard) = (Stop::default(), Keyboard::none());
     let directory = directory.to_owned();
     let live = Live::default();
+    let progress = Progress::lines();
     let mut series = Series {
         settings,
         plan,
@@ -52,6 +54,7 @@ fn run_within(
         stop: &stop,
         keyboard: &keyboard,
         live: &live,
+        progress,
     };
     let mut results = Results::default();
     (series.run(rollouts, &mut results), results)

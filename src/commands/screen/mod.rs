@@ -1,0 +1,269 @@
+//! The screen of long work at a terminal: phase, progress, training, rollout, messages, keys.
+//!
+//! A thread draws it a few times a second from a state that the work updates. The control thread takes no part: the
+//! recorder's thread hands ticks to a [`RolloutView`]. While the screen has the terminal, everything that is written to
+//! stderr becomes a message on it, and is printed there when the screen is gone.
+
+mod backend;
+mod capture;
+mod draw;
+mod rollout;
+mod state;
+#[cfg(test)]
+mod tests;
+
+use std::io::Write;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use ratatui::Terminal;
+use rustix::stdio::{stderr, stdin};
+use rustix::termios::isatty;
+
+use self::backend::Ansi;
+use self::capture::CapturedStderr;
+use self::draw::{Styles, draw};
+pub use self::rollout::RolloutView;
+use self::state::{Overlay, Pause, STOP_EFFECT};
+pub use self::state::{ScreenState, in_words};
+use super::output::Output;
+use super::printable::printable;
+use super::stop::Stop;
+use super::terminal;
+use crate::recording::Viewer;
+
+/// Interval between frames.
+const FRAME: Duration = Duration::from_millis(200);
+
+/// Messages that a frame may show.
+const SHOWN_MESSAGES: usize = 200;
+
+/// The smallest terminal that has a screen; a smaller one gets lines.
+const SMALLEST: (u16, u16) = (40, 10);
+
+/// How a long command tells of its progress.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct ScreenArgument {
+    /// Write progress as lines, without the screen that a terminal gets
+    #[arg(long)]
+    plain: bool,
+}
+
+/// What the threads of a screen share.
+#[derive(Debug)]
+pub struct Shared {
+    state: Mutex<ScreenState>,
+    rollout: Arc<RolloutView>,
+    stop: Arc<AtomicBool>,
+    ended: AtomicBool,
+}
+
+/// Progress of a long command: on the screen, or as lines on stderr.
+#[derive(Clone, Debug)]
+pub struct Progress {
+    shared: Option<Arc<Shared>>,
+}
+
+/// The screen, until it is dropped.
+#[derive(Debug)]
+pub struct Screen {
+    shared: Option<Arc<Shared>>,
+    drawer: Option<JoinHandle<()>>,
+    captured: Option<CapturedStderr>,
+}
+
+impl ScreenArgument {
+    /// Opens the screen of a command if stdin and stderr are a terminal that can show it, in the foreground, and
+    /// the user wants it; otherwise the screen is none, and its progress is lines.
+    pub fn open(self, title: &str, output: &Output, stop: &Stop) -> Screen {
+        let is_dumb = std::env::var_os("TERM").is_none_or(|term| term.is_empty() || term == "dumb");
+        let is_wanted = !self.plain && !output.is_for_scripts() && !is_dumb;
+        let is_terminal = || isatty(stdin()) && isatty(stderr()) && terminal::is_foreground();
+        if is_wanted && is_terminal() && is_large_enough() {
+            Screen::shown(title, stop).unwrap_or_else(|_| Screen::none())
+        } else {
+            Screen::none()
+        }
+    }
+}
+
+fn is_large_enough() -> bool {
+    backend::size().is_some_and(|size| size.width >= SMALLEST.0 && size.height >= SMALLEST.1)
+}
+
+impl Screen {
+    /// No screen.
+    pub fn none() -> Self {
+        Self { shared: None, drawer: None, captured: None }
+    }
+
+    fn shown(title: &str, stop: &Stop) -> std::io::Result<Self> {
+        let shared = Arc::new(Shared {
+            state: Mutex::new(ScreenState::new(printable(title).into_owned(), Instant::now())),
+            rollout: Arc::default(),
+            stop: Arc::clone(&stop.flag),
+            ended: AtomicBool::new(false),
+        });
+        let of_messages = Arc::clone(&shared);
+        terminal::enter_screen()?;
+        let captured =
+            CapturedStderr::begin(move |line| of_messages.state().add_message(&printable(&line)));
+        let captured = captured.inspect_err(|_| terminal::leave_screen())?;
+        let mut screen =
+            Self { shared: Some(Arc::clone(&shared)), drawer: None, captured: Some(captured) };
+        let drawer = Builder::new().name("screen".into()).spawn(move || keep_drawing(&shared))?;
+        screen.drawer = Some(drawer);
+        Ok(screen)
+    }
+
+    /// The progress that the screen shows.
+    pub fn progress(&self) -> Progress {
+        Progress { shared: self.shared.clone() }
+    }
+
+    /// What follows rollouts for the screen; `None` without one.
+    pub fn viewer(&self) -> Option<Arc<dyn Viewer>> {
+        let shared = self.shared.as_ref()?;
+        Some(Arc::clone(&shared.rollout) as Arc<dyn Viewer>)
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        let Some(shared) = self.shared.take() else { return };
+        shared.ended.store(true, Ordering::Relaxed);
+        if let Some(drawer) = self.drawer.take() {
+            drawer.thread().unpark();
+            let _ = drawer.join();
+        }
+        terminal::leave_screen();
+        self.captured = None;
+        let mut stderr = std::io::stderr().lock();
+        for message in &shared.state().messages {
+            // A terminal that is gone shows nothing, and nothing may panic here: this may be part of a panic's way out.
+            let _ = writeln!(stderr, "{message}");
+        }
+    }
+}
+
+impl Progress {
+    /// Progress as lines.
+    #[cfg(test)]
+    pub fn lines() -> Self {
+        Self { shared: None }
+    }
+
+    /// Whether a screen shows it.
+    pub fn has_screen(&self) -> bool {
+        self.shared.is_some()
+    }
+
+    /// Tells of a finished piece of work.
+    pub fn line(&self, text: &str) {
+        let text = printable(text);
+        match &self.shared {
+            Some(shared) => shared.state().add_message(&text),
+            None => eprintln!("{text}"),
+        }
+    }
+
+    /// Changes what the screen shows; without one it does nothing.
+    pub fn update(&self, change: impl FnOnce(&mut ScreenState)) {
+        if let Some(shared) = &self.shared {
+            change(&mut shared.state());
+        }
+    }
+
+    /// Waits here as long as the operator wants a pause, until a stop is requested.
+    pub fn wait_while_paused(&self, stop: &AtomicBool) {
+        let Some(shared) = &self.shared else { return };
+        loop {
+            {
+                let mut state = shared.state();
+                if state.pause == Pause::No || stop.load(Ordering::Relaxed) {
+                    state.pause = Pause::No;
+                    return;
+                }
+                state.pause = Pause::Now;
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// The effect of a stop in words.
+    pub fn stop_effect(&self) -> &'static str {
+        self.shared.as_ref().map_or(STOP_EFFECT, |shared| shared.state().stop_effect)
+    }
+
+    /// Shows a question until [`Self::answered`].
+    pub fn ask(&self, question: &str) {
+        self.update(|state| state.overlay = Overlay::Question(printable(question).into_owned()));
+    }
+
+    /// Removes the question.
+    pub fn answered(&self) {
+        self.update(|state| state.overlay = Overlay::None);
+    }
+
+    /// Reacts to a key; true if a stop is requested by it.
+    pub fn pressed(&self, key: u8) -> bool {
+        self.shared.as_ref().is_some_and(|shared| pressed(&mut shared.state(), key))
+    }
+}
+
+/// Changes the state as a key asks for; true if a stop is requested.
+fn pressed(state: &mut ScreenState, key: u8) -> bool {
+    let overlay = std::mem::take(&mut state.overlay);
+    match (overlay, key) {
+        (_, b' ') | (Overlay::Quit, b'y' | b'Y') => {
+            return true;
+        }
+        // Any other key closes what lies over the screen.
+        (Overlay::Help | Overlay::Quit, _) => {}
+        (_, b'?' | b'h') => state.overlay = Overlay::Help,
+        (_, b'q' | b'Q') => state.overlay = Overlay::Quit,
+        (_, b'p' | b'P') if state.can_pause => {
+            state.pause = if state.pause == Pause::No { Pause::Asked } else { Pause::No };
+        }
+        (overlay, _) => state.overlay = overlay,
+    }
+    false
+}
+
+impl Shared {
+    fn state(&self) -> MutexGuard<'_, ScreenState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The state for a frame, so that no lock is held while a slow terminal takes the frame.
+    fn for_frame(&self) -> ScreenState {
+        let mut state = self.state();
+        let messages = std::mem::take(&mut state.messages);
+        let mut for_frame = state.clone();
+        let first = messages.len().saturating_sub(SHOWN_MESSAGES);
+        for_frame.messages.extend(messages.iter().skip(first).cloned());
+        state.messages = messages;
+        for_frame.is_stopping = self.stop.load(Ordering::Relaxed);
+        for_frame
+    }
+}
+
+/// Draws frames until the screen ends.
+fn keep_drawing(shared: &Shared) {
+    let Some(size) = backend::size() else { return };
+    let Ok(mut frames) = Terminal::new(Ansi::new(size)) else { return };
+    // An empty value counts as none: https://no-color.org
+    let colours = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+    let styles = Styles::new(colours);
+    while !shared.ended.load(Ordering::Relaxed) {
+        if terminal::take_redraw() {
+            let _ = frames.clear();
+        }
+        let state = shared.for_frame();
+        let rollout = shared.rollout.state();
+        let _ = frames.draw(|frame| draw(frame, &state, &rollout, Instant::now(), styles));
+        std::thread::park_timeout(FRAME);
+    }
+}

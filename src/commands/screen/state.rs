@@ -1,0 +1,199 @@
+//! What the screen shows of the work, apart from the present rollout.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::{Duration, Instant};
+
+/// The effect of a stop while a Qube is driven.
+pub const STOP_EFFECT: &str = "the arm is braked and the state is kept";
+
+/// Messages that are kept for the end.
+const KEPT: usize = 10_000;
+
+/// A training under way.
+#[derive(Clone, Debug)]
+pub struct Training {
+    /// Name, as `candidate 3`.
+    pub name: String,
+    /// Number of updates in all.
+    pub updates: u32,
+    /// Mean return after each update so far.
+    pub returns: Vec<f64>,
+    /// When the first update was done.
+    pub began: Instant,
+}
+
+impl Training {
+    /// The best mean return so far.
+    pub fn best(&self) -> Option<f64> {
+        self.returns.iter().copied().max_by(f64::total_cmp)
+    }
+
+    /// The time left, from that of the updates so far; `None` after the first.
+    pub fn left(&self, now: Instant) -> Option<Duration> {
+        let done = u32::try_from(self.returns.len()).unwrap_or(u32::MAX);
+        let each = now.saturating_duration_since(self.began).checked_div(done.saturating_sub(1))?;
+        Some(each * self.updates.saturating_sub(done))
+    }
+}
+
+/// A pause that the operator asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Pause {
+    /// None.
+    #[default]
+    No,
+    /// After the present rollout.
+    Asked,
+    /// Now: the work waits.
+    Now,
+}
+
+/// What lies over the screen.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Overlay {
+    /// Nothing.
+    #[default]
+    None,
+    /// The keys and words.
+    Help,
+    /// The question whether to stop.
+    Quit,
+    /// A question of the program, which waits for a key.
+    Question(String),
+}
+
+/// The state of the screen.
+#[derive(Clone, Debug)]
+pub struct ScreenState {
+    /// Command and folder.
+    pub title: String,
+    /// When the command began.
+    pub began: Instant,
+    /// The present work, as `candidate 3 (4 of 12): proposed by the search`.
+    pub work: String,
+    /// What happens at present.
+    pub phase: String,
+    /// Finished and all pieces of work.
+    pub done: Option<(u64, u64)>,
+    /// Whether the work may end before all pieces.
+    pub may_end_early: bool,
+    /// Expected end of the whole.
+    pub ends: Option<Instant>,
+    /// The best result so far.
+    pub best: String,
+    /// Trainings under way, by a key of their own.
+    pub trainings: BTreeMap<(u32, u32), Training>,
+    /// Whether rollouts are shown.
+    pub has_rollouts: bool,
+    /// Whether trainings are shown.
+    pub has_trainings: bool,
+    /// Whether a pause between rollouts can be asked for.
+    pub can_pause: bool,
+    /// Effect of a stop in one sentence.
+    pub stop_effect: &'static str,
+    /// Pause that was asked for.
+    pub pause: Pause,
+    /// Whether a stop was requested.
+    pub is_stopping: bool,
+    /// What lies over everything.
+    pub overlay: Overlay,
+    /// Messages, the oldest first.
+    pub messages: VecDeque<String>,
+}
+
+impl ScreenState {
+    /// The state at the beginning.
+    pub fn new(title: String, began: Instant) -> Self {
+        Self {
+            title,
+            began,
+            work: String::new(),
+            phase: String::new(),
+            done: None,
+            may_end_early: false,
+            ends: None,
+            best: String::new(),
+            trainings: BTreeMap::new(),
+            has_rollouts: true,
+            has_trainings: true,
+            can_pause: true,
+            stop_effect: STOP_EFFECT,
+            pause: Pause::No,
+            is_stopping: false,
+            overlay: Overlay::None,
+            messages: VecDeque::new(),
+        }
+    }
+
+    /// Adds a message, whose lines become messages of their own.
+    pub fn add_message(&mut self, text: &str) {
+        for line in text.lines().filter(|line| !line.trim().is_empty()) {
+            if self.messages.len() == KEPT {
+                self.messages.pop_front();
+            }
+            self.messages.push_back(line.to_owned());
+        }
+    }
+
+    /// Adds an update of a training.
+    pub fn add_update(&mut self, key: (u32, u32), name: &str, updates: u32, mean_return: f64) {
+        let training = self.trainings.entry(key).or_insert_with(|| Training {
+            name: name.to_owned(),
+            updates,
+            returns: Vec::new(),
+            began: Instant::now(),
+        });
+        training.returns.push(mean_return);
+    }
+
+    /// Expects the end after `to_do` more pieces of work that take as long as the `done` ones of this process. The piece
+    /// under way counts in part.
+    pub fn expect_end(&mut self, elapsed: Duration, done: f64, to_do: f64) {
+        let left_s = elapsed.as_secs_f64() / done * to_do.max(0.0);
+        let is_known = done > 0.0 && left_s.is_finite() && left_s < 1e9;
+        self.ends = is_known.then(|| Instant::now() + Duration::from_secs_f64(left_s));
+    }
+}
+
+/// A time in the words of a clock: `45 s`, `4 min`, `2 h 05 min`.
+pub fn in_words(time: Duration) -> String {
+    let seconds = time.as_secs();
+    match seconds {
+        0..120 => format!("{seconds} s"),
+        120..7200 => format!("{} min", seconds / 60),
+        _ => format!("{} h {:02} min", seconds / 3600, seconds / 60 % 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_short_words() {
+        let told = [0, 119, 120, 7199, 7200, 90_061].map(|s| in_words(Duration::from_secs(s)));
+        assert_eq!(told, ["0 s", "119 s", "2 min", "119 min", "2 h 00 min", "25 h 01 min"]);
+    }
+
+    #[test]
+    fn messages_are_lines_and_the_oldest_go_first() {
+        let mut state = ScreenState::new("test".into(), Instant::now());
+        state.add_message("one\n\ntwo\n");
+        assert_eq!(state.messages, ["one", "two"]);
+        for number in 0..KEPT {
+            state.add_message(&number.to_string());
+        }
+        assert_eq!((state.messages.len(), state.messages[0].as_str()), (KEPT, "0"));
+    }
+
+    #[test]
+    fn a_training_knows_its_best_return_and_its_time_left() {
+        let began = Instant::now();
+        let returns = vec![10.0, 30.0, 20.0];
+        let training = Training { name: "t".into(), updates: 11, returns, began };
+        assert_eq!(training.best(), Some(30.0));
+        assert_eq!(training.left(began + Duration::from_secs(4)), Some(Duration::from_secs(16)));
+        let first = Training { returns: vec![1.0], ..training };
+        assert_eq!(first.left(began), None);
+    }
+}

@@ -1,0 +1,55 @@
+use std::time::Instant;
+
+use super::screen::{Progress, in_words};
+use crate::learning::TrainUpdate;
+
+/// Number of lines of a training without a screen.
+const LINES: u32 = 10;
+
+/// The display of a single training: a curve on the screen, or ten lines.
+pub struct TrainingProgress {
+    progress: Progress,
+    updates: u32,
+    best_return: f64,
+    began: Option<Instant>,
+}
+
+impl TrainingProgress {
+    /// A display of a training with this number of updates. With a checkpoint a stopped training can go on.
+    pub fn new(updates: u32, has_checkpoint: bool, progress: &Progress) -> Self {
+        progress.update(|state| {
+            state.has_rollouts = false;
+            state.can_pause = false;
+            state.stop_effect = match has_checkpoint {
+                true => "the checkpoint is kept, and the same command goes on from it",
+                false => "nothing is written (--checkpoint would keep the training)",
+            };
+            state.work = "one policy".into();
+            state.phase = "training in simulation".into();
+            state.done = Some((0, updates.into()));
+        });
+        Self { progress: progress.clone(), updates, best_return: f64::NEG_INFINITY, began: None }
+    }
+
+    /// Shows one more update.
+    pub fn tell(&mut self, update: &TrainUpdate) {
+        let (done, all) = (update.update + 1, self.updates);
+        self.best_return = self.best_return.max(update.mean_return);
+        let best_return = self.best_return;
+        let began = *self.began.get_or_insert_with(Instant::now);
+        // The first update of this process begins before the count of time.
+        let (elapsed, each) = (began.elapsed(), done.saturating_sub(1));
+        if !self.progress.has_screen() && (done * LINES) % all < LINES {
+            let left = elapsed.checked_div(each).map(|each| each * (all - done.min(all)));
+            let left = left.map_or(String::new(), |left| format!(", {} left", in_words(left)));
+            self.progress
+                .line(&format!("update {done} of {all}, best return {best_return:.1}{left}"));
+        }
+        self.progress.update(|state| {
+            state.add_update((0, 0), "the policy", all, update.mean_return);
+            state.done = Some((done.into(), all.into()));
+            state.expect_end(elapsed, each.into(), all.saturating_sub(done).into());
+            state.best = format!("best return so far: {best_return:.0}");
+        });
+    }
+}
