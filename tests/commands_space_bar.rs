@@ -147,6 +147,37 @@ fn the_space_bar_brakes_a_run_as_ctrl_c_does_and_gives_the_terminal_back() {
 }
 
 #[test]
+fn the_first_ctrl_c_after_another_stop_lets_the_brake_end() {
+    in_real_time(|| {
+        for stop in ["space", "SIGTERM"] {
+            let directory = tempfile::tempdir().unwrap();
+            let mut terminal = Terminal::start(directory.path(), &RUN);
+            terminal.wait_for_text("space bar or Ctrl-C");
+            terminal.wait_until("a rollout or its end", |it| {
+                under_way(directory.path()) || it.child.try_wait().unwrap().is_some()
+            });
+            let process = Pid::from_child(&terminal.child);
+            let exit_code = if stop == "space" {
+                terminal.press(b" ");
+                terminal.wait_for_text("stopping");
+                130
+            } else {
+                kill_process(process, Signal::TERM).unwrap();
+                143
+            };
+            kill_process(process, Signal::INT).unwrap();
+            assert_eq!(terminal.exit_code(), Some(exit_code), "{stop}: {}", terminal.shown);
+            // A program that ends at once writes neither the end of its recording nor its results.
+            let told = "the recordings are whole";
+            assert!(terminal.shown.contains(told), "{stop}: {}", terminal.shown);
+            let path = directory.path().join("out/rollout-0.mcap");
+            let outcome = qube_hil::recording::read(&path).unwrap().outcome.unwrap();
+            assert_eq!(outcome.ending, qube_hil::telemetry::Ending::Stopped, "{stop}");
+        }
+    });
+}
+
+#[test]
 fn a_terminal_is_given_back_by_ctrl_c_twice_sigterm_and_while_stopped() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();

@@ -78,9 +78,13 @@ fn the_page_stops_a_run_and_its_recording_is_whole() {
     let watched = Watched::start(directory.path(), &arguments);
     watched.hears("event: ticks");
     watched.stop();
+    // The operator's Ctrl-C after it does not end the program before the arm is braked.
+    let process = rustix::process::Pid::from_child(&watched.child);
+    rustix::process::kill_process(process, rustix::process::Signal::INT).unwrap();
     let (code, told) = watched.end();
     assert_eq!(code, Some(130), "{told}");
     assert!(told.contains("as the live view at 127.0.0.1 asks"), "{told}");
+    assert!(told.contains("the recordings are whole"), "{told}");
     let mut recordings: Vec<_> = fs::read_dir(directory.path().join("run")).unwrap().collect();
     let last = recordings.pop().unwrap().unwrap().path();
     let recording = read(&last).unwrap();

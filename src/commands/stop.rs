@@ -18,22 +18,26 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Handles the signals. A second Ctrl-C ends the program at once; the device's watchdog then switches
-    /// the motor off.
+    /// Handles the signals. The first Ctrl-C requests a stop, also after a stop by a key, the live view or another
+    /// signal. A second Ctrl-C ends the program at once; the device's watchdog then switches the motor off.
     pub fn on_signals() -> Result<Self, Failure> {
         let flag = Arc::new(AtomicBool::new(false));
         let signal = Arc::new(AtomicUsize::new(0));
         let handlers =
             |error: String| Failure::failed(format!("signals cannot be handled: {error}"));
         let (interrupt, interrupted_by) = (Arc::clone(&flag), Arc::clone(&signal));
+        let interrupted = AtomicBool::new(false);
         ctrlc::set_handler(move || {
-            interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
-            if interrupt.swap(true, Ordering::Relaxed) {
+            if interrupted.swap(true, Ordering::Relaxed) {
                 terminal::restore();
                 std::process::exit(128 + SIGINT);
             }
+            // The exit code names the signal that came first.
+            if !interrupt.swap(true, Ordering::Relaxed) {
+                interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
+            }
             eprintln!(
-                "\nstopping: the arm is braked and the state is kept (again to stop at once)"
+                "\nstopping: the arm is braked and the state is kept (Ctrl-C again ends the program at once)"
             );
         })
         .map_err(|error| handlers(error.to_string()))?;
