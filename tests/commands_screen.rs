@@ -63,6 +63,19 @@ impl Tmux {
         String::from_utf8_lossy(&self.tmux(&["capture-pane", "-p"]).stdout).into_owned()
     }
 
+    /// Whether it shows any colour.
+    fn has_colours(&self) -> bool {
+        let shown = self.tmux(&["capture-pane", "-p", "-e"]).stdout;
+        let shown = String::from_utf8_lossy(&shown).into_owned();
+        let mut styles = shown.split("\x1b[").skip(1).filter_map(|rest| rest.split('m').next());
+        // Select graphic rendition: 30 to 49 and 90 to 107 are colours, apart from the defaults 39 and 49.
+        styles.any(|style| {
+            style.split(';').filter_map(|number| number.parse().ok()).any(|number: u8| {
+                (30..39).contains(&number) || (40..49).contains(&number) || number >= 90
+            })
+        })
+    }
+
     fn value(&self, format: &str) -> String {
         let output = self.tmux(&["display-message", "-p", format]);
         String::from_utf8_lossy(&output.stdout).trim().to_owned()
@@ -134,7 +147,7 @@ fn a_run_shows_its_rollouts_reacts_to_keys_and_leaves_the_terminal_clean() {
         let fits = |shown: &str| {
             let rules =
                 shown.lines().filter(|line| line.contains(" Work ─") && line.ends_with('─'));
-            rules.count() == 1 && shown.contains("lateness") && shown.contains("space stop now")
+            rules.count() == 1 && shown.contains("ticks late") && shown.contains("space stop now")
         };
         while !fits(&tmux.shown()) {
             assert!(begun.elapsed() < PATIENCE, "it keeps its old form:\n{}", tmux.shown());
@@ -230,9 +243,17 @@ fn a_training_draws_its_curve() {
         assert!(shown.contains(part), "{part} is missing:\n{shown}");
     }
     assert!(!shown.contains("Rollout") && !shown.contains("pause"), "{shown}");
+    assert!(tmux.has_colours());
     tmux.press("q");
     tmux.wait_for("Nothing is written");
     tmux.press("y");
     tmux.is_restored(130);
     assert!(!directory.path().join("mine.safetensors").exists());
+
+    tmux.type_line("export NO_COLOR=1");
+    tmux.run("train --model nominal --preset quick --out mine.safetensors");
+    tmux.wait_for("update 2");
+    assert!(!tmux.has_colours());
+    tmux.press("Space");
+    tmux.is_restored(130);
 }

@@ -253,6 +253,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     });
     let screens = screen.viewer().filter(|_| is_hardware);
     let viewers = screens.into_iter().chain(live.viewer()).collect();
+    screen.progress().update(|state| state.live = live.url());
     let rig = RigSettings { viewers, ..rig };
     let keyboard = Keyboard::of_screen(&stop, &screen.progress());
     let progress = ExperimentProgress::new(&settings, &screen.progress(), &stop);

@@ -1,12 +1,14 @@
-use std::sync::Arc;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use super::screen::Progress;
+use super::screen::{Progress, ScreenState};
 use super::stop::Stop;
 use crate::experiment::{
-    ExperimentEvent, ExperimentSettings, RecommendationResult, Repetition, Score,
+    ExperimentEvent, ExperimentSettings, Recipe, RecommendationResult, Repetition, Score,
 };
+use crate::learning::TrainUpdate;
 use crate::scoring::Behaviour;
 use crate::session::SessionEvent;
 
@@ -18,6 +20,10 @@ pub struct ExperimentProgress {
     began: Instant,
     count: u64,
     done: AtomicU64,
+    /// Updates of a training by the name of its recipe, and of any other.
+    updates: (BTreeMap<String, u32>, u32),
+    /// The best mean return so far.
+    best: Mutex<Option<f64>>,
 }
 
 impl ExperimentProgress {
@@ -39,12 +45,16 @@ impl ExperimentProgress {
             state.phase = "training and rollouts".into();
             state.done = Some((0, count));
         });
+        let updates = |recipe: &Recipe| recipe.settings.training.updates;
+        let by_name = settings.recipes.iter().map(|it| (it.name.clone(), updates(it))).collect();
         Self {
             progress: progress.clone(),
             stop: Arc::clone(&stop.flag),
             began: Instant::now(),
             count,
             done: AtomicU64::new(0),
+            updates: (by_name, settings.recipes.first().map_or(0, updates)),
+            best: Mutex::new(None),
         }
     }
 
@@ -52,10 +62,17 @@ impl ExperimentProgress {
     pub fn tell(&self, news: &ExperimentEvent) {
         match news {
             ExperimentEvent::Search { name, progress } => self.searching(name, progress),
-            ExperimentEvent::Trained { recipe, policy, best_return: Some(best_return) } => {
-                self.line(format!("{recipe} {policy}: trained, {best_return:.0} in simulation"));
+            ExperimentEvent::Training { recipe, policy, training, update } => {
+                self.training((recipe, "policy", *policy, *training), update);
             }
-            ExperimentEvent::Trained { .. } => {}
+            ExperimentEvent::Trained { recipe, policy, best_return } => {
+                self.trained(recipe, *policy);
+                if let Some(best_return) = best_return {
+                    self.line(format!(
+                        "{recipe} {policy}: trained, {best_return:.0} in simulation"
+                    ));
+                }
+            }
             ExperimentEvent::Ran { recipe, policy, plant, results } => {
                 let count = |kind| results.iter().filter(|it| it.behaviour == kind).count();
                 let kinds: Vec<String> = Behaviour::ALL
@@ -67,6 +84,7 @@ impl ExperimentProgress {
                 let mean = returns.iter().sum::<f64>() / returns.len().max(1) as f64;
                 let kinds = kinds.join(", ");
                 self.line(format!("{recipe} {policy} on {plant}: mean return {mean:.0}; {kinds}"));
+                self.better(mean, &format!("{recipe}, policy {policy} on {plant}"));
                 self.one_more();
                 self.progress.wait_while_paused(&self.stop);
             }
@@ -79,12 +97,49 @@ impl ExperimentProgress {
 
     /// Counts one more finished piece of work.
     fn one_more(&self) {
-        let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
-        let count = self.count;
-        self.progress.update(|state| {
-            state.done = Some((done, count));
-            state.expect_end(self.began.elapsed(), done as f64, count.saturating_sub(done) as f64);
+        self.done.fetch_add(1, Ordering::Relaxed);
+        self.progress.update(|state| self.expect_end(state));
+    }
+
+    /// Expects the end from the time of the finished work; the updates of trainings under way count as parts of theirs.
+    fn expect_end(&self, state: &mut ScreenState) {
+        let done = self.done.load(Ordering::Relaxed);
+        state.done = Some((done, self.count));
+        let parts = state.trainings.values().map(|training| {
+            (training.returns.len() as f64 / f64::from(training.updates.max(1))).min(1.0)
         });
+        let done = done as f64 + parts.sum::<f64>();
+        state.expect_end(self.began.elapsed(), done, self.count as f64 - done);
+    }
+
+    /// Shows an update of a training: recipe or search, what is trained, its number, and that of the training.
+    fn training(&self, of: (&str, &str, u32, u32), update: &TrainUpdate) {
+        let (group, what, number, training) = of;
+        let updates = *self.updates.0.get(group).unwrap_or(&self.updates.1);
+        let again = if training > 0 { format!(", training {training}") } else { String::new() };
+        let name = format!("{group}: {what} {number}{again}");
+        self.progress.update(|state| {
+            let key = (group.to_owned(), number, training);
+            state.add_update(key, &name, updates, update.mean_return);
+            self.expect_end(state);
+        });
+    }
+
+    /// Ends the curves of what is trained.
+    fn trained(&self, group: &str, number: u32) {
+        self.progress.update(|state| {
+            state.trainings.retain(|(of, it, _), _| of != group || *it != number);
+        });
+    }
+
+    /// Shows a mean return if it is the best so far.
+    fn better(&self, mean: f64, of: &str) {
+        let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
+        if mean.is_finite() && best.is_none_or(|best| mean > best) {
+            *best = Some(mean);
+            let told = format!("best so far: {of} with a mean return of {mean:.0}");
+            self.progress.update(|state| state.best = told);
+        }
     }
 
     fn scored(&self, repetition: &Repetition, recommendation: &RecommendationResult) {
@@ -104,19 +159,16 @@ impl ExperimentProgress {
             SessionEvent::Proposed { candidate, .. } => {
                 self.line(format!("{name}: the search proposes candidate {candidate}"));
             }
-            SessionEvent::Training { candidate, update, .. } => {
-                let done = update.update + 1;
-                self.progress.update(|state| {
-                    state.phase = format!("{name}: candidate {candidate}, update {done}");
-                });
+            SessionEvent::Training { candidate, training, update } => {
+                self.training((name, "candidate", *candidate, *training), update);
             }
+            SessionEvent::Trained { candidate, .. } => self.trained(name, *candidate),
             SessionEvent::Rollout { candidate, rollout, verdict, .. } => {
                 let return_ = verdict.return_().map_or("void".into(), |it| format!("{it:.0}"));
                 self.line(format!("{name}: candidate {candidate}, rollout {rollout}: {return_}"));
                 self.progress.wait_while_paused(&self.stop);
             }
-            SessionEvent::Trained { .. }
-            | SessionEvent::Connected(_)
+            SessionEvent::Connected(_)
             | SessionEvent::Drift(_)
             | SessionEvent::Identified { .. }
             | SessionEvent::ExcitesAgain(_)

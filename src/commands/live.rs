@@ -108,6 +108,11 @@ impl Live {
         self.view.as_ref().map(LiveView::viewer)
     }
 
+    /// Address of the page; empty without a view.
+    pub fn url(&self) -> String {
+        self.view.as_ref().map(LiveView::url).unwrap_or_default()
+    }
+
     /// Says what the command does, in words.
     pub fn doing(&self, what: &str) {
         self.change(|status| what.clone_into(&mut status.doing));

@@ -1,4 +1,4 @@
-//! The live view of a program that is built without it: there is no such option, and nothing is watched.
+//! The live view of a program that is built without it: the option says how to get it, and nothing is watched.
 
 use std::sync::Arc;
 
@@ -8,16 +8,30 @@ use crate::experiment::ExperimentEvent;
 use crate::recording::Viewer;
 use crate::session::SessionEvent;
 
-/// No arguments.
+/// The arguments of the live view, which are understood and refused.
 #[derive(Clone, Debug, Default, clap::Args)]
-pub struct LiveArguments {}
+pub struct LiveArguments {
+    /// Ask for the live view
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "", hide = true)]
+    live: Option<String>,
+
+    /// Ask for the live view for an origin
+    #[arg(long, value_name = "ORIGIN", requires = "live", hide = true)]
+    live_origin: Vec<String>,
+}
 
 impl LiveArguments {
     pub fn is_asked(&self) -> bool {
-        false
+        self.live.is_some()
     }
 
     pub fn serve(&self, _command: &str, _stop: &Stop) -> Result<Live, Failure> {
+        if self.is_asked() {
+            return Err(Failure::usage(
+                "--live: this program was built without the live view. Build it with `cargo build --release \
+                 --features live`; the binaries and packages of a release have it",
+            ));
+        }
         Ok(Live::default())
     }
 }
@@ -31,6 +45,10 @@ impl Live {
         None
     }
 
+    pub fn url(&self) -> String {
+        String::new()
+    }
+
     pub fn rollout(&self, _rollout: u32, _of: u32) {}
 
     pub fn returned(&self, _return: Option<f64>) {}
@@ -38,4 +56,20 @@ impl Live {
     pub fn experiment(&self, _news: &ExperimentEvent) {}
 
     pub fn tell(&mut self, _news: &SessionEvent, _candidates: u32) {}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_asks_for_the_live_view_hears_how_to_get_it() {
+        let stop = Stop::default();
+        assert!(LiveArguments::default().serve("run", &stop).is_ok());
+        let asked = LiveArguments { live: Some(String::new()), live_origin: Vec::new() };
+        let refused = asked.serve("run", &stop).err().unwrap();
+        assert!(refused.is_usage());
+        let told = refused.ended_by()["cause"].to_string();
+        assert!(told.contains("--features live"), "{told}");
+    }
 }

@@ -140,9 +140,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let screen = arguments.screen.open(&title, output, &stop);
     let live = arguments.live.serve("run", &stop)?;
     let viewers = screen.viewer().into_iter().chain(live.viewer()).collect();
+    screen.progress().update(|state| state.live = live.url());
     let settings = RigSettings { viewers, ..settings };
     let keyboard = Keyboard::watch(&stop, &screen.progress());
-    eprintln!("{}", keyboard.hint());
+    // The screen has a line of keys.
+    if !screen.progress().has_screen() {
+        eprintln!("{}", keyboard.hint());
+    }
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");
     }

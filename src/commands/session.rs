@@ -220,9 +220,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         }
     };
     let viewers = screen.viewer().into_iter().chain(live.viewer()).collect();
+    screen.progress().update(|state| state.live = live.url());
     let rig_settings = RigSettings { viewers, ..rig_settings };
     let keyboard = Keyboard::watch(&stop, &screen.progress());
-    eprintln!("{}", keyboard.hint());
+    // The screen has a line of keys.
+    if !screen.progress().has_screen() {
+        eprintln!("{}", keyboard.hint());
+    }
     tell(&format!("session in {}", folder.paths().root().display()));
     if let Some(warning) = device.power_warning() {
         eprintln!("warning: {warning}");

@@ -11,6 +11,10 @@ use crate::scoring::Verdict;
 use crate::session::{Purpose, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;
 
+/// Phases of a session in words.
+const OPENING: &str = "opening the Qube, checking and homing it";
+const ROLLOUTS: &str = "rollouts on the Qube";
+
 /// The display of a running session: a line for each finished piece of work, and the state of the work on the screen.
 pub struct SessionProgress {
     progress: Progress,
@@ -44,7 +48,7 @@ impl SessionProgress {
             None => searched + 1 + u32::from(extent.verifies_incumbent),
         } + u32::from(extent.baseline);
         let updates = settings.training.updates;
-        progress.update(|state| state.phase = "opening the Qube, checking and homing it".into());
+        progress.update(|state| state.phase = OPENING.into());
         Self {
             progress: progress.clone(),
             stop: Arc::clone(&stop.flag),
@@ -86,7 +90,7 @@ impl SessionProgress {
                 if *purpose != Purpose::Excitation {
                     self.searched.get_or_insert((Instant::now(), *candidate));
                 }
-                self.proposed(*candidate, why);
+                self.proposed(*candidate, why, *purpose == Purpose::Excitation);
                 if self.may_end_early {
                     let most = self.candidates;
                     self.line(format!("candidate {candidate} (of at most {most}): {why}"));
@@ -102,15 +106,15 @@ impl SessionProgress {
                 };
                 self.progress.update(|state| {
                     state.phase = "training in simulation".into();
-                    let key = (*candidate, *training);
+                    let key = (String::new(), *candidate, *training);
                     state.add_update(key, &name, self.updates, update.mean_return);
                     self.expect_end(state);
                 });
             }
             SessionEvent::Trained { candidate, best_return } => {
                 self.progress.update(|state| {
-                    state.trainings.retain(|(number, _), _| number != candidate);
-                    state.phase = "rollouts on the Qube".into();
+                    state.trainings.retain(|(_, number, _), _| number != candidate);
+                    state.phase = if self.connected { ROLLOUTS } else { OPENING }.into();
                 });
                 if let Some(best_return) = best_return {
                     self.line(format!(
@@ -128,7 +132,7 @@ impl SessionProgress {
                     warn_without_realtime(rig.realtime());
                 }
                 self.connected = true;
-                self.progress.update(|state| state.phase = "rollouts on the Qube".into());
+                self.progress.update(|state| state.phase = ROLLOUTS.into());
             }
             SessionEvent::Identified { recordings, doubts } => {
                 self.progress.update(|state| state.phase = "planning".into());
@@ -174,7 +178,7 @@ impl SessionProgress {
     }
 
     /// Shows a new candidate.
-    fn proposed(&mut self, candidate: u32, why: &str) {
+    fn proposed(&mut self, candidate: u32, why: &str, is_excitation: bool) {
         self.latest = candidate;
         let candidates = self.candidates;
         let most = if self.may_end_early { "at most " } else { "" };
@@ -182,7 +186,11 @@ impl SessionProgress {
             format!("candidate {candidate} ({} of {most}{candidates}): {why}", candidate + 1);
         self.progress.update(|state| {
             state.work = work;
-            state.phase = "preparing".into();
+            state.phase = match (is_excitation, self.connected) {
+                (true, false) => OPENING.into(),
+                (true, true) => ROLLOUTS.into(),
+                (false, _) => "preparing the training".into(),
+            };
             state.may_end_early = self.may_end_early;
             state.done = Some((candidate.into(), candidates.into()));
             self.expect_end(state);

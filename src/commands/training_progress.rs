@@ -46,7 +46,7 @@ impl TrainingProgress {
                 .line(&format!("update {done} of {all}, best return {best_return:.1}{left}"));
         }
         self.progress.update(|state| {
-            state.add_update((0, 0), "the policy", all, update.mean_return);
+            state.add_update((String::new(), 0, 0), "the policy", all, update.mean_return);
             state.done = Some((done.into(), all.into()));
             state.expect_end(elapsed, each.into(), all.saturating_sub(done).into());
             state.best = format!("best return so far: {best_return:.0}");

@@ -7,7 +7,7 @@ use super::{ExperimentError, Plant, Recipe, RolloutResult};
 use crate::jobs::{
     CHOSEN_OF_STARTS, Executor, LocalExecutor, ROUNDS, SUCCEEDED, TrainingJob, worst_return,
 };
-use crate::learning::{TrainSettings, Trained, curve_csv, evaluate_afresh};
+use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_afresh};
 use crate::policy::Policy;
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::session::{EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed};
@@ -37,11 +37,16 @@ pub(super) struct Series<'a> {
 }
 
 impl Series<'_> {
-    /// Trains a policy on one core; returns its best return in training, `None` if it was trained before.
+    /// Trains a policy on one core; returns its best return in training, `None` if it was trained before. `watch` gets
+    /// the number of the training and each of its updates.
     ///
     /// # Errors
     /// The training fails, or the policy cannot be stored.
-    pub fn train(&self, policy: u32) -> Result<Option<f64>, ExperimentError> {
+    pub fn train(
+        &self,
+        policy: u32,
+        watch: &mut dyn FnMut(u32, &TrainUpdate),
+    ) -> Result<Option<f64>, ExperimentError> {
         let paths = self.folders.policy(policy);
         let path = paths.policy();
         // Policy files appear atomically.
@@ -49,7 +54,7 @@ impl Series<'_> {
             return Ok(None);
         }
         make(paths.folder())?;
-        let trained = self.best_of_trainings(policy)?;
+        let trained = self.best_of_trainings(policy, watch)?;
         let best_return = trained.best_return;
         let curve = curve_csv(&trained.curve);
         write_whole(&MachineDisk, &paths.curve(), curve.as_bytes())?;
@@ -59,22 +64,27 @@ impl Series<'_> {
     }
 
     /// The best of the policy's trainings; if all of a round fail in simulation, the next round follows.
-    fn best_of_trainings(&self, policy: u32) -> Result<Trained, ExperimentError> {
+    fn best_of_trainings(
+        &self,
+        policy: u32,
+        watch: &mut dyn FnMut(u32, &TrainUpdate),
+    ) -> Result<Trained, ExperimentError> {
         let distribution = self.recipe.distribution(self.psi)?;
         let simulation = self.recipe.simulation(self.psi);
         let settings =
             TrainSettings { threads: 1, simulation, ..self.recipe.settings.training.clone() };
-        let train = |training: u32| {
+        let mut train = |training: u32| {
             let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy, training });
             let (distribution, settings) = (distribution.clone(), settings.clone());
             let job = TrainingJob { distribution, settings, seed };
-            LocalExecutor::on_cores(1).train_one(&job, self.stop, &mut |_| ())
+            let mut watch = |update: &TrainUpdate| watch(training, update);
+            LocalExecutor::on_cores(1).train_one(&job, self.stop, &mut watch)
         };
         if self.trainings <= 1 {
             return Ok(train(0)?);
         }
         let fresh = derived_seed(self.seed, SeedFor::Evaluation { candidate: policy });
-        let scored = |training: u32| -> Result<(f64, Trained), ExperimentError> {
+        let mut scored = |training: u32| -> Result<(f64, Trained), ExperimentError> {
             let trained = train(training)?;
             let (network, starts) = (&trained.network, CHOSEN_OF_STARTS);
             let simulated = evaluate_afresh(network, &distribution, &simulation, fresh, starts);

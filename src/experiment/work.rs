@@ -11,6 +11,7 @@ use super::{
     Repetition, RolloutResult,
 };
 use crate::jobs::LocalExecutor;
+use crate::learning::TrainUpdate;
 use crate::rig::{ClockChoice, Rig, RigSettings};
 use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
 use crate::simulation::{DomainDistribution, Psi};
@@ -23,6 +24,17 @@ pub enum ExperimentEvent<'a> {
         name: &'a str,
         /// Event of the session.
         progress: &'a SessionEvent<'a>,
+    },
+    /// A training of a policy has done one more update.
+    Training {
+        /// Name of the recipe.
+        recipe: &'a str,
+        /// Number of the policy.
+        policy: u32,
+        /// Number of the training for this policy.
+        training: u32,
+        /// The update.
+        update: &'a TrainUpdate,
     },
     /// A policy is on disk.
     Trained {
@@ -307,7 +319,9 @@ impl Experiment {
     ) -> Result<(), ExperimentError> {
         let psi = self.psi(recipe)?;
         let series = self.series(recipe, psi.value());
-        let best_return = series.train(policy)?;
+        let best_return = series.train(policy, &mut |training, update| {
+            tell(ExperimentEvent::Training { recipe: &recipe.name, policy, training, update });
+        })?;
         tell(ExperimentEvent::Trained { recipe: &recipe.name, policy, best_return });
         let plants = if self.is_virtual() { &self.settings.plants[..] } else { &[] };
         for plant in plants {

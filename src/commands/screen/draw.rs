@@ -75,7 +75,7 @@ pub fn draw(
     ];
     let [head, now_at, middle, messages, keys] = Layout::vertical(rows).areas(area);
     draw_head(frame, head, state, now, styles);
-    draw_work(frame, now_at, state, now, styles);
+    draw_work(frame, now_at, state, rollout.is_running, now, styles);
     if has_middle {
         draw_middle(frame, middle, state, rollout, now, styles);
     }
@@ -112,8 +112,19 @@ fn draw_head(frame: &mut Frame, area: Rect, state: &ScreenState, now: Instant, s
     frame.render_widget(Line::from(elapsed).alignment(Alignment::Right), time);
 }
 
-fn draw_work(frame: &mut Frame, area: Rect, state: &ScreenState, now: Instant, styles: Styles) {
-    let block = panel("Work", styles);
+fn draw_work(
+    frame: &mut Frame,
+    area: Rect,
+    state: &ScreenState,
+    is_running: bool,
+    now: Instant,
+    styles: Styles,
+) {
+    let mut block = panel("Work", styles);
+    if !state.live.is_empty() && state.live.chars().count() + 20 < usize::from(area.width) {
+        let live = Line::from(format!(" live view: {} ", state.live));
+        block = block.title(live.alignment(Alignment::Right));
+    }
     let inner = block.inner(area);
     frame.render_widget(block, area);
     let [work, phase, progress, best] = Layout::vertical([Constraint::Length(1); 4]).areas(inner);
@@ -122,14 +133,17 @@ fn draw_work(frame: &mut Frame, area: Rect, state: &ScreenState, now: Instant, s
         (true, _) => Line::styled(format!("stopping: {}", state.stop_effect), styles.alarm()),
         (_, Pause::Now) => Line::styled("paused: the motor is off; p goes on", styles.near()),
         (_, Pause::Asked) => {
-            Line::styled(format!("{}; a pause follows this rollout", state.phase), styles.near())
+            let which = if is_running { "this" } else { "the next" };
+            let told = format!("{}; a pause follows {which} rollout", state.phase);
+            Line::styled(told, styles.near())
         }
         _ => Line::styled(state.phase.as_str(), styles.strong()),
     };
     frame.render_widget(phase_line, phase);
     if let Some((done, all)) = state.done {
+        let (words, room) = if area.width < 60 { ("", 40) } else { (" done", 43) };
         let [bar, told] =
-            Layout::horizontal([Constraint::Fill(1), Constraint::Length(40)]).areas(progress);
+            Layout::horizontal([Constraint::Fill(1), Constraint::Length(room)]).areas(progress);
         let part = (done as f64 / all.max(1) as f64).clamp(0.0, 1.0);
         let style = styles.colour(Color::Cyan);
         frame.render_widget(
@@ -141,7 +155,7 @@ fn draw_work(frame: &mut Frame, area: Rect, state: &ScreenState, now: Instant, s
             Some(ends) => format!("; {most}{} left", in_words(ends.saturating_duration_since(now))),
             None => String::new(),
         };
-        frame.render_widget(Line::from(format!("  {done} of {most}{all}{left}")), told);
+        frame.render_widget(Line::from(format!("  {done} of {most}{all}{words}{left}")), told);
     }
     frame.render_widget(Line::from(state.best.as_str()), best);
 }
@@ -175,7 +189,7 @@ fn draw_trainings(
     now: Instant,
     styles: Styles,
 ) {
-    let block = panel("Training: return, of 600", styles);
+    let block = panel("Training: return (at most 600)", styles);
     let inner = block.inner(area);
     frame.render_widget(block, area);
     if state.trainings.is_empty() {
@@ -247,6 +261,9 @@ fn draw_rollout(frame: &mut Frame, area: Rect, rollout: &RolloutState, styles: S
     let phase = match (rollout.is_running, rollout.tick.phase) {
         (false, _) => "ended".to_owned(),
         (true, Phase::Settling) => "settling: the arm moves to its start".to_owned(),
+        (true, Phase::Running) if rollout.is_excitation => {
+            "the excitation has the motor".to_owned()
+        }
         (true, Phase::Running) => "the policy has the motor".to_owned(),
         (true, Phase::Braking) => "braking".to_owned(),
     };
@@ -277,7 +294,7 @@ fn draw_rollout(frame: &mut Frame, area: Rect, rollout: &RolloutState, styles: S
         match rollout.nearest_limit() {
             Some((name, part)) => {
                 let style = if part > NEAR { styles.near() } else { Style::new() };
-                Line::styled(format!("nearest limit: {name}, {:.0} %", 100.0 * part), style)
+                Line::styled(format!("nearest to a limit: {name}, {:.0} %", 100.0 * part), style)
             }
             None => Line::default(),
         },
@@ -287,7 +304,7 @@ fn draw_rollout(frame: &mut Frame, area: Rect, rollout: &RolloutState, styles: S
             Line::styled(format!("deadlines: {missed} of {} missed", rollout.ticks), style)
         },
         Line::from(format!(
-            "lateness: p99 {:.0} us, at most {:.0} us",
+            "ticks late: p99 {:.0} µs, most {:.0} µs",
             rollout.lateness_us.p99, rollout.lateness_us.max
         )),
     ];
@@ -374,7 +391,8 @@ fn draw_keys(frame: &mut Frame, area: Rect, state: &ScreenState, styles: Styles)
         (false, _) => None,
         (true, Pause::No) if area.width < 60 => Some(("p", "pause")),
         (true, Pause::No) => Some(("p", "pause after this rollout")),
-        (true, _) => Some(("p", "go on")),
+        (true, Pause::Asked) => Some(("p", "no pause")),
+        (true, Pause::Now) => Some(("p", "go on")),
     };
     let keys = [Some(("space", "stop now")), pause, Some(("q", "quit")), Some(("?", "help"))];
     let mut spans = vec![Span::raw(" ")];
@@ -393,7 +411,8 @@ fn help(state: &ScreenState) -> String {
     text += "q      quit, after a question\n?      this help; any key closes it\n";
     text += "Ctrl-C like the space bar; twice: end at once\n\n";
     if state.has_rollouts {
-        text += "θ arm, α pendulum (0 hangs, ±180 stands), V voltage; ━ is what was used so far. ";
+        text +=
+            "θ arm, α pendulum (0 hangs, ±180 is upright), V voltage; ━ is what was used so far. ";
     }
     text += "A return is at most 600. Messages are printed again at the end; --plain writes lines instead of this screen.";
     text

@@ -14,6 +14,8 @@ pub struct RolloutState {
     pub candidate: Option<u32>,
     /// Number of the rollout.
     pub rollout: u32,
+    /// Whether an excitation runs rather than a policy.
+    pub is_excitation: bool,
     /// Whether it goes on.
     pub is_running: bool,
     /// Limits of the box; `None` before the first rollout.
@@ -69,6 +71,7 @@ impl Viewer for RolloutView {
         let state = RolloutState {
             candidate: header.candidate,
             rollout: header.rollout,
+            is_excitation: header.policy.starts_with("excitation"),
             is_running: true,
             limits: Some(header.settings.safety_box),
             largest_voltage_v: header.settings.plant.limits.largest_voltage_v,

@@ -81,8 +81,11 @@ pub struct ScreenState {
     pub ends: Option<Instant>,
     /// The best result so far.
     pub best: String,
-    /// Trainings under way, by a key of their own.
-    pub trainings: BTreeMap<(u32, u32), Training>,
+    /// Trainings under way, by recipe or search (empty where there is one), number of what is trained, and number of its
+    /// training.
+    pub trainings: BTreeMap<(String, u32, u32), Training>,
+    /// Address of the live view; empty without one.
+    pub live: String,
     /// Whether rollouts are shown.
     pub has_rollouts: bool,
     /// Whether trainings are shown.
@@ -114,6 +117,7 @@ impl ScreenState {
             ends: None,
             best: String::new(),
             trainings: BTreeMap::new(),
+            live: String::new(),
             has_rollouts: true,
             has_trainings: true,
             can_pause: true,
@@ -136,7 +140,13 @@ impl ScreenState {
     }
 
     /// Adds an update of a training.
-    pub fn add_update(&mut self, key: (u32, u32), name: &str, updates: u32, mean_return: f64) {
+    pub fn add_update(
+        &mut self,
+        key: (String, u32, u32),
+        name: &str,
+        updates: u32,
+        mean_return: f64,
+    ) {
         let training = self.trainings.entry(key).or_insert_with(|| Training {
             name: name.to_owned(),
             updates,

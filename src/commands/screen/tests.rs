@@ -57,7 +57,9 @@ fn in_training() -> ScreenState {
         let returns = (0..70).map(|update| 20.0 + grown * f64::from(update)).collect();
         let name = format!("candidate 3{}", if number == 0 { "" } else { ", training 1" });
         let began = began + Duration::from_secs(733);
-        state.trainings.insert((3, number), Training { name, updates: 120, returns, began });
+        state
+            .trainings
+            .insert((String::new(), 3, number), Training { name, updates: 120, returns, began });
     }
     state.add_message("candidate 2, rollout 0: 488, balances");
     state.add_message(
@@ -74,6 +76,7 @@ fn near_a_limit() -> RolloutState {
     RolloutState {
         candidate: Some(3),
         rollout: 1,
+        is_excitation: false,
         is_running: true,
         limits: Some(SafetyBox::GUARDED),
         largest_voltage_v: 5.0,
@@ -97,6 +100,7 @@ fn a_rollout_shows_its_state_between_its_limits() {
     state.trainings.clear();
     state.phase = "rollouts on the Qube".into();
     state.pause = Pause::Asked;
+    state.live = "http://127.0.0.1:8765/".into();
     is_as("rollout", &drawn((80, 24), &state, &near_a_limit(), Styles::new(true)));
 }
 

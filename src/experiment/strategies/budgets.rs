@@ -145,7 +145,7 @@ impl MethodRun<'_> {
         let series = self.series(recommendation, steps, strategies.trainings);
         let settings = self.experiment.settings();
         let rollouts: Vec<RolloutResult> = if self.access.works() {
-            series.train(0)?;
+            series.train(0, &mut |_, _| ())?;
             series.run_in_virtual_time(0, &self.plant, settings.rollouts)?
         } else {
             let folder = series.folders.rollouts(0, &self.plant.name);

@@ -89,7 +89,7 @@ impl<'a> FromRecordings<'a> {
             _ => self.run.without_identification(),
         };
         let series = self.run.series(&recommendation, number, self.settings.trainings);
-        series.train(0)?;
+        series.train(0, &mut |_, _| ())?;
         Ok(Policy::load(&series.folders.policy(0).policy())?.to_bytes())
     }
 

@@ -57,7 +57,7 @@ pub(super) fn score(
     let mut score = Score::default();
     for policy in 0..policies {
         let results = if access.works() {
-            series.train(policy)?;
+            series.train(policy, &mut |_, _| ())?;
             series.run_in_virtual_time(policy, plant, rollouts)?
         } else {
             let folder = series.folders.rollouts(policy, &plant.name);
