@@ -10,7 +10,7 @@ use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, Measurement, State};
 use crate::safety::{
-    Brake, Foreseen, ForesightSettings, Guard, Limit, TrustedForesight, clamp_to_mv,
+    Brake, Foreseen, ForeseenAngle, ForesightSettings, Guard, Limit, TrustedForesight, clamp_to_mv,
 };
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
@@ -61,6 +61,8 @@ pub struct Tick<C = Policy> {
     stopped_ticks: u32,
     /// Simulates the brake before each voltage is sent; `None` unless the guard is foresight.
     foresight: Option<TrustedForesight>,
+    /// Prediction for the voltage that the policy asked for in this tick, if it did and foresight guards it.
+    angle: Option<ForeseenAngle>,
     /// Prediction for which foresight ended the policy; `None` if it did not.
     foreseen: Option<Foreseen>,
     brake: Brake,
@@ -114,6 +116,7 @@ impl<C: Controller> Tick<C> {
                     settings.foresight.unwrap_or_else(|| ForesightSettings::of_plant(plant));
                 foresight.foresight(settings.stops, plant)
             }),
+            angle: None,
             foreseen: None,
             brake: brake_of(settings, false),
             damps: false,
@@ -125,6 +128,12 @@ impl<C: Controller> Tick<C> {
         };
         tick.take(ControlEvent::Rollout, Ending::Completed);
         tick
+    }
+
+    /// What foresight predicted in the last tick for the voltage that the policy asked for.
+    #[must_use]
+    pub fn foreseen_angle(&self) -> Option<ForeseenAngle> {
+        self.angle
     }
 
     /// Applies an event to the state table and carries out the action; `reason` is the rollout's
@@ -321,6 +330,7 @@ fn brake_of(settings: &TickSettings, damps: bool) -> Brake {
 
 impl<C: Controller> Motion for Tick<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
+        self.angle = None;
         self.periods_in_phase += input.skipped_periods;
         self.periods_without_sample += 1 + input.skipped_periods;
         self.tell_policy_what_was_applied(input.skipped_periods);
@@ -402,11 +412,14 @@ impl<C: Controller> Motion for Tick<C> {
             && let Some(foreseen) = self.too_late_for(self.voltage_mv)
         {
             if self.phase == Phase::Running {
+                self.angle = self.foresight.as_ref().and_then(TrustedForesight::angle);
                 self.foreseen = Some(foreseen);
                 self.take(ControlEvent::LimitLeft, Ending::LeftBox(Limit::Foresight));
             }
             wanted_v = self.braking_voltage();
             self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
+        } else if self.phase == Phase::Running {
+            self.angle = self.foresight.as_ref().and_then(TrustedForesight::angle);
         }
         self.estimator.send(f64::from(self.voltage_mv) / 1000.0);
         self.periods_in_phase += 1;

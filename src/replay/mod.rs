@@ -20,4 +20,4 @@ pub use open_loop::{
     AngleError, Diverged, OpenLoop, simulate_beside, simulate_from, simulate_numbers,
     simulate_stretch,
 };
-pub use rerun::{Difference, Rerun, controller_of, rerun};
+pub use rerun::{Difference, GuardApproach, Rerun, controller_of, rerun};

@@ -1,7 +1,7 @@
 use crate::control::{Motion, Tick, TickInput};
 use crate::policy::{Controller, Policy, PolicyFault};
 use crate::recording::Recording;
-use crate::safety::{Foreseen, Guard};
+use crate::safety::{Foreseen, ForeseenAngle, Guard};
 use crate::scoring::return_of;
 use crate::telemetry::{Ending, Fault, Phase, TickRecord};
 
@@ -24,9 +24,22 @@ pub struct Rerun {
     pub ending: Option<Ending>,
     /// Recomputed prediction for which foresight ended the rollout, if it did.
     pub foreseen: Option<Foreseen>,
+    /// Recomputed nearest approach of foresight to ending the policy; `None` where another guard or no policy ran.
+    pub guard_approach: Option<GuardApproach>,
     /// Whether the recorded guard no longer exists: ticks from its first braking tick on are not compared,
     /// and the ending is the file's.
     pub ending_of_the_file: bool,
+}
+
+/// The tick at which foresight was nearest to ending the policy, or ended it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GuardApproach {
+    /// Number of the tick.
+    pub tick: u32,
+    /// The arm's angle then, rad.
+    pub theta_rad: f64,
+    /// Angle that foresight predicted for the voltage of that tick and the brake after it.
+    pub foreseen: ForeseenAngle,
 }
 
 /// One tick that decided differently.
@@ -86,6 +99,7 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     let mut voltage_mv = 0;
     let mut recomputed = Vec::with_capacity(compared.len());
     let mut ending = None;
+    let mut guard_approach: Option<GuardApproach> = None;
     for (index, recorded) in compared.iter().enumerate() {
         let is_last = index + 1 == recording.ticks.len();
         let output = tick.decide(&TickInput {
@@ -105,6 +119,12 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
             heat.pass(recorded.skipped_periods, measurement, voltage_mv, output.state.theta_dot);
         }
         voltage_mv = output.voltage_mv;
+        if let Some(foreseen) = tick.foreseen_angle()
+            && guard_approach.is_none_or(|it| foreseen.largest_rad > it.foreseen.largest_rad)
+        {
+            let theta_rad = output.state.theta;
+            guard_approach = Some(GuardApproach { tick: recorded.tick, theta_rad, foreseen });
+        }
         recomputed.push(TickRecord {
             phase: output.phase,
             state: output.state,
@@ -129,6 +149,7 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
         first_difference: differences.first().copied(),
         not_compared: known - compared.len(),
         foreseen: tick.foreseen(),
+        guard_approach,
         ending: if ending_of_the_file { outcome_ending } else { ending },
         ending_of_the_file,
     }
@@ -165,7 +186,7 @@ mod tests {
     };
     use crate::recording::samples::{POLICY, header, outcome};
     use crate::recording::{RolloutWriter, parse};
-    use crate::safety::MotorHeat;
+    use crate::safety::{Limit, MotorHeat, SafetyBox};
     use crate::telemetry::{RolloutHeader, RolloutOutcome};
 
     fn classical(gains: ClassicalGains) -> Policy {
@@ -204,15 +225,26 @@ mod tests {
 
     /// The rollout of [`recorded_rollout`] on a warm motor that draws `current_factor` times the nominal current.
     fn recorded_warm(
-        mut heat: MotorHeat,
+        heat: MotorHeat,
         current_factor: f64,
         estimator: EstimatorSettings,
         policy: Policy,
         link_breaks_at: Option<u32>,
     ) -> Recording {
         let mut header: RolloutHeader = header();
-        header.motor_heat = Some(heat);
         header.settings.estimator = estimator;
+        recorded_under(header, heat, current_factor, policy, link_breaks_at)
+    }
+
+    /// The same with the settings of this header.
+    fn recorded_under(
+        mut header: RolloutHeader,
+        mut heat: MotorHeat,
+        current_factor: f64,
+        policy: Policy,
+        link_breaks_at: Option<u32>,
+    ) -> Recording {
+        header.motor_heat = Some(heat);
         header.settings.max_steps = 300;
         header.settings.calibration.theta_zero_counts = 0;
         let mut writer =
@@ -354,6 +386,58 @@ mod tests {
             let differs = |pair: (&TickRecord, &TickRecord)| pair.0.state != pair.1.state;
             assert!(recording.ticks.iter().zip(&fast.ticks).any(differs));
         }
+    }
+
+    /// A policy that asks for the same voltage at all times.
+    fn pushing(voltage_v: f32) -> Policy {
+        let layer = |inputs: usize, outputs: usize, bias: f32| LayerWeights {
+            weight: vec![0.0; inputs * outputs],
+            bias: vec![bias; outputs],
+        };
+        // The output is a tanh, scaled.
+        let network =
+            Network::new(&[9, 5, 1], &[layer(9, 5, 0.0), layer(5, 1, 20.0)], voltage_v).unwrap();
+        Policy::Network(NetworkPolicy { network, training: training_record() })
+    }
+
+    #[test]
+    fn the_replay_finds_where_foresight_was_nearest_to_ending_the_policy() {
+        let guarded = |policy| {
+            let mut header: RolloutHeader = header();
+            header.settings.safety_box = SafetyBox::GUARDED;
+            recorded_under(header, MotorHeat::default(), 0.0, policy, None)
+        };
+        let first_running = |recording: &Recording| {
+            recording.ticks.iter().find(|tick| tick.phase == Phase::Running).unwrap().tick
+        };
+        // One that asks for 0 V stays away from the end.
+        let calm = guarded(pushing(1e-6));
+        let calm_again = rerun(&calm, pushing(1e-6));
+        assert!(calm_again.agrees(), "{calm_again:?}");
+        let approach = calm_again.guard_approach.unwrap();
+        assert!(approach.foreseen.largest_rad < approach.foreseen.end_rad, "{approach:?}");
+        assert!(f64::from(approach.foreseen.largest_rad) >= approach.theta_rad.abs() - 0.01);
+        assert!(approach.tick >= first_running(&calm));
+
+        // One that pushes to one side is ended, and nearest in the tick that ended it.
+        let pushed = guarded(pushing(2.0));
+        let again = rerun(&pushed, pushing(2.0));
+        assert!(again.agrees(), "{again:?}");
+        assert_eq!(again.ending, Some(Ending::LeftBox(Limit::Foresight)));
+        let last = pushed
+            .ticks
+            .iter()
+            .find(|tick| tick.tick > first_running(&pushed) && tick.phase == Phase::Braking);
+        let approach = again.guard_approach.unwrap();
+        assert_eq!(approach.tick, last.unwrap().tick);
+        let beyond_rad = approach.foreseen.largest_rad - approach.foreseen.end_rad;
+        let told_rad = again.foreseen.unwrap().beyond_rad.unwrap();
+        assert!(beyond_rad >= 0.0 && (beyond_rad - told_rad).abs() < 1e-5, "{approach:?}");
+        assert_eq!(approach.theta_rad, last.unwrap().state.theta);
+
+        // The box predicts nothing.
+        let boxed = recorded_rollout(pushing(1e-6), None);
+        assert_eq!(rerun(&boxed, pushing(1e-6)).guard_approach, None);
     }
 
     #[test]

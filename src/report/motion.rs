@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::nearest::Nearest;
 use crate::qube::{CONTROL_PERIOD_S, QubeModel};
 use crate::recording::Recording;
-use crate::replay::{MotionLog, OpenLoop};
+use crate::replay::{GuardApproach, MotionLog, OpenLoop};
 use crate::telemetry::{Phase, TickRecord};
 
 /// Unit of packed angles and voltages: a milliradian is finer than an encoder's count, a millivolt is what is sent.
@@ -130,6 +130,20 @@ impl Motion {
             }
         }
         motion
+    }
+
+    /// Marks where the guard was nearest to ending the policy, and the time of it, s.
+    #[must_use]
+    pub fn with_guard(mut self, guard: Option<(GuardApproach, f64)>) -> Self {
+        self.nearest.extend(guard.map(|(approach, time_s)| {
+            let foreseen = approach.foreseen;
+            let label = format!(
+                "guard: foresaw {:.2} of {:.2} rad",
+                foreseen.largest_rad, foreseen.end_rad
+            );
+            Near { of: "theta", time_s, label }
+        }));
+        self
     }
 
     /// Names the motion in the list of the player, under a group, with a sentence beside it.

@@ -1,5 +1,6 @@
 use crate::qube::CONTROL_PERIOD_S;
 use crate::recording::Recording;
+use crate::replay::{GuardApproach, controller_of, rerun};
 use crate::telemetry::Phase;
 
 /// The nearest approach of a rollout to one limit of its safety box, while the policy had the motor.
@@ -52,6 +53,22 @@ pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
         });
     }
     found
+}
+
+/// Where the guard was nearest to ending the policy, and the time of it from the policy's first tick, s. The recording
+/// is replayed for it; `None` under another guard than foresight, and where the replay decides differently, so that
+/// what the guard saw is not known.
+#[must_use]
+pub fn guard_approach(recording: &Recording) -> Option<(GuardApproach, f64)> {
+    if recording.header.settings.safety_box.guard.is_box() {
+        return None;
+    }
+    let replayed = rerun(recording, controller_of(recording).ok()?);
+    let approach = replayed.guard_approach.filter(|_| replayed.agrees())?;
+    let first = recording.ticks.iter().find(|tick| tick.phase == Phase::Running);
+    // A policy whose first voltage is refused has no tick.
+    let first = first.map_or(approach.tick, |first| first.tick);
+    Some((approach, f64::from(approach.tick.saturating_sub(first)) * CONTROL_PERIOD_S))
 }
 
 #[cfg(test)]

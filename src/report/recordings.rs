@@ -55,6 +55,19 @@ pub fn recordings_page(
     page.table(&heads, &rows, None);
     if let [(_, view)] = &views[..] {
         page.heading("How near the limits came");
+        let foreseen = view.guard.map(|(approach, time_s)| {
+            let foreseen = approach.foreseen;
+            let (largest, end) = (f64::from(foreseen.largest_rad), f64::from(foreseen.end_rad));
+            let share = Some(100.0 * largest / end).filter(|share| share.is_finite());
+            vec![
+                "arm's angle that the guard foresaw".into(),
+                Cell::number(Some(largest).filter(|it| it.is_finite()), 2),
+                Cell::number(Some(end), 2),
+                "rad".into(),
+                Cell::number(share, 0),
+                Cell::number(Some(time_s), 2),
+            ]
+        });
         let rows: Vec<Vec<Cell>> = view
             .nearest
             .iter()
@@ -68,6 +81,7 @@ pub fn recordings_page(
                     Cell::number(Some(it.time_s), 2),
                 ]
             })
+            .chain(foreseen)
             .collect();
         page.table(
             &["quantity", "largest", "limit", "unit", "% of the limit", "at, s"],

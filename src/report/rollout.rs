@@ -1,9 +1,9 @@
 use super::motion::{Motion, simulated};
-use super::nearest::{Nearest, nearest_approaches};
+use super::nearest::{Nearest, guard_approach, nearest_approaches};
 use super::page::{Cell, Page};
 use crate::qube::QubeModel;
 use crate::recording::{Completeness, Recording};
-use crate::replay::AngleError;
+use crate::replay::{AngleError, GuardApproach};
 use crate::scoring::{Behaviour, Quietness, QuietnessFigures, Verdict, score_recording};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome};
 
@@ -22,6 +22,8 @@ pub struct RolloutView {
     pub quietness: Option<QuietnessFigures>,
     /// Nearest approaches to the limits of the safety box.
     pub nearest: Vec<Nearest>,
+    /// Where the guard was nearest to ending the policy, and the time of it, s; `None` where that is not known.
+    pub guard: Option<(GuardApproach, f64)>,
     /// Error of the simulation beside it.
     pub simulation_error: Option<AngleError>,
     /// Motion for the player, not yet named.
@@ -35,6 +37,7 @@ impl RolloutView {
     #[must_use]
     pub fn of(recording: &Recording, model: &QubeModel) -> Self {
         let nearest = nearest_approaches(recording);
+        let guard = guard_approach(recording);
         let simulated = simulated(recording, model);
         let beside = simulated.as_ref().map(|(log, open_loop)| (log, open_loop));
         Self {
@@ -43,9 +46,10 @@ impl RolloutView {
             verdict: score_recording(recording),
             behaviour: Behaviour::of(recording),
             quietness: Quietness::of(&recording.ticks).figures(),
-            motion: Motion::of(recording, beside, &nearest),
+            motion: Motion::of(recording, beside, &nearest).with_guard(guard),
             simulation_error: simulated.as_ref().map(|(_, open_loop)| open_loop.rmse),
             nearest,
+            guard,
             defect: match &recording.completeness {
                 Completeness::Whole => None,
                 Completeness::CutOff { lost_bytes, reason } => {
@@ -95,6 +99,7 @@ impl RolloutView {
                 nearest.limit
             ));
         }
+        parts.extend(self.guard.map(guard_words));
         if let Some(error) = self.simulation_error {
             parts.push(format!(
                 "The simulator got the same voltages from the same start and nothing else; its errors add up to {:.2} rad in θ and {:.2} rad in α (root mean square)",
@@ -129,6 +134,30 @@ fn ending_words(outcome: &RolloutOutcome) -> String {
         Ending::Stopped => "Somebody stopped it".into(),
         Ending::Fault(fault) => format!("A fault ended it: {fault}"),
     }
+}
+
+/// Where the guard was nearest to ending the policy, as a sentence without its dot.
+fn guard_words((approach, time_s): (GuardApproach, f64)) -> String {
+    let GuardApproach { theta_rad, foreseen, .. } = approach;
+    let (largest_rad, end_rad) = (foreseen.largest_rad, foreseen.end_rad);
+    let when = format!("at {time_s:.2} s, with θ at {theta_rad:.2} rad");
+    if !largest_rad.is_finite() {
+        return format!(
+            "The guard was nearest {when}: it could not foresee where the arm would stop"
+        );
+    }
+    let saw = format!(
+        "for the voltage of the policy and the brake after it, it foresaw the arm of some Qube that this one may be at {largest_rad:.2} rad"
+    );
+    if largest_rad >= end_rad {
+        return format!(
+            "The guard ended the policy {when}: {saw}, and no arm may reach {end_rad:.2}"
+        );
+    }
+    let share = 100.0 * largest_rad / end_rad;
+    format!(
+        "The guard was nearest {when}: {saw}, {share:.0} % of the {end_rad:.2} that no arm may reach"
+    )
 }
 
 /// The text with a capital at its start.

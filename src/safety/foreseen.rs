@@ -12,3 +12,13 @@ pub struct Foreseen {
     /// state was no longer finite.
     pub beyond_rad: Option<f32>,
 }
+
+/// The largest angle that foresight predicts for the arm of any Qube that it reckons with: a voltage, and the brake
+/// after it. An arm that can reach the end no longer is not followed farther.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForeseenAngle {
+    /// Largest angle to either side, rad; infinite where a prediction diverged.
+    pub largest_rad: f32,
+    /// Angle that no arm may reach, rad: the stop's, less foresight's margin.
+    pub end_rad: f32,
+}

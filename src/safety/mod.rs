@@ -26,7 +26,7 @@ mod voltage_gate;
 pub use belief::{Belief, BeliefError};
 pub use brake_law::{BrakeLaw, CentringBrake};
 pub use braking::{Brake, brake_voltage};
-pub use foreseen::Foreseen;
+pub use foreseen::{Foreseen, ForeseenAngle};
 pub use foresight::{Ends, Foresight, Outlook, Prediction, Reach};
 pub use foresight_settings::{ForesightError, ForesightSettings, IdentifiedQube};
 pub use guard::Guard;

@@ -1,5 +1,5 @@
 use super::foresight::Prediction;
-use super::{CentringBrake, Foreseen, Foresight};
+use super::{CentringBrake, Foreseen, ForeseenAngle, Foresight};
 use crate::elementary::Level;
 use crate::qube::{MAX_HISTORY, State};
 
@@ -13,6 +13,8 @@ use crate::qube::{MAX_HISTORY, State};
 pub struct TrustedForesight {
     any: Foresight<CentringBrake>,
     identified: Option<Identified>,
+    /// Prediction for the last voltage.
+    angle: Option<ForeseenAngle>,
 }
 
 #[derive(Clone, Debug)]
@@ -44,7 +46,7 @@ impl TrustedForesight {
             let prediction = Prediction::of(&foresight);
             Identified { foresight, prediction, trust: Trust::Untested }
         });
-        Self { any, identified }
+        Self { any, identified, angle: None }
     }
 
     /// Selects the instruction set, for comparisons.
@@ -54,7 +56,7 @@ impl TrustedForesight {
             let foresight = foresight.at_level(level);
             Identified { prediction: Prediction::of(&foresight), foresight, trust }
         });
-        Self { any: self.any.at_level(level), identified }
+        Self { any: self.any.at_level(level), identified, angle: self.angle }
     }
 
     /// Sets the number of control periods between the last two samples for both beliefs;
@@ -110,9 +112,19 @@ impl TrustedForesight {
             _ => (&mut self.any, false),
         };
         let outlook = foresight.look(state, sent_v, voltage_v);
+        let end_rad = foresight.nearer_end_rad();
+        let largest_rad = end_rad - outlook.room_rad;
+        let largest_rad = if largest_rad.is_nan() { f32::INFINITY } else { largest_rad };
+        self.angle = Some(ForeseenAngle { largest_rad, end_rad });
         let beyond_rad = Some(-outlook.room_rad).filter(|beyond| beyond.is_finite());
         let particle = outlook.particle;
         (!outlook.holds).then_some(Foreseen { identified, particle, beyond_rad })
+    }
+
+    /// The prediction for the voltage of the last [`Self::too_late_for`].
+    #[must_use]
+    pub fn angle(&self) -> Option<ForeseenAngle> {
+        self.angle
     }
 }
 

@@ -147,6 +147,11 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         self.lag_s = lag_s(&self.filter, periods);
     }
 
+    /// The nearer of the two ends, rad from the middle.
+    pub(super) fn nearer_end_rad(&self) -> f32 {
+        self.ends.high_rad.min(-self.ends.low_rad)
+    }
+
     /// Follows every arm to the horizon, for tests of the shortcut.
     #[cfg(test)]
     fn without_calm(mut self) -> Self {
