@@ -1,6 +1,6 @@
 use plotters::prelude::*;
 
-use super::style::{self, FONT};
+use super::style::{self, FAINT, FONT, INK, Key, LINE, TEXT, TITLE, with_key};
 use super::{DrawingError, Panel, PlotError};
 use crate::search::StrategyKind;
 use crate::search::benchmark::{Quartiles, RegretCurve};
@@ -14,7 +14,7 @@ fn colour(strategy: StrategyKind) -> RGBColor {
         StrategyKind::BayRn => style::colour(0),
         StrategyKind::Cem => style::colour(1),
         StrategyKind::CmaEs => style::colour(2),
-        StrategyKind::Random => RGBColor(120, 120, 120),
+        StrategyKind::Random => INK,
         StrategyKind::Sobol => style::colour(3),
     }
 }
@@ -29,21 +29,18 @@ pub fn regret_svg(curves: &[RegretCurve]) -> Result<String, DrawingError> {
     let rows = panels.len().div_ceil(3).max(1);
     let mut svg = String::new();
     {
-        let size = (1200, 70 + 360 * rows as u32);
+        let size = (1200, 84 + 360 * rows as u32);
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE)?;
-        let (heading, rest) = root.split_vertically(66);
+        let (heading, below) = root.split_vertically(34);
         let repetitions = curves.first().map_or(0, |curve| curve.repetitions);
         let title = format!(
             "Simple regret (maximum minus best value found): median and quartiles of {repetitions} repetitions"
         );
-        heading.draw(&Text::new(title, (20, 8), (FONT, 20)))?;
-        for (i, strategy) in StrategyKind::ALL.into_iter().enumerate() {
-            let x = 20 + 130 * i as i32;
-            let stroke = colour(strategy).stroke_width(3);
-            heading.draw(&PathElement::new(vec![(x, 48), (x + 28, 48)], stroke))?;
-            heading.draw(&Text::new(strategy.name(), (x + 36, 40), (FONT, 16)))?;
-        }
+        heading.draw(&Text::new(title, (14, 10), (FONT, TITLE).into_font().color(&INK)))?;
+        let key =
+            StrategyKind::ALL.map(|it| (it.name().to_owned(), Key::Line(colour(it), LINE + 1)));
+        let rest = with_key(&below, &key)?;
         for (panel, area) in panels.into_iter().zip(rest.split_evenly((rows, 3))) {
             draw_panel(panel, &area)?;
         }
@@ -63,7 +60,10 @@ fn draw_panel(curves: &[RegretCurve], area: &Panel<'_>) -> Result<(), PlotError>
     let highest = seen(|q| q.upper).fold(FLOOR, f64::max);
     let evaluations = first.regret.len() as f64;
     let mut chart = ChartBuilder::on(area)
-        .caption(format!("{}, {} dimensions", first.objective.name(), first.dimensions), (FONT, 17))
+        .caption(
+            format!("{}, {} dimensions", first.objective.name(), first.dimensions),
+            (FONT, TITLE),
+        )
         .margin(8)
         .margin_right(18)
         .x_label_area_size(38)
@@ -74,7 +74,8 @@ fn draw_panel(curves: &[RegretCurve], area: &Panel<'_>) -> Result<(), PlotError>
         )?;
     chart
         .configure_mesh()
-        .light_line_style(WHITE.mix(0.0))
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(FAINT)
         .x_labels(7)
         .y_labels(6)
         .x_label_formatter(&|x| format!("{x:.0}"))
@@ -90,8 +91,8 @@ fn draw_panel(curves: &[RegretCurve], area: &Panel<'_>) -> Result<(), PlotError>
         })
         .x_desc("evaluations")
         .y_desc("simple regret")
-        .label_style((FONT, 13))
-        .axis_desc_style((FONT, 14))
+        .label_style((FONT, TEXT - 2))
+        .axis_desc_style((FONT, TEXT))
         .draw()?;
     for curve in curves {
         let line = |pick: fn(&Quartiles) -> f64| {
@@ -105,7 +106,7 @@ fn draw_panel(curves: &[RegretCurve], area: &Panel<'_>) -> Result<(), PlotError>
         let mut outline: Vec<(f64, f64)> = line(|q| q.upper).collect();
         outline.extend(line(|q| q.lower).collect::<Vec<_>>().into_iter().rev());
         chart.draw_series([Polygon::new(outline, colour.mix(0.12).filled())])?;
-        chart.draw_series(LineSeries::new(line(|q| q.median), colour.stroke_width(2)))?;
+        chart.draw_series(LineSeries::new(line(|q| q.median), colour.stroke_width(LINE)))?;
     }
     Ok(())
 }
