@@ -27,7 +27,7 @@ pub struct Arguments {
     files: Vec<PathBuf>,
 
     /// Folder for the tables; created if it does not exist [default: beside each recording]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = folder)]
     out: Option<PathBuf>,
 
     /// Format of the tables: both have the same columns and numbers
@@ -37,6 +37,17 @@ pub struct Arguments {
     /// Replace tables that exist
     #[arg(long)]
     force: bool,
+}
+
+/// Parses the folder: the name of a table is a mistake.
+fn folder(text: &str) -> Result<PathBuf, String> {
+    let extension = Path::new(text).extension().and_then(|it| it.to_str());
+    match extension.map(str::to_ascii_lowercase).as_deref() {
+        Some(format @ ("csv" | "parquet")) => Err(format!(
+            "it is a folder, and each table has its recording's name in it: give the folder, and --format {format}"
+        )),
+        _ => Ok(text.into()),
+    }
 }
 
 /// The formats of tables.
@@ -108,5 +119,21 @@ fn table_of(file: &Path, folder: Option<&Path>, format: Format) -> PathBuf {
     match (folder, table.file_name()) {
         (Some(folder), Some(name)) => folder.join(name),
         _ => table,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_name_of_a_table_is_no_folder() {
+        for (name, format) in [("x.parquet", "--format parquet"), ("logs/x.CSV", "--format csv")] {
+            let told = folder(name).unwrap_err();
+            assert!(told.contains(format), "{told}");
+        }
+        for name in ["tables", "logs/2.5", "../csv"] {
+            assert_eq!(folder(name).unwrap(), Path::new(name));
+        }
     }
 }
