@@ -34,8 +34,9 @@ pub(super) const MAX_CLIENT_MESSAGE_BYTES: usize = 1 << 16;
 /// Bytes that wait for a slow client, after which messages are dropped.
 const MAX_WAITING_BYTES: usize = 1 << 20;
 
-/// Time for which the connection waits for a message of the client before it looks for news.
-const INTERVAL: Duration = Duration::from_millis(20);
+/// Time for which the connection waits for a message of the client before it looks for news: 30 batches a second, as
+/// screens show them.
+const INTERVAL: Duration = Duration::from_millis(33);
 
 /// Number of messages of a client in a second, after which it is cut off.
 pub(super) const MAX_MESSAGES_A_SECOND: u32 = 100;

@@ -17,6 +17,10 @@ const PAUSE: Duration = Duration::from_millis(5);
 /// Time between two looks at whether the view closes.
 const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
+/// Stack of a client's thread. A program that locks its memory for the control thread fills each new stack at once, on
+/// a processor that the tick may want.
+const STACK_BYTES: usize = 256 * 1024;
+
 /// Niceness of the view's threads: whoever drives or trains comes first.
 const NICENESS: i32 = 10;
 
@@ -56,6 +60,7 @@ pub(super) fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
             // Without a thread the connection is closed.
             let _ = Builder::new()
                 .name("live client".to_owned())
+                .stack_size(STACK_BYTES)
                 .spawn(move || serve(&slot, stream, peer));
         }
         thread::sleep(PAUSE);
