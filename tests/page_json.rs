@@ -5,7 +5,10 @@ use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 
+use qube_hil::jobs::folder::{JobFolder, Terms};
+use qube_hil::storage::MachineDisk;
 use serde_json::Value;
 
 const PAGE: &str = include_str!("../docs/reference/json.md");
@@ -148,6 +151,10 @@ fn commands_print_the_fields_of_the_page() {
     succeeds("`session`", &session);
     let experiment = ["experiment", "--recipe", "tiny.toml", "--policies", "1", "--rollouts", "1"];
     succeeds("`experiment`", &[&experiment[..], &["--out", "experiment"]].concat());
+    let jobs =
+        JobFolder::create(Arc::new(MachineDisk), &directory.path().join("jobs"), Terms::default());
+    drop(jobs.unwrap());
+    succeeds("`work`", &["work", "jobs", "--linger", "0"]);
     succeeds("`soak`", &["soak", "--clock", "virtual", "--hours", "0.001"]);
     succeeds("`check`", &["check", "--clock", "virtual"]);
     succeeds("`toy`", &["toy"]);

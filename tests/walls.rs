@@ -54,7 +54,7 @@ const ROOMS: &[Room] = &[
     },
     room("learning", &["simulation", "policy", "estimation", "qube", "elementary", "storage"]),
     // Sessions, experiments and the command train hand their trainings to one executor.
-    room("jobs", &["learning", "simulation"]),
+    room("jobs", &["learning", "simulation", "storage", "elementary"]),
     room("surrogate", &[]),
     room("search", &["surrogate"]),
     room("device", &["clock", "qube", "firmware_protocol"]),

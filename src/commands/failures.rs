@@ -10,6 +10,7 @@ use super::exit::Failure;
 use super::printable::one_line;
 use super::stop::Stop;
 use crate::experiment::ExperimentError;
+use crate::jobs::{JobError, JobFolderError};
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
 use crate::rig::RigError;
@@ -151,14 +152,32 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::Rig(error) => return rig(error, stop),
         SessionError::Recording(error) => recording(&error),
         SessionError::Folder(error) => folder(&error),
-        SessionError::Ledger(_) | SessionError::Training(_) | SessionError::Search(_) => {
-            Failure::failed(error)
-        }
+        SessionError::Training(error) => job(error),
+        SessionError::Ledger(_) | SessionError::Search(_) => Failure::failed(error),
         SessionError::Policy(error) => policy(&error),
         SessionError::ProfileLost { .. } => Failure::data_lost(error),
         SessionError::Psi(_) | SessionError::SettingsChanged { .. } => Failure::usage(error),
     };
     failure.of(fault)
+}
+
+/// The failure for an error of a job.
+fn job(error: JobError) -> Failure {
+    match error {
+        JobError::Folder(error) => job_folder(&error),
+        error => Failure::failed(error),
+    }
+}
+
+/// The failure for an error of a folder of jobs.
+pub fn job_folder(error: &JobFolderError) -> Failure {
+    match error {
+        JobFolderError::NotAFolderOfJobs { .. }
+        | JobFolderError::OtherProgram { .. }
+        | JobFolderError::NoFma { .. }
+        | JobFolderError::TwoCoordinators { .. } => Failure::usage(error),
+        JobFolderError::Disk { .. } | JobFolderError::Damaged { .. } => Failure::failed(error),
+    }
 }
 
 /// The failure for an error of an experiment.

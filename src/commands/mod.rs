@@ -59,6 +59,7 @@ mod toy;
 mod train;
 mod training_progress;
 mod words_gone;
+mod work;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -106,6 +107,7 @@ struct CommandLine {
 enum Command {
     Session(session::Arguments),
     Experiment(experiment::Arguments),
+    Work(work::Arguments),
     Train(train::Arguments),
     Import(import::Arguments),
     Identify(identify::Arguments),
@@ -143,6 +145,7 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
     let outcome = match command_line.command {
         Command::Session(arguments) => session::run(arguments, &output),
         Command::Experiment(arguments) => experiment::run(arguments, &output),
+        Command::Work(arguments) => work::run(&arguments, &output),
         Command::Train(arguments) => train::run(arguments, &output),
         Command::Import(arguments) => import::run(&arguments, &output),
         Command::Identify(arguments) => identify::run(&arguments, &output),

@@ -20,7 +20,7 @@ use super::stop::Stop;
 use super::training_progress::TrainingProgress;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
-use crate::jobs::{Executor, LocalExecutor, TrainingJob};
+use crate::jobs::{Executor, JobError, LocalExecutor, TrainingJob};
 use crate::learning::{
     Checkpointing, Origin, Preset, TrainError, TrainSettings, TrainUpdate, train_from,
 };
@@ -149,7 +149,7 @@ const CHECKPOINT_EVERY: u32 = 10;
 
 /// The instruction sets by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum InstructionSet {
+pub enum InstructionSet {
     /// The best of this processor
     Avx512,
     /// With fused multiply-add
@@ -220,6 +220,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Some(start) => {
             let TrainingJob { distribution, settings, seed } = &job;
             train_from(&start.network, distribution, settings, *seed, &stop.flag, tell)
+                .map_err(JobError::from)
         }
         None => {
             let executor = LocalExecutor::on_cores(1).checkpointed(checkpointing);
@@ -229,13 +230,15 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     drop(keyboard);
     drop(screen);
     let trained = trained.map_err(|error| match error {
-        TrainError::Stopped => stop.failure(match &arguments.checkpoint {
+        JobError::Training(TrainError::Stopped) => stop.failure(match &arguments.checkpoint {
             None => "stopped; nothing was written".into(),
             Some(path) => format!("stopped; the same command goes on from {}", path.display()),
         }),
-        TrainError::CheckpointDamaged { .. }
-        | TrainError::CheckpointOfAnother { .. }
-        | TrainError::Start { .. } => Failure::usage(error),
+        JobError::Training(
+            TrainError::CheckpointDamaged { .. }
+            | TrainError::CheckpointOfAnother { .. }
+            | TrainError::Start { .. },
+        ) => Failure::usage(error),
         other => Failure::failed(other),
     })?;
     let wall_s = started.elapsed().as_secs_f64();

@@ -2,7 +2,6 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use crate::learning::TrainError;
 use crate::rig::RigError;
 use crate::session::{ConfigurationError, SessionError};
 
@@ -70,12 +69,11 @@ impl ExperimentError {
             Self::Session(error) => error,
             _ => return false,
         };
-        matches!(
-            error,
-            SessionError::Stopped
-                | SessionError::Training(TrainError::Stopped)
-                | SessionError::Rig(RigError::Stopped { .. })
-        )
+        match error {
+            SessionError::Stopped | SessionError::Rig(RigError::Stopped { .. }) => true,
+            SessionError::Training(error) => error.is_stop(),
+            _ => false,
+        }
     }
 }
 

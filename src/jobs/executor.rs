@@ -1,6 +1,6 @@
 use std::sync::atomic::AtomicBool;
 
-use super::TrainingJob;
+use super::{JobError, TrainingJob};
 use crate::learning::{TrainError, TrainUpdate, Trained};
 
 /// An event of a running job.
@@ -17,7 +17,7 @@ pub enum JobEvent {
         /// Index of the job.
         job: usize,
         /// Policy and learning curve, or the reason of the failure.
-        result: Result<Box<Trained>, TrainError>,
+        result: Result<Box<Trained>, JobError>,
     },
 }
 
@@ -36,8 +36,8 @@ pub trait Executor: Send + Sync {
         job: &TrainingJob,
         stop: &AtomicBool,
         tell: &mut dyn FnMut(&TrainUpdate),
-    ) -> Result<Trained, TrainError> {
-        let mut ended = Err(TrainError::Stopped);
+    ) -> Result<Trained, JobError> {
+        let mut ended = Err(TrainError::Stopped.into());
         self.train(std::slice::from_ref(job), stop, &mut |event| match event {
             JobEvent::Update { update, .. } => tell(&update),
             JobEvent::Finished { result, .. } => ended = result.map(|trained| *trained),

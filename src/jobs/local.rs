@@ -46,7 +46,7 @@ impl LocalExecutor {
         let result = train(distribution, settings, *seed, checkpointing, stop, |update| {
             tell(JobEvent::Update { job: index, update: *update });
         });
-        tell(JobEvent::Finished { job: index, result: result.map(Box::new) });
+        tell(JobEvent::Finished { job: index, result: result.map(Box::new).map_err(Into::into) });
     }
 }
 
@@ -83,7 +83,8 @@ impl Executor for LocalExecutor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::learning::{TrainError, TrainSettings, Trained};
+    use crate::jobs::JobError;
+    use crate::learning::{TrainSettings, Trained};
     use crate::simulation::DomainDistribution;
 
     fn job(seed: u64) -> TrainingJob {
@@ -97,7 +98,7 @@ mod tests {
     }
 
     /// The results in the order of the jobs, and the number of updates.
-    fn train_on(cores: usize, stop: &AtomicBool) -> (Vec<Result<Trained, TrainError>>, usize) {
+    fn train_on(cores: usize, stop: &AtomicBool) -> (Vec<Result<Trained, JobError>>, usize) {
         let jobs = [job(1), job(2), job(3)];
         let mut results: Vec<Option<_>> = vec![None, None, None];
         let mut updates = 0;
@@ -127,7 +128,7 @@ mod tests {
     fn every_job_ends_after_a_stop() {
         for cores in [1, 2] {
             let (results, _) = train_on(cores, &AtomicBool::new(true));
-            assert!(results.iter().all(|result| matches!(result, Err(TrainError::Stopped))));
+            assert!(results.iter().all(|result| matches!(result, Err(error) if error.is_stop())));
         }
     }
 }

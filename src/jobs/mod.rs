@@ -2,10 +2,10 @@
 //!
 //! A [`TrainingJob`] holds everything that its policy depends on, so the same job gives the same policy and
 //! learning curve wherever it runs. The command `train`, sessions and experiments hand jobs to an
-//! [`Executor`]; [`LocalExecutor`] trains on this computer's cores. An executor on other computers sends a
-//! job as JSON and may look up its [`fingerprint`](TrainingJob::fingerprint) among finished ones.
+//! [`Executor`]; [`LocalExecutor`] trains on this computer's cores, [`FolderExecutor`] by workers on any computers that
+//! share a folder with this one ([`folder`]).
 //!
-//! The room may import `learning` and `simulation`.
+//! The room may import `learning`, `simulation`, `storage` and `elementary`.
 //!
 //! ```
 //! use std::sync::atomic::AtomicBool;
@@ -20,15 +20,20 @@
 //! let never = AtomicBool::new(false);
 //! let trained = LocalExecutor::on_cores(1).train_one(&job, &never, &mut |_| ())?;
 //! assert_eq!(trained.curve.len(), 1);
-//! # Ok::<(), qube_hil::learning::TrainError>(())
+//! # Ok::<(), qube_hil::jobs::JobError>(())
 //! ```
 
+mod error;
 mod executor;
+pub mod folder;
+mod folder_executor;
 mod local;
 mod selection;
 mod training_job;
 
+pub use error::{JobError, JobFolderError};
 pub use executor::{Executor, JobEvent};
+pub use folder_executor::FolderExecutor;
 pub use local::LocalExecutor;
 pub use selection::{CHOSEN_OF_STARTS, ROUNDS, SUCCEEDED, worst_return};
 pub use training_job::TrainingJob;

@@ -39,6 +39,7 @@ mod state;
 mod tests;
 mod train;
 mod trained;
+mod trained_file;
 mod transition;
 mod workbench;
 
@@ -50,4 +51,5 @@ pub use preset::Preset;
 pub use settings::TrainSettings;
 pub use train::{train, train_from};
 pub use trained::{Origin, Trained};
+pub use trained_file::TrainedBytesError;
 pub use workbench::Workbench;

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use thiserror::Error;
 
 use super::{FolderError, LedgerError};
-use crate::learning::TrainError;
+use crate::jobs::JobError;
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
 use crate::rig::{Doubt, RigError};
@@ -100,7 +100,7 @@ pub enum SessionError {
     Search(#[from] SearchError),
     /// The training failed.
     #[error(transparent)]
-    Training(#[from] TrainError),
+    Training(#[from] JobError),
 }
 
 impl From<WriteError> for SessionError {

@@ -7,6 +7,7 @@
 mod bystanders;
 mod cuts;
 mod fault_port;
+mod jobs;
 mod processes;
 #[path = "../real_time/mod.rs"]
 mod real_time;

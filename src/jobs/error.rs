@@ -1,0 +1,112 @@
+use std::io;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::learning::TrainError;
+
+/// The reason why a job has no policy.
+#[derive(Debug, Error)]
+pub enum JobError {
+    /// The training failed or was stopped on this computer.
+    #[error(transparent)]
+    Training(#[from] TrainError),
+    /// The training failed on another computer; it would fail everywhere.
+    #[error("a training failed on {by}: {reason}")]
+    Elsewhere {
+        /// Worker that carried it out.
+        by: String,
+        /// Reason that it gave.
+        reason: String,
+    },
+    /// No worker has finished the job.
+    #[error(
+        "training {job} was begun {tries} times and never finished: {reasons}. Look at the workers' output, and resume"
+    )]
+    GivenUp {
+        /// Fingerprint of the job.
+        job: String,
+        /// Number of tries.
+        tries: u32,
+        /// How each try ended.
+        reasons: String,
+    },
+    /// The folder of jobs cannot be used.
+    #[error(transparent)]
+    Folder(#[from] Arc<JobFolderError>),
+}
+
+impl JobError {
+    /// Whether the job ended because a stop was requested.
+    #[must_use]
+    pub fn is_stop(&self) -> bool {
+        matches!(self, Self::Training(TrainError::Stopped))
+    }
+}
+
+impl From<JobFolderError> for JobError {
+    fn from(error: JobFolderError) -> Self {
+        Self::Folder(Arc::new(error))
+    }
+}
+
+/// The reason why a folder of jobs cannot be used.
+#[derive(Debug, Error)]
+pub enum JobFolderError {
+    /// The folder contains no `folder.json`.
+    #[error(
+        "{path} is not a folder of jobs on this computer: it has no folder.json. Give the folder that the session or \
+         experiment names, on a file system that all computers share"
+    )]
+    NotAFolderOfJobs {
+        /// Path of the folder.
+        path: PathBuf,
+    },
+    /// A file in the folder is damaged.
+    #[error("{path}: {reason}")]
+    Damaged {
+        /// Path of the file.
+        path: PathBuf,
+        /// Defect of the file.
+        reason: String,
+    },
+    /// The folder belongs to another version of the program.
+    #[error(
+        "this program is {here} and the jobs in {path} are of {there}: other versions may train other policies. Install \
+         the same program on every computer"
+    )]
+    OtherProgram {
+        /// Path of the folder.
+        path: PathBuf,
+        /// Version of this program.
+        here: String,
+        /// Version that the folder asks for.
+        there: String,
+    },
+    /// The processor would train other policies than the others.
+    #[error(
+        "the processor of {host} has no fused multiply-add (FMA), so that its policies would differ from those of other \
+         computers: leave it out"
+    )]
+    NoFma {
+        /// Name of the computer.
+        host: String,
+    },
+    /// Another process coordinates the folder.
+    #[error("{path} is in use by {by}: end it, or give another folder of jobs")]
+    TwoCoordinators {
+        /// Path of the folder.
+        path: PathBuf,
+        /// The other coordinator.
+        by: String,
+    },
+    /// The disk refuses.
+    #[error("{path}: {source}")]
+    Disk {
+        /// Path of the file or folder.
+        path: PathBuf,
+        /// Cause of the failure.
+        source: io::Error,
+    },
+}

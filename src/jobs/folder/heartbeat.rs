@@ -1,0 +1,209 @@
+//! Files that grow while the process that created them lives.
+
+use std::collections::HashMap;
+use std::io;
+use std::path::Path;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::Holder;
+use crate::storage::{Disk, DiskFile};
+
+/// Largest file of this kind that is read: at a beat in five seconds, two months.
+const MAX_BYTES: u64 = 1 << 20;
+
+/// The way in which a process has given up its file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Ending {
+    /// The work is done.
+    Done,
+    /// The process was asked to stop, by a scheduler or a person; this counts as no failure.
+    Stopped,
+    /// The work failed.
+    Failed(String),
+}
+
+/// A file that its process, which created it exclusively, extends by a byte at each beat.
+///
+/// The file stays open: a process that was suspended and has lost its claim writes into nothing that others use.
+#[derive(Debug)]
+pub struct Heartbeat {
+    file: Box<dyn DiskFile>,
+}
+
+impl Heartbeat {
+    /// Creates the file; `None` if it exists.
+    ///
+    /// # Errors
+    /// The disk refuses; no file is left if it can be helped.
+    pub fn create(disk: &dyn Disk, path: &Path, holder: &Holder) -> io::Result<Option<Self>> {
+        let mut file = match disk.create(path, false) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        let line = serde_json::to_string(holder)? + "\n";
+        match file.write_all(line.as_bytes()).and_then(|()| file.sync()) {
+            Ok(()) => Ok(Some(Self { file })),
+            Err(error) => {
+                let _ = disk.remove(path);
+                Err(error)
+            }
+        }
+    }
+
+    /// Shows that the process lives.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn beat(&mut self) -> io::Result<()> {
+        self.file.write_all(b".")?;
+        self.file.sync()
+    }
+
+    /// Gives the file up.
+    ///
+    /// # Errors
+    /// The disk refuses; the file then looks like that of a dead process.
+    pub fn end(mut self, ending: &Ending) -> io::Result<()> {
+        let line = format!("\n{}\n", serde_json::to_string(ending)?);
+        self.file.write_all(line.as_bytes())?;
+        self.file.sync()
+    }
+}
+
+/// The content of such a file.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct HeartbeatState {
+    /// Process that created it; `None` while its first line is not whole.
+    pub holder: Option<Holder>,
+    /// Ending, if the process has given it up.
+    pub ending: Option<Ending>,
+    length: usize,
+}
+
+impl HeartbeatState {
+    /// Reads such a file; `None` if there is none.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn read(disk: &dyn Disk, path: &Path) -> io::Result<Option<Self>> {
+        let bytes = match disk.read(path, MAX_BYTES) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        let text = String::from_utf8_lossy(&bytes);
+        let mut lines = text.split_inclusive('\n').filter(|line| line.ends_with('\n'));
+        let holder = lines.next().and_then(|line| serde_json::from_str(line).ok());
+        let ending = lines.next_back().and_then(|line| serde_json::from_str(line).ok());
+        Ok(Some(Self { holder, ending, length: bytes.len() }))
+    }
+
+    /// The process as a text.
+    #[must_use]
+    pub fn by(&self) -> String {
+        self.holder.as_ref().map_or_else(|| "an unknown process".to_owned(), Holder::to_string)
+    }
+}
+
+/// Finds out which files have stopped growing, by this process's own clock: the clocks of other computers do not matter.
+#[derive(Debug)]
+pub struct HeartbeatWatch {
+    here: Holder,
+    stale: Duration,
+    seen: HashMap<String, (usize, Duration)>,
+}
+
+impl HeartbeatWatch {
+    /// A watch of the process `here` for which a file is stale after this time without a beat.
+    #[must_use]
+    pub fn new(here: Holder, stale: Duration) -> Self {
+        Self { here, stale, seen: HashMap::new() }
+    }
+
+    /// Whether the process of a file is dead: it has ended on this computer, or its file has not grown for the time
+    /// after which it is stale. `now` is the time since any fixed instant.
+    pub fn is_dead(&mut self, name: &str, state: &HeartbeatState, now: Duration) -> bool {
+        if state.holder.as_ref().is_some_and(|holder| holder.has_ended_here(&self.here)) {
+            return true;
+        }
+        match self.seen.get_mut(name) {
+            Some((length, since)) if *length == state.length => {
+                now.saturating_sub(*since) >= self.stale
+            }
+            Some(seen) => {
+                *seen = (state.length, now);
+                false
+            }
+            None => {
+                self.seen.insert(name.to_owned(), (state.length, now));
+                false
+            }
+        }
+    }
+
+    /// Forgets all files but those that `names` accepts.
+    pub fn forget_all_but(&mut self, names: impl Fn(&str) -> bool) {
+        self.seen.retain(|name, _| names(name));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::storage::MachineDisk;
+
+    fn elsewhere() -> Holder {
+        Holder { host: "elsewhere".into(), ..Holder::this_process() }
+    }
+
+    #[test]
+    fn a_file_is_created_once_beats_and_ends() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("claim");
+        assert_eq!(HeartbeatState::read(&MachineDisk, &path).unwrap(), None);
+        let mut claim = Heartbeat::create(&MachineDisk, &path, &elsewhere()).unwrap().unwrap();
+        assert!(Heartbeat::create(&MachineDisk, &path, &elsewhere()).unwrap().is_none());
+        let state = || HeartbeatState::read(&MachineDisk, &path).unwrap().unwrap();
+        assert_eq!(state().holder.unwrap().host, "elsewhere");
+        claim.beat().unwrap();
+        claim.beat().unwrap();
+        assert_eq!(state().ending, None);
+        claim.end(&Ending::Failed("no\nspace".into())).unwrap();
+        assert_eq!(state().ending, Some(Ending::Failed("no\nspace".into())));
+    }
+
+    #[test]
+    fn a_file_without_a_beat_is_stale_by_the_clock_of_the_one_who_watches() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("claim");
+        let mut claim = Heartbeat::create(&MachineDisk, &path, &elsewhere()).unwrap().unwrap();
+        let mut watch = HeartbeatWatch::new(Holder::this_process(), Duration::from_secs(60));
+        let mut is_dead = |at_s| {
+            let state = HeartbeatState::read(&MachineDisk, &path).unwrap().unwrap();
+            watch.is_dead("claim", &state, Duration::from_secs(at_s))
+        };
+        // The first look tells nothing, however old the file is.
+        assert!(!is_dead(1000));
+        assert!(!is_dead(1059));
+        assert!(is_dead(1060));
+        claim.beat().unwrap();
+        assert!(!is_dead(1061));
+        assert!(!is_dead(1120));
+        assert!(is_dead(1121));
+    }
+
+    #[test]
+    fn a_half_written_claim_is_that_of_an_unknown_process() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("claim");
+        for text in ["", "{\"host\":\"a", "\n\n", "...\"done\"\n"] {
+            std::fs::write(&path, text).unwrap();
+            let state = HeartbeatState::read(&MachineDisk, &path).unwrap().unwrap();
+            assert_eq!((state.holder, state.ending), (None, None), "{text}");
+        }
+    }
+}

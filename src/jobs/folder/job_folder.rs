@@ -1,0 +1,482 @@
+use std::collections::{BTreeSet, HashMap};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::sealed::{sealed, unsealed};
+use super::{Heartbeat, HeartbeatState, HeartbeatWatch, Holder};
+use crate::elementary::Level;
+use crate::jobs::{JobFolderError, TrainingJob};
+use crate::learning::Trained;
+use crate::storage::Disk;
+
+/// Largest job file that is read: a job has some kB.
+const MAX_JOB_BYTES: u64 = 16 << 20;
+
+/// Largest result that is read: a policy has 20 kB, and a learning curve 100 bytes an update.
+const MAX_RESULT_BYTES: u64 = 256 << 20;
+
+/// Version of the files' meaning.
+const FORMAT: u32 = 1;
+
+/// The version of this program, to the revision of its source.
+#[must_use]
+pub fn program() -> String {
+    format!("qube-hil {} ({})", env!("CARGO_PKG_VERSION"), env!("QUBE_HIL_GIT_REVISION"))
+}
+
+/// What all processes of a folder agree on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Terms {
+    /// Version of the meaning of the files.
+    pub format: u32,
+    /// Version of the program.
+    pub program: String,
+    /// Time between two beats of a process, ms.
+    pub beat_ms: u64,
+    /// Time without a beat after which a process counts as dead, ms.
+    pub stale_ms: u64,
+    /// Number of failed tries after which a job is given up.
+    pub tries: u32,
+}
+
+impl Default for Terms {
+    fn default() -> Self {
+        Self { format: FORMAT, program: program(), beat_ms: 5_000, stale_ms: 60_000, tries: 3 }
+    }
+}
+
+impl Terms {
+    /// Time between two beats of a process.
+    #[must_use]
+    pub fn beat(&self) -> Duration {
+        Duration::from_millis(self.beat_ms.max(1))
+    }
+
+    /// Time without a beat after which a process counts as dead.
+    #[must_use]
+    pub fn stale(&self) -> Duration {
+        Duration::from_millis(self.stale_ms)
+    }
+}
+
+/// The result of a job with the worker that carried it out.
+#[derive(Debug)]
+pub struct JobResult {
+    /// Worker that carried the job out.
+    pub by: String,
+    /// Policy and learning curve, or the reason why the training failed.
+    pub outcome: Result<Box<Trained>, String>,
+}
+
+/// First line of a result's payload.
+#[derive(Serialize, Deserialize)]
+struct ResultHeader {
+    by: String,
+    program: String,
+    /// Instruction set of the training; it does not change the result.
+    level: String,
+    error: Option<String>,
+}
+
+/// A folder of jobs.
+#[derive(Clone, Debug)]
+pub struct JobFolder {
+    disk: Arc<dyn Disk>,
+    root: PathBuf,
+    terms: Terms,
+}
+
+impl JobFolder {
+    /// Creates the folder, or continues one, for the coordinator.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn create(disk: Arc<dyn Disk>, root: &Path, terms: Terms) -> Result<Self, JobFolderError> {
+        let folder = Self { disk, root: root.to_owned(), terms };
+        for name in ["jobs", "claims", "results", "workers", "coordinators"] {
+            let path = root.join(name);
+            folder.disk.create_folder(&path).map_err(|source| refused(&path, source))?;
+        }
+        let json = serde_json::to_vec_pretty(&folder.terms).unwrap_or_default();
+        folder.write(&root.join("folder.json"), "terms", &json)?;
+        Ok(folder)
+    }
+
+    /// Opens the folder for a worker.
+    ///
+    /// # Errors
+    /// It is no folder of jobs; its jobs are of another version of the program.
+    pub fn open(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, JobFolderError> {
+        let path = root.join("folder.json");
+        let bytes = disk.read(&path, MAX_JOB_BYTES).map_err(|source| match source.kind() {
+            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+                JobFolderError::NotAFolderOfJobs { path: root.to_owned() }
+            }
+            _ => refused(&path, source),
+        })?;
+        let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
+        let json = unsealed("terms", &bytes).map_err(damaged)?;
+        let terms: Terms =
+            serde_json::from_slice(json).map_err(|error| damaged(error.to_string()))?;
+        let here = program();
+        if terms.program != here || terms.format != FORMAT {
+            let (path, there) = (root.to_owned(), terms.program);
+            return Err(JobFolderError::OtherProgram { path, here, there });
+        }
+        Ok(Self { disk, root: root.to_owned(), terms })
+    }
+
+    /// Path of the folder.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The terms of the folder.
+    #[must_use]
+    pub fn terms(&self) -> &Terms {
+        &self.terms
+    }
+
+    /// The disk of the folder.
+    #[must_use]
+    pub fn disk(&self) -> &dyn Disk {
+        self.disk.as_ref()
+    }
+
+    /// Puts a job into the folder; returns its fingerprint, which is its name.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn put(&self, job: &TrainingJob) -> Result<String, JobFolderError> {
+        let name = job.fingerprint();
+        let json = serde_json::to_vec(job).unwrap_or_default();
+        self.write(&self.job(&name), "job", &json)?;
+        Ok(name)
+    }
+
+    /// The names of the open jobs.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn open_jobs(&self) -> Result<BTreeSet<String>, JobFolderError> {
+        Ok(self.names("jobs")?.into_iter().collect())
+    }
+
+    /// Whether a job is open.
+    #[must_use]
+    pub fn is_open(&self, name: &str) -> bool {
+        self.disk.exists(&self.job(name))
+    }
+
+    /// An open job; `None` if it is not open any more.
+    ///
+    /// # Errors
+    /// The file is damaged, or the disk refuses.
+    pub fn read_job(&self, name: &str) -> Result<Option<TrainingJob>, JobFolderError> {
+        let path = self.job(name);
+        let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
+        let bytes = match self.disk.read(&path, MAX_JOB_BYTES) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(source) => return Err(refused(&path, source)),
+        };
+        let json = unsealed("job", &bytes).map_err(damaged)?;
+        let job: TrainingJob =
+            serde_json::from_slice(json).map_err(|error| damaged(error.to_string()))?;
+        if job.fingerprint() != name {
+            return Err(damaged("it contains another job than its name says".to_owned()));
+        }
+        Ok(Some(job))
+    }
+
+    /// The names of the jobs with a result.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn results(&self) -> Result<BTreeSet<String>, JobFolderError> {
+        Ok(self.names("results")?.into_iter().collect())
+    }
+
+    /// Whether a job has a result.
+    #[must_use]
+    pub fn has_result(&self, name: &str) -> bool {
+        self.disk.exists(&self.result(name))
+    }
+
+    /// Stores the result of a job; one that exists is replaced by the same bytes.
+    ///
+    /// # Errors
+    /// The disk refuses; no result appears.
+    pub fn write_result(
+        &self,
+        name: &str,
+        by: &Holder,
+        outcome: Result<&Trained, String>,
+    ) -> Result<(), JobFolderError> {
+        let header = ResultHeader {
+            by: by.to_string(),
+            program: program(),
+            level: format!("{:?}", Level::best()),
+            error: outcome.as_ref().err().cloned(),
+        };
+        let mut payload = serde_json::to_vec(&header).unwrap_or_default();
+        payload.push(b'\n');
+        if let Ok(trained) = outcome {
+            payload.extend(trained.to_bytes());
+        }
+        self.write(&self.result(name), "result", &payload)
+    }
+
+    /// Reads the result of a job.
+    ///
+    /// # Errors
+    /// There is none, it is damaged, or another version of the program wrote it.
+    pub fn read_result(&self, name: &str, job: &TrainingJob) -> Result<JobResult, JobFolderError> {
+        let path = self.result(name);
+        let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
+        let bytes = self.disk.read(&path, MAX_RESULT_BYTES);
+        let bytes = bytes.map_err(|source| refused(&path, source))?;
+        let payload = unsealed("result", &bytes).map_err(damaged)?;
+        let end = payload.iter().position(|byte| *byte == b'\n').unwrap_or(payload.len());
+        let (header, trained) = payload.split_at(end);
+        let header: ResultHeader =
+            serde_json::from_slice(header).map_err(|error| damaged(error.to_string()))?;
+        if header.program != program() {
+            return Err(damaged(format!("{} wrote it", header.program)));
+        }
+        let outcome = match header.error {
+            Some(reason) => Err(reason),
+            None => {
+                let bytes = trained.get(1..).unwrap_or_default();
+                let trained = Trained::from_bytes(bytes, &job.settings, job.seed);
+                Ok(Box::new(trained.map_err(|error| damaged(error.to_string()))?))
+            }
+        };
+        Ok(JobResult { by: header.by, outcome })
+    }
+
+    /// Removes the result of a job, so that it is done again.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn discard_result(&self, name: &str) -> Result<(), JobFolderError> {
+        self.remove(&self.result(name))
+    }
+
+    /// Removes a job with its claims and its result. A worker that still does it finds no job and drops its result.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn remove_job(&self, name: &str) -> Result<(), JobFolderError> {
+        self.remove(&self.job(name))?;
+        for number in 0.. {
+            let path = self.claim(name, number);
+            if !self.disk.exists(&path) {
+                break;
+            }
+            self.remove(&path)?;
+        }
+        self.discard_result(name)
+    }
+
+    /// The number of tries of each job that was ever claimed.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn claims(&self) -> Result<HashMap<String, u32>, JobFolderError> {
+        let mut claims = HashMap::new();
+        for name in self.names("claims")? {
+            let claim =
+                name.rsplit_once('.').and_then(|(job, number)| Some((job, number.parse().ok()?)));
+            if let Some((job, number)) = claim {
+                let number: u32 = number;
+                let tries: &mut u32 = claims.entry(job.to_owned()).or_default();
+                *tries = (*tries).max(number + 1);
+            }
+        }
+        Ok(claims)
+    }
+
+    /// Path of the claim of a try.
+    #[must_use]
+    pub fn claim(&self, name: &str, number: u32) -> PathBuf {
+        self.root.join("claims").join(format!("{name}.{number}"))
+    }
+
+    /// Registers a worker.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn register(&self, worker: &Holder) -> Result<Heartbeat, JobFolderError> {
+        let path = self.root.join("workers").join(worker.file_name());
+        self.remove(&path)?;
+        match Heartbeat::create(self.disk(), &path, worker) {
+            Ok(Some(heartbeat)) => Ok(heartbeat),
+            Ok(None) => Err(refused(&path, io::ErrorKind::AlreadyExists.into())),
+            Err(source) => Err(refused(&path, source)),
+        }
+    }
+
+    /// Leaves word why a worker refuses to work in this folder; a disk that refuses this too is ignored.
+    pub fn leave_refusal(disk: &dyn Disk, root: &Path, worker: &Holder, reason: &str) {
+        let path = root.join("workers").join(worker.file_name() + ".refused");
+        let _ = write_whole_beside(disk, &path, &sealed("refusal", reason.as_bytes()));
+    }
+
+    /// The names of the workers' files.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn worker_files(&self) -> Result<Vec<String>, JobFolderError> {
+        self.names("workers")
+    }
+
+    /// The state of a worker's file.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn worker(&self, name: &str) -> Result<Option<HeartbeatState>, JobFolderError> {
+        let path = self.root.join("workers").join(name);
+        HeartbeatState::read(self.disk(), &path).map_err(|source| refused(&path, source))
+    }
+
+    /// The reason in a file of a worker that refused.
+    #[must_use]
+    pub fn refusal(&self, name: &str) -> Option<String> {
+        let bytes = self.disk.read(&self.root.join("workers").join(name), MAX_JOB_BYTES).ok()?;
+        unsealed("refusal", &bytes).ok().map(|text| String::from_utf8_lossy(text).into_owned())
+    }
+
+    /// Removes a worker's file.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn forget_worker(&self, name: &str) -> Result<(), JobFolderError> {
+        self.remove(&self.root.join("workers").join(name))
+    }
+
+    /// Takes the folder for one coordinator. Where an earlier one of another computer has left no ending, this waits
+    /// until that one has shown a beat or is stale.
+    ///
+    /// # Errors
+    /// Another coordinator lives; the disk refuses.
+    pub fn coordinate(&self, holder: &Holder) -> Result<Heartbeat, JobFolderError> {
+        let folder = self.root.join("coordinators");
+        let mut watch = HeartbeatWatch::new(holder.clone(), self.terms.stale());
+        let begun = std::time::Instant::now();
+        let mut first = None;
+        loop {
+            let numbers = self.names("coordinators")?.into_iter().filter_map(|it| it.parse().ok());
+            let last: Option<u32> = numbers.max();
+            if let Some(last) = last {
+                let (name, path) = (last.to_string(), folder.join(last.to_string()));
+                let state = HeartbeatState::read(self.disk(), &path)
+                    .map_err(|source| refused(&path, source))?
+                    .unwrap_or_default();
+                let is_over =
+                    state.ending.is_some() || watch.is_dead(&name, &state, begun.elapsed());
+                if !is_over {
+                    let has_grown =
+                        first.as_ref().is_some_and(|first| *first != (last, state.clone()));
+                    let here = state
+                        .holder
+                        .as_ref()
+                        .is_some_and(|it| it.host == holder.host && it.boot == holder.boot);
+                    if has_grown || here {
+                        let (path, by) = (self.root.clone(), state.by());
+                        return Err(JobFolderError::TwoCoordinators { path, by });
+                    }
+                    first.get_or_insert((last, state));
+                    std::thread::sleep(self.terms.beat().min(Duration::from_secs(1)));
+                    continue;
+                }
+            }
+            let path = folder.join(last.map_or(0, |last| last + 1).to_string());
+            match Heartbeat::create(self.disk(), &path, holder) {
+                Ok(Some(heartbeat)) => return Ok(heartbeat),
+                Ok(None) => {}
+                Err(source) => return Err(refused(&path, source)),
+            }
+        }
+    }
+
+    /// Tells the workers that no further work is wanted: they stop.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn close(&self) -> Result<(), JobFolderError> {
+        self.write(&self.root.join("closed"), "end", b"")
+    }
+
+    /// Takes [`close`](Self::close) back.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn reopen(&self) -> Result<(), JobFolderError> {
+        self.remove(&self.root.join("closed"))
+    }
+
+    /// Whether no further work is wanted.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        self.disk.exists(&self.root.join("closed"))
+    }
+
+    fn job(&self, name: &str) -> PathBuf {
+        self.root.join("jobs").join(name)
+    }
+
+    fn result(&self, name: &str) -> PathBuf {
+        self.root.join("results").join(name)
+    }
+
+    /// The names of the whole files in a part of the folder.
+    fn names(&self, part: &str) -> Result<Vec<String>, JobFolderError> {
+        let path = self.root.join(part);
+        let names = self.disk.names(&path).map_err(|source| refused(&path, source))?;
+        let names = names.into_iter().filter_map(|name| name.into_string().ok());
+        Ok(names.filter(|name| !name.ends_with(UNFINISHED)).collect())
+    }
+
+    fn write(&self, path: &Path, kind: &str, payload: &[u8]) -> Result<(), JobFolderError> {
+        write_whole_beside(self.disk(), path, &sealed(kind, payload))
+            .map_err(|source| refused(path, source))
+    }
+
+    fn remove(&self, path: &Path) -> Result<(), JobFolderError> {
+        match self.disk.remove(path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(refused(path, error)),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Ending of the names of files that are being written.
+const UNFINISHED: &str = ".unfinished";
+
+/// Writes a file whole or not at all. Each process uses a name of its own meanwhile: two may write the same result.
+fn write_whole_beside(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}{UNFINISHED}", Holder::this_process().file_name()));
+    let unfinished = path.with_file_name(name);
+    let written = disk.create(&unfinished, true).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync()
+    });
+    match written.and_then(|()| disk.rename(&unfinished, path)) {
+        Ok(()) => Ok(()),
+        Err(error) => {
+            let _ = disk.remove(&unfinished);
+            Err(error)
+        }
+    }
+}
+
+fn refused(path: &Path, source: io::Error) -> JobFolderError {
+    JobFolderError::Disk { path: path.to_owned(), source }
+}

@@ -1,0 +1,72 @@
+use std::time::Duration;
+
+use super::{Ending, HeartbeatState, HeartbeatWatch, JobFolder};
+use crate::jobs::JobFolderError;
+
+/// How the tries of a job have ended so far.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Tries {
+    /// Number of tries.
+    pub begun: u32,
+    /// Whether the last try is under way.
+    pub is_under_way: bool,
+    /// The failures: worker, and how it ended. Tries that were stopped on request are none.
+    pub failures: Vec<String>,
+}
+
+/// What a worker may do with a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turn {
+    /// Claim this try.
+    Claim(u32),
+    /// Another worker is at it.
+    UnderWay,
+    /// It has failed too often.
+    GivenUp,
+}
+
+impl Tries {
+    /// Reads the claims of a job that has no result; `begun` is the number of claims.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn read(
+        folder: &JobFolder,
+        job: &str,
+        begun: u32,
+        watch: &mut HeartbeatWatch,
+        now: Duration,
+    ) -> Result<Self, JobFolderError> {
+        let mut tries = Self { begun, ..Self::default() };
+        for number in 0..begun {
+            let path = folder.claim(job, number);
+            let state = HeartbeatState::read(folder.disk(), &path)
+                .map_err(|source| JobFolderError::Disk { path, source })?
+                .unwrap_or_default();
+            let by = state.by();
+            match &state.ending {
+                Some(Ending::Stopped) => {}
+                Some(Ending::Failed(reason)) => tries.failures.push(format!("{by}: {reason}")),
+                Some(Ending::Done) => tries.failures.push(format!("{by}: its result was damaged")),
+                None if number + 1 < begun => tries.failures.push(format!("{by}: vanished")),
+                None if watch.is_dead(&format!("{job}.{number}"), &state, now) => {
+                    tries.failures.push(format!("{by}: vanished"));
+                }
+                None => tries.is_under_way = true,
+            }
+        }
+        Ok(tries)
+    }
+
+    /// What a worker may do, where a job is given up after `most` failures.
+    #[must_use]
+    pub fn turn(&self, most: u32) -> Turn {
+        if self.is_under_way {
+            Turn::UnderWay
+        } else if self.failures.len() >= most as usize {
+            Turn::GivenUp
+        } else {
+            Turn::Claim(self.begun)
+        }
+    }
+}

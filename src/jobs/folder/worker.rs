@@ -1,0 +1,353 @@
+use std::collections::BTreeSet;
+use std::str::FromStr;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::{Ending, Heartbeat, HeartbeatWatch, Holder, JobFolder, Tries, Turn};
+use crate::elementary::Level;
+use crate::jobs::{JobFolderError, TrainingJob};
+use crate::learning::{TrainError, Trained, train};
+
+/// Longest time between two looks at a folder without work.
+const LONGEST_WAIT: Duration = Duration::from_secs(5);
+
+/// Time between two looks at the stop flag and at the end of the folder.
+const GLANCE: Duration = Duration::from_millis(50);
+
+/// Number of times that a worker tries to write a result before it gives up.
+const WRITES: u32 = 3;
+
+/// The place of a worker among those that share a folder: it begins with another part of the jobs than the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Slot {
+    /// Number of the worker, below `count`.
+    pub number: u32,
+    /// Number of workers.
+    pub count: u32,
+}
+
+impl FromStr for Slot {
+    type Err = String;
+
+    /// Reads `k/N` with `k` from 0 to N: schedulers count from 0 or from 1, and the place is only a start.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed: Option<(u32, u32)> = text
+            .split_once('/')
+            .and_then(|(number, count)| Some((number.parse().ok()?, count.parse().ok()?)));
+        match parsed {
+            Some((number, count)) if count > 0 && number <= count => {
+                Ok(Self { number: number % count, count })
+            }
+            _ => Err("give a worker's number and the number of workers, as 3/16".to_owned()),
+        }
+    }
+}
+
+/// An event of a worker.
+#[derive(Debug)]
+pub enum WorkerEvent<'a> {
+    /// The worker has begun a training.
+    Began {
+        /// Fingerprint of the job.
+        job: &'a str,
+        /// Number of the try, from 0.
+        number: u32,
+    },
+    /// The worker has finished a training, with or without success.
+    Finished {
+        /// Fingerprint of the job.
+        job: &'a str,
+        /// Best return in training, or the reason of the failure.
+        outcome: Result<f64, String>,
+        /// Wall time of the training.
+        took: Duration,
+    },
+    /// A job file cannot be read.
+    Unreadable {
+        /// Fingerprint of the job.
+        job: &'a str,
+        /// Reason.
+        reason: String,
+    },
+    /// The worker finds no work and waits.
+    Waiting,
+}
+
+/// The work that a worker has done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WorkReport {
+    /// Number of policies trained.
+    pub trained: u32,
+    /// Number of trainings that failed, as they would anywhere.
+    pub failed: u32,
+}
+
+/// Carries out the jobs of a folder on one core.
+#[derive(Debug)]
+pub struct Worker {
+    folder: JobFolder,
+    holder: Holder,
+    slot: Option<Slot>,
+    linger: Duration,
+}
+
+/// What a worker's heart keeps alive.
+struct Alive {
+    worker: Heartbeat,
+    claim: Option<Heartbeat>,
+}
+
+/// Ends the heart however the work ends, also by a panic.
+struct EndOfHeart<'a>(&'a Mutex<Option<Alive>>);
+
+impl Drop for EndOfHeart<'_> {
+    fn drop(&mut self) {
+        lock(self.0).take();
+    }
+}
+
+impl Worker {
+    /// A worker that ends after `linger` without work.
+    ///
+    /// # Errors
+    /// The processor would train other policies than the others.
+    pub fn new(
+        folder: JobFolder,
+        holder: Holder,
+        slot: Option<Slot>,
+        linger: Duration,
+    ) -> Result<Self, JobFolderError> {
+        let has_fma = Level::best() != Level::Plain || cfg!(target_arch = "aarch64");
+        match has_fma {
+            true => Ok(Self { folder, holder, slot, linger }),
+            false => Err(JobFolderError::NoFma { host: holder.host }),
+        }
+    }
+
+    /// Works until there was no work for long, the coordinator ends, or `stop` is set.
+    ///
+    /// # Errors
+    /// The disk refuses; finished work is in the folder.
+    pub fn run(
+        &self,
+        stop: &AtomicBool,
+        tell: &mut dyn FnMut(WorkerEvent),
+    ) -> Result<WorkReport, JobFolderError> {
+        let worker = self.folder.register(&self.holder)?;
+        let alive = Mutex::new(Some(Alive { worker, claim: None }));
+        let halt = AtomicBool::new(stop.load(Ordering::Relaxed));
+        let outcome = std::thread::scope(|scope| {
+            let heart = scope.spawn(|| self.beat(&alive, stop, &halt));
+            let _end = EndOfHeart(&alive);
+            let outcome = self.work(&alive, &halt, tell);
+            let ended = lock(&alive).take();
+            if let Some(Alive { worker, .. }) = ended {
+                let ending = match &outcome {
+                    Ok(_) if halt.load(Ordering::Relaxed) => Ending::Stopped,
+                    Ok(_) => Ending::Done,
+                    Err(error) => Ending::Failed(error.to_string()),
+                };
+                let _ = worker.end(&ending);
+            }
+            heart.thread().unpark();
+            outcome
+        });
+        outcome
+    }
+
+    /// Beats until the worker has ended, and halts it on a stop or when the folder is closed.
+    fn beat(&self, alive: &Mutex<Option<Alive>>, stop: &AtomicBool, halt: &AtomicBool) {
+        let mut beaten = Instant::now();
+        loop {
+            std::thread::park_timeout(GLANCE);
+            let is_due = beaten.elapsed() >= self.folder.terms().beat();
+            if stop.load(Ordering::Relaxed) || (is_due && self.folder.is_closed()) {
+                halt.store(true, Ordering::Relaxed);
+            }
+            let mut alive = lock(alive);
+            let Some(alive) = alive.as_mut() else { return };
+            if is_due {
+                beaten = Instant::now();
+                // A beat that cannot be written makes others take the job: they do it as well.
+                let _ = alive.worker.beat();
+                let _ = alive.claim.as_mut().map(Heartbeat::beat);
+            }
+        }
+    }
+
+    fn work(
+        &self,
+        alive: &Mutex<Option<Alive>>,
+        halt: &AtomicBool,
+        tell: &mut dyn FnMut(WorkerEvent),
+    ) -> Result<WorkReport, JobFolderError> {
+        let mut report = WorkReport::default();
+        let stale = self.folder.terms().stale();
+        let mut watch = HeartbeatWatch::new(self.holder.clone(), stale);
+        let begun = Instant::now();
+        let (mut last_work, mut wait) = (Instant::now(), GLANCE);
+        let mut waits = false;
+        loop {
+            if halt.load(Ordering::Relaxed) || self.folder.is_closed() {
+                return Ok(report);
+            }
+            let mut claims = self.folder.claims()?;
+            let mut results = self.folder.results()?;
+            let jobs = self.folder.open_jobs()?;
+            watch.forget_all_but(|name| {
+                name.rsplit_once('.').is_some_and(|(job, _)| jobs.contains(job))
+            });
+            let mut looked = Instant::now();
+            let (mut did, mut others) = (false, false);
+            for job in self.in_order(&jobs) {
+                if halt.load(Ordering::Relaxed) {
+                    return Ok(report);
+                }
+                if results.contains(job) {
+                    continue;
+                }
+                let number = match claims.get(job).copied().unwrap_or(0) {
+                    0 => 0,
+                    begun_tries => {
+                        let (folder, now) = (&self.folder, begun.elapsed());
+                        let tries = Tries::read(folder, job, begun_tries, &mut watch, now)?;
+                        match tries.turn(folder.terms().tries) {
+                            Turn::Claim(number) if !folder.has_result(job) => number,
+                            Turn::UnderWay => {
+                                others = true;
+                                continue;
+                            }
+                            Turn::Claim(_) | Turn::GivenUp => continue,
+                        }
+                    }
+                };
+                let path = self.folder.claim(job, number);
+                match Heartbeat::create(self.folder.disk(), &path, &self.holder) {
+                    Ok(Some(claim)) => {
+                        did |= self.do_job(job, number, claim, alive, halt, &mut report, tell)?;
+                        (last_work, wait, waits) = (Instant::now(), GLANCE, false);
+                    }
+                    // Others have come this far: what they did since the last look needs no second look.
+                    Ok(None) => {
+                        others = true;
+                        if looked.elapsed() >= GLANCE {
+                            claims = self.folder.claims()?;
+                            results = self.folder.results()?;
+                            looked = Instant::now();
+                        }
+                    }
+                    Err(source) => return Err(JobFolderError::Disk { path, source }),
+                }
+            }
+            if did {
+                continue;
+            }
+            // While others work, one of them may die and leave its job.
+            if !others && last_work.elapsed() >= self.linger {
+                return Ok(report);
+            }
+            if !waits {
+                tell(WorkerEvent::Waiting);
+                waits = true;
+            }
+            let until = Instant::now() + wait;
+            while Instant::now() < until && !halt.load(Ordering::Relaxed) {
+                std::thread::sleep(GLANCE.min(wait));
+            }
+            wait = (wait * 2).min(LONGEST_WAIT).min(stale / 2);
+        }
+    }
+
+    /// The jobs from this worker's place on.
+    fn in_order<'a>(&self, jobs: &'a BTreeSet<String>) -> impl Iterator<Item = &'a String> {
+        let from = match self.slot {
+            Some(Slot { number, count }) => jobs.len() * number as usize / count as usize,
+            None => self.holder.process as usize % jobs.len().max(1),
+        };
+        jobs.iter().skip(from).chain(jobs.iter().take(from))
+    }
+
+    /// Carries out a claimed job. Returns whether it was done.
+    #[allow(clippy::too_many_arguments)]
+    fn do_job(
+        &self,
+        job: &str,
+        number: u32,
+        claim: Heartbeat,
+        alive: &Mutex<Option<Alive>>,
+        halt: &AtomicBool,
+        report: &mut WorkReport,
+        tell: &mut dyn FnMut(WorkerEvent),
+    ) -> Result<bool, JobFolderError> {
+        let read = match self.folder.read_job(job) {
+            Ok(Some(read)) => read,
+            Ok(None) => {
+                // The coordinator has removed the job since this worker listed it.
+                let _ = self.folder.disk().remove(&self.folder.claim(job, number));
+                return Ok(false);
+            }
+            Err(error) => {
+                let reason = error.to_string();
+                let _ = claim.end(&Ending::Failed(reason.clone()));
+                tell(WorkerEvent::Unreadable { job, reason });
+                return Ok(false);
+            }
+        };
+        if let Some(alive) = lock(alive).as_mut() {
+            alive.claim = Some(claim);
+        }
+        tell(WorkerEvent::Began { job, number });
+        let started = Instant::now();
+        let outcome = carried_out(read, halt);
+        let written = match &outcome {
+            Err(TrainError::Stopped) => Ok(()),
+            Ok(trained) => self.store(job, Ok(trained)),
+            Err(error) => self.store(job, Err(error.to_string())),
+        };
+        let claim = lock(alive).as_mut().and_then(|alive| alive.claim.take());
+        let ending = match (&outcome, &written) {
+            (_, Err(error)) => Ending::Failed(error.to_string()),
+            (Err(TrainError::Stopped), _) => Ending::Stopped,
+            _ => Ending::Done,
+        };
+        let _ = claim.map(|claim| claim.end(&ending));
+        written?;
+        let outcome = match outcome {
+            Err(TrainError::Stopped) => return Ok(false),
+            Ok(trained) => Ok(trained.best_return),
+            Err(error) => Err(error.to_string()),
+        };
+        match outcome {
+            Ok(_) => report.trained += 1,
+            Err(_) => report.failed += 1,
+        }
+        tell(WorkerEvent::Finished { job, outcome, took: started.elapsed() });
+        Ok(true)
+    }
+
+    /// Stores a result, unless the job is not wanted any more.
+    fn store(&self, job: &str, outcome: Result<&Trained, String>) -> Result<(), JobFolderError> {
+        for attempt in 1.. {
+            if !self.folder.is_open(job) {
+                return Ok(());
+            }
+            match self.folder.write_result(job, &self.holder, outcome.clone()) {
+                Err(_) if attempt < WRITES => std::thread::sleep(self.folder.terms().stale() / 60),
+                written => return written,
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Trains on one core.
+fn carried_out(job: TrainingJob, halt: &AtomicBool) -> Result<Trained, TrainError> {
+    let TrainingJob { distribution, mut settings, seed } = job;
+    settings.threads = 1;
+    train(&distribution, &settings, seed, None, halt, |_| ())
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

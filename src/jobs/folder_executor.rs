@@ -1,0 +1,336 @@
+use std::collections::{HashMap, HashSet};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{RecvTimeoutError, Sender, unbounded};
+
+use super::folder::{Ending, Heartbeat, HeartbeatWatch, Holder, JobFolder, Tries, Turn};
+use super::{Executor, JobError, JobEvent, JobFolderError, TrainingJob};
+use crate::learning::TrainError;
+
+/// Shortest time between two looks at the results.
+const SHORTEST_WAIT: Duration = Duration::from_millis(10);
+
+/// Longest time between two looks at the results.
+const LONGEST_WAIT: Duration = Duration::from_secs(1);
+
+/// Time between two looks at a stop flag.
+const GLANCE: Duration = Duration::from_millis(100);
+
+/// Time for which a folder may refuse before the work ends: servers of files are restarted.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Carries out trainings by workers that share a folder with this process, on any number of computers.
+///
+/// The bytes of a policy do not depend on the worker. A job is named by its fingerprint, so a coordinator that was
+/// killed finds the running trainings and the results of its predecessor.
+#[derive(Debug)]
+pub struct FolderExecutor {
+    shared: Arc<Shared>,
+    watch: Option<JoinHandle<()>>,
+    leave: bool,
+}
+
+#[derive(Debug)]
+struct Shared {
+    folder: JobFolder,
+    state: Mutex<State>,
+    changed: Condvar,
+    ended: AtomicBool,
+}
+
+/// Jobs that callers wait for.
+#[derive(Debug, Default)]
+struct State {
+    waiting: HashMap<String, Vec<(usize, Sender<Notice>)>>,
+    /// Number of callers that have yet to read a result.
+    reading: HashMap<String, usize>,
+    failure: Option<Arc<JobFolderError>>,
+}
+
+/// What a waiting caller learns.
+#[derive(Debug)]
+enum Notice {
+    /// The job with this index has a result.
+    Result(usize),
+    /// The job with this index has none, and will have none.
+    Failed(usize, JobError),
+}
+
+impl FolderExecutor {
+    /// Takes the folder over. With `leave`, running workers go on when the executor ends.
+    ///
+    /// # Errors
+    /// Another coordinator has it; the disk refuses.
+    pub fn new(folder: JobFolder, leave: bool) -> Result<Self, JobFolderError> {
+        let heartbeat = folder.coordinate(&Holder::this_process())?;
+        folder.reopen()?;
+        let shared = Arc::new(Shared {
+            folder,
+            state: Mutex::default(),
+            changed: Condvar::new(),
+            ended: AtomicBool::new(false),
+        });
+        let watched = Arc::clone(&shared);
+        let watch = std::thread::Builder::new()
+            .name("jobs".to_owned())
+            .spawn(move || watched.watch(heartbeat))
+            .map_err(|source| JobFolderError::Disk {
+                path: shared.folder.root().to_owned(),
+                source,
+            })?;
+        Ok(Self { shared, watch: Some(watch), leave })
+    }
+
+    /// The folder of the jobs.
+    #[must_use]
+    pub fn folder(&self) -> &JobFolder {
+        &self.shared.folder
+    }
+}
+
+impl Drop for FolderExecutor {
+    fn drop(&mut self) {
+        if !self.leave {
+            let _ = self.shared.folder.close();
+        }
+        self.shared.ended.store(true, Ordering::Relaxed);
+        self.shared.changed.notify_all();
+        if let Some(watch) = self.watch.take() {
+            let _ = watch.join();
+        }
+    }
+}
+
+impl Executor for FolderExecutor {
+    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
+        let shared = &self.shared;
+        let (sender, receiver) = unbounded();
+        let mut open: HashMap<usize, String> = HashMap::with_capacity(jobs.len());
+        for (index, job) in jobs.iter().enumerate() {
+            match shared.ask(index, job, &sender) {
+                Ok(name) => drop(open.insert(index, name)),
+                Err(error) => tell(JobEvent::Finished { job: index, result: Err(error) }),
+            }
+        }
+        shared.changed.notify_all();
+        while !open.is_empty() {
+            let notice = match receiver.recv_timeout(GLANCE) {
+                Ok(notice) => notice,
+                Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => continue,
+                Err(_) => break,
+            };
+            let (index, result) = match notice {
+                Notice::Failed(index, error) => (index, Err(error)),
+                Notice::Result(index) => match shared.collect(&open[&index], &jobs[index]) {
+                    Ok(Some(result)) => (index, result),
+                    // It was damaged: the job is done again.
+                    Ok(None) => match shared.ask(index, &jobs[index], &sender) {
+                        Ok(_) => continue,
+                        Err(error) => (index, Err(error)),
+                    },
+                    Err(error) => (index, Err(error)),
+                },
+            };
+            let name = open.remove(&index);
+            if let Ok(trained) = &result {
+                for update in &trained.curve {
+                    tell(JobEvent::Update { job: index, update: *update });
+                }
+            }
+            tell(JobEvent::Finished { job: index, result });
+            // The policy is in the caller's hands, so nobody needs the files any more.
+            name.into_iter().for_each(|name| shared.release(&name));
+        }
+        for (job, name) in open {
+            shared.withdraw(&name, job, &sender);
+            tell(JobEvent::Finished { job, result: Err(TrainError::Stopped.into()) });
+        }
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Opens a job unless it is open, and asks for its result.
+    fn ask(
+        &self,
+        index: usize,
+        job: &TrainingJob,
+        sender: &Sender<Notice>,
+    ) -> Result<String, JobError> {
+        let name = job.fingerprint();
+        if let Some(failure) = &self.lock().failure {
+            return Err(JobError::Folder(Arc::clone(failure)));
+        }
+        // A damaged job of an earlier coordinator is replaced.
+        if !matches!(self.folder.read_job(&name), Ok(Some(_))) {
+            self.folder.put(job)?;
+        }
+        let entry = (index, sender.clone());
+        self.lock().waiting.entry(name.clone()).or_default().push(entry);
+        Ok(name)
+    }
+
+    /// Reads a result; `None` if it was damaged, and is to be made again.
+    fn collect(
+        &self,
+        name: &str,
+        job: &TrainingJob,
+    ) -> Result<Option<Result<Box<crate::learning::Trained>, JobError>>, JobError> {
+        match self.folder.read_result(name, job) {
+            Ok(result) => Ok(Some(
+                result.outcome.map_err(|reason| JobError::Elsewhere { by: result.by, reason }),
+            )),
+            Err(JobFolderError::Damaged { path, reason }) => {
+                tracing::warn!("{}: {reason}; the training is repeated", path.display());
+                self.folder.discard_result(name)?;
+                self.release_reading(name);
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// One caller less reads this result; returns whether it was the last.
+    fn release_reading(&self, name: &str) -> bool {
+        let mut state = self.lock();
+        let left = state.reading.get_mut(name).map(|count| {
+            *count = count.saturating_sub(1);
+            *count
+        });
+        if left == Some(0) {
+            state.reading.remove(name);
+        }
+        left.unwrap_or(0) == 0 && !state.waiting.contains_key(name)
+    }
+
+    /// Removes the files of a job that its last caller has read.
+    fn release(&self, name: &str) {
+        if self.release_reading(name)
+            && let Err(error) = self.folder.remove_job(name)
+        {
+            tracing::warn!("{error}");
+        }
+    }
+
+    fn withdraw(&self, name: &str, index: usize, sender: &Sender<Notice>) {
+        let mut state = self.lock();
+        if let Some(callers) = state.waiting.get_mut(name) {
+            callers.retain(|(it, other)| *it != index || !other.same_channel(sender));
+            if callers.is_empty() {
+                state.waiting.remove(name);
+            }
+        }
+    }
+
+    /// Looks at the folder until the executor ends.
+    fn watch(&self, mut heartbeat: Heartbeat) {
+        let terms = self.folder.terms().clone();
+        let begun = Instant::now();
+        let mut tries = HeartbeatWatch::new(Holder::this_process(), terms.stale());
+        let (mut beaten, mut judged) = (Instant::now(), Instant::now());
+        let longest = LONGEST_WAIT.min(terms.beat());
+        let mut wait = SHORTEST_WAIT;
+        let mut refused_since: Option<Instant> = None;
+        while !self.ended.load(Ordering::Relaxed) {
+            if beaten.elapsed() >= terms.beat() {
+                beaten = Instant::now();
+                let _ = heartbeat.beat();
+            }
+            let looked = self.announce_results().and_then(|found| {
+                if judged.elapsed() >= terms.beat() {
+                    judged = Instant::now();
+                    self.give_up(&mut tries, begun.elapsed())?;
+                }
+                Ok(found)
+            });
+            match looked {
+                Ok(found) => {
+                    refused_since = None;
+                    wait = if found { SHORTEST_WAIT } else { (wait * 2).min(longest) };
+                }
+                Err(error)
+                    if refused_since.get_or_insert_with(Instant::now).elapsed() < PATIENCE =>
+                {
+                    tracing::warn!("{error}");
+                    wait = longest;
+                }
+                Err(error) => self.fail(Arc::new(error)),
+            }
+            let state = self.lock();
+            if state.waiting.is_empty() {
+                wait = longest;
+            }
+            let ended = |_: &mut State| self.ended.load(Ordering::Relaxed);
+            let before = state.waiting.len();
+            let wait_on = |state: &mut State| !ended(state) && state.waiting.len() <= before;
+            drop(self.changed.wait_timeout_while(state, wait, wait_on));
+        }
+        let _ = heartbeat.end(&Ending::Done);
+    }
+
+    /// Tells callers of new results; returns whether there were any.
+    fn announce_results(&self) -> Result<bool, JobFolderError> {
+        if self.lock().waiting.is_empty() {
+            return Ok(false);
+        }
+        let results = self.folder.results()?;
+        let mut state = self.lock();
+        let mut found = false;
+        for name in results {
+            if let Some(callers) = state.waiting.remove(&name) {
+                found = true;
+                *state.reading.entry(name).or_default() += callers.len();
+                for (index, sender) in callers {
+                    let _ = sender.send(Notice::Result(index));
+                }
+            }
+        }
+        Ok(found)
+    }
+
+    /// Gives up the jobs that have failed too often.
+    fn give_up(&self, watch: &mut HeartbeatWatch, now: Duration) -> Result<(), JobFolderError> {
+        let waiting: HashSet<String> = self.lock().waiting.keys().cloned().collect();
+        if waiting.is_empty() {
+            return Ok(());
+        }
+        watch.forget_all_but(|name| {
+            name.rsplit_once('.').is_some_and(|(job, _)| waiting.contains(job))
+        });
+        let most = self.folder.terms().tries;
+        for (job, begun) in self.folder.claims()? {
+            if begun < most || !waiting.contains(&job) || self.folder.has_result(&job) {
+                continue;
+            }
+            let tries = Tries::read(&self.folder, &job, begun, watch, now)?;
+            // The result may have come while the claims were read.
+            if tries.turn(most) != Turn::GivenUp || self.folder.has_result(&job) {
+                continue;
+            }
+            self.folder.remove_job(&job)?;
+            let callers = self.lock().waiting.remove(&job);
+            for (index, sender) in callers.into_iter().flatten() {
+                let (job, reasons) = (job.clone(), tries.failures.join("; "));
+                let failed = JobError::GivenUp { job, tries: tries.failures.len() as u32, reasons };
+                let _ = sender.send(Notice::Failed(index, failed));
+            }
+        }
+        Ok(())
+    }
+
+    /// Tells all callers that the folder cannot be used any more.
+    fn fail(&self, error: Arc<JobFolderError>) {
+        let mut state = self.lock();
+        for (index, sender) in state.waiting.drain().flat_map(|(_, callers)| callers) {
+            let failed = JobError::Folder(Arc::clone(&error));
+            let _ = sender.send(Notice::Failed(index, failed));
+        }
+        state.failure = Some(error);
+    }
+}

@@ -1,0 +1,315 @@
+//! Trainings in a folder that worker processes share: every policy is byte for byte that of this computer alone,
+//! whatever happens to the workers.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use qube_hil::jobs::folder::{Ending, Heartbeat, Holder, JobFolder, Terms};
+use qube_hil::jobs::{
+    Executor, FolderExecutor, JobError, JobEvent, JobFolderError, LocalExecutor, TrainingJob,
+};
+use qube_hil::learning::TrainSettings;
+use qube_hil::simulation::DomainDistribution;
+use qube_hil::storage::MachineDisk;
+
+/// Trainings of about `updates` tenths of a second.
+fn jobs(count: u64, updates: u32) -> Vec<TrainingJob> {
+    let settings = TrainSettings { updates, epochs: 1, ..TrainSettings::quick() };
+    let of_seed = |seed| TrainingJob {
+        distribution: DomainDistribution::nominal(),
+        settings: settings.clone(),
+        seed,
+    };
+    (0..count).map(of_seed).collect()
+}
+
+/// The bytes of each job's result, by the job's index; each is told once.
+fn trained(
+    executor: &dyn Executor,
+    jobs: &[TrainingJob],
+) -> BTreeMap<usize, Result<Vec<u8>, JobError>> {
+    let mut results = BTreeMap::new();
+    executor.train(jobs, &AtomicBool::new(false), &mut |event| {
+        if let JobEvent::Finished { job, result } = event {
+            assert!(results.insert(job, result.map(|it| it.to_bytes())).is_none(), "{job} twice");
+        }
+    });
+    results
+}
+
+#[track_caller]
+fn are_those_of_this_computer(
+    jobs: &[TrainingJob],
+    results: BTreeMap<usize, Result<Vec<u8>, JobError>>,
+) {
+    let alone = trained(&LocalExecutor::on_cores(1), jobs);
+    assert_eq!(results.len(), jobs.len());
+    for ((job, result), alone) in results.into_iter().zip(alone.into_values()) {
+        assert!(result.unwrap() == alone.unwrap(), "job {job} differs");
+    }
+}
+
+/// Terms by which a process is dead after half a second without a beat.
+fn hasty() -> Terms {
+    Terms { beat_ms: 50, stale_ms: 500, ..Terms::default() }
+}
+
+fn executor(root: &Path) -> FolderExecutor {
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
+    FolderExecutor::new(folder, false).unwrap()
+}
+
+fn work(root: &Path, options: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.arg("work").arg(root).args(options);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+/// A worker process that is killed when the test ends.
+struct WorkerProcess(Child);
+
+impl WorkerProcess {
+    fn start(root: &Path, options: &[&str]) -> Self {
+        Self(work(root, options).spawn().unwrap())
+    }
+
+    /// Waits until the worker has printed a line that contains `word`.
+    fn says(&mut self, word: &str) {
+        let lines = BufReader::new(self.0.stderr.as_mut().unwrap()).lines();
+        assert!(lines.map_while(Result::ok).any(|line| line.contains(word)), "never {word}");
+    }
+
+    fn signal(&self, signal: i32) {
+        // SAFETY: `kill` touches no memory; the child has not been waited for, so its number is its own.
+        assert_eq!(unsafe { libc::kill(self.0.id() as i32, signal) }, 0);
+    }
+}
+
+impl Drop for WorkerProcess {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A worker of another computer, as this one sees it: whether it lives shows by its beats alone.
+fn elsewhere() -> Holder {
+    Holder { host: "elsewhere".into(), ..Holder::this_process() }
+}
+
+#[test]
+fn two_workers_with_other_instruction_sets_train_the_policies_of_this_computer() {
+    let directory = tempfile::tempdir().unwrap();
+    let (root, jobs) = (directory.path(), jobs(6, 2));
+    let executor = executor(root);
+    // Doubly started: both have the same place.
+    let _one = WorkerProcess::start(root, &["--slot", "1/2"]);
+    let _other = WorkerProcess::start(root, &["--slot", "1/2", "--instruction-set", "avx2"]);
+    are_those_of_this_computer(&jobs, trained(&executor, &jobs));
+    // Nothing is left of the work.
+    let names = |part: &str| fs::read_dir(root.join(part)).unwrap().count();
+    assert_eq!(["jobs", "claims", "results"].map(names), [0, 0, 0]);
+}
+
+#[test]
+fn the_job_of_a_killed_worker_is_done_by_another() {
+    let directory = tempfile::tempdir().unwrap();
+    let (root, jobs) = (directory.path(), jobs(2, 8));
+    let executor = executor(root);
+    let results = std::thread::scope(|scope| {
+        let results = scope.spawn(|| trained(&executor, &jobs));
+        let mut killed = WorkerProcess::start(root, &[]);
+        killed.says("training");
+        killed.signal(libc::SIGKILL);
+        killed.0.wait().unwrap();
+        let _other = WorkerProcess::start(root, &[]);
+        results.join().unwrap()
+    });
+    are_those_of_this_computer(&jobs, results);
+}
+
+#[test]
+fn a_worker_that_is_taken_for_dead_and_wakes_up_changes_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let (root, jobs) = (directory.path(), jobs(1, 8));
+    let executor = executor(root);
+    let results = std::thread::scope(|scope| {
+        let results = scope.spawn(|| trained(&executor, &jobs));
+        let mut asleep = WorkerProcess::start(root, &[]);
+        asleep.says("training");
+        asleep.signal(libc::SIGSTOP);
+        let mut other = WorkerProcess::start(root, &[]);
+        other.says("try 2");
+        // Now two workers are at one job.
+        asleep.signal(libc::SIGCONT);
+        results.join().unwrap()
+    });
+    are_those_of_this_computer(&jobs, results);
+}
+
+#[test]
+fn a_stale_claim_of_another_computer_is_taken_over_and_a_living_one_is_not() {
+    let directory = tempfile::tempdir().unwrap();
+    let (root, jobs) = (directory.path(), jobs(1, 1));
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
+    let name = folder.put(&jobs[0]).unwrap();
+    let claim = |number| {
+        Heartbeat::create(&MachineDisk, &folder.claim(&name, number), &elsewhere())
+            .unwrap()
+            .unwrap()
+    };
+    let mut living = claim(0);
+    let mut worker = WorkerProcess::start(root, &["--linger", "0"]);
+    for _ in 0..30 {
+        std::thread::sleep(Duration::from_millis(50));
+        living.beat().unwrap();
+    }
+    assert!(!folder.claim(&name, 1).exists() && !folder.has_result(&name));
+    drop(living);
+    worker.says("try 2");
+    assert!(worker.0.wait().unwrap().success());
+    assert!(folder.has_result(&name));
+}
+
+#[test]
+fn a_half_written_result_is_made_again() {
+    let directory = tempfile::tempdir().unwrap();
+    let (root, jobs) = (directory.path(), jobs(2, 1));
+    let executor = executor(root);
+    let name = jobs[0].fingerprint();
+    let folder = executor.folder();
+    let [one, other] = [&jobs[0], &jobs[1]].map(|job| {
+        let trained =
+            LocalExecutor::on_cores(1).train_one(job, &AtomicBool::new(false), &mut |_| ());
+        folder.write_result(&job.fingerprint(), &elsewhere(), Ok(&trained.unwrap())).unwrap();
+        root.join("results").join(job.fingerprint())
+    });
+    let whole = fs::read(&one).unwrap();
+    fs::write(&one, &whole[..whole.len() / 2]).unwrap();
+    fs::remove_file(other).unwrap();
+    // One that was never renamed is no result at all.
+    fs::write(root.join("results").join(format!("{name}.a-1-2.unfinished")), &whole).unwrap();
+    let _worker = WorkerProcess::start(root, &[]);
+    are_those_of_this_computer(&jobs, trained(&executor, &jobs));
+}
+
+#[test]
+fn a_job_that_kills_its_workers_is_given_up_by_name_and_the_others_are_not() {
+    let directory = tempfile::tempdir().unwrap();
+    let (root, jobs) = (directory.path(), jobs(2, 1));
+    let executor = executor(root);
+    let (folder, name) = (executor.folder(), jobs[0].fingerprint());
+    for number in 0..4 {
+        let path = folder.claim(&name, number);
+        let claim = Heartbeat::create(&MachineDisk, &path, &elsewhere()).unwrap().unwrap();
+        match number {
+            // A stop on request is no failure.
+            0 => claim.end(&Ending::Stopped).unwrap(),
+            1 => claim.end(&Ending::Failed("no space left".into())).unwrap(),
+            _ => {}
+        }
+    }
+    let _worker = WorkerProcess::start(root, &[]);
+    let mut results = trained(&executor, &jobs);
+    let error = results.remove(&0).unwrap().unwrap_err();
+    assert!(matches!(&error, JobError::GivenUp { tries: 3, .. }), "{error}");
+    let text = error.to_string();
+    assert!(
+        text.contains(&name) && text.contains("no space left") && text.contains("vanished"),
+        "{text}"
+    );
+    assert!(results.remove(&1).unwrap().is_ok());
+}
+
+#[test]
+fn a_stopped_worker_gives_its_job_back() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
+    let name = folder.put(&jobs(1, 1000)[0]).unwrap();
+    let mut worker = WorkerProcess::start(root, &[]);
+    worker.says("training");
+    worker.signal(libc::SIGTERM);
+    assert_eq!(worker.0.wait().unwrap().code(), Some(143));
+    let claim = fs::read_to_string(folder.claim(&name, 0)).unwrap();
+    assert!(claim.ends_with("\n\"stopped\"\n"), "{claim}");
+    // The end of the coordinator stops a worker too.
+    let mut worker = WorkerProcess::start(root, &[]);
+    worker.says("try 2");
+    folder.close().unwrap();
+    assert!(worker.0.wait().unwrap().success());
+}
+
+#[test]
+fn the_jobs_of_a_killed_coordinator_are_found_again() {
+    let directory = tempfile::tempdir().unwrap();
+    let (root, jobs) = (directory.path(), jobs(2, 4));
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
+    // A killed coordinator leaves open jobs, and no ending of its own.
+    drop(folder.coordinate(&elsewhere()).unwrap());
+    jobs.iter().for_each(|job| drop(folder.put(job).unwrap()));
+    let mut worker = WorkerProcess::start(root, &[]);
+    worker.says("trained");
+    let executor = executor(root);
+    let (number, results) = std::thread::scope(|scope| {
+        let results = scope.spawn(|| trained(&executor, &jobs));
+        (worker.0.id(), results.join().unwrap())
+    });
+    are_those_of_this_computer(&jobs, results);
+    drop(executor);
+    // The same worker did both.
+    assert!(worker.0.wait().unwrap().success(), "worker {number}");
+}
+
+fn refused(output: &Output, words: &[&str]) {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(words.iter().all(|word| stderr.contains(word)), "{stderr}");
+}
+
+#[test]
+fn a_worker_that_would_train_other_policies_is_refused_by_name() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    let output = work(root, &[]).output().unwrap();
+    refused(&output, &["is not a folder of jobs", "folder.json"]);
+
+    let other = Terms { program: "qube-hil 9.9.9 (beef)".into(), ..hasty() };
+    JobFolder::create(Arc::new(MachineDisk), root, other).unwrap();
+    let output = work(root, &[]).output().unwrap();
+    refused(&output, &["qube-hil 9.9.9 (beef)", env!("CARGO_PKG_VERSION"), "same program"]);
+    // The coordinator can read the reason.
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
+    let files = folder.worker_files().unwrap();
+    assert_eq!(files.len(), 1, "{files:?}");
+    assert!(folder.refusal(&files[0]).unwrap().contains("9.9.9"));
+
+    if cfg!(target_arch = "x86_64") {
+        let output = work(root, &["--instruction-set", "plain"]).output().unwrap();
+        refused(&output, &["FMA"]);
+    }
+    let output = work(root, &["--slot", "3/2"]).output().unwrap();
+    refused(&output, &["3/16"]);
+}
+
+#[test]
+fn a_folder_has_one_coordinator() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    let first = executor(root);
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
+    let refused = folder.coordinate(&Holder::this_process()).unwrap_err();
+    assert!(matches!(refused, JobFolderError::TwoCoordinators { .. }), "{refused}");
+    // One of another computer is known by its beats.
+    let refused = folder.coordinate(&elsewhere()).unwrap_err();
+    assert!(matches!(refused, JobFolderError::TwoCoordinators { .. }), "{refused}");
+    drop(first);
+    folder.coordinate(&elsewhere()).unwrap();
+}
