@@ -62,7 +62,7 @@ fn hasty() -> Terms {
 
 fn executor(root: &Path) -> FolderExecutor {
     let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
-    FolderExecutor::new(folder, false).unwrap()
+    FolderExecutor::new(folder, None, 2, false).unwrap()
 }
 
 fn work(root: &Path, options: &[&str]) -> Command {

@@ -10,6 +10,7 @@ use super::command_hints::unidentified;
 use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, ChosenDevice, QubeArguments};
 use super::estimator_arguments::EstimatorArguments;
+use super::executor_arguments::ExecutorArguments;
 use super::exit::Failure;
 use super::experiment_progress::ExperimentProgress;
 use super::experiment_report::ExperimentReport;
@@ -158,6 +159,9 @@ pub struct Arguments {
     check: CheckArguments,
 
     #[command(flatten)]
+    executor: ExecutorArguments,
+
+    #[command(flatten)]
     live: LiveArguments,
 
     #[command(flatten)]
@@ -257,7 +261,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let rig = RigSettings { viewers, ..rig };
     let keyboard = Keyboard::of_screen(&stop, &screen.progress());
     let progress = ExperimentProgress::new(&settings, &screen.progress(), &stop);
-    let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag));
+    let executor = match arguments.table {
+        true => None,
+        false => arguments.executor.executor(folder.root())?,
+    };
+    let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag))
+        .trained_by(executor);
     let mut ended = Ok(());
     if !arguments.table {
         ended = experiment

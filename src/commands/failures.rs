@@ -10,6 +10,7 @@ use super::exit::Failure;
 use super::printable::one_line;
 use super::stop::Stop;
 use crate::experiment::ExperimentError;
+use crate::jobs::starter::StartError;
 use crate::jobs::{JobError, JobFolderError};
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
@@ -165,6 +166,13 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
 fn job(error: JobError) -> Failure {
     match error {
         JobError::Folder(error) => job_folder(&error),
+        JobError::Start(ref start) => match start.as_ref() {
+            StartError::NoProgram { .. }
+            | StartError::Refused { .. }
+            | StartError::Fruitless { .. }
+            | StartError::WorkersRefuse { .. } => Failure::usage(error),
+            StartError::Silent { .. } | StartError::Command(_) => Failure::failed(error),
+        },
         error => Failure::failed(error),
     }
 }

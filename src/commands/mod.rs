@@ -16,6 +16,7 @@ mod doctor;
 mod emulate;
 mod emulated_arguments;
 mod estimator_arguments;
+mod executor_arguments;
 mod exit;
 mod experiment;
 mod experiment_progress;

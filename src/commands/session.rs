@@ -9,6 +9,7 @@ use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
+use super::executor_arguments::ExecutorArguments;
 use super::exit::Failure;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
@@ -126,6 +127,9 @@ pub struct Arguments {
     check: CheckArguments,
 
     #[command(flatten)]
+    executor: ExecutorArguments,
+
+    #[command(flatten)]
     live: LiveArguments,
 
     #[command(flatten)]
@@ -219,6 +223,15 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             return Err(failure);
         }
     };
+    let executor = match arguments.executor.executor(folder.paths().root()) {
+        Ok(executor) => executor,
+        Err(failure) => {
+            if begins {
+                folder.withdraw();
+            }
+            return Err(failure);
+        }
+    };
     let viewers = screen.viewer().into_iter().chain(live.viewer()).collect();
     screen.progress().update(|state| state.live = live.url());
     let rig_settings = RigSettings { viewers, ..rig_settings };
@@ -248,6 +261,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
             .map_err(failed)?
             .beside(profile);
+    if let Some(executor) = executor {
+        session = session.trained_by(executor);
+    }
     service_manager::ready();
     let ended = loop {
         let ended = session.run(&mut |news| {

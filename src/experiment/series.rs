@@ -4,9 +4,7 @@ use std::sync::atomic::AtomicBool;
 use super::folder::{PolicyFolders, make};
 use super::rollouts::{Record, Repeated};
 use super::{ExperimentError, Plant, Recipe, RolloutResult};
-use crate::jobs::{
-    CHOSEN_OF_STARTS, Executor, LocalExecutor, ROUNDS, SUCCEEDED, TrainingJob, worst_return,
-};
+use crate::jobs::{CHOSEN_OF_STARTS, Executor, ROUNDS, SUCCEEDED, TrainingJob, worst_return};
 use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_afresh};
 use crate::policy::Policy;
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
@@ -34,11 +32,13 @@ pub(super) struct Series<'a> {
     pub rig: &'a RigSettings,
     /// Flag that requests a stop.
     pub stop: &'a Arc<AtomicBool>,
+    /// Executor of the trainings.
+    pub executor: Arc<dyn Executor>,
 }
 
 impl Series<'_> {
-    /// Trains a policy on one core; returns its best return in training, `None` if it was trained before. `watch` gets
-    /// the number of the training and each of its updates.
+    /// Trains a policy; returns its best return in training, `None` if it was trained before. `watch` gets the number of
+    /// the training and each of its updates.
     ///
     /// # Errors
     /// The training fails, or the policy cannot be stored.
@@ -78,7 +78,7 @@ impl Series<'_> {
             let (distribution, settings) = (distribution.clone(), settings.clone());
             let job = TrainingJob { distribution, settings, seed };
             let mut watch = |update: &TrainUpdate| watch(training, update);
-            LocalExecutor::on_cores(1).train_one(&job, self.stop, &mut watch)
+            self.executor.train_one(&job, self.stop, &mut watch)
         };
         if self.trainings <= 1 {
             return Ok(train(0)?);

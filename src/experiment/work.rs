@@ -10,7 +10,7 @@ use super::{
     ExperimentError, ExperimentFolder, ExperimentSettings, Method, Recipe, RecommendationResult,
     Repetition, RolloutResult,
 };
-use crate::jobs::LocalExecutor;
+use crate::jobs::{Executor, LocalExecutor};
 use crate::learning::TrainUpdate;
 use crate::rig::{ClockChoice, Rig, RigSettings};
 use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
@@ -78,7 +78,11 @@ pub struct Experiment {
     rig: RigSettings,
     threads: usize,
     stop: Arc<AtomicBool>,
+    executor: Option<Arc<dyn Executor>>,
 }
+
+/// Largest number of items of work at a time: each has a thread.
+const MAX_ITEMS: usize = 1000;
 
 /// A unit of work.
 enum WorkItem {
@@ -122,7 +126,28 @@ impl Experiment {
         threads: usize,
         stop: Arc<AtomicBool>,
     ) -> Self {
-        Self { folder, settings, rig, threads: threads.max(1), stop }
+        Self { folder, settings, rig, threads: threads.max(1), stop, executor: None }
+    }
+
+    /// Trains on an executor other than this computer's cores; the policies do not depend on it.
+    #[must_use]
+    pub fn trained_by(mut self, executor: Option<Arc<dyn Executor>>) -> Self {
+        self.executor = executor;
+        self
+    }
+
+    /// The executor of trainings that may use this many of this computer's cores.
+    pub(super) fn executor(&self, cores: usize) -> Arc<dyn Executor> {
+        match &self.executor {
+            Some(executor) => Arc::clone(executor),
+            None => Arc::new(LocalExecutor::on_cores(cores)),
+        }
+    }
+
+    /// Number of items of work at a time. Those that train elsewhere only wait here.
+    fn items_at_a_time(&self) -> usize {
+        let elsewhere = self.executor.as_ref().map_or(0, |executor| executor.concurrency());
+        self.threads.max(elsewhere.min(MAX_ITEMS))
     }
 
     /// The experiment's folder.
@@ -171,7 +196,8 @@ impl Experiment {
             }
         }
         let cores = self.threads / searches.max(1);
-        Queue::new(items, &self.stop).run(self.threads, |item| self.work(item, cores, tell))?;
+        Queue::new(items, &self.stop)
+            .run(self.items_at_a_time(), |item| self.work(item, cores, tell))?;
         if !self.is_virtual() {
             self.run_on_device(tell)?;
         }
@@ -255,7 +281,7 @@ impl Experiment {
         let tell = &mut |progress: SessionEvent| {
             tell(ExperimentEvent::Search { name: &recipe.name, progress: &progress });
         };
-        session.trained_by(Arc::new(LocalExecutor::on_cores(cores))).run(tell).map_err(failed)
+        session.trained_by(self.executor(cores)).run(tell).map_err(failed)
     }
 
     /// What is known of a recipe's psi.
@@ -307,6 +333,7 @@ impl Experiment {
             folders: self.folder.policies(&recipe.name),
             rig: &self.rig,
             stop: &self.stop,
+            executor: self.executor(1),
         }
     }
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
+use super::starter::StartError;
 use crate::learning::TrainError;
 
 /// The reason why a job has no policy.
@@ -35,6 +36,9 @@ pub enum JobError {
     /// The folder of jobs cannot be used.
     #[error(transparent)]
     Folder(#[from] Arc<JobFolderError>),
+    /// No workers can be started.
+    #[error(transparent)]
+    Start(#[from] Arc<StartError>),
 }
 
 impl JobError {

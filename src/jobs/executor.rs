@@ -23,6 +23,9 @@ pub enum JobEvent {
 
 /// Carries out trainings.
 pub trait Executor: Send + Sync {
+    /// Number of trainings that go on at a time when there are enough jobs.
+    fn concurrency(&self) -> usize;
+
     /// Carries out all jobs and returns when each has told [`JobEvent::Finished`] once; setting `stop` ends
     /// them soon. `tell` is called on the calling thread, in no particular order of the jobs.
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent));

@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{RecvTimeoutError, Sender, unbounded};
 
 use super::folder::{Ending, Heartbeat, HeartbeatWatch, Holder, JobFolder, Tries, Turn};
+use super::starter::{StartError, Starter};
+use super::workforce::{NoWorkforce, Workforce};
 use super::{Executor, JobError, JobEvent, JobFolderError, TrainingJob};
 use crate::learning::TrainError;
 
@@ -30,7 +32,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 pub struct FolderExecutor {
     shared: Arc<Shared>,
     watch: Option<JoinHandle<()>>,
-    leave: bool,
+    workers: u32,
 }
 
 #[derive(Debug)]
@@ -39,6 +41,8 @@ struct Shared {
     state: Mutex<State>,
     changed: Condvar,
     ended: AtomicBool,
+    /// Whether workers and open jobs outlive this process.
+    leave: bool,
 }
 
 /// Jobs that callers wait for.
@@ -47,7 +51,32 @@ struct State {
     waiting: HashMap<String, Vec<(usize, Sender<Notice>)>>,
     /// Number of callers that have yet to read a result.
     reading: HashMap<String, usize>,
-    failure: Option<Arc<JobFolderError>>,
+    failure: Option<Failure>,
+}
+
+/// The reason why no job can be done any more.
+#[derive(Clone, Debug)]
+enum Failure {
+    Folder(Arc<JobFolderError>),
+    Start(Arc<StartError>),
+}
+
+impl From<Failure> for JobError {
+    fn from(failure: Failure) -> Self {
+        match failure {
+            Failure::Folder(error) => Self::Folder(error),
+            Failure::Start(error) => Self::Start(error),
+        }
+    }
+}
+
+impl From<NoWorkforce> for Failure {
+    fn from(error: NoWorkforce) -> Self {
+        match error {
+            NoWorkforce::Folder(error) => Self::Folder(Arc::new(error)),
+            NoWorkforce::Start(error) => Self::Start(Arc::new(error)),
+        }
+    }
 }
 
 /// What a waiting caller learns.
@@ -60,11 +89,17 @@ enum Notice {
 }
 
 impl FolderExecutor {
-    /// Takes the folder over. With `leave`, running workers go on when the executor ends.
+    /// Takes the folder over, with so many workers of `starter`; without one, somebody starts workers by hand. With
+    /// `leave`, workers and open jobs outlive an executor that is stopped.
     ///
     /// # Errors
     /// Another coordinator has it; the disk refuses.
-    pub fn new(folder: JobFolder, leave: bool) -> Result<Self, JobFolderError> {
+    pub fn new(
+        folder: JobFolder,
+        starter: Option<Box<dyn Starter>>,
+        workers: u32,
+        leave: bool,
+    ) -> Result<Self, JobFolderError> {
         let heartbeat = folder.coordinate(&Holder::this_process())?;
         folder.reopen()?;
         let shared = Arc::new(Shared {
@@ -72,16 +107,18 @@ impl FolderExecutor {
             state: Mutex::default(),
             changed: Condvar::new(),
             ended: AtomicBool::new(false),
+            leave,
         });
+        let workforce = starter.map(|starter| Workforce::new(starter, workers, &shared.folder));
         let watched = Arc::clone(&shared);
         let watch = std::thread::Builder::new()
             .name("jobs".to_owned())
-            .spawn(move || watched.watch(heartbeat))
+            .spawn(move || watched.watch(heartbeat, workforce))
             .map_err(|source| JobFolderError::Disk {
                 path: shared.folder.root().to_owned(),
                 source,
             })?;
-        Ok(Self { shared, watch: Some(watch), leave })
+        Ok(Self { shared, watch: Some(watch), workers })
     }
 
     /// The folder of the jobs.
@@ -93,9 +130,6 @@ impl FolderExecutor {
 
 impl Drop for FolderExecutor {
     fn drop(&mut self) {
-        if !self.leave {
-            let _ = self.shared.folder.close();
-        }
         self.shared.ended.store(true, Ordering::Relaxed);
         self.shared.changed.notify_all();
         if let Some(watch) = self.watch.take() {
@@ -105,6 +139,10 @@ impl Drop for FolderExecutor {
 }
 
 impl Executor for FolderExecutor {
+    fn concurrency(&self) -> usize {
+        self.workers as usize
+    }
+
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
         let shared = &self.shared;
         let (sender, receiver) = unbounded();
@@ -165,7 +203,7 @@ impl Shared {
     ) -> Result<String, JobError> {
         let name = job.fingerprint();
         if let Some(failure) = &self.lock().failure {
-            return Err(JobError::Folder(Arc::clone(failure)));
+            return Err(failure.clone().into());
         }
         // A damaged job of an earlier coordinator is replaced.
         if !matches!(self.folder.read_job(&name), Ok(Some(_))) {
@@ -224,16 +262,23 @@ impl Shared {
             callers.retain(|(it, other)| *it != index || !other.same_channel(sender));
             if callers.is_empty() {
                 state.waiting.remove(name);
+                drop(state);
+                if !self.leave
+                    && let Err(error) = self.folder.remove_job(name)
+                {
+                    tracing::warn!("{error}");
+                }
             }
         }
     }
 
     /// Looks at the folder until the executor ends.
-    fn watch(&self, mut heartbeat: Heartbeat) {
+    fn watch(&self, mut heartbeat: Heartbeat, mut workforce: Option<Workforce>) {
         let terms = self.folder.terms().clone();
         let begun = Instant::now();
         let mut tries = HeartbeatWatch::new(Holder::this_process(), terms.stale());
         let (mut beaten, mut judged) = (Instant::now(), Instant::now());
+        let mut tended: Option<Instant> = None;
         let longest = LONGEST_WAIT.min(terms.beat());
         let mut wait = SHORTEST_WAIT;
         let mut refused_since: Option<Instant> = None;
@@ -260,7 +305,16 @@ impl Shared {
                     tracing::warn!("{error}");
                     wait = longest;
                 }
-                Err(error) => self.fail(Arc::new(error)),
+                Err(error) => self.fail(&Failure::Folder(Arc::new(error))),
+            }
+            if let Some(force) = &mut workforce
+                && tended.is_none_or(|tended| tended.elapsed() >= terms.beat())
+            {
+                let open = self.lock().waiting.len();
+                if let Err(error) = force.tend(&self.folder, open) {
+                    self.fail(&error.into());
+                }
+                tended = (open > 0).then(Instant::now);
             }
             let state = self.lock();
             if state.waiting.is_empty() {
@@ -270,6 +324,10 @@ impl Shared {
             let before = state.waiting.len();
             let wait_on = |state: &mut State| !ended(state) && state.waiting.len() <= before;
             drop(self.changed.wait_timeout_while(state, wait, wait_on));
+        }
+        if !self.leave || self.folder.open_jobs().is_ok_and(|jobs| jobs.is_empty()) {
+            let _ = self.folder.close();
+            workforce.iter_mut().for_each(Workforce::cancel);
         }
         let _ = heartbeat.end(&Ending::Done);
     }
@@ -324,13 +382,12 @@ impl Shared {
         Ok(())
     }
 
-    /// Tells all callers that the folder cannot be used any more.
-    fn fail(&self, error: Arc<JobFolderError>) {
+    /// Tells all callers that no job can be done any more.
+    fn fail(&self, failure: &Failure) {
         let mut state = self.lock();
         for (index, sender) in state.waiting.drain().flat_map(|(_, callers)| callers) {
-            let failed = JobError::Folder(Arc::clone(&error));
-            let _ = sender.send(Notice::Failed(index, failed));
+            let _ = sender.send(Notice::Failed(index, failure.clone().into()));
         }
-        state.failure = Some(error);
+        state.failure = Some(failure.clone());
     }
 }

@@ -51,6 +51,10 @@ impl LocalExecutor {
 }
 
 impl Executor for LocalExecutor {
+    fn concurrency(&self) -> usize {
+        self.cores
+    }
+
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
         let workers = self.cores.min(jobs.len());
         if workers <= 1 {

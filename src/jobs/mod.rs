@@ -29,7 +29,9 @@ pub mod folder;
 mod folder_executor;
 mod local;
 mod selection;
+pub mod starter;
 mod training_job;
+mod workforce;
 
 pub use error::{JobError, JobFolderError};
 pub use executor::{Executor, JobEvent};

@@ -97,6 +97,7 @@ impl MethodRun<'_> {
             folders: PolicyFolders::of_recommendation(&self.folder, steps),
             rig: self.experiment.rig(),
             stop: self.experiment.stop(),
+            executor: self.experiment.executor(1),
         }
     }
 }

@@ -1,10 +1,7 @@
-use std::sync::Arc;
-
 use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::search::{open_search, searched};
 use crate::experiment::{ExperimentError, ExperimentEvent};
-use crate::jobs::LocalExecutor;
 use crate::search::{Observation, Strategy, StrategyKind};
 use crate::session::{SeedFor, Session, SessionEvent, SessionSettings, derived_seed};
 
@@ -48,7 +45,7 @@ impl<'a> FromSearch<'a> {
                 let experiment = self.run.experiment;
                 let settings = self.settings.clone();
                 open_search(&folder, settings, experiment.rig(), experiment.stop())?
-                    .trained_by(Arc::new(LocalExecutor::on_cores(1)))
+                    .trained_by(experiment.executor(1))
             }
         };
         let name = &self.run.name;

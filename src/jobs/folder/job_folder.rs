@@ -352,14 +352,6 @@ impl JobFolder {
         unsealed("refusal", &bytes).ok().map(|text| String::from_utf8_lossy(text).into_owned())
     }
 
-    /// Removes a worker's file.
-    ///
-    /// # Errors
-    /// The disk refuses.
-    pub fn forget_worker(&self, name: &str) -> Result<(), JobFolderError> {
-        self.remove(&self.root.join("workers").join(name))
-    }
-
     /// Takes the folder for one coordinator. Where an earlier one of another computer has left no ending, this waits
     /// until that one has shown a beat or is stale.
     ///

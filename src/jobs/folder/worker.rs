@@ -137,7 +137,7 @@ impl Worker {
         let worker = self.folder.register(&self.holder)?;
         let alive = Mutex::new(Some(Alive { worker, claim: None }));
         let halt = AtomicBool::new(stop.load(Ordering::Relaxed));
-        let outcome = std::thread::scope(|scope| {
+        std::thread::scope(|scope| {
             let heart = scope.spawn(|| self.beat(&alive, stop, &halt));
             let _end = EndOfHeart(&alive);
             let outcome = self.work(&alive, &halt, tell);
@@ -152,8 +152,7 @@ impl Worker {
             }
             heart.thread().unpark();
             outcome
-        });
-        outcome
+        })
     }
 
     /// Beats until the worker has ended, and halts it on a stop or when the folder is closed.

@@ -1,0 +1,116 @@
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::exit::Failure;
+use super::failures;
+use super::printable::tell;
+use crate::jobs::folder::{JobFolder, Terms};
+use crate::jobs::starter::{CommandStarter, SlurmOptions, SlurmStarter, Starter};
+use crate::jobs::{Executor, FolderExecutor};
+use crate::storage::MachineDisk;
+
+/// The computers that train, of commands that train many policies.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Where policies are trained")]
+pub struct ExecutorArguments {
+    /// Where policies are trained: `local` on this computer; `slurm` by job arrays of Slurm; `folder` by workers that
+    /// somebody starts by hand; any other text is a command that starts workers, in which {work} stands for a worker's
+    /// command, {workers} for their number and {folder} for the folder of jobs. Policies do not depend on it
+    #[arg(long, value_name = "local|slurm|folder|COMMAND", default_value = "local")]
+    executor: String,
+
+    /// Number of workers, a core each
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    workers: u32,
+
+    /// Folder of jobs, on a file system that all computers share [default: jobs/ in the folder of results]
+    #[arg(long, value_name = "DIR")]
+    jobs: Option<PathBuf>,
+
+    /// The program on the workers' computers [default: the path of this one]
+    #[arg(long, value_name = "PATH")]
+    worker_program: Option<PathBuf>,
+
+    /// Failed tries after which a training is given up
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    tries: u32,
+
+    /// Time without a sign of life after which a worker counts as dead, s
+    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = stale_seconds)]
+    stale: f64,
+
+    /// Leave workers and open trainings at Ctrl-C; --resume finds them again
+    #[arg(long)]
+    leave_workers: bool,
+
+    /// Partition of Slurm
+    #[arg(long, value_name = "NAME")]
+    slurm_partition: Option<String>,
+
+    /// Account of Slurm that is charged
+    #[arg(long, value_name = "NAME")]
+    slurm_account: Option<String>,
+
+    /// Time limit of a worker, as Slurm writes it
+    #[arg(long, value_name = "TIME")]
+    slurm_time: Option<String>,
+
+    /// Memory of a worker, as Slurm writes it
+    #[arg(long, value_name = "SIZE")]
+    slurm_memory: Option<String>,
+}
+
+/// Parses a time from a second to a day.
+fn stale_seconds(text: &str) -> Result<f64, String> {
+    super::number_arguments::between(text, 1.0, 86_400.0)
+}
+
+impl ExecutorArguments {
+    /// The executor, or `None` for this computer's cores. `results` is the folder of the session or experiment.
+    pub fn executor(&self, results: &Path) -> Result<Option<Arc<dyn Executor>>, Failure> {
+        if self.executor == "local" {
+            return Ok(None);
+        }
+        let root = self.jobs.clone().unwrap_or_else(|| results.join("jobs"));
+        let root = std::path::absolute(&root).map_err(Failure::usage)?;
+        let program = match &self.worker_program {
+            Some(program) => program.clone(),
+            None => std::env::current_exe().map_err(Failure::failed)?,
+        };
+        // A bad command leaves no folder behind.
+        let command = match self.executor.as_str() {
+            "slurm" | "folder" => None,
+            template => {
+                let starter = CommandStarter::new(template, program.clone());
+                let starter = starter.map_err(|error| {
+                    Failure::usage(format!(
+                        "--executor {template}: {error}; or give local, slurm or folder"
+                    ))
+                })?;
+                Some(Box::new(starter) as Box<dyn Starter>)
+            }
+        };
+        let stale_ms = (1e3 * self.stale) as u64;
+        let terms =
+            Terms { stale_ms, beat_ms: stale_ms / 12, tries: self.tries, ..Terms::default() };
+        let failed = |error| failures::job_folder(&error);
+        let folder = JobFolder::create(Arc::new(MachineDisk), &root, terms).map_err(failed)?;
+        let starter = match self.executor.as_str() {
+            "slurm" => {
+                let options = SlurmOptions {
+                    partition: self.slurm_partition.clone(),
+                    account: self.slurm_account.clone(),
+                    time: self.slurm_time.clone(),
+                    memory: self.slurm_memory.clone(),
+                };
+                Some(Box::new(SlurmStarter::new(options, program, &folder)) as Box<dyn Starter>)
+            }
+            _ => command,
+        };
+        if starter.is_none() {
+            tell(&format!("start workers by hand: qube-hil work {}", root.display()));
+        }
+        let executor = FolderExecutor::new(folder, starter, self.workers, self.leave_workers);
+        Ok(Some(Arc::new(executor.map_err(failed)?)))
+    }
+}

@@ -1,0 +1,216 @@
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::{Command, Output, Stdio};
+
+use crc::{CRC_64_XZ, Crc};
+
+use super::command::quoted;
+use super::{Census, StartError, Starter};
+use crate::jobs::folder::JobFolder;
+
+const CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
+
+/// Begins a note on a controller that is away.
+const SILENT: &str = "Slurm does not answer: ";
+
+/// What the workers ask of Slurm, each as Slurm's commands take it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SlurmOptions {
+    /// Partition.
+    pub partition: Option<String>,
+    /// Account that is charged.
+    pub account: Option<String>,
+    /// Time limit of a worker.
+    pub time: Option<String>,
+    /// Memory of a worker.
+    pub memory: Option<String>,
+}
+
+/// Starts workers as job arrays of Slurm.
+///
+/// Slurm is asked only whether workers are alive; results are files. It needs no accounting. The arrays are named after
+/// the folder, so a coordinator that was killed finds those of its predecessor.
+#[derive(Debug)]
+pub struct SlurmStarter {
+    options: SlurmOptions,
+    program: PathBuf,
+    name: String,
+}
+
+impl SlurmStarter {
+    /// A starter of this program's workers for a folder.
+    #[must_use]
+    pub fn new(options: SlurmOptions, program: PathBuf, folder: &JobFolder) -> Self {
+        let root = folder.root().to_string_lossy();
+        let name = format!("qube-hil-{:016x}", CHECKSUM.checksum(root.as_bytes()));
+        Self { options, program, name }
+    }
+
+    /// The options of a job array of this many workers.
+    fn array_options(&self, folder: &JobFolder, workers: u32) -> Vec<String> {
+        let logs = folder.root().join("logs").join("%A_%a.out");
+        let mut options: Vec<String> = vec![
+            "--parsable".into(),
+            format!("--job-name={}", self.name),
+            format!("--array=0-{}", workers.saturating_sub(1)),
+            "--ntasks=1".into(),
+            "--cpus-per-task=1".into(),
+            "--signal=B:TERM@60".into(),
+            "--requeue".into(),
+            "--open-mode=append".into(),
+            "--chdir=/".into(),
+            format!("--output={}", logs.display()),
+        ];
+        let asked = &self.options;
+        for (name, value) in [
+            ("partition", &asked.partition),
+            ("account", &asked.account),
+            ("time", &asked.time),
+            ("mem", &asked.memory),
+        ] {
+            options.extend(value.iter().map(|value| format!("--{name}={value}")));
+        }
+        options
+    }
+
+    /// The script of a worker. The program takes the place of the shell, so that it receives Slurm's signal.
+    fn script(&self, folder: &JobFolder, workers: u32) -> String {
+        format!(
+            "#!/bin/sh\nexec {} work {} --slot \"$SLURM_ARRAY_TASK_ID/{workers}\"\n",
+            quoted(&self.program.to_string_lossy()),
+            quoted(&folder.root().to_string_lossy()),
+        )
+    }
+}
+
+impl Starter for SlurmStarter {
+    fn start(&mut self, folder: &JobFolder, workers: u32) -> Result<(), StartError> {
+        std::fs::create_dir_all(folder.root().join("logs")).map_err(StartError::Command)?;
+        let options = self.array_options(folder, workers);
+        let script = self.script(folder, workers);
+        let output = said("sbatch", &options, &script)?;
+        if output.status.success() {
+            return Ok(());
+        }
+        let reason = first_line(&output.stderr);
+        Err(match is_silence(&reason) {
+            true => StartError::Silent { reason },
+            false => StartError::Refused { reason },
+        })
+    }
+
+    fn census(&mut self, _appeared: u32, _alive: u32) -> Result<Census, StartError> {
+        let options = ["-r", "-h", "--me", "-n", &self.name, "-o", "%i %T %r"].map(str::to_owned);
+        let output = said("squeue", &options, "")?;
+        if !output.status.success() {
+            let note = format!("{SILENT}{}", first_line(&output.stderr));
+            return Ok(Census { note: Some(note), ..Census::default() });
+        }
+        Ok(of_queue(&String::from_utf8_lossy(&output.stdout)))
+    }
+
+    fn cancel(&mut self) {
+        let options = ["--me", "-n", &self.name].map(str::to_owned);
+        let _ = said("scancel", &options, "");
+    }
+}
+
+/// The census of squeue's lines: number, state and reason of each task.
+fn of_queue(lines: &str) -> Census {
+    let mut census = Census { expected: Some(0), ..Census::default() };
+    for line in lines.lines() {
+        let mut words = line.splitn(3, ' ');
+        let (task, state) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+        let reason = words.next().unwrap_or_default();
+        match state {
+            // Its end is under way.
+            "COMPLETING" | "COMPLETED" | "CANCELLED" | "FAILED" | "TIMEOUT" | "NODE_FAIL"
+            | "PREEMPTED" | "OUT_OF_MEMORY" | "BOOT_FAIL" | "DEADLINE" | "" => continue,
+            "RUNNING" => census.running += 1,
+            _ => {}
+        }
+        census.expected = census.expected.map(|expected| expected + 1);
+        let is_held = ["held", "Held", "BadConstraints", "Limit", "PartitionDown", "Invalid"];
+        if is_held.iter().any(|word| reason.contains(word)) {
+            census.note = Some(format!("Slurm does not start the worker {task}: {reason}"));
+        }
+    }
+    census
+}
+
+/// Runs a command of Slurm.
+fn said(program: &str, options: &[String], input: &str) -> Result<Output, StartError> {
+    let run = || -> io::Result<Output> {
+        let mut child = Command::new(program)
+            .args(options)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()?;
+        if let Some(mut stdin) = child.stdin.take() {
+            // A command that refuses its options does not read.
+            let _ = stdin.write_all(input.as_bytes());
+        }
+        child.wait_with_output()
+    };
+    run().map_err(|error| match error.kind() {
+        io::ErrorKind::NotFound => StartError::NoProgram { program: program.to_owned() },
+        _ => StartError::Command(error),
+    })
+}
+
+/// Whether a message says that the controller is away, as while it is restarted.
+fn is_silence(message: &str) -> bool {
+    let words = ["nable to contact", "ocket timed out", "onnection refused", "onnect failure"];
+    words.iter().any(|word| message.contains(word))
+}
+
+fn first_line(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(bytes);
+    text.lines().find(|line| !line.trim().is_empty()).unwrap_or("no reason given").to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::jobs::folder::Terms;
+    use crate::storage::MachineDisk;
+
+    #[test]
+    fn an_array_asks_for_what_was_asked_and_can_be_requeued() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path();
+        let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
+        let options = SlurmOptions { partition: Some("cpu".into()), ..SlurmOptions::default() };
+        let starter = SlurmStarter::new(options, Path::new("/opt/qube-hil").into(), &folder);
+        let options = starter.array_options(&folder, 16);
+        for expected in ["--array=0-15", "--requeue", "--signal=B:TERM@60", "--partition=cpu"] {
+            assert!(options.iter().any(|option| option == expected), "{expected}: {options:?}");
+        }
+        assert!(!options.iter().any(|option| option.starts_with("--account")));
+        let script = starter.script(&folder, 16);
+        assert!(script.contains("exec /opt/qube-hil work "), "{script}");
+        assert!(script.contains("--slot \"$SLURM_ARRAY_TASK_ID/16\""), "{script}");
+    }
+
+    #[test]
+    fn a_queue_is_counted_and_a_held_worker_is_named() {
+        let queue = "7_0 RUNNING None\n7_1 PENDING Resources\n7_2 COMPLETING None\n";
+        let census = of_queue(queue);
+        assert_eq!((census.expected, census.running, census.note), (Some(2), 1, None));
+        let held = of_queue("7_0 PENDING launch failed requeued held\n");
+        assert_eq!(held.expected, Some(1));
+        assert!(held.note.unwrap().contains("7_0: launch failed requeued held"));
+        assert_eq!(of_queue("").expected, Some(0));
+    }
+
+    #[test]
+    fn a_controller_that_is_away_is_no_refusal() {
+        let away = "slurm_load_jobs error: Unable to contact slurm controller (connect failure)";
+        assert!(is_silence(away));
+        assert!(!is_silence("sbatch: error: invalid partition specified: nowhere"));
+    }
+}

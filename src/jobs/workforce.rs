@@ -1,0 +1,229 @@
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
+
+use super::JobFolderError;
+use super::folder::{Ending, HeartbeatState, HeartbeatWatch, Holder, JobFolder};
+use super::starter::{StartError, Starter};
+
+/// Number of starts without any worker after which the work ends.
+const FRUITLESS_STARTS: u32 = 2;
+
+/// Time for which a scheduler may be silent.
+const PATIENCE: Duration = Duration::from_secs(600);
+
+/// Difference between two computers' clocks that the operator is told of, s.
+const CLOCK_DIFFERENCE_S: u64 = 120;
+
+/// Keeps as many workers at work as there are jobs for.
+#[derive(Debug)]
+pub(super) struct Workforce {
+    starter: Box<dyn Starter>,
+    workers: u32,
+    watch: HeartbeatWatch,
+    begun: Instant,
+    /// Worker files seen so far, with the length at which each was dead.
+    seen: HashMap<String, bool>,
+    has_looked: bool,
+    appeared: u32,
+    fruitless: u32,
+    appeared_at_start: u32,
+    started: Option<Instant>,
+    silent_since: Option<Instant>,
+    running_since: Option<Instant>,
+    told: Vec<String>,
+}
+
+/// The reason why no work can be done any more.
+#[derive(Debug)]
+pub(super) enum NoWorkforce {
+    /// No workers can be started.
+    Start(StartError),
+    /// The folder cannot be used.
+    Folder(JobFolderError),
+}
+
+impl From<StartError> for NoWorkforce {
+    fn from(error: StartError) -> Self {
+        Self::Start(error)
+    }
+}
+
+impl From<JobFolderError> for NoWorkforce {
+    fn from(error: JobFolderError) -> Self {
+        Self::Folder(error)
+    }
+}
+
+impl Workforce {
+    pub fn new(starter: Box<dyn Starter>, workers: u32, folder: &JobFolder) -> Self {
+        Self {
+            starter,
+            workers: workers.max(1),
+            watch: HeartbeatWatch::new(Holder::this_process(), folder.terms().stale()),
+            begun: Instant::now(),
+            seen: HashMap::new(),
+            has_looked: false,
+            appeared: 0,
+            fruitless: 0,
+            appeared_at_start: 0,
+            started: None,
+            silent_since: None,
+            running_since: None,
+            told: Vec::new(),
+        }
+    }
+
+    /// Starts workers if there are fewer than the open jobs need.
+    pub fn tend(&mut self, folder: &JobFolder, open_jobs: usize) -> Result<(), NoWorkforce> {
+        if open_jobs == 0 {
+            return Ok(());
+        }
+        let alive = self.look(folder)?;
+        let census = self.starter.census(self.appeared, alive)?;
+        if let Some(note) = census.note {
+            self.tell(note);
+        }
+        let Some(expected) = census.expected else {
+            if self.silent_since.get_or_insert_with(Instant::now).elapsed() >= PATIENCE {
+                let reason = "ten minutes have passed".to_owned();
+                return Err(StartError::Silent { reason }.into());
+            }
+            return Ok(());
+        };
+        self.silent_since = None;
+        self.probe(folder, census.running, alive)?;
+        if self.appeared == self.appeared_at_start
+            && self.started.is_some_and(|started| started.elapsed() >= folder.terms().stale())
+        {
+            self.tell("workers were started, and none has appeared yet: waiting".to_owned());
+        }
+        // Workers that somebody has started by hand count too.
+        let expected = expected.max(alive);
+        let wanted = self.workers.min(u32::try_from(open_jobs).unwrap_or(u32::MAX));
+        if expected >= wanted {
+            return Ok(());
+        }
+        if self.started.is_some() && self.appeared == self.appeared_at_start {
+            if expected > 0 {
+                return Ok(());
+            }
+            self.fruitless += 1;
+        } else {
+            self.fruitless = 0;
+        }
+        if self.fruitless >= FRUITLESS_STARTS {
+            return Err(self.no_worker(folder).into());
+        }
+        self.appeared_at_start = self.appeared;
+        match self.starter.start(folder, wanted - expected) {
+            Ok(()) => self.started = Some(Instant::now()),
+            Err(StartError::Silent { reason }) => {
+                self.tell(format!("Slurm does not answer: {reason}"))
+            }
+            Err(error) => return Err(error.into()),
+        }
+        Ok(())
+    }
+
+    /// The first worker is the probe of the shared folder: one that runs must appear in it.
+    fn probe(&mut self, folder: &JobFolder, running: u32, alive: u32) -> Result<(), StartError> {
+        if running == 0 || alive > 0 || self.appeared > 0 {
+            self.running_since = None;
+            return Ok(());
+        }
+        let since = *self.running_since.get_or_insert_with(Instant::now);
+        if since.elapsed() < folder.terms().stale() {
+            return Ok(());
+        }
+        self.starter.cancel();
+        Err(self.no_worker(folder))
+    }
+
+    fn no_worker(&self, folder: &JobFolder) -> StartError {
+        StartError::Fruitless {
+            starts: self.fruitless.max(1),
+            folder: folder.root().display().to_string(),
+            last: last_log_line(folder).unwrap_or_else(|| "They have left no output".to_owned()),
+        }
+    }
+
+    /// Looks at the workers' files; returns how many workers live.
+    fn look(&mut self, folder: &JobFolder) -> Result<u32, NoWorkforce> {
+        let now = self.begun.elapsed();
+        let (mut alive, mut refusal) = (0, None);
+        for name in folder.worker_files()? {
+            if self.seen.get(&name) == Some(&false) {
+                continue;
+            }
+            if name.ends_with(".refused") {
+                self.seen.insert(name.clone(), false);
+                // A refusal of an earlier coordinator's worker says nothing about today's.
+                if self.has_looked || self.started.is_some() {
+                    self.appeared += 1;
+                    refusal = folder.refusal(&name);
+                }
+                continue;
+            }
+            let Some(state) = folder.worker(&name)? else { continue };
+            let is_new = !self.seen.contains_key(&name);
+            let lives = state.ending.is_none() && !self.watch.is_dead(&name, &state, now);
+            if is_new && (lives || self.has_looked) {
+                self.appeared += 1;
+            }
+            if is_new && self.has_looked {
+                self.compare_clocks(&state);
+            }
+            if let Some(Ending::Failed(reason)) = &state.ending {
+                let note = format!("{} has ended: {reason}", state.by());
+                self.tell(note);
+            }
+            alive += u32::from(lives);
+            self.seen.insert(name, lives);
+        }
+        self.has_looked = true;
+        if let Some(reason) = refusal {
+            if alive == 0 {
+                return Err(StartError::WorkersRefuse { reason }.into());
+            }
+            self.tell(format!("a worker refuses: {reason}"));
+        }
+        Ok(alive)
+    }
+
+    fn compare_clocks(&mut self, state: &HeartbeatState) {
+        let Some(holder) = &state.holder else { return };
+        let here = Holder::this_process().at_s;
+        let difference_s = here.abs_diff(holder.at_s);
+        if difference_s > CLOCK_DIFFERENCE_S {
+            let note = format!(
+                "the clock of {} differs by {difference_s} s from this computer's: no result depends on it, but schedulers \
+                 may refuse its work",
+                holder.host
+            );
+            self.tell(note);
+        }
+    }
+
+    /// Tells the operator something once.
+    fn tell(&mut self, note: String) {
+        if !self.told.contains(&note) {
+            tracing::warn!("{note}");
+            self.told.push(note);
+        }
+    }
+
+    /// Ends all workers.
+    pub fn cancel(&mut self) {
+        self.starter.cancel();
+    }
+}
+
+/// The last line that a start or a worker has printed.
+fn last_log_line(folder: &JobFolder) -> Option<String> {
+    let logs = std::fs::read_dir(folder.root().join("logs")).ok()?.flatten();
+    let newest = logs.max_by_key(|log| log.metadata().and_then(|it| it.modified()).ok())?.path();
+    let text = std::fs::read(&newest).ok()?;
+    let text = String::from_utf8_lossy(&text);
+    let line = text.lines().rfind(|line| !line.trim().is_empty())?;
+    Some(format!("The last line of {} is: {line}", newest.display()))
+}

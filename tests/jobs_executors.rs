@@ -1,0 +1,139 @@
+//! Workers that the coordinator starts itself, by a command: the same policies, and one sentence where they cannot work.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::jobs::folder::{JobFolder, Terms};
+use qube_hil::jobs::starter::{Census, StartError, Starter};
+use qube_hil::jobs::{Executor, FolderExecutor, JobEvent, TrainingJob};
+use qube_hil::learning::TrainSettings;
+use qube_hil::simulation::DomainDistribution;
+use qube_hil::storage::MachineDisk;
+
+const TINY: &str = "name = \"tiny\"\nmodel = \"nominal\"\n[settings.training]\nupdates = 2\nnum_envs = 16\n\
+                    epochs = 1\nevaluation_starts = 16\n";
+
+/// Workers on this computer, as a scheduler would start them.
+const BY_XARGS: &str = "seq {workers} | xargs -P {workers} -I '{}' {work} --slot '{}/{workers}'";
+
+/// Runs an experiment of three trainings in this folder.
+fn experiment(directory: &Path, out: &str, options: &[&str]) -> Output {
+    std::fs::write(directory.join("tiny.toml"), TINY).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+        .current_dir(directory)
+        .args(["experiment", "--recipe", "tiny.toml", "--policies", "3", "--rollouts", "1"])
+        .args(["--out", out])
+        .args(options)
+        .stdin(Stdio::null())
+        .output()
+        .unwrap()
+}
+
+/// The bytes of the policies and recordings of an experiment.
+fn bytes(root: &Path) -> Vec<(String, Vec<u8>)> {
+    let policies = root.join("policies/tiny");
+    let of_policy = |number: u32| {
+        let folder = policies.join(format!("{number:03}"));
+        let recording = folder.join("nominal/rollout-0.mcap");
+        [folder.join("policy.safetensors"), folder.join("training.csv"), recording]
+    };
+    let paths = (0..3).flat_map(of_policy).filter(|path| path.exists());
+    paths
+        .map(|path| {
+            let name = path.strip_prefix(root).unwrap().display().to_string();
+            (name, std::fs::read(&path).unwrap())
+        })
+        .collect()
+}
+
+#[test]
+fn an_experiment_by_a_command_has_the_bytes_of_this_computer_alone() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    for (out, options) in
+        [("a/same", &[][..]), ("b/same", &["--executor", BY_XARGS, "--workers", "2"])]
+    {
+        std::fs::create_dir_all(directory.join(out).parent().unwrap()).unwrap();
+        let output = experiment(directory, out, options);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    let alone = bytes(&directory.join("a/same"));
+    assert!(alone.len() >= 3, "{alone:?}");
+    assert!(alone == bytes(&directory.join("b/same")));
+}
+
+#[track_caller]
+fn refused(output: &Output, words: &[&str]) {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(words.iter().all(|word| stderr.contains(word)), "{stderr}");
+}
+
+#[test]
+fn what_cannot_start_workers_is_refused_in_a_sentence() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let run = |out: &str, executor: &str| {
+        experiment(directory, out, &["--executor", executor, "--stale", "1", "--workers", "1"])
+    };
+    refused(&run("none", "make -j8"), &["{work}", "slurm"]);
+    refused(
+        &run("fails", "echo no such host >&2; false {work}"),
+        &["none has appeared", "no such host"],
+    );
+    if cfg!(target_arch = "x86_64") {
+        refused(&run("plain", "{work} --instruction-set plain"), &["refuse", "FMA"]);
+    }
+    if !Path::new("/usr/bin/sbatch").exists() {
+        refused(&run("no-slurm", "slurm"), &["there is no s"]);
+    }
+}
+
+/// A scheduler whose workers wait for ever.
+#[derive(Debug)]
+struct FullQueue(Arc<AtomicBool>);
+
+impl Starter for FullQueue {
+    fn start(&mut self, _folder: &JobFolder, _workers: u32) -> Result<(), StartError> {
+        Ok(())
+    }
+
+    fn census(&mut self, _appeared: u32, _alive: u32) -> Result<Census, StartError> {
+        Ok(Census { expected: Some(1), ..Census::default() })
+    }
+
+    fn cancel(&mut self) {
+        self.0.store(true, std::sync::atomic::Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn a_stop_ends_workers_and_trainings_or_leaves_them() {
+    for leave in [false, true] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path();
+        let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
+        let cancelled = Arc::new(AtomicBool::new(false));
+        let queue = Box::new(FullQueue(Arc::clone(&cancelled)));
+        let executor = FolderExecutor::new(folder.clone(), Some(queue), 1, leave).unwrap();
+        let job = TrainingJob {
+            distribution: DomainDistribution::nominal(),
+            settings: TrainSettings::quick(),
+            seed: 1,
+        };
+        let mut stopped = 0;
+        executor.train(&[job], &AtomicBool::new(true), &mut |event| {
+            if let JobEvent::Finished { result, .. } = event {
+                assert!(result.unwrap_err().is_stop());
+                stopped += 1;
+            }
+        });
+        assert_eq!(stopped, 1);
+        drop(executor);
+        assert_eq!(folder.open_jobs().unwrap().len(), usize::from(leave));
+        assert_eq!(folder.is_closed(), !leave);
+        assert_eq!(cancelled.load(std::sync::atomic::Ordering::Relaxed), !leave);
+    }
+}
