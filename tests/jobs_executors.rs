@@ -1,6 +1,7 @@
 //! Workers that the coordinator starts itself, by a command: the same policies, and one sentence where they cannot work.
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -31,21 +32,22 @@ fn experiment(directory: &Path, out: &str, options: &[&str]) -> Output {
         .unwrap()
 }
 
-/// The bytes of the policies and recordings of an experiment.
-fn bytes(root: &Path) -> Vec<(String, Vec<u8>)> {
-    let policies = root.join("policies/tiny");
-    let of_policy = |number: u32| {
-        let folder = policies.join(format!("{number:03}"));
-        let recording = folder.join("nominal/rollout-0.mcap");
-        [folder.join("policy.safetensors"), folder.join("training.csv"), recording]
-    };
-    let paths = (0..3).flat_map(of_policy).filter(|path| path.exists());
-    paths
-        .map(|path| {
-            let name = path.strip_prefix(root).unwrap().display().to_string();
-            (name, std::fs::read(&path).unwrap())
-        })
-        .collect()
+/// The bytes of the policies, learning curves and recordings of an experiment, by their names.
+fn bytes(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![root.join("policies")];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(root).unwrap().to_owned();
+                found.insert(name, std::fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
 }
 
 #[test]
@@ -60,8 +62,23 @@ fn an_experiment_by_a_command_has_the_bytes_of_this_computer_alone() {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
     let alone = bytes(&directory.join("a/same"));
-    assert!(alone.len() >= 3, "{alone:?}");
+    // A policy, its learning curve and its rollout, three times.
+    assert_eq!(alone.len(), 9, "{:?}", alone.keys());
     assert!(alone == bytes(&directory.join("b/same")));
+}
+
+#[test]
+fn a_computer_whose_clock_differs_is_named_and_changes_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let far = "{\"host\":\"far\",\"process\":1,\"started\":1,\"boot\":\"b\",\"at_s\":1}\n";
+    std::fs::write(directory.join("far"), far).unwrap();
+    let command = "cp far {folder}/workers/far-1-1; sleep 2; {work}";
+    let output =
+        experiment(directory, "out", &["--executor", command, "--workers", "1", "--stale", "1"]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{stderr}");
+    assert!(stderr.contains("the clock of far differs by"), "{stderr}");
 }
 
 #[track_caller]
@@ -89,6 +106,22 @@ fn what_cannot_start_workers_is_refused_in_a_sentence() {
     if !Path::new("/usr/bin/sbatch").exists() {
         refused(&run("no-slurm", "slurm"), &["there is no s"]);
     }
+}
+
+#[test]
+fn workers_that_are_always_ended_early_are_not_started_for_ever() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let long = directory.join("long.toml");
+    std::fs::write(&long, TINY.replace("updates = 2", "updates = 100000")).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+        .current_dir(directory)
+        .args(["experiment", "--recipe", "long.toml", "--policies", "1", "--rollouts", "1"])
+        .args(["--executor", "timeout 0.3 {work}", "--workers", "1", "--stale", "1"])
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    refused(&output, &["ended early", "more time"]);
 }
 
 /// A scheduler whose workers wait for ever.

@@ -4,8 +4,9 @@ use std::sync::Arc;
 use super::exit::Failure;
 use super::failures;
 use super::printable::tell;
+use super::service_manager;
 use crate::jobs::folder::{JobFolder, Terms};
-use crate::jobs::starter::{CommandStarter, SlurmOptions, SlurmStarter, Starter};
+use crate::jobs::starter::{CommandStarter, SlurmOptions, SlurmStarter, Starter, quoted};
 use crate::jobs::{Executor, FolderExecutor};
 use crate::storage::MachineDisk;
 
@@ -77,11 +78,13 @@ impl ExecutorArguments {
             Some(program) => program.clone(),
             None => std::env::current_exe().map_err(Failure::failed)?,
         };
+        let word = |path: &Path| quoted(&path.to_string_lossy());
+        let work = format!("{} work {}", word(&program), word(&root));
         // A bad command leaves no folder behind.
         let command = match self.executor.as_str() {
             "slurm" | "folder" => None,
             template => {
-                let starter = CommandStarter::new(template, program.clone());
+                let starter = CommandStarter::new(template, work.clone());
                 let starter = starter.map_err(|error| {
                     Failure::usage(format!(
                         "--executor {template}: {error}; or give local, slurm or folder"
@@ -103,7 +106,8 @@ impl ExecutorArguments {
                     time: self.slurm_time.clone(),
                     memory: self.slurm_memory.clone(),
                 };
-                Some(Box::new(SlurmStarter::new(options, program, &folder)) as Box<dyn Starter>)
+                let work = format!("{work} --slot \"${}/{{workers}}\"", SlurmStarter::NUMBER);
+                Some(Box::new(SlurmStarter::new(options, work, &folder)) as Box<dyn Starter>)
             }
             _ => command,
         };
@@ -111,6 +115,6 @@ impl ExecutorArguments {
             tell(&format!("start workers by hand: qube-hil work {}", root.display()));
         }
         let executor = FolderExecutor::new(folder, starter, self.workers, self.leave_workers);
-        Ok(Some(Arc::new(executor.map_err(failed)?)))
+        Ok(Some(Arc::new(executor.map_err(failed)?.telling(service_manager::alive))))
     }
 }

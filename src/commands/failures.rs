@@ -170,6 +170,7 @@ fn job(error: JobError) -> Failure {
             StartError::NoProgram { .. }
             | StartError::Refused { .. }
             | StartError::Fruitless { .. }
+            | StartError::InVain { .. }
             | StartError::WorkersRefuse { .. } => Failure::usage(error),
             StartError::Silent { .. } | StartError::Command(_) => Failure::failed(error),
         },

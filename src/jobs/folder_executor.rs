@@ -1,5 +1,5 @@
 use std::collections::{HashMap, HashSet};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -19,7 +19,10 @@ const SHORTEST_WAIT: Duration = Duration::from_millis(10);
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
 /// Time between two looks at a stop flag.
-const GLANCE: Duration = Duration::from_millis(100);
+const GLANCE: Duration = Duration::from_millis(250);
+
+/// Time between two signs that a caller waits and does not hang.
+const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
 
 /// Time for which a folder may refuse before the work ends: servers of files are restarted.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -33,6 +36,7 @@ pub struct FolderExecutor {
     shared: Arc<Shared>,
     watch: Option<JoinHandle<()>>,
     workers: u32,
+    waits: fn(),
 }
 
 #[derive(Debug)]
@@ -41,6 +45,8 @@ struct Shared {
     state: Mutex<State>,
     changed: Condvar,
     ended: AtomicBool,
+    /// Number of results so far.
+    results: AtomicU64,
     /// Whether workers and open jobs outlive this process.
     leave: bool,
 }
@@ -107,6 +113,7 @@ impl FolderExecutor {
             state: Mutex::default(),
             changed: Condvar::new(),
             ended: AtomicBool::new(false),
+            results: AtomicU64::new(0),
             leave,
         });
         let workforce = starter.map(|starter| Workforce::new(starter, workers, &shared.folder));
@@ -118,7 +125,14 @@ impl FolderExecutor {
                 path: shared.folder.root().to_owned(),
                 source,
             })?;
-        Ok(Self { shared, watch: Some(watch), workers })
+        Ok(Self { shared, watch: Some(watch), workers, waits: || () })
+    }
+
+    /// Calls `waits` every few seconds while a caller waits for results: a queue may be long.
+    #[must_use]
+    pub fn telling(mut self, waits: fn()) -> Self {
+        self.waits = waits;
+        self
     }
 
     /// The folder of the jobs.
@@ -154,7 +168,12 @@ impl Executor for FolderExecutor {
             }
         }
         shared.changed.notify_all();
+        let mut told = Instant::now();
         while !open.is_empty() {
+            if told.elapsed() >= SIGN_OF_LIFE {
+                told = Instant::now();
+                (self.waits)();
+            }
             let notice = match receiver.recv_timeout(GLANCE) {
                 Ok(notice) => notice,
                 Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => continue,
@@ -311,7 +330,9 @@ impl Shared {
                 && tended.is_none_or(|tended| tended.elapsed() >= terms.beat())
             {
                 let open = self.lock().waiting.len();
-                if let Err(error) = force.tend(&self.folder, open) {
+                if let Err(error) =
+                    force.tend(&self.folder, open, self.results.load(Ordering::Relaxed))
+                {
                     self.fail(&error.into());
                 }
                 tended = (open > 0).then(Instant::now);
@@ -343,6 +364,7 @@ impl Shared {
         for name in results {
             if let Some(callers) = state.waiting.remove(&name) {
                 found = true;
+                self.results.fetch_add(1, Ordering::Relaxed);
                 *state.reading.entry(name).or_default() += callers.len();
                 for (index, sender) in callers {
                     let _ = sender.send(Notice::Result(index));

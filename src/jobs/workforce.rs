@@ -8,6 +8,9 @@ use super::starter::{StartError, Starter};
 /// Number of starts without any worker after which the work ends.
 const FRUITLESS_STARTS: u32 = 2;
 
+/// Number of starts without any result after which the work ends: workers that are always ended early never finish.
+const VAIN_STARTS: u32 = 20;
+
 /// Time for which a scheduler may be silent.
 const PATIENCE: Duration = Duration::from_secs(600);
 
@@ -21,12 +24,15 @@ pub(super) struct Workforce {
     workers: u32,
     watch: HeartbeatWatch,
     begun: Instant,
-    /// Worker files seen so far, with the length at which each was dead.
+    /// Worker files seen so far, with whether the worker lived.
     seen: HashMap<String, bool>,
     has_looked: bool,
     appeared: u32,
     fruitless: u32,
     appeared_at_start: u32,
+    /// Number of starts since the last result.
+    in_vain: u32,
+    results: u64,
     started: Option<Instant>,
     silent_since: Option<Instant>,
     running_since: Option<Instant>,
@@ -66,6 +72,8 @@ impl Workforce {
             appeared: 0,
             fruitless: 0,
             appeared_at_start: 0,
+            in_vain: 0,
+            results: 0,
             started: None,
             silent_since: None,
             running_since: None,
@@ -73,10 +81,18 @@ impl Workforce {
         }
     }
 
-    /// Starts workers if there are fewer than the open jobs need.
-    pub fn tend(&mut self, folder: &JobFolder, open_jobs: usize) -> Result<(), NoWorkforce> {
+    /// Starts workers if there are fewer than the open jobs need. `results` is the number of results so far.
+    pub fn tend(
+        &mut self,
+        folder: &JobFolder,
+        open_jobs: usize,
+        results: u64,
+    ) -> Result<(), NoWorkforce> {
         if open_jobs == 0 {
             return Ok(());
+        }
+        if results > self.results {
+            (self.results, self.in_vain) = (results, 0);
         }
         let alive = self.look(folder)?;
         let census = self.starter.census(self.appeared, alive)?;
@@ -114,9 +130,15 @@ impl Workforce {
         if self.fruitless >= FRUITLESS_STARTS {
             return Err(self.no_worker(folder).into());
         }
+        if self.in_vain >= VAIN_STARTS {
+            return Err(StartError::InVain { starts: self.in_vain }.into());
+        }
         self.appeared_at_start = self.appeared;
         match self.starter.start(folder, wanted - expected) {
-            Ok(()) => self.started = Some(Instant::now()),
+            Ok(()) => {
+                self.started = Some(Instant::now());
+                self.in_vain += 1;
+            }
             Err(StartError::Silent { reason }) => {
                 self.tell(format!("Slurm does not answer: {reason}"))
             }

@@ -1,6 +1,5 @@
 use std::fs::{self, File};
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
 use rustix::process::{Pid, Signal, kill_process_group};
@@ -13,7 +12,7 @@ use crate::jobs::folder::JobFolder;
 #[derive(Debug)]
 pub struct CommandStarter {
     template: String,
-    program: PathBuf,
+    work: String,
     starts: Vec<Start>,
 }
 
@@ -35,30 +34,29 @@ pub enum TemplateError {
 }
 
 impl CommandStarter {
-    /// A starter by a command for the shell, in which `{work}` stands for a worker's command, `{folder}` for the folder of
-    /// jobs, and `{workers}` for the number of workers to start.
+    /// A starter by a command for the shell, in which `{work}` stands for `work`, a worker's command, `{folder}` for the
+    /// folder of jobs, and `{workers}` for the number of workers to start.
     ///
     /// # Errors
     /// The command would start no worker.
-    pub fn new(template: &str, program: PathBuf) -> Result<Self, TemplateError> {
+    pub fn new(template: &str, work: String) -> Result<Self, TemplateError> {
         if !template.contains("{work}") && !template.contains("{folder}") {
             return Err(TemplateError::StartsNoWorker);
         }
-        Ok(Self { template: template.to_owned(), program, starts: Vec::new() })
+        Ok(Self { template: template.to_owned(), work, starts: Vec::new() })
     }
 
     fn command(&self, folder: &JobFolder, workers: u32) -> String {
-        let path = quoted(&folder.root().to_string_lossy());
-        let work = format!("{} work {path}", quoted(&self.program.to_string_lossy()));
         self.template
             .replace("{workers}", &workers.to_string())
-            .replace("{folder}", &path)
-            .replace("{work}", &work)
+            .replace("{folder}", &quoted(&folder.root().to_string_lossy()))
+            .replace("{work}", &self.work)
     }
 }
 
 /// A text as one word of the shell.
-pub(super) fn quoted(text: &str) -> String {
+#[must_use]
+pub fn quoted(text: &str) -> String {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-+=:,@%".contains(letter);
     match !text.is_empty() && text.chars().all(plain) {
         true => text.to_owned(),
@@ -131,13 +129,14 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("it's shared");
         let folder = JobFolder::create(Arc::new(MachineDisk), &root, Terms::default()).unwrap();
-        let starter = |template: &str| CommandStarter::new(template, "/opt/qube hil".into());
         let path = quoted(&root.to_string_lossy());
+        let starter =
+            |template: &str| CommandStarter::new(template, format!("qube-hil work {path}"));
         assert!(path.ends_with("it'\\''s shared'"), "{path}");
         let command = starter("seq {workers} | parallel {work} --slot {}/{workers}").unwrap();
         assert_eq!(
             command.command(&folder, 8),
-            format!("seq 8 | parallel '/opt/qube hil' work {path} --slot {{}}/8")
+            format!("seq 8 | parallel qube-hil work {path} --slot {{}}/8")
         );
         assert_eq!(starter("make -j8").unwrap_err(), TemplateError::StartsNoWorker);
         let heard = Command::new("/bin/sh").arg("-c").arg(format!("printf %s {path}")).output();

@@ -9,7 +9,7 @@ use thiserror::Error;
 
 use super::folder::JobFolder;
 
-pub use command::{CommandStarter, TemplateError};
+pub use command::{CommandStarter, TemplateError, quoted};
 pub use slurm::{SlurmOptions, SlurmStarter};
 
 /// Starts workers, and knows which of them are still to be expected.
@@ -81,6 +81,15 @@ pub enum StartError {
         folder: String,
         /// Last message of a start or of a worker.
         last: String,
+    },
+    /// The workers are always ended before they finish a training.
+    #[error(
+        "workers were started {starts} times since the last finished training, and each was ended early: give them more time \
+         or memory"
+    )]
+    InVain {
+        /// Number of starts.
+        starts: u32,
     },
     /// Every worker refuses to work.
     #[error("the workers refuse: {reason}")]

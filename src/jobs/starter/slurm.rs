@@ -1,10 +1,8 @@
 use std::io::{self, Write};
-use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 
 use crc::{CRC_64_XZ, Crc};
 
-use super::command::quoted;
 use super::{Census, StartError, Starter};
 use crate::jobs::folder::JobFolder;
 
@@ -33,61 +31,71 @@ pub struct SlurmOptions {
 #[derive(Debug)]
 pub struct SlurmStarter {
     options: SlurmOptions,
-    program: PathBuf,
+    work: String,
     name: String,
 }
 
 impl SlurmStarter {
-    /// A starter of this program's workers for a folder.
+    /// The environment variable with a worker's number in its array.
+    pub const NUMBER: &str = "SLURM_ARRAY_TASK_ID";
+
+    /// A starter of workers for a folder. `work` is a worker's command for the shell, in which `{workers}` stands for the
+    /// number of workers in the array and [`Self::NUMBER`] names the worker's own.
     #[must_use]
-    pub fn new(options: SlurmOptions, program: PathBuf, folder: &JobFolder) -> Self {
+    pub fn new(options: SlurmOptions, work: String, folder: &JobFolder) -> Self {
         let root = folder.root().to_string_lossy();
         let name = format!("qube-hil-{:016x}", CHECKSUM.checksum(root.as_bytes()));
-        Self { options, program, name }
+        Self { options, work, name }
     }
 
     /// The options of a job array of this many workers.
     fn array_options(&self, folder: &JobFolder, workers: u32) -> Vec<String> {
         let logs = folder.root().join("logs").join("%A_%a.out");
-        let mut options: Vec<String> = vec![
-            "--parsable".into(),
-            format!("--job-name={}", self.name),
-            format!("--array=0-{}", workers.saturating_sub(1)),
-            "--ntasks=1".into(),
-            "--cpus-per-task=1".into(),
-            "--signal=B:TERM@60".into(),
-            "--requeue".into(),
-            "--open-mode=append".into(),
-            "--chdir=/".into(),
-            format!("--output={}", logs.display()),
-        ];
         let asked = &self.options;
+        let mut options = vec![
+            flag("parsable"),
+            option("job-name", &self.name),
+            option("array", &format!("0-{}", workers.saturating_sub(1))),
+            option("ntasks", "1"),
+            option("cpus-per-task", "1"),
+            option("signal", "B:TERM@60"),
+            flag("requeue"),
+            option("open-mode", "append"),
+            option("chdir", "/"),
+            option("output", &logs.to_string_lossy()),
+        ];
         for (name, value) in [
             ("partition", &asked.partition),
             ("account", &asked.account),
             ("time", &asked.time),
             ("mem", &asked.memory),
         ] {
-            options.extend(value.iter().map(|value| format!("--{name}={value}")));
+            options.extend(value.iter().map(|value| option(name, value)));
         }
         options
     }
 
     /// The script of a worker. The program takes the place of the shell, so that it receives Slurm's signal.
-    fn script(&self, folder: &JobFolder, workers: u32) -> String {
-        format!(
-            "#!/bin/sh\nexec {} work {} --slot \"$SLURM_ARRAY_TASK_ID/{workers}\"\n",
-            quoted(&self.program.to_string_lossy()),
-            quoted(&folder.root().to_string_lossy()),
-        )
+    fn script(&self, workers: u32) -> String {
+        format!("#!/bin/sh\nexec {}\n", self.work.replace("{workers}", &workers.to_string()))
     }
+}
+
+/// An option of Slurm's commands.
+fn option(name: &str, value: &str) -> String {
+    format!("--{name}={value}")
+}
+
+/// An option of Slurm's commands without a value.
+fn flag(name: &str) -> String {
+    format!("--{name}")
 }
 
 impl Starter for SlurmStarter {
     fn start(&mut self, folder: &JobFolder, workers: u32) -> Result<(), StartError> {
         std::fs::create_dir_all(folder.root().join("logs")).map_err(StartError::Command)?;
         let options = self.array_options(folder, workers);
-        let script = self.script(folder, workers);
+        let script = self.script(workers);
         let output = said("sbatch", &options, &script)?;
         if output.status.success() {
             return Ok(());
@@ -100,7 +108,8 @@ impl Starter for SlurmStarter {
     }
 
     fn census(&mut self, _appeared: u32, _alive: u32) -> Result<Census, StartError> {
-        let options = ["-r", "-h", "--me", "-n", &self.name, "-o", "%i %T %r"].map(str::to_owned);
+        let own = flag("me");
+        let options = ["-r", "-h", &own, "-n", &self.name, "-o", "%i %T %r"].map(str::to_owned);
         let output = said("squeue", &options, "")?;
         if !output.status.success() {
             let note = format!("{SILENT}{}", first_line(&output.stderr));
@@ -110,7 +119,7 @@ impl Starter for SlurmStarter {
     }
 
     fn cancel(&mut self) {
-        let options = ["--me", "-n", &self.name].map(str::to_owned);
+        let options = [&flag("me"), "-n", &self.name].map(str::to_owned);
         let _ = said("scancel", &options, "");
     }
 }
@@ -172,7 +181,6 @@ fn first_line(bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
     use std::sync::Arc;
 
     use super::*;
@@ -185,15 +193,17 @@ mod tests {
         let root = directory.path();
         let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
         let options = SlurmOptions { partition: Some("cpu".into()), ..SlurmOptions::default() };
-        let starter = SlurmStarter::new(options, Path::new("/opt/qube-hil").into(), &folder);
+        let work =
+            "/opt/qube-hil work /shared --slot \"$SLURM_ARRAY_TASK_ID/{workers}\"".to_owned();
+        let starter = SlurmStarter::new(options, work, &folder);
         let options = starter.array_options(&folder, 16);
         for expected in ["--array=0-15", "--requeue", "--signal=B:TERM@60", "--partition=cpu"] {
             assert!(options.iter().any(|option| option == expected), "{expected}: {options:?}");
         }
         assert!(!options.iter().any(|option| option.starts_with("--account")));
-        let script = starter.script(&folder, 16);
-        assert!(script.contains("exec /opt/qube-hil work "), "{script}");
-        assert!(script.contains("--slot \"$SLURM_ARRAY_TASK_ID/16\""), "{script}");
+        let expected =
+            "#!/bin/sh\nexec /opt/qube-hil work /shared --slot \"$SLURM_ARRAY_TASK_ID/16\"\n";
+        assert_eq!(starter.script(16), expected);
     }
 
     #[test]
