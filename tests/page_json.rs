@@ -111,6 +111,8 @@ fn commands_print_the_fields_of_the_page() {
         &["import", model, "--action-scale", "5", "--out", "imported.safetensors"],
     );
     succeeds("`export`", &["export", "run/rollout-0.mcap"]);
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/nominal.safetensors");
+    succeeds("`export`", &["export", "--onnx", shipped, "--out", "models"]);
     succeeds("`config`", &["config", "print"]);
     succeeds("`config`", &["config", "check", "small.toml"]);
     succeeds("`completions`", &["completions", "bash"]);

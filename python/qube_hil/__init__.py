@@ -4,7 +4,6 @@ Importing the package registers ``qube_hil/Qube-v0`` with Gymnasium.
 """
 
 from ._core import MAX_STEPS, MAX_VOLTAGE_V, VERSION as __version__
-from .data import Candidate, Recording, Session, recording
 from .device import QubeDeviceEnv
 from .distributions import Constant, Distribution, Normal, Uniform
 from .envs import QubeEnv, QubeVectorEnv, register
@@ -24,6 +23,8 @@ from .errors import (
 )
 from .learning import Estimate, Identified, Trained, identify, train
 from .policies import Policy
+from .recordings import Recording, recording
+from .sessions import Candidate, Session, Surrogate
 
 register()
 
@@ -53,6 +54,7 @@ __all__ = [
     "Session",
     "SessionError",
     "SettingsError",
+    "Surrogate",
     "Trained",
     "TrainingError",
     "Uniform",

@@ -75,9 +75,10 @@ def _simulation(
     model: str,
     distributions: Mapping[str, Distribution | float] | None,
     settings: str | Mapping[str, Any],
+    guard: str,
 ) -> Simulation:
     return Simulation(
-        num_envs, model, _distributions.written(distributions), _settings.written(settings)
+        num_envs, model, _distributions.written(distributions), _settings.written(settings), guard
     )
 
 
@@ -90,10 +91,13 @@ class QubeEnv(gymnasium.Env[Any, Any]):
             ``{"M_p": Normal(0.024, 0.005), "command_delay_s": Uniform(0.0, 0.016)}``.
         settings: Sensors, history, reward and box: ``thesis``, ``machine``, ``robust``, or a mapping.
         seed: Seed of the episodes until ``reset`` names another.
+        guard: ``box``, or ``foresight`` as on a machine: the brake is simulated before each voltage on every Qube that this
+            one may be, and takes over where it would come too late. It costs many times a step.
 
     An observation is ``float32 [6 + history]``, an action ``float32 [1]``, a fraction of 5 V. The reward of a step is
-    in (0, 1]. An episode is terminated where the state leaves the box, and truncated after 600 steps. ``info`` of
-    ``reset`` has the number of the episode under its seed.
+    in (0, 1]. An episode is terminated where the state leaves the box or the guard takes over, and truncated after 600
+    steps. ``info`` of ``reset`` has the number of the episode under its seed; with foresight, ``info["guarded"]`` of
+    ``step`` says whether the guard took over. The voltage of that step is the brake's.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 100}
@@ -104,12 +108,14 @@ class QubeEnv(gymnasium.Env[Any, Any]):
         distributions: Mapping[str, Distribution | float] | None = None,
         settings: str | Mapping[str, Any] = "thesis",
         seed: int = 0,
+        guard: str = "box",
         render_mode: None = None,
     ) -> None:
         if render_mode is not None:
             raise SettingsError(f"render_mode = {render_mode!r}: there is none, give None")
         self.render_mode = None
-        self._simulation = _simulation(1, model, distributions, settings)
+        self._simulation = _simulation(1, model, distributions, settings, guard)
+        self._is_guarded = guard != "box"
         self._first_seed = _as_seed(seed)
         self._is_running = False
         size = self._simulation.observation_size
@@ -134,9 +140,10 @@ class QubeEnv(gymnasium.Env[Any, Any]):
             raise EpisodeOverError("no episode is running: call reset() first")
         if type(action) is not np.ndarray or action.dtype != np.float32:
             action = _as_actions(action, (1,))
-        observation, reward, terminated, truncated = self._simulation.step_one(action)
+        observation, reward, terminated, truncated, guarded = self._simulation.step_one(action)
         self._is_running = not (terminated or truncated)
-        return observation, reward, terminated, truncated, {}
+        info = {"guarded": guarded} if self._is_guarded else {}
+        return observation, reward, terminated, truncated, info
 
     @property
     def state(self) -> Float32s:
@@ -155,7 +162,8 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
     again, overwritten, which is faster.
 
     A Qube whose episode ends begins the next one in the same step (``AutoresetMode.SAME_STEP``). Its last observation
-    is then in ``info["final_obs"]``, where ``info["_final_obs"]`` is true. Episodes are numbered as they begin: the
+    is then in ``info["final_obs"]``, where ``info["_final_obs"]`` is true; ``info["guarded"]`` says where foresight ended
+    the episode. Episodes are numbered as they begin: the
     same seed gives the same episodes, whatever ``num_envs``.
     """
 
@@ -172,15 +180,17 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
         distributions: Mapping[str, Distribution | float] | None = None,
         settings: str | Mapping[str, Any] = "thesis",
         seed: int = 0,
+        guard: str = "box",
         copy: bool = True,
         render_mode: None = None,
     ) -> None:
         if render_mode is not None:
             raise SettingsError(f"render_mode = {render_mode!r}: there is none, give None")
         self.render_mode = None
-        self._simulation = _simulation(num_envs, model, distributions, settings)
+        self._simulation = _simulation(num_envs, model, distributions, settings, guard)
         self._first_seed = _as_seed(seed)
         self._has_begun = False
+        self._is_guarded = guard != "box"
         self._copy = copy
         self.num_envs = num_envs
         size = self._simulation.observation_size
@@ -193,6 +203,7 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
         self._rewards: Float32s = np.zeros(num_envs, np.float32)
         self._terminated: Bools = np.zeros(num_envs, np.bool_)
         self._truncated: Bools = np.zeros(num_envs, np.bool_)
+        self._guarded: Bools = np.zeros(num_envs, np.bool_)
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -222,6 +233,7 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
             self._rewards,
             self._terminated,
             self._truncated,
+            self._guarded,
             self._final,
         )
         info: dict[str, Any] = {}
@@ -233,6 +245,8 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
                 "episode_number": self._simulation.episodes,
                 "_episode_number": mask,
             }
+            if self._is_guarded:
+                info |= {"guarded": self._guarded.copy(), "_guarded": mask}
         return (
             self._handed(self._observations),
             self._handed(self._rewards),

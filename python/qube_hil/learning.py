@@ -36,6 +36,7 @@ def train(
     preset: str = "quick",
     simulation: str | Mapping[str, Any] | None = None,
     seed: int = 0,
+    initial: Policy | None = None,
     callback: Callable[[dict[str, Any]], object] | None = None,
     **changes: Any,
 ) -> Trained:
@@ -46,6 +47,8 @@ def train(
         preset: Budget and settings: ``quick`` (seconds), ``robust`` (half a minute) or ``thesis``.
         simulation: Sensors, history, reward and box, as for `QubeEnv`; None stands for the preset's.
         seed: Seed of every random number.
+        initial: Policy whose weights the training goes on from, as the option `--from`. It must see the same observation
+            and have the layers of a trained policy; another is a `PolicyError`.
         callback: Called after each update with its statistics, such as ``mean_return``. An exception ends the training.
         changes: Settings of the training that differ from the preset's, such as ``updates=20``.
 
@@ -69,6 +72,7 @@ def train(
         None if simulation is None else _settings.written(simulation),
         changed,
         int(seed),
+        None if initial is None else initial._core,
         tell,
     )
     points = json.loads(curve)

@@ -42,6 +42,7 @@ class Policy:
         observation: Sequence[str] | None = None,
         history: int = 0,
         filter_rad_s: float = 200.0,
+        clip_observation: float | None = None,
     ) -> "Policy":
         """Makes a policy of the layers of a multilayer perceptron.
 
@@ -53,7 +54,9 @@ class Policy:
             observation: Entries of the observation in the network's order, as the option of `qube-hil import`; None for
                 the program's own.
             history: Number of last commands in the program's own observation.
-            filter_rad_s: Corner of the velocity filter in training, for the policy's record.
+            filter_rad_s: Corner of the velocity filter in training, rad/s, for the policy's record.
+            clip_observation: Magnitude at which each entry of the observation, as the network sees it, is clipped; None
+                clips nothing.
         """
         arrays = []
         for weight, bias in layers:
@@ -70,7 +73,35 @@ class Policy:
         names = None if observation is None else ",".join(observation)
         return cls(
             _core.Policy.from_layers(
-                arrays, activation, output, action_scale_v, names, history, filter_rad_s
+                arrays,
+                activation,
+                output,
+                action_scale_v,
+                names,
+                history,
+                filter_rad_s,
+                clip_observation,
+            )
+        )
+
+    @classmethod
+    def from_onnx(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        action_scale_v: float | None = None,
+        observation: Sequence[str] | None = None,
+        history: int = 0,
+        filter_rad_s: float = 200.0,
+        clip_observation: float | None = None,
+    ) -> "Policy":
+        """Makes a policy of an ONNX file, as `qube-hil import` does: that of another program with its conventions, which
+        are named as for `from_layers`, or one that this program exported, which names its conventions itself and comes
+        back as the very policy that was exported."""
+        names = None if observation is None else ",".join(observation)
+        return cls(
+            _core.Policy.from_onnx(
+                os.fspath(path), action_scale_v, names, history, filter_rad_s, clip_observation
             )
         )
 
@@ -112,6 +143,12 @@ class Policy:
         """Writes the policy file, which appears whole or not at all. A file of that name is replaced with ``force``
         alone."""
         self._core.save(os.fspath(path), force)
+
+    def to_onnx(self) -> bytes:
+        """The bytes of an ONNX model, as `qube-hil export --onnx` writes it: from ``observation``, float32
+        ``[n, observation_size]``, to ``voltage_v``, float32 ``[n, 1]`` within 5 V. Its metadata says what stands before
+        and after it."""
+        return self._core.to_onnx()
 
     def act(self, observation: npt.ArrayLike) -> Float32s:
         """The action of an environment for an observation: a fraction of 5 V from -1 to 1.

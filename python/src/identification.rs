@@ -1,6 +1,9 @@
 //! Identification of a Qube from its recordings.
 
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
 use pyo3::prelude::*;
 use qube_hil::identification::{Unknown, check_recording, identify as fit};
@@ -9,6 +12,9 @@ use qube_hil::replay::MotionLog;
 use serde_json::json;
 
 use crate::errors::{IdentificationError, bad_settings};
+
+/// Time between two looks for Ctrl-C.
+const LOOK: Duration = Duration::from_millis(50);
 
 /// Fits a Qube to recordings, MCAP or CSV. Returns JSON: estimates, verdict, doubts, and the profile as TOML.
 #[pyfunction]
@@ -30,7 +36,25 @@ pub fn identify(
     if unknowns.is_empty() {
         return Err(bad_settings("every quantity is fixed: leave at least one to identify"));
     }
-    py.detach(|| fitted(&paths, name, &unknowns)).map_err(IdentificationError::new_err)
+    // The fit knows no stop: after Ctrl-C its thread goes on for the rest of it, and nobody waits.
+    let (outbox, inbox) = sync_channel(1);
+    let name = name.to_owned();
+    std::thread::spawn(move || outbox.send(fitted(&paths, &name, &unknowns)));
+    let inbox = Mutex::new(inbox);
+    loop {
+        py.check_signals()?;
+        let next = py.detach(|| {
+            let inbox = inbox.lock().unwrap_or_else(PoisonError::into_inner);
+            inbox.recv_timeout(LOOK)
+        });
+        match next {
+            Ok(fitted) => return fitted.map_err(IdentificationError::new_err),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => {
+                return Err(IdentificationError::new_err("the fit has ended without a result"));
+            }
+        }
+    }
 }
 
 fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String, String> {

@@ -7,6 +7,7 @@
 mod device;
 mod errors;
 mod exchange;
+mod guard;
 mod identification;
 mod policy;
 mod program;
@@ -31,7 +32,7 @@ mod _core {
     #[pymodule_export]
     use super::recording::read_recording;
     #[pymodule_export]
-    use super::session::read_session;
+    use super::session::{Surrogate, read_session};
     #[pymodule_export]
     use super::simulation::Simulation;
     #[pymodule_export]

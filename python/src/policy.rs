@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use qube_hil::policy::onnx::{Layers, Sight};
-use qube_hil::policy::{
-    Activation, Controller, LayerWeights, NetworkPolicy, OutputKind, Policy as Kind, TrainingRecord,
+use qube_hil::policy::onnx::{
+    ForeignConventions, Layers, MAX_FILE_BYTES, Sight, from_onnx, to_onnx,
 };
-use qube_hil::qube::{MAX_VOLTAGE_V, OBSERVATION_SIZE, State};
-use qube_hil::storage::{Disk, MachineDisk, write_whole};
+use qube_hil::policy::{Activation, Controller, LayerWeights, OutputKind, Policy as Kind};
+use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State};
+use qube_hil::storage::{Disk, MachineDisk, read_bounded, write_whole};
 
 use crate::errors::{ActionError, bad_policy};
 
@@ -35,6 +35,37 @@ impl Policy {
         Ok(Self { policy: Kind::from_bytes(bytes).map_err(bad)? })
     }
 
+    /// Reads an ONNX file. That of another program needs `action_scale_v`; one that this program wrote, nothing.
+    #[staticmethod]
+    fn from_onnx(
+        path: PathBuf,
+        action_scale_v: Option<f64>,
+        observation: Option<&str>,
+        history: usize,
+        corner_rad_s: f64,
+        clip_observation: Option<f32>,
+    ) -> PyResult<Self> {
+        let foreign = action_scale_v
+            .map(|scale_v| foreign(scale_v, observation, history, corner_rad_s, clip_observation))
+            .transpose()?;
+        let told = |what: &dyn std::fmt::Display| bad_policy(format!("{}: {what}", path.display()));
+        let bytes = read_bounded(&path, MAX_FILE_BYTES)
+            .map_err(|error| told(&format!("cannot be read: {error}")))?;
+        let policy = from_onnx(&bytes, foreign.as_ref()).map_err(|error| told(&error))?;
+        Ok(Self { policy: Kind::Network(policy) })
+    }
+
+    /// The bytes of an ONNX model of the policy's network.
+    fn to_onnx<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        match &self.policy {
+            Kind::Network(policy) => Ok(PyBytes::new(py, &to_onnx(policy))),
+            _ => Err(bad_policy(format!(
+                "the policy is of the kind {} and has no network, which an ONNX model would contain",
+                self.kind()
+            ))),
+        }
+    }
+
     /// Makes a policy of layers: weights `[outputs][inputs]` row by row, and biases. `observation` names the entries of
     /// the observation; without it, it is the program's own with `history` last commands.
     #[staticmethod]
@@ -43,10 +74,11 @@ impl Policy {
         layers: Vec<(PyReadonlyArray2<'_, f32>, PyReadonlyArray1<'_, f32>)>,
         activation: &str,
         output: &str,
-        action_scale_v: f32,
+        action_scale_v: f64,
         observation: Option<&str>,
         history: usize,
         corner_rad_s: f64,
+        clip_observation: Option<f32>,
     ) -> PyResult<Self> {
         let activation = Activation::named(activation).ok_or_else(|| {
             let names = Activation::ALL.map(Activation::name).join(", ");
@@ -61,18 +93,8 @@ impl Policy {
                 )));
             }
         };
-        if !(action_scale_v.abs() > 0.0 && action_scale_v.abs() <= 100.0) {
-            return Err(bad_policy(format!(
-                "action_scale_v = {action_scale_v}: give a voltage from -100 to 100 that is not 0"
-            )));
-        }
-        if !(1.0..=10_000.0).contains(&corner_rad_s) {
-            return Err(bad_policy(format!("filter_rad_s = {corner_rad_s}: give 1 to 10000")));
-        }
-        let sight = match observation {
-            Some(names) => Sight::parse(names).map_err(bad_policy)?,
-            None => Sight::own(history),
-        };
+        let foreign =
+            foreign(action_scale_v, observation, history, corner_rad_s, clip_observation)?;
         let inputs = layers.first().map_or(0, |(weight, _)| weight.shape()[1]);
         let layer = |(weight, bias): &(PyReadonlyArray2<'_, f32>, PyReadonlyArray1<'_, f32>)| {
             LayerWeights {
@@ -81,11 +103,10 @@ impl Policy {
             }
         };
         let layers = layers.iter().map(layer).collect();
-        let network = Layers { layers, inputs, activation, output }
-            .network(&sight, action_scale_v)
+        let policy = Layers::plain(layers, inputs, activation, output)
+            .policy(&foreign)
             .map_err(|error| bad_policy(format!("the policy {error}")))?;
-        let training = TrainingRecord::imported(corner_rad_s);
-        Ok(Self { policy: Kind::Network(NetworkPolicy { network, training }) })
+        Ok(Self { policy: Kind::Network(policy) })
     }
 
     /// The bytes of the policy's file.
@@ -183,6 +204,33 @@ impl Policy {
         });
         Ok(())
     }
+}
+
+/// The conventions of another program, checked.
+fn foreign(
+    action_scale_v: f64,
+    observation: Option<&str>,
+    history: usize,
+    corner_rad_s: f64,
+    clip_observation: Option<f32>,
+) -> PyResult<ForeignConventions> {
+    if !(action_scale_v.abs() > 0.0 && action_scale_v.abs() <= 100.0) {
+        return Err(bad_policy(format!(
+            "action_scale_v = {action_scale_v}: give a voltage from -100 to 100 that is not 0"
+        )));
+    }
+    if !(1.0..=10_000.0).contains(&corner_rad_s) {
+        return Err(bad_policy(format!("filter_rad_s = {corner_rad_s}: give 1 to 10000")));
+    }
+    if history > MAX_HISTORY {
+        return Err(bad_policy(format!("history = {history}: give 0 to {MAX_HISTORY}")));
+    }
+    let sight = match observation {
+        Some(names) => Sight::parse(names).map_err(bad_policy)?,
+        None => Sight::own(history),
+    };
+    let action_scale_v = action_scale_v as f32;
+    Ok(ForeignConventions { sight, action_scale_v, corner_rad_s, clip_observation })
 }
 
 /// The state of an observation, with both angles within half a turn.

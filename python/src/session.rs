@@ -2,15 +2,75 @@
 
 use std::path::{Path, PathBuf};
 
+use numpy::{PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use qube_hil::qube::Profile;
+use qube_hil::report::{SessionSource, SessionSurrogate};
 use qube_hil::session::{
     Identification, ScoredCandidate, SessionPaths, SessionSettings, SessionView,
 };
 use qube_hil::storage::{Disk, MachineDisk, SETTINGS_BYTES, read_text};
 use serde_json::{Value, json};
 
-use crate::errors::SessionError;
+use crate::errors::{SessionError, bad_settings};
+
+/// What a session believes of the return over psi: the report's Gaussian process.
+#[pyclass(module = "qube_hil._core", frozen)]
+pub struct Surrogate {
+    fitted: SessionSurrogate,
+}
+
+#[pymethods]
+impl Surrogate {
+    /// Fits the surrogate to the returns in a session's folder.
+    #[new]
+    fn new(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
+        let fitted = py.detach(|| {
+            let source =
+                SessionSource::read(&MachineDisk, &folder).map_err(|error| error.to_string())?;
+            source.surrogate().map_err(|reason| format!("{}: {reason}", folder.display()))
+        });
+        Ok(Self { fitted: fitted.map_err(SessionError::new_err)? })
+    }
+
+    /// Names of psi, each with the lower and the upper end of its range, in the order of the coordinates.
+    #[getter]
+    fn ranges(&self) -> Vec<(String, f64, f64)> {
+        let dimensions = self.fitted.settings.psi.dimensions().iter();
+        let ends = self.fitted.settings.psi.names().zip(dimensions);
+        ends.map(|(name, it)| (name.to_string(), it.lower, it.upper)).collect()
+    }
+
+    /// Coordinates of the recommended psi.
+    #[getter]
+    fn best(&self) -> Vec<f64> {
+        self.fitted.best.clone()
+    }
+
+    /// Means and standard deviations of the expected return, `[n]` each, at points `[n, psi]`.
+    fn posterior<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<[Bound<'py, PyArray1<f64>>; 2]> {
+        let entries = self.fitted.best.len();
+        let given = points.shape()[1];
+        if given != entries {
+            return Err(bad_settings(format!("a point has {given} entries: psi has {entries}")));
+        }
+        let rows: Vec<Vec<f64>> =
+            points.as_array().outer_iter().map(|row| row.iter().copied().collect()).collect();
+        if rows.iter().flatten().any(|entry| !entry.is_finite()) {
+            return Err(bad_settings("a point has an entry that is not a finite number"));
+        }
+        let process = &self.fitted.process;
+        let (means, deviations): (Vec<_>, Vec<_>) = py.detach(|| {
+            let at = rows.iter().map(|row| process.posterior(row));
+            at.map(|posterior| (posterior.mean, posterior.deviation())).unzip()
+        });
+        Ok([means, deviations].map(|values| PyArray1::from_vec(py, values)))
+    }
+}
 
 /// Reads a session's folder, which stays as it is and may be in use. Returns JSON: names of psi, candidates with
 /// their returns, and the recommended candidate.

@@ -13,6 +13,7 @@ use qube_hil::simulation::{
 };
 
 use crate::errors::{ActionError, bad_settings};
+use crate::guard::Guard;
 
 /// Most Qubes that one simulation advances.
 const MAX_ENVS: usize = 1 << 20;
@@ -27,6 +28,8 @@ const LONGEST: usize = OBSERVATION_SIZE + MAX_HISTORY;
 #[pyclass(module = "qube_hil._core")]
 pub struct Simulation {
     lanes: Lanes,
+    /// The guard, where there is one besides the box.
+    guard: Option<Guard>,
     distribution: DomainDistribution,
     num_envs: usize,
     seed: u64,
@@ -46,17 +49,33 @@ struct Lanes {
     observations: Vec<f32>,
 }
 
+/// Observation, reward, terminated, truncated, and whether the guard took over.
+type Stepped<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, bool, bool);
+
 #[pymethods]
 impl Simulation {
     /// Args: number of Qubes; name of the model; distributions that replace those of the model, as JSON; settings of
-    /// the simulation, as JSON.
+    /// the simulation, as JSON; guard, `box` or `foresight`.
     #[new]
-    fn new(num_envs: usize, model: &str, distributions: &str, settings: &str) -> PyResult<Self> {
+    fn new(
+        num_envs: usize,
+        model: &str,
+        distributions: &str,
+        settings: &str,
+        guard: &str,
+    ) -> PyResult<Self> {
         if !(1..=MAX_ENVS).contains(&num_envs) {
             return Err(bad_settings(format!("num_envs = {num_envs}: give 1 to {MAX_ENVS}")));
         }
         let settings = read_settings(settings)?;
         let distribution = read_distribution(model, distributions, &settings)?;
+        let guard = match guard {
+            "box" => None,
+            "foresight" => Some(Guard::new(num_envs, &settings.plant)),
+            other => {
+                return Err(bad_settings(format!("guard = {other:?}: give box or foresight")));
+            }
+        };
         let pendulums = Pendulums::new(num_envs, &settings);
         let lanes = pendulums.lanes();
         Ok(Self {
@@ -67,6 +86,7 @@ impl Simulation {
                 observations: vec![0.0; lanes * pendulums.observation_size()],
                 pendulums,
             },
+            guard,
             distribution,
             num_envs,
             seed: 0,
@@ -118,7 +138,8 @@ impl Simulation {
     }
 
     /// Advances every Qube by one control period. A Qube whose episode ends begins the next one in the same step, and
-    /// its last observation goes to `final_observations`. Returns whether an episode has ended.
+    /// its last observation goes to `final_observations`. `took_over` tells where the guard ended the episode. Returns
+    /// whether an episode has ended.
     #[allow(
         clippy::too_many_arguments,
         reason = "one array each, as the environment hands them out"
@@ -131,6 +152,7 @@ impl Simulation {
         mut rewards: PyReadwriteArray1<'_, f32>,
         mut terminated: PyReadwriteArray1<'_, bool>,
         mut truncated: PyReadwriteArray1<'_, bool>,
+        mut took_over: PyReadwriteArray1<'_, bool>,
         mut final_observations: PyReadwriteArray2<'_, f32>,
     ) -> PyResult<bool> {
         let shape = [self.num_envs, self.observation_size()];
@@ -147,17 +169,20 @@ impl Simulation {
         let rewards = rewards.as_slice_mut().map_err(bad_settings)?;
         let terminated = terminated.as_slice_mut().map_err(bad_settings)?;
         let truncated = truncated.as_slice_mut().map_err(bad_settings)?;
-        if [rewards.len(), terminated.len(), truncated.len()] != [self.num_envs; 3] {
-            return Err(bad_settings("rewards, terminated, truncated: [num_envs]"));
+        let took_over = took_over.as_slice_mut().map_err(bad_settings)?;
+        let lengths = [rewards.len(), terminated.len(), truncated.len(), took_over.len()];
+        if lengths != [self.num_envs; 4] {
+            return Err(bad_settings("rewards, terminated, truncated, took_over: [num_envs]"));
         }
         py.detach(|| {
             self.lanes.take_actions(actions.iter().copied())?;
-            self.lanes.step();
+            self.advance();
             rewards.copy_from_slice(&self.lanes.rewards[..self.num_envs]);
             let mut ended = false;
             for (lane, status) in self.lanes.statuses[..self.num_envs].iter().enumerate() {
                 terminated[lane] = *status == LaneStatus::LeftBox;
                 truncated[lane] = *status == LaneStatus::TimeUp;
+                took_over[lane] = self.guard.as_ref().is_some_and(|guard| guard.took_over(lane));
                 ended |= *status != LaneStatus::Running;
             }
             if ended {
@@ -169,12 +194,12 @@ impl Simulation {
     }
 
     /// Advances the first Qube alone by one control period, without beginning another episode. Returns observation
-    /// (`float32 [observation_size]`), reward, terminated, truncated.
+    /// (`float32 [observation_size]`), reward, terminated, truncated, and whether the guard took over.
     fn step_one<'py>(
         &mut self,
         py: Python<'py>,
         action: PyReadonlyArray1<'_, f32>,
-    ) -> PyResult<(Bound<'py, PyArray1<f32>>, f64, bool, bool)> {
+    ) -> PyResult<Stepped<'py>> {
         let &[action] = action.as_slice().unwrap_or_default() else {
             let shape = action.shape();
             return Err(ActionError::new_err(format!(
@@ -182,13 +207,14 @@ impl Simulation {
             )));
         };
         self.lanes.take_actions(std::iter::once(action))?;
-        self.lanes.step();
+        self.advance();
         let (mut observed, size) = ([0.0; LONGEST], self.observation_size());
         self.lanes.observation(0, &mut observed[..size]);
         let (reward, status) = (self.lanes.rewards[0], self.lanes.statuses[0]);
         let observed = PyArray1::from_slice(py, &observed[..size]);
         let [left, time_up] = [LaneStatus::LeftBox, LaneStatus::TimeUp].map(|end| status == end);
-        Ok((observed, f64::from(reward), left, time_up))
+        let took_over = self.guard.as_ref().is_some_and(|guard| guard.took_over(0));
+        Ok((observed, f64::from(reward), left, time_up, took_over))
     }
 
     /// The true state of a Qube: theta, alpha (rad, alpha is 0 where the pendulum hangs), theta_dot, alpha_dot (rad/s).
@@ -223,6 +249,25 @@ impl Simulation {
         self.episodes[lane] = self.next;
         self.next += 1;
         self.lanes.pendulums.restart(lane, &trajectory);
+        if let Some(guard) = &mut self.guard {
+            guard.begin(lane, self.lanes.pendulums.seen(lane));
+        }
+    }
+
+    /// Advances every lane by one control period, under the guard if there is one: it ends the episodes that it takes
+    /// over.
+    fn advance(&mut self) {
+        let Some(guard) = &mut self.guard else { return self.lanes.step() };
+        for (lane, voltage_v) in self.lanes.voltages_v[..self.num_envs].iter_mut().enumerate() {
+            *voltage_v = guard.permitted_v(lane, *voltage_v);
+        }
+        self.lanes.step();
+        for (lane, status) in self.lanes.statuses[..self.num_envs].iter_mut().enumerate() {
+            guard.observe(lane, self.lanes.pendulums.seen(lane));
+            if guard.took_over(lane) {
+                *status = LaneStatus::LeftBox;
+            }
+        }
     }
 
     /// Begins the next episodes where one has ended, after their last observations were written.

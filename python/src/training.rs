@@ -6,12 +6,13 @@ use std::time::Duration;
 
 use pyo3::prelude::*;
 use qube_hil::learning::{
-    Origin, Preset, TrainError, TrainSettings, TrainUpdate, Trained, train as train_on,
+    Origin, Preset, TrainError, TrainSettings, TrainUpdate, Trained, train as train_on, train_from,
 };
+use qube_hil::policy::{Network, Policy as Kind};
 use qube_hil::simulation::{DomainDistribution, SimulationSettings};
 use serde_json::{Map, Value};
 
-use crate::errors::{TrainingError, bad_settings};
+use crate::errors::{TrainingError, bad_policy, bad_settings};
 use crate::policy::Policy;
 use crate::simulation::{read_distribution, read_settings};
 
@@ -20,8 +21,8 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// Trains a policy and calls `tell` with each update as JSON. Ctrl-C and an exception of `tell` end the training.
 ///
-/// `simulation` is JSON, or `None` for the preset's; `changes` are settings of the training as JSON. Returns the
-/// policy, its best return, and the learning curve as JSON.
+/// `simulation` is JSON, or `None` for the preset's; `changes` are settings of the training as JSON; `initial` is a
+/// policy to go on from. Returns the policy, its best return, and the learning curve as JSON.
 #[pyfunction]
 #[allow(
     clippy::too_many_arguments,
@@ -35,6 +36,7 @@ pub fn train(
     simulation: Option<&str>,
     changes: &str,
     seed: u64,
+    initial: Option<PyRef<'_, Policy>>,
     tell: &Bound<'_, PyAny>,
 ) -> PyResult<(Policy, f64, String)> {
     let named =
@@ -55,12 +57,18 @@ pub fn train(
     };
     let distribution = read_distribution(model, distributions, &settings.simulation)?;
     settings.check().map_err(bad_settings)?;
+    let initial = match initial.as_deref() {
+        Some(Policy { policy: Kind::Network(policy) }) => Some(&policy.network),
+        Some(_) => return Err(bad_policy("the policy to go on from has no network")),
+        None => None,
+    };
+    let from = if initial.is_some() { " from a policy" } else { "" };
     let origin = Origin {
-        model: origin(model, distributions),
+        model: origin(model, distributions) + from,
         psi: None,
         preset: Preset::of(&settings).name().to_owned(),
     };
-    let trained = supervised(py, &distribution, &settings, seed, tell)?;
+    let trained = supervised(py, initial, &distribution, &settings, seed, tell)?;
     let best_return = trained.best_return;
     let curve = serde_json::to_string(&trained.curve).map_err(bad_settings)?;
     Ok((Policy { policy: trained.into_policy(origin) }, best_return, curve))
@@ -69,6 +77,7 @@ pub fn train(
 /// Trains in a thread of its own while this one calls `tell` and looks for Ctrl-C.
 fn supervised(
     py: Python<'_>,
+    initial: Option<&Network>,
     distribution: &DomainDistribution,
     settings: &TrainSettings,
     seed: u64,
@@ -79,10 +88,14 @@ fn supervised(
     std::thread::scope(|scope| {
         let stop = &stop;
         let training = scope.spawn(move || {
-            train_on(distribution, settings, seed, None, stop, |update| {
-                // The receiver outlives the training.
+            // The receiver outlives the training.
+            let tell = |update: &TrainUpdate| {
                 let _ = updates.send(*update);
-            })
+            };
+            match initial {
+                Some(initial) => train_from(initial, distribution, settings, seed, stop, tell),
+                None => train_on(distribution, settings, seed, None, stop, tell),
+            }
         });
         let followed = follow(py, told, tell);
         if followed.is_err() {
@@ -91,9 +104,10 @@ fn supervised(
         let joined = py.detach(|| training.join());
         followed?;
         match joined {
-            Ok(trained) => {
-                trained.map_err(|error: TrainError| TrainingError::new_err(error.to_string()))
-            }
+            Ok(trained) => trained.map_err(|error| match error {
+                TrainError::Start { .. } => bad_policy(error),
+                other => TrainingError::new_err(other.to_string()),
+            }),
             Err(panic) => std::panic::resume_unwind(panic),
         }
     })

@@ -6,6 +6,15 @@ from pathlib import Path
 
 import pytest
 
+FOLDER = Path(__file__).resolve().parent.parent
+
+
+def beside(name):
+    """A file or folder of the repository, which `scripts/python-package` copies beside the tests."""
+    return next(path for path in (FOLDER / name, FOLDER.parent / name) if path.exists())
+
+
+SHIPPED = beside("policies")
 PROGRAM = Path(sys.executable).parent / "qube-hil"
 
 
@@ -25,3 +34,25 @@ def swing_up(tmp_path_factory):
     program("run", "--clock", "virtual", "--policy", "classical", "--out", folder)
     (recording,) = folder.glob("*.mcap")
     return recording
+
+
+#: Settings of a session around an identified Qube with trainings so short that it tries several candidates.
+SMALL_SESSION = """
+[extent]
+rollouts = 2
+verification_rollouts = 1
+[training]
+updates = 4
+pendulums = 32
+[identification]
+candidates = 4
+"""
+
+
+@pytest.fixture(scope="session")
+def session_folder(tmp_path_factory):
+    """A session on the emulated Qube, with the report that it ends with."""
+    folder = tmp_path_factory.mktemp("session")
+    (folder / "small.toml").write_text(SMALL_SESSION)
+    program("session", "--clock", "virtual", "--config", folder / "small.toml", "--out", folder / "out")
+    return folder / "out"

@@ -1,8 +1,11 @@
 """Recordings and sessions."""
 
 import csv
+import json
 
 import numpy as np
+import pandas
+import polars
 import pyarrow.parquet
 import pytest
 from conftest import program
@@ -26,6 +29,14 @@ def test_a_recording_is_a_table_of_its_ticks(swing_up):
     wanted = np.clip(read["wanted_v"][running], -5.0, 5.0)
     assert np.nanmax(np.abs(wanted - read["voltage_v"][running])) < 0.0006
     assert read.header["policy"] == "classical"
+
+
+def test_a_recording_becomes_a_table_of_pandas_or_polars_in_one_call(swing_up):
+    read = qube_hil.recording(swing_up)
+    for table in [pandas.DataFrame(read), polars.DataFrame(read)]:
+        assert list(table.columns) == list(read) and len(table) == len(read["tick"])
+        assert (table["theta_rad"].to_numpy() == read["theta_rad"]).all()
+        assert list(table["phase"]) == list(read["phase"])
 
 
 def test_a_parquet_table_has_the_numbers_of_the_recording(swing_up, tmp_path):
@@ -61,11 +72,8 @@ def test_a_damaged_recording_is_refused_and_a_cut_one_gives_what_is_there(swing_
         qube_hil.recording(tmp_path / "missing")
 
 
-def test_a_session_is_read_and_stays_as_it_is(tmp_path):
-    folder = tmp_path / "session"
-    program(
-        "session", "--clock", "virtual", "--preset", "quick", "--candidates", 1, "--out", folder
-    )
+def test_a_session_is_read_and_stays_as_it_is(session_folder, tmp_path):
+    folder = session_folder
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     session = qube_hil.Session(folder)
     assert before == {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -82,3 +90,45 @@ def test_a_session_is_read_and_stays_as_it_is(tmp_path):
     assert qube_hil.Policy.load(best.policy).kind == "network"
     with pytest.raises(qube_hil.SessionError, match="session.toml"):
         qube_hil.Session(tmp_path)
+    # The settings alone are a session that has not begun.
+    (tmp_path / "session.toml").write_bytes((folder / "session.toml").read_bytes())
+    begun = qube_hil.Session(tmp_path)
+    assert (begun.candidates, begun.recommended) == ([], None)
+    with pytest.raises(qube_hil.SessionError, match="needs 3 candidates"):
+        begun.surrogate()
+
+
+def page_charts(page):
+    """The charts in a report's page, by the name of their abscissa."""
+    data = page.split('id="data">', 1)[1].split("</script>", 1)[0]
+    charts = json.loads(data)["charts"]
+    return {chart["x"]["label"]: chart for chart in charts if chart["series"][0]["name"] == "expected"}
+
+
+def test_the_surrogate_of_a_session_has_the_numbers_of_its_report(session_folder, tmp_path):
+    folder = session_folder
+    charts = page_charts((folder / "report.html").read_text())
+    surrogate = qube_hil.Session(folder).surrogate()
+    assert list(surrogate.ranges) == qube_hil.Session(folder).psi_names
+    compared = 0
+    for name, (lower, upper) in surrogate.ranges.items():
+        chart = charts[name]
+        places = [(x, *(it["values"][row] for it in chart["series"][:3])) for row, x in enumerate(chart["xs"])]
+        places = np.array([place for place in places if place[1] is not None])
+        assert len(places) == 61
+        at = np.linspace(lower, upper, 61)
+        mean, deviation = surrogate.posterior({name: at})
+        # The page has six digits.
+        assert np.allclose(mean, places[:, 1], rtol=1e-5)
+        assert np.allclose(mean - 2.0 * deviation, places[:, 2], rtol=1e-5, atol=1e-2)
+        assert np.allclose(mean + 2.0 * deviation, places[:, 3], rtol=1e-5, atol=1e-2)
+        compared += 1
+    assert compared == len(charts) >= 2
+    best, _ = surrogate.posterior(surrogate.recommended_psi)
+    points = np.random.default_rng(0).uniform(*zip(*surrogate.ranges.values()), size=(300, compared))
+    means, deviations = surrogate.posterior(points)
+    assert means.shape == deviations.shape == (300,) and (deviations > 0.0).all()
+    assert (means <= best[0] + 1.0).all()
+    for wrong, told in [({"M_x": 1.0}, "M_x"), (np.zeros((2, 1)), "entries"), ("x", "numbers"), ({"M_x": "y"}, "M_x")]:
+        with pytest.raises(qube_hil.SettingsError, match=told):
+            surrogate.posterior(wrong)

@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import textwrap
 
 import numpy as np
 import pytest
-from conftest import program
+from conftest import PROGRAM, program
 
 import qube_hil
 from qube_hil import QubeDeviceEnv
@@ -213,6 +214,62 @@ def test_an_interpreter_that_ends_brakes(tmp_path):
     assert code == 5, errors
     read = qube_hil.recording(tmp_path / "episodes/episode-0000.mcap")
     assert read.outcome["ending"]["kind"] == "stopped" and read["phase"][-1] == "braking"
+
+
+def test_a_qube_that_is_collected_or_whose_loop_raises_brakes(tmp_path):
+    code, out, errors = in_a_process(
+        """
+        import gc, numpy as np, qube_hil
+        def drive(folder):
+            env = qube_hil.QubeDeviceEnv(clock="virtual", recordings=folder)
+            env.reset()
+            env.step(np.full(1, 0.1, np.float32))
+            return env
+        env = drive("collected")
+        del env
+        gc.collect()
+        print(qube_hil.recording("collected/episode-0000.mcap").outcome["ending"]["kind"])
+        env = drive("raised")
+        raise LookupError("in the loop of a user")
+        """,
+        tmp_path,
+    )
+    assert code == 1 and "LookupError" in errors and out == "stopped\n", errors
+    read = qube_hil.recording(tmp_path / "raised/episode-0000.mcap")
+    assert read.outcome["ending"]["kind"] == "stopped" and read["phase"][-1] == "braking"
+
+
+def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path):
+    emulated = subprocess.Popen(
+        [PROGRAM, "emulate", "--json"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        port = re.search(r"/dev/pts/\d+", emulated.stdout.readline() + emulated.stdout.readline())[0]
+        holding = f"""
+            import numpy as np, qube_hil, sys
+            env = qube_hil.QubeDeviceEnv(device={port!r}, guard="box")
+            print("open", flush=True)
+            sys.stdin.readline()
+            env.reset()
+            env.step(np.zeros(1, np.float32))
+            env.close()
+            print("drove")
+            """
+        first = subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(holding)],
+            cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        opened = first.stdout.readline()
+        assert opened == "open\n", first.communicate()[1]
+        with pytest.raises(qube_hil.DeviceError, match="use"):
+            QubeDeviceEnv(device=port, guard="box", recordings=tmp_path / "second")
+        out, errors = first.communicate("go\n", timeout=120)
+        assert (first.returncode, out) == (0, "drove\n"), errors
+    finally:
+        emulated.terminate()
+        emulated.communicate()
+    read = qube_hil.recording(tmp_path / "episodes/episode-0000.mcap")
+    assert read.outcome["ending"]["kind"] == "stopped"
 
 
 def test_in_real_time_late_answers_brake_and_so_does_ctrl_c(tmp_path):

@@ -73,6 +73,38 @@ def test_settings_and_distributions_are_taken_and_recorded():
             qube_hil.train(**wrong)
 
 
+def test_a_training_goes_on_from_a_policy_as_the_command_does(tmp_path):
+    first = qube_hil.train(**SMALL)
+    first.policy.save(tmp_path / "first.safetensors")
+    further = qube_hil.train("handcrafted", initial=first.policy, seed=2)
+    program(
+        "train", "--model", "handcrafted", "--preset", "quick", "--seed", 2,
+        "--from", tmp_path / "first.safetensors", "--out", tmp_path / "further.safetensors",
+    )
+    command = Policy.load(tmp_path / "further.safetensors")
+    observations = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 6)).astype(np.float32)
+    assert (command.act(observations) == further.policy.act(observations)).all()
+    assert further.policy.training["model"] == "handcrafted from a policy"
+    # A policy never gets worse than the one that it began as, under the distribution that it was trained for.
+    still = qube_hil.train("handcrafted", initial=further.policy, seed=3, updates=1, learning_rate=1e-9)
+    assert still.best_return > first.best_return
+    for wrong, told in [
+        (Policy.from_layers([(np.ones((4, 6)), None), (np.ones((1, 4)), None)], action_scale_v=5.0), "goes on from"),
+        (qube_hil.train("robust", **SMALL).policy, "goes on from"),
+    ]:
+        with pytest.raises(qube_hil.PolicyError, match=told):
+            qube_hil.train(initial=wrong, **SMALL)
+
+
+def test_ctrl_c_ends_an_identification_at_once(swing_up):
+    interrupter = threading.Timer(0.2, _thread.interrupt_main)
+    interrupter.start()
+    with pytest.raises(KeyboardInterrupt):
+        for _ in range(1000):
+            qube_hil.identify([swing_up])
+    interrupter.join()
+
+
 def test_a_policy_is_saved_and_read(tmp_path):
     policy = qube_hil.train(**SMALL).policy
     file = tmp_path / "p.safetensors"

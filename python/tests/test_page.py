@@ -1,9 +1,8 @@
 """The examples of docs/python.md, run from top to bottom."""
 
-from pathlib import Path
+from conftest import SHIPPED, beside
 
-FOLDER = Path(__file__).resolve().parent.parent
-PAGE = next(page for page in (FOLDER / "python.md", FOLDER.parent / "docs/python.md") if page.exists())
+PAGE = beside("docs") / "python.md"
 
 
 def examples():
@@ -17,9 +16,7 @@ def examples():
 
 def test_every_example_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for shipped in ("policies",):
-        place = next(p for p in (FOLDER / shipped, FOLDER.parent / shipped) if p.exists())
-        (tmp_path / shipped).symlink_to(place)
+    (tmp_path / "policies").symlink_to(SHIPPED)
     blocks = examples()
     assert len(blocks) >= 2
     names = {}

@@ -101,6 +101,47 @@ def test_an_episode_that_leaves_the_box_is_terminated_and_one_that_is_over_trunc
     assert sum(step[1] for step in idle) < 1.0
 
 
+def test_foresight_ends_episodes_before_the_box_does_and_leaves_calm_ones_alone():
+    def driven(guard, action):
+        envs = QubeVectorEnv(8, model="robust", settings="robust", guard=guard)
+        observations, _ = envs.reset(seed=4)
+        ended, seen = [], [observations]
+        for _ in range(120):
+            before = envs.states
+            observations, rewards, terminated, _, info = envs.step(np.full((8, 1), action, np.float32))
+            seen.append(observations)
+            if terminated.any():
+                assert (info["guarded"] == terminated).all() if guard == "foresight" else "guarded" not in info
+                ended.extend(np.abs(before[terminated, 0]))
+        return ended, np.array(seen)
+
+    # Pushed to the side, the arm is stopped while the brake can still stop it.
+    by_box, _ = driven("box", 0.8)
+    by_guard, _ = driven("foresight", 0.8)
+    assert len(by_box) >= 8 and min(by_box) > 1.5
+    assert len(by_guard) >= 8 and max(by_guard) < 1.5
+    # Pushes that endanger nothing have the same effect with the guard.
+    (none, plain), (nothing, guarded) = driven("box", 0.02), driven("foresight", 0.02)
+    assert none == nothing == []
+    assert (plain == guarded).all()
+
+
+def test_foresight_guards_one_qube_as_it_does_many():
+    env = QubeEnv(model="robust", settings="robust", guard="foresight")
+    envs = QubeVectorEnv(3, model="robust", settings="robust", guard="foresight")
+    env.reset(seed=4)
+    envs.reset(seed=4)
+    for _ in range(120):
+        observation, reward, terminated, _, info = env.step(np.full(1, 0.8, np.float32))
+        _, rewards, ended, _, all_info = envs.step(np.full((3, 1), 0.8, np.float32))
+        assert (reward, terminated) == (rewards[0], ended[0])
+        assert info == {"guarded": terminated}
+        if terminated:
+            assert (observation == all_info["final_obs"][0]).all()
+            break
+    assert terminated
+
+
 def test_seeds_name_episodes_and_without_one_they_go_on():
     env = QubeEnv(seed=5)
     first, info = env.reset()
@@ -187,6 +228,7 @@ def test_an_action_that_is_none_is_refused_and_moves_nothing(action, told):
         ({"model": "none"}, "nominal, handcrafted"),
         ({"settings": "none"}, "thesis, machine, robust"),
         ({"settings": {"histroy": 2}}, "histroy"),
+        ({"guard": "envelope"}, "box or foresight"),
         ({"settings": {"history": 5}}, "0 to 4"),
         ({"settings": {"reward": float("nan")}}, "JSON"),
         ({"settings": {"sensors": {"type": "encoders", "estimator": {"corner_rad_s": -1.0}}}}, "corner"),

@@ -6,27 +6,31 @@ use serde_json::json;
 use super::destination::OutputFile;
 use super::exit::Failure;
 use super::failures;
+use super::onnx_model::onnx_model;
 use super::output::Output;
 use super::parquet_table::parquet_table;
 use super::replay::recording_failure;
 use crate::recording::{Completeness, Recording, csv_table, read};
 use crate::storage::{Disk, MachineDisk};
 
-/// Write recordings as tables (CSV or Parquet): one row for each tick, in numbers that read back exactly
+/// Write recordings as tables (CSV or Parquet), or policies as ONNX models
 ///
-/// docs/reference/files.md lists the columns. The estimated state and the voltage have the names that `identify` and
-/// `replay --simulate` read. Exit code 3 when a recording was truncated: the table then has its intact ticks.
+/// A table has one row for each tick, in numbers that read back exactly; docs/reference/files.md lists the columns. The
+/// estimated state and the voltage have the names that `identify` and `replay --simulate` read. Exit code 3 when a
+/// recording was truncated: the table then has its intact ticks. A model has the network from the observation to the
+/// voltage, and says in its metadata what stands before and after it; `import` gives the same policy again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil export logs/monday/candidates/002/*.mcap --out tables\n  \
     qube-hil export rollout-0.mcap                 # writes rollout-0.csv\n  \
-    qube-hil export --format parquet logs/monday/candidates/*/*.mcap")]
+    qube-hil export --format parquet logs/monday/candidates/*/*.mcap\n  \
+    qube-hil export --onnx policies/robust.safetensors --out models")]
 pub struct Arguments {
-    /// Recordings (.mcap)
+    /// Recordings (.mcap), or with --onnx policies (.safetensors)
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
 
-    /// Folder for the tables; created if it does not exist [default: beside each recording]
+    /// Folder for the tables or models; created if it does not exist [default: beside each file]
     #[arg(long, value_name = "DIR", value_parser = folder)]
     out: Option<PathBuf>,
 
@@ -34,7 +38,11 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Format::Csv)]
     format: Format,
 
-    /// Replace tables that exist
+    /// The files are policies of networks; write each as an ONNX model
+    #[arg(long, conflicts_with = "format")]
+    onnx: bool,
+
+    /// Replace tables or models that exist
     #[arg(long)]
     force: bool,
 }
@@ -76,27 +84,46 @@ impl Format {
     }
 }
 
-/// Writes a table for each recording.
+/// Writes a table for each recording, or a model for each policy.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    let Arguments { files, out, format, .. } = arguments;
-    let tables: Vec<PathBuf> =
-        files.iter().map(|file| table_of(file, out.as_deref(), *format)).collect();
-    for (index, table) in tables.iter().enumerate() {
-        if tables[..index].contains(table) {
+    let Arguments { files, out, format, onnx, .. } = arguments;
+    let extension = if *onnx { "onnx" } else { format.extension() };
+    let written: Vec<PathBuf> =
+        files.iter().map(|file| written_of(file, out.as_deref(), extension)).collect();
+    for (index, place) in written.iter().enumerate() {
+        if written[..index].contains(place) {
             return Err(Failure::usage(format!(
-                "two recordings would become {}: leave --out out, or name the recordings of one folder",
-                table.display()
+                "two files would become {}: leave --out out, or name the files of one folder",
+                place.display()
             )));
         }
     }
     if let Some(folder) = &arguments.out {
         MachineDisk.create_folder(folder).map_err(|error| failures::not_written(folder, &error))?;
     }
+    if *onnx {
+        write_models(arguments, &written, output)
+    } else {
+        write_tables(arguments, &written, output)
+    }
+}
+
+fn write_models(arguments: &Arguments, models: &[PathBuf], output: &Output) -> Result<(), Failure> {
+    for (file, model) in arguments.files.iter().zip(models) {
+        let place = OutputFile::prepare(model, arguments.force)?;
+        place.write(&onnx_model(file)?)?;
+    }
+    let shown = shown(models);
+    output.print(&shown.join("\n"), &json!({ "models": shown }));
+    Ok(())
+}
+
+fn write_tables(arguments: &Arguments, tables: &[PathBuf], output: &Output) -> Result<(), Failure> {
     let (mut ticks, mut lost) = (0, None);
-    for (file, table) in arguments.files.iter().zip(&tables) {
+    for (file, table) in arguments.files.iter().zip(tables) {
         let place = OutputFile::prepare(table, arguments.force)?;
         let recording = read(file).map_err(|error| recording_failure(&error))?;
-        place.write(&format.table(&recording)?)?;
+        place.write(&arguments.format.table(&recording)?)?;
         ticks += recording.ticks.len();
         if let Completeness::CutOff { lost_bytes, .. } = recording.completeness {
             lost.get_or_insert_with(|| {
@@ -107,18 +134,22 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             });
         }
     }
-    let shown: Vec<String> = tables.iter().map(|table| table.display().to_string()).collect();
+    let shown = shown(tables);
     let text = format!("{} with {ticks} ticks in all", shown.join("\n"));
     output.print(&text, &json!({ "tables": shown, "ticks": ticks }));
     lost.map_or(Ok(()), Err)
 }
 
-/// The table of a recording.
-fn table_of(file: &Path, folder: Option<&Path>, format: Format) -> PathBuf {
-    let table = file.with_extension(format.extension());
-    match (folder, table.file_name()) {
+fn shown(paths: &[PathBuf]) -> Vec<String> {
+    paths.iter().map(|path| path.display().to_string()).collect()
+}
+
+/// The table of a recording, or the model of a policy.
+fn written_of(file: &Path, folder: Option<&Path>, extension: &str) -> PathBuf {
+    let written = file.with_extension(extension);
+    match (folder, written.file_name()) {
         (Some(folder), Some(name)) => folder.join(name),
-        _ => table,
+        _ => written,
     }
 }
 

@@ -7,44 +7,57 @@ use super::exit::Failure;
 use super::number_arguments::between;
 use super::output::Output;
 use crate::estimation::EstimatorSettings;
-use crate::policy::onnx::{Layers, MAX_FILE_BYTES, Sight};
-use crate::policy::{NetworkPolicy, Policy, TrainingRecord};
+use crate::policy::Policy;
+use crate::policy::onnx::{ForeignConventions, MAX_FILE_BYTES, Sight, from_onnx};
 use crate::qube::MAX_HISTORY;
 use crate::storage::read_bounded;
 
-/// Import a policy that another program trained, from an ONNX file
+/// Import a policy from an ONNX file: that of another program, or one that `export --onnx` wrote
 ///
 /// The network is a multilayer perceptron with one output: Gemm or MatMul and Add, Tanh, Relu, Elu or Silu, and Tanh
-/// at the end or nothing. Constants before the first layer (a normalisation) become a part of it. Everything else is
-/// refused by name.
+/// at the end or nothing. Constants before the first layer (a normalisation, and Clip) become a part of it. Everything
+/// else is refused by name. A file that `export --onnx` wrote names its conventions and needs no option.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil import model.onnx --action-scale 5 --out mine.safetensors\n  \
     qube-hil import model.onnx --action-scale 5 --history 2 --filter 200\n  \
     qube-hil import model.onnx --action-scale 18 \\\n      \
-    --observation=cos_theta,sin_theta,-1*cos_alpha,-1*sin_alpha,theta_dot,alpha_dot")]
+    --observation=cos_theta,sin_theta,-1*cos_alpha,-1*sin_alpha,theta_dot,alpha_dot\n  \
+    qube-hil import exported.onnx --out again.safetensors")]
 pub struct Arguments {
     /// ONNX file; its first output is the action
     #[arg(value_name = "FILE")]
     file: PathBuf,
 
-    /// Voltage for an output of 1, V; a negative one turns the sign. The program never guesses it
+    /// Voltage for an output of 1, V; a negative one turns the sign. The program never guesses it: only a file that
+    /// `export --onnx` wrote goes without
     #[arg(long, value_name = "V", value_parser = scale)]
-    action_scale: f64,
+    action_scale: Option<f64>,
 
     /// Entries of the observation in the network's order, each with or without a factor (0.1*theta_dot): sin_theta,
     /// cos_theta, sin_alpha, cos_alpha, theta_dot, alpha_dot (rad/s), command_1 to command_4 (the newest first, as
     /// fractions of 5 V). alpha is 0 where the pendulum hangs [default: this program's own observation]
-    #[arg(long, value_name = "NAMES", value_parser = Sight::parse, conflicts_with = "history")]
+    #[arg(long, value_name = "NAMES", value_parser = Sight::parse, conflicts_with = "history", requires = "action_scale")]
     observation: Option<Sight>,
 
     /// Number of last commands in this program's own observation, 0 to 4 [default: 0]
-    #[arg(long, value_name = "COMMANDS", value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64))]
+    #[arg(
+        long,
+        value_name = "COMMANDS",
+        value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64),
+        requires = "action_scale"
+    )]
     history: Option<u8>,
 
     /// Corner of the velocity filter with which the policy was trained, rad/s; it goes into the policy's record
-    #[arg(long, value_name = "RAD/S", default_value = "200", value_parser = corner)]
-    filter: f64,
+    /// [default: 200]
+    #[arg(long, value_name = "RAD/S", value_parser = corner, requires = "action_scale")]
+    filter: Option<f64>,
+
+    /// Clip each entry of the observation, as the network sees it, between -LIMIT and LIMIT, as a training did outside
+    /// of the exported network; a Clip in the file is kept without this
+    #[arg(long, value_name = "LIMIT", value_parser = limit, requires = "action_scale")]
+    clip_observation: Option<f64>,
 
     /// File for the policy
     #[arg(long, value_name = "FILE", default_value = "policy.safetensors")]
@@ -55,24 +68,36 @@ pub struct Arguments {
     force: bool,
 }
 
+/// The usual reason why there is no file: the exporter has failed and written none.
+const EXPORT_FAILED: &str = ". If torch.onnx.export failed, as its default exporter does for the policies of \
+    Stable-Baselines3, use Policy.from_sb3 or Policy.from_torch of the Python package, or export with dynamo=False";
+
+impl Arguments {
+    /// What the file of another program does not say; `None` where the file is to say it.
+    fn foreign(&self) -> Option<ForeignConventions> {
+        let own = || Sight::own(self.history.unwrap_or_default().into());
+        self.action_scale.map(|action_scale_v| ForeignConventions {
+            sight: self.observation.clone().unwrap_or_else(own),
+            action_scale_v: action_scale_v as f32,
+            corner_rad_s: self.filter.unwrap_or(EstimatorSettings::default().corner_rad_s),
+            clip_observation: self.clip_observation.map(|limit| limit as f32),
+        })
+    }
+}
+
 /// Reads the model and writes the policy.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let path = arguments.file.display();
     let refused = |what: &dyn std::fmt::Display| Failure::usage(format!("{path}: {what}"));
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
-    let bytes = read_bounded(&arguments.file, MAX_FILE_BYTES)
-        .map_err(|error| refused(&format!("cannot be read: {error}")))?;
-    let sight = arguments
-        .observation
-        .clone()
-        .unwrap_or_else(|| Sight::own(arguments.history.unwrap_or_default().into()));
-    let layers = Layers::from_onnx(&bytes).map_err(|error| refused(&error))?;
-    let network =
-        layers.network(&sight, arguments.action_scale as f32).map_err(|error| refused(&error))?;
-    let (sizes, activation) = (network.sizes().to_vec(), network.activation());
-    let training =
-        TrainingRecord::imported(EstimatorSettings::filter(arguments.filter).corner_rad_s);
-    let policy = Policy::Network(NetworkPolicy { network, training });
+    let bytes = read_bounded(&arguments.file, MAX_FILE_BYTES).map_err(|error| {
+        let cure = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };
+        refused(&format!("cannot be read: {error}{cure}"))
+    })?;
+    let policy =
+        from_onnx(&bytes, arguments.foreign().as_ref()).map_err(|error| refused(&error))?;
+    let (sizes, activation) = (policy.network.sizes().to_vec(), policy.network.activation());
+    let policy = Policy::Network(policy);
     out.write(&policy.to_bytes())?;
     let written = arguments.out.display();
     let text = format!("{written}: a network of sizes {sizes:?} with {}", activation.name());
@@ -94,4 +119,9 @@ fn scale(text: &str) -> Result<f64, String> {
 /// Parses a filter's corner.
 fn corner(text: &str) -> Result<f64, String> {
     between(text, 1.0, 10_000.0)
+}
+
+/// Parses a limit of the observation's entries.
+fn limit(text: &str) -> Result<f64, String> {
+    between(text, 0.001, 1e6)
 }

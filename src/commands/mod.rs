@@ -36,6 +36,7 @@ mod live;
 mod manual;
 mod named_values;
 mod number_arguments;
+mod onnx_model;
 mod output;
 mod parquet_table;
 mod plant_arguments;

@@ -13,8 +13,8 @@ pub enum TrainError {
     Stopped,
     /// The policy to go on from is not like a trained one.
     #[error(
-        "the policy to go on from has the layers {sizes:?}: a training goes on from {expected:?} with tanh, a linear output \
-         and a scale of 5 V. Give it the history that it was trained with, or give another policy"
+        "the policy to go on from has the layers {sizes:?}: a training goes on from {expected:?} with tanh, a linear output, \
+         a scale of 5 V and an observation that is not clipped. Give it the history that it was trained with, or give another policy"
     )]
     Start {
         /// Layers of the policy.

@@ -31,6 +31,7 @@ pub(super) fn imported(
     if network.sizes() != sizes
         || functions != (Activation::Tanh, OutputKind::Linear)
         || network.action_scale_v() != VOLTS_PER_OUTPUT
+        || !network.bounds().is_empty()
     {
         return Err(TrainError::Start {
             sizes: network.sizes().to_vec(),

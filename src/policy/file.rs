@@ -11,12 +11,13 @@ use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, View, serialize};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::network::{LayerWeights, NetworkError, bias_name, check_sizes, weight_name};
+use super::network::{LayerWeights, NetworkError, bias_name, weight_name};
+use super::network_metadata::{NetworkMetadata, OBSERVATION_LAYOUT, is_of_the_first_version};
 use super::{
-    Activation, ClassicalController, ClassicalGains, Excitation, ExcitationShape, External,
-    Network, NetworkPolicy, OutputKind, Policy, TrainingRecord,
+    ClassicalController, ClassicalGains, Excitation, ExcitationShape, External, Network,
+    NetworkPolicy, Policy,
 };
-use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
+use crate::qube::MAX_VOLTAGE_V;
 
 /// Newest version of the format; files of later versions are refused. A network that version 1 can express is written
 /// in version 1, so that its bytes stay.
@@ -26,21 +27,6 @@ pub const FORMAT_VERSION: u32 = 2;
 pub const MAX_FILE_BYTES: u64 = 8 << 20;
 
 const METADATA_KEY: &str = "policy";
-
-/// Entries that an observation may have, in order: the state (see [`crate::qube::observation`]), then as
-/// many of the last commands as the network was trained with.
-const OBSERVATION_LAYOUT: [&str; OBSERVATION_SIZE + MAX_HISTORY] = [
-    "sin(theta)",
-    "cos(theta)",
-    "sin(alpha)",
-    "cos(alpha)",
-    "0.1 theta_dot",
-    "0.05 alpha_dot",
-    "last command / 5 V",
-    "last command but one / 5 V",
-    "last command but two / 5 V",
-    "last command but three / 5 V",
-];
 
 /// The activation of every network in version 1.
 const ACTIVATION: &str = "tanh";
@@ -85,6 +71,9 @@ pub enum PolicyFault {
     /// The safetensors file is not a policy.
     #[error("has no metadata `{METADATA_KEY}`. Give a file that `train` wrote")]
     NoMetadata,
+    /// The metadata is that of another kind of controller.
+    #[error("has the metadata of a controller that is no network")]
+    NoNetwork,
     /// The metadata cannot be parsed.
     #[error("has metadata that this program does not understand: {source}")]
     Metadata {
@@ -205,53 +194,6 @@ enum ControllerMetadata {
     External { name: String },
 }
 
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NetworkMetadata {
-    observation: Vec<String>,
-    sizes: Vec<usize>,
-    activation: String,
-    action_scale_v: f32,
-    /// Function of the output; from version 2 on.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    output: Option<OutputKind>,
-    /// What a reader of another program must know; from version 2 on.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    conventions: Option<Conventions>,
-    training: TrainingRecord,
-}
-
-/// The conventions of every network of this program, in words and numbers. A file that names others is refused.
-#[derive(Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Conventions {
-    theta_rad: String,
-    alpha_rad: String,
-    positive_voltage: String,
-    last_command: String,
-    largest_voltage_v: f64,
-    period_s: f64,
-    velocity_filter: String,
-}
-
-impl Conventions {
-    fn of_this_program() -> Self {
-        Self {
-            theta_rad: "0 in the middle between the stops"
-                .into(),
-            alpha_rad: "0 where the pendulum hangs, +-pi upright".into(),
-            positive_voltage: "turns the arm to positive theta, and the pendulum lags behind".into(),
-            last_command:
-                "voltage sent, after guard and rounding to 1 mV, newest first; 0 before the first"
-                    .into(),
-            largest_voltage_v: MAX_VOLTAGE_V,
-            period_s: CONTROL_PERIOD_S,
-            velocity_filter: "v = e^(-corner T) v + (1 - e^(-corner T)) (x - previous x) / T, on the angles of the encoders"
-                .into(),
-        }
-    }
-}
-
 pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
     if bytes.len() as u64 > MAX_FILE_BYTES {
         return Err(PolicyFault::TooLarge);
@@ -262,49 +204,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
     let json = header.metadata().as_ref().and_then(|metadata| metadata.get(METADATA_KEY));
     let json = json.ok_or(PolicyFault::NoMetadata)?;
 
-    let not_understood = |source| PolicyFault::Metadata { source };
-    let VersionOnly { format_version } = serde_json::from_str(json).map_err(not_understood)?;
-    if !(1..=FORMAT_VERSION).contains(&format_version) {
-        return Err(PolicyFault::Version { version: format_version });
-    }
-    let metadata: Metadata = serde_json::from_str(json).map_err(not_understood)?;
-    match metadata.controller {
-        ControllerMetadata::Network(metadata) => {
-            let NetworkMetadata {
-                observation,
-                sizes,
-                activation,
-                action_scale_v,
-                output,
-                conventions,
-                training,
-            } = *metadata;
-            let is_second = format_version >= 2;
-            if is_second != output.is_some()
-                || is_second != conventions.is_some()
-                || conventions.is_some_and(|it| it != Conventions::of_this_program())
-            {
-                return Err(PolicyFault::Conventions { version: format_version });
-            }
-            let known = OBSERVATION_LAYOUT
-                .get(..observation.len())
-                .is_some_and(|layout| layout == observation);
-            if !known || observation.len() < OBSERVATION_SIZE {
-                return Err(PolicyFault::Observation { layout: observation });
-            }
-            let known = Activation::named(&activation)
-                .filter(|&known| is_second || known == Activation::default());
-            let Some(function) = known else {
-                return Err(PolicyFault::Activation { activation });
-            };
-            check_sizes(&sizes)?;
-            if observation.len() != sizes[0] {
-                return Err(PolicyFault::Inputs { entries: observation.len(), sizes });
-            }
-            let network = Network::new(&sizes, &read_layers(&tensors, &sizes)?, action_scale_v)?
-                .with_functions(function, output.unwrap_or_default());
-            Ok(Policy::Network(NetworkPolicy { network, training }))
-        }
+    let Metadata { format_version, controller } = read_metadata(json)?;
+    match controller {
+        ControllerMetadata::Network(metadata) => metadata
+            .into_policy(format_version, |sizes| read_layers(&tensors, sizes))
+            .map(Policy::Network),
         ControllerMetadata::Classical => {
             Ok(Policy::Classical(ClassicalController::new(read_gains(&tensors)?)))
         }
@@ -322,24 +226,48 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
     }
 }
 
+/// Parses the metadata of a version that this program knows.
+fn read_metadata(json: &str) -> Result<Metadata, PolicyFault> {
+    let not_understood = |source| PolicyFault::Metadata { source };
+    let VersionOnly { format_version } = serde_json::from_str(json).map_err(not_understood)?;
+    if !(1..=FORMAT_VERSION).contains(&format_version) {
+        return Err(PolicyFault::Version { version: format_version });
+    }
+    serde_json::from_str(json).map_err(not_understood)
+}
+
+/// The metadata of a network in the newest version, which names the conventions, for files of other formats.
+pub(super) fn network_metadata(policy: &NetworkPolicy) -> String {
+    let metadata = NetworkMetadata::of(policy, FORMAT_VERSION);
+    json_of(FORMAT_VERSION, ControllerMetadata::Network(Box::new(metadata)))
+}
+
+/// The network of metadata from a file of another format, with these weights.
+pub(super) fn network_of_metadata(
+    json: &str,
+    layers: Vec<LayerWeights>,
+) -> Result<NetworkPolicy, PolicyFault> {
+    let Metadata { format_version, controller } = read_metadata(json)?;
+    match controller {
+        ControllerMetadata::Network(metadata) => {
+            metadata.into_policy(format_version, |_| Ok(layers))
+        }
+        _ => Err(PolicyFault::NoNetwork),
+    }
+}
+
+fn json_of(format_version: u32, controller: ControllerMetadata) -> String {
+    let json = serde_json::to_string(&Metadata { format_version, controller });
+    json.expect("plain structs with text keys always become JSON")
+}
+
 pub(super) fn write(policy: &Policy) -> Vec<u8> {
     let is_second = matches!(policy, Policy::Network(it) if !is_of_the_first_version(&it.network));
     let format_version = if is_second { 2 } else { 1 };
     let (controller, tensors) = match policy {
-        Policy::Network(NetworkPolicy { network, training }) => (
-            ControllerMetadata::Network(Box::new(NetworkMetadata {
-                observation: OBSERVATION_LAYOUT[..network.sizes()[0]]
-                    .iter()
-                    .map(|&entry| entry.to_owned())
-                    .collect(),
-                sizes: network.sizes().to_vec(),
-                activation: network.activation().name().to_owned(),
-                action_scale_v: network.action_scale_v(),
-                output: is_second.then(|| network.output()),
-                conventions: is_second.then(Conventions::of_this_program),
-                training: training.clone(),
-            })),
-            layer_tensors(network),
+        Policy::Network(policy) => (
+            ControllerMetadata::Network(Box::new(NetworkMetadata::of(policy, format_version))),
+            layer_tensors(&policy.network),
         ),
         Policy::Classical(controller) => {
             (ControllerMetadata::Classical, gain_tensors(controller.gains()))
@@ -352,15 +280,8 @@ pub(super) fn write(policy: &Policy) -> Vec<u8> {
             (ControllerMetadata::External { name: external.name().to_owned() }, Vec::new())
         }
     };
-    let json = serde_json::to_string(&Metadata { format_version, controller });
-    let json = json.expect("plain structs with text keys always become JSON");
-    let metadata = HashMap::from([(METADATA_KEY.to_owned(), json)]);
+    let metadata = HashMap::from([(METADATA_KEY.to_owned(), json_of(format_version, controller))]);
     serialize(tensors, Some(metadata)).expect("tensors whose bytes follow from their shapes")
-}
-
-/// Whether version 1 of the format can express a network.
-fn is_of_the_first_version(network: &Network) -> bool {
-    (network.activation(), network.output()) == (Activation::Tanh, OutputKind::Linear)
 }
 
 /// A tensor ready for serialisation.

@@ -126,6 +126,24 @@ fn a_network_with_other_functions_comes_back_in_version_2_with_its_conventions()
 }
 
 #[test]
+fn a_clipped_observation_comes_back_in_version_2() {
+    let Policy::Network(plain) = network_policy() else { unreachable!() };
+    let mut bounds = vec![[f32::NEG_INFINITY, f32::INFINITY]; plain.network.sizes()[0]];
+    bounds[4] = [-0.5, 0.3];
+    let network = plain.network.clone().with_bounds(bounds.clone()).unwrap();
+    let bytes = Policy::Network(NetworkPolicy { network, ..plain }).to_bytes();
+    let named = r#"observation_bounds\":[null,null,null,null,[-0.5,0.3]"#;
+    assert!(String::from_utf8_lossy(&bytes).contains(named));
+    match Policy::from_bytes(&bytes).unwrap() {
+        Policy::Network(read) => {
+            assert_eq!(read.network.bounds(), bounds);
+            assert_eq!(Policy::Network(read).to_bytes(), bytes);
+        }
+        other => panic!("{other:?} came back"),
+    }
+}
+
+#[test]
 fn another_convention_is_refused() {
     let Policy::Network(plain) = network_policy() else { unreachable!() };
     let network = plain.network.clone().with_functions(Activation::Relu, OutputKind::Linear);

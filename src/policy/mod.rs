@@ -70,6 +70,7 @@ mod file;
 #[cfg(test)]
 mod file_tests;
 mod network;
+mod network_metadata;
 pub mod onnx;
 mod trained_for;
 mod training_record;

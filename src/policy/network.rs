@@ -60,6 +60,17 @@ pub enum NetworkError {
         /// Scale given, V.
         action_scale_v: f32,
     },
+    /// The bounds of the observation do not fit it, or leave nothing between them.
+    #[error(
+        "the observation is clipped by {given} pairs of bounds: it has {entries} entries, and each pair must be two numbers, \
+         the lower one first"
+    )]
+    Bounds {
+        /// Number of pairs.
+        given: usize,
+        /// Number of entries of the observation.
+        entries: usize,
+    },
 }
 
 /// A multilayer perceptron: observation in, an activation (tanh, unless told otherwise) in the hidden layers, and one
@@ -67,7 +78,7 @@ pub enum NetworkError {
 ///
 /// The observation contains the state and, for networks with more inputs, the last commands as fractions of
 /// 5 V, newest first. The network remembers commands from [`Self::start`] to the next start;
-/// [`Self::applied`] reports each.
+/// [`Self::applied`] reports each. A network with bounds clips each entry of the observation before the first layer.
 ///
 /// Every output starts from its bias and adds its inputs in ascending order, each with one fused
 /// multiply-add, which gives the same bits on any processor. An inference allocates nothing.
@@ -77,6 +88,8 @@ pub struct Network {
     action_scale_v: f32,
     activation: Activation,
     output: OutputKind,
+    /// Least and largest value of each entry of the observation; empty where none is clipped.
+    bounds: Vec<[f32; 2]>,
     layers: Vec<Layer>,
     /// Inputs and outputs of the current layer, each as wide as the widest layer.
     activations: [Vec<f32>; 2],
@@ -127,6 +140,7 @@ impl Network {
             action_scale_v,
             activation: Activation::default(),
             output: OutputKind::default(),
+            bounds: Vec::new(),
             layers: layers.map(|(layer, size)| Layer::new(layer, size[0], size[1])).collect(),
             activations: [vec![0.0; widest], vec![0.0; widest]],
             commands: [0.0; MAX_HISTORY],
@@ -137,6 +151,26 @@ impl Network {
     #[must_use]
     pub fn with_functions(self, activation: Activation, output: OutputKind) -> Self {
         Self { activation, output, ..self }
+    }
+
+    /// The same network behind bounds of the observation, one pair for each entry, infinite where there is none. An entry
+    /// beyond its bounds counts as the bound. Without pairs nothing is clipped.
+    ///
+    /// # Errors
+    /// There is another number of pairs, or a lower bound is above the upper one.
+    pub fn with_bounds(self, bounds: Vec<[f32; 2]>) -> Result<Self, NetworkError> {
+        let (given, entries) = (bounds.len(), self.sizes[0]);
+        let fits = given == entries || given == 0;
+        if !fits || !bounds.iter().all(|[lower, upper]| lower <= upper) {
+            return Err(NetworkError::Bounds { given, entries });
+        }
+        Ok(Self { bounds, ..self })
+    }
+
+    /// Least and largest value of each entry of the observation; empty where none is clipped.
+    #[must_use]
+    pub fn bounds(&self) -> &[[f32; 2]] {
+        &self.bounds
     }
 
     /// The function of the hidden neurons.
@@ -210,12 +244,13 @@ impl Network {
     }
 }
 
-/// Compares weights, functions and scale; the remembered commands do not count.
+/// Compares weights, functions, bounds and scale; the remembered commands do not count.
 impl PartialEq for Network {
     fn eq(&self, other: &Self) -> bool {
         self.sizes == other.sizes
             && self.action_scale_v == other.action_scale_v
             && (self.activation, self.output) == (other.activation, other.output)
+            && self.bounds == other.bounds
             && self.layers == other.layers
     }
 }
@@ -320,8 +355,14 @@ impl VectorKernel for Infer<'_> {
     fn run<I: InstructionSet>(self) -> f32 {
         let history = self.network.history();
         let (activation, output) = (self.network.activation, self.network.output);
-        let Network { action_scale_v, layers, activations: [inputs, outputs], commands, .. } =
-            self.network;
+        let Network {
+            action_scale_v,
+            bounds,
+            layers,
+            activations: [inputs, outputs],
+            commands,
+            ..
+        } = self.network;
         match self.input {
             Input::State(state) => {
                 let (of_state, of_commands) = inputs.split_at_mut(OBSERVATION_SIZE);
@@ -329,6 +370,9 @@ impl VectorKernel for Infer<'_> {
                 of_commands[..history].copy_from_slice(&commands[..history]);
             }
             Input::Observation(observed) => inputs[..observed.len()].copy_from_slice(observed),
+        }
+        for (entry, [lower, upper]) in inputs.iter_mut().zip(bounds.iter()) {
+            *entry = entry.clamp(*lower, *upper);
         }
         let last = layers.len() - 1;
         for layer in &layers[..last] {
@@ -489,6 +533,27 @@ mod tests {
             }
             let observed = observation(&single);
             assert_eq!(f64::from(network.voltage_of_observation_v(&observed)), expected);
+        }
+    }
+
+    #[test]
+    fn an_entry_beyond_its_bounds_counts_as_the_bound() {
+        let bounds = vec![[-0.5, 0.5]; 7];
+        let plain = network(&[7, 9, 1]);
+        let mut clipped = plain.clone().with_bounds(bounds).unwrap();
+        assert!(plain != clipped);
+        let mut plain = plain;
+        let seen = [0.4, -0.6, 0.2, 3.0, -0.1, f32::INFINITY, -2.0];
+        let counted = [0.4, -0.5, 0.2, 0.5, -0.1, 0.5, -0.5];
+        let expected = plain.voltage_of_observation_v(&counted);
+        assert_eq!(clipped.voltage_of_observation_v(&seen), expected);
+        assert!(clipped.voltage_of_observation_v(&[f32::NAN; 7]).is_nan());
+        let (lower, upper) = (f32::NEG_INFINITY, f32::INFINITY);
+        let mut open = plain.clone().with_bounds(vec![[lower, upper]; 7]).unwrap();
+        assert_eq!(open.voltage_of_observation_v(&counted), expected);
+        for wrong in [vec![[0.0, 1.0]; 6], vec![[1.0, 0.0]; 7], vec![[f32::NAN, 1.0]; 7]] {
+            let refused = plain.clone().with_bounds(wrong);
+            assert!(matches!(refused, Err(NetworkError::Bounds { entries: 7, .. })));
         }
     }
 

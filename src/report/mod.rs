@@ -29,4 +29,4 @@ pub use escape::is_obeyed;
 pub use experiment::{NamedRollouts, recipes_page, strategies_page};
 pub use recordings::recordings_page;
 pub use rollout::RolloutView;
-pub use session::{SessionSource, session_page};
+pub use session::{NoSurrogate, SessionSource, SessionSurrogate, session_page};

@@ -1,5 +1,6 @@
 //! From a graph of operators to the layers of a network.
 
+use super::input::{Input, spread};
 use super::model::{Graph, Node, Tensor};
 use super::{ImportError, Layers};
 use crate::policy::{Activation, LayerWeights, OutputKind};
@@ -16,6 +17,11 @@ enum Step {
     Added(Vec<f32>),
     /// A constant that multiplies.
     Multiplied(Vec<f32>),
+    /// Two constants between which values are clipped.
+    Clipped {
+        lower: Vec<f32>,
+        upper: Vec<f32>,
+    },
     Activation(Activation),
 }
 
@@ -111,9 +117,33 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
         "Elu" if node.number("alpha", 1.0) == 1.0 => {
             Ok((Some(Step::Activation(Activation::Elu)), first))
         }
-        "Clip" => Err(refused(
-            "which this program's networks do not have: leave it out of the exported module",
-        )),
+        // Newer files give the bounds as inputs, older ones as attributes.
+        "Clip" => {
+            let bound = |index: usize, name: &str, open: f32| match node.inputs.get(index) {
+                Some(input) if !input.is_empty() => constant(input)
+                    .map(|value| value.values.clone())
+                    .ok_or_else(|| refused("whose bounds are not constant")),
+                _ => Ok(vec![node.number(name, open)]),
+            };
+            let lower = bound(1, "min", f32::NEG_INFINITY)?;
+            let upper = bound(2, "max", f32::INFINITY)?;
+            Ok((Some(Step::Clipped { lower, upper }), first))
+        }
+        "Max" | "Min" if node.inputs.len() == 2 => {
+            let second = input(1)?;
+            let (value, other) = match (constant(first), constant(second)) {
+                (None, Some(value)) => (value, first),
+                (Some(value), None) => (value, second),
+                _ => return Err(refused("of two values that are not constant")),
+            };
+            let values = value.values.clone();
+            let (lower, upper) = if node.operator == "Max" {
+                (values, vec![f32::INFINITY])
+            } else {
+                (vec![f32::NEG_INFINITY], values)
+            };
+            Ok((Some(Step::Clipped { lower, upper }), other))
+        }
         operator => Err(ImportError::Operator { operator: operator.to_owned() }),
     }
 }
@@ -150,8 +180,16 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
         |operator: &str, place| ImportError::Place { operator: operator.to_owned(), place };
     let mut before: Vec<Step> = Vec::new();
     let mut layers: Vec<LayerWeights> = Vec::new();
-    let (mut inputs, mut activations, mut is_active) = (0, Vec::new(), true);
+    let (mut inputs, mut bounds) = (0, Vec::new());
+    let (mut activations, mut is_active) = (Vec::new(), true);
+    let mut after = After::default();
     for step in steps {
+        if after.is_begun && !matches!(step, Step::Multiplied(_) | Step::Clipped { .. }) {
+            return Err(refused(
+                "Mul, Div or Clip",
+                "between layers: it is known before the first layer and after the last one alone",
+            ));
+        }
         match step {
             Step::Matrix { weight, bias, inputs: seen } => {
                 if !is_active {
@@ -165,7 +203,7 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
                 let mut layer = LayerWeights { weight, bias: spread(&bias, outputs)? };
                 if layers.is_empty() {
                     inputs = seen;
-                    fold(&before, &mut layer, seen)?;
+                    bounds = fold(&before, &mut layer, seen)?;
                 }
                 layers.push(layer);
                 is_active = false;
@@ -185,11 +223,9 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
                 }
             }
             Step::Added(_) => return Err(refused("Add or Sub", "after an activation")),
-            Step::Multiplied(_) => {
-                return Err(refused(
-                    "Mul or Div",
-                    "by a constant after the first layer: leave it out and give its factor as the action scale",
-                ));
+            Step::Multiplied(values) => after.multiply(spread(&values, 1)?[0]),
+            Step::Clipped { lower, upper } => {
+                after.clip(spread(&lower, 1)?[0], spread(&upper, 1)?[0]);
             }
         }
     }
@@ -205,44 +241,52 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
     if activations.iter().any(|&other| other != activation) {
         return Err(refused("activation", "that differs from that of another hidden layer"));
     }
-    Ok(Layers { layers, inputs, activation, output })
+    let After { scale, limits, .. } = after;
+    Ok(Layers { layers, inputs, bounds, activation, output, scale, limits })
 }
 
-/// A constant as one value for each of `count` entries.
-fn spread(values: &[f32], count: usize) -> Result<Vec<f32>, ImportError> {
-    match values {
-        [one] => Ok(vec![*one; count]),
-        values if values.len() == count => Ok(values.to_vec()),
-        _ => Err(ImportError::Values { name: "beside a layer".to_owned() }),
+/// What follows the last layer and its function: a factor, and limits of the product.
+struct After {
+    is_begun: bool,
+    scale: f32,
+    limits: [f32; 2],
+}
+
+impl Default for After {
+    fn default() -> Self {
+        Self { is_begun: false, scale: 1.0, limits: [f32::NEG_INFINITY, f32::INFINITY] }
     }
 }
 
-/// Folds the constants before the first layer into it: W (a x + b) + c = (W a) x + (W b + c).
-fn fold(before: &[Step], layer: &mut LayerWeights, inputs: usize) -> Result<(), ImportError> {
-    let (mut factors, mut offsets) = (vec![1.0_f64; inputs], vec![0.0_f64; inputs]);
+impl After {
+    fn multiply(&mut self, factor: f32) {
+        self.is_begun = true;
+        self.scale *= factor;
+        let [one, other] = self.limits.map(|limit| limit * factor);
+        self.limits = if factor < 0.0 { [other, one] } else { [one, other] };
+    }
+
+    fn clip(&mut self, lower: f32, upper: f32) {
+        self.is_begun = true;
+        self.limits = [self.limits[0].max(lower), self.limits[1].min(upper)];
+    }
+}
+
+/// Folds the constants before the first layer into it, and returns the bounds of its inputs.
+fn fold(
+    before: &[Step],
+    layer: &mut LayerWeights,
+    inputs: usize,
+) -> Result<Vec<[f32; 2]>, ImportError> {
+    let mut input = Input::plain(inputs);
     for step in before {
         match step {
-            Step::Added(values) => {
-                for (offset, value) in offsets.iter_mut().zip(spread(values, inputs)?) {
-                    *offset += f64::from(value);
-                }
-            }
-            Step::Multiplied(values) => {
-                for (index, value) in spread(values, inputs)?.into_iter().enumerate() {
-                    factors[index] *= f64::from(value);
-                    offsets[index] *= f64::from(value);
-                }
-            }
+            Step::Added(values) => input.add(values)?,
+            Step::Multiplied(values) => input.multiply(values)?,
+            Step::Clipped { lower, upper } => input.clip(lower, upper)?,
             Step::Matrix { .. } | Step::Activation(_) => {}
         }
     }
-    for (row, bias) in layer.weight.chunks_exact_mut(inputs).zip(&mut layer.bias) {
-        let shift: f64 =
-            row.iter().zip(&offsets).map(|(weight, offset)| f64::from(*weight) * offset).sum();
-        *bias = (f64::from(*bias) + shift) as f32;
-        for (weight, factor) in row.iter_mut().zip(&factors) {
-            *weight = (f64::from(*weight) * factor) as f32;
-        }
-    }
-    Ok(())
+    input.fold(layer);
+    Ok(input.into_bounds())
 }

@@ -1,22 +1,28 @@
-//! Reads policies of other programs from ONNX files: multilayer perceptrons with one output.
+//! Policies as ONNX files: those of other programs are read, and those of this one written and read again.
 //!
-//! The reader knows the few messages of the format and the operators that such a network has. It walks back from the
-//! first output to the input, and refuses every other operator by its name, because a policy that is read wrongly would
-//! drive a motor.
+//! The reader knows the few messages of the format and the operators that a multilayer perceptron has. It walks back from
+//! the first output to the input, and refuses every other operator by its name, because a policy that is read wrongly would
+//! drive a motor. A file that this program wrote names its conventions; for any other one, the caller names them.
 
 mod graph;
+mod input;
+mod message;
 mod model;
 mod protobuf;
 mod sight;
 #[cfg(test)]
 mod tests;
+mod write;
 
 use thiserror::Error;
 
 pub use sight::Sight;
+pub use write::{OPSET, to_onnx};
 
+use super::file::network_of_metadata;
 use super::network::{LayerWeights, NetworkError};
-use super::{Activation, Network, OutputKind};
+use super::{Activation, Network, NetworkPolicy, OutputKind, PolicyFault, TrainingRecord};
+use crate::qube::MAX_VOLTAGE_V;
 use protobuf::Malformed;
 
 /// Largest file that is read, bytes: far more than the largest network of this program.
@@ -83,6 +89,47 @@ pub enum ImportError {
         /// Entries of the observation.
         named: usize,
     },
+    /// The output is limited to less than the motor takes.
+    #[error(
+        "limits the voltage to {lower_v} V to {upper_v} V, and this program's networks have no limit below the motor's \
+         {MAX_VOLTAGE_V} V of either sign: leave the last Clip out of the exported module, or check the action scale"
+    )]
+    OutputLimits {
+        /// Lower limit, V.
+        lower_v: f32,
+        /// Upper limit, V.
+        upper_v: f32,
+    },
+    /// An entry of the observation appears twice, clipped differently.
+    #[error("clips two inputs that are the same entry of the observation at different values")]
+    TwoBounds,
+    /// The limit of the observation is no positive number.
+    #[error("is to be clipped at {limit}: give a number above 0")]
+    Clip {
+        /// Limit that was asked for.
+        limit: f32,
+    },
+    /// The file does not say the voltage, and the caller does not either.
+    #[error(
+        "does not say which voltage an output of 1 is: give the action scale in volts (--action-scale, in Python \
+         action_scale_v)"
+    )]
+    NoActionScale,
+    /// This program wrote the file, which names its conventions, and the caller names others.
+    #[error(
+        "was exported by this program and names its conventions itself: leave out action scale, observation, history, \
+         filter and clipping"
+    )]
+    OwnConventions,
+    /// This program wrote the file, and its graph was changed since.
+    #[error(
+        "was exported by this program and changed since: graph and metadata are not of one network. Remove the metadata \
+         {entry:?} and import it as a file of another program", entry = write::POLICY_ENTRY
+    )]
+    Changed,
+    /// The metadata that this program wrote is damaged.
+    #[error("has the metadata of a policy and {0}")]
+    Metadata(String),
     /// The network is outside of the limits.
     #[error("holds a network that cannot be run: {0}")]
     Network(#[from] NetworkError),
@@ -94,6 +141,51 @@ impl From<Malformed> for ImportError {
     }
 }
 
+impl From<PolicyFault> for ImportError {
+    fn from(fault: PolicyFault) -> Self {
+        Self::Metadata(fault.to_string())
+    }
+}
+
+/// What the file of another program does not say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ForeignConventions {
+    /// Observation that the network sees.
+    pub sight: Sight,
+    /// Voltage for an output of 1, V; negative where the signs differ.
+    pub action_scale_v: f32,
+    /// Corner of the velocity filter in training, rad/s, for the policy's record.
+    pub corner_rad_s: f64,
+    /// Largest magnitude of an entry of the observation as the network sees it; entries beyond are clipped.
+    pub clip_observation: Option<f32>,
+}
+
+/// Reads a policy from the bytes of an ONNX file. A file that this program wrote gives the very policy that was
+/// exported; the file of another program needs its conventions.
+///
+/// # Errors
+/// The bytes are no model or no policy, or conventions are missing or of no use.
+pub fn from_onnx(
+    bytes: &[u8],
+    foreign: Option<&ForeignConventions>,
+) -> Result<NetworkPolicy, ImportError> {
+    let layers = Layers::from_onnx(bytes)?;
+    let Some(json) = model::entry(bytes, write::POLICY_ENTRY)? else {
+        return layers.policy(foreign.ok_or(ImportError::NoActionScale)?);
+    };
+    if foreign.is_some() {
+        return Err(ImportError::OwnConventions);
+    }
+    let policy = network_of_metadata(json, layers.layers.clone())?;
+    let inputs = policy.network.sizes()[0];
+    let history = policy.network.history();
+    let of_graph = layers.network(&Sight::own(history), 1.0)?;
+    if of_graph.sizes()[0] != inputs || of_graph != policy.network {
+        return Err(ImportError::Changed);
+    }
+    Ok(policy)
+}
+
 /// The layers of a network as another program wrote them, with the observation in that program's order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layers {
@@ -101,13 +193,31 @@ pub struct Layers {
     pub layers: Vec<LayerWeights>,
     /// Number of inputs.
     pub inputs: usize,
+    /// Least and largest value of each input; empty where none is clipped.
+    pub bounds: Vec<[f32; 2]>,
     /// Activation of the hidden layers.
     pub activation: Activation,
     /// Function of the output.
     pub output: OutputKind,
+    /// Factor behind the output's function.
+    pub scale: f32,
+    /// Least and largest value of the product.
+    pub limits: [f32; 2],
 }
 
 impl Layers {
+    /// Layers without bounds, factors and limits.
+    #[must_use]
+    pub fn plain(
+        layers: Vec<LayerWeights>,
+        inputs: usize,
+        activation: Activation,
+        output: OutputKind,
+    ) -> Self {
+        let (bounds, limits) = (Vec::new(), [f32::NEG_INFINITY, f32::INFINITY]);
+        Self { layers, inputs, bounds, activation, output, scale: 1.0, limits }
+    }
+
     /// Reads the bytes of an ONNX file.
     ///
     /// # Errors
@@ -116,16 +226,52 @@ impl Layers {
         graph::layers(&model::Graph::read(bytes)?)
     }
 
+    /// The policy of these layers.
+    ///
+    /// # Errors
+    /// The conventions do not fit the layers, or the network is outside of the limits.
+    pub fn policy(self, conventions: &ForeignConventions) -> Result<NetworkPolicy, ImportError> {
+        let ForeignConventions { sight, action_scale_v, corner_rad_s, clip_observation } =
+            conventions;
+        let clipped = match clip_observation {
+            Some(limit) => self.clipped(*limit)?,
+            None => self,
+        };
+        let network = clipped.network(sight, *action_scale_v)?;
+        Ok(NetworkPolicy { network, training: TrainingRecord::imported(*corner_rad_s) })
+    }
+
+    /// The same layers behind a clip of each input at this magnitude.
+    fn clipped(mut self, limit: f32) -> Result<Self, ImportError> {
+        if !(limit > 0.0 && limit.is_finite()) {
+            return Err(ImportError::Clip { limit });
+        }
+        if self.bounds.is_empty() {
+            self.bounds = vec![[f32::NEG_INFINITY, f32::INFINITY]; self.inputs];
+        }
+        for [lower, upper] in &mut self.bounds {
+            (*lower, *upper) = (lower.max(-limit), upper.min(limit));
+        }
+        Ok(self)
+    }
+
     /// The network that sees what `sight` says and whose output times `action_scale_v` is the voltage; a negative scale
     /// turns the sign of the last layer.
     ///
     /// # Errors
-    /// The observation has another length, or the network is outside of the limits.
+    /// The observation has another length, the output has limits, or the network is outside of the limits.
     pub fn network(self, sight: &Sight, action_scale_v: f32) -> Result<Network, ImportError> {
-        let Self { mut layers, inputs, activation, output } = self;
+        let Self { mut layers, inputs, bounds, activation, output, scale, limits } = self;
         if inputs != sight.len() {
             return Err(ImportError::Inputs { inputs, named: sight.len() });
         }
+        let [one, other] = limits.map(|limit| limit * action_scale_v);
+        let (lower_v, upper_v) = (one.min(other), one.max(other));
+        let largest_v = MAX_VOLTAGE_V as f32;
+        if !(lower_v <= -largest_v && upper_v >= largest_v) {
+            return Err(ImportError::OutputLimits { lower_v, upper_v });
+        }
+        let action_scale_v = action_scale_v * scale;
         let mut sizes = vec![sight.inputs()];
         sizes.extend(layers.iter().map(|layer| layer.bias.len()));
         if let Some(first) = layers.first_mut() {
@@ -137,6 +283,13 @@ impl Layers {
             // The output's function is odd.
             last.weight.iter_mut().chain(&mut last.bias).for_each(|weight| *weight = -*weight);
         }
-        Ok(Network::new(&sizes, &layers, action_scale_v.abs())?.with_functions(activation, output))
+        let bounds = if bounds.is_empty() {
+            bounds
+        } else {
+            sight.arranged_bounds(&bounds).ok_or(ImportError::TwoBounds)?
+        };
+        Ok(Network::new(&sizes, &layers, action_scale_v.abs())?
+            .with_functions(activation, output)
+            .with_bounds(bounds)?)
     }
 }

@@ -38,6 +38,19 @@ pub struct Tensor {
     pub values: Vec<f32>,
 }
 
+/// The entry of this name in a model's metadata, if it is there.
+pub fn entry<'a>(bytes: &'a [u8], key: &str) -> Result<Option<&'a str>, Malformed> {
+    for field in Fields::of(bytes) {
+        let (14, value) = field? else { continue };
+        let entry = value.bytes()?;
+        if name_of(entry)? == key {
+            let texts = Fields::of(entry).filter_map(Result::ok).filter(|(field, _)| *field == 2);
+            return texts.last().map(|(_, text)| text.text()).transpose();
+        }
+    }
+    Ok(None)
+}
+
 impl<'a> Graph<'a> {
     /// Reads the graph of a model's file.
     pub fn read(bytes: &'a [u8]) -> Result<Self, ImportError> {

@@ -90,6 +90,20 @@ impl Sight {
         }
         arranged.into_iter().map(|weight| weight as f32).collect()
     }
+
+    /// The bounds of the entries as bounds of this program's observation; `None` where one entry has two different ones.
+    pub(super) fn arranged_bounds(&self, bounds: &[[f32; 2]]) -> Option<Vec<[f32; 2]>> {
+        let open = [f32::NEG_INFINITY, f32::INFINITY];
+        let mut arranged = vec![None; self.inputs];
+        for (&(index, factor), bounds) in self.entries.iter().zip(bounds) {
+            let [one, other] = bounds.map(|bound| (f64::from(bound) / factor) as f32);
+            let own = if factor < 0.0 { [other, one] } else { [one, other] };
+            if *arranged[index].get_or_insert(own) != own {
+                return None;
+            }
+        }
+        Some(arranged.into_iter().map(|own| own.unwrap_or(open)).collect())
+    }
 }
 
 #[cfg(test)]
@@ -103,6 +117,11 @@ mod tests {
         let arranged = sight.arranged(&[2.0, 3.0, 4.0]);
         assert_eq!(arranged, [0.0, 0.0, 0.0, -3.0, 20.0, 0.0, 4.0]);
         assert_eq!(Sight::own(1).arranged(&[1.0; 7]), [1.0; 7]);
+        let bounds = sight.arranged_bounds(&[[-5.0, 4.0], [-1.0, 0.5], [0.0, 1.0]]).unwrap();
+        assert_eq!((bounds[4], bounds[3], bounds[6]), ([-0.5, 0.4], [-0.5, 1.0], [0.0, 1.0]));
+        assert_eq!(bounds[0], [f32::NEG_INFINITY, f32::INFINITY]);
+        let twice = Sight::parse("theta_dot, theta_dot").unwrap();
+        assert!(twice.arranged_bounds(&[[-1.0, 1.0], [-2.0, 2.0]]).is_none());
     }
 
     #[test]

@@ -74,6 +74,99 @@ fn an_observation_in_another_order_is_rearranged() {
     assert!((voltage_v - expected).abs() < 1e-4, "{voltage_v} {expected}");
 }
 
+fn foreign(action_scale_v: f32, clip_observation: Option<f32>) -> ForeignConventions {
+    let (sight, corner_rad_s) = (Sight::own(0), 200.0);
+    ForeignConventions { sight, action_scale_v, corner_rad_s, clip_observation }
+}
+
+/// Policies with each function, last command, bounds, and a weight of -0.
+fn policies() -> impl Iterator<Item = NetworkPolicy> {
+    let functions = Activation::ALL.into_iter().flat_map(|activation| {
+        [OutputKind::Linear, OutputKind::Tanh].map(|output| (activation, output))
+    });
+    functions.enumerate().map(|(index, (activation, output))| {
+        let inputs = 6 + index % 5;
+        let value = |i: usize| if i == 3 { -0.0 } else { (0.7 * (i + index) as f32).sin() };
+        let layer = |inputs: usize, outputs: usize| LayerWeights {
+            weight: (0..inputs * outputs).map(value).collect(),
+            bias: vec![-0.0; outputs],
+        };
+        let layers = [layer(inputs, 9), layer(9, 4), layer(4, 1)];
+        let pairs = [[-1.0, 2.0], [f32::NEG_INFINITY, 0.5], [f32::NEG_INFINITY, f32::INFINITY]];
+        let bounds = if index % 2 == 0 { inputs } else { 0 };
+        let network = Network::new(&[inputs, 9, 4, 1], &layers, 4.0 + index as f32).unwrap();
+        let network = network.with_functions(activation, output);
+        let bounds = (0..bounds).map(|entry| pairs[entry % 3]).collect();
+        let training =
+            TrainingRecord { best_return: Some(500.5), ..TrainingRecord::imported(97.0) };
+        NetworkPolicy { network: network.with_bounds(bounds).unwrap(), training }
+    })
+}
+
+#[test]
+fn a_policy_that_is_exported_comes_back_as_it_was() {
+    for policy in policies() {
+        let model = to_onnx(&policy);
+        assert_eq!(model, to_onnx(&policy));
+        let again = from_onnx(&model, None).unwrap();
+        let [before, after] =
+            [policy, again].map(|it| crate::policy::Policy::Network(it).to_bytes());
+        assert!(before == after);
+        let refused = from_onnx(&model, Some(&foreign(5.0, None))).unwrap_err();
+        assert_eq!(refused, ImportError::OwnConventions);
+    }
+}
+
+#[test]
+fn an_exported_model_whose_graph_was_changed_is_refused() {
+    let policy = policies().next().unwrap();
+    let model = to_onnx(&policy);
+    let weight = policy.network.layers()[1].weight[0].to_le_bytes();
+    let scale = policy.network.action_scale_v().to_le_bytes();
+    let place = |bytes: &[u8]| model.windows(4).rposition(|window| window == bytes).unwrap();
+    let mut other_weight = model.clone();
+    other_weight[place(&weight)] ^= 1;
+    // The weights are those of the file, as in a network that was trained further.
+    assert!(from_onnx(&other_weight, None).unwrap() != policy);
+    let mut other_scale = model.clone();
+    other_scale[place(&scale)] ^= 1;
+    assert_eq!(from_onnx(&other_scale, None), Err(ImportError::Changed));
+    // The key of the entry, which its value follows.
+    let entry = b"qube_hil.policy\x12";
+    let at = model.windows(entry.len()).position(|window| window == entry).unwrap();
+    let mut other_entry = model.clone();
+    other_entry[at] = b'Q';
+    assert_eq!(from_onnx(&other_entry, None), Err(ImportError::NoActionScale));
+    let read = from_onnx(&other_entry, Some(&foreign(1.0, None))).unwrap();
+    assert_eq!(read.network, policy.network);
+}
+
+#[test]
+fn a_clip_of_the_observation_is_kept_or_asked_for() {
+    let (_, bytes) = MODELS[0];
+    let plain = from_onnx(bytes, Some(&foreign(5.0, None))).unwrap().network;
+    let clipped = from_onnx(bytes, Some(&foreign(5.0, Some(0.5)))).unwrap().network;
+    assert!(plain.bounds().is_empty());
+    assert_eq!(clipped.bounds(), [[-0.5, 0.5]; 6]);
+    let (mut plain, mut clipped) = (plain, clipped);
+    let (seen, counted) = ([0.4, -0.6, 3.0, 0.1, 0.0, -9.0], [0.4, -0.5, 0.5, 0.1, 0.0, -0.5]);
+    let [seen, counted] = [seen.as_slice(), counted.as_slice()];
+    assert_eq!(clipped.voltage_of_observation_v(seen), plain.voltage_of_observation_v(counted));
+    for limit in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        let refused = from_onnx(bytes, Some(&foreign(5.0, Some(limit))));
+        assert!(matches!(refused, Err(ImportError::Clip { .. })));
+    }
+}
+
+#[test]
+fn a_limit_of_the_output_below_the_motors_is_refused() {
+    let layers = Layers { limits: [-1.0, 1.0], ..Layers::from_onnx(MODELS[0].1).unwrap() };
+    assert!(layers.clone().network(&Sight::own(0), 5.0).is_ok());
+    assert!(layers.clone().network(&Sight::own(0), -5.0).is_ok());
+    let refused = layers.network(&Sight::own(0), 3.0).unwrap_err();
+    assert_eq!(refused, ImportError::OutputLimits { lower_v: -3.0, upper_v: 3.0 });
+}
+
 #[test]
 fn what_this_program_does_not_know_is_refused_by_name() {
     for (bytes, told) in [
@@ -96,7 +189,8 @@ fn what_this_program_does_not_know_is_refused_by_name() {
 
 #[test]
 fn no_damage_of_a_file_panics() {
-    for (_, bytes) in MODELS {
+    let own = policies().nth(2).map(|policy| to_onnx(&policy)).unwrap();
+    for bytes in MODELS.map(|(_, bytes)| bytes).into_iter().chain([own.as_slice()]) {
         for length in 0..bytes.len() {
             let _ = Layers::from_onnx(&bytes[..length]);
         }
@@ -104,6 +198,7 @@ fn no_damage_of_a_file_panics() {
             let mut changed = bytes.to_vec();
             for flip in [0x01, 0x10, 0x80, 0xff] {
                 changed[index] = bytes[index] ^ flip;
+                let _ = from_onnx(&changed, None);
                 if let Ok(layers) = Layers::from_onnx(&changed) {
                     let inputs = layers.inputs;
                     let _ = layers.network(&Sight::own(inputs.saturating_sub(6)), 5.0);

@@ -8,4 +8,5 @@ mod search;
 mod source;
 
 pub use page::session_page;
+pub use posterior::{NoSurrogate, SessionSurrogate};
 pub use source::SessionSource;

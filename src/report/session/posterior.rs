@@ -1,9 +1,11 @@
 //! What the surrogate believes of the return over psi.
 
+use thiserror::Error;
+
 use super::SessionSource;
 use crate::report::chart::{Axis, Band, Chart, Map, Mark, Series, Style};
 use crate::report::page::Page;
-use crate::search::Observation;
+use crate::search::{Observation, SearchError};
 use crate::session::SessionSettings;
 use crate::simulation::PsiDimension;
 use crate::surrogate::GaussianProcess;
@@ -17,45 +19,68 @@ const PLACES: usize = 61;
 /// Number of places along each side of the map.
 const SIDE: usize = 31;
 
-/// Adds slices of the posterior through the recommended psi, and a map of the two most relevant entries.
-pub(super) fn add_posterior(page: &mut Page, source: &SessionSource) {
-    let data: Vec<Observation> = source
-        .candidates
-        .iter()
-        .filter(|it| it.candidate.purpose.is_searched() && !it.verdicts.is_empty())
-        .map(|it| it.observation())
-        .collect();
-    page.section("What the search believes");
-    if data.len() < ENOUGH {
-        page.paragraph(&format!(
-            "A surrogate of the return over psi needs {ENOUGH} candidates; the session has {} with rollouts.",
-            data.len()
-        ));
-        return;
-    }
-    let settings = source.search_settings(None);
-    let fitted = settings.surrogate(&data).and_then(|process| {
-        Ok(match process {
-            Some(process) => Some((process, settings.search()?.best(&data)?)),
-            None => None,
-        })
-    });
-    match fitted {
-        Ok(Some((process, best))) => draw(page, &settings, &process, &best.point, &data),
-        Ok(None) => {
-            page.paragraph(&format!("The strategy {} has no surrogate.", settings.strategy.name()))
+/// A session's surrogate of the return over psi, as the search has it now.
+#[derive(Debug)]
+pub struct SessionSurrogate {
+    /// Settings of the search, whose psi are the surrogate's coordinates.
+    pub settings: SessionSettings,
+    /// Candidates and their returns, to which the process was fitted.
+    pub data: Vec<Observation>,
+    /// The Gaussian process.
+    pub process: GaussianProcess,
+    /// Psi that the search recommends.
+    pub best: Vec<f64>,
+}
+
+/// The reason why a session has no surrogate.
+#[derive(Debug, Error, PartialEq)]
+pub enum NoSurrogate {
+    /// There are too few candidates.
+    #[error(
+        "A surrogate of the return over psi needs {ENOUGH} candidates; the session has {0} with rollouts."
+    )]
+    TooFew(usize),
+    /// The strategy fits none.
+    #[error("The strategy {0} has no surrogate.")]
+    NoneInStrategy(&'static str),
+    /// The data cannot be fitted.
+    #[error("The surrogate cannot be fitted: {0}")]
+    Unfit(#[from] SearchError),
+}
+
+impl SessionSource {
+    /// Fits the surrogate to the candidates' returns.
+    ///
+    /// # Errors
+    /// The candidates are too few, the strategy has no surrogate, or the data cannot be fitted.
+    pub fn surrogate(&self) -> Result<SessionSurrogate, NoSurrogate> {
+        let searched = self.candidates.iter().filter(|it| it.candidate.purpose.is_searched());
+        let scored = searched.filter(|it| !it.verdicts.is_empty());
+        let data: Vec<Observation> = scored.map(|it| it.observation()).collect();
+        if data.len() < ENOUGH {
+            return Err(NoSurrogate::TooFew(data.len()));
         }
-        Err(error) => page.paragraph(&format!("The surrogate cannot be fitted: {error}")),
+        let settings = self.search_settings(None);
+        let process = settings
+            .surrogate(&data)?
+            .ok_or_else(|| NoSurrogate::NoneInStrategy(settings.strategy.name()))?;
+        let best = settings.search()?.best(&data)?.point;
+        Ok(SessionSurrogate { settings, data, process, best })
     }
 }
 
-fn draw(
-    page: &mut Page,
-    settings: &SessionSettings,
-    process: &GaussianProcess,
-    best: &[f64],
-    data: &[Observation],
-) {
+/// Adds slices of the posterior through the recommended psi, and a map of the two most relevant entries.
+pub(super) fn add_posterior(page: &mut Page, source: &SessionSource) {
+    page.section("What the search believes");
+    match source.surrogate() {
+        Ok(surrogate) => draw(page, &surrogate),
+        Err(reason) => page.paragraph(&reason.to_string()),
+    }
+}
+
+fn draw(page: &mut Page, surrogate: &SessionSurrogate) {
+    let SessionSurrogate { settings, data, process, best } = surrogate;
+    let (data, best) = (data.as_slice(), best.as_slice());
     page.paragraph(
         "A Gaussian process is fitted to the mean returns. Each slice changes one entry of psi and keeps the others \
          as recommended; the dots are the candidates, which lie off the slice in the other entries.",

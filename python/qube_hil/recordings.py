@@ -1,0 +1,50 @@
+"""Recordings of rollouts."""
+
+import json
+import os
+from typing import Any
+
+import numpy.typing as npt
+
+from . import _core
+from .policies import Policy
+
+
+class Recording(dict[str, npt.NDArray[Any]]):
+    """A rollout, one entry a tick: a dictionary of arrays by name, each ``[ticks]``.
+
+    ``pandas.DataFrame(recording)`` and ``polars.DataFrame(recording)`` make tables of it. The columns: ``tick``,
+    ``time_s`` (since the first tick), ``phase`` (settling, running or braking), the state that the policy sees
+    (``theta_rad``, ``alpha_rad``, ``theta_dot_rad_s``, ``alpha_dot_rad_s``), ``wanted_v``, ``voltage_v`` (sent),
+    ``reward`` (0 outside of running), the sample (``has_sample``, ``device_time_s``, ``theta_counts``, ``alpha_counts``,
+    ``measured_theta_rad``, ``measured_alpha_rad``, ``tachometer_rad_s``, ``current_a``, ``applied_v``,
+    ``sample_to_act_us``), and the timing (``lateness_us``, ``turnaround_us``, ``skipped_periods``). Numbers that a tick
+    does not have are NaN.
+    """
+
+    header: dict[str, Any]
+    """The record before the rollout: device, settings, seed, versions."""
+    outcome: dict[str, Any] | None
+    """The record after the rollout: ending, steps, latencies; None in a recording that is cut off."""
+    return_: float
+    """Sum of the rewards."""
+    is_whole: bool
+    """Whether every byte is as it was written."""
+    _policy: bytes
+
+    @property
+    def policy(self) -> Policy:
+        """The policy that drove the rollout."""
+        return Policy.from_bytes(self._policy)
+
+
+def recording(path: str | os.PathLike[str]) -> Recording:
+    """Reads a recording and checks every byte of it."""
+    read = _core.read_recording(os.fspath(path))
+    made = Recording(read["columns"])
+    made.header = json.loads(read["header"])
+    made.outcome = None if read["outcome"] is None else json.loads(read["outcome"])
+    made.return_ = read["return"]
+    made.is_whole = read["whole"]
+    made._policy = read["policy"]
+    return made

@@ -1,0 +1,38 @@
+"""The notebooks, each run from top to bottom in a folder of its own."""
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+from conftest import SHIPPED, beside
+from nbclient import NotebookClient
+
+NOTEBOOKS = sorted(beside("notebooks").glob("*.ipynb"))
+ONNX = beside("tests/fixtures/onnx")
+
+
+def test_there_is_a_notebook_for_each_use():
+    assert [path.stem for path in NOTEBOOKS] == [
+        "import-an-onnx-policy",
+        "read-recordings-and-sessions",
+        "run-on-the-emulated-qube",
+        "simulate-and-train",
+    ]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+# The kernel's own libraries warn of themselves.
+@pytest.mark.filterwarnings("default")
+def test_every_notebook_runs(path, tmp_path, monkeypatch):
+    (tmp_path / "policies").symlink_to(SHIPPED)
+    shutil.copy(ONNX / "elu-normalised.onnx", tmp_path / "model.onnx")
+    # The program of this environment, as after its activation.
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    notebook = nbformat.read(path, as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells)
+    NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()

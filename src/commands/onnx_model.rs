@@ -1,0 +1,19 @@
+//! A policy as an ONNX model, for the command `export`.
+
+use std::path::Path;
+
+use super::exit::Failure;
+use super::failures;
+use crate::policy::Policy;
+use crate::policy::onnx::to_onnx;
+
+/// The bytes of the model of a policy's file.
+pub fn onnx_model(file: &Path) -> Result<Vec<u8>, Failure> {
+    match Policy::load(file).map_err(|error| failures::policy(&error))? {
+        Policy::Network(policy) => Ok(to_onnx(&policy)),
+        _ => Err(Failure::usage(format!(
+            "{}: it has no network, which an ONNX model would contain. Give a policy that `train` or `import` wrote",
+            file.display()
+        ))),
+    }
+}

@@ -1,0 +1,151 @@
+//! A network's part of the metadata of a policy file, and the conventions that it names.
+
+use serde::{Deserialize, Serialize};
+
+use super::file::PolicyFault;
+use super::network::{LayerWeights, check_sizes};
+use super::{Activation, Network, NetworkPolicy, OutputKind, TrainingRecord};
+use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
+
+/// Entries that an observation may have, in order: the state (see [`crate::qube::observation`]), then as
+/// many of the last commands as the network was trained with.
+pub(super) const OBSERVATION_LAYOUT: [&str; OBSERVATION_SIZE + MAX_HISTORY] = [
+    "sin(theta)",
+    "cos(theta)",
+    "sin(alpha)",
+    "cos(alpha)",
+    "0.1 theta_dot",
+    "0.05 alpha_dot",
+    "last command / 5 V",
+    "last command but one / 5 V",
+    "last command but two / 5 V",
+    "last command but three / 5 V",
+];
+
+/// Everything about a network but its weights.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NetworkMetadata {
+    observation: Vec<String>,
+    sizes: Vec<usize>,
+    activation: String,
+    action_scale_v: f32,
+    /// Function of the output; from version 2 on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    output: Option<OutputKind>,
+    /// Least and largest value of each entry of the observation, `null` for an entry that is not clipped; from version
+    /// 2 on, where entries are clipped.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    observation_bounds: Option<Vec<Option<[f32; 2]>>>,
+    /// What a reader of another program must know; from version 2 on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    conventions: Option<Conventions>,
+    training: TrainingRecord,
+}
+
+/// The conventions of every network of this program, in words and numbers. A file that names others is refused.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Conventions {
+    theta_rad: String,
+    alpha_rad: String,
+    positive_voltage: String,
+    last_command: String,
+    largest_voltage_v: f64,
+    period_s: f64,
+    velocity_filter: String,
+}
+
+impl Conventions {
+    fn of_this_program() -> Self {
+        Self {
+            theta_rad: "0 in the middle between the stops"
+                .into(),
+            alpha_rad: "0 where the pendulum hangs, +-pi upright".into(),
+            positive_voltage: "turns the arm to positive theta, and the pendulum lags behind".into(),
+            last_command:
+                "voltage sent, after guard and rounding to 1 mV, newest first; 0 before the first"
+                    .into(),
+            largest_voltage_v: MAX_VOLTAGE_V,
+            period_s: CONTROL_PERIOD_S,
+            velocity_filter: "v = e^(-corner T) v + (1 - e^(-corner T)) (x - previous x) / T, on the angles of the encoders"
+                .into(),
+        }
+    }
+}
+
+impl NetworkMetadata {
+    /// The metadata of a policy in a version of the format.
+    pub(super) fn of(policy: &NetworkPolicy, version: u32) -> Self {
+        let NetworkPolicy { network, training } = policy;
+        let is_second = version >= 2;
+        let pair = |bounds: &[f32; 2]| {
+            let [lower, upper] = *bounds;
+            // Text of JSON has no infinite numbers; the largest ones clip nothing either.
+            (lower > f32::NEG_INFINITY || upper < f32::INFINITY)
+                .then(|| [lower.max(f32::MIN), upper.min(f32::MAX)])
+        };
+        let bounds = network.bounds();
+        Self {
+            observation: OBSERVATION_LAYOUT[..network.sizes()[0]]
+                .iter()
+                .map(|&entry| entry.to_owned())
+                .collect(),
+            sizes: network.sizes().to_vec(),
+            activation: network.activation().name().to_owned(),
+            action_scale_v: network.action_scale_v(),
+            output: is_second.then(|| network.output()),
+            observation_bounds: (!bounds.is_empty()).then(|| bounds.iter().map(pair).collect()),
+            conventions: is_second.then(Conventions::of_this_program),
+            training: training.clone(),
+        }
+    }
+
+    /// The policy of this metadata, whose weights `layers` reads once the sizes are known to be possible.
+    pub(super) fn into_policy(
+        self,
+        version: u32,
+        layers: impl FnOnce(&[usize]) -> Result<Vec<LayerWeights>, PolicyFault>,
+    ) -> Result<NetworkPolicy, PolicyFault> {
+        let Self { observation, sizes, activation, action_scale_v, output, .. } = self;
+        let (bounds, conventions) = (self.observation_bounds, self.conventions);
+        let is_second = version >= 2;
+        if is_second != output.is_some()
+            || is_second != conventions.is_some()
+            || bounds.is_some() && !is_second
+            || conventions.is_some_and(|it| it != Conventions::of_this_program())
+        {
+            return Err(PolicyFault::Conventions { version });
+        }
+        let known =
+            OBSERVATION_LAYOUT.get(..observation.len()).is_some_and(|layout| layout == observation);
+        if !known || observation.len() < OBSERVATION_SIZE {
+            return Err(PolicyFault::Observation { layout: observation });
+        }
+        let known = Activation::named(&activation)
+            .filter(|&known| is_second || known == Activation::default());
+        let Some(function) = known else {
+            return Err(PolicyFault::Activation { activation });
+        };
+        check_sizes(&sizes)?;
+        if observation.len() != sizes[0] {
+            return Err(PolicyFault::Inputs { entries: observation.len(), sizes });
+        }
+        let open = [f32::MIN, f32::MAX];
+        let bounds = bounds.unwrap_or_default().into_iter().map(|pair| {
+            let [lower, upper] = pair.unwrap_or(open);
+            let lower = if lower > f32::MIN { lower } else { f32::NEG_INFINITY };
+            [lower, if upper < f32::MAX { upper } else { f32::INFINITY }]
+        });
+        let network = Network::new(&sizes, &layers(&sizes)?, action_scale_v)?
+            .with_functions(function, output.unwrap_or_default())
+            .with_bounds(bounds.collect())?;
+        Ok(NetworkPolicy { network, training: self.training })
+    }
+}
+
+/// Whether version 1 of the format can express a network.
+pub(super) fn is_of_the_first_version(network: &Network) -> bool {
+    let functions = (network.activation(), network.output());
+    functions == (Activation::Tanh, OutputKind::Linear) && network.bounds().is_empty()
+}

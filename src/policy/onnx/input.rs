@@ -1,0 +1,112 @@
+//! The constants between a model's input and its first layer: a normalisation, and bounds.
+
+use super::ImportError;
+use crate::policy::LayerWeights;
+
+/// What the first layer sees of each entry x of the input: factor · clip(x, bounds) + offset.
+#[derive(Debug)]
+pub struct Input {
+    factors: Vec<f64>,
+    offsets: Vec<f64>,
+    bounds: Vec<[f64; 2]>,
+}
+
+impl Input {
+    /// The input as it is.
+    pub fn plain(entries: usize) -> Self {
+        Self {
+            factors: vec![1.0; entries],
+            offsets: vec![0.0; entries],
+            bounds: vec![[f64::NEG_INFINITY, f64::INFINITY]; entries],
+        }
+    }
+
+    /// Adds constants, one for each entry or one for all.
+    pub fn add(&mut self, values: &[f32]) -> Result<(), ImportError> {
+        let values = spread(values, self.factors.len())?;
+        self.offsets.iter_mut().zip(values).for_each(|(offset, value)| *offset += f64::from(value));
+        Ok(())
+    }
+
+    /// Multiplies by constants.
+    pub fn multiply(&mut self, values: &[f32]) -> Result<(), ImportError> {
+        for (index, value) in spread(values, self.factors.len())?.into_iter().enumerate() {
+            self.factors[index] *= f64::from(value);
+            self.offsets[index] *= f64::from(value);
+        }
+        Ok(())
+    }
+
+    /// Clips between constants.
+    pub fn clip(&mut self, lower: &[f32], upper: &[f32]) -> Result<(), ImportError> {
+        let entries = self.factors.len();
+        let pairs = spread(lower, entries)?.into_iter().zip(spread(upper, entries)?);
+        for (index, (lower, upper)) in pairs.enumerate() {
+            let (factor, offset) = (self.factors[index], self.offsets[index]);
+            let [one, other] = [lower, upper].map(|bound| (f64::from(bound) - offset) / factor);
+            if factor == 0.0 || one.is_nan() || other.is_nan() {
+                return Err(ImportError::Values { name: "of the observation's bounds".into() });
+            }
+            let (lower, upper) = if factor < 0.0 { (other, one) } else { (one, other) };
+            let bounds = &mut self.bounds[index];
+            *bounds = [bounds[0].max(lower), bounds[1].min(upper)];
+        }
+        Ok(())
+    }
+
+    /// Folds factors and offsets into the first layer: W (a x + b) + c = (W a) x + (W b + c).
+    pub fn fold(&self, layer: &mut LayerWeights) {
+        if self.factors.iter().all(|it| *it == 1.0) && self.offsets.iter().all(|it| *it == 0.0) {
+            return;
+        }
+        let entries = self.factors.len();
+        for (row, bias) in layer.weight.chunks_exact_mut(entries).zip(&mut layer.bias) {
+            let products = row.iter().zip(&self.offsets);
+            let shift: f64 = products.map(|(weight, offset)| f64::from(*weight) * offset).sum();
+            *bias = (f64::from(*bias) + shift) as f32;
+            for (weight, factor) in row.iter_mut().zip(&self.factors) {
+                *weight = (f64::from(*weight) * factor) as f32;
+            }
+        }
+    }
+
+    /// Least and largest value of each entry; nothing where none is clipped.
+    pub fn into_bounds(self) -> Vec<[f32; 2]> {
+        let open = [f64::NEG_INFINITY, f64::INFINITY];
+        if self.bounds.iter().all(|bounds| *bounds == open) {
+            return Vec::new();
+        }
+        self.bounds.into_iter().map(|bounds| bounds.map(|bound| bound as f32)).collect()
+    }
+}
+
+/// A constant as one value for each of `count` entries.
+pub fn spread(values: &[f32], count: usize) -> Result<Vec<f32>, ImportError> {
+    match values {
+        [one] => Ok(vec![*one; count]),
+        values if values.len() == count => Ok(values.to_vec()),
+        _ => Err(ImportError::Values { name: "beside a layer".to_owned() }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_are_those_of_the_input_whatever_is_done_before_them() {
+        let mut input = Input::plain(2);
+        input.add(&[1.0]).unwrap();
+        input.multiply(&[2.0, -4.0]).unwrap();
+        input.clip(&[-2.0], &[4.0, 8.0]).unwrap();
+        input.multiply(&[3.0]).unwrap();
+        input.clip(&[-f32::INFINITY], &[3.0]).unwrap();
+        let mut layer = LayerWeights { weight: vec![1.0, 10.0], bias: vec![0.5] };
+        input.fold(&mut layer);
+        assert_eq!((layer.weight, layer.bias), (vec![6.0, -120.0], vec![6.0 - 120.0 + 0.5]));
+        // 6 (x + 1) up to 3, and -12 (x + 1) likewise.
+        assert_eq!(input.into_bounds(), [[-2.0, -0.5], [-1.25, -0.5]]);
+        assert!(Input::plain(3).into_bounds().is_empty());
+        assert!(Input::plain(3).add(&[1.0, 2.0]).is_err());
+    }
+}
