@@ -139,7 +139,7 @@ def exporters(model, sequential, observations, folder):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=3_000_000, help="control steps of PPO's training")
+    parser.add_argument("--steps", type=int, default=2_000_000, help="control steps of PPO's training")
     steps = parser.parse_args().steps
     result = {"torch": torch.__version__, "stable_baselines3": stable_baselines3.__version__}
 
@@ -153,6 +153,7 @@ def main():
         "wall_s": round(time.perf_counter() - begun, 1),
         "cpu_s": round(time.process_time() - used, 1),
     }
+    print(json.dumps(result), file=sys.stderr, flush=True)
     policy = qube_hil.Policy.from_sb3(model)
     result["mean_return"] = round(float(mean_return(policy)), 1)
     agrees(policy, model.predict(observations, deterministic=True)[0], observations)
@@ -173,7 +174,7 @@ def main():
             "--rollouts", 3, "--out", Path(folder) / "rollouts", "--json",
         )
         assert run.returncode == 0, run.stderr
-        result["run"] = [it.get("return") for it in json.loads(run.stdout.splitlines()[-1])["rollouts"]]
+        result["returns of `run`"] = json.loads(run.stdout.splitlines()[-1])["returns"]
     print(json.dumps(result, indent=2))
     assert result["mean_return"] >= TARGET_RETURN, "PPO has not learnt"
 
