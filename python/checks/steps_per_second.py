@@ -66,7 +66,7 @@ def main() -> None:
         print(json.dumps({name: round(value) for name, value in measured.items()}))
         return
     for name, value in measured.items():
-        print(f"{name:45} {value:14,.0f} steps/s".replace(",", " "))
+        print(f"{name:45} {value / 1e6:8.2f} million steps/s")
 
 
 if __name__ == "__main__":
