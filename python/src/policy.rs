@@ -6,7 +6,7 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArra
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use qube_hil::policy::onnx::{
-    ForeignConventions, Layers, MAX_FILE_BYTES, Sight, from_onnx, to_onnx,
+    ForeignConventions, ImportError, Layers, MAX_FILE_BYTES, Sight, from_onnx, to_onnx,
 };
 use qube_hil::policy::{Activation, Controller, LayerWeights, OutputKind, Policy as Kind};
 use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State};
@@ -51,7 +51,10 @@ impl Policy {
         let told = |what: &dyn std::fmt::Display| bad_policy(format!("{}: {what}", path.display()));
         let bytes = read_bounded(&path, MAX_FILE_BYTES)
             .map_err(|error| told(&format!("cannot be read: {error}")))?;
-        let policy = from_onnx(&bytes, foreign.as_ref()).map_err(|error| told(&error))?;
+        let policy = from_onnx(&bytes, foreign.as_ref()).map_err(|error| match error {
+            ImportError::NoActionScale => told(&format!("{error} (action_scale_v)")),
+            other => told(&other),
+        })?;
         Ok(Self { policy: Kind::Network(policy) })
     }
 

@@ -8,7 +8,7 @@ use super::number_arguments::between;
 use super::output::Output;
 use crate::estimation::EstimatorSettings;
 use crate::policy::Policy;
-use crate::policy::onnx::{ForeignConventions, MAX_FILE_BYTES, Sight, from_onnx};
+use crate::policy::onnx::{ForeignConventions, ImportError, MAX_FILE_BYTES, Sight, from_onnx};
 use crate::qube::MAX_HISTORY;
 use crate::storage::read_bounded;
 
@@ -94,8 +94,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         let cure = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };
         refused(&format!("cannot be read: {error}{cure}"))
     })?;
-    let policy =
-        from_onnx(&bytes, arguments.foreign().as_ref()).map_err(|error| refused(&error))?;
+    let policy = from_onnx(&bytes, arguments.foreign().as_ref()).map_err(|error| match error {
+        ImportError::NoActionScale => refused(&format!("{error} (--action-scale)")),
+        other => refused(&other),
+    })?;
     let (sizes, activation) = (policy.network.sizes().to_vec(), policy.network.activation());
     let policy = Policy::Network(policy);
     out.write(&policy.to_bytes())?;

@@ -110,10 +110,7 @@ pub enum ImportError {
         limit: f32,
     },
     /// The file does not say the voltage, and the caller does not either.
-    #[error(
-        "does not say which voltage an output of 1 is: give the action scale in volts (--action-scale, in Python \
-         action_scale_v)"
-    )]
+    #[error("does not say which voltage an output of 1 is: give the action scale in volts")]
     NoActionScale,
     /// This program wrote the file, which names its conventions, and the caller names others.
     #[error(
