@@ -49,6 +49,8 @@ impl Family {
 ///
 /// Constructors check the distributions, and a draw that a direction moves out of a quantity's range is put at the
 /// end of the range, so every draw is physical.
+///
+/// A distribution of specimens ([`Self::of_specimens`]) draws one of them instead, each equally often.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "Written")]
 pub struct DomainDistribution {
@@ -56,6 +58,8 @@ pub struct DomainDistribution {
     distributions: [Distribution; Quantity::COUNT],
     /// Joint deviations, each times a standard normal number of its own.
     directions: Vec<Direction>,
+    /// Qubes of which each draw is one; with none, draws follow the distributions and directions.
+    specimens: Vec<QubeModel>,
 }
 
 /// A distribution as files have it: each quantity by the name that it has in profiles, and the directions.
@@ -65,6 +69,8 @@ struct Written {
     distributions: BTreeMap<String, Distribution>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     directions: Vec<Direction>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    specimens: Vec<QubeModel>,
 }
 
 impl DomainDistribution {
@@ -81,7 +87,29 @@ impl DomainDistribution {
         for quantity in Quantity::all() {
             distributions[quantity.index()] = Distribution::Constant { value: model.get(quantity) };
         }
-        Self { distributions, directions: Vec::new() }
+        Self { distributions, directions: Vec::new(), specimens: Vec::new() }
+    }
+
+    /// A distribution that draws one of these Qubes, each equally often: any belief about a Qube, by samples of it.
+    /// The distribution of each quantity tells the mean and the standard deviation of the samples.
+    ///
+    /// # Errors
+    /// A value of a Qube cannot be simulated.
+    pub fn of_specimens(specimens: Vec<QubeModel>) -> Result<Self, DistributionError> {
+        let mut moments = Self::nominal();
+        let count = specimens.len().max(1) as f64;
+        for quantity in Quantity::all() {
+            let values = || specimens.iter().map(|specimen| specimen.get(quantity));
+            for value in values() {
+                Distribution::Constant { value }.check(quantity)?;
+            }
+            if !specimens.is_empty() {
+                let mean = values().sum::<f64>() / count;
+                let square = values().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
+                moments = moments.moments(quantity, mean, sqrt(square), Family::Normal);
+            }
+        }
+        Ok(Self { specimens, ..moments })
     }
 
     /// The model `handcrafted`: all nine parameters normal around nominal, with a fifth of it as standard
@@ -296,6 +324,9 @@ impl DomainDistribution {
 
     /// Draws one xi. A constant takes no number from the generator.
     pub fn sample(&self, rng: &mut impl rand::Rng) -> QubeModel {
+        if !self.specimens.is_empty() {
+            return self.specimens[rng.random_range(0..self.specimens.len())];
+        }
         let mut model = QubeModel::NOMINAL;
         for quantity in Quantity::all() {
             model.set(quantity, self.get(quantity).sample(quantity, rng));
@@ -326,6 +357,7 @@ impl From<DomainDistribution> for Written {
         Self {
             distributions: Quantity::all().map(named).collect(),
             directions: distribution.directions,
+            specimens: distribution.specimens,
         }
     }
 }
@@ -340,10 +372,13 @@ impl TryFrom<Written> for DomainDistribution {
             let distribution = named.remove(name).ok_or_else(|| format!("{name} is missing"))?;
             all = all.with(quantity, distribution).map_err(|error| error.to_string())?;
         }
-        match named.into_keys().next() {
-            Some(name) => Err(format!("there is no quantity {name}")),
-            None => Ok(all.along(&written.directions)),
+        if let Some(name) = named.into_keys().next() {
+            return Err(format!("there is no quantity {name}"));
         }
+        if written.specimens.is_empty() {
+            return Ok(all.along(&written.directions));
+        }
+        Self::of_specimens(written.specimens).map_err(|error| error.to_string())
     }
 }
 
@@ -362,6 +397,27 @@ mod tests {
 
     fn is_random(distribution: &DomainDistribution) -> [bool; 9] {
         DomainParameter::ALL.map(|parameter| distribution.get(parameter).standard_deviation() > 0.0)
+    }
+
+    #[test]
+    fn a_distribution_of_specimens_draws_each_of_them_and_nothing_else() {
+        let light = QubeModel::NOMINAL;
+        let mut heavy = light;
+        heavy.set(DomainParameter::PendulumMass.into(), 0.03);
+        heavy.set(Nonideality::CommandDelay.into(), 0.02);
+        let distribution = DomainDistribution::of_specimens(vec![light, heavy]).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        let draws: Vec<QubeModel> = (0..400).map(|_| distribution.sample(&mut random)).collect();
+        let heavy_draws = draws.iter().filter(|it| **it == heavy).count();
+        assert!((150..250).contains(&heavy_draws), "{heavy_draws}");
+        assert_eq!(draws.iter().filter(|it| **it == light).count(), 400 - heavy_draws);
+        let mass = distribution.get(DomainParameter::PendulumMass);
+        assert!((mass.mean() - 0.027).abs() < 1e-12);
+        assert!((mass.standard_deviation() - 0.003).abs() < 1e-12);
+        let written = serde_json::to_string(&distribution).unwrap();
+        assert_eq!(serde_json::from_str::<DomainDistribution>(&written).unwrap(), distribution);
+        heavy.set(Nonideality::CommandDelay.into(), 1.0);
+        assert!(DomainDistribution::of_specimens(vec![heavy]).is_err());
     }
 
     #[test]
