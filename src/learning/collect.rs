@@ -19,6 +19,17 @@ pub(super) struct Batch {
     pub transitions: Vec<Transition>,
     /// Number of trajectories begun.
     pub trajectories: u32,
+    /// The ends of the trajectories, in order.
+    pub ends: Vec<TrajectoryEnd>,
+}
+
+/// The end of a trajectory in a batch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct TrajectoryEnd {
+    /// Index after its last transition.
+    pub end: usize,
+    /// Whether it left the safety box; others were cut short, or have run their time.
+    pub left_box: bool,
 }
 
 /// Collects the transitions of one update with the current networks.
@@ -52,10 +63,16 @@ impl Collector<'_> {
             std::iter::once(first).chain(rest).collect()
         });
         let trajectories = parts.iter().map(|part| part.trajectories).sum();
+        let (mut ends, mut first) = (Vec::new(), 0);
+        for part in &parts {
+            let shifted = |own: &TrajectoryEnd| TrajectoryEnd { end: first + own.end, ..*own };
+            ends.extend(part.ends.iter().map(shifted));
+            first += part.transitions.len();
+        }
         let mut parts = parts.into_iter().map(|part| part.transitions);
         let mut transitions = parts.next().unwrap_or_default();
         parts.for_each(|part| transitions.extend(part));
-        Batch { transitions, trajectories }
+        Batch { transitions, trajectories, ends }
     }
 
     fn collect_lanes(&self, lanes: Range<usize>) -> Batch {
@@ -111,9 +128,10 @@ impl Collector<'_> {
                 }
             }
         }
+        let trajectory_ends = ends_in_order(&ends, &cut);
         self.appraise(&mut transitions, ends, &cut);
         let trajectories = explorers.iter().map(|explorer| u32::from(explorer.number) + 1).sum();
-        Batch { transitions, trajectories }
+        Batch { transitions, trajectories, ends: trajectory_ends }
     }
 
     /// Fills in values, advantages and returns. `cut` holds, for each end that cut a trajectory short, its
@@ -155,6 +173,17 @@ impl Collector<'_> {
             calm: Calm::limited_to(self.settings.simulation.plant.limits.largest_voltage_v as f32),
         }
     }
+}
+
+/// The ends of trajectories by their places; `cut` names the indices of those that were cut short.
+fn ends_in_order(ends: &[End], cut: &[(usize, Observation)]) -> Vec<TrajectoryEnd> {
+    let mut in_order: Vec<TrajectoryEnd> =
+        ends.iter().map(|end| TrajectoryEnd { end: end.index + 1, left_box: true }).collect();
+    for &(place, _) in cut {
+        in_order[place].left_box = false;
+    }
+    in_order.sort_unstable_by_key(|end| end.end);
+    in_order
 }
 
 /// A trajectory and the exploration noise on its actions.

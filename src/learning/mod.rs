@@ -42,6 +42,7 @@ mod trained;
 mod trained_file;
 mod transition;
 mod workbench;
+mod worst;
 
 pub use checkpoint::Checkpointing;
 pub use curve::{TrainUpdate, curve_csv};

@@ -59,6 +59,10 @@ pub struct TrainSettings {
     /// Mean return of an evaluation at which training ends early.
     #[serde(alias = "enough")]
     pub target_return: Option<f64>,
+    /// Part of an update's trajectories that the networks learn from, those with the lowest returns: the part epsilon
+    /// of EPOpt (Rajeswaran et al. 2017). It acts in the second half of the updates; 1 takes all trajectories.
+    #[serde(skip_serializing_if = "is_one")]
+    pub worst_share: f32,
     /// Sensors, reward and safety box of the simulation.
     pub simulation: SimulationSettings,
     /// Number of threads to use, 1 or 2. The result does not depend on it.
@@ -90,6 +94,7 @@ impl TrainSettings {
             voltage_change_weight: 0.0,
             evaluation_starts: 100,
             target_return: None,
+            worst_share: 1.0,
             simulation: SimulationSettings::default(),
             threads: 1,
         }
@@ -136,6 +141,7 @@ impl TrainSettings {
         bounded("smallest_log_std", self.smallest_log_std, -10.0..=2.0, "-10 to 2")?;
         let weights = 0.0..=10.0;
         bounded("voltage_change_weight", self.voltage_change_weight, weights, "0 to 10")?;
+        bounded("worst_share", self.worst_share, 0.01..=1.0, "0.01 to 1")?;
         bounded("simulation.history", self.simulation.history, 0..=MAX_HISTORY, "0 to 4")?;
         if let SensorModel::Encoders { estimator } = &self.simulation.sensors {
             estimator.check()?;
@@ -175,12 +181,23 @@ impl TrainSettings {
         self.voltage_change_weight * grown.min(1.0)
     }
 
+    /// The part of an update's trajectories that the networks learn from. In the first half of the updates it is all
+    /// of them: a policy that cannot swing up yet has none that are not the worst.
+    #[must_use]
+    pub fn worst_share_at(&self, update: u32) -> f32 {
+        if 2 * update < self.updates { 1.0 } else { self.worst_share }
+    }
+
     /// The learning rate of an update.
     #[must_use]
     pub fn learning_rate_at(&self, update: u32) -> f32 {
         let done = update as f32 / self.updates.max(1) as f32;
         self.learning_rate + done * (self.last_learning_rate - self.learning_rate)
     }
+}
+
+fn is_one(share: &f32) -> bool {
+    *share == 1.0
 }
 
 /// Reads a number; `null`, which JSON writes for an infinite one, is infinite.

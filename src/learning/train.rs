@@ -11,6 +11,7 @@ use super::optimise::optimise;
 use super::state::TrainingState;
 use super::trained::Trained;
 use super::transition::Transition;
+use super::worst::worst_of;
 use super::{TrainError, TrainSettings};
 use crate::policy;
 use crate::simulation::{DomainDistribution, Evaluation, evaluate_and_tell};
@@ -97,10 +98,12 @@ impl TrainingState<'_> {
     pub fn update(&mut self, stop: &AtomicBool) -> Result<&TrainUpdate, TrainError> {
         let update = self.curve.len() as u32;
         let batch = self.collector().collect(self.settings.threads);
+        let share = self.settings.worst_share_at(update);
+        let worst = (share < 1.0).then(|| worst_of(&batch, share));
         let progress = optimise(
             &mut self.policy,
             &mut self.value,
-            &batch.transitions,
+            worst.as_ref().unwrap_or(&batch.transitions),
             self.settings,
             self.seed,
             update,

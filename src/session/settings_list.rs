@@ -193,6 +193,9 @@ impl SessionSettings {
         all.extent.baseline = true;
         all.preset.get_or_insert(self.preset());
         all.training.target_return.get_or_insert(550.0);
+        if all.training.worst_share == 1.0 {
+            all.training.worst_share = 0.1;
+        }
         let simulated = match &all.training.simulation.sensors {
             SensorModel::Encoders { estimator } => *estimator,
             SensorModel::TrueState => EstimatorSettings::default(),

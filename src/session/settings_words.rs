@@ -22,7 +22,7 @@ pub(super) fn words(key: &str) -> Option<&'static Words> {
     WORDS.iter().filter(is_end).max_by_key(|words| words.key.len())
 }
 
-const WORDS: [Words; 104] = [
+const WORDS: [Words; 105] = [
     of("name", "", "Name of the session; its folder's by default"),
     of("seed", "", "Seed from which every random number follows"),
     of("model", "", "Model whose psi the search varies where no Qube is identified"),
@@ -75,6 +75,11 @@ const WORDS: [Words; 104] = [
         "directions.M_p",
         "kg",
         "One direction of the errors: how far one standard deviation moves each quantity",
+    ),
+    of(
+        "training.worst_share",
+        "",
+        "Part of the trajectories, the worst ones, that the second half of the updates learns from",
     ),
     of("corner_rad_s", "rad/s", "Corner of the velocity filter"),
     of(
