@@ -9,7 +9,7 @@ use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_a
 use crate::policy::Policy;
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::session::{EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed};
-use crate::simulation::Psi;
+use crate::simulation::{DomainDistribution, Psi, PsiError, SimulationSettings};
 use crate::storage::{Disk, MachineDisk, write_whole};
 use crate::telemetry::Ending;
 
@@ -22,6 +22,8 @@ pub(super) struct Series<'a> {
     pub recipe: &'a Recipe,
     /// Psi of a searched model; `None` for others.
     pub psi: Option<&'a Psi>,
+    /// Distribution of the simulations in place of the recipe's.
+    pub distribution: Option<&'a DomainDistribution>,
     /// Seed from which, with a policy's number, every random number follows.
     pub seed: u64,
     /// Number of competing trainings of a policy; the best in simulation is kept.
@@ -53,14 +55,46 @@ impl Series<'_> {
         if MachineDisk.exists(&path) {
             return Ok(None);
         }
+        // Before the training, whose work a folder that cannot be made would lose.
         make(paths.folder())?;
         let trained = self.best_of_trainings(policy, watch)?;
         let best_return = trained.best_return;
+        self.keep(policy, trained)?;
+        Ok(Some(best_return))
+    }
+
+    /// Stores a policy that was trained for this series.
+    ///
+    /// # Errors
+    /// The policy cannot be stored.
+    pub fn keep(&self, policy: u32, trained: Trained) -> Result<(), ExperimentError> {
+        let paths = self.folders.policy(policy);
+        make(paths.folder())?;
         let curve = curve_csv(&trained.curve);
         write_whole(&MachineDisk, &paths.curve(), curve.as_bytes())?;
-        let file = trained.into_policy(self.recipe.origin(self.psi)).to_bytes();
-        write_whole(&MachineDisk, &path, &file)?;
-        Ok(Some(best_return))
+        let mut origin = self.recipe.origin(self.psi);
+        if self.distribution.is_some() {
+            origin.model.clone_from(&self.recipe.name);
+        }
+        let file = trained.into_policy(origin).to_bytes();
+        write_whole(&MachineDisk, &paths.policy(), &file)?;
+        Ok(())
+    }
+
+    /// The distribution in which policies are trained and evaluated.
+    ///
+    /// # Errors
+    /// The psi of a searched model or a profile is missing.
+    pub fn distribution(&self) -> Result<DomainDistribution, PsiError> {
+        match self.distribution {
+            Some(distribution) => Ok(distribution.clone()),
+            None => self.recipe.distribution(self.psi),
+        }
+    }
+
+    /// The simulation settings besides the distribution.
+    pub fn simulation(&self) -> SimulationSettings {
+        self.recipe.simulation(self.psi)
     }
 
     /// The best of the policy's trainings; if all of a round fail in simulation, the next round follows.
@@ -69,8 +103,7 @@ impl Series<'_> {
         policy: u32,
         watch: &mut dyn FnMut(u32, &TrainUpdate),
     ) -> Result<Trained, ExperimentError> {
-        let distribution = self.recipe.distribution(self.psi)?;
-        let simulation = self.recipe.simulation(self.psi);
+        let (distribution, simulation) = (self.distribution()?, self.simulation());
         let settings =
             TrainSettings { threads: 1, simulation, ..self.recipe.settings.training.clone() };
         let mut train = |training: u32| {

@@ -328,6 +328,7 @@ impl Experiment {
             experiment: &self.settings.name,
             recipe,
             psi,
+            distribution: None,
             seed: self.settings.seed,
             trainings: 1,
             folders: self.folder.policies(&recipe.name),

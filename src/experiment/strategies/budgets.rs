@@ -158,9 +158,7 @@ impl MethodRun<'_> {
         let simulated_return = if self.access.works() {
             f64::NAN
         } else {
-            let Recommendation { recipe, psi } = recommendation;
-            let distribution = recipe.distribution(psi.as_ref())?;
-            let simulation = recipe.simulation(psi.as_ref());
+            let (distribution, simulation) = (series.distribution()?, series.simulation());
             let path = series.folders.policy(0).policy();
             let starts = settings.simulated_starts as usize;
             simulated_return(&path, &distribution, &simulation, starts)?
@@ -176,7 +174,7 @@ fn steps_within(recommendations: &dyn Recommendations, budget: u32) -> Option<u3
         0 => most,
         each => (budget / each).min(most),
     };
-    (steps > 0).then_some(steps)
+    (steps >= recommendations.first()).then_some(steps)
 }
 
 fn row(

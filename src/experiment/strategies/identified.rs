@@ -1,25 +1,15 @@
-use std::path::PathBuf;
-
 use super::StrategySettings;
+use super::recordings::{Recorded, Recordings, excitation, read};
 use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
-use crate::experiment::rollouts::{Repeated, all_of};
-use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, Recipe};
 use crate::identification::{Unknown, Verdict, check_recording, identify};
-use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
+use crate::policy::Policy;
 use crate::qube::{Profile, QubeModel};
 use crate::replay::{MotionLog, MotionLogError};
-use crate::rig::RigSettings;
-use crate::session::{RolloutPlan, SeedFor, SessionSettings, derived_seed, recording_in};
+use crate::session::SessionSettings;
 use crate::simulation::{Model, ProfileSettings};
 use crate::storage::{Disk, MachineDisk, write_whole};
-
-/// Voltage of the excitation, V: the default of `run --excite`.
-const EXCITATION_V: f64 = 1.5;
-
-/// Largest file about a fit that is read, bytes.
-const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// The result of fitting a Qube to recordings.
 enum Fit {
@@ -56,6 +46,7 @@ pub(super) struct FromRecordings<'a> {
     settings: &'a StrategySettings,
     width: Width,
     further: Further,
+    recordings: Recordings<'a>,
 }
 
 impl<'a> FromRecordings<'a> {
@@ -66,23 +57,13 @@ impl<'a> FromRecordings<'a> {
         width: Width,
         further: Further,
     ) -> Self {
-        Self { run, settings, width, further }
-    }
-
-    fn recordings(&self) -> PathBuf {
-        self.run.folder.join("recordings")
-    }
-
-    /// Number of repetitions of a recording after faults.
-    fn repetitions(&self) -> u32 {
-        self.run.recipe.settings.extent.repetitions
+        Self { run, settings, width, further, recordings: Recordings::of(run) }
     }
 
     /// The policy of the recording with this number.
     fn policy(&mut self, number: u32) -> Result<Vec<u8>, ExperimentError> {
         if number == 0 || self.further == Further::Excitations {
-            let excitation = Excitation::of_rollout(ExcitationShape::Chirp, EXCITATION_V, number);
-            return Ok(Policy::Excitation(excitation).to_bytes());
+            return Ok(excitation(number));
         }
         let recommendation = match self.recommended(number)? {
             Recommended::Found(recommendation) => *recommendation,
@@ -95,51 +76,20 @@ impl<'a> FromRecordings<'a> {
 
     /// Makes the recording of this number if it does not exist.
     fn record(&mut self, number: u32) -> Result<(), ExperimentError> {
-        let (run, experiment) = (self.run, self.run.experiment);
-        let settings = &run.recipe.settings;
-        let is_excitation = number == 0 || self.further == Further::Excitations;
-        // A separate seed, because scoring uses the run's own.
-        let seed = derived_seed(run.seed, SeedFor::Search);
         let policy = self.policy(number)?;
-        let repeated = Repeated {
-            folder: &self.recordings(),
-            plan: RolloutPlan {
-                session: format!("{} of {}", run.name, experiment.settings().name),
-                candidate: None,
-                rollout: number,
-                attempt: 0,
-                psi: Default::default(),
-                seed,
-                policy: if is_excitation {
-                    "excitation by chirp".into()
-                } else {
-                    format!("policy after {number} recordings")
-                },
-                estimator: settings.estimator,
-                safety_box: settings.safety_box,
-                steps: if is_excitation { EXCITATION_STEPS } else { settings.extent.steps },
-            },
-            policy: &policy,
-            repetitions: self.repetitions(),
-            stop: experiment.stop(),
+        let kind = if number == 0 || self.further == Further::Excitations {
+            Recorded::Excitation
+        } else {
+            Recorded::Policy { after: number }
         };
-        let rig = RigSettings { homing: settings.homing, ..experiment.rig().clone() };
-        repeated.perform(|attempt, record| {
-            let purpose = SeedFor::Emulator { candidate: 0, rollout: number, attempt };
-            let seed = derived_seed(seed, purpose);
-            record(&virtual_rig(&rig, &run.plant.emulated, seed, experiment.stop())?).map(drop)
-        })?;
-        Ok(())
+        self.recordings.make(number, kind, &policy)
     }
 
     /// Identifies the Qube from several recordings.
     fn fit(&self, recordings: u32) -> Result<Fit, ExperimentError> {
         let mut logs = Vec::new();
         for number in 0..recordings {
-            // The last attempt counts.
-            let tries = (0..=self.repetitions()).rev();
-            let mut paths = tries.map(|attempt| recording_in(&self.recordings(), number, attempt));
-            let Some(path) = paths.find(|path| MachineDisk.exists(path)) else {
+            let Some(path) = self.recordings.path(number) else {
                 return Ok(Fit::Refused(format!("recording {number} is missing")));
             };
             match MotionLog::read(&path) {
@@ -178,9 +128,9 @@ impl<'a> FromRecordings<'a> {
             }
         }
         Ok(Some(if MachineDisk.exists(&refused) {
-            Fit::Refused(read(refused)?)
+            Fit::Refused(read(&refused)?)
         } else {
-            Fit::Found(read(found)?)
+            Fit::Found(read(&found)?)
         }))
     }
 
@@ -211,7 +161,7 @@ impl<'a> FromRecordings<'a> {
         let settings = SessionSettings { profile: Some(around), ..recipe.settings };
         // A profile that cannot be simulated is not a recommendation either.
         settings.base_distribution().map_err(|error| error.to_string())?;
-        Ok(Recommendation { recipe: Recipe { settings, ..recipe }, psi: None })
+        Ok(Recommendation::of(Recipe { settings, ..recipe }, None))
     }
 }
 
@@ -231,16 +181,9 @@ impl Recommendations for FromRecordings<'_> {
                 self.record(number)?;
             }
         }
-        if all_of(&self.recordings(), steps, self.repetitions())?.is_none() {
+        if !self.recordings.are_complete(steps)? {
             return Ok(Recommended::NotOnDisk);
         }
         self.recommended(steps)
     }
-}
-
-fn read(path: PathBuf) -> Result<String, ExperimentError> {
-    let unreadable = |reason| ExperimentError::Settings { path: path.clone(), reason };
-    let bytes =
-        MachineDisk.read(&path, MAX_FILE_BYTES).map_err(|error| unreadable(error.to_string()))?;
-    String::from_utf8(bytes).map_err(|error| unreadable(error.to_string()))
 }

@@ -16,6 +16,7 @@ mod budgets;
 mod follow;
 mod identified;
 mod method;
+mod recordings;
 mod repetition;
 mod results;
 mod run;

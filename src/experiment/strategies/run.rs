@@ -4,7 +4,7 @@ use crate::experiment::folder::PolicyFolders;
 use crate::experiment::series::Series;
 use crate::experiment::work::Tell;
 use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
-use crate::simulation::{Model, Psi};
+use crate::simulation::{DomainDistribution, Model, Psi};
 
 /// The recipe and psi that a method recommends for training policies.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,6 +13,15 @@ pub(super) struct Recommendation {
     pub recipe: Recipe,
     /// Psi of the recipe, if its model is searched.
     pub psi: Option<Psi>,
+    /// Distribution of the simulations in place of the recipe's.
+    pub distribution: Option<DomainDistribution>,
+}
+
+impl Recommendation {
+    /// The recommendation of a recipe's own distribution.
+    pub fn of(recipe: Recipe, psi: Option<Psi>) -> Self {
+        Self { recipe, psi, distribution: None }
+    }
 }
 
 /// The result of asking a method for a recommendation.
@@ -33,7 +42,12 @@ pub(super) trait Recommendations {
     /// Number of real rollouts before each recommendation.
     fn rollouts_each(&self) -> u32;
 
-    /// The recommendation after `steps` candidates or recordings, from 1 on.
+    /// Number of candidates or recordings before the first recommendation: 0 or 1.
+    fn first(&self) -> u32 {
+        1
+    }
+
+    /// The recommendation after `steps` candidates or recordings, from [`Self::first`] on.
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.
@@ -78,7 +92,7 @@ impl MethodRun<'_> {
     /// The recommendation where nothing is known of the Qube: the distribution `robust`.
     pub fn without_identification(&self) -> Recommendation {
         let recipe = Recipe::of(Model::Robust, &self.recipe.settings);
-        Recommendation { recipe, psi: None }
+        Recommendation::of(recipe, None)
     }
 
     /// The policies of the recommendation after `steps` candidates or recordings.
@@ -92,6 +106,7 @@ impl MethodRun<'_> {
             experiment: &self.experiment.settings().name,
             recipe: &recommendation.recipe,
             psi: recommendation.psi.as_ref(),
+            distribution: recommendation.distribution.as_ref(),
             seed: self.seed,
             trainings,
             folders: PolicyFolders::of_recommendation(&self.folder, steps),

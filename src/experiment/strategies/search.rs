@@ -83,6 +83,6 @@ impl Recommendations for FromSearch<'_> {
         let Some(data) = self.evaluated.get(..steps) else { return Ok(Recommended::NotOnDisk) };
         let psi = self.settings.psi.psi(&self.strategy.best(data)?.point)?;
         let recipe = self.run.recipe.clone();
-        Ok(Recommended::Found(Box::new(Recommendation { recipe, psi: Some(psi) })))
+        Ok(Recommended::Found(Box::new(Recommendation::of(recipe, Some(psi)))))
     }
 }

@@ -1,0 +1,123 @@
+use std::path::{Path, PathBuf};
+
+use super::run::MethodRun;
+use crate::experiment::ExperimentError;
+use crate::experiment::rollouts::{Repeated, all_of};
+use crate::experiment::series::virtual_rig;
+use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
+use crate::rig::RigSettings;
+use crate::session::{RolloutPlan, SeedFor, derived_seed, recording_in};
+use crate::storage::{Disk, MachineDisk};
+
+/// Voltage of the excitation, V: the default of `run --excite`.
+const EXCITATION_V: f64 = 1.5;
+
+/// Largest file about a result that is read, bytes.
+const MAX_FILE_BYTES: u64 = 1 << 24;
+
+/// What moved the Qube in a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Recorded {
+    /// An excitation.
+    Excitation,
+    /// A policy.
+    Policy {
+        /// Number of recordings that it follows from.
+        after: u32,
+    },
+}
+
+/// The real rollouts of a method's run that are its data, by number.
+pub(super) struct Recordings<'a> {
+    run: &'a MethodRun<'a>,
+}
+
+impl<'a> Recordings<'a> {
+    /// The recordings in the folder of a run.
+    pub fn of(run: &'a MethodRun<'a>) -> Self {
+        Self { run }
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.run.folder.join("recordings")
+    }
+
+    /// Number of repetitions of a recording after faults.
+    fn repetitions(&self) -> u32 {
+        self.run.recipe.settings.extent.repetitions
+    }
+
+    /// Makes the recording of this number under a policy, unless it exists.
+    ///
+    /// # Errors
+    /// The work ends early.
+    pub fn make(&self, number: u32, kind: Recorded, policy: &[u8]) -> Result<(), ExperimentError> {
+        let (run, experiment) = (self.run, self.run.experiment);
+        let settings = &run.recipe.settings;
+        // A separate seed, because scoring uses the run's own.
+        let seed = derived_seed(run.seed, SeedFor::Search);
+        let (name, steps) = match kind {
+            Recorded::Excitation => ("excitation by chirp".into(), EXCITATION_STEPS),
+            Recorded::Policy { after } => {
+                (format!("policy after {after} recordings"), settings.extent.steps)
+            }
+        };
+        let repeated = Repeated {
+            folder: &self.folder(),
+            plan: RolloutPlan {
+                session: format!("{} of {}", run.name, experiment.settings().name),
+                candidate: None,
+                rollout: number,
+                attempt: 0,
+                psi: Default::default(),
+                seed,
+                policy: name,
+                estimator: settings.estimator,
+                safety_box: settings.safety_box,
+                steps,
+            },
+            policy,
+            repetitions: self.repetitions(),
+            stop: experiment.stop(),
+        };
+        let rig = RigSettings { homing: settings.homing, ..experiment.rig().clone() };
+        repeated.perform(|attempt, record| {
+            let purpose = SeedFor::Emulator { candidate: 0, rollout: number, attempt };
+            let seed = derived_seed(seed, purpose);
+            record(&virtual_rig(&rig, &run.plant.emulated, seed, experiment.stop())?).map(drop)
+        })?;
+        Ok(())
+    }
+
+    /// The file of a recording: its last attempt; `None` if there is none.
+    pub fn path(&self, number: u32) -> Option<PathBuf> {
+        let tries = (0..=self.repetitions()).rev();
+        let mut paths = tries.map(|attempt| recording_in(&self.folder(), number, attempt));
+        paths.find(|path| MachineDisk.exists(path))
+    }
+
+    /// Whether the first `count` recordings are complete on disk.
+    ///
+    /// # Errors
+    /// A recording cannot be read.
+    pub fn are_complete(&self, count: u32) -> Result<bool, ExperimentError> {
+        Ok(all_of(&self.folder(), count, self.repetitions())?.is_some())
+    }
+}
+
+/// The bytes of the excitation of a recording.
+pub(super) fn excitation(number: u32) -> Vec<u8> {
+    let excitation = Excitation::of_rollout(ExcitationShape::Chirp, EXCITATION_V, number);
+    Policy::Excitation(excitation).to_bytes()
+}
+
+/// Reads a text that a run has stored.
+///
+/// # Errors
+/// The file cannot be read.
+pub(super) fn read(path: &Path) -> Result<String, ExperimentError> {
+    let unreadable = |reason| ExperimentError::Settings { path: path.to_owned(), reason };
+    let bytes =
+        MachineDisk.read(path, MAX_FILE_BYTES).map_err(|error| unreadable(error.to_string()))?;
+    String::from_utf8(bytes).map_err(|error| unreadable(error.to_string()))
+}
