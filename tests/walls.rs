@@ -80,7 +80,7 @@ const ROOMS: &[Room] = &[
     room("session", &["qube", "estimation", "safety", "policy", "simulation", "learning", "jobs", "surrogate",
                       "search", "device", "telemetry", "control", "recording", "replay",
                       "identification", "rig", "scoring", "storage"]),
-    room("experiment", &["qube", "policy", "simulation", "learning", "jobs", "search",
+    room("experiment", &["elementary", "qube", "policy", "simulation", "learning", "jobs", "search",
                          "recording", "telemetry", "rig", "session", "scoring", "storage", "identification", "replay"]),
     // Drawing, apart from what it shows.
     room("charts", &["qube", "simulation", "replay", "search", "surrogate"]),

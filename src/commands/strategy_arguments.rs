@@ -12,7 +12,8 @@ pub struct StrategyArguments {
     /// Compare methods instead of recipes. bayrn, cem, cmaes, random and sobol search for one model's psi [default:
     /// opt-nominal's]. The others take recordings and train around the Qube that these identify: on its values alone
     /// (identify-mean), with a spread (identify), along the fit's errors (posterior), with rollouts of their own
-    /// policies as further recordings (sequential). robust takes no real rollout. The result is the number of real
+    /// policies as further recordings (sequential). robust takes no real rollout. simopt, bayessim, dropo, epopt,
+    /// npdr, lsdr, fpo and adr are methods from the literature (docs/rivals.md). The result is the number of real
     /// rollouts until the recommendation succeeds in 90 % of --policies x --rollouts separate rollouts
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "resume")]
     pub strategies: Vec<Method>,

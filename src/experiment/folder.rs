@@ -18,6 +18,7 @@ use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 /// strategies/identify/000/recordings/             or the recordings of a repetition without one,
 /// strategies/identify/000/identified-1.toml       and the Qube that was found in the first of them
 /// strategies/STRATEGY/000/judged/003/000/         policies as above, of the third recommendation
+/// strategies/simopt/000/belief-1.json             or what a method from the literature learnt from the first of them
 /// budgets/PLANT/STRATEGY/000/                     the same of a comparison at fixed budgets
 /// ```
 #[derive(Debug)]

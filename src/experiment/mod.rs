@@ -10,7 +10,7 @@
 //! recommendation succeeds.
 //!
 //! The room may import `session`, `rig`, `scoring`, `recording`, `jobs`, `learning`, `simulation`, `search`,
-//! `identification`, `replay`, `policy`, `telemetry`, `storage` and `qube`. Reading order: [`ExperimentSettings`],
+//! `identification`, `replay`, `policy`, `telemetry`, `storage`, `qube` and `elementary`. Reading order: [`ExperimentSettings`],
 //! then [`Experiment`], which does the work and can be interrupted and resumed, then [`Results`], which are
 //! computed from policies and recordings; nothing else is stored.
 

@@ -259,7 +259,7 @@ mod tests {
         assert_eq!(two.check(), Ok(()));
         let strategies = two.strategies.as_mut().unwrap();
         strategies.budgets.clear();
-        strategies.methods.retain(|method| *method != Method::Robust);
+        strategies.methods.retain(|method| !method.needs_no_rollouts());
         assert!(two.check().unwrap_err().contains("one plant"));
     }
 }

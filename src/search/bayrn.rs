@@ -36,6 +36,19 @@ impl BayRn {
         Ok(Self { search_box, settings, seed })
     }
 
+    /// A search between bounds of each coordinate.
+    ///
+    /// # Errors
+    /// The bounds form no box, or [`Self::new`] would fail.
+    pub fn between(
+        lower: &[f64],
+        upper: &[f64],
+        settings: BayRnSettings,
+        seed: u64,
+    ) -> Result<Self, SearchError> {
+        Self::new(SearchBox::new(lower.to_vec(), upper.to_vec())?, settings, seed)
+    }
+
     /// Fits the surrogate to data.
     ///
     /// # Errors

@@ -139,6 +139,20 @@ impl CmaEs {
         Self { search_box, seed, constants }
     }
 
+    /// A search between bounds of each coordinate.
+    ///
+    /// # Errors
+    /// The bounds form no box.
+    pub fn between(lower: &[f64], upper: &[f64], seed: u64) -> Result<Self, SearchError> {
+        Ok(Self::new(SearchBox::new(lower.to_vec(), upper.to_vec())?, seed))
+    }
+
+    /// Number of points of a generation.
+    #[must_use]
+    pub fn generation(&self) -> usize {
+        self.constants.population
+    }
+
     /// The distribution after all complete generations in the data.
     fn distribution(&self, data: &[Observation]) -> Distribution {
         let mut distribution = Distribution::new(self.search_box.dimensions());

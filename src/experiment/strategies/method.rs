@@ -3,6 +3,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use super::rivals::RivalKind;
 use crate::search::StrategyKind;
 
 /// A method that turns real rollouts into policies.
@@ -24,6 +25,8 @@ pub enum Method {
     /// Does as [`Method::Posterior`] after the first recording; each further recording is a rollout of the policy that
     /// the recordings before it give.
     SequentialPosterior,
+    /// Does as a method from the literature.
+    Rival(RivalKind),
 }
 
 impl Method {
@@ -36,7 +39,18 @@ impl Method {
             Self::Posterior,
             Self::SequentialPosterior,
         ];
-        StrategyKind::ALL.into_iter().map(Self::Search).chain(others)
+        let rivals = RivalKind::ALL.into_iter().map(Self::Rival);
+        StrategyKind::ALL.into_iter().map(Self::Search).chain(others).chain(rivals)
+    }
+
+    /// Whether the method takes no real rollout.
+    #[must_use]
+    pub fn needs_no_rollouts(self) -> bool {
+        match self {
+            Self::Robust => true,
+            Self::Rival(kind) => kind.needs_no_rollouts(),
+            _ => false,
+        }
     }
 
     /// The method's name.
@@ -49,6 +63,7 @@ impl Method {
             Self::Identify => "identify",
             Self::Posterior => "posterior",
             Self::SequentialPosterior => "sequential",
+            Self::Rival(kind) => kind.name(),
         }
     }
 }

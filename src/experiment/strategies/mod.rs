@@ -19,6 +19,7 @@ mod method;
 mod recordings;
 mod repetition;
 mod results;
+mod rivals;
 mod run;
 mod score;
 mod search;

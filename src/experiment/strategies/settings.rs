@@ -72,8 +72,9 @@ impl StrategySettings {
         if !self.budgets.is_sorted_by(|a, b| a < b) || self.budgets.last() > Some(&1000) {
             return Err("budgets: give numbers of real rollouts up to 1000, each larger than the one before".into());
         }
-        if !self.has_budgets() && self.methods.contains(&Method::Robust) {
-            return Err("robust takes no real rollouts: give budgets to compare it".into());
+        let idle = self.methods.iter().find(|method| method.needs_no_rollouts());
+        if let (false, Some(idle)) = (self.has_budgets(), idle) {
+            return Err(format!("{idle} takes no real rollouts: give budgets to compare it"));
         }
         if !(1..=64).contains(&self.trainings) {
             return Err(format!("trainings = {}: give a number from 1 to 64", self.trainings));

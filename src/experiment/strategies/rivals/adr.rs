@@ -1,0 +1,114 @@
+use nalgebra::DVector;
+
+use super::belief::Belief;
+use super::discriminator::Discriminator;
+use super::gaussian::standard_normal;
+use super::rival::{Data, Given, Rival};
+use super::simulator::{Demonstration, simulate};
+use super::space::{Space, distribution_of};
+use super::stages::Stages;
+use super::stein::stein_step;
+use super::summary::{features, parts_of, statistics};
+use crate::learning::{TrainError, Trained};
+use crate::policy::Network;
+use crate::simulation::SimulationSettings;
+
+/// Stages of the training.
+const STAGES: u32 = 10;
+
+/// Particles, each a Qube.
+const PARTICLES: usize = 32;
+
+/// Pairs of Qubes on opposite sides of a particle that tell the slope of its reward, and their distance.
+const PAIRS: usize = 4;
+const DISTANCE: f64 = 0.3;
+
+/// Steps of the particles after each stage, and their rate.
+const STEPS: usize = 3;
+const RATE: f64 = 0.5;
+
+/// Temperature of the reward: how much the particles follow it rather than the prior.
+const TEMPERATURE: f64 = 0.3;
+
+/// Active domain randomisation (Mehta et al. 2020, reference 20 of the thesis): trains on the Qubes in which the policy
+/// behaves most unlike in the nominal one, which particles look for.
+pub struct ActiveRandomisation;
+
+impl Rival for ActiveRandomisation {
+    fn data(&self) -> Data {
+        Data::None
+    }
+
+    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+        Ok(given.before.clone())
+    }
+
+    fn trained(&self, given: &Given) -> Result<Option<Trained>, TrainError> {
+        let mut random = given.random();
+        let mut particles = given.space.draws(PARTICLES, &mut random);
+        let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
+        for stage in 0..STAGES {
+            let Some(distribution) = distribution_of(given.space, &particles) else { break };
+            stages.go_on(&distribution)?;
+            let Some(network) = stages.network() else { break };
+            if stage + 1 == STAGES {
+                break;
+            }
+            let behaviour = Behaviour { network, given };
+            let nominal = vec![DVector::zeros(given.space.dimensions()); 2];
+            let reference: Vec<_> = [0.08, 0.04, -0.04, -0.08]
+                .iter()
+                .flat_map(|&theta| behaviour.of(&nominal, theta))
+                .collect();
+            for _ in 0..STEPS {
+                let differs = Discriminator::fit(&reference, &behaviour.of(&particles, 0.0));
+                let gradients: Vec<DVector<f64>> = particles
+                    .iter()
+                    .map(|particle| {
+                        let mut slope = -particle;
+                        for _ in 0..PAIRS {
+                            let direction = standard_normal(particle.len(), &mut random);
+                            let sides = [1.0, -1.0].map(|side| {
+                                given.space.held(&(particle + side * DISTANCE * &direction))
+                            });
+                            let rewards = behaviour.of(&sides, 0.0);
+                            let [one, other] = [0, 1]
+                                .map(|side| differs.probability(&rewards[side]).max(1e-6).ln());
+                            let scale = (one - other) / (2.0 * DISTANCE * PAIRS as f64);
+                            slope += (scale / TEMPERATURE) * direction;
+                        }
+                        slope
+                    })
+                    .collect();
+                particles = stein_step(&particles, &gradients, RATE)
+                    .iter()
+                    .map(|particle| given.space.held(particle))
+                    .collect();
+            }
+        }
+        Ok(stages.trained)
+    }
+}
+
+/// What a policy does in Qubes, as features.
+struct Behaviour<'a> {
+    network: &'a Network,
+    given: &'a Given<'a>,
+}
+
+impl Behaviour<'_> {
+    fn of(&self, points: &[DVector<f64>], theta: f64) -> Vec<DVector<f64>> {
+        let Self { network, given } = self;
+        let (space, simulation): (&Space, &SimulationSettings) = (given.space, given.simulation);
+        let demonstration = Demonstration::of_policy(network, theta);
+        let models: Vec<_> = points.iter().map(|point| space.model(point)).collect();
+        let parts = parts_of(demonstration.log.samples.len());
+        simulate(&demonstration, simulation, &models)
+            .iter()
+            .map(|motion| {
+                let own = statistics(motion, parts);
+                features(std::slice::from_ref(&own), own.len())
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,50 @@
+use super::belief::Belief;
+use super::mixture_density::MixtureDensity;
+use super::rival::{Data, Given, POINTS, Rival};
+use super::simulator::{Motion, simulate};
+use super::summary::{features, parts_of, statistics};
+use crate::learning::TrainError;
+
+/// Number of simulations that the network learns from.
+const SAMPLES: usize = 2000;
+
+/// Passes over them.
+const PASSES: usize = 60;
+
+/// BayesSim (Ramos, Possas and Fox 2019, reference 17 of the thesis): the posterior of a Qube given summary statistics
+/// of its motion, by a mixture density network that learns from simulations of Qubes drawn from the prior.
+pub struct BayesSim;
+
+impl Rival for BayesSim {
+    fn data(&self) -> Data {
+        Data::Excitations
+    }
+
+    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+        let mut random = given.random();
+        let targets = given.space.draws(SAMPLES, &mut random);
+        let models: Vec<_> = targets.iter().map(|point| given.space.model(point)).collect();
+        let mut simulated: Vec<Vec<Vec<f64>>> = vec![Vec::new(); SAMPLES];
+        let mut real = Vec::new();
+        for demonstration in given.recorded {
+            let motion = Motion::recorded(&demonstration.log);
+            let parts = parts_of(motion.states.len());
+            real.push(statistics(&motion, parts));
+            let motions = simulate(demonstration, given.simulation, &models);
+            for (own, motion) in simulated.iter_mut().zip(&motions) {
+                own.push(statistics(motion, parts));
+            }
+        }
+        // Recordings that ended early have fewer parts; those that all have count.
+        let shortest = real.iter().map(Vec::len).min().unwrap_or_default();
+        if shortest == 0 {
+            return Ok(given.before.clone());
+        }
+        let inputs: Vec<_> = simulated.iter().map(|own| features(own, shortest)).collect();
+        let weights = vec![1.0; SAMPLES];
+        let network = MixtureDensity::fit(&inputs, &targets, &weights, PASSES, given.seed);
+        let posterior = network.given(&features(&real, shortest));
+        let points = posterior.draws(POINTS, &mut random);
+        Ok(Belief::Points(points.iter().map(|point| given.space.held(point)).collect()))
+    }
+}

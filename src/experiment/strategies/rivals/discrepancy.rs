@@ -1,0 +1,88 @@
+use super::simulator::Motion;
+use crate::qube::State;
+
+/// Weights of the observations: arm, cosine and sine of the pendulum, and the two velocities, whose size is about 10
+/// and 20 times that of the angles.
+const WEIGHTS: [f64; 5] = [1.0, 1.0, 1.0, 0.1, 0.05];
+
+/// Weights of the sums of absolute and of squared differences.
+const NORMS: [f64; 2] = [0.5, 1.0];
+
+/// Standard deviation of the filter over time, steps.
+const FILTER_STEPS: f64 = 5.0;
+
+/// Largest weighted difference that counts.
+const LARGEST: f64 = 10.0;
+
+/// The discrepancy of two motions (SimOpt, equation 4): absolute and squared differences of the weighted observations,
+/// which a Gaussian filter over time has smoothed so that a small shift in time costs little; the mean over the steps
+/// that both have.
+pub fn discrepancy(real: &Motion, simulated: &Motion) -> f64 {
+    let steps = real.states.len().min(simulated.states.len());
+    let mut total = 0.0;
+    for (index, weight) in WEIGHTS.iter().enumerate() {
+        let difference: Vec<f64> = real
+            .states
+            .iter()
+            .zip(&simulated.states)
+            .map(|(real, simulated)| {
+                let own = weight * (observed(simulated)[index] - observed(real)[index]);
+                if own.is_finite() { own.clamp(-LARGEST, LARGEST) } else { LARGEST }
+            })
+            .collect();
+        for smoothed in filtered(&difference) {
+            total += NORMS[0] * smoothed.abs() + NORMS[1] * smoothed * smoothed;
+        }
+    }
+    total / steps.max(1) as f64
+}
+
+fn observed(state: &State) -> [f64; 5] {
+    [state.theta, state.alpha.cos(), state.alpha.sin(), state.theta_dot, state.alpha_dot]
+}
+
+/// The values after a Gaussian filter; near the ends it has fewer of them.
+fn filtered(values: &[f64]) -> Vec<f64> {
+    let reach = (3.0 * FILTER_STEPS) as usize;
+    let kernel: Vec<f64> =
+        (0..=reach).map(|away| (-0.5 * (away as f64 / FILTER_STEPS).powi(2)).exp()).collect();
+    (0..values.len())
+        .map(|here| {
+            let first = here.saturating_sub(reach);
+            let end = (here + reach + 1).min(values.len());
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for (there, value) in values.iter().enumerate().take(end).skip(first) {
+                let weight = kernel[here.abs_diff(there)];
+                sum += weight * value;
+                weights += weight;
+            }
+            sum / weights
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn swinging(shift: f64, amplitude: f64) -> Motion {
+        let states = (0..300).map(|step| {
+            let phase = 0.1 * (f64::from(step) - shift);
+            State { theta: amplitude * phase.sin(), ..State::default() }
+        });
+        Motion { states: states.collect(), voltages_v: vec![0.0; 300] }
+    }
+
+    #[test]
+    fn equal_motions_have_none_and_it_grows_with_what_differs() {
+        let real = swinging(0.0, 1.0);
+        assert_eq!(discrepancy(&real, &real), 0.0);
+        let costs = [0.9, 0.7, 0.2].map(|amplitude| discrepancy(&real, &swinging(0.0, amplitude)));
+        assert!(0.0 < costs[0] && costs[0] < costs[1] && costs[1] < costs[2], "{costs:?}");
+        assert!(discrepancy(&real, &swinging(1.0, 1.0)) < discrepancy(&real, &swinging(3.0, 1.0)));
+        // What leaves the numbers is as far off as can be, not unknown.
+        let mut lost = swinging(0.0, 1.0);
+        lost.states[10].theta = f64::NAN;
+        assert!(discrepancy(&real, &lost) > 0.0);
+    }
+}

@@ -1,0 +1,79 @@
+use nalgebra::DVector;
+
+use super::belief::Belief;
+use super::evolution::least;
+use super::gaussian::{Gaussian, standard_normal};
+use super::offline_likelihood::log_likelihood;
+use super::rival::{Data, Given, Rival};
+use super::transitions::{NOISE, Transition};
+use crate::learning::TrainError;
+use crate::replay::MotionLog;
+
+/// Largest number of transitions that the likelihood is computed of.
+const TRANSITIONS: usize = 80;
+
+/// Pairs of Qubes that are drawn from a distribution to find the moments of each transition's end. The two of a pair
+/// lie on opposite sides of the mean, so that the draws have the distribution's mean.
+const PAIRS: usize = 4;
+
+/// Evaluations of the likelihood.
+const EVALUATIONS: usize = 3000;
+
+/// Range of the means, and of the logarithms of the standard deviations.
+const MEANS: [f64; 2] = [-2.5, 2.5];
+const LOG_DEVIATIONS: [f64; 2] = [-4.0, 0.0];
+
+/// DROPO (Tiboni, Arndt and Kyrki 2023): the distribution of simulations under which recorded transitions are most
+/// likely, without any rollout of a policy.
+pub struct Dropo;
+
+impl Rival for Dropo {
+    fn data(&self) -> Data {
+        Data::Excitations
+    }
+
+    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+        let logs: Vec<&MotionLog> = given.recorded.iter().map(|it| &it.log).collect();
+        let transitions = Transition::of_logs(&logs, TRANSITIONS);
+        let real: Vec<[f64; 4]> = transitions.iter().map(|it| it.end).collect();
+        let dimensions = given.space.dimensions();
+        let mut random = given.random();
+        // The same draws for every distribution, so that the likelihood is a function of the distribution alone.
+        let draws: Vec<DVector<f64>> = (0..PAIRS)
+            .map(|_| standard_normal(dimensions, &mut random))
+            .flat_map(|draw| [draw.clone(), -draw])
+            .collect();
+        let cost = |point: &DVector<f64>| {
+            let (mean, deviation) = parts(point);
+            let models: Vec<_> = draws
+                .iter()
+                .map(|draw| given.space.model(&(&mean + deviation.component_mul(draw))))
+                .collect();
+            let ends = |transition: &Transition| {
+                models.iter().map(|model| transition.predicted(model)).collect::<Vec<_>>()
+            };
+            let simulated: Vec<Vec<[f64; 4]>> = transitions.iter().map(ends).collect();
+            -log_likelihood(&real, &simulated, &NOISE)
+        };
+        let bounds = |end: usize| {
+            [vec![MEANS[end]; dimensions], vec![LOG_DEVIATIONS[end]; dimensions]].concat()
+        };
+        Ok(match least(&bounds(0), &bounds(1), EVALUATIONS, given.seed, cost) {
+            Ok(found) if !transitions.is_empty() => {
+                let (mean, deviation) = parts(&found);
+                let variances = deviation.component_mul(&deviation);
+                Belief::Gaussian(Gaussian {
+                    mean,
+                    covariance: nalgebra::DMatrix::from_diagonal(&variances),
+                })
+            }
+            _ => given.before.clone(),
+        })
+    }
+}
+
+/// Means and standard deviations of a point of the search.
+fn parts(point: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
+    let half = point.len() / 2;
+    (point.rows(0, half).into_owned(), point.rows(half, half).map(f64::exp))
+}

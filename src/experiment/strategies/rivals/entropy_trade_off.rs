@@ -1,0 +1,104 @@
+use nalgebra::DVector;
+use rand_chacha::ChaCha8Rng;
+
+use super::gaussian::{Gaussian, standard_normal};
+
+/// Range of the logarithms of the standard deviations.
+const LOG_DEVIATIONS: [f64; 2] = [-3.0, 0.7];
+
+/// A normal distribution of independent numbers that is moved by gradients.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Independent {
+    /// Means.
+    pub mean: DVector<f64>,
+    /// Logarithms of the standard deviations.
+    pub log_deviation: DVector<f64>,
+}
+
+impl Independent {
+    /// The standard normal distribution, narrowed by a factor.
+    pub fn narrowed(dimensions: usize, factor: f64) -> Self {
+        Self {
+            mean: DVector::zeros(dimensions),
+            log_deviation: DVector::from_element(dimensions, factor.ln()),
+        }
+    }
+
+    /// Draws points.
+    pub fn draws(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
+        let deviation = self.log_deviation.map(f64::exp);
+        let draw =
+            |_| &self.mean + deviation.component_mul(&standard_normal(self.mean.len(), random));
+        (0..count).map(draw).collect()
+    }
+
+    /// One step up the gradient of the expected score minus `weight` times the divergence from a normal distribution
+    /// with mean 0 and this standard deviation (LSDR, Mozifian et al. 2019): scores pull the distribution to where
+    /// they are high, and the divergence pushes it to be wide. The gradient of the expectation is that of the
+    /// logarithm of the density, with the mean score as baseline; the step is in units of the deviations.
+    pub fn ascended(
+        &self,
+        points: &[DVector<f64>],
+        scores: &[f64],
+        [weight, widest, rate]: [f64; 3],
+    ) -> Self {
+        let count = points.len().max(1) as f64;
+        let baseline = scores.iter().sum::<f64>() / count;
+        let deviation = self.log_deviation.map(f64::exp);
+        let dimensions = self.mean.len();
+        let (mut of_mean, mut of_log) = (DVector::zeros(dimensions), DVector::zeros(dimensions));
+        for (point, score) in points.iter().zip(scores) {
+            let standardised = (point - &self.mean).component_div(&deviation);
+            let advantage = (score - baseline) / count;
+            of_mean += advantage * &standardised;
+            of_log += advantage * standardised.map(|it| it * it - 1.0);
+        }
+        let squared = widest * widest;
+        let mean_pull = self.mean.component_mul(&deviation) / squared;
+        let widening = deviation.map(|it| 1.0 - it * it / squared);
+        let [least, most] = LOG_DEVIATIONS;
+        Self {
+            mean: &self.mean + rate * deviation.component_mul(&(of_mean - weight * mean_pull)),
+            log_deviation: (&self.log_deviation + rate * (of_log + weight * widening))
+                .map(|it: f64| it.clamp(least, most)),
+        }
+    }
+
+    /// The same distribution with its covariance.
+    pub fn gaussian(&self) -> Gaussian {
+        let variances = self.log_deviation.map(|it| (2.0 * it).exp());
+        Gaussian {
+            mean: self.mean.clone(),
+            covariance: nalgebra::DMatrix::from_diagonal(&variances),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng as _;
+
+    use super::*;
+
+    /// The score is a bowl of width s around 1 in the first coordinate and does not depend on the second: the best
+    /// trade-off has the mean 1 and the variance weight * s^2 there, and the widest deviation here.
+    #[test]
+    fn the_trade_off_is_the_known_one() {
+        let mut random = ChaCha8Rng::seed_from_u64(2);
+        let (weight, width, widest) = (0.25, 0.8_f64, 3.0);
+        let mut own = Independent::narrowed(2, 0.3);
+        for step in 0..600 {
+            let points = own.draws(400, &mut random);
+            let score = |it: &DVector<f64>| -0.5 * ((it[0] - 1.0) / width).powi(2);
+            let scores: Vec<f64> = points.iter().map(score).collect();
+            let rate = if step < 400 { 0.2 } else { 0.05 };
+            own = own.ascended(&points, &scores, [weight, widest, rate]);
+        }
+        // The divergence from the wide distribution moves both a little: precision 1/s^2 + weight/widest^2.
+        let precision = 1.0 / (width * width) + weight / (widest * widest);
+        let deviation = own.log_deviation.map(f64::exp);
+        assert!((own.mean[0] - 1.0 / (width * width) / precision).abs() < 0.05, "{}", own.mean);
+        assert!((deviation[0] - (weight / precision).sqrt()).abs() < 0.04, "{deviation}");
+        assert!(deviation[1] > 1.7, "{deviation}");
+    }
+}

@@ -1,0 +1,55 @@
+use super::belief::Belief;
+use super::rival::{Data, Given, Rival};
+use super::tempering::{log_student, posterior_particles};
+use super::transitions::{NOISE, Transition};
+use crate::learning::{TrainError, TrainSettings};
+use crate::replay::MotionLog;
+
+/// Part of an update's trajectories that the policy learns from: those with the lowest returns.
+const WORST_SHARE: f32 = 0.1;
+
+/// Number of particles.
+const PARTICLES: usize = 400;
+
+/// Largest number of transitions that the likelihood is computed of.
+const TRANSITIONS: usize = 120;
+
+/// Degrees of freedom of the likelihood.
+const DEGREES: f64 = 4.0;
+
+/// EPOpt (Rajeswaran et al. 2017, reference 18 of the thesis): trains on the worst simulated trajectories, and weights
+/// simulated Qubes by the likelihood of the real transitions.
+pub struct EpOpt;
+
+impl Rival for EpOpt {
+    fn data(&self) -> Data {
+        Data::Rollouts
+    }
+
+    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+        let mut random = given.random();
+        let logs: Vec<&MotionLog> = given.latest().iter().map(|it| &it.log).collect();
+        let transitions = Transition::of_logs(&logs, TRANSITIONS);
+        if transitions.is_empty() {
+            return Ok(given.before.clone());
+        }
+        let log_likelihood = |point: &nalgebra::DVector<f64>| {
+            let model = given.space.model(point);
+            let of = |transition: &Transition| {
+                let predicted = transition.predicted(&model);
+                let errors = predicted.iter().zip(&transition.end).zip(NOISE);
+                errors
+                    .map(|((one, other), noise)| log_student((one - other) / noise, DEGREES))
+                    .sum::<f64>()
+            };
+            transitions.iter().map(of).sum()
+        };
+        let particles = given.before.draws(given.space, PARTICLES, &mut random);
+        let held = |point: &nalgebra::DVector<f64>| given.space.held(point);
+        Ok(Belief::Points(posterior_particles(particles, log_likelihood, held, &mut random)))
+    }
+
+    fn shape_training(&self, training: &mut TrainSettings) {
+        training.worst_share = WORST_SHARE;
+    }
+}

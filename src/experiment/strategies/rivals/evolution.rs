@@ -1,0 +1,28 @@
+use nalgebra::DVector;
+
+use crate::search::{CmaEs, Observation, SearchError, Strategy as _};
+
+/// The point of least cost in a box after so many evaluations, by CMA-ES.
+///
+/// # Errors
+/// The box is empty, or a cost is not finite.
+pub fn least(
+    lower: &[f64],
+    upper: &[f64],
+    evaluations: usize,
+    seed: u64,
+    cost: impl Fn(&DVector<f64>) -> f64,
+) -> Result<DVector<f64>, SearchError> {
+    let mut search = CmaEs::between(lower, upper, seed)?;
+    let mut data: Vec<Observation> = Vec::with_capacity(evaluations);
+    // The search repeats its updates for each batch of proposals, so that a batch is a whole generation.
+    let generation = search.generation();
+    while data.len() < evaluations {
+        for point in search.propose(&data, generation)? {
+            let value = -cost(&DVector::from_column_slice(&point));
+            data.push(Observation { point, returns: vec![value] });
+        }
+    }
+    let best = search.best(&data)?;
+    Ok(DVector::from_vec(best.point))
+}

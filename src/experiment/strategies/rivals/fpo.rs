@@ -1,0 +1,163 @@
+use nalgebra::DVector;
+use rand::RngExt as _;
+
+use super::belief::Belief;
+use super::gaussian::standard_normal;
+use super::rival::{Data, Given, POINTS, Rival};
+use super::simulator::{Demonstration, simulate};
+use super::space::distribution_of;
+use super::stages::{Stages, scored};
+use crate::learning::{TrainError, Trained};
+use crate::policy::Network;
+use crate::search::{BayRn, BayRnSettings, Observation};
+
+/// Stages of the training: policy updates whose distribution is chosen.
+const STAGES: u32 = 12;
+
+/// Stages whose distribution is drawn at random.
+const RANDOM_STAGES: u32 = 3;
+
+/// Distributions among which the next one is chosen.
+const CHOICES: usize = 300;
+
+/// Weight of the standard deviation in the upper confidence bound.
+const BETA: f64 = 2.0;
+
+/// Range of the logarithm of the width, and of the three shifts, in standard deviations.
+const LOWER: [f64; 4] = [-1.5, -1.0, -1.0, -1.0];
+const UPPER: [f64; 4] = [0.4, 1.0, 1.0, 1.0];
+
+/// Numbers of a policy's fingerprint, and their range.
+const FINGERPRINT: usize = 4;
+const FINGERPRINT_RANGE: [f64; 2] = [-2.0, 2.0];
+
+/// Fingerprint policy optimisation (Paul, Osborne and Whiteson 2019, reference 21 of the thesis): chooses for each part
+/// of a training the distribution that promises the best policy after it, by Bayesian optimisation over distribution
+/// and fingerprint of the policy.
+pub struct FingerprintOptimisation;
+
+impl Rival for FingerprintOptimisation {
+    fn data(&self) -> Data {
+        Data::None
+    }
+
+    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+        Ok(given.before.clone())
+    }
+
+    fn trained(&self, given: &Given) -> Result<Option<Trained>, TrainError> {
+        let mut random = given.random();
+        let dimensions = given.space.dimensions();
+        // Three directions in which all quantities may shift together, the same throughout.
+        let directions: Vec<DVector<f64>> =
+            (0..3).map(|_| standard_normal(dimensions, &mut random)).collect();
+        let judged_in = given.space.draws(POINTS, &mut random);
+        let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
+        let mut data: Vec<Observation> = Vec::new();
+        let mut print = [0.0; FINGERPRINT];
+        let mut best: Option<(f64, Trained)> = None;
+        for stage in 0..STAGES {
+            let mut random_psi = || -> Vec<f64> {
+                LOWER
+                    .iter()
+                    .zip(UPPER)
+                    .map(|(lower, upper)| random.random_range(*lower..upper))
+                    .collect()
+            };
+            let choices: Vec<Vec<f64>> = (0..CHOICES).map(|_| random_psi()).collect();
+            let psi = match stage < RANDOM_STAGES {
+                true => choices[0].clone(),
+                false => promising(&data, &choices, &print, given.seed),
+            };
+            let mut shift = DVector::zeros(dimensions);
+            for (direction, by) in directions.iter().zip(&psi[1..]) {
+                shift += *by * direction;
+            }
+            let points: Vec<DVector<f64>> = given
+                .space
+                .draws(POINTS, &mut random)
+                .iter()
+                .map(|point| given.space.held(&(psi[0].exp() * point + &shift)))
+                .collect();
+            let Some(distribution) = distribution_of(given.space, &points) else { break };
+            stages.go_on(&distribution)?;
+            let Some(trained) = &stages.trained else { break };
+            let network = &trained.network;
+            let (_, scores) = scored(network, given.training, given.space, &judged_in, given.seed);
+            let return_ = scores.iter().sum::<f64>() / scores.len().max(1) as f64;
+            data.push(Observation { point: [&psi[..], &print].concat(), returns: vec![return_] });
+            print = fingerprint(network, given, &judged_in[..32]);
+            if best.as_ref().is_none_or(|(most, _)| return_ > *most) {
+                best = Some((return_, trained.clone()));
+            }
+        }
+        Ok(best.map(|(_, trained)| trained))
+    }
+}
+
+/// The choice with the highest upper confidence bound of the return after the next stage of a policy with this
+/// fingerprint; the first one where the data cannot be fitted.
+fn promising(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: u64) -> Vec<f64> {
+    let [least, most] = FINGERPRINT_RANGE;
+    let lower = [&LOWER[..], &[least; FINGERPRINT]].concat();
+    let upper = [&UPPER[..], &[most; FINGERPRINT]].concat();
+    let settings = BayRnSettings { initial_points: 1, ..BayRnSettings::default() };
+    let process = BayRn::between(&lower, &upper, settings, seed).and_then(|it| it.surrogate(data));
+    let Ok(process) = process else { return choices[0].clone() };
+    let bound = |psi: &Vec<f64>| {
+        let posterior = process.posterior(&[&psi[..], print].concat());
+        posterior.mean + BETA * posterior.deviation()
+    };
+    let bounds = choices.iter().map(|psi| (bound(psi), psi));
+    bounds.max_by(|a, b| a.0.total_cmp(&b.0)).map_or_else(|| choices[0].clone(), |it| it.1.clone())
+}
+
+/// A few numbers that tell policies apart by what they do: mean and standard deviation of the voltage, mean height of
+/// the pendulum, and standard deviation of the arm's angle, over Qubes of the prior.
+fn fingerprint(network: &Network, given: &Given, points: &[DVector<f64>]) -> [f64; FINGERPRINT] {
+    let models: Vec<_> = points.iter().map(|point| given.space.model(point)).collect();
+    let demonstration = Demonstration::of_policy(network, 0.05);
+    let motions = simulate(&demonstration, given.simulation, &models);
+    let moments = |values: &mut dyn Iterator<Item = f64>| {
+        let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
+        for value in values.map(|it| if it.is_finite() { it.clamp(-10.0, 10.0) } else { 0.0 }) {
+            count += 1.0;
+            sum += value;
+            squares += value * value;
+        }
+        let mean = sum / f64::max(count, 1.0);
+        [mean, (squares / f64::max(count, 1.0) - mean * mean).max(0.0).sqrt()]
+    };
+    let states = || motions.iter().flat_map(|motion| &motion.states);
+    let voltages =
+        &mut motions.iter().flat_map(|it| &it.voltages_v).map(|it| it.clamp(-5.0, 5.0) / 5.0);
+    let [mean_v, deviation_v] = moments(voltages);
+    let [height, _] = moments(&mut states().map(|state| -state.alpha.cos()));
+    let [_, travel] = moments(&mut states().map(|state| state.theta));
+    let [least, most] = FINGERPRINT_RANGE;
+    [mean_v, deviation_v, height, travel].map(|it| it.clamp(least, most))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The return after a stage is highest at a width that the policy's fingerprint decides: the choice follows it.
+    #[test]
+    fn the_choice_follows_a_known_optimum_that_depends_on_the_policy() {
+        let value = |width: f64, print: f64| 1.0 - (width - 0.5 * print).powi(2);
+        let mut data = Vec::new();
+        for step in 0..36 {
+            let width = -1.4 + 1.7 * f64::from(step % 6) / 5.0;
+            let print = -2.0 + 4.0 * f64::from(step / 6) / 5.0;
+            let point = vec![width, 0.0, 0.0, 0.0, print, 0.0, 0.0, 0.0];
+            data.push(Observation { point, returns: vec![value(width, print)] });
+        }
+        let choices: Vec<Vec<f64>> =
+            (0..40).map(|it| vec![-1.45 + 0.045 * f64::from(it), 0.0, 0.0, 0.0]).collect();
+        for print in [-1.6, -0.6, 0.4] {
+            let chosen = promising(&data, &choices, &[print, 0.0, 0.0, 0.0], 1);
+            assert!((chosen[0] - 0.5 * print).abs() < 0.3, "{print}: {chosen:?}");
+        }
+    }
+}

@@ -1,0 +1,80 @@
+use super::adr::ActiveRandomisation;
+use super::bayessim::BayesSim;
+use super::dropo::Dropo;
+use super::epopt::EpOpt;
+use super::fpo::FingerprintOptimisation;
+use super::lsdr::Lsdr;
+use super::npdr::Npdr;
+use super::rival::{Data, Rival};
+use super::simopt::SimOpt;
+
+/// The methods from the literature, by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RivalKind {
+    /// Moves the distribution by the discrepancy of trajectories under a bound on the divergence (Chebotar et al.,
+    /// reference 10 of the thesis).
+    SimOpt,
+    /// Posterior given summary statistics of trajectories, by a mixture density network (Ramos et al., reference 17).
+    BayesSim,
+    /// The distribution under which recorded transitions are most likely (Tiboni et al. 2023).
+    Dropo,
+    /// Trains on the worst trajectories and weights Qubes by the likelihood of real transitions (Rajeswaran et al.,
+    /// reference 18).
+    EpOpt,
+    /// Sequential neural posterior given rollouts (Muratore et al. 2022).
+    Npdr,
+    /// Widens the distribution as far as the policy earns in it, without real rollouts (Mozifian et al., reference 11).
+    Lsdr,
+    /// Chooses the distribution of each part of a training by Bayesian optimisation (Paul et al., reference 21).
+    Fpo,
+    /// Trains on Qubes in which the policy behaves unlike in the nominal one (Mehta et al., reference 20).
+    Adr,
+}
+
+impl RivalKind {
+    /// Every rival.
+    pub const ALL: [Self; 8] = [
+        Self::SimOpt,
+        Self::BayesSim,
+        Self::Dropo,
+        Self::EpOpt,
+        Self::Npdr,
+        Self::Lsdr,
+        Self::Fpo,
+        Self::Adr,
+    ];
+
+    /// The rival's name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::SimOpt => "simopt",
+            Self::BayesSim => "bayessim",
+            Self::Dropo => "dropo",
+            Self::EpOpt => "epopt",
+            Self::Npdr => "npdr",
+            Self::Lsdr => "lsdr",
+            Self::Fpo => "fpo",
+            Self::Adr => "adr",
+        }
+    }
+
+    /// Whether it takes no real rollout.
+    #[must_use]
+    pub fn needs_no_rollouts(self) -> bool {
+        self.rival().data() == Data::None
+    }
+
+    pub(super) fn rival(self) -> Box<dyn Rival> {
+        match self {
+            Self::SimOpt => Box::new(SimOpt),
+            Self::BayesSim => Box::new(BayesSim),
+            Self::Dropo => Box::new(Dropo),
+            Self::EpOpt => Box::new(EpOpt),
+            Self::Npdr => Box::new(Npdr),
+            Self::Lsdr => Box::new(Lsdr),
+            Self::Fpo => Box::new(FingerprintOptimisation),
+            Self::Adr => Box::new(ActiveRandomisation),
+        }
+    }
+}

@@ -1,0 +1,220 @@
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::belief::Belief;
+use super::kind::RivalKind;
+use super::rival::{Data, Given, POINTS, Rival};
+use super::simulator::Demonstration;
+use super::space::{Space, distribution_of};
+use crate::experiment::folder::make;
+use crate::experiment::strategies::StrategySettings;
+use crate::experiment::strategies::recordings::{Recorded, Recordings, excitation, read};
+use crate::experiment::strategies::run::{MethodRun, Recommendation, Recommendations, Recommended};
+use crate::experiment::{ExperimentError, Recipe};
+use crate::policy::Policy;
+use crate::recording;
+use crate::replay::{MotionLog, MotionLogError};
+use crate::session::{SeedFor, derived_seed};
+use crate::storage::{Disk, MachineDisk, write_whole};
+
+/// Numbers of recordings after which a belief is learnt anew. Recordings between two of them are rollouts of one
+/// policy, so that twenty real rollouts need six trainings.
+const ROUNDS: [u32; 6] = [0, 1, 2, 5, 10, 20];
+
+/// The recommendations of a rival: after each number of recordings, the distribution of simulations that it has learnt
+/// from them. Before any recording this is the distribution `robust`.
+pub struct FromRival<'a> {
+    run: &'a MethodRun<'a>,
+    settings: &'a StrategySettings,
+    kind: RivalKind,
+    rival: Box<dyn Rival>,
+    recordings: Recordings<'a>,
+    space: Space,
+}
+
+impl<'a> FromRival<'a> {
+    /// Recommendations in the folder of a method's run.
+    pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings, kind: RivalKind) -> Self {
+        let recordings = Recordings::of(run);
+        let space = Space::of_unknown_qube();
+        Self { run, settings, kind, rival: kind.rival(), recordings, space }
+    }
+
+    /// Seed of what is learnt from so many recordings.
+    fn seed(&self, recordings: u32) -> u64 {
+        // A separate seed, because scoring uses the run's own.
+        let seed = derived_seed(self.run.seed, SeedFor::Search);
+        derived_seed(seed, SeedFor::Evaluation { candidate: recordings })
+    }
+
+    /// The recipe of the trainings.
+    fn recipe(&self) -> Recipe {
+        let mut recipe = self.run.without_identification().recipe;
+        self.kind.name().clone_into(&mut recipe.name);
+        self.rival.shape_training(&mut recipe.settings.training);
+        recipe
+    }
+
+    /// The recommendation of a belief after so many recordings.
+    fn recommendation(&self, belief: &Belief, recordings: u32) -> Recommendation {
+        let mut random = ChaCha8Rng::seed_from_u64(self.seed(recordings));
+        let distribution = match belief {
+            Belief::Unknown => None,
+            known => distribution_of(&self.space, &known.draws(&self.space, POINTS, &mut random)),
+        };
+        Recommendation { distribution, ..Recommendation::of(self.recipe(), None) }
+    }
+
+    /// Makes the recording of this number if it does not exist.
+    fn record(&self, number: u32) -> Result<(), ExperimentError> {
+        if self.rival.data() == Data::Excitations {
+            return self.recordings.make(number, Recorded::Excitation, &excitation(number));
+        }
+        let after = round_within(number);
+        let Some(belief) = self.belief(after)? else { return Ok(()) };
+        let recommendation = self.recommendation(&belief, after);
+        let series = self.run.series(&recommendation, after, self.settings.trainings);
+        series.train(0)?;
+        let policy = Policy::load(&series.folders.policy(0).policy())?.to_bytes();
+        self.recordings.make(number, Recorded::Policy { after }, &policy)
+    }
+
+    /// The recordings of these numbers; one whose policy never had the motor is left out.
+    fn demonstrations(&self, recordings: u32) -> Result<Vec<Demonstration>, ExperimentError> {
+        let mut demonstrations = Vec::new();
+        for path in (0..recordings).filter_map(|number| self.recordings.path(number)) {
+            let log = match MotionLog::read(&path) {
+                Ok(log) => log,
+                Err(MotionLogError::Recording(error)) => return Err(error.into()),
+                Err(_) => continue,
+            };
+            // An excitation has no network.
+            let policy = match Policy::from_bytes(&recording::read(&path)?.policy) {
+                Ok(Policy::Network(policy)) => Some(policy.network),
+                _ => None,
+            };
+            demonstrations.push(Demonstration { log, policy });
+        }
+        Ok(demonstrations)
+    }
+
+    /// The belief after so many recordings, which exist. It is stored on disk. `None`: the run is read-only, and the
+    /// belief is not on disk.
+    fn belief(&self, recordings: u32) -> Result<Option<Belief>, ExperimentError> {
+        if recordings == 0 && self.rival.data() != Data::None {
+            return Ok(Some(Belief::Unknown));
+        }
+        let path = self.run.folder.join(format!("belief-{recordings}.json"));
+        if MachineDisk.exists(&path) {
+            let stored = serde_json::from_str(&read(&path)?);
+            return stored
+                .map(Some)
+                .map_err(|error| ExperimentError::Settings { path, reason: error.to_string() });
+        }
+        if !self.run.access.works() {
+            return Ok(None);
+        }
+        let belief = self.learnt(recordings)?;
+        let text = serde_json::to_string(&belief).map_err(|error| ExperimentError::Settings {
+            path: path.clone(),
+            reason: error.to_string(),
+        })?;
+        write_whole(&MachineDisk, &path, text.as_bytes())?;
+        Ok(Some(belief))
+    }
+
+    fn learnt(&self, recordings: u32) -> Result<Belief, ExperimentError> {
+        let earlier = recordings.checked_sub(1).map_or(0, round_within);
+        let before = match recordings {
+            0 => Belief::Unknown,
+            _ => self.belief(earlier)?.unwrap_or(Belief::Unknown),
+        };
+        let recorded = self.demonstrations(recordings)?;
+        let recipe = self.recipe();
+        let given = Given {
+            space: &self.space,
+            before: &before,
+            first_latest: self.demonstrations(earlier)?.len(),
+            recorded: &recorded,
+            simulation: &recipe.simulation(None),
+            training: &recipe.settings.training,
+            stop: self.run.experiment.stop(),
+            seed: self.seed(recordings),
+        };
+        Ok(self.rival.update(&given)?)
+    }
+}
+
+impl FromRival<'_> {
+    /// Stores the policy of a method whose training is its own, unless it is on disk.
+    fn train_itself(
+        &self,
+        recommendation: &Recommendation,
+        steps: u32,
+    ) -> Result<(), ExperimentError> {
+        let series = self.run.series(recommendation, steps, self.settings.trainings);
+        if !self.run.access.works() || MachineDisk.exists(&series.folders.policy(0).policy()) {
+            return Ok(());
+        }
+        let recipe = self.recipe();
+        let trained = self.rival.trained(&Given {
+            space: &self.space,
+            before: &Belief::Unknown,
+            first_latest: 0,
+            recorded: &[],
+            simulation: &recipe.simulation(None),
+            training: &recipe.settings.training,
+            stop: self.run.experiment.stop(),
+            seed: self.seed(0),
+        })?;
+        match trained {
+            Some(trained) => series.keep(0, trained),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Recommendations for FromRival<'_> {
+    fn count(&self) -> u32 {
+        match self.rival.data() {
+            Data::None => 1,
+            Data::Excitations | Data::Rollouts => self.settings.most_recordings(),
+        }
+    }
+
+    fn rollouts_each(&self) -> u32 {
+        u32::from(self.rival.data() != Data::None)
+    }
+
+    fn first(&self) -> u32 {
+        0
+    }
+
+    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
+        let asked = steps;
+        let steps = if self.rival.data() == Data::None { 0 } else { asked };
+        if self.run.access.works() {
+            make(&self.run.folder)?;
+            for number in 0..steps {
+                self.record(number)?;
+            }
+        }
+        if !self.recordings.are_complete(steps)? {
+            return Ok(Recommended::NotOnDisk);
+        }
+        Ok(match self.belief(steps)? {
+            None => Recommended::NotOnDisk,
+            Some(belief) => {
+                let recommendation = self.recommendation(&belief, steps);
+                self.train_itself(&recommendation, asked)?;
+                Recommended::Found(Box::new(recommendation))
+            }
+        })
+    }
+}
+
+/// The largest number of recordings within `recordings` after which a belief is learnt anew.
+fn round_within(recordings: u32) -> u32 {
+    let within = ROUNDS.into_iter().filter(|&round| round <= recordings);
+    within.max().unwrap_or_default()
+}

@@ -1,0 +1,50 @@
+use super::belief::Belief;
+use super::entropy_trade_off::Independent;
+use super::rival::{Data, Given, Rival};
+use super::space::distribution_of;
+use super::stages::{Stages, scored};
+use crate::learning::TrainError;
+
+/// Stages of the training in which the distribution is learnt.
+const STAGES: u32 = 6;
+
+/// Steps of the gradient after each stage.
+const STEPS: u64 = 8;
+
+/// Simulations of a step, and Qubes of a stage's training.
+const SAMPLES: usize = 256;
+
+/// Standard deviation of the first distribution, as a part of the prior's.
+const FIRST_WIDTH: f64 = 0.3;
+
+/// Weight of the divergence, standard deviation of the widest distribution, and rate of the steps.
+const TRADE_OFF: [f64; 3] = [0.02, 1.5, 1.0];
+
+/// Learnt domain randomisation (LSDR, Mozifian et al. 2019, reference 11 of the thesis): widens the distribution of
+/// simulations as far as the policy still earns in them, without any real rollout.
+pub struct Lsdr;
+
+impl Rival for Lsdr {
+    fn data(&self) -> Data {
+        Data::None
+    }
+
+    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+        let mut random = given.random();
+        let mut own = Independent::narrowed(given.space.dimensions(), FIRST_WIDTH);
+        let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
+        for stage in 0..u64::from(STAGES) {
+            let points = own.draws(SAMPLES, &mut random);
+            let Some(distribution) = distribution_of(given.space, &points) else { break };
+            stages.go_on(&distribution)?;
+            let Some(network) = stages.network() else { break };
+            for step in 0..STEPS {
+                let points = own.draws(SAMPLES, &mut random);
+                let seed = given.seed.wrapping_add(1 + stage * STEPS + step);
+                let (points, scores) = scored(network, given.training, given.space, &points, seed);
+                own = own.ascended(&points, &scores, TRADE_OFF);
+            }
+        }
+        Ok(Belief::Gaussian(own.gaussian()))
+    }
+}

@@ -1,0 +1,41 @@
+//! Methods from the literature that learn a distribution of simulations from real rollouts, or without any: the rivals
+//! of the thesis's chapter 2 and what came after. docs/rivals.md has a paragraph about each.
+//!
+//! A `rival` turns recordings into a `belief` about the Qube, in the coordinates of a `space`; `learned` makes
+//! recommendations of it. The statistics of each stand in files of their own, which know nothing of a Qube: `gaussian`,
+//! `relative_entropy`, `mixture_density`, `offline_likelihood`, `tempering`,
+//! `entropy_trade_off`, `stein`, `discriminator`. `simulator` simulates rollouts again in other Qubes, `summary` and
+//! `discrepancy` compare motions.
+
+mod adr;
+mod bayessim;
+mod belief;
+mod discrepancy;
+mod discriminator;
+mod dropo;
+mod entropy_trade_off;
+mod epopt;
+mod evolution;
+mod fpo;
+mod gaussian;
+mod kind;
+mod learned;
+mod lsdr;
+mod mixture_density;
+mod npdr;
+mod offline_likelihood;
+mod relative_entropy;
+mod rival;
+mod simopt;
+mod simulator;
+mod space;
+mod stages;
+mod stein;
+mod summary;
+mod tempering;
+#[cfg(test)]
+mod tests;
+mod transitions;
+
+pub use kind::RivalKind;
+pub(super) use learned::FromRival;

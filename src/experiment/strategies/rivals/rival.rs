@@ -1,0 +1,80 @@
+use std::sync::atomic::AtomicBool;
+
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::belief::Belief;
+use super::simulator::Demonstration;
+use super::space::Space;
+use crate::learning::{TrainError, TrainSettings, Trained};
+use crate::simulation::SimulationSettings;
+
+/// Number of Qubes by which a belief is simulated in training.
+pub const POINTS: usize = 256;
+
+/// The real rollouts that a rival learns from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Data {
+    /// None: the method learns in simulations alone.
+    None,
+    /// Excitations, as methods that identify the Qube take them.
+    Excitations,
+    /// Rollouts of the policies that its belief gives.
+    Rollouts,
+}
+
+/// What a rival knows when it learns.
+pub struct Given<'a> {
+    /// Coordinates of Qubes.
+    pub space: &'a Space,
+    /// Belief before the latest recordings.
+    pub before: &'a Belief,
+    /// All recordings so far.
+    pub recorded: &'a [Demonstration],
+    /// Index of the first of the latest recordings.
+    pub first_latest: usize,
+    /// Sensors of the simulations.
+    pub simulation: &'a SimulationSettings,
+    /// Settings of a training.
+    pub training: &'a TrainSettings,
+    /// Flag that requests a stop.
+    pub stop: &'a AtomicBool,
+    /// Seed of every random number.
+    pub seed: u64,
+}
+
+impl<'a> Given<'a> {
+    /// The recordings since the belief before.
+    pub fn latest(&self) -> &'a [Demonstration] {
+        self.recorded.get(self.first_latest..).unwrap_or_default()
+    }
+
+    /// A generator of random numbers.
+    pub fn random(&self) -> ChaCha8Rng {
+        ChaCha8Rng::seed_from_u64(self.seed)
+    }
+}
+
+/// A method from the literature that turns real rollouts into a distribution of simulations.
+pub trait Rival {
+    /// The real rollouts that it learns from.
+    fn data(&self) -> Data;
+
+    /// The belief after the latest recordings.
+    ///
+    /// # Errors
+    /// A training that the method needs is stopped or fails.
+    fn update(&self, given: &Given) -> Result<Belief, TrainError>;
+
+    /// The policy of a method whose training is not that of one distribution; `None` of others, whose policies are
+    /// trained on their beliefs.
+    ///
+    /// # Errors
+    /// The training is stopped or fails.
+    fn trained(&self, _given: &Given) -> Result<Option<Trained>, TrainError> {
+        Ok(None)
+    }
+
+    /// Changes the settings of the trainings, where the method has settings of its own.
+    fn shape_training(&self, _training: &mut TrainSettings) {}
+}

@@ -1,0 +1,52 @@
+use super::belief::Belief;
+use super::discrepancy::discrepancy;
+use super::relative_entropy::bounded_update;
+use super::rival::{Data, Given, Rival};
+use super::simulator::{Motion, simulate};
+use crate::learning::TrainError;
+
+/// Steps of relative entropy policy search after each round of real rollouts.
+const STEPS: usize = 8;
+
+/// Simulated rollouts of each real one in a step.
+const SAMPLES: usize = 200;
+
+/// Largest divergence of a step from the distribution before it.
+const BOUND: f64 = 1.0;
+
+/// SimOpt (Chebotar et al. 2019, reference 10 of the thesis): moves a normal distribution of simulations so that the
+/// policy's rollouts in them resemble its real ones.
+pub struct SimOpt;
+
+impl Rival for SimOpt {
+    fn data(&self) -> Data {
+        Data::Rollouts
+    }
+
+    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+        let mut gaussian = given.before.gaussian(given.space);
+        let mut random = given.random();
+        let demonstrations = given.latest();
+        if demonstrations.is_empty() {
+            return Ok(given.before.clone());
+        }
+        for _ in 0..STEPS {
+            let points: Vec<_> = gaussian
+                .draws(SAMPLES, &mut random)
+                .iter()
+                .map(|point| given.space.held(point))
+                .collect();
+            let models: Vec<_> = points.iter().map(|point| given.space.model(point)).collect();
+            let mut costs = vec![0.0; points.len()];
+            for demonstration in demonstrations {
+                let real = Motion::recorded(&demonstration.log);
+                let simulated = simulate(demonstration, given.simulation, &models);
+                for (cost, motion) in costs.iter_mut().zip(&simulated) {
+                    *cost += discrepancy(&real, motion);
+                }
+            }
+            gaussian = bounded_update(&gaussian, &points, &costs, BOUND);
+        }
+        Ok(Belief::Gaussian(gaussian))
+    }
+}

@@ -1,0 +1,120 @@
+use crate::policy::Network;
+use crate::qube::{CONTROL_PERIOD_S, MAX_STEPS, PlantModel, QubeModel, State};
+use crate::replay::{MotionLog, MotionSample};
+use crate::simulation::{LaneStatus, Pendulums, SensorModel, SimulationSettings, Trajectory};
+
+/// Number of Qubes that are simulated side by side.
+const LANES: usize = 256;
+
+/// A real rollout that is data, and its policy.
+pub struct Demonstration {
+    /// Motion and voltages.
+    pub log: MotionLog,
+    /// Policy of the rollout; `None` where an excitation chose the voltages.
+    pub policy: Option<Network>,
+}
+
+impl Demonstration {
+    /// A swing-up of a policy that nobody has recorded: hanging at rest at an angle of the arm, for 6 s.
+    pub fn of_policy(policy: &Network, theta: f64) -> Self {
+        let sample = |step| MotionSample {
+            time_s: step as f64 * CONTROL_PERIOD_S,
+            state: State { theta, ..State::default() },
+            voltage_v: 0.0,
+        };
+        let samples = (0..MAX_STEPS).map(sample).collect();
+        let log = MotionLog { samples, plant: PlantModel::QUBE };
+        Self { log, policy: Some(policy.clone()) }
+    }
+}
+
+/// Angles of a motion with the voltages at each step of 10 ms.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Motion {
+    /// State at each step.
+    pub states: Vec<State>,
+    /// Voltage from each step to the next, V.
+    pub voltages_v: Vec<f64>,
+}
+
+impl Motion {
+    /// The motion of a recording.
+    pub fn recorded(log: &MotionLog) -> Self {
+        Self {
+            states: log.samples.iter().map(|sample| sample.state).collect(),
+            voltages_v: log.samples.iter().map(|sample| sample.voltage_v).collect(),
+        }
+    }
+}
+
+/// What each of several Qubes would have done in a rollout: the policy acts on what it sees of that Qube; voltages of
+/// an excitation are the recorded ones.
+pub fn simulate(
+    demonstration: &Demonstration,
+    simulation: &SimulationSettings,
+    models: &[QubeModel],
+) -> Vec<Motion> {
+    models
+        .chunks(LANES)
+        .flat_map(|models| side_by_side(demonstration, simulation, models))
+        .collect()
+}
+
+fn side_by_side(
+    Demonstration { log, policy }: &Demonstration,
+    simulation: &SimulationSettings,
+    models: &[QubeModel],
+) -> Vec<Motion> {
+    let recorded = Motion::recorded(log);
+    let Some(&first) = recorded.states.first() else { return Vec::new() };
+    // A rollout begins at rest: what the filter says of its velocities is the last of the encoders' edges.
+    let start = State { theta_dot: 0.0, alpha_dot: 0.0, ..first };
+    let (mut policy, simulation) = match policy {
+        Some(policy) => {
+            (Some(policy.clone()), SimulationSettings { history: policy.history(), ..*simulation })
+        }
+        // Nobody looks at the states.
+        None => (None, SimulationSettings { sensors: SensorModel::TrueState, ..*simulation }),
+    };
+    let largest_v = simulation.plant.limits.largest_voltage_v;
+    let mut pendulums = Pendulums::new(models.len(), &simulation);
+    for (lane, &model) in models.iter().enumerate() {
+        pendulums.restart(lane, &Trajectory { model, start });
+    }
+    let lanes = pendulums.lanes();
+    let mut observations = vec![0.0; pendulums.observation_size() * lanes];
+    let (mut voltages_v, mut rewards) = (vec![0.0; lanes], vec![0.0; lanes]);
+    let mut statuses = vec![LaneStatus::Running; lanes];
+    let mut motions = vec![Motion::default(); models.len()];
+    let mut observed = vec![0.0; pendulums.observation_size()];
+    pendulums.observe(&mut observations);
+    for &recorded_v in &recorded.voltages_v {
+        for lane in 0..models.len() {
+            voltages_v[lane] = match &mut policy {
+                Some(policy) => {
+                    for (feature, of_lanes) in observed.iter_mut().zip(observations.chunks(lanes)) {
+                        *feature = of_lanes[lane];
+                    }
+                    policy.voltage_of_observation_v(&observed)
+                }
+                None => recorded_v as f32,
+            };
+            let seen = match policy {
+                Some(_) => pendulums.seen(lane),
+                None => pendulums.state(lane),
+            };
+            let number = |value: f32| f64::from(value);
+            motions[lane].states.push(State {
+                theta: number(seen.theta),
+                alpha: number(seen.alpha),
+                theta_dot: number(seen.theta_dot),
+                alpha_dot: number(seen.alpha_dot),
+            });
+            // The motor gets no more than its limit, as a recording says.
+            let applied_v = number(voltages_v[lane]).clamp(-largest_v, largest_v);
+            motions[lane].voltages_v.push(applied_v);
+        }
+        pendulums.step(&voltages_v, &mut rewards, &mut statuses, &mut observations);
+    }
+    motions
+}

@@ -1,0 +1,186 @@
+use nalgebra::DVector;
+use rand_chacha::ChaCha8Rng;
+
+use super::gaussian::standard_normal;
+use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
+use crate::simulation::{DomainDistribution, MAX_COMMAND_DELAY_S};
+
+/// Standard deviation of the logarithm of a damping before any data: published values differ by a factor of 50.
+const DAMPING_LOG_DEVIATION: f64 = 1.0;
+
+/// Largest distance from the prior mean of a value that can be simulated, in its standard deviations.
+const FARTHEST: f64 = 4.0;
+
+/// The coordinates in which rivals learn about a Qube: one a quantity that nobody knows before, with mean 0 and
+/// standard deviation 1 as the distribution `robust` has it. Parameters count by their logarithms, so that none
+/// becomes negative; nonidealities end where they cannot be simulated.
+#[derive(Clone, Debug)]
+pub struct Space {
+    coordinates: Vec<Coordinate>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Coordinate {
+    quantity: Quantity,
+    centre: f64,
+    deviation: f64,
+}
+
+impl Space {
+    /// The space of a Qube that nobody has identified.
+    pub fn of_unknown_qube() -> Self {
+        let before = DomainDistribution::robust();
+        let coordinate = |quantity: Quantity| {
+            let own = before.get(quantity);
+            let (mean, deviation) = (own.mean(), own.standard_deviation());
+            let is_damping = matches!(
+                quantity,
+                Quantity::Parameter(
+                    DomainParameter::RotaryDamping | DomainParameter::PendulumDamping
+                )
+            );
+            let deviation = match quantity {
+                Quantity::Parameter(_) if is_damping => DAMPING_LOG_DEVIATION,
+                Quantity::Parameter(_) => deviation / mean,
+                Quantity::Nonideality(_) => deviation,
+            };
+            (deviation > 0.0).then_some(Coordinate { quantity, centre: mean, deviation })
+        };
+        Self { coordinates: Quantity::all().filter_map(coordinate).collect() }
+    }
+
+    /// Number of coordinates.
+    pub fn dimensions(&self) -> usize {
+        self.coordinates.len()
+    }
+
+    /// The quantities, in the order of a point's entries.
+    #[cfg(test)]
+    pub fn quantities(&self) -> impl Iterator<Item = Quantity> {
+        self.coordinates.iter().map(|it| it.quantity)
+    }
+
+    /// A point whose Qube can be simulated: each entry at the end of its range where it lies beyond.
+    pub fn held(&self, point: &DVector<f64>) -> DVector<f64> {
+        DVector::from_iterator(
+            point.len(),
+            self.coordinates.iter().zip(point.iter()).map(|(coordinate, entry)| {
+                let (lower, upper) = coordinate.range();
+                entry.clamp(lower, upper)
+            }),
+        )
+    }
+
+    /// The Qube at a point, held where it can be simulated.
+    pub fn model(&self, point: &DVector<f64>) -> QubeModel {
+        let mut model = QubeModel::NOMINAL;
+        for (coordinate, entry) in self.coordinates.iter().zip(self.held(point).iter()) {
+            model.set(coordinate.quantity, coordinate.value(*entry));
+        }
+        model
+    }
+
+    /// The point of a Qube.
+    #[cfg(test)]
+    pub fn point(&self, model: &QubeModel) -> DVector<f64> {
+        let entry = |it: &Coordinate| {
+            let value = model.get(it.quantity);
+            match it.quantity {
+                Quantity::Parameter(_) => (value / it.centre).ln() / it.deviation,
+                Quantity::Nonideality(_) => (value - it.centre) / it.deviation,
+            }
+        };
+        DVector::from_iterator(self.dimensions(), self.coordinates.iter().map(entry))
+    }
+
+    /// Draws points of Qubes that one may meet, before any data.
+    pub fn draws(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
+        (0..count)
+            .map(|_| {
+                let mut point = standard_normal(self.dimensions(), random);
+                // A draw beyond a range is drawn again, so that its end gets no more than its share.
+                while self.held(&point) != point {
+                    let again = standard_normal(self.dimensions(), random);
+                    for (index, coordinate) in self.coordinates.iter().enumerate() {
+                        let (lower, upper) = coordinate.range();
+                        if !(lower..=upper).contains(&point[index]) {
+                            point[index] = again[index];
+                        }
+                    }
+                }
+                point
+            })
+            .collect()
+    }
+}
+
+impl Coordinate {
+    fn value(&self, entry: f64) -> f64 {
+        match self.quantity {
+            Quantity::Parameter(_) => self.centre * (self.deviation * entry).exp(),
+            Quantity::Nonideality(_) => self.centre + self.deviation * entry,
+        }
+    }
+
+    /// The ends of its entries.
+    fn range(&self) -> (f64, f64) {
+        let Quantity::Nonideality(term) = self.quantity else { return (-FARTHEST, FARTHEST) };
+        let (smallest, largest) = term.range().into_inner();
+        let largest = if term == Nonideality::CommandDelay { MAX_COMMAND_DELAY_S } else { largest };
+        // A rounding error must not leave the range.
+        let entry = |value: f64| (value - self.centre) / self.deviation;
+        let inside = 1e-9;
+        (entry(smallest).max(-FARTHEST) + inside, entry(largest).min(FARTHEST) - inside)
+    }
+}
+
+/// The distribution of simulations that draws one of these points' Qubes.
+pub fn distribution_of(space: &Space, points: &[DVector<f64>]) -> Option<DomainDistribution> {
+    let models = points.iter().map(|point| space.model(point)).collect();
+    DomainDistribution::of_specimens(models).ok()
+}
+
+/// Mean and standard deviation of the simulations of a quantity.
+#[cfg(test)]
+pub fn moments(distribution: &DomainDistribution, quantity: Quantity) -> [f64; 2] {
+    let own = distribution.get(quantity);
+    [own.mean(), own.standard_deviation()]
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng as _;
+
+    use super::*;
+
+    #[test]
+    fn every_point_is_a_qube_that_can_be_simulated() {
+        let space = Space::of_unknown_qube();
+        assert_eq!(space.dimensions(), 14);
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let wild: Vec<DVector<f64>> =
+            (0..200).map(|_| 9.0 * standard_normal(14, &mut random)).collect();
+        assert!(distribution_of(&space, &wild).is_some());
+        for point in &wild {
+            let there = space.point(&space.model(point));
+            assert!((there - space.held(point)).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn draws_have_the_spread_of_an_unknown_qube() {
+        let space = Space::of_unknown_qube();
+        let points = space.draws(4000, &mut ChaCha8Rng::seed_from_u64(2));
+        let drawn = distribution_of(&space, &points).unwrap();
+        let before = DomainDistribution::robust();
+        for quantity in space.quantities() {
+            let [mean, deviation] = moments(&drawn, quantity);
+            let own = before.get(quantity);
+            if own.standard_deviation() > 0.0 {
+                assert!((mean - own.mean()).abs() < 0.3 * own.standard_deviation(), "{quantity:?}");
+                let part = deviation / own.standard_deviation();
+                assert!((0.7..1.1).contains(&part), "{quantity:?}: {part}");
+            }
+        }
+    }
+}

@@ -1,0 +1,75 @@
+use std::sync::atomic::AtomicBool;
+
+use nalgebra::DVector;
+
+use super::space::{Space, distribution_of};
+use crate::learning::{TrainError, TrainSettings, Trained, evaluate_afresh, train, train_from};
+use crate::policy::Network;
+use crate::qube::MAX_STEPS;
+use crate::simulation::{DomainDistribution, Trajectory};
+
+/// A training in stages, between which its distribution of simulations may change.
+pub struct Stages<'a> {
+    settings: TrainSettings,
+    stop: &'a AtomicBool,
+    seed: u64,
+    done: u64,
+    /// Result of the stages so far.
+    pub trained: Option<Trained>,
+}
+
+impl<'a> Stages<'a> {
+    /// A training whose updates are shared out evenly among so many stages.
+    pub fn new(settings: &TrainSettings, stages: u32, seed: u64, stop: &'a AtomicBool) -> Self {
+        let updates = settings.updates.div_ceil(stages).max(1);
+        let settings = TrainSettings { updates, threads: 1, ..settings.clone() };
+        Self { settings, stop, seed, done: 0, trained: None }
+    }
+
+    /// Goes on for a stage in this distribution.
+    ///
+    /// # Errors
+    /// The training is stopped or fails.
+    pub fn go_on(&mut self, distribution: &DomainDistribution) -> Result<(), TrainError> {
+        let (settings, seed) = (&self.settings, self.seed.wrapping_add(self.done));
+        self.done += 1;
+        let trained = match &self.trained {
+            None => train(distribution, settings, seed, None, self.stop, |_| ())?,
+            Some(Trained { final_network, .. }) => {
+                train_from(final_network, distribution, settings, seed, self.stop, |_| ())?
+            }
+        };
+        self.trained = Some(trained);
+        Ok(())
+    }
+
+    /// The policy of the stages so far.
+    pub fn network(&self) -> Option<&Network> {
+        self.trained.as_ref().map(|trained| &trained.network)
+    }
+}
+
+/// Points with the returns of a policy in their Qubes, as parts of the largest return. The Qube of each trajectory is
+/// drawn among the points, so that a point may appear several times or not at all.
+pub fn scored(
+    network: &Network,
+    settings: &TrainSettings,
+    space: &Space,
+    points: &[DVector<f64>],
+    seed: u64,
+) -> (Vec<DVector<f64>>, Vec<f64>) {
+    let Some(distribution) = distribution_of(space, points) else { return Default::default() };
+    let models: Vec<_> = points.iter().map(|point| space.model(point)).collect();
+    let count = points.len();
+    let evaluation = evaluate_afresh(network, &distribution, &settings.simulation, seed, count);
+    evaluation
+        .returns
+        .iter()
+        .enumerate()
+        .filter_map(|(number, return_)| {
+            let drawn = Trajectory::draw(&distribution, seed, number as u64).model;
+            let index = models.iter().position(|model| *model == drawn)?;
+            Some((points[index].clone(), return_ / MAX_STEPS as f64))
+        })
+        .unzip()
+}

@@ -1,0 +1,84 @@
+use nalgebra::DVector;
+
+use super::simulator::Motion;
+
+/// Steps of a part of a motion: one second.
+const PART: usize = 100;
+
+/// Resolution of the Qube's encoders, rad; simulated angles are rounded as recorded ones are.
+const RESOLUTION_RAD: f64 = 2.0 * std::f64::consts::PI / 2048.0;
+
+/// Summary statistics of a motion (BayesSim, section IV): for each second, mean and variance of the differences from
+/// step to step, and their correlation with the voltage. The states are the angles and their rates over two steps, so
+/// that a filter of recorded velocities plays no part. A part that the motion did not reach is zero.
+pub fn statistics(motion: &Motion, parts: usize) -> Vec<f64> {
+    let rounded = |angle: f64| (angle / RESOLUTION_RAD).round() * RESOLUTION_RAD;
+    let angles: Vec<[f64; 2]> =
+        motion.states.iter().map(|state| [rounded(state.theta), rounded(state.alpha)]).collect();
+    let mut statistics = Vec::with_capacity(parts * 12);
+    for part in 0..parts {
+        let (first, end) =
+            (part * PART + 1, ((part + 1) * PART).min(angles.len().saturating_sub(2)));
+        let mut sums = [[0.0; 3]; 4];
+        for step in first..end {
+            let voltage_v = motion.voltages_v[step];
+            for angle in 0..2 {
+                let [before, here, after] = [step - 1, step, step + 1].map(|it| angles[it][angle]);
+                let next = angles[step + 2][angle];
+                let change = after - here;
+                let rate_change = 0.5 * ((next - here) - (after - before));
+                add(&mut sums[2 * angle], change, voltage_v);
+                add(&mut sums[2 * angle + 1], rate_change, voltage_v);
+            }
+        }
+        let count = end.saturating_sub(first).max(1) as f64;
+        for [sum, squares, products] in sums {
+            let mean = sum / count;
+            statistics.extend([mean, (squares / count - mean * mean).max(0.0), products / count]);
+        }
+    }
+    statistics
+}
+
+fn add(sums: &mut [f64; 3], value: f64, voltage_v: f64) {
+    // A simulation that left the numbers must not reach the others.
+    let value = if value.is_finite() { value.clamp(-10.0, 10.0) } else { 10.0 };
+    sums[0] += value;
+    sums[1] += value * value;
+    sums[2] += value * voltage_v;
+}
+
+/// The first features of several motions: the means of their statistics, where variances count by their square roots.
+pub fn features(statistics: &[Vec<f64>], length: usize) -> DVector<f64> {
+    let count = statistics.len().max(1) as f64;
+    DVector::from_fn(length, |entry, _| {
+        let mean = statistics.iter().map(|it| it[entry]).sum::<f64>() / count;
+        if entry % 3 == 1 { mean.sqrt() } else { mean }
+    })
+}
+
+/// Number of parts that cover a motion of so many steps.
+pub fn parts_of(steps: usize) -> usize {
+    steps.div_ceil(PART)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::State;
+
+    #[test]
+    fn a_steady_turn_has_its_rate_and_no_change_of_it() {
+        let step_rad = 4.0 * RESOLUTION_RAD;
+        let states =
+            (0..200).map(|step| State { theta: step_rad * f64::from(step), ..State::default() });
+        let motion = Motion { states: states.collect(), voltages_v: vec![2.0; 200] };
+        let statistics = statistics(&motion, 2);
+        assert_eq!(statistics.len(), 24);
+        for part in statistics.chunks(12) {
+            assert!((part[0] - step_rad).abs() < 1e-12 && part[1] < 1e-12);
+            assert!((part[2] - 2.0 * step_rad).abs() < 1e-12);
+            assert!(part[3..].iter().all(|it| it.abs() < 1e-12), "{part:?}");
+        }
+    }
+}

@@ -1,0 +1,144 @@
+use nalgebra::DVector;
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::gaussian::Gaussian;
+
+/// Part of the particles that a stage keeps effective.
+const EFFECTIVE: f64 = 0.5;
+
+/// Shrinkage of the particles towards their mean before a stage's noise, which together leave mean and covariance as
+/// they are (Liu and West 2001).
+const SHRINKAGE: f64 = 0.95;
+
+/// Largest number of stages; the rest of the likelihood is taken in at once after them.
+const STAGES: usize = 40;
+
+/// Particles of the posterior, by weights in stages: each stage takes in as much of the log likelihood as leaves half of
+/// the particles effective, draws them anew by their weights, and moves each a little. A single stage would leave one
+/// particle where the data tell much.
+pub fn posterior_particles(
+    mut particles: Vec<DVector<f64>>,
+    log_likelihood: impl Fn(&DVector<f64>) -> f64,
+    held: impl Fn(&DVector<f64>) -> DVector<f64>,
+    random: &mut ChaCha8Rng,
+) -> Vec<DVector<f64>> {
+    let mut taken = 0.0;
+    for stage in 0..STAGES {
+        let logs: Vec<f64> = particles.iter().map(&log_likelihood).collect();
+        let rest = 1.0 - taken;
+        let part = if stage + 1 == STAGES { rest } else { effective_part(&logs, rest) };
+        let weights = weights_of(&logs, part);
+        taken += part;
+        let chosen = drawn_by(&weights, random);
+        let moments = Gaussian::of_points(&particles, &weights);
+        let noises = Gaussian { mean: DVector::zeros(moments.mean.len()), ..moments.clone() }
+            .draws(chosen.len(), random);
+        let spread = (1.0 - SHRINKAGE * SHRINKAGE).sqrt();
+        particles = chosen
+            .into_iter()
+            .zip(noises)
+            .map(|(index, noise)| {
+                let kept = &moments.mean + SHRINKAGE * (&particles[index] - &moments.mean);
+                held(&(kept + spread * noise))
+            })
+            .collect();
+        if taken >= 1.0 {
+            break;
+        }
+    }
+    particles
+}
+
+/// The largest part of the log likelihood, at most `rest`, that leaves enough particles effective.
+fn effective_part(logs: &[f64], rest: f64) -> f64 {
+    let is_effective = |part: f64| {
+        let squares: f64 = weights_of(logs, part).iter().map(|weight| weight * weight).sum();
+        1.0 / squares >= EFFECTIVE * logs.len() as f64
+    };
+    if is_effective(rest) {
+        return rest;
+    }
+    let (mut enough, mut too_much) = (0.0, rest);
+    for _ in 0..50 {
+        let middle = 0.5 * (enough + too_much);
+        if is_effective(middle) {
+            enough = middle;
+        } else {
+            too_much = middle;
+        }
+    }
+    // A stage that took in nothing would never end.
+    enough.max(1e-6 * rest)
+}
+
+/// Weights that sum to 1, in proportion to a power of the likelihood.
+fn weights_of(logs: &[f64], part: f64) -> Vec<f64> {
+    let largest = logs.iter().copied().filter(|it| it.is_finite()).fold(f64::MIN, f64::max);
+    let weight = |log: &f64| if log.is_finite() { (part * (log - largest)).exp() } else { 0.0 };
+    let total: f64 = logs.iter().map(weight).sum();
+    if total <= 0.0 {
+        return vec![1.0 / logs.len() as f64; logs.len()];
+    }
+    logs.iter().map(|log| weight(log) / total).collect()
+}
+
+/// As many indices as weights, each as often as its weight says, by one random number (systematic resampling).
+fn drawn_by(weights: &[f64], random: &mut ChaCha8Rng) -> Vec<usize> {
+    let offset: f64 = random.random();
+    let count = weights.len() as f64;
+    let (mut sum, mut index) = (weights.first().copied().unwrap_or_default(), 0);
+    (0..weights.len())
+        .map(|number| {
+            let place = (number as f64 + offset) / count;
+            while sum < place && index + 1 < weights.len() {
+                index += 1;
+                sum += weights[index];
+            }
+            index
+        })
+        .collect()
+}
+
+/// The logarithm of the density of Student's t distribution with so many degrees of freedom, without its constant: one
+/// difference far out, such as of an upright pendulum that falls to the other side, does not outweigh the others.
+pub fn log_student(standardised: f64, degrees: f64) -> f64 {
+    -0.5 * (degrees + 1.0) * (standardised * standardised / degrees).ln_1p()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng as _;
+
+    use super::*;
+
+    /// The posterior of a normal mean is known: prior N(0, 1), and 50 data of deviation 0.7 whose mean is 1.2, in the
+    /// first coordinate alone.
+    #[test]
+    fn particles_have_the_moments_of_the_known_posterior() {
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        let precision = 50.0 / 0.49;
+        let log = |point: &DVector<f64>| -0.5 * precision * (point[0] - 1.2).powi(2);
+        let prior = Gaussian::standard(3).draws(800, &mut random);
+        let posterior = posterior_particles(prior, log, DVector::clone, &mut random);
+        let found = Gaussian::of_points(&posterior, &[1.0; 800]);
+        let (mean, variance) = (1.2 * precision / (1.0 + precision), 1.0 / (1.0 + precision));
+        assert!((found.mean[0] - mean).abs() < 0.03, "{}", found.mean);
+        let part = found.covariance[(0, 0)] / variance;
+        assert!((0.6..1.6).contains(&part), "{part}");
+        for other in 1..3 {
+            assert!(found.mean[other].abs() < 0.25, "{}", found.mean);
+            assert!((0.6..1.4).contains(&found.covariance[(other, other)]), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn an_impossible_particle_dies_out() {
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        let log = |point: &DVector<f64>| if point[0] > 0.0 { 0.0 } else { f64::NAN };
+        let prior = Gaussian::standard(1).draws(400, &mut random);
+        let posterior = posterior_particles(prior, log, DVector::clone, &mut random);
+        let above = posterior.iter().filter(|point| point[0] > 0.0).count();
+        assert!(above > 350, "{above}");
+    }
+}

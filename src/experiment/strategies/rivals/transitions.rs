@@ -1,0 +1,79 @@
+use std::ops::Range;
+
+use crate::qube::{QubeModel, State};
+use crate::replay::{MotionLog, simulate_stretch};
+
+/// Length of a transition in samples: 0.1 s, in which the pendulum's own motion exceeds the encoders' resolution.
+const STEPS: usize = 10;
+
+/// Samples on either side of one from which its velocities are differences of angles.
+const SLOPE_SAMPLES: usize = 1;
+
+/// What a transition's four numbers are known to: angles by the encoders and the start's velocities, velocities by
+/// differences of angles, rad and rad/s.
+pub const NOISE: [f64; 4] = [0.007, 0.007, 0.12, 0.12];
+
+/// A stretch of a recording between two states that its angles tell, under the recorded voltages.
+pub struct Transition<'a> {
+    log: &'a MotionLog,
+    range: Range<usize>,
+    start: State,
+    /// Angles and velocities at its end: theta, alpha, theta_dot, alpha_dot.
+    pub end: [f64; 4],
+}
+
+impl<'a> Transition<'a> {
+    /// At most so many transitions of some recordings, evenly spread over them.
+    pub fn of_logs(logs: &[&'a MotionLog], most: usize) -> Vec<Self> {
+        let starts: Vec<(usize, usize)> = logs
+            .iter()
+            .enumerate()
+            .flat_map(|(number, log)| {
+                let last = log.samples.len().saturating_sub(STEPS + SLOPE_SAMPLES + 1);
+                (SLOPE_SAMPLES..last).step_by(STEPS / 2).map(move |first| (number, first))
+            })
+            .collect();
+        let count = starts.len().min(most);
+        (0..count)
+            .map(|index| {
+                let (number, first) = starts[index * starts.len() / count];
+                Self::from(logs[number], first)
+            })
+            .collect()
+    }
+
+    fn from(log: &'a MotionLog, first: usize) -> Self {
+        let end = measured(log, first + STEPS);
+        Self {
+            log,
+            range: first..first + STEPS + 1,
+            start: measured(log, first),
+            end: numbers(&end),
+        }
+    }
+
+    /// Where a Qube would be at the end; not finite where its motion diverges.
+    pub fn predicted(&self, model: &QubeModel) -> [f64; 4] {
+        let mut last = self.start;
+        simulate_stretch(&self.log.samples, self.range.clone(), model, self.start, |state| {
+            last = state;
+        });
+        numbers(&last)
+    }
+}
+
+fn numbers(state: &State) -> [f64; 4] {
+    [state.theta, state.alpha, state.theta_dot, state.alpha_dot]
+}
+
+/// The angles of a sample, with velocities from the angles around it.
+fn measured(log: &MotionLog, index: usize) -> State {
+    let samples = &log.samples;
+    let (before, after) = (&samples[index - SLOPE_SAMPLES], &samples[index + SLOPE_SAMPLES]);
+    let duration_s = after.time_s - before.time_s;
+    State {
+        theta_dot: (after.state.theta - before.state.theta) / duration_s,
+        alpha_dot: (after.state.alpha - before.state.alpha) / duration_s,
+        ..samples[index].state
+    }
+}

@@ -1,0 +1,68 @@
+//! Tests the methods from the literature from end to end: recordings of an emulated Qube in virtual time, what is learnt
+//! from them, and a policy at each budget.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+/// Policies with two small updates of training, and a model whose psi nobody searches here.
+const TINY: &str = "name = \"tiny\"\nmodel = \"opt-robust\"\n\n\
+                    [settings.training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
+
+/// Runs an experiment in a folder; returns what it prints as JSON.
+fn experiment(folder: &Path, arguments: &[&str]) -> serde_json::Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+        .current_dir(folder)
+        .arg("experiment")
+        .args(arguments)
+        .arg("--json")
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Runs methods on the emulated `lab` at budgets and returns the folder and the names of the rows.
+fn rows_of(methods: &str, budgets: &str) -> (tempfile::TempDir, Vec<String>) {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("tiny.toml"), TINY).unwrap();
+    let begin = ["--strategies", methods, "--budgets", budgets, "--recipe", "tiny.toml"];
+    let rest = ["--preset", "robust", "--profile", "lab", "--repetitions", "1", "--rollouts", "1"];
+    let place = ["--seed", "3", "--out", "one"];
+    let result = experiment(folder.path(), &[&begin[..], &rest, &place].concat());
+    let resumed = experiment(folder.path(), &["--resume", "one"]);
+    assert_eq!(result["models"], resumed["models"], "nothing is left to do");
+    let models = result["models"].as_array().unwrap();
+    (folder, models.iter().map(|row| row["model"].as_str().unwrap().to_owned()).collect())
+}
+
+#[test]
+fn a_rival_learns_from_a_rollout_of_its_first_policy_and_has_one_at_each_budget() {
+    let (folder, rows) = rows_of("simopt", "0,1");
+    assert_eq!(rows, ["simopt 0", "simopt 1"]);
+    let run = folder.path().join("one/budgets/lab/simopt/000");
+    let belief = std::fs::read_to_string(run.join("belief-1.json")).unwrap();
+    assert!(belief.contains("gaussian"), "{belief}");
+    assert!(run.join("recordings/rollout-0-attempt-0.mcap").exists());
+    // The recorded policy is the one of budget 0, and the two budgets have policies of their own.
+    let policy = |number: &str| {
+        std::fs::read(run.join("judged").join(number).join("000/policy.safetensors"))
+    };
+    assert_ne!(policy("000").unwrap(), policy("001").unwrap());
+}
+
+#[test]
+#[ignore = "minutes: every method learns as much as in an experiment"]
+fn every_rival_has_a_policy_at_each_budget() {
+    let methods = ["simopt", "bayessim", "dropo", "epopt", "npdr", "lsdr", "fpo", "adr"];
+    let (folder, rows) = rows_of(&methods.join(","), "0,1,2");
+    let expected: Vec<String> = methods
+        .iter()
+        .flat_map(|method| ["0", "1", "2"].map(|budget| format!("{method} {budget}")))
+        .collect();
+    assert_eq!(rows, expected);
+    for method in ["simopt", "bayessim", "dropo", "epopt", "npdr"] {
+        let run = folder.path().join("one/budgets/lab").join(method).join("000");
+        assert!(run.join("belief-2.json").exists(), "{method}");
+    }
+}
