@@ -11,6 +11,7 @@ use crate::experiment::strategies::StrategySettings;
 use crate::experiment::strategies::recordings::{Recorded, Recordings, excitation, read};
 use crate::experiment::strategies::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::{ExperimentError, Recipe};
+use crate::jobs::JobError;
 use crate::policy::Policy;
 use crate::recording;
 use crate::replay::{MotionLog, MotionLogError};
@@ -74,7 +75,7 @@ impl<'a> FromRival<'a> {
         let Some(belief) = self.belief(after)? else { return Ok(()) };
         let recommendation = self.recommendation(&belief, after);
         let series = self.run.series(&recommendation, after, self.settings.trainings);
-        series.train(0)?;
+        series.train(0, &mut |_, _| ())?;
         let policy = Policy::load(&series.folders.policy(0).policy())?.to_bytes();
         self.recordings.make(number, Recorded::Policy { after }, &policy)
     }
@@ -141,7 +142,7 @@ impl<'a> FromRival<'a> {
             stop: self.run.experiment.stop(),
             seed: self.seed(recordings),
         };
-        Ok(self.rival.update(&given)?)
+        Ok(self.rival.update(&given).map_err(JobError::from)?)
     }
 }
 
@@ -157,7 +158,7 @@ impl FromRival<'_> {
             return Ok(());
         }
         let recipe = self.recipe();
-        let trained = self.rival.trained(&Given {
+        let given = Given {
             space: &self.space,
             before: &Belief::Unknown,
             first_latest: 0,
@@ -166,8 +167,8 @@ impl FromRival<'_> {
             training: &recipe.settings.training,
             stop: self.run.experiment.stop(),
             seed: self.seed(0),
-        })?;
-        match trained {
+        };
+        match self.rival.trained(&given).map_err(JobError::from)? {
             Some(trained) => series.keep(0, trained),
             None => Ok(()),
         }
