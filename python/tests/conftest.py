@@ -1,10 +1,15 @@
 """Recordings and a session that the program makes in virtual time."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+# A shell without job control starts what runs in the background with SIGINT ignored, and Python leaves it so: tests of
+# Ctrl-C would wait for ever.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 FOLDER = Path(__file__).resolve().parent.parent
 
