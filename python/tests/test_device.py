@@ -285,8 +285,8 @@ def test_in_real_time_late_answers_brake_and_so_does_ctrl_c(tmp_path):
         except qube_hil.LateError as error:
             late = error
         env.reset()
-        print("running", flush=True)
         try:
+            print("running", flush=True)
             while True:
                 try:
                     env.step(np.zeros(1, np.float32))
