@@ -3,6 +3,8 @@
 //!
 //! `cargo run --release --example ended_by_foresight [-- POLICY ...]`. The shipped policies, the named ones and the
 //! classical controller run on each Qube, and on Qubes with one parameter 10 % off, in the thesis's box alone.
+//! `--held N` and `--margin RAD` examine another guard of the identified Qube: one that holds a voltage for N
+//! periods, or keeps arms that far from their ends.
 //! Foresight then examines every tick of the rollouts that succeed. The identified Qube's profile is centred on
 //! the Qube of the row and has the standard errors and correlations of `lab`. Some Qubes have effects that no
 //! profile contains: play, and friction that yields before it slides.
@@ -11,6 +13,7 @@ mod plant;
 
 use std::path::Path;
 
+use clap::Parser;
 use qube_hil::estimation::{Calibration, Estimator, EstimatorSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use qube_hil::qube::{
@@ -20,6 +23,19 @@ use qube_hil::qube::{
 use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube, SafetyBox};
 
 use plant::{Beyond, Kind, Plant};
+
+/// What is examined.
+#[derive(Parser)]
+struct Arguments {
+    /// Policies beside those that are shipped.
+    policies: Vec<String>,
+    /// Control periods for which the guard of the identified Qube holds a voltage.
+    #[arg(long)]
+    held: Option<u32>,
+    /// Distance that this guard keeps from the ends, rad.
+    #[arg(long)]
+    margin: Option<f64>,
+}
 
 /// Number of steps of a rollout.
 const STEPS: u64 = 600;
@@ -136,9 +152,12 @@ fn ended_unknown(good: &[Vec<Tick>], within: f64) -> usize {
 
 /// Counts the rollouts that foresight ends for an identified Qube: because the brake would come too late, and
 /// because the profile did not predict the motion.
-fn ended_identified(good: &[Vec<Tick>], profile: &Profile) -> [usize; 2] {
-    let identified = Some(IdentifiedQube::of(profile));
-    let settings = ForesightSettings { identified, ..ForesightSettings::default() };
+fn ended_identified(good: &[Vec<Tick>], profile: &Profile, guard: &Arguments) -> [usize; 2] {
+    let (known, usual) = (IdentifiedQube::of(profile), ForesightSettings::default());
+    let held_periods = guard.held.unwrap_or(known.held_periods);
+    let identified = Some(IdentifiedQube { held_periods, ..known });
+    let margin_rad = guard.margin.unwrap_or(usual.margin_rad);
+    let settings = ForesightSettings { identified, margin_rad, ..usual };
     let mut ended = [0; 2];
     for ticks in good {
         let mut foresight = settings.foresight(None, &qube_hil::qube::PlantModel::QUBE);
@@ -158,11 +177,12 @@ fn ended_identified(good: &[Vec<Tick>], profile: &Profile) -> [usize; 2] {
 }
 
 fn main() {
+    let arguments = Arguments::parse();
     let text = std::fs::read_to_string("profiles/lab.toml").expect("the shipped profile");
     let profile = Profile::parse(&text).expect("the shipped profile");
     let mut files =
         vec!["policies/robust.safetensors".to_owned(), "policies/nominal.safetensors".to_owned()];
-    files.extend(std::env::args().skip(1));
+    files.extend(arguments.policies.iter().cloned());
     println!(
         "| Qube | policy | succeed in the box | ended at 10, 15, 20, 30 % | identified: ended by the brake, by \
          the prediction |"
@@ -182,7 +202,8 @@ fn main() {
                 .filter_map(|(kind, theta)| rollout(&kind, new_policy().as_mut(), theta))
                 .collect();
             let unknown = [0.1, 0.15, 0.2, 0.3].map(|within| ended_unknown(&good, within));
-            let identified = ended_identified(&good, &around_model(&profile, &kind.model));
+            let identified =
+                ended_identified(&good, &around_model(&profile, &kind.model), &arguments);
             let stem = file.and_then(|file| Path::new(file).file_stem()?.to_str());
             println!(
                 "| {name} | {} | {} | {unknown:?} | {identified:?} |",
