@@ -4,13 +4,15 @@
 //! cargo run --release --example learning_study -- MODEL PRESET SEEDS [SETTING=VALUE ...]
 //! cargo run --release --example learning_study -- nominal thesis 20
 //! cargo run --release --example learning_study -- nominal thesis 4 smallest_log_std=-10.0
+//! cargo run --release --example learning_study -- handcrafted thesis 20 --against adam_epsilon_beside_root=true
 //! cargo run --release --example learning_study -- specialists quick 60
 //! ```
 //!
 //! SEEDS is a number, or a range such as `5..10`. MODEL is `nominal`, `handcrafted`, or
 //! `specialists`: for each seed one Qube drawn from `handcrafted`, with a policy trained for it
 //! alone. A return that no specialist reaches is out of reach for a policy for all of them. PRESET
-//! is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`.
+//! is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`. After `--against` stand settings that each
+//! seed is trained with as well: the two trainings of a seed are a pair, and their differences are summed up.
 
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -28,9 +30,18 @@ const FRESH_SEED: u64 = 1_000_003;
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [model, preset, seeds, settings @ ..] = arguments.as_slice() else {
-        anyhow::bail!("usage: learning_study MODEL PRESET SEEDS [SETTING=VALUE ...]");
+        anyhow::bail!(
+            "usage: learning_study MODEL PRESET SEEDS [SETTING=VALUE ...] [--against SETTING=VALUE ...]"
+        );
     };
-    let settings = with_settings(preset, settings)?;
+    let (settings, other) = match settings.iter().position(|argument| argument == "--against") {
+        None => (with_settings(preset, settings)?, None),
+        Some(place) => {
+            let (own, against) = (&settings[..place], &settings[place + 1..]);
+            let both = [own, against].concat();
+            (with_settings(preset, own)?, Some(with_settings(preset, &both)?))
+        }
+    };
     let seeds = match seeds.split_once("..") {
         Some((first, end)) => first.parse()?..end.parse()?,
         None => 0..seeds.parse::<u64>()?,
@@ -39,7 +50,7 @@ fn main() -> anyhow::Result<()> {
         "{:>5} {:>8} {:>11} {:>8} {:>8} {:>8} {:>7}",
         "seed", "fresh", "fresh final", "best", "final", "to 540", "s"
     );
-    let mut rows = Vec::<Row>::new();
+    let (mut rows, mut others) = (Vec::<Row>::new(), Vec::<Row>::new());
     for seed in seeds {
         let distribution = match model.as_str() {
             "nominal" => DomainDistribution::nominal(),
@@ -47,30 +58,60 @@ fn main() -> anyhow::Result<()> {
             "specialists" => one_of_handcrafted(seed),
             other => anyhow::bail!("{other} is not nominal, handcrafted or specialists"),
         };
-        let started = Instant::now();
-        let mut to_540_s = f64::NAN;
-        let stop = AtomicBool::new(false);
-        let trained = train(&distribution, &settings, seed, None, &stop, |update| {
-            if update.mean_return >= 540.0 {
-                to_540_s = to_540_s.min(started.elapsed().as_secs_f64());
-            }
-        })?;
-        let seconds = started.elapsed().as_secs_f64();
-        let fresh_return = |network: &Network| {
-            let (simulation, seed) = (&settings.simulation, FRESH_SEED);
-            evaluate_afresh(network, &distribution, simulation, seed, FRESH_STARTS).mean_return()
-        };
-        let (fresh, fresh_final) =
-            (fresh_return(&trained.network), fresh_return(&trained.final_network));
-        let (best, last) = (trained.best_return, trained.final_return);
-        println!(
-            "{seed:5} {fresh:8.2} {fresh_final:11.2} {best:8.2} {last:8.2} {to_540_s:8.2} \
-             {seconds:7.2}"
-        );
-        rows.push(Row { fresh, fresh_final, to_540_s });
+        rows.push(trained(&distribution, &settings, seed)?);
+        if let Some(other) = &other {
+            others.push(trained(&distribution, other, seed)?);
+        }
     }
     summarise(&rows);
+    if other.is_some() {
+        println!("against:");
+        summarise(&others);
+        compare(&rows, &others);
+    }
     Ok(())
+}
+
+/// Trains one policy, evaluates it, and prints its row.
+fn trained(
+    distribution: &DomainDistribution,
+    settings: &TrainSettings,
+    seed: u64,
+) -> anyhow::Result<Row> {
+    let started = Instant::now();
+    let mut to_540_s = f64::NAN;
+    let stop = AtomicBool::new(false);
+    let trained = train(distribution, settings, seed, None, &stop, |update| {
+        if update.mean_return >= 540.0 {
+            to_540_s = to_540_s.min(started.elapsed().as_secs_f64());
+        }
+    })?;
+    let seconds = started.elapsed().as_secs_f64();
+    let fresh_return = |network: &Network| {
+        let (simulation, seed) = (&settings.simulation, FRESH_SEED);
+        evaluate_afresh(network, distribution, simulation, seed, FRESH_STARTS).mean_return()
+    };
+    let (fresh, fresh_final) =
+        (fresh_return(&trained.network), fresh_return(&trained.final_network));
+    let (best, last) = (trained.best_return, trained.final_return);
+    println!(
+        "{seed:5} {fresh:8.2} {fresh_final:11.2} {best:8.2} {last:8.2} {to_540_s:8.2} {seconds:7.2}"
+    );
+    Ok(Row { fresh, fresh_final, to_540_s })
+}
+
+/// Sums up the differences of pairs: the other training minus the first of each seed.
+fn compare(rows: &[Row], others: &[Row]) {
+    let differences: Vec<f64> =
+        rows.iter().zip(others).map(|(row, other)| other.fresh - row.fresh).collect();
+    let count = differences.len() as f64;
+    let mean = differences.iter().sum::<f64>() / count;
+    let squares: f64 = differences.iter().map(|it| (it - mean) * (it - mean)).sum();
+    let standard_error = (squares / (count - 1.0) / count).sqrt();
+    let higher = differences.iter().filter(|it| **it > 0.0).count();
+    println!(
+        "in pairs: the other earns {mean:+.2} more, standard error {standard_error:.2}; more in {higher} of {count}"
+    );
 }
 
 /// The preset with some settings replaced, by the names and in the syntax of a TOML file.

@@ -207,6 +207,7 @@ impl Learner {
             beta_1: settings.beta_1,
             beta_2: settings.beta_2,
             epsilon: settings.adam_epsilon,
+            epsilon_beside_root: settings.adam_epsilon_beside_root,
             largest_norm: settings.largest_gradient_norm,
         };
         dispatch_at(self.level, step);
@@ -221,6 +222,7 @@ pub(super) struct StepSettings {
     pub beta_1: f32,
     pub beta_2: f32,
     pub adam_epsilon: f32,
+    pub adam_epsilon_beside_root: bool,
     pub largest_gradient_norm: f32,
 }
 
@@ -232,6 +234,7 @@ impl StepSettings {
             beta_1: settings.adam_beta_1,
             beta_2: settings.adam_beta_2,
             adam_epsilon: settings.adam_epsilon,
+            adam_epsilon_beside_root: settings.adam_epsilon_beside_root,
             largest_gradient_norm: settings.largest_gradient_norm,
         }
     }

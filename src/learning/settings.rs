@@ -45,6 +45,9 @@ pub struct TrainSettings {
     pub adam_beta_2: f32,
     /// Adam's epsilon; its square is added to the second moment under the square root.
     pub adam_epsilon: f32,
+    /// Whether epsilon is added to the square root instead, as in the paper (Kingma and Ba 2015).
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub adam_epsilon_beside_root: bool,
     /// Initial logarithm of the policy's standard deviation, in units of the network's output.
     pub first_log_std: f32,
     /// Lower bound of that logarithm. Without it the standard deviation shrinks until a single gradient
@@ -89,6 +92,7 @@ impl TrainSettings {
             adam_beta_1: 0.9,
             adam_beta_2: 0.999,
             adam_epsilon: 1e-5,
+            adam_epsilon_beside_root: false,
             first_log_std: 0.0,
             smallest_log_std: -1.0,
             voltage_change_weight: 0.0,

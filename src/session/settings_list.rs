@@ -193,6 +193,7 @@ impl SessionSettings {
         all.extent.baseline = true;
         all.preset.get_or_insert(self.preset());
         all.training.target_return.get_or_insert(550.0);
+        all.training.adam_epsilon_beside_root = true;
         if all.training.worst_share == 1.0 {
             all.training.worst_share = 0.1;
         }

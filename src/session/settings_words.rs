@@ -22,7 +22,7 @@ pub(super) fn words(key: &str) -> Option<&'static Words> {
     WORDS.iter().filter(is_end).max_by_key(|words| words.key.len())
 }
 
-const WORDS: [Words; 105] = [
+const WORDS: [Words; 106] = [
     of("name", "", "Name of the session; its folder's by default"),
     of("seed", "", "Seed from which every random number follows"),
     of("model", "", "Model whose psi the search varies where no Qube is identified"),
@@ -223,6 +223,11 @@ const WORDS: [Words; 105] = [
     of("training.adam_beta_1", "", "Adam's decay of the first moment"),
     of("training.adam_beta_2", "", "Adam's decay of the second moment"),
     of("training.adam_epsilon", "", "Adam's epsilon"),
+    of(
+        "training.adam_epsilon_beside_root",
+        "",
+        "Whether epsilon is added to the root of the second moment instead of under it",
+    ),
     of("training.first_log_std", "", "Initial logarithm of the policy's standard deviation"),
     of("training.smallest_log_std", "", "Lower bound of that logarithm"),
     of(

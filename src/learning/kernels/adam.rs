@@ -40,6 +40,8 @@ pub(in crate::learning) struct AdamStep<'a> {
     pub beta_2: f32,
     /// Epsilon; its square is added to the second moment under the root.
     pub epsilon: f32,
+    /// Whether epsilon is added to the root instead, as in the paper.
+    pub epsilon_beside_root: bool,
     pub largest_norm: f32,
 }
 
@@ -48,6 +50,13 @@ impl VectorKernel for AdamStep<'_> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> f32 {
+        if self.epsilon_beside_root { self.take::<I, true>() } else { self.take::<I, false>() }
+    }
+}
+
+impl AdamStep<'_> {
+    #[inline(always)]
+    fn take<I: InstructionSet, const BESIDE_ROOT: bool>(self) -> f32 {
         let norm = norm::<I>(self.gradient);
         let scale = if norm > self.largest_norm { self.largest_norm / norm } else { 1.0 };
 
@@ -57,7 +66,8 @@ impl VectorKernel for AdamStep<'_> {
         let step_size = f64::from(self.learning_rate) / bias_correction(beta_1, steps);
         let step_size = step_size as f32;
         let correction = (1.0 / bias_correction(beta_2, steps)) as f32;
-        let epsilon_squared = self.epsilon * self.epsilon;
+        let epsilon = self.epsilon;
+        let under_root = if BESIDE_ROOT { 0.0 } else { epsilon * epsilon };
         let new_first = scale * (1.0 - beta_1);
         let new_second = scale * (1.0 - beta_2).sqrt();
 
@@ -72,9 +82,14 @@ impl VectorKernel for AdamStep<'_> {
                 *first = multiply_add::<I>(beta_1, *first, new_first * gradient);
                 let part = new_second * gradient;
                 *second = multiply_add::<I>(part, part, beta_2 * *second);
-                let variance = multiply_add::<I>(*second, correction, epsilon_squared);
+                let variance = multiply_add::<I>(*second, correction, under_root);
                 let step = step_size * *first;
-                *parameter = multiply_add::<I>(-step, inverse_square_root(variance), *parameter);
+                let mut inverse = inverse_square_root(variance);
+                if BESIDE_ROOT {
+                    // 1 / (sqrt(v) + epsilon) from 1 / sqrt(v), which is finite at 0.
+                    inverse /= multiply_add::<I>(epsilon, inverse, 1.0);
+                }
+                *parameter = multiply_add::<I>(-step, inverse, *parameter);
             }
         }
         norm

@@ -218,6 +218,7 @@ fn adam_step<'a>(
         beta_1: 0.9,
         beta_2: 0.999,
         epsilon: 1e-5,
+        epsilon_beside_root: false,
         largest_norm: 0.5,
     }
 }
@@ -249,6 +250,13 @@ fn the_plain_path_differs_by_rounding_only() {
 
 #[test]
 fn adam_follows_its_formulas_after_shortening_the_gradient() {
+    // Both places of epsilon; a large one tells them apart.
+    for (epsilon, beside_root) in [(1e-5, false), (0.1, false), (1e-5, true), (0.1, true)] {
+        adam_follows_its_formulas(epsilon, beside_root);
+    }
+}
+
+fn adam_follows_its_formulas(epsilon: f32, epsilon_beside_root: bool) {
     let zero = Network::zero(OBSERVATION_SIZE);
     let (mut network, mut gradient) = (zero.clone(), zero);
     let mut moments = Moments::zero(OBSERVATION_SIZE);
@@ -257,7 +265,9 @@ fn adam_follows_its_formulas_after_shortening_the_gradient() {
     {
         gradient.second[3][5] = g;
         gradient.tail[LOG_STD] = h;
-        let norm = dispatch_at(Level::best(), adam_step(&mut network, &gradient, &mut moments));
+        let step_of = adam_step(&mut network, &gradient, &mut moments);
+        let step_of = AdamStep { epsilon, epsilon_beside_root, ..step_of };
+        let norm = dispatch_at(Level::best(), step_of);
         let expected = f64::from(g * g + h * h).sqrt();
         assert!((f64::from(norm) - expected).abs() < 1e-6);
         let g = f64::from(g) * (0.5 / expected).min(1.0);
@@ -265,7 +275,12 @@ fn adam_follows_its_formulas_after_shortening_the_gradient() {
         v = 0.999 * v + 0.001 * g * g;
         let t = step as i32 + 1;
         let (m_hat, v_hat) = (m / (1.0 - 0.9_f64.powi(t)), v / (1.0 - 0.999_f64.powi(t)));
-        parameter -= 1e-3 * m_hat / (v_hat + 1e-5_f64.powi(2)).sqrt();
+        let epsilon = f64::from(epsilon);
+        let root = match epsilon_beside_root {
+            true => v_hat.sqrt() + epsilon,
+            false => (v_hat + epsilon.powi(2)).sqrt(),
+        };
+        parameter -= 1e-3 * m_hat / root;
         assert!((f64::from(network.second[3][5]) - parameter).abs() < 1e-6, "step {step}");
     }
     assert_eq!(network.second[3][6], 0.0);
