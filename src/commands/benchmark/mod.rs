@@ -22,7 +22,7 @@ use crate::storage::{MachineDisk, write_whole};
 ///
 /// `regret`: distance from the maximum after each evaluation, on objectives of 2 to 16 dimensions without
 /// noise. `noise`: expected return of the recommended candidate when a rollout either balances (500) or
-/// falls (50). Tables go to stdout, pictures and all numbers to --out.
+/// falls (50), without and with trainings that differ. Tables go to stdout, pictures and all numbers to --out.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil benchmark regret\n  \
@@ -138,11 +138,16 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         "expected return of the point found, {repetitions} repetitions: mean ± 95 % interval\n"
     );
     let (mut results, mut pictured) = (Vec::new(), Vec::new());
-    for problem in [TwoHumped::THESIS, TwoHumped::NOISY] {
+    let alike = [TwoHumped::THESIS, TwoHumped::NOISY];
+    let problems = alike.into_iter().chain(alike.map(TwoHumped::with_differing_trainings));
+    for problem in problems {
         let table = noise_table(arguments, problem, repetitions)?;
         text += &format!(
-            "\n{} dimensions, {} candidates x {} rollouts\n",
-            problem.dimensions, problem.candidates, problem.rollouts
+            "\n{} dimensions, {} candidates x {} rollouts{}\n",
+            problem.dimensions,
+            problem.candidates,
+            problem.rollouts,
+            trainings_of(problem)
         );
         for row in &table {
             text += &format!(
@@ -156,8 +161,11 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         }
         results.push(json!({ "problem": problem, "methods": table }));
         let title = format!(
-            "{} dimensions, {} candidates with {} rollouts each",
-            problem.dimensions, problem.candidates, problem.rollouts
+            "{} dimensions, {} candidates with {} rollouts each{}",
+            problem.dimensions,
+            problem.candidates,
+            problem.rollouts,
+            trainings_of(problem)
         );
         pictured.push((title, table));
         // The picture of the results so far, so that a long run can be watched.
@@ -169,6 +177,14 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     arguments.write("noise.txt", &text)?;
     output.print(&text, &value);
     Ok(())
+}
+
+/// What a problem's title says of its trainings.
+fn trainings_of(problem: TwoHumped) -> String {
+    match problem.rollout_correlation {
+        0.0 => String::new(),
+        correlation => format!(", which correlate by {correlation} for a training"),
+    }
 }
 
 fn noise_table(
