@@ -173,6 +173,7 @@ impl ExperimentProgress {
             | SessionEvent::Identified { .. }
             | SessionEvent::ExcitesAgain(_)
             | SessionEvent::NotIdentified(_)
+            | SessionEvent::NotUpdated(_)
             | SessionEvent::GoesOn { .. }
             | SessionEvent::Settled { .. } => {}
         }

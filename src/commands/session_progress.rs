@@ -144,6 +144,9 @@ impl SessionProgress {
             SessionEvent::NotIdentified(reason) => self.line(format!(
                 "not identified: {reason}. The search goes on as for an unknown Qube"
             )),
+            SessionEvent::NotUpdated(reason) => {
+                self.line(format!("the verification leaves the profile as it is: {reason}"));
+            }
             SessionEvent::GoesOn { expected_gain, enough } => self.line(format!(
                 "one more candidate is expected to gain {expected_gain:.1}; the search ends below {enough:.1}"
             )),

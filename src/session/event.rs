@@ -24,6 +24,8 @@ pub enum SessionEvent<'a> {
     ExcitesAgain(&'a str),
     /// The recordings identify no Qube, for this reason; the search goes on as for an unknown one.
     NotIdentified(&'a str),
+    /// The recordings of the verification left the profile as it was, for this reason.
+    NotUpdated(&'a str),
     /// The search around the identified Qube ended: one more candidate was expected to gain this return.
     Settled {
         /// Expected gain.

@@ -47,7 +47,8 @@ pub enum Entry {
     },
     /// The Qube was identified, and its profile is complete on disk.
     Identified {
-        /// Number of recordings that the profile was fitted to, by which its file is named.
+        /// Number of recordings that the profile was fitted to, by which its file is named. Recordings that cannot be
+        /// fitted do not count.
         recordings: u32,
         /// The fit's verdict by its name: `fits` or `fits_but`.
         verdict: String,
@@ -58,6 +59,11 @@ pub enum Entry {
     },
     /// The recordings identify no Qube; the search goes on as for an unknown one.
     NotIdentified {
+        /// Reason for people.
+        reason: String,
+    },
+    /// The recordings of the verification left the profile as it was.
+    NotUpdated {
         /// Reason for people.
         reason: String,
     },

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 /// ```text
 /// session.toml                            the resolved configuration
 /// ledger.jsonl                            decisions and finished work
-/// profile-1.toml                          the Qube as identified from 1 recording
+/// profile-1.toml                          the Qube as identified from 1 recording that can be fitted
 /// candidates/000/                         the files of candidate 0's policy
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -64,7 +64,8 @@ pub enum Step {
         /// Reason of the proposal.
         purpose: Purpose,
     },
-    /// Identify the Qube from the recordings of its excitations.
+    /// Identify the Qube from the recordings of its excitations, and once more at the end from all recordings but the
+    /// baseline's.
     Identify,
     /// Decide how the search around the identified Qube goes on: by another candidate, by the verification of the best,
     /// or not at all.
@@ -121,7 +122,10 @@ pub fn next_step(
     let searched = match (identifies, state.identification(), state.settled()) {
         (Some(_), Identification::None, _) => Some(Step::Identify),
         (Some(_), _, None) => Some(Step::Decide),
-        (Some(_), _, Some(_)) => None,
+        (Some(_), _, Some(_)) => {
+            let is_due = !state.took_in_verification() && state.count_of(Purpose::Baseline) == 0;
+            is_due.then_some(Step::Identify)
+        }
         (None, ..) => (state.count_of(Purpose::Search) < extent.iterations)
             .then_some(Step::Propose { count: 1, purpose: Purpose::Search })
             .or_else(|| missing(Purpose::Verification, 1))
@@ -328,7 +332,13 @@ mod tests {
         entries.extend(finished(3, Purpose::Incumbent, extent.verification_rollouts));
         assert_eq!(next(&entries), Step::Decide);
         entries.push(Entry::Settled { expected_gain: 0.5 });
-        assert_eq!(next(&entries), Step::Propose { count: 1, purpose: Purpose::Baseline });
+        assert_eq!(next(&entries), Step::Identify, "the verification is data, too");
+        let mut unchanged = entries.clone();
+        unchanged.push(Entry::NotUpdated { reason: "no rollout can be fitted".into() });
+        let baseline = Step::Propose { count: 1, purpose: Purpose::Baseline };
+        assert_eq!(next(&unchanged), baseline);
+        entries.push(found(8));
+        assert_eq!(next(&entries), baseline);
         entries.extend(finished(4, Purpose::Baseline, 1));
         assert_eq!(next(&entries), Step::Done);
     }

@@ -55,6 +55,7 @@ pub struct SessionState {
     candidates: Vec<Candidate>,
     identification: Identification,
     settled: Option<f64>,
+    took_in_verification: bool,
 }
 
 impl SessionState {
@@ -96,6 +97,12 @@ impl SessionState {
     #[must_use]
     pub fn settled(&self) -> Option<f64> {
         self.settled
+    }
+
+    /// Whether the last profile is decided: the recordings of the verification have been taken in, or left it as it was.
+    #[must_use]
+    pub fn took_in_verification(&self) -> bool {
+        self.took_in_verification
     }
 
     /// Applies the next entry. An entry that cannot follow the earlier ones changes nothing.
@@ -150,6 +157,13 @@ impl SessionState {
                     doubts: doubts.clone(),
                     profiles,
                 };
+                self.took_in_verification = self.settled.is_some();
+            }
+            Entry::NotUpdated { .. } => {
+                if self.settled.is_none() || self.took_in_verification {
+                    return Err("the verification cannot update the profile now");
+                }
+                self.took_in_verification = true;
             }
             Entry::NotIdentified { ref reason } => {
                 if self.identification != Identification::None {

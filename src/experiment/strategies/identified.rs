@@ -108,7 +108,8 @@ impl<'a> FromRecordings<'a> {
         if found.assessment.verdict == Verdict::DoesNotFit {
             return Ok(Fit::Refused("the model does not describe this Qube".into()));
         }
-        let name = format!("{} from {recordings} recordings", self.run.name);
+        // Those that cannot be fitted do not count.
+        let name = format!("{} from {} recordings", self.run.name, logs.len());
         Ok(Fit::Found(toml::to_string_pretty(&found.profile(&name, Vec::new()))?))
     }
 

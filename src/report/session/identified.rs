@@ -8,7 +8,7 @@ use crate::replay::simulate_from;
 use crate::report::chart::{Axis, Chart, Mark, Series, Style};
 use crate::report::densities::words;
 use crate::report::page::{Cell, Page};
-use crate::session::Identification;
+use crate::session::{Entry, Identification};
 
 /// Adds the identified Qube, with the recordings beside its simulation; nothing if nothing was to be identified.
 pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
@@ -30,8 +30,23 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
             for doubt in doubts {
                 page.paragraph(&format!("Doubt: {doubt}"));
             }
+            let unchanged = source.entries.iter().find_map(|entry| match entry {
+                Entry::NotUpdated { reason } => Some(reason),
+                _ => None,
+            });
+            if let Some(reason) = unchanged {
+                page.paragraph(&format!("The verification left the profile as it was: {reason}."));
+            }
             if let Some((_, profile)) = source.profiles.last() {
                 add_values(page, source, profile);
+                add_correlations(page, profile);
+            }
+            if let Some((of, profile)) = source.profile_before_end() {
+                if of != recordings {
+                    page.paragraph(&format!(
+                        "What follows is predicted with the profile as it was before the verification,                          profile-{of}.toml, so that the verification tests it."
+                    ));
+                }
                 add_predictions(page, &source.motions, &profile.model());
             }
         }
@@ -54,6 +69,21 @@ fn add_values(page: &mut Page, source: &SessionSource, profile: &Profile) {
         })
         .collect();
     page.table(&["quantity", "nominal", "identified", "standard error", "unit"], &rows, None);
+}
+
+/// Adds how the errors of the values go together; nothing for a profile without correlations.
+fn add_correlations(page: &mut Page, profile: &Profile) {
+    let Some(correlations) = &profile.correlations else { return };
+    let quantities: Vec<Quantity> =
+        correlations.names.iter().filter_map(|name| Quantity::from_name(name)).collect();
+    let names: Vec<String> = quantities.iter().map(|quantity| words(*quantity)).collect();
+    page.matrix(
+        "Correlations of the errors",
+        "Near 1 or −1 two errors go together: the recordings determine a combination of the two quantities better than \
+         each of them.",
+        &names,
+        |row, column| correlations.of(quantities[row], quantities[column]),
+    );
 }
 
 fn add_predictions(page: &mut Page, motions: &[ComparedMotion], model: &QubeModel) {

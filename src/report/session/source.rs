@@ -1,5 +1,6 @@
 use std::path::Path;
 
+use crate::identification::check_recording;
 use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
 use crate::replay::MotionLog;
@@ -43,6 +44,8 @@ pub struct SessionSource {
     pub(super) observer_resets: u64,
     /// Motions that the identification is compared with.
     pub(super) motions: Vec<ComparedMotion>,
+    /// Number of motions so far that inform the method and can be fitted.
+    fittable: usize,
     /// What could not be read, in words.
     pub(super) problems: Vec<String>,
 }
@@ -52,7 +55,7 @@ pub struct SessionSource {
 pub(super) struct ComparedMotion {
     /// Name of the rollout.
     pub(super) name: String,
-    /// Whether the latest profile was fitted to it.
+    /// Whether the profile before the end of the search was fitted to it.
     pub(super) fitted: bool,
     /// Whether its policy is an excitation.
     pub(super) excitation: bool,
@@ -85,6 +88,7 @@ impl SessionSource {
             latencies: Latencies::default(),
             observer_resets: 0,
             motions: Vec::new(),
+            fittable: 0,
             problems: Vec::new(),
         };
         if let Identification::Found { profiles, .. } = source.state.identification() {
@@ -155,20 +159,27 @@ impl SessionSource {
         };
         let number = candidate.number;
         self.rollouts.push((number, RolloutView::of(recording, &model)));
-        let Some((fitted_to, _)) = self.profiles.last() else { return };
-        let informing =
-            self.candidates.iter().map(|it| &it.candidate).filter(|it| it.purpose.informs());
-        let before: usize = informing.map(|it| it.finished.len()).sum();
-        let fitted = candidate.purpose.informs()
-            && before + (recording.header.rollout as usize) < *fitted_to as usize;
+        let Some(&(fitted_to, _)) = self.profile_before_end() else { return };
+        let Some(log) = MotionLog::of_recording(recording) else { return };
+        let informs = candidate.purpose.informs() && check_recording(&log).is_ok();
+        let fitted = informs && self.fittable < fitted_to as usize;
+        self.fittable += usize::from(informs);
         let excitation = candidate.purpose == Purpose::Excitation;
         let of_kind = |it: &&ComparedMotion| (it.fitted, it.excitation) == (fitted, excitation);
-        if self.motions.iter().filter(of_kind).count() < COMPARED
-            && let Some(log) = MotionLog::of_recording(recording)
-        {
+        if self.motions.iter().filter(of_kind).count() < COMPARED {
             let name = format!("candidate {number}, rollout {}", recording.header.rollout);
             self.motions.push(ComparedMotion { name, fitted, excitation, log });
         }
+    }
+
+    /// The last profile that was identified before the search ended, which no recording of the verification informed.
+    pub(super) fn profile_before_end(&self) -> Option<&(u32, Profile)> {
+        let is_end = |entry: &Entry| matches!(entry, Entry::Settled { .. });
+        let count =
+            self.entries.iter().take_while(|entry| !is_end(entry)).fold(None, |last, it| {
+                if let Entry::Identified { recordings, .. } = it { Some(*recordings) } else { last }
+            });
+        self.profiles.iter().find(|(of, _)| Some(*of) == count)
     }
 
     /// The candidates with the verdicts on their rollouts.

@@ -47,11 +47,14 @@ impl Session {
         Ok(())
     }
 
-    /// Identifies the Qube from its excitations.
+    /// Identifies the Qube from its excitations; at the end of the search once more, from the verification too.
     pub(super) fn identify(
         &mut self,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
+        if self.ledger.state().settled().is_some() {
+            return self.take_in_verification(tell);
+        }
         match self.fitted()? {
             Ok(found) => self.append_profile(found, tell),
             Err(NotFitted::Unfit(reason)) if self.may_excite_again() => {
@@ -62,6 +65,31 @@ impl Session {
                 tell(SessionEvent::NotIdentified(&reason));
                 Ok(self.ledger.append(Entry::NotIdentified { reason })?)
             }
+        }
+    }
+
+    /// Updates the profile with the recordings of the verification. Nothing is searched any more, so that they inform
+    /// the guard, the report and whoever uses the profile, but not the method.
+    fn take_in_verification(
+        &mut self,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let reason = match self.fitted()? {
+            Ok(found) if found.recordings > self.fitted_recordings() => {
+                return self.append_profile(found, tell);
+            }
+            Ok(_) => "none of its recordings can be fitted".to_owned(),
+            Err(NotFitted::Unfit(reason) | NotFitted::Refused(reason)) => reason,
+        };
+        tell(SessionEvent::NotUpdated(&reason));
+        Ok(self.ledger.append(Entry::NotUpdated { reason })?)
+    }
+
+    /// Number of recordings that the latest profile was fitted to.
+    fn fitted_recordings(&self) -> u32 {
+        match self.ledger.state().identification() {
+            Identification::Found { recordings, .. } => *recordings,
+            _ => 0,
         }
     }
 
@@ -121,12 +149,10 @@ impl Session {
             let psi = self.settings.psi.as_identified();
             return self.append_proposal(Purpose::Initial, psi, tell);
         }
-        let used = match self.ledger.state().identification() {
-            Identification::Found { recordings, .. } => *recordings as usize,
-            _ => 0,
-        };
-        if self.used_recordings().len() > used
+        let used = self.fitted_recordings();
+        if self.used_recordings().len() > used as usize
             && let Ok(found) = self.fitted()?
+            && found.recordings > used
         {
             self.append_profile(found, tell)?;
         }
@@ -186,8 +212,11 @@ impl Session {
             let reason = format!("the model does not describe this Qube: {doubts}");
             return Ok(Err(NotFitted::Refused(reason)));
         }
-        let count = recordings.len() as u32;
-        let name = format!("identified from {count} recordings");
+        let count = usable.len() as u32;
+        let name = match count {
+            1 => "identified from 1 recording".to_owned(),
+            _ => format!("identified from {count} recordings"),
+        };
         Ok(Ok(Found {
             recordings: count,
             profile: found.profile(&name, Vec::new()),
@@ -221,7 +250,8 @@ impl Session {
         identified_profile(self.folder.disk(), self.folder.paths(), found)
     }
 
-    /// The recordings that identify the Qube: those of excitations and of the search's candidates, in order.
+    /// The recordings that identify the Qube, in order: those of excitations and of the search's candidates, and after
+    /// the end of the search those of the verification.
     fn recordings(&self) -> Result<Vec<Recording>, SessionError> {
         let read = |path: &PathBuf| Ok(read_on(self.folder.disk(), path)?);
         self.used_recordings().iter().map(read).collect()
@@ -234,8 +264,12 @@ impl Session {
             let path = |it: &Finished| self.recording(number, it.rollout, it.attempt);
             candidate.finished.iter().map(path).collect::<Vec<_>>()
         };
-        let candidates = self.ledger.state().candidates().iter();
-        candidates.filter(|it| it.purpose.informs()).flat_map(of).collect()
+        let state = self.ledger.state();
+        let is_used = |purpose: Purpose| {
+            purpose.informs() || (state.settled().is_some() && purpose.verifies())
+        };
+        let candidates = state.candidates().iter();
+        candidates.filter(|it| is_used(it.purpose)).flat_map(of).collect()
     }
 
     /// Serial number of the board that made the first excitation.
