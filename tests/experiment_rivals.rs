@@ -52,9 +52,43 @@ fn a_rival_learns_from_a_rollout_of_its_first_policy_and_has_one_at_each_budget(
 }
 
 #[test]
+fn strategy_optimisation_tries_inputs_of_one_policy_and_recommends_the_best() {
+    let (folder, rows) = rows_of("so-cma", "0,2");
+    assert_eq!(rows, ["so-cma 0", "so-cma 2"]);
+    let run = folder.path().join("one/budgets/lab/so-cma/000");
+    let judged = |number: &str| {
+        std::fs::read(run.join("judged").join(number).join("000/policy.safetensors")).unwrap()
+    };
+    let recorded = |number: u32| {
+        let name = format!("recordings/rollout-{number}-attempt-0.mcap");
+        qube_hil::recording::read(&run.join(name)).unwrap().policy
+    };
+    // The first candidate has the inputs of the prior's mean, which are those without a rollout; the recommendation is
+    // one of the two candidates.
+    assert_eq!(recorded(0), judged("000"));
+    assert_ne!(recorded(0), recorded(1));
+    assert!([recorded(0), recorded(1)].contains(&judged("002")));
+}
+
+#[test]
+fn a_method_whose_policies_share_a_training_is_refused_without_budgets() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+        .current_dir(folder.path())
+        .args(["experiment", "--strategies", "so-cma", "--profile", "lab", "--out", "one"])
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(message.contains("so-cma makes all its policies of one training"), "{message}");
+}
+
+#[test]
 #[ignore = "minutes: every method learns as much as in an experiment"]
 fn every_rival_has_a_policy_at_each_budget() {
-    let methods = ["simopt", "bayessim", "dropo", "epopt", "npdr", "lsdr", "fpo", "adr"];
+    let methods =
+        ["simopt", "bayessim", "dropo", "epopt", "npdr", "lsdr", "fpo", "adr", "so-cma", "history"];
     let (folder, rows) = rows_of(&methods.join(","), "0,1,2");
     let expected: Vec<String> = methods
         .iter()

@@ -13,7 +13,7 @@ pub struct StrategyArguments {
     /// opt-nominal's]. The others take recordings and train around the Qube that these identify: on its values alone
     /// (identify-mean), with a spread (identify), along the fit's errors (posterior), with rollouts of their own
     /// policies as further recordings (sequential). robust takes no real rollout. simopt, bayessim, dropo, epopt,
-    /// npdr, lsdr, fpo and adr are methods from the literature (docs/rivals.md). The result is the number of real
+    /// npdr, lsdr, fpo, adr, so-cma and history are methods from the literature (docs/rivals.md). The result is the number of real
     /// rollouts until the recommendation succeeds in 90 % of --policies x --rollouts separate rollouts
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "resume")]
     pub strategies: Vec<Method>,

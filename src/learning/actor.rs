@@ -9,11 +9,27 @@ use crate::simulation::Actor;
 pub(super) const VOLTS_PER_OUTPUT: f32 = MAX_VOLTAGE_V as f32;
 
 /// A policy network that acts without exploration.
-pub(super) struct NetworkActor<'a>(pub &'a Network);
+pub(super) struct NetworkActor<'a> {
+    network: &'a Network,
+    /// Physics inputs of each lane's Qube, `[input][lanes]`; empty for a network without.
+    told: Vec<f32>,
+    /// Observations and physics inputs of a step.
+    inputs: Vec<f32>,
+}
+
+impl<'a> NetworkActor<'a> {
+    /// An actor whose Qubes have these physics inputs, `[input][lanes]`.
+    pub fn told(network: &'a Network, told: Vec<f32>) -> Self {
+        Self { network, told, inputs: Vec::new() }
+    }
+}
 
 impl Actor for NetworkActor<'_> {
     fn act(&mut self, observations: &[f32], voltages_v: &mut [f32]) {
-        outputs(self.0, observations, voltages_v);
+        self.inputs.clear();
+        self.inputs.extend_from_slice(observations);
+        self.inputs.extend_from_slice(&self.told);
+        outputs(self.network, &self.inputs, voltages_v);
         for voltage_v in voltages_v {
             *voltage_v *= VOLTS_PER_OUTPUT;
         }

@@ -7,9 +7,10 @@ use super::TrainSettings;
 use super::actor::{VOLTS_PER_OUTPUT, outputs};
 use super::calm::Calm;
 use super::kernels::{Forward, gaussian_log_probability};
-use super::network::{LOG_STD, Network, WIDTH};
+use super::network::{LOG_STD, MAX_OBSERVATION_SIZE, Network, WIDTH};
+use super::physics_inputs::PhysicsInputs;
 use super::random::Stream;
-use super::transition::{End, Observation, Transition, estimate_advantages, inputs};
+use super::transition::{End, Further, Observation, Transition, estimate_advantages, inputs};
 use crate::elementary::{dispatch, exp, normal_pair};
 use crate::qube::MAX_STEPS;
 use crate::simulation::{DomainDistribution, LaneStatus, Pendulums, Trajectory};
@@ -17,6 +18,8 @@ use crate::simulation::{DomainDistribution, LaneStatus, Pendulums, Trajectory};
 /// The transitions of one update, lane by lane and each lane in order of time.
 pub(super) struct Batch {
     pub transitions: Vec<Transition>,
+    /// What follows the observations of the transitions; empty without physics inputs that need it.
+    pub further: Vec<Further>,
     /// Number of trajectories begun.
     pub trajectories: u32,
     /// The ends of the trajectories, in order.
@@ -39,6 +42,7 @@ pub(super) struct Collector<'a> {
     pub value: &'a Network,
     pub distribution: &'a DomainDistribution,
     pub settings: &'a TrainSettings,
+    pub physics: Option<PhysicsInputs<'a>>,
     pub seed: u64,
     pub update: u32,
 }
@@ -69,10 +73,13 @@ impl Collector<'_> {
             ends.extend(part.ends.iter().map(shifted));
             first += part.transitions.len();
         }
-        let mut parts = parts.into_iter().map(|part| part.transitions);
-        let mut transitions = parts.next().unwrap_or_default();
-        parts.for_each(|part| transitions.extend(part));
-        Batch { transitions, trajectories, ends }
+        let mut parts = parts.into_iter().map(|part| (part.transitions, part.further));
+        let (mut transitions, mut further) = parts.next().unwrap_or_default();
+        for (more, more_further) in parts {
+            transitions.extend(more);
+            further.extend(more_further);
+        }
+        Batch { transitions, further, trajectories, ends }
     }
 
     fn collect_lanes(&self, lanes: Range<usize>) -> Batch {
@@ -80,22 +87,28 @@ impl Collector<'_> {
         let width = pendulums.lanes();
         let mut explorers: Vec<Explorer> =
             lanes.clone().map(|lane| self.explorer(lane, 0)).collect();
+        // The pendulums' own observations come first, then the physics inputs.
+        let observed = pendulums.observation_size() * width;
+        let mut observations = vec![0.0; self.policy.observation_size * width];
         for (lane, explorer) in explorers.iter().enumerate() {
             pendulums.restart(lane, &explorer.trajectory);
+            self.tell_physics(explorer, lane, width, &mut observations[observed..]);
         }
-        let mut observations = vec![0.0; pendulums.observation_size() * width];
         let mut means = vec![0.0; width];
         let mut voltages_v = vec![0.0; width];
         let mut rewards = vec![0.0; width];
         let mut statuses = vec![LaneStatus::Running; width];
         let mut transitions = vec![Transition::default(); lanes.len() * MAX_STEPS];
+        let has_further = self.policy.observation_size > MAX_OBSERVATION_SIZE;
+        let mut further_of =
+            vec![Further::default(); if has_further { transitions.len() } else { 0 }];
         let mut ends = Vec::new();
-        let mut cut: Vec<(usize, Observation)> = Vec::new();
+        let mut cut: Vec<Cut> = Vec::new();
         let log_std = self.policy.tail[LOG_STD];
         let weight = self.settings.voltage_change_weight_at(self.update);
         let (std, inverse_std) = (exp(log_std), exp(-log_std));
 
-        pendulums.observe(&mut observations);
+        pendulums.observe(&mut observations[..observed]);
         for step in 0..MAX_STEPS {
             outputs(self.policy, &observations, &mut means);
             for (lane, explorer) in explorers.iter_mut().enumerate() {
@@ -106,8 +119,12 @@ impl Collector<'_> {
                 transition.action = action;
                 let z = (action - means[lane]) * inverse_std;
                 transition.log_probability = gaussian_log_probability(z, log_std);
+                if let Some(entry) = further_of.get_mut(lane * MAX_STEPS + step) {
+                    *entry = further(&observations, lane, width);
+                }
             }
-            pendulums.step(&voltages_v, &mut rewards, &mut statuses, &mut observations);
+            let own = &mut observations[..observed];
+            pendulums.step(&voltages_v, &mut rewards, &mut statuses, own);
             for (lane, explorer) in explorers.iter_mut().enumerate() {
                 let index = lane * MAX_STEPS + step;
                 transitions[index].reward =
@@ -116,7 +133,11 @@ impl Collector<'_> {
                 match statuses[lane] {
                     LaneStatus::Running if !is_last => continue,
                     LaneStatus::Running | LaneStatus::TimeUp => {
-                        cut.push((ends.len(), observation(&observations, lane, width)));
+                        cut.push(Cut {
+                            place: ends.len(),
+                            observation: observation(&observations, lane, width),
+                            further: further(&observations, lane, width),
+                        });
                     }
                     LaneStatus::LeftBox => {}
                 }
@@ -124,38 +145,48 @@ impl Collector<'_> {
                 if !is_last {
                     *explorer = self.explorer(lanes.start + lane, explorer.number + 1);
                     pendulums.restart(lane, &explorer.trajectory);
-                    pendulums.observe_lane(lane, &mut observations);
+                    pendulums.observe_lane(lane, &mut observations[..observed]);
+                    self.tell_physics(explorer, lane, width, &mut observations[observed..]);
                 }
             }
         }
         let trajectory_ends = ends_in_order(&ends, &cut);
-        self.appraise(&mut transitions, ends, &cut);
+        self.appraise(&mut transitions, &further_of, ends, &cut);
         let trajectories = explorers.iter().map(|explorer| u32::from(explorer.number) + 1).sum();
-        Batch { transitions, trajectories, ends: trajectory_ends }
+        Batch { transitions, further: further_of, trajectories, ends: trajectory_ends }
     }
 
-    /// Fills in values, advantages and returns. `cut` holds, for each end that cut a trajectory short, its
-    /// index among the ends and the observation after it.
+    /// Writes the physics inputs of a lane's Qube to their rows, `[input][lanes]`.
+    fn tell_physics(&self, explorer: &Explorer, lane: usize, lanes: usize, rows: &mut [f32]) {
+        if let Some(physics) = &self.physics {
+            physics.write(&explorer.trajectory.model, lane, lanes, rows);
+        }
+    }
+
+    /// Fills in values, advantages and returns.
     fn appraise(
         &self,
         transitions: &mut [Transition],
+        further: &[Further],
         mut ends: Vec<End>,
-        cut: &[(usize, Observation)],
+        cut: &[Cut],
     ) {
-        for block in transitions.chunks_mut(WIDTH) {
+        for (number, block) in transitions.chunks_mut(WIDTH).enumerate() {
             let observations = block.iter().map(|transition| &transition.observation);
-            let inputs = inputs(self.value.observation_size, observations);
+            let further = further.get(number * WIDTH..).unwrap_or_default().iter().take(WIDTH);
+            let inputs = inputs(self.value.observation_size, observations, further);
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
             for (transition, value) in block.iter_mut().zip(values) {
                 transition.value = value;
             }
         }
         for block in cut.chunks(WIDTH) {
-            let observations = block.iter().map(|(_, observation)| observation);
-            let inputs = inputs(self.value.observation_size, observations);
+            let observations = block.iter().map(|cut| &cut.observation);
+            let further = block.iter().map(|cut| &cut.further);
+            let inputs = inputs(self.value.observation_size, observations, further);
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
-            for (&(place, _), value) in block.iter().zip(values) {
-                ends[place].value_after = value;
+            for (cut, value) in block.iter().zip(values) {
+                ends[cut.place].value_after = value;
             }
         }
         ends.sort_unstable_by_key(|end| end.index);
@@ -175,12 +206,22 @@ impl Collector<'_> {
     }
 }
 
-/// The ends of trajectories by their places; `cut` names the indices of those that were cut short.
-fn ends_in_order(ends: &[End], cut: &[(usize, Observation)]) -> Vec<TrajectoryEnd> {
+/// The end of a trajectory that the time limit or the end of the batch cut short.
+struct Cut {
+    /// Its index among the ends.
+    place: usize,
+    /// Observation after it.
+    observation: Observation,
+    /// Entries that follow the observation.
+    further: Further,
+}
+
+/// The ends of trajectories by their places; `cut` names those that were cut short.
+fn ends_in_order(ends: &[End], cut: &[Cut]) -> Vec<TrajectoryEnd> {
     let mut in_order: Vec<TrajectoryEnd> =
         ends.iter().map(|end| TrajectoryEnd { end: end.index + 1, left_box: true }).collect();
-    for &(place, _) in cut {
-        in_order[place].left_box = false;
+    for cut in cut {
+        in_order[cut.place].left_box = false;
     }
     in_order.sort_unstable_by_key(|end| end.end);
     in_order
@@ -214,6 +255,15 @@ fn observation(observations: &[f32], lane: usize, lanes: usize) -> Observation {
     observation
 }
 
+fn further(observations: &[f32], lane: usize, lanes: usize) -> Further {
+    let mut further = Further::default();
+    let beyond = observations.chunks_exact(lanes).skip(MAX_OBSERVATION_SIZE);
+    for (entry, of_lanes) in further.iter_mut().zip(beyond) {
+        *entry = of_lanes[lane];
+    }
+    further
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -231,6 +281,7 @@ mod tests {
             value: &value,
             distribution: &DomainDistribution::nominal(),
             settings: &settings,
+            physics: None,
             seed: 3,
             update: settings.updates / 2,
         };

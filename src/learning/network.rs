@@ -6,13 +6,17 @@ pub(super) const WIDTH: usize = 64;
 /// Length of the longest observation.
 pub(super) const MAX_OBSERVATION_SIZE: usize = OBSERVATION_SIZE + MAX_HISTORY;
 
+/// Largest number of physics inputs, which follow the observation of a policy that is told which Qube it drives.
+pub(super) const MAX_PHYSICS_INPUTS: usize = 16;
+
 /// Number of rows in a group; inputs of the first layer are padded to whole groups, so that tiles divide
 /// them.
 const ROW_GROUP: usize = 4;
 
-/// Largest number of input rows of the first layer: the observation, a constant 1 that carries the bias,
-/// and zeros that pad the last group.
-pub(super) const MAX_INPUTS: usize = (1 + MAX_OBSERVATION_SIZE).next_multiple_of(ROW_GROUP);
+/// Largest number of input rows of the first layer: the observation, physics inputs, a constant 1 that carries the
+/// bias, and zeros that pad the last group.
+pub(super) const MAX_INPUTS: usize =
+    (1 + MAX_OBSERVATION_SIZE + MAX_PHYSICS_INPUTS).next_multiple_of(ROW_GROUP);
 
 /// Samples of a narrow block, for pendulums that do not fill a whole block.
 pub(super) const NARROW: usize = 16;
@@ -45,7 +49,8 @@ pub(super) struct Network {
     pub last: Row,
     /// Entries [`OUTPUT_BIAS`] and [`LOG_STD`], and zeros that pad the row.
     pub tail: Row,
-    /// Length of the observation, at most [`MAX_OBSERVATION_SIZE`].
+    /// Length of the observation with its physics inputs, at most [`MAX_OBSERVATION_SIZE`] +
+    /// [`MAX_PHYSICS_INPUTS`].
     pub observation_size: usize,
 }
 

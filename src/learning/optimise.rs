@@ -3,12 +3,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rand::RngExt;
 
 use super::TrainSettings;
+use super::collect::Batch;
 use super::kernels::{
     AdamStep, Gradient, Head, Minibatch, Moments, PolicyHead, ValueHead, Workspace,
 };
 use super::network::{LOG_STD, Network};
 use super::random::Stream;
-use super::transition::Transition;
 use crate::elementary::{Level, dispatch_at, prefetch};
 
 /// Improves both networks on the batch of one update, in minibatches, until `stop` is set.
@@ -18,27 +18,27 @@ use crate::elementary::{Level, dispatch_at, prefetch};
 pub(super) fn optimise(
     policy: &mut Learner,
     value: &mut Learner,
-    transitions: &[Transition],
+    batch: &Batch,
     settings: &TrainSettings,
     seed: u64,
     update: u32,
     stop: &AtomicBool,
 ) -> PolicyProgress {
-    let size = settings.simulation.observation_size();
-    let order = shuffled(transitions.len(), settings.epochs, seed, update);
+    let size = policy.network.observation_size;
+    let order = shuffled(batch.transitions.len(), settings.epochs, seed, update);
     let mut policy = PolicyImprovement::new(policy, settings, update);
     let mut value = ValueFit::new(value, settings, update);
     if settings.threads > 1 {
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                for_each_minibatch(transitions, &order, size, stop, |batch| value.step(batch));
+                for_each_minibatch(batch, &order, size, stop, |minibatch| value.step(minibatch));
             });
-            for_each_minibatch(transitions, &order, size, stop, |batch| policy.step(batch));
+            for_each_minibatch(batch, &order, size, stop, |minibatch| policy.step(minibatch));
         });
     } else {
-        for_each_minibatch(transitions, &order, size, stop, |batch| {
-            value.step(batch);
-            policy.step(batch);
+        for_each_minibatch(batch, &order, size, stop, |minibatch| {
+            value.step(minibatch);
+            policy.step(minibatch);
         });
     }
     policy.progress()
@@ -74,7 +74,7 @@ fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) -> Vec<u32>
 
 /// Calls `learn` with each minibatch of an update until `stop` is set.
 fn for_each_minibatch(
-    transitions: &[Transition],
+    batch: &Batch,
     order: &[u32],
     observation_size: usize,
     stop: &AtomicBool,
@@ -89,9 +89,9 @@ fn for_each_minibatch(
         // The transitions of a minibatch are scattered over the batch, which is larger than the
         // second-level cache.
         for &index in minibatches.get(number + 1).into_iter().flatten() {
-            prefetch(&transitions[index as usize]);
+            prefetch(&batch.transitions[index as usize]);
         }
-        minibatch.gather(transitions, indices);
+        minibatch.gather(&batch.transitions, &batch.further, indices);
         learn(&minibatch);
     }
 }

@@ -2,6 +2,7 @@ use super::TrainSettings;
 use super::curve::TrainUpdate;
 use super::network::Network;
 use super::optimise::Learner;
+use super::physics_inputs::PhysicsInputs;
 use super::random::Stream;
 use crate::simulation::DomainDistribution;
 
@@ -14,6 +15,8 @@ const VALUE_GAIN: f64 = 1.0;
 pub(super) struct TrainingState<'a> {
     pub distribution: &'a DomainDistribution,
     pub settings: &'a TrainSettings,
+    /// What the networks are told of the Qube beside the observation.
+    pub physics: Option<PhysicsInputs<'a>>,
     pub seed: u64,
     pub policy: Box<Learner>,
     pub value: Box<Learner>,
@@ -28,15 +31,18 @@ impl<'a> TrainingState<'a> {
     pub fn new(
         distribution: &'a DomainDistribution,
         settings: &'a TrainSettings,
+        physics: Option<PhysicsInputs<'a>>,
         seed: u64,
     ) -> Self {
         let mut generator = Stream::Weights.generator(seed);
-        let size = settings.simulation.observation_size();
+        let told = physics.map_or(0, |physics| physics.count);
+        let size = settings.simulation.observation_size() + told;
         let policy = Network::orthogonal(size, &mut generator, POLICY_GAIN, settings.first_log_std);
         let value = Network::orthogonal(size, &mut generator, VALUE_GAIN, 0.0);
         Self {
             distribution,
             settings,
+            physics,
             seed,
             best: policy.clone(),
             best_return: f64::NEG_INFINITY,

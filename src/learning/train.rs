@@ -14,7 +14,9 @@ use super::transition::Transition;
 use super::worst::worst_of;
 use super::{TrainError, TrainSettings};
 use crate::policy;
-use crate::simulation::{DomainDistribution, Evaluation, evaluate_and_tell};
+use crate::simulation::{
+    DomainDistribution, Evaluation, LANES_MULTIPLE, Trajectory, evaluate_and_tell,
+};
 
 /// Seed of the fixed starts and Qubes on which every policy is evaluated during training.
 const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
@@ -37,7 +39,7 @@ pub fn train(
     tell: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
     settings.check()?;
-    let mut training = TrainingState::new(distribution, settings, seed);
+    let mut training = TrainingState::new(distribution, settings, None, seed);
     if let Some(checkpointing) = checkpointing {
         checkpointing.resume(&mut training)?;
     }
@@ -60,7 +62,7 @@ pub fn train_from(
     settings.check()?;
     let size = settings.simulation.observation_size();
     let start = imported(start, size, settings.smallest_log_std)?;
-    let mut training = TrainingState::new(distribution, settings, seed);
+    let mut training = TrainingState::new(distribution, settings, None, seed);
     training.policy.network = start.clone();
     training.best = start;
     let (evaluation, calm_return) = training.evaluate();
@@ -75,22 +77,33 @@ fn finished(
     mut training: TrainingState<'_>,
     checkpointing: Option<&Checkpointing>,
     stop: &AtomicBool,
-    mut tell: impl FnMut(&TrainUpdate),
+    tell: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
+    perform(&mut training, checkpointing, stop, tell)?;
+    let trained = training.into_trained()?;
+    if let Some(checkpointing) = checkpointing {
+        checkpointing.remove()?;
+    }
+    Ok(trained)
+}
+
+/// Performs the updates that are left of a training.
+pub(super) fn perform(
+    training: &mut TrainingState<'_>,
+    checkpointing: Option<&Checkpointing>,
+    stop: &AtomicBool,
+    mut tell: impl FnMut(&TrainUpdate),
+) -> Result<(), TrainError> {
     while !training.is_finished() {
         let update = training.update(stop)?;
         tell(update);
         if let Some(checkpointing) = checkpointing
             && checkpointing.is_due(training.curve.len())
         {
-            checkpointing.write(&training)?;
+            checkpointing.write(training)?;
         }
     }
-    let trained = training.into_trained()?;
-    if let Some(checkpointing) = checkpointing {
-        checkpointing.remove()?;
-    }
-    Ok(trained)
+    Ok(())
 }
 
 impl TrainingState<'_> {
@@ -103,7 +116,7 @@ impl TrainingState<'_> {
         let progress = optimise(
             &mut self.policy,
             &mut self.value,
-            worst.as_ref().unwrap_or(&batch.transitions),
+            worst.as_ref().unwrap_or(&batch),
             self.settings,
             self.seed,
             update,
@@ -147,6 +160,7 @@ impl TrainingState<'_> {
             value: &self.value.network,
             distribution: self.distribution,
             settings: self.settings,
+            physics: self.physics,
             seed: self.seed,
             update,
         }
@@ -161,7 +175,7 @@ impl TrainingState<'_> {
         let mut calm = vec![Calm::limited_to(plant.limits.largest_voltage_v as f32); starts];
         let mut calm_return = 0.0;
         let evaluation = evaluate_and_tell(
-            &mut NetworkActor(&self.policy.network),
+            &mut self.actor(starts),
             self.distribution,
             &self.settings.simulation,
             EVALUATION_SEED,
@@ -171,6 +185,19 @@ impl TrainingState<'_> {
             },
         );
         (evaluation, calm_return / starts as f64)
+    }
+
+    /// The policy without exploration, told the physics of the Qubes of this many fixed starts.
+    fn actor(&self, starts: usize) -> NetworkActor<'_> {
+        let lanes = starts.next_multiple_of(LANES_MULTIPLE);
+        let mut told = vec![0.0; self.physics.map_or(0, |physics| physics.count) * lanes];
+        if let Some(physics) = &self.physics {
+            for lane in 0..starts {
+                let drawn = Trajectory::draw(self.distribution, EVALUATION_SEED, lane as u64);
+                physics.write(&drawn.model, lane, lanes, &mut told);
+            }
+        }
+        NetworkActor::told(&self.policy.network, told)
     }
 
     /// The result of the training.

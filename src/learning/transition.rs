@@ -1,8 +1,12 @@
 use super::kernels::Minibatch;
-use super::network::{Inputs, MAX_INPUTS, MAX_OBSERVATION_SIZE, WIDTH};
+use super::network::{Inputs, MAX_INPUTS, MAX_OBSERVATION_SIZE, MAX_PHYSICS_INPUTS, WIDTH};
 
-/// The observation of a transition; entries beyond the observation's size are zero.
+/// The first entries of what a network is given; entries beyond its size are zero.
 pub(super) type Observation = [f32; MAX_OBSERVATION_SIZE];
+
+/// The entries that follow those of an [`Observation`]. Only networks with physics inputs have them, so that they stand
+/// beside the transitions and leave these in one cache line.
+pub(super) type Further = [f32; MAX_PHYSICS_INPUTS];
 
 /// One step of one simulated pendulum. It fills one cache line, because minibatches pick transitions at
 /// random.
@@ -68,10 +72,18 @@ pub(super) fn constant_inputs<const SAMPLES: usize>(observation_size: usize) -> 
 pub(super) fn inputs<'a>(
     observation_size: usize,
     observations: impl Iterator<Item = &'a Observation>,
+    further: impl Iterator<Item = &'a Further>,
 ) -> Inputs {
     let mut inputs = constant_inputs(observation_size);
+    let first = observation_size.min(MAX_OBSERVATION_SIZE);
+    let (observed, beyond) = inputs[..observation_size].split_at_mut(first);
     for (sample, observation) in observations.enumerate() {
-        for (row, &entry) in inputs[..observation_size].iter_mut().zip(observation) {
+        for (row, &entry) in observed.iter_mut().zip(observation) {
+            row[sample] = entry;
+        }
+    }
+    for (sample, further) in further.enumerate() {
+        for (row, &entry) in beyond.iter_mut().zip(further) {
             row[sample] = entry;
         }
     }
@@ -93,10 +105,20 @@ impl Minibatch {
     }
 
     /// Fills the minibatch with the transitions at these indices.
-    pub fn gather(&mut self, transitions: &[Transition], indices: &[u32; WIDTH]) {
+    pub fn gather(
+        &mut self,
+        transitions: &[Transition],
+        further: &[Further],
+        indices: &[u32; WIDTH],
+    ) {
         let picked = indices.map(|index| &transitions[index as usize]);
-        for (entry, row) in self.inputs[..self.observation_size].iter_mut().enumerate() {
+        let first = self.observation_size.min(MAX_OBSERVATION_SIZE);
+        let (observed, beyond) = self.inputs[..self.observation_size].split_at_mut(first);
+        for (entry, row) in observed.iter_mut().enumerate() {
             *row = picked.map(|transition| transition.observation[entry]);
+        }
+        for (entry, row) in beyond.iter_mut().enumerate() {
+            *row = indices.map(|index| further[index as usize][entry]);
         }
         self.action = picked.map(|transition| transition.action);
         self.log_probability = picked.map(|transition| transition.log_probability);
@@ -151,15 +173,23 @@ mod tests {
                 }
             })
             .collect();
-        for size in [6, MAX_OBSERVATION_SIZE] {
+        let further: Vec<Further> = (0..100)
+            .map(|i| std::array::from_fn(|entry| 20.0 * i as f32 + 0.5 + entry as f32))
+            .collect();
+        for size in [6, MAX_OBSERVATION_SIZE, MAX_OBSERVATION_SIZE + 3] {
             let mut minibatch = Minibatch::empty(size);
-            minibatch.gather(&transitions, &std::array::from_fn(|sample| 99 - sample as u32));
+            let indices = std::array::from_fn(|sample| 99 - sample as u32);
+            minibatch.gather(&transitions, &further, &indices);
             assert_eq!(minibatch.inputs[size], [1.0; WIDTH]);
             assert!(minibatch.inputs[1 + size..].iter().flatten().all(|&entry| entry == 0.0));
             for sample in 0..WIDTH {
                 let base = 20.0 * (99 - sample) as f32;
                 for entry in 0..size {
-                    assert_eq!(minibatch.inputs[entry][sample], base + entry as f32);
+                    let expected = match entry.checked_sub(MAX_OBSERVATION_SIZE) {
+                        None => base + entry as f32,
+                        Some(further) => base + 0.5 + further as f32,
+                    };
+                    assert_eq!(minibatch.inputs[entry][sample], expected);
                 }
                 assert_eq!(minibatch.action[sample], base + 10.0);
                 assert_eq!(minibatch.log_probability[sample], base + 11.0);

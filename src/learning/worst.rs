@@ -1,5 +1,5 @@
-use super::collect::Batch;
-use super::transition::Transition;
+use super::collect::{Batch, TrajectoryEnd};
+use super::transition::{Further, Transition};
 use crate::qube::MAX_STEPS;
 
 /// The transitions of the trajectories with the lowest returns: `share` of the trajectories of a batch, at least one
@@ -7,31 +7,35 @@ use crate::qube::MAX_STEPS;
 ///
 /// A trajectory that was cut short counts as if it had gone on to earn as much a step; one that left the box earns no
 /// more.
-pub(super) fn worst_of(batch: &Batch, share: f32) -> Vec<Transition> {
+pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
     let mut first = 0;
-    let mut trajectories: Vec<(f64, usize, usize)> = Vec::with_capacity(batch.ends.len());
+    let mut trajectories: Vec<(f64, usize, TrajectoryEnd)> = Vec::with_capacity(batch.ends.len());
     for own in &batch.ends {
         let steps = own.end - first;
         let earned: f64 =
             batch.transitions[first..own.end].iter().map(|it| f64::from(it.reward)).sum();
         let over = if own.left_box { MAX_STEPS } else { steps };
-        trajectories.push((earned / over as f64, first, own.end));
+        trajectories.push((earned / over as f64, first, *own));
         first = own.end;
     }
     // Ties stay in order, so that the same batch gives the same transitions.
     trajectories.sort_by(|one, other| one.0.total_cmp(&other.0));
     let kept = ((share * trajectories.len() as f32).ceil() as usize).clamp(1, trajectories.len());
     trajectories.truncate(kept);
-    trajectories
-        .iter()
-        .flat_map(|&(_, first, end)| batch.transitions[first..end].iter().copied())
-        .collect()
+    let (mut transitions, mut further) = (Vec::<Transition>::new(), Vec::<Further>::new());
+    let mut ends = Vec::with_capacity(kept);
+    for &(_, first, own) in &trajectories {
+        transitions.extend(&batch.transitions[first..own.end]);
+        further.extend(batch.further.get(first..own.end).unwrap_or_default());
+        ends.push(TrajectoryEnd { end: transitions.len(), ..own });
+    }
+    Batch { transitions, further, trajectories: kept as u32, ends }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::learning::collect::TrajectoryEnd;
+    use crate::learning::network::MAX_PHYSICS_INPUTS;
 
     /// A batch of trajectories, each with its reward a step, its length, and whether it left the box.
     fn batch(trajectories: &[(f32, usize, bool)]) -> Batch {
@@ -40,14 +44,14 @@ mod tests {
             transitions.extend(vec![Transition { reward, ..Transition::default() }; steps]);
             ends.push(TrajectoryEnd { end: transitions.len(), left_box });
         }
-        Batch { transitions, trajectories: ends.len() as u32, ends }
+        Batch { transitions, further: Vec::new(), trajectories: ends.len() as u32, ends }
     }
 
     #[test]
     fn the_worst_tenth_of_known_returns_is_kept() {
         let known: Vec<(f32, usize, bool)> =
             (0..20).map(|it| (((7 * it) % 20) as f32 / 20.0, 600, false)).collect();
-        let kept = worst_of(&batch(&known), 0.1);
+        let kept = worst_of(&batch(&known), 0.1).transitions;
         assert_eq!(kept.len(), 1200);
         let rewards = [kept[0].reward, kept[600].reward];
         assert_eq!(rewards, [0.0, 0.05]);
@@ -56,8 +60,17 @@ mod tests {
     #[test]
     fn a_fall_is_worse_than_a_trajectory_that_was_cut_short() {
         let kept = worst_of(&batch(&[(0.9, 300, false), (0.9, 300, true), (0.8, 600, false)]), 0.3);
-        assert_eq!(kept.len(), 300);
+        assert_eq!(kept.transitions.len(), 300);
         let fallen = worst_of(&batch(&[(0.9, 100, false), (0.9, 400, true)]), 0.5);
-        assert_eq!(fallen.len(), 400);
+        assert_eq!(fallen.transitions.len(), 400);
+    }
+
+    #[test]
+    fn physics_inputs_stay_with_their_transitions() {
+        let mut all = batch(&[(0.9, 2, false), (0.1, 3, true)]);
+        all.further = (0..5).map(|index| [index as f32; MAX_PHYSICS_INPUTS]).collect();
+        let kept = worst_of(&all, 0.5);
+        assert_eq!(kept.further[..], all.further[2..]);
+        assert_eq!(kept.ends, [TrajectoryEnd { end: 3, left_box: true }]);
     }
 }

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use super::identified::{FromRecordings, Further, Width};
 use super::repetition::{RecommendationResult, Repetition, name};
-use super::rivals::FromRival;
+use super::rivals::{FromRival, FromUniversalPolicy};
 use super::run::{
     Access, MethodRun, Recommendation, Recommendations, Recommended, WithoutRollouts,
 };
@@ -75,6 +75,7 @@ pub(super) fn recommendations_of<'a>(
         Method::Identify => Box::new(identified(Width::Spread, Further::Excitations)),
         Method::Posterior => Box::new(identified(Width::Posterior, Further::Excitations)),
         Method::SequentialPosterior => Box::new(identified(Width::Posterior, Further::Rollouts)),
+        Method::StrategyOptimisation => Box::new(FromUniversalPolicy::new(run, settings)),
         Method::Rival(kind) => Box::new(FromRival::new(run, settings, kind)),
     })
 }

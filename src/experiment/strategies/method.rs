@@ -25,7 +25,10 @@ pub enum Method {
     /// Does as [`Method::Posterior`] after the first recording; each further recording is a rollout of the policy that
     /// the recordings before it give.
     SequentialPosterior,
-    /// Does as a method from the literature.
+    /// Searches by CMA-ES for the physics inputs of one policy that is trained for many Qubes (strategy optimisation, Yu
+    /// et al., reference 22 of the thesis).
+    StrategyOptimisation,
+    /// Does as another method from the literature.
     Rival(RivalKind),
 }
 
@@ -38,6 +41,7 @@ impl Method {
             Self::Identify,
             Self::Posterior,
             Self::SequentialPosterior,
+            Self::StrategyOptimisation,
         ];
         let rivals = RivalKind::ALL.into_iter().map(Self::Rival);
         StrategyKind::ALL.into_iter().map(Self::Search).chain(others).chain(rivals)
@@ -53,6 +57,13 @@ impl Method {
         }
     }
 
+    /// Whether the method is compared at fixed budgets alone: its policies take no real rollout, or all come from one
+    /// training.
+    #[must_use]
+    pub fn needs_budgets(self) -> bool {
+        self.needs_no_rollouts() || self == Self::StrategyOptimisation
+    }
+
     /// The method's name.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -63,6 +74,7 @@ impl Method {
             Self::Identify => "identify",
             Self::Posterior => "posterior",
             Self::SequentialPosterior => "sequential",
+            Self::StrategyOptimisation => "so-cma",
             Self::Rival(kind) => kind.name(),
         }
     }

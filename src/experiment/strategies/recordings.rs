@@ -1,9 +1,9 @@
 use std::path::{Path, PathBuf};
 
 use super::run::MethodRun;
-use crate::experiment::ExperimentError;
 use crate::experiment::rollouts::{Repeated, all_of};
 use crate::experiment::series::virtual_rig;
+use crate::experiment::{ExperimentError, RolloutResult};
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
 use crate::rig::RigSettings;
 use crate::session::{RolloutPlan, SeedFor, derived_seed, recording_in};
@@ -96,12 +96,20 @@ impl<'a> Recordings<'a> {
         paths.find(|path| MachineDisk.exists(path))
     }
 
+    /// The results of the first `count` recordings; `None` where some are missing.
+    ///
+    /// # Errors
+    /// A recording cannot be read.
+    pub fn results(&self, count: u32) -> Result<Option<Vec<RolloutResult>>, ExperimentError> {
+        all_of(&self.folder(), count, self.repetitions())
+    }
+
     /// Whether the first `count` recordings are complete on disk.
     ///
     /// # Errors
     /// A recording cannot be read.
     pub fn are_complete(&self, count: u32) -> Result<bool, ExperimentError> {
-        Ok(all_of(&self.folder(), count, self.repetitions())?.is_some())
+        Ok(self.results(count)?.is_some())
     }
 }
 

@@ -72,9 +72,13 @@ impl StrategySettings {
         if !self.budgets.is_sorted_by(|a, b| a < b) || self.budgets.last() > Some(&1000) {
             return Err("budgets: give numbers of real rollouts up to 1000, each larger than the one before".into());
         }
-        let idle = self.methods.iter().find(|method| method.needs_no_rollouts());
+        let idle = self.methods.iter().find(|method| method.needs_budgets());
         if let (false, Some(idle)) = (self.has_budgets(), idle) {
-            return Err(format!("{idle} takes no real rollouts: give budgets to compare it"));
+            let reason = match idle.needs_no_rollouts() {
+                true => "takes no real rollouts",
+                false => "makes all its policies of one training",
+            };
+            return Err(format!("{idle} {reason}: give budgets to compare it"));
         }
         if !(1..=64).contains(&self.trainings) {
             return Err(format!("trainings = {}: give a number from 1 to 64", self.trainings));

@@ -4,16 +4,22 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::elementary::dispatch_at;
 use crate::learning::network::{
-    LOG_STD, MAX_INPUTS, MAX_OBSERVATION_SIZE, NARROW, Network, OUTPUT_BIAS, WIDTH,
+    LOG_STD, MAX_INPUTS, MAX_OBSERVATION_SIZE, MAX_PHYSICS_INPUTS, NARROW, Network, OUTPUT_BIAS,
+    WIDTH,
 };
 use crate::qube::OBSERVATION_SIZE;
 
 const POLICY: PolicyHead = PolicyHead { clip: 0.1, entropy_weight: 0.01, kl_weight: 0.3 };
 
 /// Observation sizes without a history, with one that fills a group of rows and one that does not, and with
-/// the longest.
-const OBSERVATION_SIZES: [usize; 4] =
-    [OBSERVATION_SIZE, OBSERVATION_SIZE + 1, OBSERVATION_SIZE + 2, MAX_OBSERVATION_SIZE];
+/// the longest, alone and with the most physics inputs.
+const OBSERVATION_SIZES: [usize; 5] = [
+    OBSERVATION_SIZE,
+    OBSERVATION_SIZE + 1,
+    OBSERVATION_SIZE + 2,
+    MAX_OBSERVATION_SIZE,
+    MAX_OBSERVATION_SIZE + MAX_PHYSICS_INPUTS,
+];
 
 fn example(observation_size: usize) -> (Network, Minibatch) {
     let mut rng = ChaCha8Rng::seed_from_u64(7);

@@ -3,6 +3,7 @@ use super::bayessim::BayesSim;
 use super::dropo::Dropo;
 use super::epopt::EpOpt;
 use super::fpo::FingerprintOptimisation;
+use super::history::LongHistory;
 use super::lsdr::Lsdr;
 use super::npdr::Npdr;
 use super::rival::{Data, Rival};
@@ -29,11 +30,13 @@ pub enum RivalKind {
     Fpo,
     /// Trains on Qubes in which the policy behaves unlike in the nominal one (Mehta et al., reference 20).
     Adr,
+    /// Trains one policy with the longest observation that there is, to identify while it acts.
+    History,
 }
 
 impl RivalKind {
     /// Every rival.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::SimOpt,
         Self::BayesSim,
         Self::Dropo,
@@ -42,6 +45,7 @@ impl RivalKind {
         Self::Lsdr,
         Self::Fpo,
         Self::Adr,
+        Self::History,
     ];
 
     /// The rival's name.
@@ -56,6 +60,7 @@ impl RivalKind {
             Self::Lsdr => "lsdr",
             Self::Fpo => "fpo",
             Self::Adr => "adr",
+            Self::History => "history",
         }
     }
 
@@ -75,6 +80,7 @@ impl RivalKind {
             Self::Lsdr => Box::new(Lsdr),
             Self::Fpo => Box::new(FingerprintOptimisation),
             Self::Adr => Box::new(ActiveRandomisation),
+            Self::History => Box::new(LongHistory),
         }
     }
 }

@@ -2,7 +2,7 @@
 //! of the thesis's chapter 2 and what came after. docs/rivals.md has a paragraph about each.
 //!
 //! A `rival` turns recordings into a `belief` about the Qube, in the coordinates of a `space`; `learned` makes
-//! recommendations of it. The statistics of each stand in files of their own, which know nothing of a Qube: `gaussian`,
+//! recommendations of it. `universal` is the one method that searches for the inputs of a policy instead. The statistics of each stand in files of their own, which know nothing of a Qube: `gaussian`,
 //! `relative_entropy`, `mixture_density`, `offline_likelihood`, `tempering`,
 //! `entropy_trade_off`, `stein`, `discriminator`. `simulator` simulates rollouts again in other Qubes, `summary` and
 //! `discrepancy` compare motions.
@@ -18,6 +18,7 @@ mod epopt;
 mod evolution;
 mod fpo;
 mod gaussian;
+mod history;
 mod kind;
 mod learned;
 mod lsdr;
@@ -36,6 +37,8 @@ mod tempering;
 #[cfg(test)]
 mod tests;
 mod transitions;
+mod universal;
 
 pub use kind::RivalKind;
 pub(super) use learned::FromRival;
+pub(super) use universal::FromUniversalPolicy;

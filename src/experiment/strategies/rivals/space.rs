@@ -81,7 +81,6 @@ impl Space {
     }
 
     /// The point of a Qube.
-    #[cfg(test)]
     pub fn point(&self, model: &QubeModel) -> DVector<f64> {
         let entry = |it: &Coordinate| {
             let value = model.get(it.quantity);

@@ -1,0 +1,203 @@
+use std::cell::OnceCell;
+
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::space::{Space, distribution_of};
+use crate::experiment::folder::make;
+use crate::experiment::strategies::StrategySettings;
+use crate::experiment::strategies::recordings::{Recorded, Recordings};
+use crate::experiment::strategies::run::{MethodRun, Recommendation, Recommendations, Recommended};
+use crate::experiment::{ExperimentError, Recipe, RolloutResult};
+use crate::jobs::JobError;
+use crate::learning::{Origin, PhysicsInputs, TrainSettings, UniversalPolicy, train_universal};
+use crate::qube::QubeModel;
+use crate::search::{CmaEs, Observation, SearchError, Strategy as _};
+use crate::session::{SeedFor, derived_seed};
+use crate::storage::{Disk, MachineDisk};
+
+/// Number of Qubes of the prior on which the policy is trained.
+const QUBES: usize = 1024;
+
+/// Largest size of a physics input that is tried, in standard deviations of the prior.
+const REACH: f64 = 2.0;
+
+/// The recommendations of strategy optimisation (Yu, Liu and Turk 2019, reference 22 of the thesis): one policy is trained
+/// over the prior with the Qube's physics as inputs; on the real Qube CMA-ES searches for the inputs that earn most. Each
+/// real rollout is one candidate.
+pub struct FromUniversalPolicy<'a> {
+    run: &'a MethodRun<'a>,
+    settings: &'a StrategySettings,
+    recordings: Recordings<'a>,
+    space: Space,
+    /// The policy, trained when it is first needed. The same seed gives the same one, so that no file has it.
+    policy: OnceCell<UniversalPolicy>,
+}
+
+impl<'a> FromUniversalPolicy<'a> {
+    /// Recommendations in the folder of a method's run.
+    pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings) -> Self {
+        let (recordings, space) = (Recordings::of(run), Space::of_unknown_qube());
+        Self { run, settings, recordings, space, policy: OnceCell::new() }
+    }
+
+    /// The recommendation, but for the inputs of its policy: the prior is the distribution of its training.
+    fn recommendation(&self) -> Recommendation {
+        let mut recipe = self.run.without_identification().recipe;
+        "so-cma".clone_into(&mut recipe.name);
+        // A separate seed, because scoring uses the run's own.
+        let seed = derived_seed(self.run.seed, SeedFor::Search);
+        let points = self.space.draws(QUBES, &mut ChaCha8Rng::seed_from_u64(seed));
+        let distribution = distribution_of(&self.space, &points);
+        Recommendation { distribution, ..Recommendation::of(recipe, None) }
+    }
+
+    /// The best of the settings' number of trainings, by the return in its own evaluations.
+    fn policy(&self, recommendation: &Recommendation) -> Result<&UniversalPolicy, ExperimentError> {
+        if let Some(policy) = self.policy.get() {
+            return Ok(policy);
+        }
+        let series = self.run.series(recommendation, 0, self.settings.trainings);
+        let (distribution, simulation) = (series.distribution()?, series.simulation());
+        let training = recommendation.recipe.settings.training.clone();
+        let settings = TrainSettings { threads: 1, simulation, ..training };
+        let space = &self.space;
+        let of = |model: &QubeModel| -> Vec<f32> {
+            space.point(model).iter().map(|entry| *entry as f32).collect()
+        };
+        let physics = PhysicsInputs { count: space.dimensions(), of: &of };
+        let train = |training: u32| {
+            let seed = derived_seed(self.run.seed, SeedFor::Training { candidate: 0, training });
+            let stop = self.run.experiment.stop();
+            train_universal(&distribution, &settings, physics, seed, stop, |_| ())
+                .map_err(JobError::from)
+        };
+        let mut best = train(0)?;
+        for training in 1..self.settings.trainings {
+            let policy = train(training)?;
+            if policy.best_return() > best.best_return() {
+                best = policy;
+            }
+        }
+        Ok(self.policy.get_or_init(|| best))
+    }
+
+    fn search(&self) -> Result<CmaEs, SearchError> {
+        let bounds = vec![REACH; self.space.dimensions()];
+        let lower: Vec<f64> = bounds.iter().map(|bound| -bound).collect();
+        CmaEs::between(&lower, &bounds, derived_seed(self.run.seed, SeedFor::Search))
+    }
+
+    /// The candidates of these rollouts, in order, with their returns.
+    fn candidates(&self, results: &[RolloutResult]) -> Result<Vec<Observation>, SearchError> {
+        let mut search = self.search()?;
+        let mut data = Vec::with_capacity(results.len());
+        for result in results {
+            let point = candidate(&mut search, &data, self.space.dimensions())?;
+            data.push(Observation { point, returns: vec![result.return_.unwrap_or_default()] });
+        }
+        Ok(data)
+    }
+
+    /// Makes the recording of this number, whose predecessors exist, if it does not exist.
+    fn record(&self, number: u32, recommendation: &Recommendation) -> Result<(), ExperimentError> {
+        if self.recordings.are_complete(number + 1)? {
+            return Ok(());
+        }
+        let results = self.recordings.results(number)?.unwrap_or_default();
+        let data = self.candidates(&results)?;
+        let point = candidate(&mut self.search()?, &data, self.space.dimensions())?;
+        let trained = self.policy(recommendation)?.at(&inputs(&point)).map_err(JobError::from)?;
+        let policy = trained.into_policy(origin_of(&recommendation.recipe)).to_bytes();
+        self.recordings.make(number, Recorded::Policy { after: number }, &policy)
+    }
+}
+
+impl Recommendations for FromUniversalPolicy<'_> {
+    fn count(&self) -> u32 {
+        self.settings.most_recordings()
+    }
+
+    fn rollouts_each(&self) -> u32 {
+        1
+    }
+
+    fn first(&self) -> u32 {
+        0
+    }
+
+    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
+        let recommendation = self.recommendation();
+        if self.run.access.works() {
+            make(&self.run.folder)?;
+            for number in 0..steps {
+                self.record(number, &recommendation)?;
+            }
+        }
+        let Some(results) = self.recordings.results(steps)? else {
+            return Ok(Recommended::NotOnDisk);
+        };
+        let series = self.run.series(&recommendation, steps, self.settings.trainings);
+        let path = series.folders.policy(0).policy();
+        if self.run.access.works() && !MachineDisk.exists(&path) {
+            let best = match self.candidates(&results)?.as_slice() {
+                [] => vec![0.0; self.space.dimensions()],
+                data => self.search()?.best(data)?.point,
+            };
+            let policy = self.policy(&recommendation)?;
+            series.keep(0, policy.at(&inputs(&best)).map_err(JobError::from)?)?;
+        }
+        Ok(Recommended::Found(Box::new(recommendation)))
+    }
+}
+
+/// The next candidate after those in the data: first the mean of the prior, then what CMA-ES proposes.
+fn candidate(
+    search: &mut CmaEs,
+    data: &[Observation],
+    dimensions: usize,
+) -> Result<Vec<f64>, SearchError> {
+    match data {
+        [] => Ok(vec![0.0; dimensions]),
+        _ => Ok(search.propose(data, 1)?.swap_remove(0)),
+    }
+}
+
+fn inputs(point: &[f64]) -> Vec<f32> {
+    point.iter().map(|entry| *entry as f32).collect()
+}
+
+fn origin_of(recipe: &Recipe) -> Origin {
+    Origin { model: recipe.name.clone(), ..recipe.origin(None) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Candidates of a search whose return falls with the distance from known inputs, in 14 dimensions.
+    fn searched(candidates: usize) -> Vec<Observation> {
+        let bounds = [REACH; 14];
+        let mut search = CmaEs::between(&bounds.map(|bound| -bound), &bounds, 3).unwrap();
+        let mut data: Vec<Observation> = Vec::new();
+        for _ in 0..candidates {
+            let point = candidate(&mut search, &data, 14).unwrap();
+            let squares = point.iter().map(|entry| (entry - 0.7) * (entry - 0.7));
+            let returns = vec![500.0 - 20.0 * squares.sum::<f64>()];
+            data.push(Observation { point, returns });
+        }
+        data
+    }
+
+    #[test]
+    fn inputs_of_a_known_optimum_are_found_and_the_mean_of_the_prior_comes_first() {
+        let data = searched(700);
+        assert_eq!(data[0].point, [0.0; 14]);
+        let best = |count: usize| {
+            data[..count].iter().map(Observation::mean_return).fold(f64::MIN, f64::max)
+        };
+        // Twenty rollouts are few for 14 inputs; hundreds find them.
+        assert!(best(20) >= best(1) && best(20) < 480.0, "{}", best(20));
+        assert!(best(700) > 499.0, "{}", best(700));
+    }
+}

@@ -1,0 +1,180 @@
+use std::sync::atomic::AtomicBool;
+
+use super::curve::TrainUpdate;
+use super::export::exported;
+use super::network::{MAX_PHYSICS_INPUTS, Network};
+use super::physics_inputs::PhysicsInputs;
+use super::state::TrainingState;
+use super::train::perform;
+use super::{TrainError, TrainSettings, Trained};
+use crate::simulation::DomainDistribution;
+
+/// A policy whose network is given the physics of the Qube beside the observation (a universal policy: Yu, Liu and Turk
+/// 2019, "Policy Transfer with Strategy Optimization").
+///
+/// With the physics inputs fixed it is an ordinary policy ([`Self::at`]), because a constant input only moves the biases
+/// of the first layer.
+#[derive(Clone, Debug)]
+pub struct UniversalPolicy {
+    best: Box<Network>,
+    last: Box<Network>,
+    observation_size: usize,
+    /// The result of the training, with all physics inputs 0.
+    at_zero: Trained,
+}
+
+/// Trains a universal policy by PPO like [`super::train()`], in simulations drawn from `distribution`: policy and value
+/// network are given the physics inputs of the simulated Qube.
+///
+/// # Errors
+/// A setting or the number of inputs is out of range; `stop` was set; or weights are no longer finite.
+pub fn train_universal(
+    distribution: &DomainDistribution,
+    settings: &TrainSettings,
+    physics: PhysicsInputs<'_>,
+    seed: u64,
+    stop: &AtomicBool,
+    tell: impl FnMut(&TrainUpdate),
+) -> Result<UniversalPolicy, TrainError> {
+    settings.check()?;
+    if !(1..=MAX_PHYSICS_INPUTS).contains(&physics.count) {
+        let (name, value) = ("physics inputs", physics.count.to_string());
+        return Err(TrainError::Setting { name, value, bound: "1 to 16" });
+    }
+    let mut training = TrainingState::new(distribution, settings, Some(physics), seed);
+    perform(&mut training, None, stop, tell)?;
+    let observation_size = settings.simulation.observation_size();
+    let (best, last) = (training.best.clone(), training.policy.network.clone());
+    training.best = at_fixed(&best, observation_size, &[]);
+    training.policy.network = at_fixed(&last, observation_size, &[]);
+    let at_zero = training.into_trained()?;
+    Ok(UniversalPolicy { best: Box::new(best), last: Box::new(last), observation_size, at_zero })
+}
+
+impl UniversalPolicy {
+    /// Mean return of the best network during training, told which Qube it drives.
+    #[must_use]
+    pub fn best_return(&self) -> f64 {
+        self.at_zero.best_return
+    }
+
+    /// The ordinary policy at these physics inputs; inputs that are not given are 0.
+    ///
+    /// # Errors
+    /// The inputs make a bias infinite.
+    pub fn at(&self, physics: &[f32]) -> Result<Trained, TrainError> {
+        let at = |network: &Network| exported(&at_fixed(network, self.observation_size, physics));
+        Ok(Trained {
+            network: at(&self.best)?,
+            final_network: at(&self.last)?,
+            ..self.at_zero.clone()
+        })
+    }
+}
+
+/// The network that gives what `network` gives with these physics inputs, which follow the observation.
+fn at_fixed(network: &Network, observation_size: usize, physics: &[f32]) -> Network {
+    let mut fixed = network.clone();
+    fixed.observation_size = observation_size;
+    fixed.first[observation_size..].as_flattened_mut().fill(0.0);
+    let told = &network.first[observation_size..network.constant()];
+    let bias = &mut fixed.first[observation_size];
+    *bias = network.first[network.constant()];
+    for (weights, input) in told.iter().zip(physics) {
+        for (bias, weight) in bias.iter_mut().zip(weights) {
+            *bias += weight * input;
+        }
+    }
+    fixed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::learning::actor::outputs;
+    use crate::learning::random::Stream;
+    use crate::qube::{DomainParameter, QubeModel};
+    use crate::simulation::SimulationSettings;
+
+    const OBSERVATION: [f32; 8] = [0.5, -0.3, 0.9, 0.1, -0.7, 0.4, 0.2, -0.9];
+    const PHYSICS: [f32; 14] =
+        [1.0, -0.6, 0.3, 0.2, -1.1, 0.4, 0.8, -0.2, 0.7, 0.1, -0.5, 1.3, 0.6, -0.9];
+
+    fn output(network: &Network, inputs: &[f32]) -> f32 {
+        let lanes: Vec<f32> = inputs.iter().flat_map(|&input| [input; 16]).collect();
+        let mut output = [0.0; 16];
+        outputs(network, &lanes, &mut output);
+        output[3]
+    }
+
+    #[test]
+    fn fixed_inputs_become_biases_of_an_ordinary_policy() {
+        for count in [1, 2, 14] {
+            let size = OBSERVATION.len() + count;
+            let network = Network::orthogonal(size, &mut Stream::Weights.generator(4), 1.0, -0.5);
+            let physics = &PHYSICS[..count];
+            let fixed = at_fixed(&network, OBSERVATION.len(), physics);
+            let told = output(&network, &[&OBSERVATION[..], physics].concat());
+            assert!((output(&fixed, &OBSERVATION) - told).abs() < 1e-5);
+            let mut deployed = exported(&fixed).unwrap();
+            assert_eq!(deployed.sizes(), [8, 64, 64, 1]);
+            let voltage_v = deployed.voltage_of_observation_v(&OBSERVATION);
+            assert!((voltage_v - 5.0 * told).abs() < 1e-4);
+            let untold = at_fixed(&network, OBSERVATION.len(), &[]);
+            assert!((output(&untold, &OBSERVATION) - told).abs() > 1e-3, "the inputs matter");
+        }
+    }
+
+    fn small() -> TrainSettings {
+        TrainSettings {
+            updates: 3,
+            num_envs: 48,
+            epochs: 1,
+            evaluation_starts: 20,
+            simulation: SimulationSettings::robust(),
+            ..TrainSettings::quick()
+        }
+    }
+
+    /// Two Qubes, told apart by the mass of the pendulum.
+    fn two_qubes() -> DomainDistribution {
+        let [mut light, mut heavy] = [QubeModel::NOMINAL; 2];
+        let mass = crate::qube::Quantity::Parameter(DomainParameter::PendulumMass);
+        light.set(mass, 0.6 * light.get(mass));
+        heavy.set(mass, 1.4 * heavy.get(mass));
+        DomainDistribution::of_specimens(vec![light, heavy]).unwrap()
+    }
+
+    fn trained(threads: usize, count: usize) -> Result<UniversalPolicy, TrainError> {
+        let mass = crate::qube::Quantity::Parameter(DomainParameter::PendulumMass);
+        let nominal = QubeModel::NOMINAL.get(mass);
+        let of = |model: &QubeModel| vec![(model.get(mass) / nominal - 1.0) as f32; count];
+        let (settings, physics) =
+            (TrainSettings { threads, ..small() }, PhysicsInputs { count, of: &of });
+        let never = AtomicBool::new(false);
+        train_universal(&two_qubes(), &settings, physics, 5, &never, |_| ())
+    }
+
+    #[test]
+    fn a_universal_policy_does_another_thing_in_another_qube_and_repeats() {
+        // Few inputs fit beside the observation of a transition, many do not.
+        for count in [1, 14] {
+            let (one, two) = (trained(1, count).unwrap(), trained(2, count).unwrap());
+            let of = |policy: &UniversalPolicy, input: f32| {
+                policy.at(&vec![input; count]).unwrap().network
+            };
+            assert_eq!(of(&one, 0.4), of(&two, 0.4));
+            assert_ne!(of(&one, 0.4), of(&one, -0.4));
+            assert_eq!(one.at(&[]).unwrap(), one.at_zero);
+            assert!(one.best_return().is_finite());
+        }
+    }
+
+    #[test]
+    fn a_policy_is_told_at_least_one_number_and_at_most_sixteen() {
+        for count in [0, MAX_PHYSICS_INPUTS + 1] {
+            let message = trained(1, count).unwrap_err().to_string();
+            assert!(message.contains("physics inputs") && message.contains("1 to 16"), "{message}");
+        }
+    }
+}
