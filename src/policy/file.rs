@@ -11,7 +11,8 @@ use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, View, serialize};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::network::{LayerWeights, NetworkError, bias_name, weight_name};
+use super::layer::{LayerWeights, bias_name, weight_name};
+use super::network::NetworkError;
 use super::network_metadata::{NetworkMetadata, OBSERVATION_LAYOUT, is_of_the_first_version};
 use super::{
     ClassicalController, ClassicalGains, Excitation, ExcitationShape, External, Network,

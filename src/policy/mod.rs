@@ -69,6 +69,7 @@ mod external;
 mod file;
 #[cfg(test)]
 mod file_tests;
+mod layer;
 mod network;
 mod network_metadata;
 pub mod onnx;
@@ -82,7 +83,8 @@ pub use classical::{ClassicalController, ClassicalGains};
 pub use excitation::{EXCITATION_STEPS, Excitation, ExcitationShape};
 pub use external::External;
 pub use file::{FORMAT_VERSION, MAX_FILE_BYTES, PolicyError, PolicyFault};
-pub use network::{LayerWeights, MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
+pub use layer::LayerWeights;
+pub use network::{MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
 pub use trained_for::OtherPlant;
 pub use training_record::{SimulatedGuard, SimulatedObserver, SimulatedSensors, TrainingRecord};
 

@@ -1,5 +1,6 @@
 use thiserror::Error;
 
+use super::layer::{Layer, LayerWeights, PADDING, bias_name, weight_name};
 use super::{Activation, OutputKind};
 use crate::elementary::{InstructionSet, VectorKernel, dispatch, tanh};
 use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State, observation};
@@ -10,18 +11,6 @@ pub const MAX_HIDDEN_LAYERS: usize = 4;
 
 /// Largest width of a hidden layer.
 pub const MAX_WIDTH: usize = 256;
-
-/// Rows of weights are padded to a multiple of this number: the lanes of the widest vector.
-const PADDING: usize = 16;
-
-/// Weights of one layer in the layout of files and training.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LayerWeights {
-    /// Weights, `[outputs][inputs]`, row by row.
-    pub weight: Vec<f32>,
-    /// Biases, `[outputs]`.
-    pub bias: Vec<f32>,
-}
 
 /// The reason why weights do not form a network.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -95,17 +84,6 @@ pub struct Network {
     activations: [Vec<f32>; 2],
     /// Last commands as fractions of 5 V, newest first; the network uses as many as it has inputs for.
     commands: [f32; MAX_HISTORY],
-}
-
-/// One layer, transposed so that neighbouring outputs are neighbours in memory.
-#[derive(Clone, Debug, PartialEq)]
-struct Layer {
-    /// Weights, `[inputs][outputs, padded]`.
-    weight: Vec<[f32; PADDING]>,
-    /// Biases, `[outputs, padded]`.
-    bias: Vec<[f32; PADDING]>,
-    inputs: usize,
-    outputs: usize,
 }
 
 impl Network {
@@ -255,16 +233,6 @@ impl PartialEq for Network {
     }
 }
 
-/// The name of a layer's weights in files and errors.
-pub(super) fn weight_name(layer: usize) -> String {
-    format!("layers.{layer}.weight")
-}
-
-/// The name of a layer's biases in files and errors.
-pub(super) fn bias_name(layer: usize) -> String {
-    format!("layers.{layer}.bias")
-}
-
 /// Checks that a network may have these sizes.
 pub(super) fn check_sizes(sizes: &[usize]) -> Result<(), NetworkError> {
     if let [inputs, hidden @ .., 1] = sizes
@@ -290,51 +258,6 @@ fn check_array(array: &str, values: &[f32], expected: usize) -> Result<(), Netwo
             Err(NetworkError::NotFinite { array: array.to_owned(), index, value: values[index] })
         }
         None => Ok(()),
-    }
-}
-
-impl Layer {
-    fn new(weights: &LayerWeights, inputs: usize, outputs: usize) -> Self {
-        let blocks = outputs.div_ceil(PADDING);
-        let mut weight = vec![[0.0; PADDING]; inputs * blocks];
-        let mut bias = vec![[0.0; PADDING]; blocks];
-        for output in 0..outputs {
-            let (block, lane) = (output / PADDING, output % PADDING);
-            bias[block][lane] = weights.bias[output];
-            for input in 0..inputs {
-                weight[input * blocks + block][lane] = weights.weight[output * inputs + input];
-            }
-        }
-        Self { weight, bias, inputs, outputs }
-    }
-
-    fn weights(&self) -> LayerWeights {
-        let blocks = self.bias.len();
-        let at = |output: usize, input: usize| {
-            self.weight[input * blocks + output / PADDING][output % PADDING]
-        };
-        LayerWeights {
-            weight: (0..self.outputs)
-                .flat_map(|output| (0..self.inputs).map(move |input| at(output, input)))
-                .collect(),
-            bias: (0..self.outputs).map(|o| self.bias[o / PADDING][o % PADDING]).collect(),
-        }
-    }
-
-    /// Multiplies the weights with `inputs` and adds the biases; `outputs` is padded.
-    #[inline(always)]
-    fn apply(&self, inputs: &[f32], outputs: &mut [f32]) {
-        let blocks = self.bias.len();
-        let (outputs, _) = outputs.as_chunks_mut::<PADDING>();
-        for (block, output) in outputs.iter_mut().take(blocks).enumerate() {
-            let mut sums = self.bias[block];
-            for (input, row) in inputs[..self.inputs].iter().zip(self.weight.chunks_exact(blocks)) {
-                for (sum, weight) in sums.iter_mut().zip(&row[block]) {
-                    *sum = weight.mul_add(*input, *sum);
-                }
-            }
-            *output = sums;
-        }
     }
 }
 

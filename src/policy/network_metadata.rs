@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::file::PolicyFault;
-use super::network::{LayerWeights, check_sizes};
+use super::layer::LayerWeights;
+use super::network::check_sizes;
 use super::{Activation, Network, NetworkPolicy, OutputKind, TrainingRecord};
 use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
 

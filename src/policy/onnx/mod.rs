@@ -20,7 +20,8 @@ pub use sight::Sight;
 pub use write::{OPSET, to_onnx};
 
 use super::file::network_of_metadata;
-use super::network::{LayerWeights, NetworkError};
+use super::layer::LayerWeights;
+use super::network::NetworkError;
 use super::{Activation, Network, NetworkPolicy, OutputKind, PolicyFault, TrainingRecord};
 use crate::qube::MAX_VOLTAGE_V;
 use protobuf::Malformed;
