@@ -24,14 +24,17 @@ fn the_printed_settings_are_a_good_file_and_a_changed_one_is_listed() {
         let printed = succeeds(directory, &["config", "print", "--preset", preset]);
         fs::write(directory.join("printed.toml"), &printed).unwrap();
         let told = succeeds(directory, &["config", "check", "printed.toml", "--preset", preset]);
-        if preset == "thesis" {
-            assert!(told.contains("it changes nothing"), "{told}");
-        }
+        assert_eq!(told, "printed.toml: good; it changes nothing\n");
         let changed = printed.replace("\nrollouts = ", "\nrollouts = 1");
         fs::write(directory.join("changed.toml"), changed).unwrap();
         let told = succeeds(directory, &["config", "check", "changed.toml", "--preset", preset]);
         assert!(told.contains("extent.rollouts = 1"), "{told}");
     }
+    fs::write(directory.join("seed.toml"), "seed = 5\n").unwrap();
+    let told = succeeds(directory, &["config", "check", "seed.toml"]);
+    assert!(told.contains("it changes one setting") && told.contains("method is bayrn"), "{told}");
+    let told = succeeds(directory, &["config", "check", "seed.toml", "--preset", "thesis"]);
+    assert!(told.contains("it changes one setting") && !told.contains("bayrn"), "{told}");
 }
 
 #[test]

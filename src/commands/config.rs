@@ -57,15 +57,17 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
 }
 
-fn print(preset: Preset, output: &Output) -> Result<(), Failure> {
-    let settings = match preset {
-        // As a session without arguments has them.
-        Preset::Quick => SessionSettings {
-            identification: Some(IdentificationSettings::DEFAULT),
-            ..preset.settings()
-        },
-        Preset::Thesis => preset.settings(),
+/// The settings that are printed: those of the preset, and the identification of a session without arguments.
+fn printed(preset: Preset) -> SessionSettings {
+    let identification = match preset {
+        Preset::Quick => Some(IdentificationSettings::DEFAULT),
+        Preset::Thesis => None,
     };
+    SessionSettings { identification, ..preset.settings() }
+}
+
+fn print(preset: Preset, output: &Output) -> Result<(), Failure> {
+    let settings = printed(preset);
     let list = settings.list().map_err(Failure::failed)?;
     let rows: Vec<_> = list
         .iter()
@@ -85,10 +87,15 @@ fn print(preset: Preset, output: &Output) -> Result<(), Failure> {
 }
 
 fn check(files: &[PathBuf], preset: Preset, output: &Output) -> Result<(), Failure> {
-    let defaults = preset.settings();
     let (mut texts, mut rows) = (Vec::new(), Vec::new());
     for file in files {
-        let settings = defaults.configured_by(file).map_err(Failure::usage)?;
+        let settings = preset.settings().configured_by(file).map_err(Failure::usage)?;
+        let mut defaults = printed(preset);
+        // A file without that table selects another method, which is one change and not six.
+        let leaves_out = defaults.identification.is_some() && settings.identification.is_none();
+        if leaves_out {
+            defaults.identification = None;
+        }
         let changes = settings.differences(&defaults).map_err(Failure::failed)?;
         let shown = file.display().to_string();
         let mut text = match changes.len() {
@@ -100,12 +107,16 @@ fn check(files: &[PathBuf], preset: Preset, output: &Output) -> Result<(), Failu
             let [value, default] = [&change.value, &change.default].map(told);
             text += &format!("\n  {} = {value} (default {default})", change.key);
         }
+        if leaves_out {
+            text += "\n  without the table [identification] the method is bayrn, a search for an unknown Qube";
+        }
         texts.push(text);
+        let method = if settings.identification.is_some() { "identified" } else { "bayrn" };
         let changes: Vec<_> = changes
             .into_iter()
             .map(|it| json!({ "key": it.key, "value": it.value, "default": it.default }))
             .collect();
-        rows.push(json!({ "file": shown, "changes": changes }));
+        rows.push(json!({ "file": shown, "method": method, "changes": changes }));
     }
     output.print(&texts.join("\n"), &json!({ "files": rows }));
     Ok(())
