@@ -256,4 +256,35 @@ mod tests {
             }
         }
     }
+
+    /// Rerun makes no shapes of `/scene`: it takes them from this file, and moves them by `/tf`.
+    #[test]
+    fn the_bodies_for_rerun_are_those_of_the_scene() {
+        let file = include_str!("../../scripts/qube.urdf");
+        let scene = SceneUpdate::new(&PlantModel::QUBE, 0);
+        let round = |value: f64| (value * 1e6).round() / 1e6;
+        let three =
+            |Vector3 { x, y, z }: &Vector3| format!("{} {} {}", round(*x), round(*y), round(*z));
+        for Entity { frame_id, cube: Cube { center, size, color } } in &scene.entities {
+            let begin = file.find(&format!("<link name=\"{frame_id}\">")).unwrap();
+            let link = file[begin..].split("</link>").next().unwrap();
+            let Color { r, g, b, a } = color;
+            for text in [
+                format!("<origin xyz=\"{}\"/>", three(center)),
+                format!("<box size=\"{}\"/>", three(size)),
+                format!("<color rgba=\"{r} {g} {b} {a}\"/>"),
+            ] {
+                assert!(link.contains(&text), "{text}: {link}");
+            }
+        }
+        let frames = FrameTransforms::new(&PlantModel::QUBE, &State::default(), 0);
+        for FrameTransform { parent_frame_id, child_frame_id, translation, .. } in frames.transforms
+        {
+            let parent = format!("<parent link=\"{parent_frame_id}\"/>");
+            let joint = file.split("</joint>").find(|joint| joint.contains(&parent)).unwrap();
+            let child = format!("<child link=\"{child_frame_id}\"/>");
+            let origin = format!("<origin xyz=\"{}\"/>", three(&translation));
+            assert!(joint.contains(&child) && joint.contains(&origin), "{origin}: {joint}");
+        }
+    }
 }
