@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from .errors import SettingsError
 
@@ -51,6 +52,17 @@ class Uniform:
 
 
 Distribution = Constant | Normal | Uniform
+
+
+def read(fields: Mapping[str, Any]) -> Distribution:
+    """A distribution as files have it."""
+    if fields["type"] == "constant":
+        return Constant(fields["value"])
+    mean, deviation = fields["mean"], fields["standard_deviation"]
+    if fields["type"] == "normal":
+        return Normal(mean, deviation)
+    half_width = 3.0**0.5 * deviation
+    return Uniform(mean - half_width, mean + half_width)
 
 
 def written(distributions: Mapping[str, Distribution | float] | None) -> str:

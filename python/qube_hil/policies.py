@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
+from . import distributions as _distributions
 from ._core import MAX_VOLTAGE_V
+from .distributions import Distribution
 from .envs import Float32s
 from .errors import ActionError, PolicyError
 
@@ -193,6 +195,14 @@ class Policy:
         """The record of the training; None without a network."""
         training = self._core.training
         return None if training is None else json.loads(training)
+
+    @property
+    def randomisation(self) -> dict[str, Distribution] | None:
+        """Distribution of each quantity of the simulated Qubes in training, by name, as environments and `train` take
+        them for ``distributions``; None for a file that does not name it, and without a network. Joint deviations, where
+        there are any, and the Qubes of a distribution of given Qubes are in ``training["randomisation"]``."""
+        known = (self.training or {}).get("randomisation")
+        return known and {name: _distributions.read(it) for name, it in known["distributions"].items()}
 
     def __repr__(self) -> str:
         sizes = "" if self.sizes is None else f" {self.sizes}"

@@ -23,6 +23,14 @@ def test_a_training_gives_the_bytes_of_the_command(tmp_path):
     assert (trained.curve["mean_return"] == [update["mean_return"] for update in told]).all()
     assert trained.best_return == trained.curve["mean_return"].max()
     assert trained.policy.training["best_return"] == trained.best_return
+    randomisation = trained.policy.randomisation
+    assert randomisation["R_m"] == Normal(8.4, pytest.approx(0.84))
+    assert randomisation["g"] == qube_hil.Constant(9.81)
+    delay = randomisation["command_delay_s"]
+    assert (delay.lower, delay.upper) == pytest.approx((0.0, 0.016))
+    again = qube_hil.train("nominal", seed=3, distributions=randomisation, **SMALL).policy
+    assert again.randomisation.keys() == randomisation.keys()
+    assert again.randomisation["M_p"] == randomisation["M_p"]
 
 
 def test_a_trained_policy_earns_in_the_environment_what_its_training_says():
@@ -135,6 +143,7 @@ def test_what_is_no_policy_or_observation_is_named(tmp_path):
 def test_the_classical_controller_swings_up_a_simulated_qube(swing_up):
     policy = qube_hil.recording(swing_up).policy
     assert (policy.kind, policy.sizes, policy.training) == ("classical", None, None)
+    assert policy.randomisation is None
     env = qube_hil.QubeEnv(settings="machine")
     observation, _ = env.reset(seed=0)
     total = 0.0

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::json;
 
-use self::controller::RunController;
+use self::controller::{RunController, randomisation};
 use self::results::Results;
 use self::series::Series;
 use super::command_hints::unidentified;
@@ -133,9 +133,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
     folder.check_for_recordings(arguments.rollouts.into())?;
     let directory = folder.path().to_owned();
-    if let Some(note) = &controller.note {
-        tell(note);
-    }
+    controller.notes.iter().for_each(|note| tell(note));
+    let randomisation = controller.policy.as_ref().and_then(randomisation).map(|it| json!(it));
     let title = format!("qube-hil run: {} in {}", controller.name, directory.display());
     let screen = arguments.screen.open(&title, output, &stop);
     let live = arguments.live.serve("run", &stop)?;
@@ -182,6 +181,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Err(failure) if failure.is_usage() && results.is_empty() => {}
         _ => {
             let mut json = results.json();
+            json["randomisation"] = json!(randomisation);
             json["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
             output.print(&results.text(), &json);
         }

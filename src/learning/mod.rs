@@ -34,6 +34,7 @@ mod optimise;
 mod physics_inputs;
 mod preset;
 mod random;
+mod randomisation;
 mod settings;
 mod state;
 #[cfg(test)]

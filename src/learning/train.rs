@@ -210,6 +210,7 @@ impl TrainingState<'_> {
             best_return: self.best_return,
             final_network: exported(&self.policy.network)?,
             final_return: self.curve.last().map_or(f64::NEG_INFINITY, |last| last.mean_return),
+            distribution: self.distribution.clone(),
             sensors: self.settings.simulation.sensors,
             plant: self.settings.simulation.plant,
             voltage_change_weight: self.settings.voltage_change_weight,

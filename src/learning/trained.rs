@@ -1,11 +1,12 @@
 use super::curve::TrainUpdate;
+use super::randomisation::randomisation_of;
 use crate::estimation::EstimatorSettings;
 use crate::policy::{
     Network, NetworkPolicy, Policy, SimulatedGuard, SimulatedObserver, SimulatedSensors,
     TrainingRecord,
 };
 use crate::qube::PlantModel;
-use crate::simulation::{Psi, SensorModel};
+use crate::simulation::{DomainDistribution, Psi, SensorModel};
 
 /// The result of a training.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,6 +22,8 @@ pub struct Trained {
     pub final_return: f64,
     /// Learning curve, one entry for each update.
     pub curve: Vec<TrainUpdate>,
+    /// Distribution of the simulated Qubes; of a training in stages that of the last one.
+    pub distribution: DomainDistribution,
     /// Sensors of the simulation.
     pub sensors: SensorModel,
     /// Plant of the simulation.
@@ -68,6 +71,7 @@ impl Trained {
             training: TrainingRecord {
                 model: origin.model,
                 psi: origin.psi.map(|psi| psi.named_values()),
+                randomisation: Some(randomisation_of(&self.distribution)),
                 seed: self.seed,
                 preset: origin.preset,
                 steps: last.map_or(0, |last| last.steps),

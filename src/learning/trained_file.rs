@@ -7,6 +7,7 @@ use thiserror::Error;
 use super::curve::TrainUpdate;
 use super::{TrainSettings, Trained};
 use crate::policy::{LayerWeights, Network};
+use crate::simulation::DomainDistribution;
 
 /// The reason why bytes are not the result of a training.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
@@ -14,7 +15,7 @@ use crate::policy::{LayerWeights, Network};
 pub struct TrainedBytesError(String);
 
 impl Trained {
-    /// The result as safetensors, without what the training's settings contain.
+    /// The result as safetensors, without its distribution and what the training's settings contain.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let returns = [self.best_return, self.final_return].into_iter();
@@ -34,12 +35,13 @@ impl Trained {
         safetensors::serialize(views, None).unwrap_or_default()
     }
 
-    /// Restores the result of a training with these settings and this seed.
+    /// Restores the result of a training in this distribution with these settings and this seed.
     ///
     /// # Errors
     /// The bytes are no such result.
     pub fn from_bytes(
         bytes: &[u8],
+        distribution: &DomainDistribution,
         settings: &TrainSettings,
         seed: u64,
     ) -> Result<Self, TrainedBytesError> {
@@ -59,6 +61,7 @@ impl Trained {
             final_network: network(&tensors, "final_network", "final_sizes")?,
             final_return,
             curve: curve.as_chunks().0.iter().map(TrainUpdate::from_array).collect(),
+            distribution: distribution.clone(),
             sensors: settings.simulation.sensors,
             plant: settings.simulation.plant,
             voltage_change_weight: settings.voltage_change_weight,
@@ -122,18 +125,18 @@ mod tests {
 
     use super::*;
     use crate::learning::train;
-    use crate::simulation::DomainDistribution;
 
     #[test]
     fn a_result_reads_back_as_it_was_and_damage_is_refused() {
         let settings = TrainSettings { updates: 2, epochs: 1, ..TrainSettings::robust() };
         let never = AtomicBool::new(false);
-        let trained =
-            train(&DomainDistribution::robust(), &settings, 3, None, &never, |_| ()).unwrap();
+        let robust = DomainDistribution::robust();
+        let trained = train(&robust, &settings, 3, None, &never, |_| ()).unwrap();
         let bytes = trained.to_bytes();
-        assert_eq!(Trained::from_bytes(&bytes, &settings, 3).unwrap(), trained);
+        assert_eq!(Trained::from_bytes(&bytes, &robust, &settings, 3).unwrap(), trained);
         for length in [0, 7, bytes.len() / 2, bytes.len() - 1] {
-            assert!(Trained::from_bytes(&bytes[..length], &settings, 3).is_err(), "{length}");
+            let damaged = Trained::from_bytes(&bytes[..length], &robust, &settings, 3);
+            assert!(damaged.is_err(), "{length}");
         }
     }
 }

@@ -20,8 +20,8 @@ use super::{
 };
 use crate::qube::MAX_VOLTAGE_V;
 
-/// Newest version of the format; files of later versions are refused. A network that version 1 can express is written
-/// in version 1, so that its bytes stay.
+/// Newest version of the format; files of later versions are refused. A policy that version 1 can express, as those
+/// whose randomisation no file has named, is written in version 1, so that its bytes stay.
 pub const FORMAT_VERSION: u32 = 2;
 
 /// Largest file that is read, bytes: ten times the largest network within the limits.
@@ -263,7 +263,7 @@ fn json_of(format_version: u32, controller: ControllerMetadata) -> String {
 }
 
 pub(super) fn write(policy: &Policy) -> Vec<u8> {
-    let is_second = matches!(policy, Policy::Network(it) if !is_of_the_first_version(&it.network));
+    let is_second = matches!(policy, Policy::Network(it) if !is_of_the_first_version(it));
     let format_version = if is_second { 2 } else { 1 };
     let (controller, tensors) = match policy {
         Policy::Network(policy) => (

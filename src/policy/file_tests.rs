@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use proptest::prelude::*;
 
 use super::*;
-use crate::qube::{MAX_HISTORY, PlantModel};
+use crate::qube::{DomainParameter, MAX_HISTORY, Nonideality, PlantModel, QubeModel};
 
 fn network_policy() -> Policy {
     network_policy_with_history(0)
@@ -24,6 +24,7 @@ fn network_policy_with_history(history: usize) -> Policy {
         training: TrainingRecord {
             model: "opt-nominal".to_owned(),
             psi: Some(BTreeMap::from([("mean_M_p".to_owned(), 0.1 + 0.2)])),
+            randomisation: None,
             seed: u64::MAX,
             preset: "quick".to_owned(),
             steps: 4_800_000,
@@ -123,6 +124,42 @@ fn a_network_with_other_functions_comes_back_in_version_2_with_its_conventions()
             }
         }
     }
+}
+
+#[test]
+fn a_randomisation_comes_back_in_version_2_and_files_without_stay_as_they_are() {
+    let Policy::Network(plain) = network_policy() else { unreachable!() };
+    let shipped = include_bytes!("../../policies/nominal.safetensors");
+    let first = Policy::from_bytes(shipped).unwrap();
+    assert_eq!(first.to_bytes(), shipped);
+    let randomisation = Randomisation {
+        distributions: BTreeMap::from([
+            (
+                DomainParameter::PendulumMass.into(),
+                RandomQuantity::Normal { mean: 0.024, standard_deviation: 0.1 + 0.2 },
+            ),
+            (
+                Nonideality::CommandDelay.into(),
+                RandomQuantity::Uniform { mean: 0.008, standard_deviation: 0.004 },
+            ),
+            (DomainParameter::Gravity.into(), RandomQuantity::Constant { value: 9.81 }),
+        ]),
+        directions: vec![BTreeMap::from([(DomainParameter::MotorBackEmf.into(), -0.002)])],
+        specimens: vec![QubeModel::NOMINAL],
+    };
+    let training = TrainingRecord { randomisation: Some(randomisation.clone()), ..plain.training };
+    let bytes = Policy::Network(NetworkPolicy { training, ..plain }).to_bytes();
+    let text = String::from_utf8_lossy(&bytes);
+    assert!(text.contains(r#"format_version\":2,"#) && text.contains("conventions"), "{text}");
+    match Policy::from_bytes(&bytes).unwrap() {
+        Policy::Network(read) => {
+            assert_eq!(read.training.randomisation, Some(randomisation));
+            assert_eq!(Policy::Network(read).to_bytes(), bytes);
+        }
+        other => panic!("{other:?} came back"),
+    }
+    let nameless = fault(&with_header_text(&bytes, r#"\"M_p\""#, r#"\"M_q\""#));
+    assert!(nameless.contains("M_q"), "{nameless}");
 }
 
 #[test]

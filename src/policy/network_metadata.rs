@@ -114,6 +114,7 @@ impl NetworkMetadata {
         if is_second != output.is_some()
             || is_second != conventions.is_some()
             || bounds.is_some() && !is_second
+            || self.training.randomisation.is_some() && !is_second
             || conventions.is_some_and(|it| it != Conventions::of_this_program())
         {
             return Err(PolicyFault::Conventions { version });
@@ -145,8 +146,11 @@ impl NetworkMetadata {
     }
 }
 
-/// Whether version 1 of the format can express a network.
-pub(super) fn is_of_the_first_version(network: &Network) -> bool {
+/// Whether version 1 of the format can express a policy.
+pub(super) fn is_of_the_first_version(policy: &NetworkPolicy) -> bool {
+    let NetworkPolicy { network, training } = policy;
     let functions = (network.activation(), network.output());
-    functions == (Activation::Tanh, OutputKind::Linear) && network.bounds().is_empty()
+    functions == (Activation::Tanh, OutputKind::Linear)
+        && network.bounds().is_empty()
+        && training.randomisation.is_none()
 }

@@ -2,6 +2,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::Randomisation;
 use crate::qube::{PlantModel, QubeModel};
 
 /// The record of a network's training. Its file contains it, commands show it, and `run` compares it with
@@ -14,6 +15,9 @@ pub struct TrainingRecord {
     /// Values of psi by name, for models that have one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psi: Option<BTreeMap<String, f64>>,
+    /// Distribution of the simulated Qubes; `None` in files of version 1 and for networks of other programs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub randomisation: Option<Randomisation>,
     /// Seed of the training.
     pub seed: u64,
     /// Name of the preset of budget and settings: `thesis`, `quick` ...
@@ -46,6 +50,7 @@ impl TrainingRecord {
         Self {
             model: "imported".into(),
             psi: None,
+            randomisation: None,
             seed: 0,
             preset: "imported".into(),
             steps: 0,

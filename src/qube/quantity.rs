@@ -1,5 +1,7 @@
 use std::ops::RangeInclusive;
 
+use serde::{Deserialize, Serialize};
+
 use super::{DomainParameter, Nonidealities, QubeModel};
 
 /// Names one term of the [`Nonidealities`].
@@ -95,7 +97,8 @@ impl Nonidealities {
 }
 
 /// One number of a [`QubeModel`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(into = "String", try_from = "String")]
 pub enum Quantity {
     /// One of the nine domain parameters.
     Parameter(DomainParameter),
@@ -169,6 +172,20 @@ impl Quantity {
     #[must_use]
     pub fn from_symbol(symbol: &str) -> Option<Self> {
         Self::all().find(|quantity| quantity.symbol() == symbol)
+    }
+}
+
+impl From<Quantity> for String {
+    fn from(quantity: Quantity) -> Self {
+        quantity.name().to_owned()
+    }
+}
+
+impl TryFrom<String> for Quantity {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        Self::from_name(&name).ok_or_else(|| format!("there is no quantity {name}"))
     }
 }
 

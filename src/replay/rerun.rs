@@ -197,6 +197,7 @@ mod tests {
         TrainingRecord {
             model: "nominal".into(),
             psi: None,
+            randomisation: None,
             seed: 0,
             preset: "quick".into(),
             steps: 0,

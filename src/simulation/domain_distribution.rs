@@ -186,6 +186,18 @@ impl DomainDistribution {
         self
     }
 
+    /// The joint deviations, each times a standard normal number of its own.
+    #[must_use]
+    pub fn directions(&self) -> &[Direction] {
+        &self.directions
+    }
+
+    /// The Qubes of which each draw is one; empty where draws follow the distributions and directions.
+    #[must_use]
+    pub fn specimens(&self) -> &[QubeModel] {
+        &self.specimens
+    }
+
     /// The standard deviation of a quantity's draws before truncation: its own and that of all directions together.
     #[must_use]
     pub fn standard_deviation(&self, quantity: impl Into<Quantity>) -> f64 {

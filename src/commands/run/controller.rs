@@ -5,7 +5,7 @@ use crate::commands::exit::Failure;
 use crate::commands::failures;
 use crate::policy::{
     ClassicalController, ClassicalGains, EXCITATION_STEPS, Excitation, ExcitationShape, Policy,
-    SimulatedSensors,
+    Randomisation, SimulatedSensors,
 };
 use crate::qube::{MAX_STEPS, PlantModel};
 use crate::rig::RigError;
@@ -15,8 +15,8 @@ pub struct RunController {
     pub name: String,
     pub files: Vec<Vec<u8>>,
     pub steps: u32,
-    /// Note for the operator before the first rollout.
-    pub note: Option<String>,
+    /// Notes for the operator before the first rollout.
+    pub notes: Vec<String>,
     /// Policy of a file; `None` for an excitation.
     pub policy: Option<Policy>,
 }
@@ -32,20 +32,23 @@ impl RunController {
                 name: format!("excitation by {}", format!("{shape:?}").to_lowercase()),
                 files: [0, 1].map(file).into(),
                 steps: EXCITATION_STEPS,
-                note: None,
+                notes: Vec::new(),
                 policy: None,
             });
         }
         let name = arguments.policy.clone().unwrap_or_default();
         let policy = policy(&name)?;
-        let note = trained_on_true_states(&policy).then(|| {
+        let truth = trained_on_true_states(&policy).then(|| {
             format!(
                 "note: {name} was trained on true states, which no Qube shows: encoders and estimator may \
                  make it fall at once. `train --preset robust` makes policies for a Qube"
             )
         });
+        let known = randomisation(&policy)
+            .map(|drawn| format!("{name} was trained in simulations of {drawn}"));
+        let notes = known.into_iter().chain(truth).collect();
         let files = vec![policy.to_bytes()];
-        Ok(Self { files, name, steps: MAX_STEPS as u32, note, policy: Some(policy) })
+        Ok(Self { files, name, steps: MAX_STEPS as u32, notes, policy: Some(policy) })
     }
 
     /// Checks that the policy was made for this plant.
@@ -71,6 +74,14 @@ pub fn policy(name: &str) -> Result<Policy, Failure> {
         return Err(Failure::usage(format!("{name}: {}", RigError::External { name: controller })));
     }
     Ok(policy)
+}
+
+/// The distribution of the simulated Qubes in which a policy was trained, if its file names it.
+pub fn randomisation(policy: &Policy) -> Option<&Randomisation> {
+    match policy {
+        Policy::Network(policy) => policy.training.randomisation.as_ref(),
+        Policy::Classical(_) | Policy::Excitation(_) | Policy::External(_) => None,
+    }
 }
 
 /// Whether a policy was trained on states that no Qube shows.

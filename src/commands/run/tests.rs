@@ -39,7 +39,7 @@ fn run_within(
         name: "classical".into(),
         files,
         steps: plan.steps,
-        note: None,
+        notes: Vec::new(),
         policy: None,
     };
     let (stop, keyboard) = (Stop::default(), Keyboard::none());

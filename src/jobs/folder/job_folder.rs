@@ -253,7 +253,8 @@ impl JobFolder {
             Some(reason) => Err(reason),
             None => {
                 let bytes = trained.get(1..).unwrap_or_default();
-                let trained = Trained::from_bytes(bytes, &job.settings, job.seed);
+                let trained =
+                    Trained::from_bytes(bytes, &job.distribution, &job.settings, job.seed);
                 Ok(Box::new(trained.map_err(|error| damaged(error.to_string()))?))
             }
         };

@@ -1,0 +1,59 @@
+use crate::policy::{RandomQuantity, Randomisation};
+use crate::qube::Quantity;
+use crate::simulation::{Distribution, DomainDistribution};
+
+/// A distribution of simulated Qubes in the form of the policy file.
+pub(super) fn randomisation_of(distribution: &DomainDistribution) -> Randomisation {
+    let directions = distribution.directions().iter().map(|direction| {
+        let moved = Quantity::all().map(|quantity| (quantity, direction.of(quantity)));
+        moved.filter(|&(_, deviation)| deviation != 0.0).collect()
+    });
+    let distributions =
+        Quantity::all().map(|quantity| (quantity, of_quantity(distribution.get(quantity))));
+    Randomisation {
+        distributions: distributions.collect(),
+        directions: directions.collect(),
+        specimens: distribution.specimens().to_vec(),
+    }
+}
+
+fn of_quantity(distribution: Distribution) -> RandomQuantity {
+    match distribution {
+        Distribution::Constant { value } => RandomQuantity::Constant { value },
+        Distribution::Normal { mean, standard_deviation } => {
+            RandomQuantity::Normal { mean, standard_deviation }
+        }
+        Distribution::Uniform { mean, standard_deviation } => {
+            RandomQuantity::Uniform { mean, standard_deviation }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{DomainParameter, Nonideality, QubeModel};
+    use crate::simulation::Direction;
+
+    #[test]
+    fn a_randomisation_reads_as_the_distribution_that_it_was_made_of() {
+        let mass = DomainParameter::PendulumMass.into();
+        let friction = Nonideality::CoulombTorque.into();
+        let direction = Direction::new(&[(mass, 0.001), (friction, 1e-5)]);
+        let specimens = vec![QubeModel::NOMINAL; 3];
+        for distribution in [
+            DomainDistribution::nominal(),
+            DomainDistribution::robust(),
+            DomainDistribution::robust().along(&[direction]),
+            DomainDistribution::of_specimens(specimens).unwrap(),
+        ] {
+            let written = serde_json::to_value(randomisation_of(&distribution)).unwrap();
+            // The policy file has the quantities below a name, a distribution's file at the top.
+            let mut fields = written.as_object().unwrap().clone();
+            let quantities = fields.remove("distributions").unwrap();
+            fields.extend(quantities.as_object().unwrap().clone());
+            let read = serde_json::from_value::<DomainDistribution>(fields.into()).unwrap();
+            assert_eq!(read, distribution);
+        }
+    }
+}
