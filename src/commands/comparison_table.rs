@@ -67,6 +67,7 @@ mod tests {
                         behaviour,
                         quietness: Quietness::NONE,
                     }],
+                    recordings: Default::default(),
                 })
                 .collect(),
         };

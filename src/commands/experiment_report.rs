@@ -8,7 +8,7 @@ use crate::charts::{
     DrawingError, ShareOfPlant, StepLine, budgets_svg, densities_svg, searches_svg, strategies_svg,
 };
 use crate::experiment::{
-    Experiment, ExperimentError, PolicyResult, RecipeResult, Results, SearchReturns,
+    ALL_PLANTS, Experiment, ExperimentError, PolicyResult, RecipeResult, Results, SearchReturns,
     StrategyResult, StrategyResults,
 };
 use crate::recording::read;
@@ -77,7 +77,7 @@ impl ExperimentReport {
                 let distributions =
                     experiment.distributions().map_err(|error| error.to_string())?;
                 let searches = experiment.searches().map_err(|error| error.to_string())?;
-                let rollouts = examples(experiment, results);
+                let rollouts = examples(results);
                 recipes_page(name, results, &distributions, &searches, rollouts, commands)
             }
         }
@@ -106,9 +106,11 @@ impl ExperimentReport {
 const SHOWN: usize = 20;
 
 /// The first rollout of the best and of the worst policy of each recipe on each plant; what cannot be read is left out.
-fn examples(experiment: &Experiment, results: &Results) -> NamedRollouts {
+fn examples(results: &Results) -> NamedRollouts {
     let mut rollouts = NamedRollouts::new();
-    for result in results.recipes.iter().take(SHOWN) {
+    // The rows of all plants together repeat the policies of the others.
+    let rows = results.recipes.iter().filter(|row| row.plant != ALL_PLANTS);
+    for result in rows.take(SHOWN) {
         let earned = |policy: &PolicyResult| policy.mean_return().unwrap_or(f64::NEG_INFINITY);
         let order =
             |one: &&PolicyResult, other: &&PolicyResult| earned(one).total_cmp(&earned(other));
@@ -116,9 +118,7 @@ fn examples(experiment: &Experiment, results: &Results) -> NamedRollouts {
         let worst = result.policies.iter().min_by(order);
         let others = worst.filter(|worst| best.is_some_and(|best| best.number != worst.number));
         for policy in best.into_iter().chain(others) {
-            let folder =
-                experiment.folder().policies(&result.recipe).rollouts(policy.number, &result.plant);
-            let attempts = (0..).map(|attempt| recording_in(&folder, 0, attempt));
+            let attempts = (0..).map(|attempt| recording_in(&policy.recordings, 0, attempt));
             let Some(path) = attempts.take_while(|path| path.exists()).last() else { continue };
             let Ok(recording) = read(&path) else { continue };
             let name = format!("{} on {}, policy {}", result.recipe, result.plant, policy.number);

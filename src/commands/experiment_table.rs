@@ -187,6 +187,7 @@ mod tests {
             number,
             simulated_return: 555.4 + f64::from(number % 3),
             rollouts: vec![rollout(541.2, Behaviour::Balanced), rollout(0.4, Behaviour::LeftBox)],
+            recordings: Default::default(),
         });
         Results {
             recipes: vec![RecipeResult {

@@ -38,7 +38,7 @@ pub use results::{PolicyResult, RecipeResult, Results};
 pub use rollouts::RolloutResult;
 pub use settings::ExperimentSettings;
 pub use strategies::{
-    Method, RecommendationResult, Repetition, Score, StrategyResult, StrategyResults,
+    ALL_PLANTS, Method, RecommendationResult, Repetition, Score, StrategyResult, StrategyResults,
     StrategySettings,
 };
 pub use work::{Experiment, ExperimentEvent, SearchReturns};

@@ -1,5 +1,5 @@
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::sync::atomic::AtomicBool;
@@ -52,6 +52,8 @@ pub struct PolicyResult {
     pub simulated_return: f64,
     /// Results of its rollouts, in order.
     pub rollouts: Vec<RolloutResult>,
+    /// Folder of its recordings on the plant.
+    pub recordings: PathBuf,
 }
 
 impl PolicyResult {
@@ -197,14 +199,16 @@ impl Results {
             };
             let recipe = &settings.recipes[index];
             let ran = experiment.ran(recipe, number)?;
+            let folders = experiment.folder().policies(&recipe.name);
             if ran.iter().any(Option::is_some) {
-                let path = experiment.folder().policies(&recipe.name).policy(number).policy();
+                let path = folders.policy(number).policy();
                 let starts = settings.simulated_starts as usize;
                 let simulated_return = simulated_return(&path, distribution, simulation, starts)?;
                 let mut recipes = recipes.lock().unwrap_or_else(PoisonError::into_inner);
                 for (plant, rollouts) in ran.into_iter().enumerate() {
                     let Some(rollouts) = rollouts else { continue };
-                    let policy = PolicyResult { number, simulated_return, rollouts };
+                    let recordings = folders.rollouts(number, &settings.plants[plant].name);
+                    let policy = PolicyResult { number, simulated_return, rollouts, recordings };
                     recipes[index * plants + plant].policies.push(policy);
                 }
             }
@@ -258,7 +262,12 @@ mod tests {
             behaviour: if index < balanced { Behaviour::Balanced } else { Behaviour::Fell },
             quietness: Quietness::NONE,
         });
-        PolicyResult { number: 0, simulated_return: 500.0, rollouts: rollouts.collect() }
+        PolicyResult {
+            number: 0,
+            simulated_return: 500.0,
+            rollouts: rollouts.collect(),
+            recordings: PathBuf::new(),
+        }
     }
 
     #[test]

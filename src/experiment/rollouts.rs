@@ -84,6 +84,18 @@ pub(super) fn all_of(
         .collect()
 }
 
+/// Whether a rollout has a result.
+///
+/// # Errors
+/// A recording cannot be read.
+pub(super) fn is_complete(
+    folder: &Path,
+    rollout: u32,
+    repetitions: u32,
+) -> Result<bool, ExperimentError> {
+    Ok(matches!(state_of(folder, rollout, repetitions)?, RolloutState::Finished(_)))
+}
+
 /// A rollout with the repetitions that faults make necessary.
 pub(super) struct Repeated<'a> {
     /// Folder of its recordings.

@@ -15,7 +15,7 @@ use crate::experiment::{
 };
 
 /// Name of the plant under which the repetitions on all plants are summed up.
-const ALL_PLANTS: &str = "all plants";
+pub const ALL_PLANTS: &str = "all plants";
 
 /// One repetition of a method on a plant.
 #[derive(Clone, Copy, Debug)]
@@ -143,13 +143,13 @@ impl MethodRun<'_> {
         strategies: &StrategySettings,
     ) -> Result<Option<PolicyResult>, ExperimentError> {
         let series = self.series(recommendation, steps, strategies.trainings);
+        let recordings = series.folders.rollouts(0, &self.plant.name);
         let settings = self.experiment.settings();
         let rollouts: Vec<RolloutResult> = if self.access.works() {
             series.train(0, &mut |_, _| ())?;
             series.run_in_virtual_time(0, &self.plant, settings.rollouts)?
         } else {
-            let folder = series.folders.rollouts(0, &self.plant.name);
-            match all_of(&folder, settings.rollouts, self.recipe.settings.extent.repetitions)? {
+            match all_of(&recordings, settings.rollouts, self.recipe.settings.extent.repetitions)? {
                 Some(results) => results,
                 None => return Ok(None),
             }
@@ -163,7 +163,7 @@ impl MethodRun<'_> {
             let starts = settings.simulated_starts as usize;
             simulated_return(&path, &distribution, &simulation, starts)?
         };
-        Ok(Some(PolicyResult { number, simulated_return, rollouts }))
+        Ok(Some(PolicyResult { number, simulated_return, rollouts, recordings }))
     }
 }
 

@@ -47,6 +47,8 @@ pub(super) struct FromRecordings<'a> {
     width: Width,
     further: Further,
     recordings: Recordings<'a>,
+    /// Number of first recordings that are known to be complete, so that they are not read again.
+    complete: u32,
 }
 
 impl<'a> FromRecordings<'a> {
@@ -57,7 +59,7 @@ impl<'a> FromRecordings<'a> {
         width: Width,
         further: Further,
     ) -> Self {
-        Self { run, settings, width, further, recordings: Recordings::of(run) }
+        Self { run, settings, width, further, recordings: Recordings::of(run), complete: 0 }
     }
 
     /// The policy of the recording with this number.
@@ -178,11 +180,12 @@ impl Recommendations for FromRecordings<'_> {
     fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
         if self.run.access.works() {
             make(&self.run.folder)?;
-            for number in 0..steps {
+            for number in self.complete..steps {
                 self.record(number)?;
             }
         }
-        if !self.recordings.are_complete(steps)? {
+        self.complete = self.recordings.complete_from(self.complete, steps)?;
+        if self.complete < steps {
             return Ok(Recommended::NotOnDisk);
         }
         self.recommended(steps)

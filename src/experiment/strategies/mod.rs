@@ -25,6 +25,7 @@ mod score;
 mod search;
 mod settings;
 
+pub use budgets::ALL_PLANTS;
 pub(super) use budgets::Trial;
 pub use method::Method;
 pub use repetition::{RecommendationResult, Repetition};

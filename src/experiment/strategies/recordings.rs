@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use super::run::MethodRun;
-use crate::experiment::rollouts::{Repeated, all_of};
+use crate::experiment::rollouts::{Repeated, all_of, is_complete};
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, RolloutResult};
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
@@ -104,12 +104,16 @@ impl<'a> Recordings<'a> {
         all_of(&self.folder(), count, self.repetitions())
     }
 
-    /// Whether the first `count` recordings are complete on disk.
+    /// The number of first recordings that are complete on disk, up to `count`; the first `known` are.
     ///
     /// # Errors
     /// A recording cannot be read.
-    pub fn are_complete(&self, count: u32) -> Result<bool, ExperimentError> {
-        Ok(self.results(count)?.is_some())
+    pub fn complete_from(&self, known: u32, count: u32) -> Result<u32, ExperimentError> {
+        let mut complete = known;
+        while complete < count && is_complete(&self.folder(), complete, self.repetitions())? {
+            complete += 1;
+        }
+        Ok(complete)
     }
 }
 

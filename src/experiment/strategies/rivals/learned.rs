@@ -30,6 +30,8 @@ pub struct FromRival<'a> {
     kind: RivalKind,
     rival: Box<dyn Rival>,
     recordings: Recordings<'a>,
+    /// Number of first recordings that are known to be complete, so that they are not read again.
+    complete: u32,
     space: Space,
 }
 
@@ -38,7 +40,7 @@ impl<'a> FromRival<'a> {
     pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings, kind: RivalKind) -> Self {
         let recordings = Recordings::of(run);
         let space = Space::of_unknown_qube();
-        Self { run, settings, kind, rival: kind.rival(), recordings, space }
+        Self { run, settings, kind, rival: kind.rival(), recordings, complete: 0, space }
     }
 
     /// Seed of what is learnt from so many recordings.
@@ -196,11 +198,12 @@ impl Recommendations for FromRival<'_> {
         let steps = if self.rival.data() == Data::None { 0 } else { asked };
         if self.run.access.works() {
             make(&self.run.folder)?;
-            for number in 0..steps {
+            for number in self.complete..steps {
                 self.record(number)?;
             }
         }
-        if !self.recordings.are_complete(steps)? {
+        self.complete = self.recordings.complete_from(self.complete, steps)?;
+        if self.complete < steps {
             return Ok(Recommended::NotOnDisk);
         }
         Ok(match self.belief(steps)? {

@@ -101,7 +101,7 @@ impl<'a> FromUniversalPolicy<'a> {
 
     /// Makes the recording of this number, whose predecessors exist, if it does not exist.
     fn record(&self, number: u32, recommendation: &Recommendation) -> Result<(), ExperimentError> {
-        if self.recordings.are_complete(number + 1)? {
+        if self.recordings.complete_from(number, number + 1)? > number {
             return Ok(());
         }
         let results = self.recordings.results(number)?.unwrap_or_default();
