@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::{ControlError, Moved, RestWatch, RestingCounts, SAMPLE_TIMEOUT_NS};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError, LinkFault};
-use crate::qube::{CONTROL_PERIOD_NS, Measurement};
+use crate::qube::{CONTROL_PERIOD_NS, Encoders, Measurement};
 use crate::safety::MotorHeat;
 use crate::telemetry::TickSettings;
 
@@ -66,6 +66,8 @@ pub(super) struct Undriven {
     /// Counts at which arm and pendulum came to rest after the last motion; `None` if they were not
     /// seen at rest.
     pub left_at: Option<RestingCounts>,
+    /// Encoders of the plant that was homed.
+    pub encoders: Encoders,
 }
 
 impl Undriven {
@@ -77,7 +79,7 @@ impl Undriven {
         clock: &dyn Clock,
         stop: &AtomicBool,
     ) {
-        let mut watch = RestWatch::after(last);
+        let mut watch = RestWatch::after(last, self.encoders);
         self.left_at = match watch_rest(&mut watch, device, clock, stop) {
             Ok(rest) if !watch.has_jumped() => rest,
             Ok(_) | Err(_) => None,
@@ -96,9 +98,11 @@ impl Undriven {
             LinkFault::NotArmed => DeviceError::Restarted { port: self.port.clone() },
             fault => DeviceError::Link { port: self.port.clone(), fault },
         };
-        let rest = watch_rest(&mut RestWatch::default(), device, clock, stop).map_err(link)?;
+        let mut watch = RestWatch::new(self.encoders);
+        let rest = watch_rest(&mut watch, device, clock, stop).map_err(link)?;
         let rest = rest.ok_or(Moved::Unseen)?;
-        Ok(rest.compare(self.left_at, settings.calibration.alpha_zero_counts)?)
+        let zero_counts = settings.calibration.alpha_zero_counts;
+        Ok(rest.compare(self.left_at, zero_counts, self.encoders)?)
     }
 }
 

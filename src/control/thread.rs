@@ -256,6 +256,7 @@ fn obey(
         }
         Command::Home(settings) => {
             motor.cool_down(clock, stop);
+            undriven.encoders = settings.plant.encoders;
             let mut homing = match state {
                 ControlState::Cleared => Homing::after_fault(&settings),
                 _ => Homing::new(&settings),

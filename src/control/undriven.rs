@@ -3,29 +3,34 @@
 
 use thiserror::Error;
 
-use crate::qube::{CONTROL_PERIOD_S, COUNTS_PER_REVOLUTION, Measurement, RAD_PER_COUNT};
+use crate::qube::{CONTROL_PERIOD_S, Encoder, Encoders, Measurement};
 
 /// Samples within the widths below that count as rest: 0.6 s, more than a swing of the pendulum, so
 /// that a swing shows its full width.
 const REST_SAMPLES: u32 = 60;
 
-/// Largest range of the arm's samples at rest, counts. An arm without dry friction that still
+/// Largest range of the arm's samples at rest, counts of a Qube, like all counts here. An arm without dry friction that still
 /// creeps this much moves on by 8 counts before it stops. A lower limit would cost 8 s after each
 /// rollout with a cable that pulls the arm slowly.
-const ARM_WIDTH: i32 = 5;
+const ARM_WIDTH: f64 = 5.0;
 
 /// Largest range of the pendulum's samples at rest, counts: 0.3 rad to either side. On an arm held
 /// by dry friction the pendulum swings for a minute, and the middle of a whole swing is where it
 /// hangs.
-const PENDULUM_WIDTH: i32 = 200;
+const PENDULUM_WIDTH: f64 = 200.0;
 
 /// Largest change of a count that leaves its zero valid, counts: 0.05 rad. A cable may pull the arm
 /// farther within seconds; then the arm is homed before the next rollout, which is always safe.
-const TOLERANCE: i32 = 16;
+const TOLERANCE: f64 = 16.0;
 
 /// Largest change of an undriven arm's velocity within a tick, counts a tick: 5 rad/s. More is a
 /// jump of the count, or a blow.
 const LARGEST_KICK: f64 = 16.0;
+
+/// Counts of an encoder that cover the angle of these counts of a Qube's, at least one.
+fn of_qube(counts: f64, encoder: Encoder) -> i32 {
+    (counts * encoder.counts_of_qube()).ceil() as i32
+}
 
 /// Counts at which arm and pendulum are at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,26 +61,34 @@ impl RestingCounts {
     ///
     /// # Errors
     /// They do not hold, and homing must measure them again.
-    pub fn compare(self, before: Option<Self>, alpha_zero_counts: i32) -> Result<(), Moved> {
+    pub fn compare(
+        self,
+        before: Option<Self>,
+        alpha_zero_counts: i32,
+        encoders: Encoders,
+    ) -> Result<(), Moved> {
         let before = before.ok_or(Moved::Unseen)?;
         let arm = self.theta.wrapping_sub(before.theta);
-        if arm.unsigned_abs() > TOLERANCE.unsigned_abs() {
-            return Err(Moved::Arm(f64::from(arm) * RAD_PER_COUNT));
+        if arm.unsigned_abs() > of_qube(TOLERANCE, encoders.theta).unsigned_abs() {
+            return Err(Moved::Arm(encoders.theta.angle_rad(arm)));
         }
-        let half_turn = COUNTS_PER_REVOLUTION / 2;
-        // A power of two divides the counter's range, so that a wrapping counter does no harm.
+        let whole_turn = encoders.alpha.counts_per_revolution();
+        let half_turn = whole_turn / 2;
+        // A power of two divides the counter's range, so that a wrapping counter does no harm. With any other number,
+        // a counter that wraps means homing again.
         let pendulum = self.alpha.wrapping_sub(alpha_zero_counts).wrapping_add(half_turn);
-        let pendulum = pendulum.rem_euclid(COUNTS_PER_REVOLUTION) - half_turn;
-        if pendulum.abs() > TOLERANCE {
-            return Err(Moved::Pendulum(f64::from(pendulum) * RAD_PER_COUNT));
+        let pendulum = pendulum.rem_euclid(whole_turn) - half_turn;
+        if pendulum.abs() > of_qube(TOLERANCE, encoders.alpha) {
+            return Err(Moved::Pendulum(encoders.alpha.angle_rad(pendulum)));
         }
         Ok(())
     }
 }
 
 /// Watches arm and pendulum, with the amplifier off, until both are at rest.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct RestWatch {
+    encoders: Encoders,
     last: Option<Last>,
     theta: Spread,
     alpha: Spread,
@@ -119,16 +132,23 @@ impl Spread {
 }
 
 impl RestWatch {
+    /// A watch of a plant with these encoders.
+    #[must_use]
+    pub fn new(encoders: Encoders) -> Self {
+        let (theta, alpha) = (Spread::default(), Spread::default());
+        Self { encoders, last: None, theta, alpha, samples: 0, has_jumped: false }
+    }
+
     /// A watch that continues from the last sample of a motion, so that no jump in between is
     /// missed.
     #[must_use]
-    pub fn after(last: Option<&Measurement>) -> Self {
+    pub fn after(last: Option<&Measurement>, encoders: Encoders) -> Self {
         let last = last.map(|last| Last {
             time_us: last.device_time_us,
             theta_counts: last.theta_counts,
             velocity: Some(f64::from(last.tachometer_counts_s) * CONTROL_PERIOD_S),
         });
-        Self { last, ..Self::default() }
+        Self { last, ..Self::new(encoders) }
     }
 
     /// Takes the next sample; returns the resting counts once both are at rest.
@@ -136,7 +156,9 @@ impl RestWatch {
         self.follow(sample);
         let theta = self.theta.with(sample.theta_counts);
         let alpha = self.alpha.with(sample.alpha_counts);
-        if self.samples > 0 && theta.width() <= ARM_WIDTH && alpha.width() <= PENDULUM_WIDTH {
+        let arm_width = of_qube(ARM_WIDTH, self.encoders.theta);
+        let pendulum_width = of_qube(PENDULUM_WIDTH, self.encoders.alpha);
+        if self.samples > 0 && theta.width() <= arm_width && alpha.width() <= pendulum_width {
             (self.theta, self.alpha) = (theta, alpha);
             self.samples += 1;
         } else {
@@ -163,7 +185,8 @@ impl RestWatch {
         });
         if let Some((counts, ticks, Some(velocity))) = moved {
             let kick = (counts - velocity * ticks).abs();
-            self.has_jumped |= kick > LARGEST_KICK * ticks.max(1.0);
+            let largest_kick = LARGEST_KICK * self.encoders.theta.counts_of_qube();
+            self.has_jumped |= kick > largest_kick * ticks.max(1.0);
         }
         self.last = Some(Last {
             time_us: sample.device_time_us,
@@ -186,7 +209,8 @@ mod tests {
     fn counts_that_stay_are_compared_and_those_that_moved_mean_homing_again() {
         let zero = 700;
         let left = RestingCounts { theta: -40, alpha: zero };
-        let now = |theta, alpha| RestingCounts { theta, alpha }.compare(Some(left), zero);
+        let qube = Encoders::QUBE;
+        let now = |theta, alpha| RestingCounts { theta, alpha }.compare(Some(left), zero, qube);
         assert_eq!(now(-40, zero), Ok(()));
         assert_eq!(now(-56, zero + 16), Ok(()));
         // A pendulum that went over the top hangs whole turns away.
@@ -197,25 +221,50 @@ mod tests {
         assert!(matches!(now(260, zero), Err(Moved::Arm(rad)) if (rad - 0.92).abs() < 0.01));
         assert!(matches!(now(-57, zero), Err(Moved::Arm(_))));
         assert!(matches!(now(-40, zero - 17), Err(Moved::Pendulum(_))));
-        assert_eq!(left.compare(None, zero), Err(Moved::Unseen));
+        assert_eq!(left.compare(None, zero, qube), Err(Moved::Unseen));
         // Counters that wrap.
         let edge = RestingCounts { theta: i32::MAX, alpha: i32::MIN + 2 };
         let over = RestingCounts { theta: i32::MIN + 3, alpha: i32::MAX };
-        assert_eq!(over.compare(Some(edge), i32::MIN + 2), Ok(()));
+        assert_eq!(over.compare(Some(edge), i32::MIN + 2, qube), Ok(()));
+    }
+
+    #[test]
+    fn the_counts_of_other_encoders_cover_the_same_angles() {
+        let encoder = |counts: i32| Encoder::try_from(counts).unwrap();
+        let fine = Encoders { theta: encoder(4096), alpha: encoder(5000) };
+        let left = RestingCounts { theta: 0, alpha: 0 };
+        let now = |theta, alpha| RestingCounts { theta, alpha }.compare(Some(left), 0, fine);
+        assert_eq!(now(32, 5000 + 39), Ok(()));
+        assert_eq!(now(-32, -10_000), Ok(()));
+        assert!(matches!(now(33, 0), Err(Moved::Arm(rad)) if (rad - 0.0506).abs() < 1e-3));
+        assert!(
+            matches!(now(0, 2500), Err(Moved::Pendulum(rad)) if (rad.abs() - std::f64::consts::PI).abs() < 0.01)
+        );
+        // A jump of 40 counts is one on a Qube and not on an encoder that is four times as fine.
+        let jumps = |counts: i32| {
+            let encoders = Encoders { theta: encoder(counts), ..fine };
+            let mut watch = RestWatch::after(Some(&sample(0, 0, 0)), encoders);
+            watch.update(&sample(1, 40, 0));
+            watch.has_jumped()
+        };
+        assert!(jumps(2048) && !jumps(8192));
+        let mut coarse = RestWatch::new(Encoders { theta: encoder(256), alpha: encoder(256) });
+        let rested = (0..100).find_map(|tick| coarse.update(&sample(tick, (tick % 2) as i32, 0)));
+        assert!(rested.is_some());
     }
 
     #[test]
     fn a_wide_swing_or_a_creeping_arm_is_not_at_rest() {
         // Swings of 0.4 rad and of 0.2 rad to either side, at twice a second.
         let swing = |counts: f64, tick: u64| 700 + (counts * (0.126 * tick as f64).sin()) as i32;
-        let mut watch = RestWatch::default();
+        let mut watch = RestWatch::new(Encoders::QUBE);
         for tick in 0..200 {
             assert_eq!(watch.update(&sample(tick, 0, swing(130.0, tick))), None);
         }
-        let mut watch = RestWatch::default();
+        let mut watch = RestWatch::new(Encoders::QUBE);
         let rested = (0..100).find_map(|tick| watch.update(&sample(tick, 0, swing(65.0, tick))));
         assert!(matches!(rested, Some(RestingCounts { theta: 0, alpha: 695..=705 })), "{rested:?}");
-        let mut watch = RestWatch::default();
+        let mut watch = RestWatch::new(Encoders::QUBE);
         for tick in 0..200 {
             assert_eq!(watch.update(&sample(tick, 2 * tick as i32, 0)), None);
         }
@@ -228,7 +277,7 @@ mod tests {
     fn a_jump_while_the_arm_comes_to_rest_is_seen() {
         let last = sample(0, 1000, 0);
         let coming = |jump_at: u64, jump: i32| {
-            let mut watch = RestWatch::after(Some(&last));
+            let mut watch = RestWatch::after(Some(&last), Encoders::QUBE);
             for tick in 1..80 {
                 // The arm slows down from 2 rad/s.
                 let coasted = (150.0 * (1.0 - (-0.045 * tick as f64).exp())) as i32;

@@ -3,7 +3,7 @@ use std::fmt;
 use serde::Serialize;
 
 use crate::identification::{Unfit, drift};
-use crate::qube::{QubeModel, wrap_angle};
+use crate::qube::{Encoder, QubeModel, wrap_angle};
 use crate::recording::Recording;
 use crate::replay::MotionLog;
 use crate::telemetry::Phase;
@@ -17,8 +17,8 @@ const DELAY_TOLERANCE_S: f64 = 0.002;
 /// Smallest change of the cable's rest angle that counts, rad.
 const REST_TOLERANCE_RAD: f64 = 0.1;
 
-/// Smallest change of the hanging pendulum's angle that counts, rad: five counts of a Qube.
-const ALPHA_TOLERANCE_RAD: f64 = 5.0 * crate::qube::RAD_PER_COUNT;
+/// Smallest change of the hanging pendulum's angle that counts, counts of its encoder.
+const ALPHA_TOLERANCE_COUNTS: f64 = 5.0;
 
 /// Smallest change in standard errors.
 const STANDARD_ERRORS: f64 = 3.0;
@@ -69,6 +69,8 @@ impl Drift {
         let motions: Vec<MotionLog> =
             recordings.iter().filter_map(MotionLog::of_recording).collect();
         let found = drift(&motions, profile)?;
+        let encoder = motions.first().map_or(Encoder::QUBE, |motion| motion.plant.encoders.alpha);
+        let alpha_tolerance_rad = ALPHA_TOLERANCE_COUNTS * encoder.rad_per_count();
         let hanging: Vec<f64> = recordings.iter().filter_map(hanging_rad).collect();
         let count = hanging.len().max(1) as f64;
         let alpha_rad = hanging.iter().sum::<f64>() / count;
@@ -91,7 +93,7 @@ impl Drift {
                 nonidealities.cable_rest_rad,
                 REST_TOLERANCE_RAD,
             ),
-            alpha_zero_rad: Compared::new(alpha_rad, 0.0, 0.0, ALPHA_TOLERANCE_RAD),
+            alpha_zero_rad: Compared::new(alpha_rad, 0.0, 0.0, alpha_tolerance_rad),
             rollouts: found.motions,
         })
     }
