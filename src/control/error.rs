@@ -30,4 +30,7 @@ pub enum ControlError {
     /// The zeros of the last homing no longer hold; nothing has been armed.
     #[error("{0}: the arm is homed again first")]
     Moved(#[from] Moved),
+    /// The control thread has ended.
+    #[error(transparent)]
+    ThreadGone(#[from] ThreadGone),
 }

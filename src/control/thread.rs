@@ -107,8 +107,8 @@ impl ControlThread {
     /// Sends a hello to the device.
     ///
     /// # Errors
-    /// The outer error: the thread is gone. The inner one: as for [`Device::hello`].
-    pub fn hello(&self) -> Result<Result<Identity, DeviceError>, ThreadGone> {
+    /// The thread is gone, or as for [`Device::hello`].
+    pub fn hello(&self) -> Result<Identity, ControlError> {
         self.hello_patiently(Patience::default())
     }
 
@@ -116,16 +116,13 @@ impl ControlThread {
     ///
     /// # Errors
     /// As for [`hello`](Self::hello).
-    pub fn hello_patiently(
-        &self,
-        patience: Patience,
-    ) -> Result<Result<Identity, DeviceError>, ThreadGone> {
+    pub fn hello_patiently(&self, patience: Patience) -> Result<Identity, ControlError> {
         match self.ask(Command::Hello(patience))? {
             Event::Identified(result, is_hardware) => {
                 self.is_hardware.store(is_hardware, Ordering::Relaxed);
-                Ok(result)
+                Ok(result?)
             }
-            _ => Err(ThreadGone),
+            _ => Err(ThreadGone.into()),
         }
     }
 
@@ -139,32 +136,27 @@ impl ControlThread {
     /// Measures the zeros of the encoders and the stops.
     ///
     /// # Errors
-    /// The outer error: the thread is gone. The inner one: the device has not answered a hello or
-    /// could not be armed.
-    pub fn home(
-        &self,
-        settings: HomingSettings,
-    ) -> Result<Result<(DriveReport, Homed), ControlError>, ThreadGone> {
+    /// The thread is gone; the device has not answered a hello or could not be armed.
+    pub fn home(&self, settings: HomingSettings) -> Result<(DriveReport, Homed), ControlError> {
         match self.ask(Command::Home(Box::new(settings)))? {
-            Event::Homed(result) => Ok(result),
-            _ => Err(ThreadGone),
+            Event::Homed(result) => result,
+            _ => Err(ThreadGone.into()),
         }
     }
 
     /// Runs one rollout to its end and sends its records to `records`.
     ///
     /// # Errors
-    /// The outer error: the thread is gone. The inner one: the device has not been homed since its
-    /// hello or could not be armed.
+    /// The thread is gone; the device has not been homed since its hello or could not be armed.
     pub fn rollout(
         &self,
         settings: TickSettings,
         controller: Box<dyn Controller>,
         records: rtrb::Producer<TickRecord>,
-    ) -> Result<Result<DriveReport, ControlError>, ThreadGone> {
+    ) -> Result<DriveReport, ControlError> {
         match self.ask(Command::Rollout(Box::new(settings), controller, records))? {
-            Event::Finished(result) => Ok(result),
-            _ => Err(ThreadGone),
+            Event::Finished(result) => result,
+            _ => Err(ThreadGone.into()),
         }
     }
 
@@ -192,21 +184,20 @@ impl ControlThread {
     /// so that a check measures the latencies that a tick will have.
     ///
     /// # Errors
-    /// The outer error: the thread is gone. The inner one: the device has not answered a hello, or
-    /// a fault is latched.
+    /// The thread is gone; the device has not answered a hello, or a fault is latched.
     pub fn lend<R: Send + 'static>(
         &self,
         task: impl FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) -> R + Send + 'static,
-    ) -> Result<Result<R, ControlError>, ThreadGone> {
+    ) -> Result<R, ControlError> {
         let (results, result) = bounded(1);
         let borrower: Borrower = Box::new(move |device, clock, stop| {
             // The receiver waits below, and the channel has room for one result.
             let _ = results.send(task(device, clock, stop));
         });
         match self.ask(Command::Lend(borrower))? {
-            Event::Returned(Ok(())) => result.recv().map(Ok).map_err(|_| ThreadGone),
-            Event::Returned(Err(refused)) => Ok(Err(refused)),
-            _ => Err(ThreadGone),
+            Event::Returned(Ok(())) => result.recv().map_err(|_| ThreadGone.into()),
+            Event::Returned(Err(refused)) => Err(refused),
+            _ => Err(ThreadGone.into()),
         }
     }
 
@@ -367,10 +358,7 @@ mod tests {
     fn rollout(thread: &ControlThread, settings: TickSettings) -> Result<Ending, ControlError> {
         let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
         let (producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
-        thread
-            .rollout(settings, Box::new(policy), producer)
-            .unwrap()
-            .map(|report| report.outcome.ending)
+        thread.rollout(settings, Box::new(policy), producer).map(|report| report.outcome.ending)
     }
 
     fn is_refused(result: &Result<Ending, ControlError>) -> bool {
@@ -382,10 +370,10 @@ mod tests {
         // Enough samples for homing and the beginning of a rollout.
         let (thread, settings) = control(3000);
         assert!(is_refused(&rollout(&thread, settings)));
-        assert!(thread.home(HomingSettings::default()).unwrap().is_err());
-        thread.hello().unwrap().unwrap();
+        assert!(thread.home(HomingSettings::default()).is_err());
+        thread.hello().unwrap();
         assert!(is_refused(&rollout(&thread, settings)));
-        let (_, homed) = thread.home(HomingSettings::default()).unwrap().unwrap();
+        let (_, homed) = thread.home(HomingSettings::default()).unwrap();
         assert!(homed.rig.is_some());
         let ended = loop {
             let ended = rollout(&thread, settings);
@@ -404,11 +392,11 @@ mod tests {
         );
         // Latched: homing and rollouts are refused until a new hello, and rollouts until homing.
         assert!(is_refused(&rollout(&thread, settings)));
-        assert!(thread.home(HomingSettings::default()).unwrap().is_err());
-        assert!(thread.lend(|_, _, _| ()).unwrap().is_err());
-        thread.hello().unwrap().unwrap();
+        assert!(thread.home(HomingSettings::default()).is_err());
+        assert!(thread.lend(|_, _, _| ()).is_err());
+        thread.hello().unwrap();
         assert!(is_refused(&rollout(&thread, settings)));
-        let (_, homed) = thread.home(HomingSettings::default()).unwrap().unwrap();
+        let (_, homed) = thread.home(HomingSettings::default()).unwrap();
         assert!(homed.rig.is_some());
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
     }
@@ -421,8 +409,8 @@ mod tests {
         let thread =
             ControlThread::spawn(Box::new(device), Arc::new(clock.clone()), false, stop).unwrap();
         assert_eq!(thread.cool_motor().unwrap().load, 0.0);
-        thread.hello().unwrap().unwrap();
-        thread.home(HomingSettings::default()).unwrap().unwrap();
+        thread.hello().unwrap();
+        thread.home(HomingSettings::default()).unwrap();
         let homed = thread.cool_motor().unwrap();
         assert!(homed.load > 1e-4, "{homed:?}");
         clock.advance(20_000_000_000);

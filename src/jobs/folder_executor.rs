@@ -6,11 +6,11 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{RecvTimeoutError, Sender, unbounded};
 
-use super::folder::{Ending, Heartbeat, HeartbeatWatch, Holder, JobFolder, Tries, Turn};
+use super::folder::{Ending, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult, Tries, Turn};
 use super::starter::{StartError, Starter};
 use super::workforce::{NoWorkforce, Workforce};
 use super::{Executor, JobError, JobEvent, JobFolderError, TrainingJob};
-use crate::learning::TrainError;
+use crate::learning::{TrainError, Trained};
 
 /// Shortest time between two looks at the results.
 const SHORTEST_WAIT: Duration = Duration::from_millis(10);
@@ -182,7 +182,7 @@ impl Executor for FolderExecutor {
             let (index, result) = match notice {
                 Notice::Failed(index, error) => (index, Err(error)),
                 Notice::Result(index) => match shared.collect(&open[&index], &jobs[index]) {
-                    Ok(Some(result)) => (index, result),
+                    Ok(Some(trained)) => (index, Ok(trained)),
                     // It was damaged: the job is done again.
                     Ok(None) => match shared.ask(index, &jobs[index], &sender) {
                         Ok(_) => continue,
@@ -234,15 +234,11 @@ impl Shared {
     }
 
     /// Reads a result; `None` if it was damaged, and is to be made again.
-    fn collect(
-        &self,
-        name: &str,
-        job: &TrainingJob,
-    ) -> Result<Option<Result<Box<crate::learning::Trained>, JobError>>, JobError> {
+    fn collect(&self, name: &str, job: &TrainingJob) -> Result<Option<Box<Trained>>, JobError> {
         match self.folder.read_result(name, job) {
-            Ok(result) => Ok(Some(
-                result.outcome.map_err(|reason| JobError::Elsewhere { by: result.by, reason }),
-            )),
+            Ok(JobResult { outcome, by, .. }) => {
+                outcome.map(Some).map_err(|reason| JobError::Elsewhere { by, reason })
+            }
             Err(JobFolderError::Damaged { path, reason }) => {
                 tracing::warn!("{}: {reason}; the training is repeated", path.display());
                 self.folder.discard_result(name)?;

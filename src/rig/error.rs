@@ -153,6 +153,7 @@ impl From<ControlError> for RigError {
                 Self::NotBegun { fault: Fault::CountsMoved, source: moved }
             }
             refused @ ControlError::Refused { .. } => Self::Refused(refused),
+            ControlError::ThreadGone(gone) => Self::ThreadGone(gone),
         }
     }
 }

@@ -6,7 +6,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::connection::connect;
 use super::{ClockChoice, Doubt, DoubtMemory, RigError, RigSettings};
 use crate::clock::RealtimeReport;
-use crate::control::{ControlThread, HomingSettings, Patience, PressOutcome, StopPress, drive};
+use crate::control::{
+    ControlError, ControlThread, HomingSettings, Patience, PressOutcome, StopPress, drive,
+};
 use crate::device::emulator::EmulatedQube;
 use crate::device::{DeviceError, Identity};
 use crate::estimation::MeasuredRig;
@@ -111,7 +113,7 @@ impl Rig {
         let control = ControlThread::spawn(device, clock, realtime, Arc::clone(stop))
             .map_err(RigError::Thread)?;
         control.set_motor(MotorHeat::cold(&settings.plant, settings.limits.motor()))?;
-        let identity = control.hello()??;
+        let identity = control.hello()?;
         if let Some(expected) = settings.board.as_ref().filter(|board| **board != identity.serial) {
             return Err(RigError::OtherBoard {
                 port: identity.port,
@@ -171,7 +173,7 @@ impl Rig {
         let port = self.identity.port.clone();
         let link = self
             .control
-            .lend(move |device, clock, stop| measure_link(device, clock, stop, &port))???;
+            .lend(move |device, clock, stop| measure_link(device, clock, stop, &port))??;
         self.link = Some(link.ok_or(RigError::Stopped { during: "the measurement of the link" })?);
         Ok(())
     }
@@ -196,7 +198,7 @@ impl Rig {
                 ending: report.outcome.ending,
                 outcome: press.outcome(),
             })
-        })???;
+        })??;
         Ok(pressed)
     }
 
@@ -205,7 +207,11 @@ impl Rig {
     /// # Errors
     /// The control thread has ended.
     pub fn answers(&self) -> Result<bool, RigError> {
-        Ok(self.control.hello()?.is_ok())
+        match self.control.hello() {
+            Ok(_) => Ok(true),
+            Err(ControlError::ThreadGone(gone)) => Err(gone.into()),
+            Err(_) => Ok(false),
+        }
     }
 
     /// Performs all checks except homing.
@@ -218,7 +224,7 @@ impl Rig {
         };
         let examination = self
             .control
-            .lend(move |device, clock, stop| examine(device, clock, stop, &settings))???
+            .lend(move |device, clock, stop| examine(device, clock, stop, &settings))??
             .ok_or(RigError::Stopped { during: "the check" })?;
         self.homing.signs = examination.signs;
         self.homing.hand_counts = examination.start_theta_counts;
@@ -245,18 +251,19 @@ impl Rig {
 
     fn greet_again(&mut self, pause_ns: u64) -> Result<(), RigError> {
         let limit_ns = (self.link_patience_s * 1e9) as u64;
-        let identity = match self.control.hello_patiently(Patience { pause_ns, limit_ns })? {
+        let identity = match self.control.hello_patiently(Patience { pause_ns, limit_ns }) {
             Ok(identity) => identity,
-            Err(_) if self.stop.load(Ordering::Relaxed) => {
+            Err(ControlError::Device(_)) if self.stop.load(Ordering::Relaxed) => {
                 return Err(RigError::Stopped { during: "the wait for the link" });
             }
-            Err(source) => {
+            Err(ControlError::Device(source)) => {
                 return Err(RigError::LinkLost {
                     patience_s: self.link_patience_s,
                     source,
                     last_ticks: Vec::new(),
                 });
             }
+            Err(error) => return Err(error.into()),
         };
         if (&identity.serial, &identity.kind) != (&self.identity.serial, &self.identity.kind) {
             return Err(RigError::AnotherBoard {
@@ -308,7 +315,7 @@ impl Rig {
     }
 
     fn home_once(&mut self) -> Result<(), RigError> {
-        let (report, found) = self.control.home(self.homing)??;
+        let (report, found) = self.control.home(self.homing)?;
         self.latch(report.outcome.ending);
         match (report.outcome.ending, found.rig) {
             (_, Some(measured)) => {

@@ -157,8 +157,9 @@ impl Rig {
         let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let recorder =
             Recorder::start(disk, path, header, policy_file, consumer, self.viewers.clone())?;
-        let report = match self.control.rollout(settings, controller, producer)? {
+        let report = match self.control.rollout(settings, controller, producer) {
             Ok(report) => with_last_answer(report, last_v),
+            Err(ControlError::ThreadGone(gone)) => return Err(gone.into()),
             Err(error) => {
                 recorder.discard(disk);
                 return Err(self.not_begun(error));

@@ -63,8 +63,8 @@ pub(super) fn check(
 ) -> Result<(), Interruption> {
     let mut signs = settings.signs;
     let mut seen = match probe(device, clock, stop, signs, settings)? {
-        Ok(seen) => seen,
-        Err(fault) => {
+        Probed::Evidence(seen) => seen,
+        Probed::Ended(fault) => {
             give_up(found, fault);
             return Ok(());
         }
@@ -75,8 +75,8 @@ pub(super) fn check(
         // Signs that were concluded must pass a second probe.
         signs = right;
         match probe(device, clock, stop, signs, settings)? {
-            Ok(again) => seen = again,
-            Err(fault) => {
+            Probed::Evidence(again) => seen = again,
+            Probed::Ended(fault) => {
                 give_up(found, fault);
                 return Ok(());
             }
@@ -87,15 +87,22 @@ pub(super) fn check(
     Ok(())
 }
 
-/// Pushes to and fro, with growing voltage, until there is enough evidence. The inner error is the
-/// fault that ended a push.
+/// The result of a probe.
+enum Probed {
+    /// What the pushes showed.
+    Evidence(Evidence),
+    /// A fault ended a push.
+    Ended(Fault),
+}
+
+/// Pushes to and fro, with growing voltage, until there is enough evidence.
 fn probe(
     device: &mut dyn Device,
     clock: &dyn Clock,
     stop: &AtomicBool,
     signs: Calibration,
     settings: &ExaminationSettings,
-) -> Result<Result<Evidence, Fault>, Interruption> {
+) -> Result<Probed, Interruption> {
     let port = &settings.identity.port;
     let mut evidence = Evidence::default();
     for step in 1..=STEPS {
@@ -114,13 +121,13 @@ fn probe(
                         rest::wait_for_the_arm(device, clock, stop, port)?;
                         continue;
                     }
-                    Ending::Fault(fault) => return Ok(Err(fault)),
+                    Ending::Fault(fault) => return Ok(Probed::Ended(fault)),
                     Ending::Stopped => return Err(Interruption::Stopped),
                     Ending::Completed | Ending::LeftBox(_) => {}
                 }
                 let progress = evidence.add(probe.trace());
                 if progress == PushEffect::Enough {
-                    return Ok(Ok(evidence));
+                    return Ok(Probed::Evidence(evidence));
                 }
                 if progress != PushEffect::NothingMoved {
                     rest::wait_for_the_arm(device, clock, stop, port)?;
@@ -132,7 +139,7 @@ fn probe(
             }
         }
     }
-    Ok(Ok(evidence))
+    Ok(Probed::Evidence(evidence))
 }
 
 /// The signs under which the arm follows the voltage and the pendulum lags behind the arm,
