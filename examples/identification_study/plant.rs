@@ -1,5 +1,5 @@
-//! An emulated Qube that may have what the project's equations leave out. Nothing in the library can import it, so that
-//! identification and training meet it as they would meet a stranger.
+//! An emulated Qube that may have effects which the library's equations leave out. The library cannot import it, so
+//! that identification meets it as it would meet an unknown Qube.
 
 use std::collections::VecDeque;
 
@@ -65,7 +65,7 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// At rest with the arm at this angle.
+    /// A Qube at rest with the arm at this angle.
     pub fn at_rest(model: &QubeModel, beyond: Beyond, theta: f64) -> Self {
         Self {
             model: *model,
@@ -91,7 +91,7 @@ impl Plant {
         State { theta: quantised(theta), alpha: quantised(self.state.alpha), ..self.state }
     }
 
-    /// One control period after this command, V.
+    /// Advances by one control period with this command, V.
     pub fn advance(&mut self, command_v: f64) {
         self.commands_v.push_front(command_v);
         self.commands_v.truncate(8);
@@ -134,7 +134,8 @@ impl Plant {
         }
     }
 
-    /// The motor drives the arm where they touch; friction is the motor's, the cable pulls the arm.
+    /// Integrates one step with play: the motor drives the arm through the contact, friction acts on the motor, and
+    /// the cable pulls the arm.
     fn step_with_play(&mut self, play_rad: f64, voltage_v: f64, step_s: f64) {
         let [angle, velocity] = self.rotor;
         let apart = angle - self.state.theta;
@@ -149,14 +150,14 @@ impl Plant {
         self.rotor = [angle + step_s * velocity, velocity];
     }
 
-    /// An elastoplastic element that follows the arm and slips at its full extension.
+    /// Integrates an elastoplastic element that follows the arm and slips at its full extension.
     fn give_way(&mut self, distance_rad: f64, step_s: f64) {
         let velocity = self.state.theta_dot;
         let slipping = velocity.abs() * self.given_way_rad / distance_rad;
         self.given_way_rad += step_s * (velocity - slipping);
     }
 
-    /// Velocities first, then angles with the new ones: a stiff contact gains no energy so.
+    /// Integrates arm and pendulum by the semi-implicit Euler method, under which a stiff contact gains no energy.
     fn turn(&mut self, torque_n_m: f64, step_s: f64) {
         let ideal = &self.dynamics.ideal;
         let acceleration = ideal.acceleration(&self.state, torque_n_m / ideal.torque_per_volt);
@@ -166,13 +167,13 @@ impl Plant {
         self.state.alpha += step_s * self.state.alpha_dot;
     }
 
-    /// The library's law of friction: its torque against a velocity, N m.
+    /// The torque of friction against a velocity, N m, by the library's law.
     fn friction(&self, velocity: f64) -> f64 {
         let x = velocity / SLIDING_RAD_S;
         self.dynamics.coulomb_torque * x / (1.0 / 3.0 + x.abs())
     }
 
-    /// The motor's torque without its back-EMF, which the arm's equation has, N m.
+    /// The motor's torque without the back-EMF, which the arm's equation contains, N m.
     fn motor_torque(&self, voltage_v: f64) -> f64 {
         let dead = &self.dynamics;
         let above = (voltage_v - dead.positive_dead_zone).max(0.0);

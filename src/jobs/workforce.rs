@@ -8,7 +8,8 @@ use super::starter::{StartError, Starter};
 /// Number of starts without any worker after which the work ends.
 const FRUITLESS_STARTS: u32 = 2;
 
-/// Number of starts without any result after which the work ends: workers that are always ended early never finish.
+/// Number of starts without any result after which the work ends: a scheduler may end all workers before they finish a
+/// training.
 const VAIN_STARTS: u32 = 20;
 
 /// Time for which a scheduler may be silent.
@@ -17,7 +18,7 @@ const PATIENCE: Duration = Duration::from_secs(600);
 /// Difference between two computers' clocks that the operator is told of, s.
 const CLOCK_DIFFERENCE_S: u64 = 120;
 
-/// Keeps as many workers at work as there are jobs for.
+/// Starts workers as long as there are fewer of them than open jobs, up to a largest number.
 #[derive(Debug)]
 pub(super) struct Workforce {
     starter: Box<dyn Starter>,
@@ -27,8 +28,11 @@ pub(super) struct Workforce {
     /// Worker files seen so far, with whether the worker lived.
     seen: HashMap<String, bool>,
     has_looked: bool,
+    /// Number of workers whose files have appeared.
     appeared: u32,
+    /// Number of starts in a row after which no worker has appeared.
     fruitless: u32,
+    /// Number of workers that had appeared at the last start.
     appeared_at_start: u32,
     /// Number of starts since the last result.
     in_vain: u32,
@@ -39,7 +43,7 @@ pub(super) struct Workforce {
     told: Vec<String>,
 }
 
-/// The reason why no work can be done any more.
+/// The reason why nobody can carry out jobs.
 #[derive(Debug)]
 pub(super) enum NoWorkforce {
     /// No workers can be started.

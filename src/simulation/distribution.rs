@@ -156,7 +156,7 @@ impl Distribution {
         }
     }
 
-    /// The density of the draws at a value, without the truncation; zero for a constant, which has no density.
+    /// The probability density at a value, before truncation; zero for a constant, which has none.
     #[must_use]
     pub fn density(&self, value: f64) -> f64 {
         let (mean, deviation) = (self.mean(), self.standard_deviation());

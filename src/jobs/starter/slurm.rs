@@ -8,10 +8,10 @@ use crate::jobs::folder::JobFolder;
 
 const CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
 
-/// Begins a note on a controller that is away.
+/// First words of a note on a controller that does not answer.
 const SILENT: &str = "Slurm does not answer: ";
 
-/// What the workers ask of Slurm, each as Slurm's commands take it.
+/// The options with which workers are submitted, each in the form that Slurm's commands take.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SlurmOptions {
     /// Partition.
@@ -96,7 +96,7 @@ impl Starter for SlurmStarter {
         std::fs::create_dir_all(folder.root().join("logs")).map_err(StartError::Command)?;
         let options = self.array_options(folder, workers);
         let script = self.script(workers);
-        let output = said("sbatch", &options, &script)?;
+        let output = run_command("sbatch", &options, &script)?;
         if output.status.success() {
             return Ok(());
         }
@@ -110,7 +110,7 @@ impl Starter for SlurmStarter {
     fn census(&mut self, _appeared: u32, _alive: u32) -> Result<Census, StartError> {
         let own = flag("me");
         let options = ["-r", "-h", &own, "-n", &self.name, "-o", "%i %T %r"].map(str::to_owned);
-        let output = said("squeue", &options, "")?;
+        let output = run_command("squeue", &options, "")?;
         if !output.status.success() {
             let note = format!("{SILENT}{}", first_line(&output.stderr));
             return Ok(Census { note: Some(note), ..Census::default() });
@@ -120,7 +120,7 @@ impl Starter for SlurmStarter {
 
     fn cancel(&mut self) {
         let options = [&flag("me"), "-n", &self.name].map(str::to_owned);
-        let _ = said("scancel", &options, "");
+        let _ = run_command("scancel", &options, "");
     }
 }
 
@@ -132,7 +132,7 @@ fn of_queue(lines: &str) -> Census {
         let (task, state) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
         let reason = words.next().unwrap_or_default();
         match state {
-            // Its end is under way.
+            // The worker ends, or has ended.
             "COMPLETING" | "COMPLETED" | "CANCELLED" | "FAILED" | "TIMEOUT" | "NODE_FAIL"
             | "PREEMPTED" | "OUT_OF_MEMORY" | "BOOT_FAIL" | "DEADLINE" | "" => continue,
             "RUNNING" => census.running += 1,
@@ -147,8 +147,8 @@ fn of_queue(lines: &str) -> Census {
     census
 }
 
-/// Runs a command of Slurm.
-fn said(program: &str, options: &[String], input: &str) -> Result<Output, StartError> {
+/// Runs a command of Slurm and waits for its output.
+fn run_command(program: &str, options: &[String], input: &str) -> Result<Output, StartError> {
     let run = || -> io::Result<Output> {
         let mut child = Command::new(program)
             .args(options)
@@ -168,7 +168,7 @@ fn said(program: &str, options: &[String], input: &str) -> Result<Output, StartE
     })
 }
 
-/// Whether a message says that the controller is away, as while it is restarted.
+/// Whether a message says that the controller does not answer, as while it is restarted.
 fn is_silence(message: &str) -> bool {
     let words = ["nable to contact", "ocket timed out", "onnection refused", "onnect failure"];
     words.iter().any(|word| message.contains(word))

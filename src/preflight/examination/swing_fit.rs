@@ -37,7 +37,9 @@ pub(super) struct SwingFit {
 /// An estimate of k.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lag {
+    /// The value, without a unit.
     pub(super) value: f64,
+    /// Its standard error.
     pub(super) standard_error: f64,
 }
 
