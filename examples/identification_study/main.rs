@@ -18,7 +18,9 @@ use qube_hil::identification::{
     Doubt, Estimate, Identified, IdentifyError, Unknown, Verdict, identify,
 };
 use qube_hil::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
-use qube_hil::qube::{CONTROL_PERIOD_S, DomainParameter, Nonideality, Quantity, QubeModel};
+use qube_hil::qube::{
+    CONTROL_PERIOD_S, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel,
+};
 use qube_hil::replay::{MotionLog, MotionSample};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -33,7 +35,7 @@ const NINETY_PERCENT: f64 = 1.645;
 fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
     let mut model = QubeModel::NOMINAL;
     for unknown in Unknown::all() {
-        let prior = unknown.prior();
+        let prior = unknown.prior(&PlantModel::QUBE);
         let normal = normal(rng);
         let moved = match unknown.0 {
             Quantity::Parameter(

@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use pyo3::prelude::*;
 use qube_hil::identification::{Unknown, check_recording, identify as fit};
-use qube_hil::qube::QubeModel;
 use qube_hil::replay::MotionLog;
 use serde_json::json;
 
@@ -59,8 +58,8 @@ pub fn identify(
 
 fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String, String> {
     let logs = paths.iter().map(|path| read(path)).collect::<Result<Vec<_>, _>>()?;
-    let identified =
-        fit(&logs, unknowns, &QubeModel::NOMINAL).map_err(|error| error.to_string())?;
+    let nominal = logs.first().map(|log| log.plant).unwrap_or_default().nominal();
+    let identified = fit(&logs, unknowns, &nominal).map_err(|error| error.to_string())?;
     let file_name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into();
     let profile = identified.profile(name, paths.iter().map(file_name).collect());
     let estimates = identified.estimates.iter().map(|estimate| {
@@ -84,10 +83,6 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
 fn read(path: &Path) -> Result<MotionLog, String> {
     let log = MotionLog::read(path).map_err(|error| error.to_string())?;
     let told = |what: &dyn std::fmt::Display| format!("{}: {what}", path.display());
-    if !log.plant.is_qube() {
-        let plant = log.plant.name;
-        return Err(told(&format!("it is of the plant {plant}, and a fit knows a Qube only")));
-    }
     check_recording(&log).map_err(|why| told(&why))?;
     Ok(log)
 }

@@ -2,7 +2,7 @@ use plotters::prelude::*;
 
 use super::style::{FAINT, FONT, INK, Key, LINE, TEXT, TITLE, colour, with_key};
 use super::{DrawingError, Panel, PlotError};
-use crate::qube::{DomainParameter, DomainParameters, Quantity};
+use crate::qube::{DomainParameter, PlantModel, Quantity};
 use crate::simulation::DomainDistribution;
 
 /// Masses and lengths, the parameters of figure 5.2.
@@ -17,18 +17,25 @@ const SHOWN: [DomainParameter; 4] = [
 const POINTS: usize = 600;
 
 /// Draws the thesis's figure 5.2: the densities of masses and lengths for each recipe, by its name; a dashed
-/// line marks the nominal value. Each density is scaled to its own peak: its place and its width are what
+/// line marks the plant's nominal value. Each density is scaled to its own peak: its place and its width are what
 /// recipes differ in, and a narrow one would flatten all others.
 ///
 /// # Errors
 /// The drawing library failed.
-pub fn densities_svg(recipes: &[(String, DomainDistribution)]) -> Result<String, DrawingError> {
+pub fn densities_svg(
+    recipes: &[(String, DomainDistribution)],
+    plant: &PlantModel,
+) -> Result<String, DrawingError> {
     let mut svg = String::new();
-    densities(&mut svg, recipes)?;
+    densities(&mut svg, recipes, plant)?;
     Ok(svg)
 }
 
-fn densities(svg: &mut String, recipes: &[(String, DomainDistribution)]) -> Result<(), PlotError> {
+fn densities(
+    svg: &mut String,
+    recipes: &[(String, DomainDistribution)],
+    plant: &PlantModel,
+) -> Result<(), PlotError> {
     let root = SVGBackend::with_string(svg, (1000, 780)).into_drawing_area();
     root.fill(&WHITE)?;
     let spread = |distribution: &DomainDistribution| {
@@ -44,7 +51,7 @@ fn densities(svg: &mut String, recipes: &[(String, DomainDistribution)]) -> Resu
     entries.push(("nominal value".into(), Key::Dashed(INK)));
     let panels = with_key(&root, &entries)?.split_evenly((2, 2));
     for (panel, parameter) in panels.iter().zip(SHOWN) {
-        density_panel(panel, parameter, recipes)?;
+        density_panel(panel, parameter, recipes, plant.parameters.get(parameter))?;
     }
     root.present()
 }
@@ -53,8 +60,8 @@ fn density_panel(
     panel: &Panel<'_>,
     parameter: DomainParameter,
     recipes: &[(String, DomainDistribution)],
+    nominal: f64,
 ) -> Result<(), PlotError> {
-    let nominal = DomainParameters::NOMINAL.get(parameter);
     let (low, high) = (0.3 * nominal, 1.7 * nominal);
     let at = |index: usize| low + (high - low) * index as f64 / (POINTS - 1) as f64;
     let unit = Quantity::Parameter(parameter).unit();
@@ -105,7 +112,7 @@ mod tests {
             ("handcrafted".to_owned(), DomainDistribution::handcrafted(Family::Normal)),
             ("nominal".to_owned(), DomainDistribution::nominal()),
         ];
-        let svg = densities_svg(&recipes).unwrap();
+        let svg = densities_svg(&recipes, &PlantModel::QUBE).unwrap();
         for text in ["handcrafted", "nominal: no spread", "nominal value", "L_p [m]", "M_r [kg]"] {
             assert!(svg.contains(text), "{text}");
         }

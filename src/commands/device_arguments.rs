@@ -34,6 +34,14 @@ pub struct DeviceArguments {
     clock: ClockArgument,
 
     #[command(flatten)]
+    plant: DrivenPlantArguments,
+}
+
+/// The arguments that select the plant that is driven.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Which Qube")]
+pub struct DrivenPlantArguments {
+    #[command(flatten)]
     plant: PlantArgument,
 
     /// With a PORT and a --plant that differs from a Qube by more than smaller limits: accept that guard and homing
@@ -115,28 +123,29 @@ impl DeviceArguments {
             ClockArgument::Wall => ClockChoice::Wall,
             ClockArgument::Virtual => ClockChoice::Virtual,
         };
-        let given = self.plant.given()?;
-        let plant = given.unwrap_or_default();
-        let chosen = self.qube.choose_plant(&plant)?;
-        let plant_consent = PlantConsent::given(self.accept_plant);
-        let plant_is_given = given.is_some();
-        let chosen = ChosenDevice { clock, plant_is_given, plant_consent, ..chosen };
-        chosen.check_plant(&plant)?;
-        Ok(chosen)
+        Ok(ChosenDevice { clock, ..self.qube.choose(&self.plant)? })
     }
 }
 
 impl QubeArguments {
-    /// Reads the file with the Qube's properties, if there is one, and selects the Qube. An emulated one is
-    /// in virtual time.
+    /// Reads the file with the Qube's properties, if there is one, and selects the Qube, or the other plant that is
+    /// driven in its place. An emulated one is in virtual time.
     ///
     /// The file in the working directory counts only with a port: without `--device` and `--qube` nothing
     /// but the emulated Qube moves, whatever files are there.
-    pub fn choose(&self) -> Result<ChosenDevice, Failure> {
-        self.choose_plant(&PlantModel::QUBE)
+    pub fn choose(&self, driven: &DrivenPlantArguments) -> Result<ChosenDevice, Failure> {
+        let given = driven.plant.given()?;
+        let chosen = ChosenDevice {
+            plant_is_given: given.is_some(),
+            plant_consent: PlantConsent::given(driven.accept_plant),
+            ..self.choose_specimen(&given.unwrap_or_default())?
+        };
+        chosen.check_plant(&chosen.plant)?;
+        Ok(chosen)
     }
 
-    fn choose_plant(&self, plant: &PlantModel) -> Result<ChosenDevice, Failure> {
+    /// Selects a specimen of this plant.
+    fn choose_specimen(&self, plant: &PlantModel) -> Result<ChosenDevice, Failure> {
         let path = match (&self.qube, self.device.as_deref()) {
             (Some(path), _) => Some(path.as_path()),
             (None, None | Some(EMULATED)) => None,

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::command_hints::unidentified;
 use super::destination::OutputFolder;
-use super::device_arguments::{CheckArguments, ChosenDevice, QubeArguments};
+use super::device_arguments::{CheckArguments, ChosenDevice, DrivenPlantArguments, QubeArguments};
 use super::estimator_arguments::EstimatorArguments;
 use super::executor_arguments::ExecutorArguments;
 use super::exit::Failure;
@@ -31,7 +31,6 @@ use crate::experiment::{
     Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe,
 };
 use crate::learning::{Preset, TrainSettings};
-use crate::qube::PlantModel;
 use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
@@ -153,6 +152,9 @@ pub struct Arguments {
     qube: QubeArguments,
 
     #[command(flatten)]
+    driven: DrivenPlantArguments,
+
+    #[command(flatten)]
     plants: PlantArguments,
 
     #[command(flatten)]
@@ -199,7 +201,7 @@ const SIMULATED_STARTS: u32 = 1000;
 /// Runs or resumes an experiment and prints its table.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
-    let device = arguments.qube.choose()?;
+    let mut device = arguments.qube.choose(&arguments.driven)?;
     if arguments.live.is_asked() && !device.choice.is_hardware() {
         return Err(Failure::usage(
             "--live shows an experiment on a Qube: on the emulated one many rollouts run at a time, in virtual time. \
@@ -211,6 +213,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
     };
+    device.plant = *settings.plant();
+    device.check_plant(&device.plant)?;
     let limits = narrowed(&mut settings, consent, &device)?;
     if arguments.resume.is_some() && !arguments.table {
         device.check_port()?;
@@ -347,7 +351,7 @@ fn begun(
         recipes.push(Recipe::load(path, &base).map_err(Failure::usage)?);
     }
     let plants = match is_emulated {
-        true => arguments.plants.plants()?,
+        true => arguments.plants.plants(&device.plant)?,
         false => vec![Plant { name: "device".into(), emulated: Default::default(), vary: 0.0 }],
     };
     // A single policy reflects the luck of its training more than its recipe, so a recommendation is scored
@@ -394,7 +398,7 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
     let is_emulated = !device.choice.is_hardware();
     let knows_the_machine = arguments.preset == Preset::Robust;
     let mut training = arguments.preset.settings_or(TrainSettings::default());
-    let estimator = match arguments.estimator.settings(&PlantModel::QUBE)? {
+    let estimator = match arguments.estimator.settings(&device.plant)? {
         Some(estimator) => estimator,
         None if knows_the_machine => EstimatorSettings::default(),
         None => EstimatorSettings::filter(PUBLISHED_CORNER_RAD_S),
@@ -422,7 +426,7 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
         training,
         ..SessionSettings::thesis()
     };
-    let settings = settings.with_guard(guard);
+    let settings = settings.with_guard(guard).of_plant(&device.plant);
     Ok(SessionSettings {
         homing: device.homing(settings.homing),
         safety_box: device.safety_box(settings.safety_box),
@@ -450,6 +454,12 @@ fn resumed(
         return Err(Failure::usage(
             "an experiment goes on with the guards that it began with: leave --guard out",
         ));
+    }
+    if device.plant_is_given && device.plant != *settings.plant() {
+        return Err(Failure::usage(format!(
+            "an experiment goes on with the plant that it began with, {}: leave --plant out",
+            settings.plant().name
+        )));
     }
     check_device(settings.strategies.as_ref(), device)?;
     Ok((folder, settings))

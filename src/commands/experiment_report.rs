@@ -11,6 +11,7 @@ use crate::experiment::{
     ALL_PLANTS, Experiment, ExperimentError, PolicyResult, RecipeResult, Results, SearchReturns,
     StrategyResult, StrategyResults,
 };
+use crate::qube::PlantModel;
 use crate::recording::read;
 use crate::report::{NamedRollouts, RolloutView, recipes_page, strategies_page};
 use crate::session::{FolderError, recording_in};
@@ -78,7 +79,8 @@ impl ExperimentReport {
                     experiment.distributions().map_err(|error| error.to_string())?;
                 let searches = experiment.searches().map_err(|error| error.to_string())?;
                 let rollouts = examples(results);
-                recipes_page(name, results, &distributions, &searches, rollouts, commands)
+                let distributions = (experiment.settings().plant(), &distributions[..]);
+                recipes_page(name, results, distributions, &searches, rollouts, commands)
             }
         }
         .map_err(|error| error.to_string())
@@ -95,6 +97,7 @@ impl ExperimentReport {
                 Figures::Budgets(results.recipes.iter().filter_map(share_of_plant).collect())
             }
             Self::Recipes(_) => Figures::Recipes {
+                plant: *experiment.settings().plant(),
                 distributions: experiment.distributions()?,
                 searches: experiment.searches()?,
             },
@@ -150,7 +153,11 @@ pub enum Figures<'a> {
     /// Success after fixed numbers of real rollouts, of a comparison of methods.
     Budgets(Vec<ShareOfPlant>),
     /// The distributions and searches of recipes.
-    Recipes { distributions: Vec<(String, DomainDistribution)>, searches: SearchReturns },
+    Recipes {
+        plant: PlantModel,
+        distributions: Vec<(String, DomainDistribution)>,
+        searches: SearchReturns,
+    },
 }
 
 impl Figures<'_> {
@@ -176,8 +183,8 @@ impl Figures<'_> {
                 drawn
                     .push(("budgets.svg", budgets_svg("policies that succeed, by plant", shares)?));
             }
-            Self::Recipes { distributions, searches } => {
-                drawn.push(("figure-5.2.svg", densities_svg(distributions)?));
+            Self::Recipes { plant, distributions, searches } => {
+                drawn.push(("figure-5.2.svg", densities_svg(distributions, plant)?));
                 if !searches.is_empty() {
                     drawn.push(("figure-5.3.svg", searches_svg(searches)?));
                 }

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use super::destination::OutputFile;
 use super::exit::Failure;
 use super::output::Output;
+use super::plant_file::PlantArgument;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::identification::{
@@ -20,10 +21,10 @@ use crate::storage::{MachineDisk, write_whole};
 /// Horizons of the predictions of chirps and steps in the table, s.
 const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 
-/// Identify the Qube that made recordings: parameters, friction, dead zone, cable and delay
+/// Identify the Qube, or another plant, that made recordings: parameters, friction, dead zone, cable and delay
 ///
 /// `run --excite chirp` and `--excite steps` make such recordings; swing-ups, balancing and rollouts of policies
-/// serve as well, in any mixture. The result is a profile: `train`, `run`, `session`,
+/// serve as well, in any mixture. Recordings name their plant, and all have to be of one. The result is a profile: `train`, `run`, `session`,
 /// `emulate` and `replay` read it with --profile. Verify it with recordings that it was not fitted to
 /// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then gets the
 /// voltages only. The cable rests as in the fitted recordings of its series, whose names differ in the last number
@@ -32,7 +33,8 @@ const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil identify chirp-[12].mcap --holdout chirp-3.mcap --out mine.toml\n  \
-    qube-hil identify *.csv --plot plots --fix L_p --fix L_r")]
+    qube-hil identify *.csv --plot plots --fix L_p --fix L_r\n  \
+    qube-hil identify --plant furuta.toml motion.csv --out mine.toml")]
 pub struct Arguments {
     /// Recordings to fit: .mcap of this program, or .csv with the columns time_s, theta_rad,
     /// alpha_rad, theta_dot_rad_s, alpha_dot_rad_s, voltage_v
@@ -55,7 +57,10 @@ pub struct Arguments {
     #[arg(long, default_value = "identified")]
     name: String,
 
-    /// Profile whose values start the fit, and which --fix keeps [default: the nominal Qube]
+    #[command(flatten)]
+    plant: PlantArgument,
+
+    /// Profile whose values start the fit, and which --fix keeps [default: the nominal plant]
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
 
@@ -72,12 +77,14 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
+    let mut plant = arguments.plant.given()?;
+    let fitted = read(&arguments.files, &mut plant)?;
+    let held_out = read(&arguments.holdout, &mut plant)?;
+    let plant = plant.unwrap_or_default();
     let first_guess = match &arguments.from {
-        Some(path) => profile::load(path, &PlantModel::QUBE)?.model(),
-        None => QubeModel::NOMINAL,
+        Some(path) => profile::load(path, &plant)?.model(),
+        None => plant.nominal(),
     };
-    let fitted = read(&arguments.files)?;
-    let held_out = read(&arguments.holdout)?;
 
     let started = Instant::now();
     let identified = identify(&fitted, &unknowns, &first_guess).map_err(Failure::usage)?;
@@ -157,22 +164,27 @@ fn series_of(path: &Path) -> PathBuf {
     path.with_file_name(stem.trim_end_matches(|character: char| character.is_ascii_digit()))
 }
 
-/// Reads recordings and refuses those that cannot be fitted.
-fn read(files: &[PathBuf]) -> Result<Vec<MotionLog>, Failure> {
-    let read_one = |path: &PathBuf| {
-        let log = MotionLog::read(path).map_err(Failure::usage)?;
-        if !log.plant.is_qube() {
-            return Err(Failure::usage(format!(
-                "{}: it is of the plant {}, and a fit knows the likely values of a Qube only",
-                path.display(),
-                log.plant.name
-            )));
+/// Reads recordings and refuses those that cannot be fitted. All are of one plant: of the given one, or of the first
+/// recording's.
+fn read(files: &[PathBuf], plant: &mut Option<PlantModel>) -> Result<Vec<MotionLog>, Failure> {
+    let mut read_one = |path: &PathBuf| {
+        let log = MotionLog::read_of(path, &plant.unwrap_or_default()).map_err(Failure::usage)?;
+        let (own, others) = (&log.plant, plant.get_or_insert(log.plant));
+        if own != others {
+            let of = match own.name == others.name {
+                true => {
+                    format!("it was recorded with another description of the plant {}", own.name)
+                }
+                false => format!("it is of the plant {}, not of {}", own.name, others.name),
+            };
+            let path = path.display();
+            return Err(Failure::usage(format!("{path}: {of}: identify one plant at a time")));
         }
         check_recording(&log)
             .map_err(|why| Failure::usage(format!("{}: {why}", path.display())))?;
         Ok(log)
     };
-    files.iter().map(read_one).collect()
+    files.iter().map(&mut read_one).collect()
 }
 
 fn file_name(path: &Path) -> String {

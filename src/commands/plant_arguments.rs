@@ -34,10 +34,10 @@ struct PlantsFile {
 }
 
 impl PlantArguments {
-    /// The plants, at least one.
-    pub fn plants(&self) -> Result<Vec<Plant>, Failure> {
+    /// The emulated specimens of a plant on which policies run, at least one.
+    pub fn plants(&self, plant: &PlantModel) -> Result<Vec<Plant>, Failure> {
         let Some(path) = &self.plants else {
-            let emulated = self.emulated.of_plant(&PlantModel::QUBE)?;
+            let emulated = self.emulated.of_plant(plant)?;
             let mut name = self.emulated.name();
             if self.vary > 0.0 {
                 name += &format!("+vary{}%", 100.0 * self.vary);
@@ -49,16 +49,16 @@ impl PlantArguments {
             .map_err(|error| wrong(error.to_string()))?;
         let file: PlantsFile =
             toml::from_str(&text).map_err(|error| wrong(error.to_string().trim_end().into()))?;
-        file.plants.into_iter().map(|entry| plant(entry, path)).collect()
+        file.plants.into_iter().map(|entry| specimen(entry, path, plant)).collect()
     }
 }
 
-/// The plant of an entry in a file.
-fn plant(entry: PlantEntry, path: &Path) -> Result<Plant, Failure> {
+/// The specimen of a plant in an entry of a file.
+fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant, Failure> {
     let emulated = EmulatedArguments::of_entry(&entry).map_err(|reason| {
         Failure::usage(format!("{}: plant {}: {reason}", path.display(), entry.name))
     })?;
-    let emulated = emulated.of_plant(&PlantModel::QUBE)?;
+    let emulated = emulated.of_plant(plant)?;
     Ok(Plant { name: entry.name, emulated, vary: entry.vary })
 }
 

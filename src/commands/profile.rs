@@ -21,7 +21,7 @@ pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure>
         IDEAL => Profile::exact(IDEAL, &plant.nominal()),
         "lab" if !plant.name.is_qube() => {
             return Err(Failure::usage(format!(
-                "lab is a Qube and no {}: give ideal, or a profile that identify --plant wrote",
+                "lab is a Qube and no {}: give ideal, or a profile that identify wrote for this plant",
                 plant.name
             )));
         }
@@ -29,6 +29,27 @@ pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure>
             .map_err(|error| Failure::failed(format!("the profile lab: {error}")))?,
         path => load(Path::new(path), plant)?,
     })
+}
+
+/// The profile with this name, a specimen of any plant: `lab` or a profile file. `None` for `ideal`, which is the nominal
+/// specimen of whatever plant is looked at.
+pub fn of_any_plant(name: &str) -> Result<Option<Profile>, Failure> {
+    match name {
+        IDEAL => Ok(None),
+        "lab" => named_profile(name, &PlantModel::QUBE).map(Some),
+        path => read(Path::new(path)).map(Some),
+    }
+}
+
+/// Checks that a profile, of this name, describes a specimen of this plant; describes why not.
+pub fn check_plant(name: &str, profile: &Profile, plant: &PlantModel) -> Result<(), String> {
+    if profile.plant == plant.name {
+        return Ok(());
+    }
+    Err(format!(
+        "{name}: it describes a specimen of the plant {} and this is the plant {}: give a profile of that",
+        profile.plant, plant.name
+    ))
 }
 
 /// Reads a profile file of a specimen of any plant.
@@ -41,13 +62,6 @@ fn read(path: &Path) -> Result<Profile, Failure> {
 /// Reads a profile file of a specimen of this plant.
 pub fn load(path: &Path, plant: &PlantModel) -> Result<Profile, Failure> {
     let profile = read(path)?;
-    if profile.plant == plant.name {
-        return Ok(profile);
-    }
-    Err(Failure::usage(format!(
-        "{}: it describes a specimen of the plant {} and this is the plant {}: give a profile of that",
-        path.display(),
-        profile.plant,
-        plant.name
-    )))
+    check_plant(&path.display().to_string(), &profile, plant).map_err(Failure::usage)?;
+    Ok(profile)
 }

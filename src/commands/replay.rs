@@ -11,7 +11,7 @@ use super::output::{Output, path_as_text};
 use super::printable::one_line;
 use super::profile;
 use crate::charts::{animation_svg, motion_svg};
-use crate::qube::{PlantModel, QubeModel};
+use crate::qube::{Profile, QubeModel};
 use crate::recording::{Completeness, Recording, RecordingError, read};
 use crate::replay::{AngleError, MotionLog, Rerun, controller_of, rerun, simulate_beside};
 use crate::safety::Foreseen;
@@ -129,8 +129,8 @@ struct Rmse {
 
 /// Replays every file and prints the results; the first defect decides the exit code.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    let model = match &arguments.profile {
-        Some(name) => Some(profile::named(name, &PlantModel::QUBE)?),
+    let profile = match &arguments.profile {
+        Some(name) => profile::of_any_plant(name)?,
         None => None,
     };
     if let Some(folder) = &arguments.plot {
@@ -144,7 +144,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut problems = Vec::new();
     for path in &arguments.files {
         let mut report = Report { path: path.clone(), ..Report::default() };
-        if let Err(problem) = replay_file(arguments, model.as_ref(), &mut report) {
+        if let Err(problem) = replay_file(arguments, profile.as_ref(), &mut report) {
             report.problem = Some(problem.what.clone());
             problems.push(problem);
         }
@@ -173,7 +173,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 fn replay_file(
     arguments: &Arguments,
-    model: Option<&QubeModel>,
+    profile: Option<&Profile>,
     report: &mut Report,
 ) -> Result<(), Problem> {
     let path = report.path.clone();
@@ -203,8 +203,19 @@ fn replay_file(
         write_whole(&MachineDisk, picture, svg.as_bytes()).map_err(Problem::failed)?;
     }
     if arguments.simulate {
-        let nominal = log.plant.nominal();
-        simulate_file(arguments, model.unwrap_or(&nominal), &log, report)?;
+        let model = match profile {
+            Some(profile) => {
+                // A table does not say of which plant it is.
+                if let (Some(name), false) = (&arguments.profile, is_csv) {
+                    profile::check_plant(name, profile, &log.plant).map_err(|why| {
+                        Problem::usage(format!("{}: --profile {why}", path.display()))
+                    })?;
+                }
+                profile.model()
+            }
+            None => log.plant.nominal(),
+        };
+        simulate_file(arguments, &model, &log, report)?;
     }
     problem.map_or(Ok(()), Err)
 }

@@ -13,7 +13,6 @@ use super::profile;
 use super::replay::recording_failure;
 use crate::device::emulator::EmulatorSettings;
 use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings};
-use crate::qube::PlantModel;
 use crate::recording::{Recording, read};
 use crate::report::{ReportError, SessionSource, recordings_page, session_page};
 use crate::rig::RigSettings;
@@ -162,13 +161,17 @@ fn of_session(folder: &Path) -> Result<String, Failure> {
 }
 
 fn of_recordings(files: &[PathBuf], profile: Option<&str>) -> Result<String, Failure> {
-    let model = match profile {
-        Some(name) => Some(profile::named(name, &PlantModel::QUBE)?),
+    let known = match profile {
+        Some(name) => profile::of_any_plant(name)?.map(|known| (name, known)),
         None => None,
     };
     let mut recordings: Vec<(String, Recording)> = Vec::new();
     for path in files {
         let recording = read(path).map_err(|error| recording_failure(&error))?;
+        if let Some((name, known)) = &known {
+            profile::check_plant(name, known, &recording.header.settings.plant)
+                .map_err(|why| Failure::usage(format!("{}: --profile {why}", path.display())))?;
+        }
         recordings.push((path.to_string_lossy().into_owned(), recording));
     }
     let shown: Vec<String> = files.iter().map(|path| quoted(path.as_os_str())).collect();
@@ -176,6 +179,7 @@ fn of_recordings(files: &[PathBuf], profile: Option<&str>) -> Result<String, Fai
         "Check that every recorded voltage comes out again:".to_owned(),
         format!("qube-hil replay {}", shown.join(" ")),
     )];
+    let model = known.map(|(_, known)| known.model());
     recordings_page(&recordings, model.as_ref(), &commands).map_err(failure)
 }
 

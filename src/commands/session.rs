@@ -75,8 +75,7 @@ pub struct Arguments {
 
     /// Method: `identified` excites and identifies the Qube and searches around what is left unknown; `posterior`
     /// identifies, trains once and searches nothing; `bayrn` searches psi as configured, for an unknown Qube
-    /// [default: identified; bayrn with --preset thesis, another plant, or a --config without the table
-    /// identification]
+    /// [default: identified; bayrn with --preset thesis, or a --config without the table identification]
     #[arg(long, value_enum, conflicts_with = "resume")]
     method: Option<Method>,
 
@@ -344,7 +343,7 @@ fn configured(
         Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
         None => preset,
     };
-    settings.identification = identification(arguments, &settings, &device.plant)?;
+    settings.identification = identification(arguments, &settings)?;
     let emulated = !device.choice.is_hardware();
     if let Some(baseline) = arguments.baseline {
         settings.extent.baseline = baseline;
@@ -352,11 +351,11 @@ fn configured(
         settings.extent.baseline = emulated && settings.identification.is_some();
     }
     if arguments.config.is_none() && settings.identification.is_some() {
-        // The first command of a newcomer shows the problem: a Qube that differs from the nominal one.
-        settings.emulated = EmulatedQubeSettings {
-            model: profile::named("lab", &device.plant)?,
-            ..settings.emulated
-        };
+        // The first command of a newcomer shows the problem: a Qube that differs from the nominal one. Another plant
+        // differs from its own nominal one alike.
+        let lab = profile::named("lab", &PlantModel::QUBE)?;
+        settings.emulated =
+            EmulatedQubeSettings { model: device.plant.in_proportion(&lab), ..settings.emulated };
     }
     if let Some(guard) = arguments.guard {
         settings = settings.with_guard(guard.into());
@@ -379,21 +378,13 @@ fn configured(
 fn identification(
     arguments: &Arguments,
     settings: &SessionSettings,
-    plant: &PlantModel,
 ) -> Result<Option<IdentificationSettings>, Failure> {
     let configured = settings.identification;
-    let by_default =
-        arguments.preset == Preset::Quick && arguments.config.is_none() && plant.is_qube();
+    let by_default = arguments.preset == Preset::Quick && arguments.config.is_none();
     let method = arguments.method.unwrap_or(match configured {
         None if !by_default => Method::Bayrn,
         _ => Method::Identified,
     });
-    if method != Method::Bayrn && !plant.is_qube() {
-        return Err(Failure::usage(format!(
-            "a fit knows the likely values of a Qube only, and this is the plant {}: give --method bayrn",
-            plant.name
-        )));
-    }
     let mut plan = configured.unwrap_or_default();
     match (method, arguments.candidates) {
         (Method::Bayrn, None) => return Ok(None),

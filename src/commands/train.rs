@@ -346,7 +346,7 @@ fn distribution(
     let distribution = match &arguments.profile {
         Some(name) => {
             let profile = profile::named_profile(name, plant)?;
-            let around = ProfileSettings::of(&profile, arguments.spread);
+            let around = ProfileSettings::of(&profile, plant, arguments.spread);
             Model::Profile
                 .distribution(plant, Family::Normal, Some(&around), None)
                 .map_err(|error| Failure::usage(format!("--profile {name}: {error}")))?

@@ -57,7 +57,7 @@ fn state_of(
         };
         match (score_recording(&recorded), Behaviour::of(&recorded)) {
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
-                let quietness = Quietness::of(&recorded.ticks);
+                let quietness = Quietness::of(&recorded.ticks, &recorded.header.settings.plant);
                 let result = RolloutResult { return_: Some(return_), behaviour, quietness };
                 return Ok(RolloutState::Finished(result));
             }

@@ -26,7 +26,7 @@ pub(super) fn open_search(
     } else {
         SessionFolder::create(folder, &settings.to_toml()?)?
     };
-    let emulator = settings.emulated.emulator(settings.seed);
+    let emulator = settings.emulated.emulator(settings.seed).of_plant(&rig.plant);
     let rig = RigSettings { emulator, homing: settings.homing, ..rig.clone() };
     Ok(Session::open(session_folder, settings, rig, Arc::clone(stop))?)
 }

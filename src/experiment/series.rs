@@ -242,5 +242,6 @@ pub(super) fn virtual_rig(
     seed: u64,
     stop: &Arc<AtomicBool>,
 ) -> Result<Rig, RigError> {
-    Rig::open(&RigSettings { emulator: emulated.emulator(seed), ..rig.clone() }, stop)
+    let emulator = emulated.emulator(seed).of_plant(&rig.plant);
+    Rig::open(&RigSettings { emulator, ..rig.clone() }, stop)
 }

@@ -5,6 +5,7 @@ use toml::{Table, Value};
 
 use super::folder::check_name;
 use super::{ExperimentError, Plant, Recipe, StrategySettings};
+use crate::qube::PlantModel;
 use crate::session::{Retired, take_retired};
 use crate::simulation::Model;
 use crate::storage::{SETTINGS_BYTES, read_text};
@@ -85,6 +86,12 @@ impl ExperimentSettings {
         Ok((settings, retired))
     }
 
+    /// Plant that is simulated and driven: that of every recipe.
+    #[must_use]
+    pub fn plant(&self) -> &PlantModel {
+        self.recipes.first().map_or(&PlantModel::QUBE, |recipe| recipe.settings.plant())
+    }
+
     /// The settings as TOML.
     ///
     /// # Errors
@@ -114,6 +121,15 @@ impl ExperimentSettings {
         distinct("recipes", &recipes.collect::<Vec<_>>())?;
         let plants = self.plants.iter().map(|plant| plant.name.as_str());
         distinct("plants", &plants.collect::<Vec<_>>())?;
+        let plant = self.plant();
+        if let Some(other) = self.recipes.iter().find(|it| it.settings.plant() != plant) {
+            return Err(format!(
+                "recipe {}: it is for the plant {} and the first one for {}: compare recipes on one plant",
+                other.name,
+                other.settings.plant().name,
+                plant.name
+            ));
+        }
         for recipe in &self.recipes {
             let limits = recipe.settings.check_limits();
             limits.map_err(|reason| format!("recipe {}: {reason}", recipe.name))?;
@@ -228,6 +244,11 @@ mod tests {
         );
         assert!(wrong(|it| it.recipes[1].name = "nominal".into()).contains("nominal"));
         assert!(wrong(|it| it.recipes[1].name = "../up".into()).contains("../up"));
+        let mixed = wrong(|it| {
+            let larger = PlantModel::parse(include_str!("../../plants/furuta-130.toml")).unwrap();
+            it.recipes[1].settings = it.recipes[1].settings.clone().of_plant(&larger);
+        });
+        assert!(mixed.contains("furuta-130") && mixed.contains("one plant"), "{mixed}");
     }
 
     #[test]

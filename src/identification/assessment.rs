@@ -5,7 +5,6 @@ use super::effects::{Effect, scores};
 use super::fit::Fit;
 use super::residuals::{Noise, Residual, scale_of};
 use super::stretch::{Regime, Stretch};
-use crate::qube::RAD_PER_COUNT;
 
 /// Largest residual over short windows of a model that fits, in standard deviations of the encoder's
 /// quantisation.
@@ -22,7 +21,8 @@ const LARGEST_CHANCE: f64 = 0.9;
 /// Largest distance, in samples, of residuals whose correlation is tested.
 const LAGS: usize = 5;
 
-/// Largest residual over the fitted windows of a model that fits, in residuals over short windows.
+/// Largest residual over the fitted windows of a model that fits, in residuals over short windows of a Qube. Encoders
+/// that are finer show the same errors in smaller residuals.
 const LARGEST_GROWTH: f64 = 2.0;
 
 /// Residual over short windows beyond which a model does not fit, rad.
@@ -121,20 +121,26 @@ pub struct Assessment {
 /// Tests the residuals of a fit over its own windows and over windows of half a second.
 pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     let mut check = fit.with_unknowns(&[], short);
-    check.noise = [Noise::of_resolution(); 3];
+    check.noise = [Noise::of_resolution(fit.plant.encoders); 3];
     check.minimise();
     let residuals = check.residuals_rad();
-    let resolution_rad = RAD_PER_COUNT / 12.0_f64.sqrt();
+    let [theta_count_rad, alpha_count_rad] = counts_rad(fit);
+    let in_noise = |residual_rad: f64, count_rad: f64| residual_rad / (count_rad / 12.0_f64.sqrt());
     let ResidualScale { theta_rad, alpha_rad } = scale_of(&residuals);
     let short_rad = theta_rad.max(alpha_rad);
-    let noise_ratio = short_rad / resolution_rad;
-    let correlation = |angle| correlation(&check.stretches, &residuals, angle);
+    let noise_ratio =
+        in_noise(theta_rad, theta_count_rad).max(in_noise(alpha_rad, alpha_count_rad));
+    let correlation = |angle| correlation(&check, &residuals, angle);
     let whiteness = correlation(0).max(correlation(1));
     let samples = residuals.iter().map(Vec::len).sum::<usize>().max(1) as f64;
     let largest_whiteness = LARGEST_WHITENESS.max(LARGEST_CHANCE / samples.sqrt());
     let growth = growth(fit, &check, &residuals);
+    let encoders = fit.plant.encoders;
+    let finer = encoders.theta.counts_of_qube().max(encoders.alpha.counts_of_qube()).max(1.0);
     let mut doubts = Vec::new();
-    if noise_ratio > LARGEST_NOISE_RATIO || whiteness > largest_whiteness || growth > LARGEST_GROWTH
+    if noise_ratio > LARGEST_NOISE_RATIO
+        || whiteness > largest_whiteness
+        || growth > LARGEST_GROWTH * finer
     {
         doubts.push(Doubt::Unexplained);
     }
@@ -148,6 +154,12 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
         Verdict::FitsBut
     };
     Assessment { verdict, doubts, noise_ratio, whiteness, growth }
+}
+
+/// The angles of one count of the arm's encoder and of the pendulum's, rad.
+fn counts_rad(fit: &Fit<'_>) -> [f64; 2] {
+    let encoders = fit.plant.encoders;
+    [encoders.theta.rad_per_count(), encoders.alpha.rad_per_count()]
 }
 
 /// Ratio of the residuals over the fitted windows of chirps to those over short windows; 1 without chirps.
@@ -171,9 +183,10 @@ fn growth(fit: &Fit<'_>, check: &Fit<'_>, short: &[Vec<Residual>]) -> f64 {
 /// Mean correlation of residuals of an angle that are one to five samples apart.
 ///
 /// While the angle moves by less than two counts, the encoder's errors of rounding are alike; such pairs do not count.
-fn correlation(stretches: &[Stretch<'_>], residuals: &[Vec<Residual>], angle: usize) -> f64 {
+fn correlation(fit: &Fit<'_>, residuals: &[Vec<Residual>], angle: usize) -> f64 {
+    let count_rad = counts_rad(fit)[angle];
     let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0.0_f64);
-    for (stretch, residuals) in stretches.iter().zip(residuals) {
+    for (stretch, residuals) in fit.stretches.iter().zip(residuals) {
         let samples = stretch.samples();
         let measured = |index: usize| {
             let state = &samples[index].state;
@@ -182,7 +195,7 @@ fn correlation(stretches: &[Stretch<'_>], residuals: &[Vec<Residual>], angle: us
         for lag in 1..=LAGS.min(residuals.len() - 1) {
             for first in 0..residuals.len() - lag {
                 let second = first + lag;
-                if (measured(second) - measured(first)).abs() > 2.0 * RAD_PER_COUNT {
+                if (measured(second) - measured(first)).abs() > 2.0 * count_rad {
                     let (one, other) = (residuals[first][angle], residuals[second][angle]);
                     products += one * other;
                     squares += 0.5 * (one * one + other * other);

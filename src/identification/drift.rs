@@ -49,7 +49,8 @@ pub fn drift(motions: &[MotionLog], reference: &QubeModel) -> Result<DriftEstima
         return Err(unfit);
     }
     let stretches = usable.iter().flat_map(|log| Stretch::windows(&log.samples, STRETCH_S));
-    let mut fit = Fit::new(&CHANGING, *reference, stretches.collect());
+    let plant = &usable[0].plant;
+    let mut fit = Fit::new(&CHANGING, plant, *reference, stretches.collect());
     fit.run();
     let found = uncertainty(&fit).estimates;
     let [command_delay, cable_rest] = [found[0], found[1]];

@@ -108,7 +108,7 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
         let others =
             disturbed[recording].get_or_insert_with(|| all_disturbed(stretch.recording, &model));
         let (mut residuals, slopes) =
-            linearised(stretch, check.unknowns, &model, start, [1.0, 1.0]);
+            linearised(stretch, check.unknowns, check.plant, &model, start, [1.0, 1.0]);
         let zero_rad = check.offsets[recording].alpha_zero_rad;
         residuals.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad);
         let base = stretch.simulate(&model, start);
@@ -174,7 +174,7 @@ fn reductions(check: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effec
                 squares[(kept[row], kept[column])]
             });
             for (index, unknown) in check.unknowns.iter().enumerate() {
-                matrix[(index, index)] += variance / unknown.prior().std.powi(2);
+                matrix[(index, index)] += variance / unknown.prior(check.plant).std.powi(2);
             }
             let right = DVector::from_fn(kept.len(), |row, _| squares[(kept[row], size - 1)]);
             matrix.cholesky().map_or(0.0, |matrix| right.dot(&matrix.solve(&right)))

@@ -8,7 +8,7 @@ use super::offsets::{Local, Offset, Scatter, recordings};
 use super::residuals::{Noise, Residual, noise_of, robust_cost, robust_weight};
 use super::sensitivity::{STARTS, linearised};
 use super::stretch::{Regime, Stretch};
-use crate::qube::{Nonideality, QubeModel, State};
+use crate::qube::{Nonideality, PlantModel, QubeModel, State};
 
 /// Relative change of the cost below which a fit has converged.
 const ARRIVED: f64 = 1e-5;
@@ -36,6 +36,8 @@ const LEAST_DETERMINED: f64 = 0.01;
 #[derive(Clone, Debug)]
 pub(super) struct Fit<'a> {
     pub unknowns: &'a [Unknown],
+    /// Plant whose priors and encoders are meant.
+    pub plant: &'a PlantModel,
     pub model: QubeModel,
     pub stretches: Vec<Stretch<'a>>,
     pub starts: Vec<State>,
@@ -61,18 +63,23 @@ struct Block {
 
 impl<'a> Fit<'a> {
     /// A fit that starts at `model`, each stretch in its measured state.
-    pub fn new(unknowns: &'a [Unknown], model: QubeModel, stretches: Vec<Stretch<'a>>) -> Self {
+    pub fn new(
+        unknowns: &'a [Unknown],
+        plant: &'a PlantModel,
+        model: QubeModel,
+        stretches: Vec<Stretch<'a>>,
+    ) -> Self {
         let starts = stretches.iter().map(Stretch::measured_start).collect();
         let recording = recordings(&stretches);
         let offsets = vec![Offset::default(); recording.iter().max().map_or(0, |last| last + 1)];
         let noise = [Noise::default(); 3];
         let scatter = None;
-        Self { unknowns, model, stretches, starts, noise, recording, offsets, scatter }
+        Self { unknowns, plant, model, stretches, starts, noise, recording, offsets, scatter }
     }
 
     /// Lets each recording have offsets of its own, at first with the likely scatter.
     pub fn with_offsets(self) -> Self {
-        Self { scatter: Some(Scatter::LIKELY), ..self }
+        Self { scatter: Some(Scatter::likely(self.plant.encoders)), ..self }
     }
 
     /// A fit of other unknowns over other stretches with this one's model, noise and offsets.
@@ -80,7 +87,7 @@ impl<'a> Fit<'a> {
     where
         'a: 'b,
     {
-        let mut next = Fit::new(unknowns, self.model, stretches);
+        let mut next = Fit::new(unknowns, self.plant, self.model, stretches);
         next.noise = self.noise;
         for (stretch, &recording) in next.stretches.iter().zip(&next.recording) {
             let own = self.stretches.iter().position(|own| own.is_beside(stretch));
@@ -109,7 +116,8 @@ impl<'a> Fit<'a> {
     pub fn run(&mut self) {
         for _ in 0..SCALES {
             self.minimise();
-            self.noise = noise_of(&self.stretches, &self.residuals_rad(), &self.noise);
+            let residuals = self.residuals_rad();
+            self.noise = noise_of(&self.stretches, &residuals, &self.noise, self.plant.encoders);
             self.scatter = self.scatter.map(|scatter| self.scatter_of(scatter));
         }
     }
@@ -187,7 +195,7 @@ impl<'a> Fit<'a> {
         let mut matrix = DMatrix::<f64>::zeros(total, total);
         let mut gradient = DVector::<f64>::zeros(total);
         for (index, unknown) in self.unknowns.iter().enumerate() {
-            let prior = unknown.prior();
+            let prior = unknown.prior(self.plant);
             matrix[(index, index)] = prior.std.powi(-2);
             gradient[index] = (unknown.of(&self.model) - prior.mean) / prior.std.powi(2);
         }
@@ -275,7 +283,7 @@ impl<'a> Fit<'a> {
             robust_cost(self.noise(stretch.regime), &residuals(stretch, own, start))
         });
         let prior_cost = |unknown: &Unknown| {
-            let prior = unknown.prior();
+            let prior = unknown.prior(self.plant);
             ((unknown.of(model) - prior.mean) / prior.std).powi(2)
         };
         let offset_cost = |scatter: Scatter| {
@@ -300,7 +308,8 @@ impl<'a> Fit<'a> {
         let noise = self.noise(stretch.regime);
         let scale = [noise.scale.theta_rad, noise.scale.alpha_rad];
         let (model, zero_rad) = self.own(&self.model, recording, &self.offsets);
-        let (mut here, slopes) = linearised(stretch, self.unknowns, &model, start, scale);
+        let (mut here, slopes) =
+            linearised(stretch, self.unknowns, self.plant, &model, start, scale);
         here.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad / scale[1]);
         let slopes = self.with_locals(slopes, scale[1]);
         let weight = robust_weight(here.norm_squared() / here.len() as f64) / noise.correlated;

@@ -10,7 +10,7 @@ use super::offsets::{Offset, Scatter};
 use super::residuals::{ResidualScale, scale_of};
 use super::stretch::{Regime, Stretch, is_upright};
 use super::uncertainty::{Blind, Estimate, Uncertainty, uncertainty};
-use crate::qube::{QubeModel, State};
+use crate::qube::{PlantModel, PlantName, QubeModel, State};
 use crate::replay::MotionLog;
 
 /// Lengths of the stretches of chirps and steps, stage by stage, s. Short ones find the neighbourhood, because
@@ -43,6 +43,8 @@ const PLAUSIBLE_LOG: f64 = 0.5;
 /// The result of an identification.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Identified {
+    /// Plant of which the Qube is a specimen.
+    pub plant: PlantName,
     /// Model of the Qube.
     pub model: QubeModel,
     /// Estimate of each unknown, in the order requested.
@@ -75,6 +77,19 @@ pub enum IdentifyError {
         index: usize,
         /// Reason why it cannot be fitted.
         why: Unfit,
+    },
+    /// The recordings are of different plants.
+    #[error(
+        "recording {index} is of the plant {plant} and the first one of the plant {first}, which is described \
+         otherwise: identify one plant at a time"
+    )]
+    OtherPlant {
+        /// Index of the recording, from 0.
+        index: usize,
+        /// Plant of the recording.
+        plant: PlantName,
+        /// Plant of the first recording.
+        first: PlantName,
     },
     /// The best fit explains nothing.
     #[error(
@@ -174,28 +189,37 @@ impl fmt::Display for Cause {
     }
 }
 
-/// Identifies the Qube that made recordings: moves `unknowns` away from `first_guess` by maximum
-/// likelihood, with the weak priors of [`Unknown::prior`] for what the data leave open. Any mixture of
-/// chirps, steps, swing-ups and balancing will do.
+/// Identifies the Qube, or the specimen of another plant, that made recordings: moves `unknowns` away from
+/// `first_guess` by maximum likelihood, with the weak priors of [`Unknown::prior`] for what the data leave open. Any
+/// mixture of chirps, steps, swing-ups and balancing will do.
 ///
 /// # Errors
-/// There is no recording, a recording cannot be fitted, or no Qube explains them.
+/// There is no recording, the recordings are of different plants, a recording cannot be fitted, or no Qube explains
+/// them.
 pub fn identify(
     logs: &[MotionLog],
     unknowns: &[Unknown],
     first_guess: &QubeModel,
 ) -> Result<Identified, IdentifyError> {
-    if logs.is_empty() {
+    let Some(MotionLog { plant, .. }) = logs.first() else {
         return Err(IdentifyError::NoRecordings);
-    }
+    };
     for (index, log) in logs.iter().enumerate() {
+        if log.plant != *plant {
+            let (plant, first) = (log.plant.name, plant.name);
+            return Err(IdentifyError::OtherPlant { index, plant, first });
+        }
         check_recording(log).map_err(|why| IdentifyError::Unfit { index, why })?;
     }
+    let mut first_guess = *first_guess;
+    for unknown in unknowns {
+        unknown.start(&mut first_guess, plant);
+    }
     let [first_s, further_s @ ..] = STAGES_S;
-    let mut fit = Fit::new(unknowns, *first_guess, windows(logs, first_s)).with_offsets();
+    let mut fit = Fit::new(unknowns, plant, first_guess, windows(logs, first_s)).with_offsets();
     fit.run();
     let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
-    let cause = || cause(logs, unknowns, first_guess, theta_rad.max(alpha_rad));
+    let cause = || cause(logs, unknowns, &first_guess, theta_rad.max(alpha_rad));
     if theta_rad.max(alpha_rad) > LARGEST_RESIDUAL_RAD {
         return Err(IdentifyError::Unexplained { theta_rad, alpha_rad, cause: cause() });
     }
@@ -205,7 +229,7 @@ pub fn identify(
             fit.run();
         }
     }
-    if let Some((name, value, likely)) = implausible(unknowns, &fit.model) {
+    if let Some((name, value, likely)) = implausible(unknowns, plant, &fit.model) {
         return Err(IdentifyError::Implausible { name, value, likely, cause: cause() });
     }
     if let Some(ResidualScale { theta_rad, alpha_rad }) = unexplained(logs, &fit) {
@@ -218,6 +242,7 @@ pub fn identify(
     let scatter = fit.own_scatter();
     let offsets = fit.offsets;
     Ok(Identified {
+        plant: plant.name,
         model,
         estimates,
         blind,
@@ -271,10 +296,11 @@ fn cause(
 ) -> Cause {
     let residual = |sign: Sign| {
         let reversed: Vec<MotionLog> = logs.iter().map(|log| reversed(log, sign)).collect();
-        let mut fit = Fit::new(unknowns, *first_guess, windows(&reversed, STAGES_S[0]));
+        let plant = &logs[0].plant;
+        let mut fit = Fit::new(unknowns, plant, *first_guess, windows(&reversed, STAGES_S[0]));
         fit.run();
         let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
-        let plausible = implausible(unknowns, &fit.model).is_none();
+        let plausible = implausible(unknowns, plant, &fit.model).is_none();
         if plausible { theta_rad.max(alpha_rad) } else { f64::INFINITY }
     };
     let best = [Sign::Voltage, Sign::Arm, Sign::Pendulum]
@@ -315,9 +341,13 @@ fn motion_rad(logs: &[&MotionLog], angle: fn(&State) -> f64) -> f64 {
 
 /// Name, value and likely value of the fitted quantity that is farthest from any Qube's; `None` when all are
 /// plausible.
-fn implausible(unknowns: &[Unknown], model: &QubeModel) -> Option<(&'static str, f64, f64)> {
+fn implausible(
+    unknowns: &[Unknown],
+    plant: &PlantModel,
+    model: &QubeModel,
+) -> Option<(&'static str, f64, f64)> {
     let distance = |unknown: &Unknown| {
-        let prior = unknown.prior();
+        let prior = unknown.prior(plant);
         let farthest = if unknown.is_parameter() {
             PLAUSIBLE_LOG.max(FARTHEST_STDS * prior.std)
         } else {
@@ -327,7 +357,7 @@ fn implausible(unknowns: &[Unknown], model: &QubeModel) -> Option<(&'static str,
     };
     let farthest = unknowns.iter().max_by(|a, b| distance(a).total_cmp(&distance(b)))?;
     (distance(farthest) > 1.0).then(|| {
-        let likely = farthest.quantity(farthest.prior().mean);
+        let likely = farthest.quantity(farthest.prior(plant).mean);
         (farthest.name(), farthest.quantity(farthest.of(model)), likely)
     })
 }

@@ -1,7 +1,7 @@
 //! Differences between recordings of one Qube.
 
 use super::stretch::Stretch;
-use crate::qube::QubeModel;
+use crate::qube::{Encoders, QubeModel};
 
 /// A quantity that homing sets anew, so that recordings differ in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,7 +62,9 @@ pub struct Scatter {
 
 impl Scatter {
     /// The scatter before any data: the cable's own prior, and a count of the pendulum's encoder.
-    pub(super) const LIKELY: Self = Self { cable_rest_rad: 0.5, alpha_zero_rad: 3e-3 };
+    pub(super) fn likely(encoders: Encoders) -> Self {
+        Self { cable_rest_rad: 0.5, alpha_zero_rad: 3e-3 / encoders.alpha.counts_of_qube() }
+    }
 
     /// The scatter below which recordings count as alike.
     const SMALLEST: Self = Self { cable_rest_rad: 1e-3, alpha_zero_rad: 1e-4 };

@@ -1,7 +1,7 @@
 use super::fit::Fit;
 use super::residuals::Noise;
 use super::stretch::{Stretch, duration_of, is_upright};
-use crate::qube::{QubeModel, State};
+use crate::qube::{PlantModel, QubeModel, State};
 use crate::replay::{AngleError, MotionLog, MotionSample};
 
 /// Time at the start of a recording from which a prediction's start state is estimated, s.
@@ -46,7 +46,7 @@ impl HorizonError {
 /// The state at the first sample that explains the first 0.2 s best.
 #[must_use]
 pub fn start_state(log: &MotionLog, model: &QubeModel) -> State {
-    state_at(&Stretch::from(&log.samples, 0, KNOWN_S), model).0
+    state_at(&Stretch::from(&log.samples, 0, KNOWN_S), &log.plant, model).0
 }
 
 /// Predicts each log repeatedly: estimates a start state from 0.2 s of it, then runs the model on its own
@@ -68,7 +68,7 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
             }
             next_s += EVERY_S;
             let known = Stretch::from(samples, first, KNOWN_S);
-            let (start, known_samples) = state_at(&known, model);
+            let (start, known_samples) = state_at(&known, &log.plant, model);
             let all = Stretch::from(samples, first, KNOWN_S + horizon_s);
             let errors = all.simulate(model, start);
             for (state, sample) in errors.iter().zip(all.samples()).skip(known_samples) {
@@ -131,7 +131,7 @@ pub fn phase_error(logs: &[MotionLog], model: &QubeModel, phase: Phase) -> Horiz
     let [known_s, horizon_s] = phase.times_s();
     let (mut squares, mut predictions) = ([0.0; 2], 0_usize);
     for log in logs.iter().filter(|log| is_upright(&log.samples)) {
-        for [theta, alpha] in end_errors(&log.samples, model, phase, [known_s, horizon_s]) {
+        for [theta, alpha] in end_errors(log, model, phase, [known_s, horizon_s]) {
             squares[0] += theta * theta;
             squares[1] += alpha * alpha;
             predictions += 1;
@@ -144,11 +144,12 @@ pub fn phase_error(logs: &[MotionLog], model: &QubeModel, phase: Phase) -> Horiz
 
 /// Errors of the last sample of each prediction in a phase: theta and alpha, rad.
 fn end_errors(
-    samples: &[MotionSample],
+    log: &MotionLog,
     model: &QubeModel,
     phase: Phase,
     [known_s, horizon_s]: [f64; 2],
 ) -> Vec<[f64; 2]> {
+    let samples = &log.samples;
     let last_start_s = samples[samples.len() - 1].time_s - known_s - horizon_s + 1e-9;
     let mut next_s = samples[0].time_s;
     let mut errors = Vec::new();
@@ -165,7 +166,7 @@ fn end_errors(
         if !samples[known.end - 1..all.end].iter().all(|sample| phase.contains(sample)) {
             continue;
         }
-        let (start, _) = state_at(&known, model);
+        let (start, _) = state_at(&known, &log.plant, model);
         let simulated = all.simulate(model, start);
         if let (Some(simulated), Some(sample)) = (simulated.last(), all.samples().last()) {
             let measured = &sample.state;
@@ -176,9 +177,9 @@ fn end_errors(
 }
 
 /// The start state of a stretch, and its number of samples.
-fn state_at(known: &Stretch<'_>, model: &QubeModel) -> (State, usize) {
-    let mut fit = Fit::new(&[], *model, vec![*known]);
-    fit.noise = [Noise::of_resolution(); 3];
+fn state_at(known: &Stretch<'_>, plant: &PlantModel, model: &QubeModel) -> (State, usize) {
+    let mut fit = Fit::new(&[], plant, *model, vec![*known]);
+    fit.noise = [Noise::of_resolution(plant.encoders); 3];
     fit.minimise();
     (fit.starts[0], known.samples().len())
 }

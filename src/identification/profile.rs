@@ -1,8 +1,8 @@
 use super::Identified;
-use crate::qube::{Correlations, PlantName, Profile, Provenance};
+use crate::qube::{Correlations, Profile, Provenance};
 
 impl Identified {
-    /// The profile of the identified Qube with the errors of its values; `recordings` are the names of the files that
+    /// The profile of the identified specimen with the errors of its values; `recordings` are the names of the files that
     /// it was fitted to.
     #[must_use]
     pub fn profile(&self, name: &str, recordings: Vec<String>) -> Profile {
@@ -11,7 +11,7 @@ impl Identified {
         let names = self.estimates.iter().map(|it| named(it.unknown)).collect();
         Profile {
             name: name.to_owned(),
-            plant: PlantName::QUBE,
+            plant: self.plant,
             parameters: self.model.parameters,
             nonidealities: self.model.nonidealities,
             standard_errors: errors.collect(),

@@ -1,6 +1,7 @@
 //! The distribution of the residuals of a fit: scale and correlation by regime, and robust weights.
 
 use super::stretch::{Regime, Stretch};
+use crate::qube::{Encoder, Encoders};
 
 /// Residuals of one sample: theta and alpha, rad.
 pub(super) type Residual = [f64; 2];
@@ -9,7 +10,7 @@ pub(super) type Residual = [f64; 2];
 /// (Huber's function of whole stretches).
 const BAD_STRETCH: f64 = 2.0;
 
-/// Smallest scale, rad: an encoder's resolution bounds the residuals from below.
+/// Smallest scale with a Qube's encoders, rad: an encoder's resolution bounds the residuals from below.
 const SMALLEST_SCALE_RAD: f64 = 1e-3;
 
 /// Standard deviations of the residuals of both angles, rad.
@@ -19,6 +20,14 @@ pub struct ResidualScale {
     pub theta_rad: f64,
     /// Standard deviation of the pendulum's residuals, rad.
     pub alpha_rad: f64,
+}
+
+impl ResidualScale {
+    /// The smallest scale with these encoders.
+    fn smallest(encoders: Encoders) -> Self {
+        let of = |encoder: Encoder| SMALLEST_SCALE_RAD / encoder.counts_of_qube();
+        Self { theta_rad: of(encoders.theta), alpha_rad: of(encoders.alpha) }
+    }
 }
 
 /// The residuals of a regime.
@@ -38,10 +47,9 @@ impl Default for Noise {
 }
 
 impl Noise {
-    /// Independent residuals of about the encoder's resolution.
-    pub fn of_resolution() -> Self {
-        let scale = ResidualScale { theta_rad: SMALLEST_SCALE_RAD, alpha_rad: SMALLEST_SCALE_RAD };
-        Self { scale, correlated: 1.0 }
+    /// Independent residuals of about the encoders' resolution.
+    pub fn of_resolution(encoders: Encoders) -> Self {
+        Self { scale: ResidualScale::smallest(encoders), correlated: 1.0 }
     }
 }
 
@@ -76,7 +84,9 @@ pub(super) fn noise_of(
     stretches: &[Stretch<'_>],
     residuals: &[Vec<Residual>],
     before: &[Noise; 3],
+    encoders: Encoders,
 ) -> [Noise; 3] {
+    let smallest = ResidualScale::smallest(encoders);
     let mut noise = *before;
     for regime in Regime::ALL {
         let of: Vec<&Vec<Residual>> = stretches
@@ -96,9 +106,12 @@ pub(super) fn noise_of(
                 squares += weight * residuals.iter().map(|r| r[angle].powi(2)).sum::<f64>();
                 count += weight * residuals.len() as f64;
             }
-            (squares / count).sqrt().max(SMALLEST_SCALE_RAD)
+            (squares / count).sqrt()
         };
-        let scale = ResidualScale { theta_rad: rms(0), alpha_rad: rms(1) };
+        let scale = ResidualScale {
+            theta_rad: rms(0).max(smallest.theta_rad),
+            alpha_rad: rms(1).max(smallest.alpha_rad),
+        };
         *own = Noise { scale, correlated: correlated(&of) };
     }
     noise

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use super::Unknown;
 use super::dual::Dual;
 use super::stretch::Stretch;
-use crate::qube::{Dynamics, NonidealDynamics, QubeModel, State};
+use crate::qube::{Dynamics, NonidealDynamics, PlantModel, QubeModel, State};
 use crate::replay::simulate_numbers;
 
 /// Numbers of a start state.
@@ -27,25 +27,27 @@ const SMALLEST_DELAY_S: f64 = 1e-7;
 pub(super) fn linearised(
     stretch: &Stretch<'_>,
     unknowns: &[Unknown],
+    plant: &PlantModel,
     model: &QubeModel,
     start: State,
     scale: [f64; 2],
 ) -> (DVector<f64>, DMatrix<f64>) {
     if unknowns.is_empty() {
-        run::<STARTS>(stretch, unknowns, model, start, scale)
+        run::<STARTS>(stretch, unknowns, plant, model, start, scale)
     } else {
-        run::<INPUTS>(stretch, unknowns, model, start, scale)
+        run::<INPUTS>(stretch, unknowns, plant, model, start, scale)
     }
 }
 
 fn run<const N: usize>(
     stretch: &Stretch<'_>,
     unknowns: &[Unknown],
+    plant: &PlantModel,
     model: &QubeModel,
     start: State,
     scale: [f64; 2],
 ) -> (DVector<f64>, DMatrix<f64>) {
-    let (dynamics, delay_s) = with_slopes::<N>(unknowns, model);
+    let (dynamics, delay_s) = with_slopes::<N>(unknowns, plant, model);
     let input = |value, index| Dual::<N>::input(value, unknowns.len() + index);
     let start = State {
         theta: input(start.theta, 0),
@@ -75,12 +77,13 @@ fn run<const N: usize>(
 /// The equations' products and the delay with their derivatives with respect to the unknowns.
 fn with_slopes<const N: usize>(
     unknowns: &[Unknown],
+    plant: &PlantModel,
     model: &QubeModel,
 ) -> (NonidealDynamics<Dual<N>>, Dual<N>) {
     let here = numbers(model);
     let mut with_slopes = here.map(Dual::<N>::constant);
     for (index, unknown) in unknowns.iter().enumerate() {
-        let step = PRODUCT_STEP * unknown.prior().std;
+        let step = PRODUCT_STEP * unknown.prior(plant).std;
         let mut moved = *model;
         unknown.set(&mut moved, unknown.of(model) + step);
         for (number, (there, here)) in with_slopes.iter_mut().zip(numbers(&moved).iter().zip(here))

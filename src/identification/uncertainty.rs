@@ -3,7 +3,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use super::Unknown;
 use super::fit::Fit;
 use super::offsets::Offset;
-use crate::qube::Nonideality;
+use crate::qube::{Nonideality, PlantModel};
 
 /// Share of its prior variance that the data must remove from an unknown before it counts as determined.
 const TOLD: f64 = 0.5;
@@ -67,8 +67,7 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
     for (own, _) in by_recording(fit, &reduced, inflation) {
         information += own;
     }
-    let stds =
-        DVector::from_iterator(fit.unknowns.len(), fit.unknowns.iter().map(|u| u.prior().std));
+    let stds = DVector::from_iterator(count, fit.unknowns.iter().map(|u| u.prior(fit.plant).std));
     // In units of prior standard deviations the prior's information is the identity.
     let scaled = DMatrix::from_fn(stds.len(), stds.len(), |row, column| {
         information[(row, column)] * stds[row] * stds[column]
@@ -82,7 +81,7 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
     let variance = |index: usize| covariance(index, index);
     // Of the next recording, the rest angle is the typical one plus an offset, in prior standard deviations.
     let rest = Unknown::from(Nonideality::CableRest);
-    let scattered = fit.own_scatter().cable_rest_rad / rest.prior().std;
+    let scattered = fit.own_scatter().cable_rest_rad / rest.prior(fit.plant).std;
     let total = |index: usize| {
         variance(index) + if fit.unknowns[index] == rest { scattered * scattered } else { 0.0 }
     };
@@ -99,7 +98,8 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
         Estimate {
             unknown,
             value: unknown.quantity(moved),
-            standard_error: unknown.deviation(moved, total(index).sqrt() * unknown.prior().std),
+            standard_error: unknown
+                .deviation(moved, total(index).sqrt() * unknown.prior(fit.plant).std),
             told_by_data: 1.0 - left,
         }
     });
@@ -136,7 +136,8 @@ fn inflation(fit: &Fit<'_>, reduced: &[Reduced]) -> f64 {
     };
     let windows: Vec<Reduced> = reduced.iter().map(shared).collect();
     let recordings = by_recording(fit, reduced, 1.0);
-    scatter(fit.unknowns, &windows).max(scatter(fit.unknowns, &recordings)).max(1.0)
+    let of = |groups: &[Reduced]| scatter(fit.unknowns, fit.plant, groups);
+    of(&windows).max(of(&recordings)).max(1.0)
 }
 
 /// Information and gradient of each recording about the unknowns alone, with standard errors inflated by a factor; the
@@ -171,11 +172,11 @@ fn by_recording(fit: &Fit<'_>, reduced: &[Reduced], inflation: f64) -> Vec<Reduc
 }
 
 /// Root mean square of the groups' gradients in their standard deviations; 1 where there are too few groups.
-fn scatter(unknowns: &[Unknown], groups: &[Reduced]) -> f64 {
+fn scatter(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> f64 {
     if groups.len() < FEWEST_GROUPS || unknowns.is_empty() {
         return 1.0;
     }
-    let stds = DVector::from_iterator(unknowns.len(), unknowns.iter().map(|u| u.prior().std));
+    let stds = DVector::from_iterator(unknowns.len(), unknowns.iter().map(|u| u.prior(plant).std));
     let mut information = DMatrix::zeros(stds.len(), stds.len());
     for (own, _) in groups {
         information += own;

@@ -1,4 +1,6 @@
-use crate::qube::{DomainParameter, DomainParameters, Nonideality, Quantity, QubeModel};
+use crate::qube::{
+    DomainParameter, DomainParameters, Nonideality, PlantModel, Quantity, QubeModel,
+};
 
 /// A quantity that a fit may move: a parameter by its logarithm, a nonideality linearly. Gravity is known
 /// and never moves.
@@ -27,16 +29,17 @@ impl Unknown {
         self.0.name()
     }
 
-    /// The prior without any recording: ruler and balance measure lengths to 3 % and masses to 10 %;
-    /// published values of resistance and motor constant differ by a third, those of friction by a factor
-    /// of 50 (Coulomb friction by as much as the motor's torque at 0.3 V).
+    /// The prior of a plant's specimens without any recording: ruler and balance measure lengths to 3 % and masses
+    /// to 10 %; published values of resistance and motor constant differ by a third, those of friction by a factor
+    /// of 50 (Coulomb friction by as much as the motor's torque at 0.3 V). Friction and cable of another plant than
+    /// the Qube are expected in the proportion of the two motors.
     #[must_use]
-    pub fn prior(self) -> Prior {
+    pub fn prior(self, plant: &PlantModel) -> Prior {
         use DomainParameter as P;
         use Nonideality as G;
         let (mean, std) = match self.0 {
             Quantity::Parameter(parameter) => (
-                DomainParameters::NOMINAL.get(parameter).ln(),
+                likely(parameter, plant).ln(),
                 match parameter {
                     P::Gravity => 0.0,
                     P::RotaryLength | P::PendulumLength => 0.03,
@@ -47,13 +50,14 @@ impl Unknown {
             ),
             Quantity::Nonideality(term) => (
                 0.0,
-                match term {
-                    G::CoulombTorque => 1.5e-3,
-                    G::PositiveDeadZone | G::NegativeDeadZone => 0.3,
-                    G::CableStiffness => 5e-3,
-                    G::CableRest => 0.5,
-                    G::CommandDelay => 0.02,
-                },
+                plant.proportion(self.0)
+                    * match term {
+                        G::CoulombTorque => 1.5e-3,
+                        G::PositiveDeadZone | G::NegativeDeadZone => 0.3,
+                        G::CableStiffness => 5e-3,
+                        G::CableRest => 0.5,
+                        G::CommandDelay => 0.02,
+                    },
             ),
         };
         Prior { mean, std }
@@ -79,6 +83,15 @@ impl Unknown {
         matches!(self.0, Quantity::Nonideality(term) if term != Nonideality::CableRest)
     }
 
+    /// Sets a parameter that is 0, which no logarithm can move, to its most likely value.
+    pub(super) fn start(self, model: &mut QubeModel, plant: &PlantModel) {
+        if let Quantity::Parameter(parameter) = self.0
+            && model.get(self.0) <= 0.0
+        {
+            model.set(self.0, likely(parameter, plant));
+        }
+    }
+
     /// Converts a value from the fit's unit to the SI unit of the quantity.
     #[must_use]
     pub fn quantity(self, moved: f64) -> f64 {
@@ -96,6 +109,13 @@ impl Unknown {
     pub fn is_parameter(self) -> bool {
         matches!(self.0, Quantity::Parameter(_))
     }
+}
+
+/// Most likely value of a plant's parameter before any recording: the plant's own. Of a damping that is left at 0 it is
+/// a Qube's in the proportion of the two motors, because a parameter moves by its logarithm.
+fn likely(parameter: DomainParameter, plant: &PlantModel) -> f64 {
+    let own = plant.parameters.get(parameter);
+    if own > 0.0 { own } else { plant.torques_of_qube() * DomainParameters::NOMINAL.get(parameter) }
 }
 
 impl<Q: Into<Quantity>> From<Q> for Unknown {

@@ -135,6 +135,22 @@ impl PlantModel {
         per_volt(&DomainParameters::NOMINAL) / per_volt(&self.parameters)
     }
 
+    /// The voltage that accelerates this plant's arm as this one accelerates a Qube's, within the largest, V.
+    #[must_use]
+    pub fn volts_like(&self, of_qube_v: f64) -> f64 {
+        (of_qube_v * self.volts_of_qube()).min(self.limits.largest_voltage_v)
+    }
+
+    /// The specimen that differs from this plant's nominal one as the given Qube differs from the nominal Qube.
+    #[must_use]
+    pub fn in_proportion(&self, qube: &QubeModel) -> QubeModel {
+        let mut specimen = *qube;
+        for quantity in Quantity::all() {
+            specimen.set(quantity, self.proportion(quantity) * qube.get(quantity));
+        }
+        specimen
+    }
+
     /// This plant's value of a quantity for each unit of a Qube's: the ratio of the nominal parameters, of the motors'
     /// torques for friction and cable, and 1 for dead zone, delay and the cable's rest angle.
     #[must_use]
@@ -278,6 +294,8 @@ mod tests {
         assert_eq!(qube.volts_of_qube(), 1.0);
         assert_eq!(qube.torques_of_qube(), 1.0);
         assert_eq!(qube.travel_fraction(), 1.0);
+        assert_eq!(qube.volts_like(1.5), 1.5);
+        assert_eq!(qube.in_proportion(&QubeModel::NOMINAL), QubeModel::NOMINAL);
         assert_eq!(qube.beyond_qube(), None);
     }
 
@@ -314,6 +332,23 @@ mod tests {
         }
         let message = with("[limits]", "[limits]\nhard_stop_deg = 90\n");
         assert!(message.contains("hard_stop_deg"), "{message}");
+    }
+
+    #[test]
+    fn a_specimen_differs_from_its_plant_as_the_qube_from_the_nominal_one() {
+        let larger = PlantModel::parse(LARGER).unwrap();
+        assert_eq!(larger.in_proportion(&QubeModel::NOMINAL).parameters, larger.parameters);
+        let mut qube = QubeModel::NOMINAL;
+        qube.parameters.pendulum_mass_kg *= 1.1;
+        qube.nonidealities.coulomb_torque_n_m = 5e-4;
+        qube.nonidealities.command_delay_s = 0.01;
+        let specimen = larger.in_proportion(&qube);
+        let heavier = specimen.parameters.pendulum_mass_kg / larger.parameters.pendulum_mass_kg;
+        assert!((heavier - 1.1).abs() < 1e-12);
+        let torque = specimen.nonidealities.coulomb_torque_n_m / larger.torques_of_qube();
+        assert!((torque - 5e-4).abs() < 1e-12);
+        assert_eq!(specimen.nonidealities.command_delay_s, 0.01);
+        assert!(larger.volts_like(100.0) <= larger.limits.largest_voltage_v);
     }
 
     #[test]

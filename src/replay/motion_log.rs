@@ -19,7 +19,7 @@ const MAX_FILE_BYTES: u64 = 1 << 28;
 pub struct MotionLog {
     /// At least two samples with increasing times.
     pub samples: Vec<MotionSample>,
-    /// Plant that moved; a CSV file does not name one.
+    /// Plant that moved.
     pub plant: PlantModel,
 }
 
@@ -62,6 +62,14 @@ impl MotionLog {
     /// # Errors
     /// The file cannot be read or holds no motion.
     pub fn read(path: &Path) -> Result<Self, MotionLogError> {
+        Self::read_of(path, &PlantModel::QUBE)
+    }
+
+    /// Reads a file like [`Self::read`]; a CSV file, which names no plant, is of this one.
+    ///
+    /// # Errors
+    /// The file cannot be read or holds no motion.
+    pub fn read_of(path: &Path, plant: &PlantModel) -> Result<Self, MotionLogError> {
         if is_mcap(path).map_err(|source| read_error(path, source))? {
             let recording = recording::read(path)?;
             return Self::of_recording(&recording)
@@ -70,7 +78,7 @@ impl MotionLog {
         let text = read_text(path, MAX_FILE_BYTES).map_err(|source| read_error(path, source))?;
         let samples =
             parse_csv(&text).map_err(|why| MotionLogError::Csv { path: path.to_owned(), why })?;
-        Ok(Self { samples, plant: PlantModel::QUBE })
+        Ok(Self { samples, plant: *plant })
     }
 
     /// The motion while the policy had the motor, by the device's clock; `None` with fewer than two

@@ -19,14 +19,14 @@ use crate::simulation::DomainDistribution;
 pub type NamedRollouts = Vec<(String, RolloutView)>;
 
 /// The page of an experiment that compares recipes. `rollouts` are examples; `commands` repeat the experiment, each with
-/// its purpose.
+/// its purpose; the distributions are of specimens of the plant.
 ///
 /// # Errors
 /// The data of the figures cannot be written.
 pub fn recipes_page(
     name: &str,
     results: &Results,
-    distributions: &[(String, DomainDistribution)],
+    (plant, distributions): (&PlantModel, &[(String, DomainDistribution)]),
     searches: &SearchReturns,
     rollouts: NamedRollouts,
     commands: &[(String, String)],
@@ -65,7 +65,7 @@ pub fn recipes_page(
             comparisons.iter().filter(|it| it.plant == plant).collect();
         add_comparisons(&mut page, &of_plant);
     }
-    add_distributions(&mut page, distributions);
+    add_distributions(&mut page, distributions, plant);
     add_searches(&mut page, searches);
     let header = rollouts.first().map(|(_, view)| view.header.clone());
     add_examples(&mut page, rollouts);
@@ -305,7 +305,11 @@ fn add_comparisons(page: &mut Page, comparisons: &[&Comparison]) {
     page.table(&heads, &rows, None);
 }
 
-fn add_distributions(page: &mut Page, distributions: &[(String, DomainDistribution)]) {
+fn add_distributions(
+    page: &mut Page,
+    distributions: &[(String, DomainDistribution)],
+    plant: &PlantModel,
+) {
     let spread = |quantity: Quantity| {
         distributions.iter().any(|(_, it)| it.get(quantity).standard_deviation() > 0.0)
     };
@@ -316,12 +320,11 @@ fn add_distributions(page: &mut Page, distributions: &[(String, DomainDistributi
     }
     page.section("Distributions of simulations");
     page.paragraph("As the thesis's figure 5.2. A recipe without spread has no curve.");
-    let nominal = PlantModel::QUBE.nominal();
     page.grid(|page| {
         for quantity in shown {
             let curves: Vec<_> =
                 distributions.iter().map(|(name, it)| (name.as_str(), it.get(quantity))).collect();
-            let chart = density_chart(quantity, &curves, nominal.get(quantity));
+            let chart = density_chart(quantity, &curves, plant.nominal().get(quantity));
             page.chart(&first_upper(&words(quantity)), "", chart);
         }
     });

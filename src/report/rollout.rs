@@ -45,7 +45,7 @@ impl RolloutView {
             outcome: recording.outcome.clone(),
             verdict: score_recording(recording),
             behaviour: Behaviour::of(recording),
-            quietness: Quietness::of(&recording.ticks).figures(),
+            quietness: Quietness::of(&recording.ticks, &recording.header.settings.plant).figures(),
             motion: Motion::of(recording, beside, &nearest).with_guard(guard),
             simulation_error: simulated.as_ref().map(|(_, open_loop)| open_loop.rmse),
             nearest,

@@ -2,6 +2,7 @@ use serde::Serialize;
 
 use super::criterion::{UPRIGHT_STEPS, balanced_to_the_end, is_about_upright, running};
 use super::{Quietness, Verdict, score_recording};
+use crate::qube::PlantModel;
 use crate::recording::Recording;
 use crate::telemetry::{Ending, TickRecord};
 
@@ -89,7 +90,8 @@ fn of_a_failure(running: &[&TickRecord]) -> Behaviour {
 /// Whether the voltage of this stretch alternates.
 fn chatters(ticks: &[&TickRecord]) -> bool {
     let mut quietness = Quietness::NONE;
-    quietness.add_stretch(ticks);
+    // The plant's motor only matters to the losses.
+    quietness.add_stretch(ticks, &PlantModel::QUBE);
     quietness.figures().is_some_and(|figures| {
         figures.rms_v >= CHATTERING_RMS_V && figures.sign_changes_per_s >= CHATTERING_CHANGES_PER_S
     })

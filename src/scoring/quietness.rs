@@ -1,7 +1,7 @@
 use serde::Serialize;
 
 use super::criterion::{is_about_upright, running};
-use crate::qube::{CONTROL_PERIOD_S, DomainParameters};
+use crate::qube::{CONTROL_PERIOD_S, PlantModel};
 use crate::telemetry::TickRecord;
 
 /// Number of ticks nearly upright before balancing begins: half a second, after which swing-up and catch
@@ -46,41 +46,41 @@ impl Quietness {
     pub const NONE: Self =
         Self { ticks: 0, changes_v: 0.0, sign_changes: 0, squares_v2: 0.0, losses_w: 0.0 };
 
-    /// Quietness of the balancing part of one rollout.
+    /// Quietness of the balancing part of one rollout of a plant.
     #[must_use]
-    pub fn of(ticks: &[TickRecord]) -> Self {
+    pub fn of(ticks: &[TickRecord], plant: &PlantModel) -> Self {
         let mut quietness = Self::NONE;
-        quietness.add(ticks);
+        quietness.add(ticks, plant);
         quietness
     }
 
-    /// Adds the balancing part of one rollout.
-    pub fn add(&mut self, ticks: &[TickRecord]) {
+    /// Adds the balancing part of one rollout of a plant.
+    pub fn add(&mut self, ticks: &[TickRecord], plant: &PlantModel) {
         let mut ticks_up = 0;
         for pair in running(ticks).windows(2) {
             ticks_up = if is_about_upright(&pair[1].state) { ticks_up + 1 } else { 0 };
             if ticks_up > CATCH_TICKS {
-                self.add_tick(pair[0], pair[1]);
+                self.add_tick(pair[0], pair[1], plant);
             }
         }
     }
 
     /// Adds every tick but the first of a stretch, whatever the pendulum does in it.
-    pub(super) fn add_stretch(&mut self, ticks: &[&TickRecord]) {
+    pub(super) fn add_stretch(&mut self, ticks: &[&TickRecord], plant: &PlantModel) {
         for pair in ticks.windows(2) {
-            self.add_tick(pair[0], pair[1]);
+            self.add_tick(pair[0], pair[1], plant);
         }
     }
 
     /// Adds one tick and its change since the one before.
-    fn add_tick(&mut self, before: &TickRecord, tick: &TickRecord) {
+    fn add_tick(&mut self, before: &TickRecord, tick: &TickRecord, plant: &PlantModel) {
         let (last_mv, now_mv) = (before.voltage_mv, tick.voltage_mv);
         let voltage_v = volts(now_mv);
         self.ticks += 1;
         self.changes_v += (voltage_v - volts(last_mv)).abs();
         self.sign_changes += u64::from(i32::from(last_mv) * i32::from(now_mv) < 0);
         self.squares_v2 += voltage_v * voltage_v;
-        self.losses_w += copper_loss_w(voltage_v, tick.state.theta_dot);
+        self.losses_w += copper_loss_w(voltage_v, tick.state.theta_dot, plant);
     }
 
     /// Adds the counts of another quietness.
@@ -112,11 +112,11 @@ fn volts(millivolts: i16) -> f64 {
     f64::from(millivolts) / 1000.0
 }
 
-/// Copper loss I^2 R of the nominal winding, W, with the current computed from voltage and speed as in
+/// Copper loss I^2 R of the plant's nominal winding, W, with the current computed from voltage and speed as in
 /// [`crate::safety::MotorHeat`]. The measured current is not used, because at rest it is mostly the
 /// sensor's zero error.
-fn copper_loss_w(voltage_v: f64, theta_dot_rad_s: f64) -> f64 {
-    let nominal = DomainParameters::NOMINAL;
+fn copper_loss_w(voltage_v: f64, theta_dot_rad_s: f64, plant: &PlantModel) -> f64 {
+    let nominal = &plant.parameters;
     let across_winding_v = voltage_v - nominal.motor_back_emf_v_s * theta_dot_rad_s;
     across_winding_v * across_winding_v / nominal.motor_resistance_ohm
 }
@@ -149,7 +149,8 @@ mod tests {
     fn a_square_wave_has_the_figures_that_can_be_counted() {
         // The voltage is +1, +1, -1, -1 V and so on: every other tick changes by 2 V and in sign.
         let wave = |tick: u32| if tick % 4 < 2 { 1000 } else { -1000 };
-        let figures = Quietness::of(&rollout(451, |_| -PI, wave)).figures().unwrap();
+        let figures =
+            Quietness::of(&rollout(451, |_| -PI, wave), &PlantModel::QUBE).figures().unwrap();
         assert!((figures.change_v - 1.0).abs() < 1e-12, "{figures:?}");
         assert!((figures.sign_changes_per_s - 50.0).abs() < 1e-9, "{figures:?}");
         assert!((figures.rms_v - 1.0).abs() < 1e-12, "{figures:?}");
@@ -161,26 +162,27 @@ mod tests {
     #[test]
     fn swing_up_catch_other_phases_and_what_falls_do_not_count() {
         let loud = |tick: u32| if tick.is_multiple_of(2) { 5000 } else { -5000 };
-        assert_eq!(Quietness::of(&rollout(600, |_| 0.5, loud)).figures(), None);
+        assert_eq!(Quietness::of(&rollout(600, |_| 0.5, loud), &PlantModel::QUBE).figures(), None);
         // The pendulum is up at tick 100 and counts from tick 150 on.
         let alpha = |tick| if tick < 100 { 2.0 } else { PI + 0.4 };
         let quiet = |tick| if tick < 149 { loud(tick) } else { 200 };
         let mut ticks = rollout(600, alpha, quiet);
-        let figures = Quietness::of(&ticks).figures().unwrap();
+        let figures = Quietness::of(&ticks, &PlantModel::QUBE).figures().unwrap();
         assert_eq!((figures.change_v, figures.sign_changes_per_s), (0.0, 0.0));
         for tick in &mut ticks {
             tick.phase = Phase::Braking;
         }
-        assert_eq!(Quietness::of(&ticks), Quietness::NONE);
+        assert_eq!(Quietness::of(&ticks, &PlantModel::QUBE), Quietness::NONE);
     }
 
     #[test]
     fn rollouts_add_up_tick_by_tick_and_not_across_their_ends() {
         let still = rollout(300, |_| PI, |_| 2000);
-        let (mut both, mut merged) = (Quietness::of(&still), Quietness::of(&still));
+        let first = Quietness::of(&still, &PlantModel::QUBE);
+        let (mut both, mut merged) = (first, first);
         let other = rollout(150, |_| PI, |_| -2000);
-        both.add(&other);
-        merged.merge(&Quietness::of(&other));
+        both.add(&other, &PlantModel::QUBE);
+        merged.merge(&Quietness::of(&other, &PlantModel::QUBE));
         for quietness in [both, merged] {
             let figures = quietness.figures().unwrap();
             assert_eq!((figures.change_v, figures.sign_changes_per_s), (0.0, 0.0));

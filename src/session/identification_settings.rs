@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 pub struct IdentificationSettings {
     /// Number of recordings under an excitation, of 10 s each.
     pub excitations: u32,
-    /// Largest voltage of an excitation, V.
+    /// Largest voltage of an excitation of a Qube, V. Another plant gets the voltage that moves its arm alike.
     pub excitation_v: f64,
     /// Largest number of candidates. One means that a policy is trained around the identified Qube and nothing is
     /// searched.

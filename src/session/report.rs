@@ -79,7 +79,7 @@ impl SessionReport {
                 let recording = read_on(folder.disk(), &path)?;
                 report.latencies.add(&recording.ticks);
                 if let Some(best) = report.best.as_mut().filter(|best| best.candidate == index) {
-                    best.quietness.add(&recording.ticks);
+                    best.quietness.add(&recording.ticks, &recording.header.settings.plant);
                 }
                 report.void_rollouts += u64::from(finished.attempt);
                 report.observer_resets +=

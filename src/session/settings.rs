@@ -194,9 +194,9 @@ impl SessionSettings {
     /// profile, along the directions of the errors of the first.
     #[must_use]
     pub fn around(self, plan: &IdentificationSettings, first: &Profile, latest: &Profile) -> Self {
-        let directions = Direction::of_errors(first);
+        let directions = Direction::of_errors(first, self.plant());
         let psi = PsiSpace::of_posterior(directions.len());
-        let profile = ProfileSettings { directions, ..ProfileSettings::of(latest, plan.spread) };
+        let profile = ProfileSettings { model: latest.model(), spread: plan.spread, directions };
         let extent = Extent {
             initial_candidates: INITIAL_AROUND.min(plan.candidates),
             rollouts: plan.rollouts,

@@ -57,7 +57,11 @@ const WORDS: [Words; 106] = [
         "Whether a policy of the nominal Qube is run once at the end, for comparison",
     ),
     of("identification.excitations", "", "Number of recordings under an excitation, of 10 s each"),
-    of("identification.excitation_v", "V", "Largest voltage of an excitation"),
+    of(
+        "identification.excitation_v",
+        "V",
+        "Largest voltage of an excitation; of another plant the one that moves its arm alike",
+    ),
     of("identification.candidates", "", "Largest number of candidates around the identified Qube"),
     of("identification.rollouts", "", "Number of rollouts of each of them"),
     of(

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
 use super::DomainDistribution;
-use crate::qube::{Profile, Quantity};
+use crate::qube::{PlantModel, Profile, Quantity};
 
 /// Smallest part of a quantity's spread in the distribution `robust` that a direction of errors is kept for.
 const SMALLEST_SHARE: f64 = 1e-6;
@@ -28,18 +28,25 @@ impl Direction {
     }
 
     /// The principal directions of a profile's errors, the widest first: together they have the profile's
-    /// covariance. A direction's width is measured in the spreads of the distribution `robust`, which is what
-    /// is believed of a Qube before any data, so that quantities of different units compare. A profile without
-    /// standard errors has none.
+    /// covariance. A direction's width is measured in the spreads of the distribution `robust` for the profile's
+    /// plant, which is what is believed of a specimen before any data, so that quantities of different units compare.
+    /// A profile without standard errors has none.
     #[must_use]
-    pub fn of_errors(profile: &Profile) -> Vec<Self> {
+    pub fn of_errors(profile: &Profile, plant: &PlantModel) -> Vec<Self> {
         let quantities: Vec<Quantity> =
             Quantity::all().filter(|&quantity| profile.standard_error(quantity) > 0.0).collect();
         let before = DomainDistribution::robust();
-        let scale = |quantity: Quantity| match before.standard_deviation(quantity) {
-            // What `robust` knows exactly counts in tenths of its value.
-            0.0 => (0.1 * before.get(quantity).mean().abs()).max(f64::MIN_POSITIVE),
-            deviation => deviation,
+        let scale = |quantity: Quantity| {
+            let of_qube = match before.standard_deviation(quantity) {
+                // What `robust` knows exactly counts in tenths of its value.
+                0.0 => (0.1 * before.get(quantity).mean().abs()).max(f64::MIN_POSITIVE),
+                deviation => deviation,
+            };
+            match plant.proportion(quantity) {
+                // The plant's file has no value to compare with.
+                0.0 => profile.standard_error(quantity),
+                proportion => proportion * of_qube,
+            }
         };
         let scales: Vec<f64> = quantities.iter().map(|&quantity| scale(quantity)).collect();
         let scaled = DMatrix::from_fn(quantities.len(), quantities.len(), |row, column| {
@@ -120,7 +127,7 @@ mod tests {
 
     #[test]
     fn the_directions_of_a_profile_have_its_covariance_and_the_widest_is_first() {
-        let directions = Direction::of_errors(&profile());
+        let directions = Direction::of_errors(&profile(), &PlantModel::QUBE);
         assert_eq!(directions.len(), 3);
         for one in Quantity::all() {
             for other in Quantity::all() {
@@ -144,12 +151,13 @@ mod tests {
 
     #[test]
     fn a_profile_without_errors_has_no_direction() {
-        assert_eq!(Direction::of_errors(&Profile::exact("one", &QubeModel::NOMINAL)), []);
+        let exact = Profile::exact("one", &QubeModel::NOMINAL);
+        assert_eq!(Direction::of_errors(&exact, &PlantModel::QUBE), []);
     }
 
     #[test]
     fn a_direction_reads_back_and_an_unknown_name_is_refused() {
-        let direction = &Direction::of_errors(&profile())[0];
+        let direction = &Direction::of_errors(&profile(), &PlantModel::QUBE)[0];
         let written = serde_json::to_string(direction).unwrap();
         assert_eq!(&serde_json::from_str::<Direction>(&written).unwrap(), direction);
         assert!(serde_json::from_str::<Direction>("{\"R_x\": 1.0}").is_err());

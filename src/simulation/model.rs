@@ -42,10 +42,12 @@ pub struct ProfileSettings {
 }
 
 impl ProfileSettings {
-    /// The Qube of a profile with the errors that its identification found, and a spread beside them.
+    /// The specimen of a plant that a profile describes, with the errors that its identification found, and a spread
+    /// beside them.
     #[must_use]
-    pub fn of(profile: &Profile, spread: f64) -> Self {
-        Self { model: profile.model(), spread, directions: Direction::of_errors(profile) }
+    pub fn of(profile: &Profile, plant: &PlantModel, spread: f64) -> Self {
+        let directions = Direction::of_errors(profile, plant);
+        Self { model: profile.model(), spread, directions }
     }
 }
 

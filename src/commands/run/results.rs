@@ -85,7 +85,7 @@ impl Results {
     pub fn add(&mut self, path: &Path) -> Result<(), Failure> {
         let recording = read(path).map_err(|error| failures::recording(&error))?;
         self.latencies.add(&recording.ticks);
-        self.quietness.add(&recording.ticks);
+        self.quietness.add(&recording.ticks, &recording.header.settings.plant);
         let outcome = recording.outcome.as_ref();
         self.observer_resets += outcome.map_or(0, |outcome| u64::from(outcome.observer_resets));
         // `None` is less than any number.

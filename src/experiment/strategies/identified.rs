@@ -5,7 +5,7 @@ use crate::experiment::folder::make;
 use crate::experiment::{ExperimentError, Recipe};
 use crate::identification::{Unknown, Verdict, check_recording, identify};
 use crate::policy::Policy;
-use crate::qube::{Profile, QubeModel};
+use crate::qube::Profile;
 use crate::replay::{MotionLog, MotionLogError};
 use crate::session::SessionSettings;
 use crate::simulation::{Model, ProfileSettings};
@@ -65,7 +65,7 @@ impl<'a> FromRecordings<'a> {
     /// The policy of the recording with this number.
     fn policy(&mut self, number: u32) -> Result<Vec<u8>, ExperimentError> {
         if number == 0 || self.further == Further::Excitations {
-            return Ok(excitation(number));
+            return Ok(excitation(number, self.run.recipe.settings.plant()));
         }
         let recommendation = match self.recommended(number)? {
             Recommended::Found(recommendation) => *recommendation,
@@ -103,7 +103,7 @@ impl<'a> FromRecordings<'a> {
             }
         }
         let unknowns: Vec<Unknown> = Unknown::all().collect();
-        let found = match identify(&logs, &unknowns, &QubeModel::NOMINAL) {
+        let found = match identify(&logs, &unknowns, &self.run.recipe.settings.plant().nominal()) {
             Ok(found) => found,
             Err(why) => return Ok(Fit::Refused(why.to_string())),
         };
@@ -159,7 +159,7 @@ impl<'a> FromRecordings<'a> {
             Width::Exact | Width::Spread => {
                 ProfileSettings { model: profile.model(), spread, directions: Vec::new() }
             }
-            Width::Posterior => ProfileSettings::of(&profile, spread),
+            Width::Posterior => ProfileSettings::of(&profile, recipe.settings.plant(), spread),
         };
         let settings = SessionSettings { profile: Some(around), ..recipe.settings };
         // A profile that cannot be simulated is not a recommendation either.

@@ -5,11 +5,12 @@ use crate::experiment::rollouts::{Repeated, all_of, is_complete};
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, RolloutResult};
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
+use crate::qube::PlantModel;
 use crate::rig::RigSettings;
 use crate::session::{RolloutPlan, SeedFor, derived_seed, recording_in};
 use crate::storage::{Disk, MachineDisk};
 
-/// Voltage of the excitation, V: the default of `run --excite`.
+/// Voltage of the excitation of a Qube, V: the default of `run --excite`.
 const EXCITATION_V: f64 = 1.5;
 
 /// Largest file about a result that is read, bytes.
@@ -117,9 +118,10 @@ impl<'a> Recordings<'a> {
     }
 }
 
-/// The bytes of the excitation of a recording.
-pub(super) fn excitation(number: u32) -> Vec<u8> {
-    let excitation = Excitation::of_rollout(ExcitationShape::Chirp, EXCITATION_V, number);
+/// The bytes of the excitation of a plant in a recording.
+pub(super) fn excitation(number: u32, plant: &PlantModel) -> Vec<u8> {
+    let limit_v = plant.volts_like(EXCITATION_V);
+    let excitation = Excitation::of_rollout(ExcitationShape::Chirp, limit_v, number);
     Policy::Excitation(excitation).to_bytes()
 }
 

@@ -7,7 +7,7 @@ use crate::identification::{
     Identified, IdentifyError, Unknown, Verdict, check_recording, identify,
 };
 use crate::policy::Policy;
-use crate::qube::{Profile, QubeModel};
+use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
 use crate::replay::MotionLog;
 use crate::session::decision::{Decision, decide};
@@ -56,12 +56,12 @@ impl Session {
             return self.take_in_verification(tell);
         }
         match self.fitted()? {
-            Ok(found) => self.append_profile(found, tell),
-            Err(NotFitted::Unfit(reason)) if self.may_excite_again() => {
+            Fitted::Found(found) => self.append_profile(*found, tell),
+            Fitted::Unfit(reason) if self.may_excite_again() => {
                 tell(SessionEvent::ExcitesAgain(&reason));
                 self.append_proposal(Purpose::Excitation, Vec::new(), tell)
             }
-            Err(NotFitted::Unfit(reason) | NotFitted::Refused(reason)) => {
+            Fitted::Unfit(reason) | Fitted::Refused(reason) => {
                 tell(SessionEvent::NotIdentified(&reason));
                 Ok(self.ledger.append(Entry::NotIdentified { reason })?)
             }
@@ -75,11 +75,11 @@ impl Session {
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let reason = match self.fitted()? {
-            Ok(found) if found.recordings > self.fitted_recordings() => {
-                return self.append_profile(found, tell);
+            Fitted::Found(found) if found.recordings > self.fitted_recordings() => {
+                return self.append_profile(*found, tell);
             }
-            Ok(_) => "none of its recordings can be fitted".to_owned(),
-            Err(NotFitted::Unfit(reason) | NotFitted::Refused(reason)) => reason,
+            Fitted::Found(_) => "none of its recordings can be fitted".to_owned(),
+            Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
         };
         tell(SessionEvent::NotUpdated(&reason));
         Ok(self.ledger.append(Entry::NotUpdated { reason })?)
@@ -151,10 +151,10 @@ impl Session {
         }
         let used = self.fitted_recordings();
         if self.used_recordings().len() > used as usize
-            && let Ok(found) = self.fitted()?
+            && let Fitted::Found(found) = self.fitted()?
             && found.recordings > used
         {
-            self.append_profile(found, tell)?;
+            self.append_profile(*found, tell)?;
         }
         let purpose = if searched < INITIAL_AROUND { Purpose::Initial } else { Purpose::Search };
         let mut strategy = self.settings.search()?;
@@ -188,8 +188,8 @@ impl Session {
         Ok((simulated - verified).max(0.0))
     }
 
-    /// The profile that all recordings so far give, or the reason why they give none.
-    fn fitted(&mut self) -> Result<Result<Found, NotFitted>, SessionError> {
+    /// Fits a profile to all recordings so far.
+    fn fitted(&mut self) -> Result<Fitted, SessionError> {
         let recordings = self.recordings()?;
         let logs: Vec<MotionLog> = recordings.iter().filter_map(MotionLog::of_recording).collect();
         let unknowns: Vec<Unknown> = Unknown::all().collect();
@@ -201,28 +201,24 @@ impl Session {
                 Err(reason) => unfit = format!("the recording cannot be fitted: {reason}"),
             }
         }
-        let found = match identify(&usable, &unknowns, &QubeModel::NOMINAL) {
+        let found = match identify(&usable, &unknowns, &self.settings.plant().nominal()) {
             Ok(found) => found,
-            Err(IdentifyError::NoRecordings) => return Ok(Err(NotFitted::Unfit(unfit))),
-            Err(error) => return Ok(Err(NotFitted::Refused(error.to_string()))),
+            Err(IdentifyError::NoRecordings) => return Ok(Fitted::Unfit(unfit)),
+            Err(error) => return Ok(Fitted::Refused(error.to_string())),
         };
         let doubts: Vec<String> = found.assessment.doubts.iter().map(ToString::to_string).collect();
         if found.assessment.verdict == Verdict::DoesNotFit {
             let doubts = doubts.join("; ");
             let reason = format!("the model does not describe this Qube: {doubts}");
-            return Ok(Err(NotFitted::Refused(reason)));
+            return Ok(Fitted::Refused(reason));
         }
         let count = usable.len() as u32;
         let name = match count {
             1 => "identified from 1 recording".to_owned(),
             _ => format!("identified from {count} recordings"),
         };
-        Ok(Ok(Found {
-            recordings: count,
-            profile: found.profile(&name, Vec::new()),
-            found,
-            doubts,
-        }))
+        let profile = found.profile(&name, Vec::new());
+        Ok(Fitted::Found(Box::new(Found { recordings: count, profile, found, doubts })))
     }
 
     fn append_profile(
@@ -280,11 +276,13 @@ impl Session {
     }
 }
 
-/// The reason why recordings give no profile, in words.
-enum NotFitted {
-    /// None of them shows a motion that can be fitted; another one may.
+/// The result of fitting a profile to recordings.
+enum Fitted {
+    /// The profile.
+    Found(Box<Found>),
+    /// No recording shows a motion that can be fitted, for this reason; another one may.
     Unfit(String),
-    /// Their motions are those of no Qube that the model describes.
+    /// The model describes no Qube that moves so, for this reason.
     Refused(String),
 }
 

@@ -91,7 +91,8 @@ impl Session {
 
     /// The excitation of a candidate; consecutive ones start in opposite directions.
     fn excitation(&self, candidate: u32) -> Policy {
-        let limit_v = self.settings.identification.unwrap_or_default().excitation_v;
+        let of_qube_v = self.settings.identification.unwrap_or_default().excitation_v;
+        let limit_v = self.settings.plant().volts_like(of_qube_v);
         Policy::Excitation(Excitation::of_rollout(ExcitationShape::Chirp, limit_v, candidate))
     }
 

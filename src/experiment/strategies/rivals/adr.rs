@@ -100,7 +100,7 @@ impl Behaviour<'_> {
     fn of(&self, points: &[DVector<f64>], theta: f64) -> Vec<DVector<f64>> {
         let Self { network, given } = self;
         let (space, simulation): (&Space, &SimulationSettings) = (given.space, given.simulation);
-        let demonstration = Demonstration::of_policy(network, theta);
+        let demonstration = Demonstration::of_policy(network, &simulation.plant, theta);
         let models: Vec<_> = points.iter().map(|point| space.model(point)).collect();
         let parts = parts_of(demonstration.log.samples.len());
         simulate(&demonstration, simulation, &models)

@@ -116,7 +116,7 @@ fn promising(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: u6
 /// the pendulum, and standard deviation of the arm's angle, over Qubes of the prior.
 fn fingerprint(network: &Network, given: &Given, points: &[DVector<f64>]) -> [f64; FINGERPRINT] {
     let models: Vec<_> = points.iter().map(|point| given.space.model(point)).collect();
-    let demonstration = Demonstration::of_policy(network, 0.05);
+    let demonstration = Demonstration::of_policy(network, &given.simulation.plant, 0.05);
     let motions = simulate(&demonstration, given.simulation, &models);
     let moments = |values: &mut dyn Iterator<Item = f64>| {
         let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);

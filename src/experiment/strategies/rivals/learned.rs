@@ -39,7 +39,7 @@ impl<'a> FromRival<'a> {
     /// Recommendations in the folder of a method's run.
     pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings, kind: RivalKind) -> Self {
         let recordings = Recordings::of(run);
-        let space = Space::of_unknown_qube();
+        let space = Space::of_unknown(run.recipe.settings.plant());
         Self { run, settings, kind, rival: kind.rival(), recordings, complete: 0, space }
     }
 
@@ -71,7 +71,11 @@ impl<'a> FromRival<'a> {
     /// Makes the recording of this number if it does not exist.
     fn record(&self, number: u32) -> Result<(), ExperimentError> {
         if self.rival.data() == Data::Excitations {
-            return self.recordings.make(number, Recorded::Excitation, &excitation(number));
+            return self.recordings.make(
+                number,
+                Recorded::Excitation,
+                &excitation(number, self.run.recipe.settings.plant()),
+            );
         }
         let after = round_within(number);
         let Some(belief) = self.belief(after)? else { return Ok(()) };

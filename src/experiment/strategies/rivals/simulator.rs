@@ -16,14 +16,14 @@ pub struct Demonstration {
 
 impl Demonstration {
     /// A swing-up of a policy that nobody has recorded: hanging at rest at an angle of the arm, for 6 s.
-    pub fn of_policy(policy: &Network, theta: f64) -> Self {
+    pub fn of_policy(policy: &Network, plant: &PlantModel, theta: f64) -> Self {
         let sample = |step| MotionSample {
             time_s: step as f64 * CONTROL_PERIOD_S,
             state: State { theta, ..State::default() },
             voltage_v: 0.0,
         };
         let samples = (0..MAX_STEPS).map(sample).collect();
-        let log = MotionLog { samples, plant: PlantModel::QUBE };
+        let log = MotionLog { samples, plant: *plant };
         Self { log, policy: Some(policy.clone()) }
     }
 }

@@ -2,7 +2,7 @@ use nalgebra::DVector;
 use rand_chacha::ChaCha8Rng;
 
 use super::gaussian::standard_normal;
-use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
+use crate::qube::{DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
 use crate::simulation::{DomainDistribution, MAX_COMMAND_DELAY_S};
 
 /// Standard deviation of the logarithm of a damping before any data: published values differ by a factor of 50.
@@ -16,6 +16,7 @@ const FARTHEST: f64 = 4.0;
 /// becomes negative; nonidealities end where they cannot be simulated.
 #[derive(Clone, Debug)]
 pub struct Space {
+    nominal: QubeModel,
     coordinates: Vec<Coordinate>,
 }
 
@@ -27,12 +28,13 @@ struct Coordinate {
 }
 
 impl Space {
-    /// The space of a Qube that nobody has identified.
-    pub fn of_unknown_qube() -> Self {
+    /// The space of a specimen of a plant that nobody has identified.
+    pub fn of_unknown(plant: &PlantModel) -> Self {
         let before = DomainDistribution::robust();
         let coordinate = |quantity: Quantity| {
-            let own = before.get(quantity);
-            let (mean, deviation) = (own.mean(), own.standard_deviation());
+            let (own, proportion) = (before.get(quantity), plant.proportion(quantity));
+            let (mean, deviation) =
+                (proportion * own.mean(), proportion * own.standard_deviation());
             let is_damping = matches!(
                 quantity,
                 Quantity::Parameter(
@@ -40,13 +42,16 @@ impl Space {
                 )
             );
             let deviation = match quantity {
+                // A quantity that the plant does not have stays 0.
+                Quantity::Parameter(_) if mean == 0.0 => 0.0,
                 Quantity::Parameter(_) if is_damping => DAMPING_LOG_DEVIATION,
                 Quantity::Parameter(_) => deviation / mean,
                 Quantity::Nonideality(_) => deviation,
             };
             (deviation > 0.0).then_some(Coordinate { quantity, centre: mean, deviation })
         };
-        Self { coordinates: Quantity::all().filter_map(coordinate).collect() }
+        let coordinates = Quantity::all().filter_map(coordinate).collect();
+        Self { nominal: plant.nominal(), coordinates }
     }
 
     /// Number of coordinates.
@@ -73,7 +78,7 @@ impl Space {
 
     /// The Qube at a point, held where it can be simulated.
     pub fn model(&self, point: &DVector<f64>) -> QubeModel {
-        let mut model = QubeModel::NOMINAL;
+        let mut model = self.nominal;
         for (coordinate, entry) in self.coordinates.iter().zip(self.held(point).iter()) {
             model.set(coordinate.quantity, coordinate.value(*entry));
         }
@@ -154,7 +159,7 @@ mod tests {
 
     #[test]
     fn every_point_is_a_qube_that_can_be_simulated() {
-        let space = Space::of_unknown_qube();
+        let space = Space::of_unknown(&PlantModel::QUBE);
         assert_eq!(space.dimensions(), 14);
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let wild: Vec<DVector<f64>> =
@@ -168,7 +173,7 @@ mod tests {
 
     #[test]
     fn draws_have_the_spread_of_an_unknown_qube() {
-        let space = Space::of_unknown_qube();
+        let space = Space::of_unknown(&PlantModel::QUBE);
         let points = space.draws(4000, &mut ChaCha8Rng::seed_from_u64(2));
         let drawn = distribution_of(&space, &points).unwrap();
         let before = DomainDistribution::robust();

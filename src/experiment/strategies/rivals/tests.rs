@@ -67,7 +67,7 @@ fn shipped_policy() -> Network {
 
 /// A swing-up of a Qube by the shipped policy.
 fn rollout_of(model: QubeModel, simulation: &SimulationSettings, theta: f64) -> Demonstration {
-    let blank = Demonstration::of_policy(&shipped_policy(), theta);
+    let blank = Demonstration::of_policy(&shipped_policy(), &PlantModel::QUBE, theta);
     let motion = simulate(&blank, simulation, &[model]).remove(0);
     let log = log_of(motion.states.into_iter().zip(motion.voltages_v));
     Demonstration { log, ..blank }
@@ -79,7 +79,7 @@ const DRAWS: usize = 64;
 /// The mean discrepancy of another motion of a known Qube from those of Qubes drawn from the prior, and from those of
 /// Qubes that a rival believes in after two motions.
 fn learnt_by(kind: RivalKind) -> [f64; 2] {
-    let space = Space::of_unknown_qube();
+    let space = Space::of_unknown(&PlantModel::QUBE);
     let simulation = SimulationSettings::robust();
     let known = space.model(&known_point(&space));
     let rollout = |theta| rollout_of(known, &simulation, theta);

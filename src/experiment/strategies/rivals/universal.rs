@@ -37,7 +37,8 @@ pub struct FromUniversalPolicy<'a> {
 impl<'a> FromUniversalPolicy<'a> {
     /// Recommendations in the folder of a method's run.
     pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings) -> Self {
-        let (recordings, space) = (Recordings::of(run), Space::of_unknown_qube());
+        let (recordings, space) =
+            (Recordings::of(run), Space::of_unknown(run.recipe.settings.plant()));
         Self { run, settings, recordings, space, policy: OnceCell::new() }
     }
 
