@@ -127,7 +127,10 @@ fn an_identified_session_and_single_recordings_become_pages() {
     let told = succeeds(directory, &session);
     let page = fs::read_to_string(directory.join("s/report.html")).unwrap();
     assert_eq!(told["report"], "s/report.html");
-    assert!(page.contains("The Qube was identified from 1 recording"), "no identification");
+    assert!(page.contains("The Qube was identified from "), "no identification");
+    assert!(page.contains("Correlations of the errors") && page.contains("class=\"matrix\""));
+    // The verification is in the last profile, and tests the one before.
+    assert!(page.contains("profile-1.toml, so that the verification tests it"));
     assert!(page.contains("held out"), "no prediction of a rollout");
 
     succeeds(

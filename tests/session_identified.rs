@@ -57,8 +57,11 @@ fn a_qube_is_identified_and_its_errors_are_what_is_searched() {
     assert!(psi(&candidates[0]).contains_key("log_width"), "{told}");
     assert!(psi(&candidates[0]).values().all(|value| value == 0.0), "{told}");
     assert!(psi(&candidates[1]).values().any(|value| value != 0.0), "{told}");
-    // Its recording was used to identify the Qube anew.
-    assert_eq!(known["recordings"], 2);
+    // The first one's recording identified the Qube anew before the second was proposed; at the end came the second's and
+    // the two of the verification.
+    assert_eq!(known["recordings"], 5);
+    let profile = |number: u32| directory.path().join(format!("s/profile-{number}.toml")).exists();
+    assert_eq!([1, 2, 3, 4, 5].map(profile), [true, true, false, false, true]);
 
     let [verified] = list(&told, "verified") else { panic!("{told}") };
     assert_eq!((&verified["purpose"], list(verified, "returns").len()), (&"incumbent".into(), 2));
