@@ -3,6 +3,7 @@ use std::cell::OnceCell;
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
+use super::rival::POINTS;
 use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
 use crate::experiment::strategies::StrategySettings;
@@ -15,9 +16,6 @@ use crate::qube::QubeModel;
 use crate::search::{CmaEs, Observation, SearchError, Strategy as _};
 use crate::session::{SeedFor, derived_seed};
 use crate::storage::{Disk, MachineDisk};
-
-/// Number of Qubes of the prior on which the policy is trained.
-const QUBES: usize = 1024;
 
 /// Largest size of a physics input that is tried, in standard deviations of the prior.
 const REACH: f64 = 2.0;
@@ -48,7 +46,7 @@ impl<'a> FromUniversalPolicy<'a> {
         "so-cma".clone_into(&mut recipe.name);
         // A separate seed, because scoring uses the run's own.
         let seed = derived_seed(self.run.seed, SeedFor::Search);
-        let points = self.space.draws(QUBES, &mut ChaCha8Rng::seed_from_u64(seed));
+        let points = self.space.draws(POINTS, &mut ChaCha8Rng::seed_from_u64(seed));
         let distribution = distribution_of(&self.space, &points);
         Recommendation { distribution, ..Recommendation::of(recipe, None) }
     }
