@@ -12,14 +12,23 @@ pub const FIRST: [DomainParameter; 4] = [
     DomainParameter::PendulumLength,
 ];
 
+/// Deviation below which no quantity is known, in any of their SI units.
+pub const NEGLIGIBLE: f64 = 1e-12;
+
 /// Number of places of each density.
 const PLACES: usize = 121;
+
+/// Whether a distribution has a density to draw. What a fit leaves of a quantity that no recording shows, such as the rest
+/// angle of a cable without stiffness, may differ from 0 by rounding alone.
+pub fn has_spread(distribution: &Distribution) -> bool {
+    distribution.standard_deviation() > NEGLIGIBLE && distribution.mean().is_finite()
+}
 
 /// The densities of a quantity by name, without those that have no spread; the nominal value is marked.
 pub fn density_chart(quantity: Quantity, curves: &[(&str, Distribution)], nominal: f64) -> Chart {
     let spread = || {
         let named = curves.iter().enumerate();
-        named.filter(|(_, (_, it))| it.standard_deviation() > 0.0 && it.mean().is_finite())
+        named.filter(|(_, (_, it))| has_spread(it))
     };
     let ends = |it: &Distribution| {
         let reach = 3.5 * it.standard_deviation();

@@ -2,7 +2,7 @@
 
 use super::ReportError;
 use super::chart::{Axis, Chart, Mark, Series, Style};
-use super::densities::{FIRST, density_chart, words};
+use super::densities::{FIRST, density_chart, has_spread, words};
 use super::page::{Cell, Page};
 use super::provenance::add_provenance;
 use super::returns::{CandidateReturns, returns_chart};
@@ -310,9 +310,8 @@ fn add_distributions(
     distributions: &[(String, DomainDistribution)],
     plant: &PlantModel,
 ) {
-    let spread = |quantity: Quantity| {
-        distributions.iter().any(|(_, it)| it.get(quantity).standard_deviation() > 0.0)
-    };
+    let spread =
+        |quantity: Quantity| distributions.iter().any(|(_, it)| has_spread(&it.get(quantity)));
     let shown: Vec<Quantity> =
         FIRST.into_iter().map(Quantity::Parameter).filter(|it| spread(*it)).collect();
     if shown.is_empty() {
@@ -365,7 +364,7 @@ fn add_examples(page: &mut Page, rollouts: NamedRollouts) {
     }
     page.section("Rollouts");
     page.paragraph(
-        "Of each recipe on each plant, the first rollout of its best and of its worst policy.",
+        "The first rollout of the best and of the worst policy of each recipe on each plant, for up to 20 of these pairs.",
     );
     let motions = rollouts.into_iter().map(|(name, view)| {
         let told = format!("{name}: {}", view.result());

@@ -6,6 +6,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::chart::{Chart, Map};
+use super::densities::NEGLIGIBLE;
 use super::escape::{escaped, inert};
 use super::motion::Motion;
 
@@ -74,7 +75,10 @@ impl From<String> for Cell {
 /// A number with four significant digits; powers of ten where zeros would hide them.
 pub fn significant(value: f64) -> String {
     let size = value.abs();
-    if value == 0.0 || !value.is_finite() {
+    if size < NEGLIGIBLE {
+        return "0".into();
+    }
+    if !value.is_finite() {
         return format!("{value}");
     }
     if !(1e-4..1e6).contains(&size) {
@@ -354,6 +358,7 @@ mod tests {
     fn numbers_keep_four_digits() {
         for (value, text) in [
             (0.0, "0"),
+            (-8.9e-44, "0"),
             (0.024, "0.02400"),
             (541.23, "541.2"),
             (12_345.6, "12346"),

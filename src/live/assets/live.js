@@ -56,7 +56,8 @@
     if (!rollout || !latest || latest[1] == null || latest[2] == null) return;
     const { arm_m: arm, pendulum_m: pendulum } = rollout;
     const [theta, alpha] = [latest[1], latest[2]];
-    const size = 0.36 * Math.min(width, height) / Math.max(arm, pendulum);
+    // Everything that arm and pendulum can reach has room.
+    const size = Math.min((0.5 * width - 8) / (1.1 * Math.hypot(arm, pendulum)), (0.5 * height - 8) / (0.5 * arm + pendulum));
     const flat = ([x, y, z]) => [width / 2 + size * (y - 0.35 * x), height / 2 + size * (0.5 * x - z)];
     const line = (from, to, thick, paint) => {
       ctx.beginPath();

@@ -37,7 +37,7 @@
     ctx.font = `${11 * scale}px system-ui, "Noto Sans", Arial, sans-serif`;
     ctx.textAlign = "left";
     ctx.textBaseline = "alphabetic";
-    let row = 0;
+    const labels = [];
     for (const mark of marks) {
       const at = u.valToPos(mark.at, mark.vertical ? "x" : "y", true);
       ctx.strokeStyle = mark.limit ? css("--limit") : css("--ink2");
@@ -55,17 +55,32 @@
         ctx.lineTo(bbox.left + bbox.width, at);
       }
       ctx.stroke();
-      if (!mark.label) continue;
-      const width = ctx.measureText(mark.label).width;
-      let left, base;
+      if (mark.label) labels.push({ mark, at, width: ctx.measureText(mark.label).width });
+    }
+    // Each label takes the first of its places that no other label has; those of horizontal lines have fewer of them.
+    const taken = [];
+    const end = bbox.left + bbox.width;
+    for (const { mark, at, width } of labels.sort((one, other) => Boolean(one.mark.vertical) - Boolean(other.mark.vertical))) {
+      const places = [];
       if (mark.vertical) {
-        const right = at + 4 * scale + width > bbox.left + bbox.width;
-        left = right ? at - 4 * scale - width : at + 4 * scale;
-        base = bbox.top + (13 + 14 * (row++ % 4)) * scale;
+        const sides = [at + 4 * scale, at - 4 * scale - width].filter((left) => left >= bbox.left && left + width <= end);
+        const rows = Math.max(1, Math.floor(bbox.height / (14 * scale)));
+        for (let row = 0; row < rows; row++) {
+          for (const left of sides.length ? sides : [end - width]) places.push([left, bbox.top + (13 + 14 * row) * scale]);
+        }
       } else {
-        left = bbox.left + bbox.width - width - 4 * scale;
-        base = at - 4 * scale < bbox.top + 10 * scale ? at + 12 * scale : at - 4 * scale;
+        const base = at - 4 * scale < bbox.top + 10 * scale ? at + 12 * scale : at - 4 * scale;
+        for (const left of [end - width - 4 * scale, bbox.left + (bbox.width - width) / 2, bbox.left + 4 * scale]) {
+          places.push([left, base]);
+        }
       }
+      const box = ([left, base]) => [left - 2 * scale, base - 10 * scale, left + width + 2 * scale, base + 3 * scale];
+      const isFree = (place) => {
+        const [left, top, right, bottom] = box(place);
+        return taken.every((other) => right <= other[0] || left >= other[2] || bottom <= other[1] || top >= other[3]);
+      };
+      const [left, base] = places.find(isFree) || places[0];
+      taken.push(box([left, base]));
       ctx.globalAlpha = 0.7;
       ctx.fillStyle = css("--paper");
       ctx.fillRect(left - 2 * scale, base - 10 * scale, width + 4 * scale, 13 * scale);
@@ -252,9 +267,11 @@
 
   // A Furuta pendulum seen from the front and a little from above.
   const drawPendulum = (ctx, place, title, sides, theta, alpha, paint) => {
-    const size = Math.min(place.width, place.height * 1.15);
-    const unit = size * 0.36 / Math.max(sides.arm, sides.pendulum, 0.01);
     const tilt = 0.42;
+    // Everything that arm and pendulum can reach has room.
+    const [arm, pendulum] = [Math.max(sides.arm, 0.01), Math.max(sides.pendulum, 0.01)];
+    const unit = Math.min((0.5 * place.width - 8) / Math.hypot(arm, pendulum),
+      (0.48 * place.height - 8) / (arm * Math.sin(tilt) + pendulum * Math.cos(tilt)));
     const centre = [place.left + place.width / 2, place.top + place.height * 0.52];
     const flat = ([x, y, z]) => [centre[0] + unit * y, centre[1] + unit * (x * Math.sin(tilt) - z * Math.cos(tilt))];
     const line = (from, to, width, stroke) => {
@@ -285,7 +302,7 @@
     }
     line([0, 0, -0.9 * reach], [0, 0, 0], 8, css("--line"));
     if (theta == null || alpha == null) {
-      ctx.fillText("no value here", centre[0], centre[1] + 14);
+      ctx.fillText("no value at this time", centre[0], centre[1] + 14);
       return;
     }
     const tip = [reach * Math.cos(theta), reach * Math.sin(theta), 0];

@@ -2,7 +2,7 @@
 
 use super::SessionSource;
 use crate::qube::Quantity;
-use crate::report::densities::{FIRST, density_chart, words};
+use crate::report::densities::{FIRST, density_chart, has_spread, words};
 use crate::report::page::{Cell, Page};
 use crate::session::{ScoredCandidate, SessionSettings};
 
@@ -41,7 +41,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         for quantity in all.iter().copied() {
             let drawn = distribution.get(quantity);
             let before = base.as_ref().map(|base| base.get(quantity));
-            if drawn.standard_deviation() > 0.0 && drawn.mean().is_finite() {
+            if has_spread(&drawn) {
                 let mut curves = vec![("recommended", drawn)];
                 curves.extend(before.filter(|it| *it != drawn).map(|it| ("before the search", it)));
                 let caption = crate::report::rollout::first_upper(&words(quantity));
