@@ -280,7 +280,7 @@ mod tests {
         assert_eq!(two.check(), Ok(()));
         let strategies = two.strategies.as_mut().unwrap();
         strategies.budgets.clear();
-        strategies.methods.retain(|method| !method.needs_no_rollouts());
+        strategies.methods.retain(|method| !method.needs_budgets());
         assert!(two.check().unwrap_err().contains("one plant"));
     }
 }
