@@ -275,6 +275,7 @@ fn parameters<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DomainParame
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::DomainParameter;
 
     const LARGER: &str = include_str!("../../plants/furuta-130.toml");
 
@@ -337,7 +338,11 @@ mod tests {
     #[test]
     fn a_specimen_differs_from_its_plant_as_the_qube_from_the_nominal_one() {
         let larger = PlantModel::parse(LARGER).unwrap();
-        assert_eq!(larger.in_proportion(&QubeModel::NOMINAL).parameters, larger.parameters);
+        let nominal = larger.in_proportion(&QubeModel::NOMINAL).parameters;
+        for parameter in DomainParameter::ALL {
+            let ratio = nominal.get(parameter) / larger.parameters.get(parameter);
+            assert!((ratio - 1.0).abs() < 1e-12, "{parameter:?}: {ratio}");
+        }
         let mut qube = QubeModel::NOMINAL;
         qube.parameters.pendulum_mass_kg *= 1.1;
         qube.nonidealities.coulomb_torque_n_m = 5e-4;
