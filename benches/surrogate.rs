@@ -67,7 +67,7 @@ fn maximise_acquisition(c: &mut Criterion) {
         });
         group.bench_with_input(BenchmarkId::new("log-nei", n), &process, |b, process| {
             b.iter(|| {
-                let acquisition = LogNoisyExpectedImprovement::new(process, 1);
+                let acquisition = LogNoisyExpectedImprovement::new(process, &[], 1);
                 acquisition.map(|it| maximise(black_box(&it), &search_box, &[], &settings))
             });
         });

@@ -42,6 +42,11 @@ fn identified(updates: u32) -> String {
     )
 }
 
+/// The session of six candidates, which trains while the Qube runs.
+fn ahead(updates: u32) -> String {
+    small(updates).replace("[extent]\n", "[extent]\npending = 1\n")
+}
+
 fn begin(directory: &Path, name: &str, updates: u32) -> Child {
     begin_with(directory, name, &small(updates))
 }
@@ -71,7 +76,7 @@ fn signal(child: &Child, signal: Signal) {
 
 #[test]
 fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
-    for settings in [small, identified] {
+    for settings in [small, ahead, identified] {
         let resumed = UPDATES.into_iter().any(|updates| is_killed_and_resumed(&settings(updates)));
         assert!(resumed, "every session ended before a kill");
     }

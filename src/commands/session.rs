@@ -83,6 +83,11 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "resume")]
     candidates: Option<u32>,
 
+    /// Candidates whose returns are awaited when the search proposes another: that one is trained while these run on
+    /// the Qube. With 0 the Qube waits for each training; goes with --method bayrn [default: 0, or as --config says]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000), conflicts_with = "resume")]
+    pending: Option<u32>,
+
     /// Run a policy of the nominal Qube once at the end, for comparison [default: true on the emulated Qube that is
     /// identified, otherwise false]
     #[arg(long, value_name = "true|false", num_args = 0..=1, default_missing_value = "true", conflicts_with = "resume")]
@@ -344,6 +349,15 @@ fn configured(
         None => preset,
     };
     settings.identification = identification(arguments, &settings)?;
+    if let Some(pending) = arguments.pending {
+        if pending > 0 && settings.identification.is_some() {
+            return Err(Failure::usage(
+                "--pending goes with --method bayrn: around an identified Qube each proposal follows from the returns \
+                 of all candidates before it",
+            ));
+        }
+        settings.extent.pending = pending;
+    }
     let emulated = !device.choice.is_hardware();
     if let Some(baseline) = arguments.baseline {
         settings.extent.baseline = baseline;

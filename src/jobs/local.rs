@@ -2,6 +2,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use crossbeam_channel::unbounded;
 
+use super::training_cores::TrainingCores;
 use super::{Executor, JobEvent, TrainingJob};
 use crate::learning::{Checkpointing, train};
 
@@ -10,6 +11,8 @@ use crate::learning::{Checkpointing, train};
 #[derive(Clone, Debug)]
 pub struct LocalExecutor {
     cores: usize,
+    /// Cores that trainings keep to while a control thread runs; `None` if none does.
+    keeps_to: Option<TrainingCores>,
     checkpointing: Option<Checkpointing>,
 }
 
@@ -23,7 +26,15 @@ impl LocalExecutor {
     /// An executor on a number of cores.
     #[must_use]
     pub fn on_cores(cores: usize) -> Self {
-        Self { cores: cores.max(1), checkpointing: None }
+        Self { cores: cores.max(1), keeps_to: None, checkpointing: None }
+    }
+
+    /// An executor that trains while a control thread runs: on all cores but one, which is left to that thread, and in
+    /// threads of the lowest priority.
+    #[must_use]
+    pub fn beside_control_thread() -> Self {
+        let keeps_to = TrainingCores::beside_control_thread();
+        Self { keeps_to: Some(keeps_to), ..Self::on_cores(keeps_to.count()) }
     }
 
     /// Writes checkpoints of a single job, from which it resumes. Several jobs at once have none, because
@@ -57,7 +68,8 @@ impl Executor for LocalExecutor {
 
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
         let workers = self.cores.min(jobs.len());
-        if workers <= 1 {
+        // The caller's thread keeps its own cores and priority.
+        if workers <= 1 && self.keeps_to.is_none() {
             (0..jobs.len()).for_each(|index| self.carry_out(jobs, index, stop, tell));
             return;
         }
@@ -67,6 +79,9 @@ impl Executor for LocalExecutor {
             for _ in 0..workers {
                 let (sender, next) = (sender.clone(), &next);
                 scope.spawn(move || {
+                    if let Some(cores) = &self.keeps_to {
+                        cores.confine_this_thread();
+                    }
                     loop {
                         let index = next.fetch_add(1, Ordering::Relaxed);
                         if index >= jobs.len() {
@@ -126,6 +141,16 @@ mod tests {
         assert_eq!(two.into_iter().map(Result::unwrap).collect::<Vec<_>>(), one);
         let alone = LocalExecutor::on_cores(1).train_one(&job(2), &never, &mut |_| ()).unwrap();
         assert_eq!(alone, one[1]);
+    }
+
+    #[test]
+    fn beside_a_control_thread_policies_are_the_same_and_the_caller_keeps_its_cores() {
+        let never = AtomicBool::new(false);
+        let alone = LocalExecutor::on_cores(1).train_one(&job(2), &never, &mut |_| ()).unwrap();
+        let before = TrainingCores::of_this_thread().unwrap();
+        let beside = LocalExecutor::beside_control_thread();
+        assert_eq!(beside.train_one(&job(2), &never, &mut |_| ()).unwrap(), alone);
+        assert_eq!(TrainingCores::of_this_thread().unwrap(), before);
     }
 
     #[test]

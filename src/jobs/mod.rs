@@ -30,6 +30,7 @@ mod folder_executor;
 mod local;
 mod selection;
 pub mod starter;
+mod training_cores;
 mod training_job;
 mod workforce;
 

@@ -1,7 +1,9 @@
+use std::borrow::Cow;
+
 use super::bayrn_settings::{
     AcquisitionKind, BayRnSettings, IncumbentRule, InitialDesign, NoiseModel,
 };
-use super::observation::check;
+use super::observation::{check, check_beside};
 use super::random::{quasi_random_point, uniform_point};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::{
@@ -76,13 +78,24 @@ impl BayRn {
         }
     }
 
-    /// The next point by the acquisition function; `index` counts all points of the search.
+    /// The next point by the acquisition function while others are pending; `index` counts all points of the search.
+    ///
+    /// The noisy expected improvement averages over the returns that pending points may have. For the other functions
+    /// the surrogate is conditioned on its own mean at each of them ("kriging believer", Ginsbourger et al. 2010).
+    /// Either removes the uncertainty there and drives the next point elsewhere.
     fn acquire(
         &self,
         process: &GaussianProcess,
+        pending: &[Vec<f64>],
         largest_observed: f64,
         index: usize,
     ) -> Result<Vec<f64>, SearchError> {
+        let observed = process;
+        let mut believed = Cow::Borrowed(observed);
+        for point in pending {
+            believed = Cow::Owned(believed.with_fantasies(point, believed.mean(point))?);
+        }
+        let process = believed.as_ref();
         let means = means_at_data(process);
         let incumbent = match self.settings.incumbent {
             IncumbentRule::LargestObserved => largest_observed,
@@ -103,7 +116,8 @@ impl BayRn {
             }
             AcquisitionKind::NoisyExpectedImprovement => {
                 let seed = self.seed.wrapping_add(index as u64);
-                self.maximise(&LogNoisyExpectedImprovement::new(process, seed)?, &means, index)
+                let acquisition = LogNoisyExpectedImprovement::new(observed, pending, seed)?;
+                self.maximise(&acquisition, &means, index)
             }
             AcquisitionKind::KnowledgeGradient => {
                 let recommended = self.maximise(&on(process, PosteriorMean), &means, index);
@@ -143,42 +157,31 @@ fn on<C: Criterion>(process: &GaussianProcess, criterion: C) -> OnProcess<'_, C>
 }
 
 impl Strategy for BayRn {
-    /// Points after the initial ones are chosen one after the other. Before each next choice the surrogate
-    /// is conditioned on its own mean at the chosen point ("kriging believer", Ginsbourger et al. 2010),
-    /// which removes the uncertainty there and drives the next point elsewhere.
+    /// Points after the initial ones are chosen one after the other, each as if its predecessors were pending.
     fn propose(
         &mut self,
         data: &[Observation],
+        pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        check(&self.search_box, data)?;
+        let next = check_beside(&self.search_box, data, pending, count)?;
         let largest_observed =
             data.iter().map(Observation::mean_return).fold(f64::NEG_INFINITY, f64::max);
-        let mut with_fantasy: Option<GaussianProcess> = None;
-        let mut proposed: Vec<Vec<f64>> = Vec::with_capacity(count);
-        while proposed.len() < count {
-            let index = data.len() + proposed.len();
-            if index < self.settings.initial_points || data.is_empty() {
-                proposed.push(self.initial_point(index));
-                continue;
-            }
-            let process = match with_fantasy.take() {
-                Some(process) => process,
-                None => {
-                    let mut process = self.surrogate(data)?;
-                    for pending in &proposed {
-                        process = process.with_fantasies(pending, process.mean(pending))?;
-                    }
-                    process
-                }
+        let mut process: Option<GaussianProcess> = None;
+        let mut chosen = pending.to_vec();
+        for index in next {
+            let point = if index < self.settings.initial_points || data.is_empty() {
+                self.initial_point(index)
+            } else {
+                let process = match &mut process {
+                    Some(process) => process,
+                    none => none.insert(self.surrogate(data)?),
+                };
+                self.acquire(process, &chosen, largest_observed, index)?
             };
-            let point = self.acquire(&process, largest_observed, index)?;
-            if proposed.len() + 1 < count {
-                with_fantasy = Some(process.with_fantasies(&point, process.mean(&point))?);
-            }
-            proposed.push(point);
+            chosen.push(point);
         }
-        Ok(proposed)
+        Ok(chosen.split_off(pending.len()))
     }
 
     fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
@@ -222,7 +225,7 @@ mod tests {
 
     fn evaluated(search: &mut BayRn, mut data: Vec<Observation>, until: usize) -> Vec<Observation> {
         while data.len() < until {
-            let point = search.propose(&data, 1).unwrap().remove(0);
+            let point = search.propose(&data, &[], 1).unwrap().remove(0);
             let value = hump(&point);
             data.push(Observation { point, returns: vec![value - 5.0, value + 5.0] });
         }
@@ -264,7 +267,8 @@ mod tests {
             let mut resumed = BayRn::new(search_box(), settings(kind), 9).unwrap();
             assert_eq!(evaluated(&mut resumed, whole[..stopped].to_vec(), 9), whole);
         }
-        let other = BayRn::new(search_box(), settings(kind), 10).unwrap().propose(&[], 1).unwrap();
+        let other =
+            BayRn::new(search_box(), settings(kind), 10).unwrap().propose(&[], &[], 1).unwrap();
         assert_ne!(other[0], whole[0].point);
     }
 
@@ -277,8 +281,10 @@ mod tests {
         ] {
             let mut search = BayRn::new(search_box(), settings(kind), 1).unwrap();
             let data = evaluated(&mut search, vec![], 8);
-            let batch = search.propose(&data, 6).unwrap();
-            assert_eq!(batch[0], search.propose(&data, 1).unwrap()[0]);
+            let batch = search.propose(&data, &[], 6).unwrap();
+            assert_eq!(batch[0], search.propose(&data, &[], 1).unwrap()[0]);
+            // It does not matter whether points were proposed at once or are pending since before.
+            assert_eq!(batch[4..], search.propose(&data, &batch[..4], 2).unwrap());
             let units: Vec<Vec<f64>> = batch.iter().map(|p| search_box().to_unit(p)).collect();
             for i in 0..units.len() {
                 for j in 0..i {
@@ -294,11 +300,11 @@ mod tests {
         let mut search =
             BayRn::new(search_box(), settings(AcquisitionKind::ExpectedImprovement), 1).unwrap();
         let data = evaluated(&mut search, vec![], 4);
-        let batch = search.propose(&data, 3).unwrap();
+        let batch = search.propose(&data, &[], 3).unwrap();
         assert_eq!(batch[0], search.initial_point(4));
         assert_eq!(batch.len(), 3);
         // Without data the surrogate cannot be fitted.
-        assert_eq!(search.propose(&[], 8).unwrap()[7], search.initial_point(7));
+        assert_eq!(search.propose(&[], &[], 8).unwrap()[7], search.initial_point(7));
     }
 
     #[test]
@@ -315,7 +321,7 @@ mod tests {
             vec![at(1.0, vec![7.0, 7.0]), at(0.5, vec![7.0, 7.0]), at(1.5, vec![7.0, 7.0])],
             vec![at(1.0, vec![7.0]), at(1.0, vec![9.0]), at(1.0, vec![8.0])],
         ] {
-            let point = search.propose(&data, 1).unwrap().remove(0);
+            let point = search.propose(&data, &[], 1).unwrap().remove(0);
             search_box().check(0, &point).unwrap();
             let best = search.best(&data).unwrap();
             assert!(
@@ -323,7 +329,8 @@ mod tests {
             );
         }
         assert_eq!(search.best(&[]), Err(SearchError::NothingEvaluated));
-        assert!(search.propose(&[at(3.0, vec![1.0])], 1).is_err());
-        assert!(search.propose(&[at(1.0, vec![f64::NAN])], 1).is_err());
+        assert!(search.propose(&[at(3.0, vec![1.0])], &[], 1).is_err());
+        assert!(search.propose(&[at(1.0, vec![f64::NAN])], &[], 1).is_err());
+        assert!(search.propose(&[at(1.0, vec![1.0])], &[vec![3.0, 0.0]], 1).is_err());
     }
 }

@@ -1,6 +1,6 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::observation::check;
+use super::observation::check_beside;
 use super::random::{best_evaluated, stream};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
@@ -168,15 +168,18 @@ impl CmaEs {
 }
 
 impl Strategy for CmaEs {
+    /// A point is drawn from the distribution that the complete generations in the data give, also where a later
+    /// generation is pending.
     fn propose(
         &mut self,
         data: &[Observation],
+        pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        check(&self.search_box, data)?;
+        let next = check_beside(&self.search_box, data, pending, count)?;
         let distribution = self.distribution(data);
         let (directions, lengths) = distribution.axes();
-        Ok((data.len()..data.len() + count)
+        Ok(next
             .map(|index| {
                 let mut random = stream(self.seed, index);
                 let mut unit = distribution.mean.clone();
@@ -223,7 +226,7 @@ mod tests {
         };
         let mut data = Vec::new();
         for _ in 0..1200 {
-            let point = search.propose(&data, 1).unwrap().remove(0);
+            let point = search.propose(&data, &[], 1).unwrap().remove(0);
             let returns = vec![-cost(&point)];
             data.push(Observation { point, returns });
         }

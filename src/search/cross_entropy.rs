@@ -1,4 +1,4 @@
-use super::observation::check;
+use super::observation::check_beside;
 use super::random::{best_evaluated, stream};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
@@ -65,14 +65,17 @@ impl CrossEntropy {
 }
 
 impl Strategy for CrossEntropy {
+    /// A point is drawn from the Gaussian that the complete generations in the data give, also where a later generation
+    /// is pending.
     fn propose(
         &mut self,
         data: &[Observation],
+        pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        check(&self.search_box, data)?;
+        let next = check_beside(&self.search_box, data, pending, count)?;
         let gaussian = self.gaussian(data);
-        Ok((data.len()..data.len() + count)
+        Ok(next
             .map(|index| {
                 let mut random = stream(self.seed, index);
                 let unit: Vec<f64> = gaussian

@@ -12,7 +12,7 @@
 //! let mut search = StrategyKind::Random.build(&search_box, &BayRnSettings::default(), 1)?;
 //! let mut data = Vec::new();
 //! for _ in 0..8 {
-//!     for point in search.propose(&data, 1)? {
+//!     for point in search.propose(&data, &[], 1)? {
 //!         let returns = vec![-(point[0] - 1.0).powi(2)];
 //!         data.push(Observation { point, returns });
 //!     }

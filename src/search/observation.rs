@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use super::{SearchBox, SearchError};
@@ -41,6 +43,22 @@ pub(super) fn check(search_box: &SearchBox, data: &[Observation]) -> Result<(), 
         }
     }
     Ok(())
+}
+
+/// Checks data like [`check`], and that every pending point lies in the box. Returns the numbers of the next `count`
+/// points of the search.
+pub(super) fn check_beside(
+    search_box: &SearchBox,
+    data: &[Observation],
+    pending: &[Vec<f64>],
+    count: usize,
+) -> Result<Range<usize>, SearchError> {
+    check(search_box, data)?;
+    for (index, point) in (data.len()..).zip(pending) {
+        search_box.check(index, point)?;
+    }
+    let first = data.len() + pending.len();
+    Ok(first..first + count)
 }
 
 /// The index of the evaluated candidate with the highest mean return; of equals the earlier one.

@@ -1,7 +1,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::observation::{check, highest_mean_return};
+use super::observation::{check, check_beside, highest_mean_return};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::sobol_point;
 
@@ -24,10 +24,10 @@ impl Strategy for RandomSearch {
     fn propose(
         &mut self,
         data: &[Observation],
+        pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        check(&self.search_box, data)?;
-        let next = data.len()..data.len() + count;
+        let next = check_beside(&self.search_box, data, pending, count)?;
         Ok(next.map(|index| uniform_point(&self.search_box, self.seed, index)).collect())
     }
 
@@ -59,10 +59,10 @@ impl Strategy for SobolSearch {
     fn propose(
         &mut self,
         data: &[Observation],
+        pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        check(&self.search_box, data)?;
-        let next = data.len()..data.len() + count;
+        let next = check_beside(&self.search_box, data, pending, count)?;
         Ok(next.map(|index| quasi_random_point(&self.search_box, self.seed, index)).collect())
     }
 

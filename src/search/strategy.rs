@@ -8,12 +8,17 @@ use super::{Observation, SearchError};
 /// as if it had not been interrupted, and only the data has to be stored. The data must be in the order in
 /// which the points were proposed.
 pub trait Strategy: Send {
-    /// Proposes `count` points to evaluate next, in the box's units.
+    /// Proposes `count` points to evaluate next, in the box's units, while the returns of the `pending` points, proposed
+    /// after those of the data, are awaited.
     ///
     /// # Errors
     /// The data is invalid (a point outside the box, a return that is not finite) or cannot be fitted.
-    fn propose(&mut self, data: &[Observation], count: usize)
-    -> Result<Vec<Vec<f64>>, SearchError>;
+    fn propose(
+        &mut self,
+        data: &[Observation],
+        pending: &[Vec<f64>],
+        count: usize,
+    ) -> Result<Vec<Vec<f64>>, SearchError>;
 
     /// Recommends the best point.
     ///

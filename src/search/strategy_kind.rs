@@ -106,7 +106,7 @@ mod tests {
         batch: usize,
     ) -> Vec<Observation> {
         while data.len() < until {
-            for point in strategy.propose(&data, batch).unwrap() {
+            for point in strategy.propose(&data, &[], batch).unwrap() {
                 let unit = search_box().to_unit(&point);
                 let bowl: f64 = unit.iter().map(|u| (u - 0.7) * (u - 0.7)).sum();
                 data.push(Observation { point, returns: vec![500.0 * (-3.0 * bowl).exp(); 2] });
@@ -135,7 +135,7 @@ mod tests {
     fn no_batch_collapses_onto_one_point() {
         for kind in StrategyKind::ALL {
             let data = searched(built(kind, 5), vec![], 18, 1);
-            let batch = built(kind, 5).propose(&data, 5).unwrap();
+            let batch = built(kind, 5).propose(&data, &[], 5).unwrap();
             for i in 0..batch.len() {
                 for j in 0..i {
                     let (a, b) = (search_box().to_unit(&batch[i]), search_box().to_unit(&batch[j]));
@@ -175,7 +175,7 @@ mod tests {
             let mut strategy = built(kind, 1);
             let mut refused = |data: &Observation| {
                 let data = std::slice::from_ref(data);
-                let error = strategy.propose(data, 1).unwrap_err();
+                let error = strategy.propose(data, &[], 1).unwrap_err();
                 assert_eq!(strategy.best(data).unwrap_err().to_string(), error.to_string());
                 error
             };

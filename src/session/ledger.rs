@@ -30,6 +30,9 @@ pub enum Entry {
         purpose: Purpose,
         /// Psi in the units and order of the search box.
         psi: Vec<f64>,
+        /// Candidates of the search whose returns were awaited, and unknown to it, when it chose psi.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        pending: Vec<u32>,
     },
     /// The candidate's policy is complete on disk.
     Trained {
@@ -329,7 +332,12 @@ mod tests {
 
     fn sample() -> Vec<Entry> {
         vec![
-            Entry::Proposed { candidate: 0, purpose: Purpose::Initial, psi: vec![0.1, 1.0 / 3.0] },
+            Entry::Proposed {
+                candidate: 0,
+                purpose: Purpose::Initial,
+                psi: vec![0.1, 1.0 / 3.0],
+                pending: Vec::new(),
+            },
             Entry::Trained { candidate: 0 },
             Entry::RolloutVoid { candidate: 0, rollout: 0, attempt: 0 },
             Entry::RolloutFinished { candidate: 0, rollout: 0, attempt: 1 },
@@ -390,8 +398,13 @@ mod tests {
 
     #[test]
     fn entries_that_cannot_follow_each_other_are_found() {
-        let proposed =
-            |candidate| Entry::Proposed { candidate, purpose: Purpose::Initial, psi: vec![] };
+        let beside = |candidate, pending| Entry::Proposed {
+            candidate,
+            purpose: Purpose::Initial,
+            psi: vec![],
+            pending,
+        };
+        let proposed = |candidate| beside(candidate, Vec::new());
         let finished = |rollout, attempt| Entry::RolloutFinished { candidate: 0, rollout, attempt };
         let trained = Entry::Trained { candidate: 0 };
         let begun = || Entry::Begun { settings: file_checksum(b"seed = 1") };

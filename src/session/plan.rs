@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Identification, IdentificationSettings, Purpose, SessionState};
+use super::{Candidate, Identification, IdentificationSettings, Purpose, SessionState};
 use crate::qube::MAX_STEPS;
 
 /// The extent of a session.
@@ -28,6 +28,14 @@ pub struct Extent {
     /// Whether a policy that was trained on the nominal Qube is run once at the end, for comparison.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub baseline: bool,
+    /// Number of candidates whose returns the search awaits when it proposes another, which is trained while these run
+    /// on the Qube. With 0, Qube and trainings wait for each other. A search around an identified Qube awaits none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub pending: u32,
+}
+
+fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 impl Extent {
@@ -41,6 +49,7 @@ impl Extent {
         steps: MAX_STEPS as u32,
         repetitions: 3,
         baseline: false,
+        pending: 0,
     };
 
     /// The thesis's extent: 15 points and 10 iterations, five rollouts each.
@@ -103,14 +112,11 @@ pub fn next_step(
     extent: &Extent,
     identification: Option<&IdentificationSettings>,
 ) -> Step {
-    let missing = |purpose, wanted: u32| {
-        let count = wanted.saturating_sub(state.count_of(purpose));
-        (count > 0).then_some(Step::Propose { count, purpose })
-    };
-    let identifies = identification.filter(|_| match state.identification() {
-        Identification::None | Identification::Found { .. } => true,
-        Identification::Refused(_) => false,
-    });
+    if trains_ahead(state, extent, identification) {
+        return next_step_ahead(state, extent);
+    }
+    let missing = |purpose, wanted: u32| state.missing(purpose, wanted);
+    let identifies = identifying(state, identification);
     // All excitations, and all initial points, are proposed together; policies can then train on all cores.
     let together = match identifies {
         Some(plan) => missing(Purpose::Excitation, plan.excitations),
@@ -136,6 +142,54 @@ pub fn next_step(
         .unwrap_or(Step::Done)
 }
 
+/// Whether policies are trained while others run on the Qube.
+#[must_use]
+pub fn trains_ahead(
+    state: &SessionState,
+    extent: &Extent,
+    identification: Option<&IdentificationSettings>,
+) -> bool {
+    extent.pending > 0 && identifying(state, identification).is_none()
+}
+
+/// The settings of the identification, unless it has failed.
+fn identifying<'a>(
+    state: &SessionState,
+    identification: Option<&'a IdentificationSettings>,
+) -> Option<&'a IdentificationSettings> {
+    identification.filter(|_| !matches!(state.identification(), Identification::Refused(_)))
+}
+
+/// The next step of a search that proposes while it awaits returns.
+///
+/// A proposal is due as soon as no more than `extent.pending` candidates are awaited, before the next rollout. So its
+/// data do not depend on the time that trainings take, and a candidate has either all of its rollouts or none when it is
+/// made. `Step::Train` means that the first unfinished candidate cannot run before its policy is trained; the other
+/// trainings are under way since their proposals.
+fn next_step_ahead(state: &SessionState, extent: &Extent) -> Step {
+    if let Some(step) = state.missing(Purpose::Initial, extent.initial_candidates) {
+        return step;
+    }
+    let awaited = state.awaited(extent.rollouts).count() as u32;
+    if state.count_of(Purpose::Search) < extent.iterations && awaited <= extent.pending {
+        return Step::Propose { count: 1, purpose: Purpose::Search };
+    }
+    if awaited == 0 {
+        // The best candidate's policy runs while that of the recommendation is trained.
+        let last = [
+            (Purpose::Incumbent, extent.verifies_incumbent),
+            (Purpose::Verification, true),
+            (Purpose::Baseline, extent.baseline),
+        ];
+        let missing =
+            last.into_iter().find_map(|(purpose, wanted)| state.missing(purpose, wanted.into()));
+        if let Some(step) = missing {
+            return step;
+        }
+    }
+    state.candidates().iter().find_map(|it| lacking(it, extent, None)).unwrap_or(Step::Done)
+}
+
 /// The training or rollout that the first unfinished candidate lacks; `None` if all are finished.
 fn unfinished(
     state: &SessionState,
@@ -148,21 +202,39 @@ fn unfinished(
     if !untrained.is_empty() {
         return Some(Step::Train { candidates: untrained });
     }
-    candidates.iter().find_map(|it| {
-        let wanted = match (it.purpose, identifies) {
-            (Purpose::Excitation | Purpose::Baseline, _) => 1,
-            (Purpose::Verification | Purpose::Incumbent, _) => extent.verification_rollouts,
-            (Purpose::Initial | Purpose::Search, Some(plan)) => plan.rollouts,
-            (Purpose::Initial | Purpose::Search, None) => extent.rollouts,
-        };
-        let (candidate, rollout, attempt) = (it.number, it.finished.len() as u32, it.void);
-        let given_up = attempt > extent.repetitions;
-        (rollout < wanted).then_some(if given_up {
-            Step::GiveUp { candidate, rollout }
-        } else {
-            Step::Rollout { candidate, rollout, attempt }
-        })
+    candidates.iter().find_map(|it| lacking(it, extent, identifies))
+}
+
+/// The training or rollout that a candidate lacks; `None` if it is finished.
+fn lacking(
+    it: &Candidate,
+    extent: &Extent,
+    identifies: Option<&IdentificationSettings>,
+) -> Option<Step> {
+    let wanted = match (it.purpose, identifies) {
+        (Purpose::Excitation | Purpose::Baseline, _) => 1,
+        (Purpose::Verification | Purpose::Incumbent, _) => extent.verification_rollouts,
+        (Purpose::Initial | Purpose::Search, Some(plan)) => plan.rollouts,
+        (Purpose::Initial | Purpose::Search, None) => extent.rollouts,
+    };
+    let (candidate, rollout, attempt) = (it.number, it.finished.len() as u32, it.void);
+    let given_up = attempt > extent.repetitions;
+    if !it.trained {
+        return Some(Step::Train { candidates: vec![candidate] });
+    }
+    (rollout < wanted).then_some(if given_up {
+        Step::GiveUp { candidate, rollout }
+    } else {
+        Step::Rollout { candidate, rollout, attempt }
     })
+}
+
+impl SessionState {
+    /// The proposal of the candidates of a purpose that are missing.
+    fn missing(&self, purpose: Purpose, wanted: u32) -> Option<Step> {
+        let count = wanted.saturating_sub(self.count_of(purpose));
+        (count > 0).then_some(Step::Propose { count, purpose })
+    }
 }
 
 #[cfg(test)]
@@ -183,19 +255,38 @@ mod tests {
         steps: MAX_STEPS as u32,
         repetitions: 3,
         baseline: false,
+        pending: 0,
     };
 
-    /// Performs each step, with a fault now and then, and returns the ledger.
+    fn awaited(entries: &[Entry], extent: &Extent) -> Vec<u32> {
+        let state = SessionState::of(entries).unwrap();
+        state.awaited(extent.rollouts).map(|it| it.number).collect()
+    }
+
     fn session(fault_every: u32) -> Vec<Entry> {
+        session_of(&EXTENT, fault_every)
+    }
+
+    /// Performs each step, with a fault now and then, and returns the ledger.
+    fn session_of(extent: &Extent, fault_every: u32) -> Vec<Entry> {
         let mut entries: Vec<Entry> = Vec::new();
         let mut tries = 0;
         loop {
-            match next_step_after(&entries, &EXTENT) {
+            match next_step_after(&entries, extent) {
                 Step::Propose { count, purpose } => {
                     for _ in 0..count {
                         let candidate =
                             SessionState::of(&entries).unwrap().candidates().len() as u32;
-                        entries.push(Entry::Proposed { candidate, purpose, psi: vec![0.0] });
+                        let pending = match purpose {
+                            Purpose::Search => awaited(&entries, extent),
+                            _ => Vec::new(),
+                        };
+                        entries.push(Entry::Proposed {
+                            candidate,
+                            purpose,
+                            psi: vec![0.0],
+                            pending,
+                        });
                     }
                 }
                 Step::Train { candidates } => {
@@ -247,10 +338,70 @@ mod tests {
     }
 
     #[test]
+    fn a_search_that_awaits_returns_proposes_before_the_next_rollout() {
+        for pending in [1, 2, 5] {
+            let extent = Extent { iterations: 4, pending, baseline: true, ..EXTENT };
+            let entries = session_of(&extent, 1000);
+            for (index, entry) in entries.iter().enumerate() {
+                let Entry::Proposed { candidate, purpose: Purpose::Search, pending, .. } = entry
+                else {
+                    continue;
+                };
+                // No more candidates are awaited than allowed, and none has run in part.
+                let expected: Vec<u32> =
+                    (candidate.saturating_sub(extent.pending)..*candidate).collect();
+                assert_eq!(*pending, expected, "pending {}", extent.pending);
+                let state = SessionState::of(&entries[..index]).unwrap();
+                assert!(state.searched().all(|it| [0, 2].contains(&it.finished.len())));
+            }
+            let state = SessionState::of(&entries).unwrap();
+            let purposes: Vec<Purpose> = state.candidates().iter().map(|it| it.purpose).collect();
+            assert_eq!(
+                purposes[7..],
+                [Purpose::Incumbent, Purpose::Verification, Purpose::Baseline]
+            );
+            let rollouts: Vec<usize> =
+                state.candidates().iter().map(|it| it.finished.len()).collect();
+            assert_eq!(rollouts, [2, 2, 2, 2, 2, 2, 2, 4, 4, 1]);
+            // The recommendation is proposed before its rival runs, so that it trains meanwhile.
+            let proposed = |it: &Entry| matches!(it, Entry::Proposed { candidate: 8, .. });
+            let runs = |it: &Entry| matches!(it, Entry::RolloutFinished { candidate: 7, .. });
+            assert!(entries.iter().position(proposed) < entries.iter().position(runs));
+        }
+    }
+
+    #[test]
+    fn a_search_around_an_identified_qube_awaits_no_returns() {
+        let extent = Extent { pending: 2, ..EXTENT };
+        let mut entries = finished(0, Purpose::Excitation, 1);
+        let ahead = |entries: &[Entry]| {
+            trains_ahead(&SessionState::of(entries).unwrap(), &extent, Some(&IDENTIFIED))
+        };
+        assert!(!ahead(&entries));
+        assert_eq!(
+            next_around(&entries, &extent),
+            Step::Propose { count: 1, purpose: Purpose::Excitation }
+        );
+        entries.push(Entry::NotIdentified { reason: "it does not fit".into() });
+        assert!(ahead(&entries));
+        assert_eq!(
+            next_around(&entries, &extent),
+            Step::Propose { count: 3, purpose: Purpose::Initial }
+        );
+    }
+
+    #[test]
     fn each_prefix_of_a_ledger_goes_on_to_the_same_end() {
-        let whole = session(1000);
+        for pending in [0, 1, 3] {
+            let extent = Extent { pending, ..EXTENT };
+            is_continued_from_each_prefix(&extent);
+        }
+    }
+
+    fn is_continued_from_each_prefix(extent: &Extent) {
+        let whole = session_of(extent, 1000);
         for length in 0..whole.len() {
-            let next = next_step_after(&whole[..length], &EXTENT);
+            let next = next_step_after(&whole[..length], extent);
             let (candidate, ok) = match (&whole[length], next) {
                 (Entry::Proposed { purpose, .. }, Step::Propose { purpose: wanted, .. }) => {
                     (0, *purpose == wanted)
@@ -288,7 +439,7 @@ mod tests {
     }
 
     fn proposed(candidate: u32, purpose: Purpose) -> Entry {
-        Entry::Proposed { candidate, purpose, psi: Vec::new() }
+        Entry::Proposed { candidate, purpose, psi: Vec::new(), pending: Vec::new() }
     }
 
     /// The entries of a finished candidate with so many rollouts.

@@ -303,7 +303,7 @@ mod tests {
         let settings = SessionSettings::quick();
         let random = SessionSettings { strategy: StrategyKind::Random, ..settings.clone() };
         let next = |settings: &SessionSettings, data: &[Observation]| {
-            settings.search().unwrap().propose(data, 1).unwrap().remove(0)
+            settings.search().unwrap().propose(data, &[], 1).unwrap().remove(0)
         };
         let mut data = Vec::new();
         for i in 0..settings.extent.initial_candidates {

@@ -37,6 +37,7 @@ impl SessionSettings {
             ("extent.verification_rollouts", self.extent.verification_rollouts, 1..=1000),
             ("extent.steps", self.extent.steps, 1..=MAX_STEPS as u32),
             ("extent.repetitions", self.extent.repetitions, 0..=1000),
+            ("extent.pending", self.extent.pending, 0..=1000),
         ];
         for (name, value, range) in counts {
             if !range.contains(&value) {

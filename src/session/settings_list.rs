@@ -191,6 +191,7 @@ impl SessionSettings {
         none_is(warming_per_w, 0.02);
         none_is(eccentricity_rad, 0.005);
         all.extent.baseline = true;
+        all.extent.pending = all.extent.pending.max(1);
         all.preset.get_or_insert(self.preset());
         all.training.target_return.get_or_insert(550.0);
         all.training.adam_epsilon_beside_root = true;

@@ -22,7 +22,7 @@ pub(super) fn words(key: &str) -> Option<&'static Words> {
     WORDS.iter().filter(is_end).max_by_key(|words| words.key.len())
 }
 
-const WORDS: [Words; 106] = [
+const WORDS: [Words; 107] = [
     of("name", "", "Name of the session; its folder's by default"),
     of("seed", "", "Seed from which every random number follows"),
     of("model", "", "Model whose psi the search varies where no Qube is identified"),
@@ -55,6 +55,11 @@ const WORDS: [Words; 106] = [
         "extent.baseline",
         "",
         "Whether a policy of the nominal Qube is run once at the end, for comparison",
+    ),
+    of(
+        "extent.pending",
+        "",
+        "Number of candidates whose returns are awaited when the search proposes another, which is trained meanwhile",
     ),
     of("identification.excitations", "", "Number of recordings under an excitation, of 10 s each"),
     of(

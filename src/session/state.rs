@@ -80,6 +80,11 @@ impl SessionState {
         self.candidates.iter().filter(|candidate| candidate.purpose.is_searched())
     }
 
+    /// The candidates of the search that lack some of their rollouts.
+    pub fn awaited(&self, rollouts: u32) -> impl Iterator<Item = &Candidate> {
+        self.searched().filter(move |candidate| candidate.finished.len() < rollouts as usize)
+    }
+
     /// Number of candidates with this purpose.
     #[must_use]
     pub fn count_of(&self, purpose: Purpose) -> u32 {
@@ -115,9 +120,17 @@ impl SessionState {
                 return Err("a session begins in the first line");
             }
             Entry::Begun { .. } => {}
-            Entry::Proposed { candidate, purpose, ref psi } => {
+            Entry::Proposed { candidate, purpose, ref psi, ref pending } => {
                 if candidate as usize != self.candidates.len() {
                     return Err("candidates are not numbered in their order");
+                }
+                let awaited = |number: &u32| {
+                    self.candidates
+                        .get(*number as usize)
+                        .is_some_and(|it| it.purpose.is_searched() && it.finished.is_empty())
+                };
+                if !pending.iter().all(awaited) {
+                    return Err("a pending candidate is none of the search's, or has returns");
                 }
                 self.candidates.push(Candidate {
                     number: candidate,

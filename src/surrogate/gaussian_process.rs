@@ -216,12 +216,15 @@ impl GaussianProcess {
         self.data.own_noise.add_scalar(self.hyperparameters.noise_variance + self.factor.jitter())
     }
 
+    /// Variance that stands for none, standardised.
+    pub(super) fn noiseless_variance(&self) -> f64 {
+        NOISELESS * self.hyperparameters.signal_variance
+    }
+
     /// Factor of the data's covariance without noise.
     pub(super) fn noiseless_factor(&self) -> Result<Factor, SurrogateError> {
-        let noiseless = Hyperparameters {
-            noise_variance: NOISELESS * self.hyperparameters.signal_variance,
-            ..self.hyperparameters.clone()
-        };
+        let noise_variance = self.noiseless_variance();
+        let noiseless = Hyperparameters { noise_variance, ..self.hyperparameters.clone() };
         Covariance::new(&self.data.without_own_noise(), self.kernel, &noiseless).factor(&noiseless)
     }
 

@@ -48,6 +48,8 @@ pub fn settings(seed: u64) -> SessionSettings {
         steps: STEPS,
         repetitions: 3,
         baseline: false,
+        // Every other session trains while its Qube runs.
+        pending: (seed % 2) as u32,
     };
     settings.homing.method = HomingMethod::Hand;
     // The files are under test here; the guard's simulations would take most of the time.

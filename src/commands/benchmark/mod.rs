@@ -41,6 +41,10 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value = "60")]
     evaluations: NonZeroUsize,
 
+    /// Points that are proposed and not evaluated yet when the next one is proposed, for `regret`
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pending: u32,
+
     /// Seed from which every random number follows
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -94,10 +98,13 @@ impl Arguments {
 
 fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let (repetitions, evaluations) = (arguments.repetitions(50), arguments.evaluations.get());
-    let settings = BayRnSettings::default();
+    let (settings, pending) = (BayRnSettings::default(), arguments.pending as usize);
     let mut text = format!(
         "simple regret after {evaluations} evaluations, {repetitions} repetitions: median [quartiles]\n"
     );
+    if pending > 0 {
+        text += &format!("each point was proposed while {pending} before it were not evaluated\n");
+    }
     let mut curves: Vec<RegretCurve> = Vec::new();
     for objective in Objective::ALL {
         text += &format!("\n{} ({} dimensions)\n", objective.name(), objective.dimensions());
@@ -105,7 +112,7 @@ fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             let title = format!("{} {}", objective.name(), strategy);
             let found = parallel::map(repetitions, arguments.threads(), &title, |repetition| {
                 let seed = arguments.seed.wrapping_add(repetition as u64);
-                simple_regret(objective, strategy, &settings, evaluations, seed)
+                simple_regret(objective, strategy, &settings, evaluations, pending, seed)
             });
             let found: Vec<Vec<f64>> =
                 found.into_iter().collect::<Result<_, _>>().map_err(Failure::failed)?;

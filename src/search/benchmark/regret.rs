@@ -20,7 +20,8 @@ pub struct RegretCurve {
     pub regret: Vec<Quartiles>,
 }
 
-/// Runs one repetition and returns the simple regret after each of `evaluations` evaluations.
+/// Runs one repetition and returns the simple regret after each of `evaluations` evaluations. Each point is proposed while
+/// the `pending` points before it are not evaluated yet.
 ///
 /// # Errors
 /// The strategy cannot be built or cannot propose.
@@ -29,19 +30,23 @@ pub fn simple_regret(
     strategy: StrategyKind,
     settings: &BayRnSettings,
     evaluations: usize,
+    pending: usize,
     seed: u64,
 ) -> Result<Vec<f64>, SearchError> {
     let mut strategy = strategy.build(&objective.search_box()?, settings, seed)?;
     let mut data: Vec<Observation> = Vec::with_capacity(evaluations);
     let mut best = f64::NEG_INFINITY;
     let mut regret = Vec::with_capacity(evaluations);
+    let mut proposed: Vec<Vec<f64>> = Vec::new();
     while data.len() < evaluations {
-        for point in strategy.propose(&data, 1)? {
-            let value = objective.value(&point);
-            best = best.max(value);
-            regret.push(objective.maximum() - best);
-            data.push(Observation { point, returns: vec![value] });
+        while proposed.len() <= pending {
+            proposed.extend(strategy.propose(&data, &proposed, 1)?);
         }
+        let point = proposed.remove(0);
+        let value = objective.value(&point);
+        best = best.max(value);
+        regret.push(objective.maximum() - best);
+        data.push(Observation { point, returns: vec![value] });
     }
     Ok(regret)
 }
@@ -69,12 +74,18 @@ mod tests {
     #[test]
     fn falls_repeats_and_bayrn_beats_chance() {
         let settings = BayRnSettings { initial_points: 6, ..BayRnSettings::default() };
-        let run = |kind, seed| simple_regret(Objective::Branin, kind, &settings, 25, seed).unwrap();
+        let run_beside = |pending, kind, seed| {
+            simple_regret(Objective::Branin, kind, &settings, 25, pending, seed).unwrap()
+        };
+        let run = |kind, seed| run_beside(0, kind, seed);
         for kind in StrategyKind::ALL {
-            let regret = run(kind, 4);
-            assert!(regret.windows(2).all(|pair| pair[1] <= pair[0]) && regret[24] >= 0.0);
-            assert_eq!(regret, run(kind, 4));
+            for pending in [0, 2] {
+                let regret = run_beside(pending, kind, 4);
+                assert!(regret.windows(2).all(|pair| pair[1] <= pair[0]) && regret[24] >= 0.0);
+                assert_eq!(regret, run_beside(pending, kind, 4));
+            }
         }
+        assert_ne!(run(StrategyKind::BayRn, 4), run_beside(2, StrategyKind::BayRn, 4));
         let after = |kind| {
             let all: Vec<Vec<f64>> = (0..5).map(|seed| run(kind, seed)).collect();
             RegretCurve::new(Objective::Branin, kind, &all).regret[24].median

@@ -127,7 +127,7 @@ impl TwoHumped {
         )?;
         let mut data: Vec<Observation> = Vec::with_capacity(self.candidates);
         while data.len() < self.candidates {
-            for point in strategy.propose(&data, 1)? {
+            for point in strategy.propose(&data, &[], 1)? {
                 let returns = landscape.rollouts(&point, self, data.len());
                 data.push(Observation { point, returns });
             }

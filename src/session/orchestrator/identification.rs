@@ -158,7 +158,7 @@ impl Session {
         }
         let purpose = if searched < INITIAL_AROUND { Purpose::Initial } else { Purpose::Search };
         let mut strategy = self.settings.search()?;
-        let psi = strategy.propose(&self.observations()?, 1)?.remove(0);
+        let psi = strategy.propose(&self.observations()?, &[], 1)?.remove(0);
         self.append_proposal(purpose, psi, tell)
     }
 
@@ -181,7 +181,7 @@ impl Session {
         for it in scored.iter().filter(|it| it.candidate.purpose.is_searched()) {
             let number = it.candidate.number;
             if let Ok(Policy::Network(policy)) = Policy::from_bytes(&self.policy(number)?) {
-                let evaluation = self.simulated(number, &policy.network)?;
+                let evaluation = self.trainer().simulated(number, &policy.network)?;
                 simulated = simulated.max(evaluation.mean_return());
             }
         }

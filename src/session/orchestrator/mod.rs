@@ -1,12 +1,17 @@
 //! Performs the method's steps in their order: proposals, identification, trainings, rollouts.
 
 mod identification;
+mod policies;
+mod proposals;
 mod training;
+mod training_ahead;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+use training_ahead::TrainingAhead;
 
 use super::folder::put_aside;
 use super::seeds::{SeedFor, derived_seed};
@@ -16,12 +21,11 @@ use super::{
     Step, file_checksum, next_step,
 };
 use crate::jobs::{Executor, LocalExecutor};
-use crate::policy::{EXCITATION_STEPS, MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
+use crate::policy::EXCITATION_STEPS;
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, Doubt, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::scoring::{Verdict, score, score_recording};
-use crate::search::{Observation, SearchError};
 use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
 
@@ -36,6 +40,8 @@ pub struct Session {
     verdicts: HashMap<(u32, u32, u32), Verdict>,
     stop: Arc<AtomicBool>,
     executor: Arc<dyn Executor>,
+    /// Trainings beside the rollouts, where the search proposes while it awaits returns.
+    ahead: Option<TrainingAhead>,
     /// Model in the rig's profile, until today's drift is known.
     profile: Option<QubeModel>,
     /// Today's recordings, until there are enough for the drift.
@@ -58,6 +64,13 @@ impl Session {
     ) -> Result<Self, SessionError> {
         let mut ledger = Ledger::open(folder.disk(), &folder.paths().ledger())?;
         bind(&mut ledger, &folder)?;
+        // An emulated Qube in virtual time is not late, whatever else the computer does.
+        let in_real_time = rig_settings.clock == ClockChoice::Wall;
+        let executor = if settings.extent.pending > 0 && in_real_time {
+            LocalExecutor::beside_control_thread()
+        } else {
+            LocalExecutor::on_all_cores()
+        };
         let mut session = Self {
             folder,
             ledger,
@@ -66,7 +79,8 @@ impl Session {
             rig: None,
             verdicts: HashMap::new(),
             stop,
-            executor: Arc::new(LocalExecutor::on_all_cores()),
+            executor: Arc::new(executor),
+            ahead: None,
             profile: None,
             today: Vec::new(),
             not_begun: 0,
@@ -122,12 +136,26 @@ impl Session {
         goes_on: impl Fn(&SessionState) -> bool,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
+        let ended = self.perform_while(goes_on, tell);
+        if ended.is_err() {
+            // Its trainings end, and begin again when the session goes on.
+            self.ahead = None;
+        }
+        ended
+    }
+
+    fn perform_while(
+        &mut self,
+        goes_on: impl Fn(&SessionState) -> bool,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
         self.heed_doubt()?;
         self.connect_early(tell)?;
         while goes_on(self.ledger.state()) {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped);
             }
+            self.train_ahead(tell)?;
             match self.next_step() {
                 Step::Propose { count, purpose } => self.propose(count, purpose, tell)?,
                 Step::Identify => self.identify(tell)?,
@@ -253,59 +281,6 @@ impl Session {
 
     fn policy_path(&self, candidate: u32) -> PathBuf {
         self.folder.paths().candidate(candidate).policy()
-    }
-
-    fn propose(
-        &mut self,
-        count: u32,
-        purpose: Purpose,
-        tell: &mut dyn FnMut(SessionEvent),
-    ) -> Result<(), SessionError> {
-        let mut strategy = self.settings.search()?;
-        let chosen = match purpose {
-            Purpose::Initial => {
-                // All initial points are computed each time, so that a crash between two of them changes
-                // nothing.
-                let all = self.settings.extent.initial_candidates;
-                let points = strategy.propose(&[], all as usize)?;
-                points.into_iter().skip((all - count) as usize).collect()
-            }
-            Purpose::Search => strategy.propose(&self.observations()?, count as usize)?,
-            Purpose::Excitation | Purpose::Baseline => vec![Vec::new(); count as usize],
-            Purpose::Verification => vec![strategy.best(&self.observations()?)?.point],
-            Purpose::Incumbent => vec![self.incumbent()?.psi],
-        };
-        for psi in chosen {
-            self.append_proposal(purpose, psi, tell)?;
-        }
-        Ok(())
-    }
-
-    fn append_proposal(
-        &mut self,
-        purpose: Purpose,
-        psi: Vec<f64>,
-        tell: &mut dyn FnMut(SessionEvent),
-    ) -> Result<(), SessionError> {
-        let candidate = self.ledger.state().candidates().len() as u32;
-        self.ledger.append(Entry::Proposed { candidate, purpose, psi })?;
-        tell(SessionEvent::Proposed { candidate, purpose });
-        Ok(())
-    }
-
-    /// The surrogate's data set, computed from ledger and recordings and stored nowhere.
-    fn observations(&mut self) -> Result<Vec<Observation>, SessionError> {
-        let with_results = self.searched()?.filter(|it| !it.verdicts.is_empty());
-        Ok(with_results.map(|it| it.observation()).collect())
-    }
-
-    /// The searched candidate with the highest mean return.
-    fn incumbent(&mut self) -> Result<Candidate, SessionError> {
-        self.searched()?
-            .filter_map(|it| Some((it.mean_return()?, it.candidate)))
-            .max_by(|(one, _), (other, _)| one.total_cmp(other))
-            .map(|(_, candidate)| candidate)
-            .ok_or(SearchError::NothingEvaluated.into())
     }
 
     fn rollout(
@@ -437,19 +412,6 @@ impl Session {
         let rig = self.ready_rig(SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
         rig.rollout(disk.as_ref(), path, plan.header(), &policy)?;
         Ok(())
-    }
-
-    /// The bytes of a candidate's policy, checked.
-    fn policy(&self, candidate: u32) -> Result<Vec<u8>, SessionError> {
-        let path = self.policy_path(candidate);
-        let bytes = self
-            .folder
-            .disk()
-            .read(&path, MAX_POLICY_BYTES)
-            .map_err(|source| PolicyError::Unreadable { path: path.clone(), source })?;
-        let policy =
-            Policy::from_bytes(&bytes).map_err(|fault| PolicyError::Bad { path, fault })?;
-        Ok(policy.to_bytes())
     }
 
     /// The rig, opened on first use. Under virtual time each rollout has a new one that follows from the

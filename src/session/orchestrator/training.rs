@@ -1,15 +1,19 @@
 //! Trains the policies of candidates, each with one seed or with several of which the best is kept.
 
-use super::Session;
-use crate::jobs::{CHOSEN_OF_STARTS, JobEvent, ROUNDS, SUCCEEDED, TrainingJob, worst_return};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use crate::jobs::{
+    CHOSEN_OF_STARTS, Executor, JobEvent, ROUNDS, SUCCEEDED, TrainingJob, worst_return,
+};
 use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_afresh};
-use crate::policy::{Excitation, ExcitationShape, Network, Policy};
+use crate::policy::Network;
 use crate::session::seeds::{SeedFor, derived_seed};
 use crate::session::{
-    Candidate, Entry, Identification, Purpose, SessionError, SessionEvent, SessionFolder,
+    Candidate, Identification, Purpose, SessionError, SessionEvent, SessionPaths, SessionSettings,
 };
 use crate::simulation::{DomainDistribution, Evaluation, Model, SimulationSettings};
-use crate::storage::write_whole;
+use crate::storage::{Disk, write_whole};
 
 /// The Qubes that a policy is trained for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,42 +34,30 @@ struct Competition {
     best: Option<(f64, Trained, TrainedFor)>,
 }
 
-impl Session {
-    /// Trains the policies of these candidates.
+/// Trains policies and writes them into the session's folder. It is apart from the session's rig and ledger, so that it
+/// may do so in another thread.
+#[derive(Clone)]
+pub(super) struct Trainer {
+    pub(super) disk: Arc<dyn Disk>,
+    pub(super) paths: SessionPaths,
+    pub(super) settings: SessionSettings,
+    pub(super) identification: Identification,
+    pub(super) executor: Arc<dyn Executor>,
+}
+
+impl Trainer {
+    /// Trains the policies of these candidates, round after round.
     pub(super) fn train(
-        &mut self,
-        numbers: &[u32],
+        &self,
+        mut due: Vec<Candidate>,
+        stop: &AtomicBool,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let mut due = Vec::new();
-        for &number in numbers {
-            self.folder.make_candidate(number)?;
-            // Policy files appear atomically: an existing file was trained before a crash.
-            if self.folder.disk().exists(&self.policy_path(number)) {
-                continue;
-            }
-            let candidate = self.ledger.state().candidates()[number as usize].clone();
-            match candidate.purpose {
-                Purpose::Incumbent => {
-                    let incumbent = self.incumbent()?.number;
-                    let policy = self.policy(incumbent)?;
-                    write_whole(self.folder.disk(), &self.policy_path(number), &policy)?;
-                }
-                Purpose::Excitation => {
-                    let bytes = self.excitation(number).to_bytes();
-                    write_whole(self.folder.disk(), &self.policy_path(number), &bytes)?;
-                }
-                Purpose::Initial | Purpose::Search | Purpose::Verification | Purpose::Baseline => {
-                    due.push(candidate);
-                }
-            }
-        }
         for round in 0..ROUNDS {
-            due = self.train_round(due, round, tell)?;
-        }
-        // The entries are in the order of the candidates' numbers, whichever was trained first.
-        for &candidate in numbers {
-            self.ledger.append(Entry::Trained { candidate })?;
+            if due.is_empty() {
+                break;
+            }
+            due = self.train_round(due, round, stop, tell)?;
         }
         Ok(())
     }
@@ -78,7 +70,7 @@ impl Session {
             return vec![TrainedFor::Nominal];
         }
         let (Identification::Found { doubts, .. }, Some(plan)) =
-            (self.ledger.state().identification(), &self.settings.identification)
+            (&self.identification, &self.settings.identification)
         else {
             return vec![TrainedFor::Psi];
         };
@@ -89,13 +81,6 @@ impl Session {
         trainings
     }
 
-    /// The excitation of a candidate; consecutive ones start in opposite directions.
-    fn excitation(&self, candidate: u32) -> Policy {
-        let of_qube_v = self.settings.identification.unwrap_or_default().excitation_v;
-        let limit_v = self.settings.plant().volts_like(of_qube_v);
-        Policy::Excitation(Excitation::of_rollout(ExcitationShape::Chirp, limit_v, candidate))
-    }
-
     /// Carries out a round of each candidate's trainings and keeps its best policy as soon as all of them have ended.
     /// Returns the candidates whose trainings have all failed in simulation; in the last round the best of them is
     /// kept nonetheless.
@@ -103,6 +88,7 @@ impl Session {
         &self,
         candidates: Vec<Candidate>,
         round: u32,
+        stop: &AtomicBool,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<Vec<Candidate>, SessionError> {
         let is_last = round + 1 == ROUNDS;
@@ -121,7 +107,7 @@ impl Session {
             competitions.push(Competition { missing, best: None });
         }
         let mut failed = None;
-        self.executor.train(&jobs, &self.stop, &mut |event| match event {
+        self.executor.train(&jobs, stop, &mut |event| match event {
             JobEvent::Update { job, update } => {
                 let (index, training, _) = of_job[job];
                 let candidate = candidates[index].number;
@@ -175,7 +161,7 @@ impl Session {
         }
         let Some((_, best, purpose)) = competition.best.take() else { return Ok(None) };
         let best_return = best.best_return;
-        save(&self.folder, candidate.number, best, self.origin(candidate, purpose)?)?;
+        self.save(candidate.number, best, self.origin(candidate, purpose)?)?;
         Ok(Some(best_return))
     }
 
@@ -229,16 +215,11 @@ impl Session {
         let distribution = settings.base_distribution()?;
         Ok(evaluate_afresh(network, &distribution, simulation, seed, CHOSEN_OF_STARTS))
     }
-}
 
-fn save(
-    folder: &SessionFolder,
-    candidate: u32,
-    trained: Trained,
-    origin: Origin,
-) -> Result<(), SessionError> {
-    let paths = folder.paths().candidate(candidate);
-    write_whole(folder.disk(), &paths.curve(), curve_csv(&trained.curve).as_bytes())?;
-    write_whole(folder.disk(), &paths.policy(), &trained.into_policy(origin).to_bytes())?;
-    Ok(())
+    fn save(&self, candidate: u32, trained: Trained, origin: Origin) -> Result<(), SessionError> {
+        let (disk, paths) = (self.disk.as_ref(), self.paths.candidate(candidate));
+        write_whole(disk, &paths.curve(), curve_csv(&trained.curve).as_bytes())?;
+        write_whole(disk, &paths.policy(), &trained.into_policy(origin).to_bytes())?;
+        Ok(())
+    }
 }

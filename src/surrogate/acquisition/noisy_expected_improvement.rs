@@ -1,3 +1,5 @@
+use std::borrow::Cow;
+
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -17,11 +19,18 @@ use crate::surrogate::{GaussianProcess, SurrogateError};
 /// 2019, "Constrained Bayesian optimization with noisy experiments"). Unlike the best posterior mean, the
 /// incumbent keeps its own uncertainty, and unlike the best observation it is not biased by luck. The
 /// criterion never asks for a second observation of a point, however noisy.
+///
+/// Points that are under evaluation are *pending*: their values are drawn together with those at the observed points
+/// (fantasies; Snoek et al. 2012, `X_pending` of BoTorch), and an improvement is one over them too. Points that are
+/// chosen one after the other, each with its predecessors pending, are the greedy maximiser of the expected improvement
+/// of all together (q-noisy expected improvement; Balandat et al. 2020).
 pub struct LogNoisyExpectedImprovement<'a> {
-    process: &'a GaussianProcess,
+    /// Process whose points `X` are the n observed ones and the pending ones behind them. Of its values only the
+    /// observed ones count.
+    process: Cow<'a, GaussianProcess>,
     /// `k(X, X)` without noise.
     noiseless: Factor,
-    /// For each draw `f`: `k(X, X)^-1 (f - m)`, n, and the largest `f - m`.
+    /// For each draw `f`: `k(X, X)^-1 (f - m)`, and the largest `f - m`.
     draws: Vec<(DVector<f64>, f64)>,
 }
 
@@ -29,23 +38,36 @@ pub struct LogNoisyExpectedImprovement<'a> {
 const PAIRS: usize = 32;
 
 impl<'a> LogNoisyExpectedImprovement<'a> {
-    /// A noisy expected improvement on a process, with draws from a seed. Costs O(n^3).
+    /// A noisy expected improvement on a process, with draws from a seed, while the returns of `pending` points (in the
+    /// box's own units) are awaited. Costs O(n^3).
     ///
     /// # Errors
-    /// The covariance without noise cannot be factored.
-    pub fn new(process: &'a GaussianProcess, seed: u64) -> Result<Self, SurrogateError> {
-        let noiseless = process.noiseless_factor()?;
+    /// A pending point lies outside the box, or the covariance without noise cannot be factored.
+    pub fn new(
+        process: &'a GaussianProcess,
+        pending: &[Vec<f64>],
+        seed: u64,
+    ) -> Result<Self, SurrogateError> {
+        let mut all = Cow::Borrowed(process);
+        for point in pending {
+            all = Cow::Owned(all.with_fantasies(point, process.mean(point))?);
+        }
+        let noiseless = all.noiseless_factor()?;
         let (mean, root) = posterior_at_data(process)?;
+        let fantasies = Fantasies::new(process, pending)?;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut normals = |count| DVector::from_fn(count, |_, _| draw(&mut random));
         let mut draws = Vec::with_capacity(2 * PAIRS);
         for _ in 0..PAIRS {
-            let shift = &root * DVector::from_fn(mean.len(), |_, _| draw(&mut random));
-            for values in [&mean + &shift, &mean - &shift] {
+            let shift = &root * normals(mean.len());
+            let noise = normals(pending.len());
+            for (observed, noise) in [(&mean + &shift, noise.clone()), (&mean - &shift, -noise)] {
+                let values = fantasies.appended_to(observed, &noise);
                 let best = values.max();
                 draws.push((noiseless.solve(values.as_slice()), best));
             }
         }
-        Ok(Self { process, noiseless, draws })
+        Ok(Self { process: all, noiseless, draws })
     }
 
     fn evaluate(&self, point: &[f64], with_gradient: bool) -> (f64, Vec<f64>) {
@@ -94,6 +116,48 @@ impl Acquisition for LogNoisyExpectedImprovement<'_> {
     }
 }
 
+/// The values at pending points, given those at the n observed points without noise: a normal distribution whose mean
+/// is linear in the observed values.
+struct Fantasies {
+    /// For each pending point `p`: `k(X, X)^-1 k(X, p)`, n.
+    weights: Vec<DVector<f64>>,
+    /// A root of their covariance.
+    root: DMatrix<f64>,
+}
+
+impl Fantasies {
+    fn new(process: &GaussianProcess, pending: &[Vec<f64>]) -> Result<Self, SurrogateError> {
+        if pending.is_empty() {
+            return Ok(Self { weights: Vec::new(), root: DMatrix::zeros(0, 0) });
+        }
+        let observed = process.noiseless_factor()?;
+        let crosses: Vec<_> = pending.iter().map(|point| process.cross(point).values).collect();
+        let weights: Vec<_> = crosses.iter().map(|cross| observed.solve(cross)).collect();
+        let points = pending.len();
+        let covariance = DMatrix::from_fn(points, points, |i, j| {
+            let (i, j) = (i.max(j), i.min(j));
+            let (prior, _) = process.prior_covariance(&pending[i], &pending[j]);
+            prior - dot(weights[i].as_slice(), &crosses[j])
+        });
+        let jitter = process.noiseless_variance();
+        let root = (covariance + DMatrix::identity(points, points) * jitter)
+            .cholesky()
+            .ok_or(SurrogateError::NotPositiveDefinite { points, jitter })?
+            .unpack();
+        Ok(Self { weights, root })
+    }
+
+    /// The observed values of a draw, and behind them the pending ones that standard normal numbers give.
+    fn appended_to(&self, observed: DVector<f64>, normals: &DVector<f64>) -> DVector<f64> {
+        let noise = &self.root * normals;
+        let means = self.weights.iter().map(|weights| weights.dot(&observed));
+        let fantasies: Vec<f64> =
+            means.zip(noise.iter()).map(|(mean, noise)| mean + noise).collect();
+        let values = observed.iter().copied().chain(fantasies);
+        DVector::from_iterator(observed.len() + self.weights.len(), values)
+    }
+}
+
 /// Mean (above the prior mean) and a root of the covariance of the function at the observed points,
 /// standardised.
 ///
@@ -133,15 +197,83 @@ mod tests {
     fn gradient_is_that_of_finite_differences() {
         for noise_variance in [1e-4, 0.05, 0.8] {
             let process = process(noise_variance);
-            let acquisition = LogNoisyExpectedImprovement::new(&process, 3).unwrap();
-            check_gradient(&acquisition, process.data().search_box());
+            for pending in [vec![], vec![vec![0.4, 24.0], vec![-0.2, 13.0]]] {
+                let acquisition = LogNoisyExpectedImprovement::new(&process, &pending, 3).unwrap();
+                check_gradient(&acquisition, process.data().search_box());
+            }
+        }
+    }
+
+    #[test]
+    fn a_pending_point_lowers_the_improvement_around_itself() {
+        for noise_variance in [1e-4, 0.05, 0.8] {
+            let process = process(noise_variance);
+            let search_box = process.data().search_box();
+            let before = LogNoisyExpectedImprovement::new(&process, &[], 3).unwrap();
+            let pending = search_box.from_unit(&[0.9, 0.8]);
+            let after =
+                LogNoisyExpectedImprovement::new(&process, std::slice::from_ref(&pending), 3)
+                    .unwrap();
+            let drop = |point: &[f64]| before.value(point) - after.value(point);
+            assert!(drop(&pending) > 2.0, "{}", drop(&pending));
+            let near: Vec<f64> = search_box.from_unit(&[0.88, 0.82]);
+            assert!(drop(&near) > 0.5, "{}", drop(&near));
+            let grid = (0..=10).flat_map(|i| (0..=10).map(move |j| [i, j]));
+            let grid: Vec<Vec<f64>> = grid
+                .map(|units| search_box.from_unit(&units.map(|unit| f64::from(unit) / 10.0)))
+                .collect();
+            let largest =
+                grid.iter().map(|point| before.value(point).exp()).fold(0.0_f64, f64::max);
+            for point in &grid {
+                // No point gains by it, but for the error of a finite number of draws.
+                let gain = after.value(point).exp() - before.value(point).exp();
+                assert!(gain < 0.25 * largest, "{point:?}: {gain} of {largest}");
+            }
+            // Two pending points lower it around both, and the same one twice does no harm.
+            let both = [pending.clone(), search_box.from_unit(&[0.2, 0.1]), pending.clone()];
+            let after = LogNoisyExpectedImprovement::new(&process, &both, 3).unwrap();
+            for point in &both {
+                assert!(before.value(point) - after.value(point) > 2.0);
+            }
+        }
+    }
+
+    #[test]
+    fn beside_a_pending_point_it_is_the_improvement_averaged_over_its_return() {
+        let process = process(1e-9);
+        let incumbent = process.data().largest_value();
+        let pending = vec![0.6, 25.0];
+        let acquisitions: Vec<_> = (0..64)
+            .map(|seed| {
+                LogNoisyExpectedImprovement::new(&process, std::slice::from_ref(&pending), seed)
+                    .unwrap()
+            })
+            .collect();
+        let there = process.posterior(&pending);
+        for point in [[0.7, 26.0], [0.5, 23.0], [0.1, 12.0]] {
+            // Integrated over the return at the pending point, by a sum over its normal distribution.
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for step in -40..=40 {
+                let z = f64::from(step) / 10.0;
+                let value = there.mean + z * there.deviation();
+                let given = process.with_fantasies(&pending, value).unwrap().posterior(&point);
+                let improvement = LogExpectedImprovement { incumbent: incumbent.max(value) }
+                    .score(given.mean, given.deviation());
+                let weight = (-0.5 * z * z).exp();
+                sum += weight * improvement.value.exp();
+                weights += weight;
+            }
+            let ours = acquisitions.iter().map(|it| it.value(&point).exp()).sum::<f64>()
+                / acquisitions.len() as f64;
+            let expected = sum / weights;
+            assert!((ours / expected - 1.0).abs() < 0.1, "{point:?}: {ours} {expected}");
         }
     }
 
     #[test]
     fn without_noise_it_is_the_expected_improvement() {
         let process = process(1e-9);
-        let acquisition = LogNoisyExpectedImprovement::new(&process, 3).unwrap();
+        let acquisition = LogNoisyExpectedImprovement::new(&process, &[], 3).unwrap();
         let incumbent = process.data().largest_value();
         for point in [[0.7, 26.0], [0.1, 12.0]] {
             let posterior = process.posterior(&point);

@@ -18,7 +18,7 @@ pub fn least(
     // The search repeats its updates for each batch of proposals, so that a batch is a whole generation.
     let generation = search.generation();
     while data.len() < evaluations {
-        for point in search.propose(&data, generation)? {
+        for point in search.propose(&data, &[], generation)? {
             let value = -cost(&DVector::from_column_slice(&point));
             data.push(Observation { point, returns: vec![value] });
         }

@@ -158,7 +158,7 @@ fn candidate(
 ) -> Result<Vec<f64>, SearchError> {
     match data {
         [] => Ok(vec![0.0; dimensions]),
-        _ => Ok(search.propose(data, 1)?.swap_remove(0)),
+        _ => Ok(search.propose(data, &[], 1)?.swap_remove(0)),
     }
 }
 

@@ -1,0 +1,125 @@
+use std::path::Path;
+
+use rustix::process::setpriority_process;
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+/// The logical processors on which trainings run while a control thread runs on this computer.
+///
+/// One core stays free of them, with all its hardware threads. The control thread itself is not bound to that core: a
+/// stranger's program may be busy there, and the kernel finds the idle one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct TrainingCores(CpuSet);
+
+/// The lowest priority of ordinary threads: a control thread without real-time rights still comes first.
+const LOWEST_PRIORITY: i32 = 19;
+
+impl TrainingCores {
+    /// All processors of this process but the last core; all of them if that is the only one.
+    pub(super) fn beside_control_thread() -> Self {
+        let all = Self::of_this_thread().unwrap_or(Self(CpuSet::new()));
+        all.without_last_core(siblings)
+    }
+
+    /// The processors on which the calling thread may run; `None` where the operating system does not tell.
+    pub(super) fn of_this_thread() -> Option<Self> {
+        sched_getaffinity(None).ok().map(Self)
+    }
+
+    /// Number of processors, at least 1.
+    pub(super) fn count(&self) -> usize {
+        (self.0.count() as usize).max(1)
+    }
+
+    /// Keeps the calling thread to these processors, at the lowest priority. Where the operating system refuses either,
+    /// the training goes on without.
+    pub(super) fn confine_this_thread(&self) {
+        if self.0.count() > 0
+            && let Err(error) = sched_setaffinity(None, &self.0)
+        {
+            tracing::warn!("trainings cannot leave the control thread's core: {error}");
+        }
+        if let Err(error) = setpriority_process(None, LOWEST_PRIORITY) {
+            tracing::warn!("trainings cannot have the lowest priority: {error}");
+        }
+    }
+
+    /// Leaves out the last processor and the others of its core, or it alone if no other core is there.
+    fn without_last_core(self, siblings: impl Fn(usize) -> Vec<usize>) -> Self {
+        let Some(last) = (0..CpuSet::MAX_CPU).rev().find(|&it| self.0.is_set(it)) else {
+            return self;
+        };
+        let without = |left_out: &[usize]| {
+            let mut set = self.0;
+            left_out.iter().filter(|&&it| it < CpuSet::MAX_CPU).for_each(|&it| set.unset(it));
+            (set.count() > 0).then_some(Self(set))
+        };
+        let mut core = siblings(last);
+        core.push(last);
+        without(&core).or_else(|| without(&[last])).unwrap_or(self)
+    }
+}
+
+/// The logical processors of the same core, as far as Linux tells.
+fn siblings(processor: usize) -> Vec<usize> {
+    let path = format!("/sys/devices/system/cpu/cpu{processor}/topology/thread_siblings_list");
+    let text = std::fs::read_to_string(Path::new(&path)).unwrap_or_default();
+    parse_list(&text)
+}
+
+/// The numbers of a list such as `0,4-6`; what is no number is left out.
+fn parse_list(text: &str) -> Vec<usize> {
+    let numbers = text.trim().split(',').filter_map(|part| {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        let (first, last): (usize, usize) = (first.parse().ok()?, last.parse().ok()?);
+        Some(first..=last.min(CpuSet::MAX_CPU))
+    });
+    numbers.flatten().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(processors: &[usize]) -> TrainingCores {
+        let mut set = CpuSet::new();
+        processors.iter().for_each(|&it| set.set(it));
+        TrainingCores(set)
+    }
+
+    #[test]
+    fn the_last_core_is_left_with_all_its_threads() {
+        let alone = |_| Vec::new();
+        assert_eq!(set(&[0, 1]).without_last_core(alone), set(&[0]));
+        assert_eq!(set(&[0]).without_last_core(alone), set(&[0]), "there is no other");
+        assert_eq!(set(&[]).without_last_core(alone), set(&[]));
+        let pairs = |processor: usize| vec![processor % 4, processor % 4 + 4];
+        let eight: Vec<usize> = (0..8).collect();
+        assert_eq!(set(&eight).without_last_core(pairs), set(&[0, 1, 2, 4, 5, 6]));
+        // The process may run on one core only: its other thread still trains.
+        assert_eq!(set(&[3, 7]).without_last_core(pairs), set(&[3]));
+        assert_eq!(set(&[0]).count(), 1);
+        assert_eq!(set(&[]).count(), 1);
+    }
+
+    #[test]
+    fn lists_of_processors_are_read() {
+        assert_eq!(parse_list("0,4\n"), [0, 4]);
+        assert_eq!(parse_list("2-3,7"), [2, 3, 7]);
+        assert_eq!(parse_list("3-1"), Vec::<usize>::new());
+        assert_eq!(parse_list("none"), Vec::<usize>::new());
+    }
+
+    #[test]
+    fn a_confined_thread_keeps_to_its_processors_and_others_do_not() {
+        let before = TrainingCores::of_this_thread().unwrap();
+        let cores = TrainingCores::beside_control_thread();
+        let inside = std::thread::spawn(move || {
+            cores.confine_this_thread();
+            let priority = rustix::process::getpriority_process(None).unwrap();
+            (TrainingCores::of_this_thread().unwrap(), priority)
+        });
+        assert_eq!(inside.join().unwrap(), (cores, LOWEST_PRIORITY));
+        assert_eq!(TrainingCores::of_this_thread().unwrap(), before);
+        assert!(cores.count() < before.count().max(2), "{cores:?} of {before:?}");
+    }
+}

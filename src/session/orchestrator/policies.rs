@@ -1,0 +1,117 @@
+//! Makes the policies of candidates: trained at once or ahead of their rollouts, copied, or excitations.
+
+use std::sync::Arc;
+
+use super::Session;
+use super::training::Trainer;
+use super::training_ahead::TrainingAhead;
+use crate::policy::{
+    Excitation, ExcitationShape, MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError,
+};
+use crate::session::{
+    Candidate, Entry, Purpose, SessionError, SessionEvent, SessionSettings, trains_ahead,
+};
+use crate::storage::write_whole;
+
+impl Session {
+    /// Trains the policies of these candidates, or waits until trainings that are under way have ended.
+    pub(super) fn train(
+        &mut self,
+        numbers: &[u32],
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        if let Some(ahead) = &mut self.ahead {
+            for &candidate in numbers {
+                ahead.wait_for(candidate, &self.stop, tell)?;
+            }
+        } else {
+            let mut due = Vec::new();
+            for &number in numbers {
+                due.extend(self.prepare(number)?);
+            }
+            self.trainer().train(due, &self.stop, tell)?;
+        }
+        // The entries are in the order of the candidates' numbers, whichever was trained first.
+        for &candidate in numbers {
+            self.ledger.append(Entry::Trained { candidate })?;
+        }
+        Ok(())
+    }
+
+    /// Begins the trainings of all proposed candidates, where the search proposes while it awaits returns.
+    pub(super) fn train_ahead(
+        &mut self,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let SessionSettings { extent, identification, .. } = &self.settings;
+        if !trains_ahead(self.ledger.state(), extent, identification.as_ref()) {
+            return Ok(());
+        }
+        let mut ahead = self.ahead.take().unwrap_or_else(|| TrainingAhead::new(self.trainer()));
+        ahead.tell_news(tell);
+        let candidates = self.ledger.state().candidates().iter();
+        let untrained: Vec<u32> = candidates
+            .filter(|it| !it.trained && ahead.note(it.number))
+            .map(|it| it.number)
+            .collect();
+        for number in untrained {
+            if let Some(candidate) = self.prepare(number)? {
+                ahead.train(candidate);
+            }
+        }
+        self.ahead = Some(ahead);
+        Ok(())
+    }
+
+    /// Makes the folder of a candidate's policy; returns the candidate if its policy is to be trained.
+    pub(super) fn prepare(&mut self, number: u32) -> Result<Option<Candidate>, SessionError> {
+        self.folder.make_candidate(number)?;
+        // Policy files appear atomically: an existing file was trained before a crash.
+        if self.folder.disk().exists(&self.policy_path(number)) {
+            return Ok(None);
+        }
+        let candidate = self.ledger.state().candidates()[number as usize].clone();
+        let policy = match candidate.purpose {
+            Purpose::Incumbent => {
+                let incumbent = self.incumbent()?.number;
+                self.policy(incumbent)?
+            }
+            Purpose::Excitation => self.excitation(number).to_bytes(),
+            Purpose::Initial | Purpose::Search | Purpose::Verification | Purpose::Baseline => {
+                return Ok(Some(candidate));
+            }
+        };
+        write_whole(self.folder.disk(), &self.policy_path(number), &policy)?;
+        Ok(None)
+    }
+
+    pub(super) fn trainer(&self) -> Trainer {
+        Trainer {
+            disk: self.folder.shared_disk(),
+            paths: self.folder.paths().clone(),
+            settings: self.settings.clone(),
+            identification: self.ledger.state().identification().clone(),
+            executor: Arc::clone(&self.executor),
+        }
+    }
+
+    /// The excitation of a candidate; consecutive ones start in opposite directions.
+    pub(super) fn excitation(&self, candidate: u32) -> Policy {
+        let of_qube_v = self.settings.identification.unwrap_or_default().excitation_v;
+        let limit_v = self.settings.plant().volts_like(of_qube_v);
+        Policy::Excitation(Excitation::of_rollout(ExcitationShape::Chirp, limit_v, candidate))
+    }
+
+    /// The bytes of a candidate's policy, checked.
+    pub(super) fn policy(&self, candidate: u32) -> Result<Vec<u8>, SessionError> {
+        let path = self.policy_path(candidate);
+        let bytes = self
+            .folder
+            .disk()
+            .read(&path, MAX_POLICY_BYTES)
+            .map_err(|source| PolicyError::Unreadable { path: path.clone(), source })?;
+        let policy =
+            Policy::from_bytes(&bytes).map_err(|fault| PolicyError::Bad { path, fault })?;
+        Ok(policy.to_bytes())
+    }
+}

@@ -1,0 +1,79 @@
+//! Chooses the psi of candidates from the returns so far.
+
+use super::Session;
+use crate::search::{Observation, SearchError};
+use crate::session::{Candidate, Entry, Purpose, SessionError, SessionEvent};
+
+impl Session {
+    pub(super) fn propose(
+        &mut self,
+        count: u32,
+        purpose: Purpose,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let mut strategy = self.settings.search()?;
+        let mut pending = Vec::new();
+        let chosen = match purpose {
+            Purpose::Initial => {
+                // All initial points are computed each time, so that a crash between two of them changes
+                // nothing.
+                let all = self.settings.extent.initial_candidates;
+                let points = strategy.propose(&[], &[], all as usize)?;
+                points.into_iter().skip((all - count) as usize).collect()
+            }
+            Purpose::Search => {
+                let data = self.observations()?;
+                let awaited = self.ledger.state().awaited(self.settings.extent.rollouts);
+                let (numbers, points): (Vec<u32>, Vec<Vec<f64>>) =
+                    awaited.map(|it| (it.number, it.psi.clone())).unzip();
+                pending = numbers;
+                strategy.propose(&data, &points, count as usize)?
+            }
+            Purpose::Excitation | Purpose::Baseline => vec![Vec::new(); count as usize],
+            Purpose::Verification => vec![strategy.best(&self.observations()?)?.point],
+            Purpose::Incumbent => vec![self.incumbent()?.psi],
+        };
+        for psi in chosen {
+            self.append_proposal_beside(&pending, purpose, psi, tell)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn append_proposal(
+        &mut self,
+        purpose: Purpose,
+        psi: Vec<f64>,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        self.append_proposal_beside(&[], purpose, psi, tell)
+    }
+
+    pub(super) fn append_proposal_beside(
+        &mut self,
+        pending: &[u32],
+        purpose: Purpose,
+        psi: Vec<f64>,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let candidate = self.ledger.state().candidates().len() as u32;
+        let pending = pending.to_vec();
+        self.ledger.append(Entry::Proposed { candidate, purpose, psi, pending })?;
+        tell(SessionEvent::Proposed { candidate, purpose });
+        Ok(())
+    }
+
+    /// The surrogate's data set, computed from ledger and recordings and stored nowhere.
+    pub(super) fn observations(&mut self) -> Result<Vec<Observation>, SessionError> {
+        let with_results = self.searched()?.filter(|it| !it.verdicts.is_empty());
+        Ok(with_results.map(|it| it.observation()).collect())
+    }
+
+    /// The searched candidate with the highest mean return.
+    pub(super) fn incumbent(&mut self) -> Result<Candidate, SessionError> {
+        self.searched()?
+            .filter_map(|it| Some((it.mean_return()?, it.candidate)))
+            .max_by(|(one, _), (other, _)| one.total_cmp(other))
+            .map(|(_, candidate)| candidate)
+            .ok_or(SearchError::NothingEvaluated.into())
+    }
+}

@@ -1,0 +1,173 @@
+//! Trains policies in threads of their own while the session's thread runs others on the Qube.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender, unbounded};
+
+use super::training::Trainer;
+use crate::learning::TrainUpdate;
+use crate::session::{Candidate, SessionError, SessionEvent};
+
+/// Time between two looks at a stop flag.
+const GLANCE: Duration = Duration::from_millis(50);
+
+/// Trainings under way beside the session's thread, at most as many at a time as the executor carries out.
+///
+/// Candidates are begun in the order in which they were added. Which of them ends first changes no result: the session
+/// records a policy when it needs it. Dropping this stops the trainings and waits for their threads.
+pub(super) struct TrainingAhead {
+    trainer: Arc<Trainer>,
+    dropped: Arc<AtomicBool>,
+    queue: Option<Sender<Candidate>>,
+    queued: Receiver<Candidate>,
+    news: Receiver<News>,
+    reporter: Sender<News>,
+    threads: Vec<JoinHandle<()>>,
+    /// Candidates that were taken care of.
+    known: BTreeSet<u32>,
+    /// Candidates whose training has not ended, as far as the session's thread knows.
+    under_way: BTreeSet<u32>,
+    failed: BTreeMap<u32, SessionError>,
+}
+
+/// What the session's thread learns of a training.
+enum News {
+    Update { candidate: u32, training: u32, update: TrainUpdate },
+    Trained { candidate: u32, best_return: Option<f64> },
+    Ended { candidate: u32, result: Result<(), SessionError> },
+}
+
+impl TrainingAhead {
+    pub(super) fn new(trainer: Trainer) -> Self {
+        let (queue, queued) = unbounded();
+        let (reporter, news) = unbounded();
+        Self {
+            trainer: Arc::new(trainer),
+            dropped: Arc::default(),
+            queue: Some(queue),
+            queued,
+            news,
+            reporter,
+            threads: Vec::new(),
+            known: BTreeSet::new(),
+            under_way: BTreeSet::new(),
+            failed: BTreeMap::new(),
+        }
+    }
+
+    /// Notes that a candidate is taken care of; returns whether it was not before.
+    pub(super) fn note(&mut self, candidate: u32) -> bool {
+        self.known.insert(candidate)
+    }
+
+    /// Trains a candidate as soon as a thread is free.
+    pub(super) fn train(&mut self, candidate: Candidate) {
+        self.under_way.insert(candidate.number);
+        if let Some(queue) = &self.queue {
+            // This holds a receiver, so that the channel is open.
+            let _ = queue.send(candidate);
+        }
+        if self.threads.len() < self.under_way.len().min(self.trainer.executor.concurrency()) {
+            let (trainer, dropped) = (Arc::clone(&self.trainer), Arc::clone(&self.dropped));
+            let (queued, reporter) = (self.queued.clone(), self.reporter.clone());
+            self.threads.push(std::thread::spawn(move || {
+                for candidate in &queued {
+                    train_one(&trainer, candidate, &dropped, &reporter);
+                }
+            }));
+        }
+    }
+
+    /// Tells what has happened since the last call.
+    pub(super) fn tell_news(&mut self, tell: &mut dyn FnMut(SessionEvent)) {
+        while let Ok(news) = self.news.try_recv() {
+            self.hear(news, tell);
+        }
+    }
+
+    /// Waits until the training of a candidate has ended.
+    ///
+    /// # Errors
+    /// It failed, or `stop` is set.
+    pub(super) fn wait_for(
+        &mut self,
+        candidate: u32,
+        stop: &AtomicBool,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        while self.under_way.contains(&candidate) {
+            if stop.load(Ordering::Relaxed) {
+                return Err(SessionError::Stopped);
+            }
+            match self.news.recv_timeout(GLANCE) {
+                Ok(news) => self.hear(news, tell),
+                Err(_) => self.pass_panic_on(),
+            }
+        }
+        self.failed.remove(&candidate).map_or(Ok(()), Err)
+    }
+
+    fn hear(&mut self, news: News, tell: &mut dyn FnMut(SessionEvent)) {
+        match news {
+            News::Update { candidate, training, update } => {
+                tell(SessionEvent::Training { candidate, training, update: &update });
+            }
+            News::Trained { candidate, best_return } => {
+                tell(SessionEvent::Trained { candidate, best_return });
+            }
+            News::Ended { candidate, result } => {
+                self.under_way.remove(&candidate);
+                if let Err(error) = result {
+                    self.failed.insert(candidate, error);
+                }
+            }
+        }
+    }
+
+    /// Panics if a training did: threads end only when this is dropped.
+    fn pass_panic_on(&mut self) {
+        if let Some(ended) = self.threads.iter().position(JoinHandle::is_finished)
+            && let Err(panic) = self.threads.swap_remove(ended).join()
+        {
+            std::panic::resume_unwind(panic);
+        }
+    }
+}
+
+impl Drop for TrainingAhead {
+    fn drop(&mut self) {
+        self.dropped.store(true, Ordering::Relaxed);
+        self.queue = None;
+        for thread in self.threads.drain(..) {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn train_one(
+    trainer: &Trainer,
+    candidate: Candidate,
+    dropped: &AtomicBool,
+    reporter: &Sender<News>,
+) {
+    // Nobody hears the news any more once the receiver is dropped.
+    let report = |news| drop(reporter.send(news));
+    if dropped.load(Ordering::Relaxed) {
+        return;
+    }
+    let number = candidate.number;
+    let result = trainer.train(vec![candidate], dropped, &mut |event| match event {
+        SessionEvent::Training { candidate, training, update } => {
+            report(News::Update { candidate, training, update: *update });
+        }
+        SessionEvent::Trained { candidate, best_return } => {
+            report(News::Trained { candidate, best_return });
+        }
+        _ => {}
+    });
+    report(News::Ended { candidate: number, result });
+}

@@ -1,0 +1,116 @@
+//! How late the control thread wakes while policies are trained beside it, measured in real time on an emulated Qube:
+//! `cargo test --release --test jobs_lateness -- --ignored --nocapture --test-threads 1`.
+//!
+//! Rollouts with and without trainings alternate in one run. The figure is the 99th percentile of the lateness with
+//! trainings by that without, in each of five pairs, and their median.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
+use qube_hil::learning::TrainSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::recording::read;
+use qube_hil::rig::{ClockChoice, Rig, RigSettings};
+use qube_hil::safety::SafetyBox;
+use qube_hil::scoring::Latencies;
+use qube_hil::session::RolloutPlan;
+use qube_hil::simulation::DomainDistribution;
+use qube_hil::storage::MachineDisk;
+use qube_hil::telemetry::LatencySummary;
+
+const PAIRS: usize = 5;
+
+/// The lateness in one rollout of the classical controller, us.
+fn lateness_us(rig: &Rig, path: &Path) -> LatencySummary {
+    let plan = RolloutPlan {
+        safety_box: SafetyBox::THESIS,
+        ..RolloutPlan::single("lateness", "classical")
+    };
+    let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
+    rig.rollout(&MachineDisk, path, plan.header(), &policy).unwrap();
+    let recording = read(path).unwrap();
+    assert!(recording.ticks.len() > 600, "{} ticks", recording.ticks.len());
+    let mut latencies = Latencies::default();
+    latencies.add(&recording.ticks);
+    std::fs::remove_file(path).unwrap();
+    latencies.lateness_us()
+}
+
+/// The same while an executor trains as many policies as it can.
+fn lateness_beside_us(executor: &LocalExecutor, rig: &Rig, path: &Path) -> LatencySummary {
+    let stop = AtomicBool::new(false);
+    let job = |seed| TrainingJob {
+        distribution: DomainDistribution::robust(),
+        // Longer than a rollout.
+        settings: TrainSettings { updates: 10_000, ..TrainSettings::thesis() },
+        seed,
+    };
+    let jobs: Vec<TrainingJob> = (0..executor.concurrency() as u64).map(job).collect();
+    std::thread::scope(|scope| {
+        let trainings = scope.spawn(|| {
+            let mut updates = 0;
+            executor.train(&jobs, &stop, &mut |event| {
+                updates += u32::from(matches!(event, JobEvent::Update { .. }));
+            });
+            updates
+        });
+        let lateness_us = lateness_us(rig, path);
+        stop.store(true, Ordering::Relaxed);
+        assert!(trainings.join().unwrap() > 0, "nothing was trained");
+        lateness_us
+    })
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
+
+fn measure(name: &str, executor: &LocalExecutor) {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    let settings = RigSettings {
+        clock: ClockChoice::Wall,
+        ..RigSettings::emulated(EmulatorSettings::default())
+    };
+    let rig = Rig::open(&settings, &Arc::default()).unwrap();
+    println!("{name}: {} trainings at a time", executor.concurrency());
+    let mut ratios = Vec::new();
+    for pair in 0..PAIRS {
+        // Each order comes as often as the other, so that a drift of the computer favours neither.
+        let (without, with) = if pair % 2 == 0 {
+            let without = lateness_us(&rig, &path);
+            (without, lateness_beside_us(executor, &rig, &path))
+        } else {
+            let with = lateness_beside_us(executor, &rig, &path);
+            (lateness_us(&rig, &path), with)
+        };
+        ratios.push(with.p99 / without.p99);
+        println!(
+            "pair {}: lateness p99 {:.0} us without, {:.0} us with trainings: {:.2} times; largest {:.0} and {:.0} us",
+            pair + 1,
+            without.p99,
+            with.p99,
+            ratios[pair],
+            without.max,
+            with.max
+        );
+    }
+    println!("{name}: median of the ratios {:.2}", median(&ratios));
+}
+
+#[test]
+#[ignore = "measures for a minute; see the top of the file"]
+fn lateness_beside_trainings_that_leave_a_core() {
+    measure("trainings that leave a core", &LocalExecutor::beside_control_thread());
+}
+
+#[test]
+#[ignore = "measures for a minute; see the top of the file"]
+fn lateness_beside_trainings_on_all_cores() {
+    measure("trainings on all cores", &LocalExecutor::on_all_cores());
+}
