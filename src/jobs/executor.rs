@@ -5,6 +5,11 @@ use crate::learning::{TrainError, TrainUpdate, Trained};
 
 /// An event of a running job.
 pub enum JobEvent {
+    /// A training has begun on this computer; of trainings elsewhere the begin is not told.
+    Begun {
+        /// Index of the job.
+        job: usize,
+    },
     /// A training has completed one more update.
     Update {
         /// Index of the job.
@@ -42,6 +47,7 @@ pub trait Executor: Send + Sync {
     ) -> Result<Trained, JobError> {
         let mut ended = Err(TrainError::Stopped.into());
         self.train(std::slice::from_ref(job), stop, &mut |event| match event {
+            JobEvent::Begun { .. } => {}
             JobEvent::Update { update, .. } => tell(&update),
             JobEvent::Finished { result, .. } => ended = result.map(|trained| *trained),
         });

@@ -53,6 +53,7 @@ impl LocalExecutor {
         tell: &mut dyn FnMut(JobEvent),
     ) {
         let TrainingJob { distribution, settings, seed } = &jobs[index];
+        tell(JobEvent::Begun { job: index });
         let checkpointing = self.checkpointing.as_ref().filter(|_| jobs.len() == 1);
         let result = train(distribution, settings, *seed, checkpointing, stop, |update| {
             tell(JobEvent::Update { job: index, update: *update });
@@ -122,6 +123,7 @@ mod tests {
         let mut results: Vec<Option<_>> = vec![None, None, None];
         let mut updates = 0;
         LocalExecutor::on_cores(cores).train(&jobs, stop, &mut |event| match event {
+            JobEvent::Begun { job } => assert!(results[job].is_none()),
             JobEvent::Update { .. } => updates += 1,
             JobEvent::Finished { job, result } => {
                 assert!(results[job].replace(result.map(|trained| *trained)).is_none());

@@ -30,6 +30,7 @@ mod settings_check;
 mod settings_list;
 mod settings_words;
 mod state;
+mod training_time;
 mod view;
 
 pub use configuration_error::ConfigurationError;
@@ -56,4 +57,5 @@ pub use seeds::{SeedFor, derived_seed};
 pub use settings::{EmulatedQubeSettings, SessionSettings};
 pub use settings_list::{Difference, Setting};
 pub use state::{Candidate, Finished, Identification, SessionState};
+pub use training_time::TrainingTime;
 pub use view::{ScoredCandidate, SessionView};

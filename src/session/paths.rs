@@ -62,6 +62,7 @@ impl SessionPaths {
 /// ```text
 /// policy.safetensors                      the trained policy
 /// curve.csv                               the learning curve of its training
+/// training-times.json                     when its trainings were under way, by the wall clock
 /// rollout-0-attempt-0.mcap                the recording of one of its rollouts
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -92,6 +93,12 @@ impl PolicyPaths {
     #[must_use]
     pub fn curve(&self) -> PathBuf {
         self.folder.join("curve.csv")
+    }
+
+    /// Path of the times of its trainings.
+    #[must_use]
+    pub fn training_times(&self) -> PathBuf {
+        self.folder.join("training-times.json")
     }
 
     /// Path of the recording of one attempt of one rollout.

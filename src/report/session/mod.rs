@@ -6,6 +6,7 @@ mod page;
 mod posterior;
 mod search;
 mod source;
+mod time_line;
 
 pub use page::session_page;
 pub use posterior::{NoSurrogate, SessionSurrogate};

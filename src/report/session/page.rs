@@ -1,4 +1,4 @@
-use super::{SessionSource, distribution, identified, posterior, search};
+use super::{SessionSource, distribution, identified, posterior, search, time_line};
 use crate::report::ReportError;
 use crate::report::chart::{Axis, Chart, Mark, Series, Style};
 use crate::report::motion::Motion;
@@ -31,6 +31,7 @@ pub fn session_page(
     identified::add_identification(&mut page, source);
     posterior::add_posterior(&mut page, source);
     add_curves(&mut page, source);
+    time_line::add_time_line(&mut page, source);
     add_timing(&mut page, &source.latencies);
     add_faults(&mut page, source);
     let last = source.rollouts.last().map(|(_, view)| &view.header);

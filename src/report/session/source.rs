@@ -1,5 +1,6 @@
 use std::path::Path;
 
+use super::time_line::TimeLine;
 use crate::identification::check_recording;
 use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
@@ -9,7 +10,7 @@ use crate::report::rollout::RolloutView;
 use crate::scoring::{Latencies, Verdict, score_recording};
 use crate::session::{
     Candidate, Entry, Identification, Purpose, ScoredCandidate, SessionPaths, SessionSettings,
-    SessionState, SessionView, Step, identified_profile, next_step,
+    SessionState, SessionView, Step, TrainingTime, identified_profile, next_step,
 };
 use crate::storage::Disk;
 
@@ -38,6 +39,8 @@ pub struct SessionSource {
     pub(super) void: Vec<(u32, u32, u32, String)>,
     /// Learning curves by candidate: simulated steps, mean and worst return.
     pub(super) curves: Vec<(u32, Vec<[f64; 3]>)>,
+    /// Rollouts and trainings by the wall clock.
+    pub(super) time_line: TimeLine,
     /// Timing of all ticks.
     pub(super) latencies: Latencies,
     /// Number of observer resets.
@@ -85,6 +88,7 @@ impl SessionSource {
             rollouts: Vec::new(),
             void: Vec::new(),
             curves: Vec::new(),
+            time_line: TimeLine::default(),
             latencies: Latencies::default(),
             observer_resets: 0,
             motions: Vec::new(),
@@ -111,6 +115,13 @@ impl SessionSource {
         if disk.exists(&of_candidate.curve()) {
             match read_curve(disk, &of_candidate.curve()) {
                 Ok(curve) => self.curves.push((number, curve)),
+                Err(reason) => self.problems.push(reason),
+            }
+        }
+        let times = of_candidate.training_times();
+        if disk.exists(&times) {
+            match TrainingTime::read_all(disk, &times) {
+                Ok(times) => self.time_line.add_trainings(&times),
                 Err(reason) => self.problems.push(reason),
             }
         }
@@ -141,7 +152,11 @@ impl SessionSource {
     }
 
     fn read_void(&mut self, disk: &dyn Disk, path: &Path, [candidate, rollout, attempt]: [u32; 3]) {
-        let reason = match read_on(disk, path).map(|recording| score_recording(&recording)) {
+        let read = read_on(disk, path).map(|recording| {
+            self.time_line.add_rollout(&recording);
+            score_recording(&recording)
+        });
+        let reason = match read {
             Ok(Verdict::Void { reason }) => reason,
             Ok(_) => "the ledger says so".into(),
             Err(error) => error.to_string(),
@@ -151,6 +166,7 @@ impl SessionSource {
 
     fn add(&mut self, candidate: &Candidate, recording: &Recording) {
         self.latencies.add(&recording.ticks);
+        self.time_line.add_rollout(recording);
         self.observer_resets +=
             recording.outcome.as_ref().map_or(0, |outcome| u64::from(outcome.observer_resets));
         let model = match self.profiles.last() {

@@ -8,6 +8,7 @@ use super::training_ahead::TrainingAhead;
 use crate::policy::{
     Excitation, ExcitationShape, MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError,
 };
+use crate::rig::ClockChoice;
 use crate::session::{
     Candidate, Entry, Purpose, SessionError, SessionEvent, SessionSettings, trains_ahead,
 };
@@ -92,6 +93,7 @@ impl Session {
             settings: self.settings.clone(),
             identification: self.ledger.state().identification().clone(),
             executor: Arc::clone(&self.executor),
+            in_real_time: self.rig_settings.clock == ClockChoice::Wall,
         }
     }
 

@@ -9,8 +9,10 @@ use crate::jobs::{
 use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_afresh};
 use crate::policy::Network;
 use crate::session::seeds::{SeedFor, derived_seed};
+use crate::session::training_time::unix_ns;
 use crate::session::{
     Candidate, Identification, Purpose, SessionError, SessionEvent, SessionPaths, SessionSettings,
+    TrainingTime,
 };
 use crate::simulation::{DomainDistribution, Evaluation, Model, SimulationSettings};
 use crate::storage::{Disk, write_whole};
@@ -32,7 +34,12 @@ struct Competition {
     missing: u32,
     /// Best policy so far with its score and purpose, until it is written.
     best: Option<(f64, Trained, TrainedFor)>,
+    /// When its trainings were under way, with those of earlier rounds.
+    times: Vec<TrainingTime>,
 }
+
+/// A candidate whose policy is to be trained, with the times of its trainings so far.
+type Due = (Candidate, Vec<TrainingTime>);
 
 /// Trains policies and writes them into the session's folder. It is apart from the session's rig and ledger, so that it
 /// may do so in another thread.
@@ -43,16 +50,19 @@ pub(super) struct Trainer {
     pub(super) settings: SessionSettings,
     pub(super) identification: Identification,
     pub(super) executor: Arc<dyn Executor>,
+    /// Whether the times of trainings are kept. In computed time they say nothing, and files repeat byte for byte.
+    pub(super) in_real_time: bool,
 }
 
 impl Trainer {
     /// Trains the policies of these candidates, round after round.
     pub(super) fn train(
         &self,
-        mut due: Vec<Candidate>,
+        candidates: Vec<Candidate>,
         stop: &AtomicBool,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
+        let mut due: Vec<Due> = candidates.into_iter().map(|it| (it, Vec::new())).collect();
         for round in 0..ROUNDS {
             if due.is_empty() {
                 break;
@@ -86,15 +96,16 @@ impl Trainer {
     /// kept nonetheless.
     fn train_round(
         &self,
-        candidates: Vec<Candidate>,
+        due: Vec<Due>,
         round: u32,
         stop: &AtomicBool,
         tell: &mut dyn FnMut(SessionEvent),
-    ) -> Result<Vec<Candidate>, SessionError> {
+    ) -> Result<Vec<Due>, SessionError> {
         let is_last = round + 1 == ROUNDS;
         let (mut jobs, mut of_job) = (Vec::new(), Vec::new());
         let mut competitions = Vec::new();
-        for (index, candidate) in candidates.iter().enumerate() {
+        let (candidates, times): (Vec<Candidate>, Vec<_>) = due.into_iter().unzip();
+        for (index, (candidate, times)) in candidates.iter().zip(times).enumerate() {
             let trainings = self.trainings(candidate);
             let missing = trainings.len() as u32;
             for (training, purpose) in (round * missing..).zip(trainings) {
@@ -104,18 +115,26 @@ impl Trainer {
                 jobs.push(TrainingJob { distribution, settings, seed });
                 of_job.push((index, training, purpose));
             }
-            competitions.push(Competition { missing, best: None });
+            competitions.push(Competition { missing, best: None, times });
         }
+        let mut began_unix_ns = vec![unix_ns(); jobs.len()];
         let mut failed = None;
         self.executor.train(&jobs, stop, &mut |event| match event {
+            JobEvent::Begun { job } => began_unix_ns[job] = unix_ns(),
             JobEvent::Update { job, update } => {
                 let (index, training, _) = of_job[job];
                 let candidate = candidates[index].number;
                 tell(SessionEvent::Training { candidate, training, update: &update });
             }
             JobEvent::Finished { job, result } => {
-                let (index, _, purpose) = of_job[job];
+                let (index, training, purpose) = of_job[job];
                 let (candidate, competition) = (&candidates[index], &mut competitions[index]);
+                competition.times.push(TrainingTime {
+                    training,
+                    began_unix_ns: began_unix_ns[job],
+                    // A clock may be set back.
+                    ended_unix_ns: unix_ns().max(began_unix_ns[job]),
+                });
                 let kept = result.map_err(SessionError::from).and_then(|trained| {
                     self.compete(candidate, competition, (*trained, purpose), is_last)
                 });
@@ -132,8 +151,8 @@ impl Trainer {
         if let Some(error) = failed {
             return Err(error);
         }
-        let again = candidates.into_iter().zip(&competitions).filter(|(_, it)| it.best.is_some());
-        Ok(again.map(|(candidate, _)| candidate).collect())
+        let again = candidates.into_iter().zip(competitions).filter(|(_, it)| it.best.is_some());
+        Ok(again.map(|(candidate, competition)| (candidate, competition.times)).collect())
     }
 
     /// Enters a policy into its candidate's competition. The last one decides it: the best is written and its return
@@ -161,6 +180,11 @@ impl Trainer {
         }
         let Some((_, best, purpose)) = competition.best.take() else { return Ok(None) };
         let best_return = best.best_return;
+        // A policy on disk implies the times of its trainings.
+        if self.in_real_time {
+            let path = self.paths.candidate(candidate.number).training_times();
+            TrainingTime::write_all(&competition.times, self.disk.as_ref(), &path)?;
+        }
         self.save(candidate.number, best, self.origin(candidate, purpose)?)?;
         Ok(Some(best_return))
     }

@@ -1,0 +1,82 @@
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde::{Deserialize, Serialize};
+
+use crate::storage::{Disk, WriteError, write_whole};
+
+/// Largest file of times that is read, bytes; a candidate has few trainings.
+const FILE_BYTES: u64 = 64 << 10;
+
+/// When a training of a candidate was under way, by the clock of the session's computer.
+///
+/// A training elsewhere counts from its order to its result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainingTime {
+    /// Number of the training for its candidate.
+    pub training: u32,
+    /// Its begin, ns since 1970.
+    pub began_unix_ns: u64,
+    /// Its end, ns since 1970.
+    pub ended_unix_ns: u64,
+}
+
+impl TrainingTime {
+    /// Writes the times of a candidate's trainings.
+    pub(super) fn write_all(
+        times: &[Self],
+        disk: &dyn Disk,
+        path: &Path,
+    ) -> Result<(), WriteError> {
+        // Numbers alone, which serialise.
+        let text = serde_json::to_string(times).unwrap_or_default();
+        write_whole(disk, path, text.as_bytes())
+    }
+
+    /// Reads the times of a candidate's trainings. Safe for files of any origin.
+    ///
+    /// # Errors
+    /// The file cannot be read, is no such file, or a training ends before it begins.
+    pub fn read_all(disk: &dyn Disk, path: &Path) -> Result<Vec<Self>, String> {
+        let shown = path.display();
+        let bytes = disk.read(path, FILE_BYTES).map_err(|error| format!("{shown}: {error}"))?;
+        let times: Vec<Self> =
+            serde_json::from_slice(&bytes).map_err(|error| format!("{shown}: {error}"))?;
+        match times.iter().find(|it| it.ended_unix_ns < it.began_unix_ns) {
+            Some(it) => Err(format!("{shown}: training {} ends before it begins", it.training)),
+            None => Ok(times),
+        }
+    }
+}
+
+/// The time now, ns since 1970; 0 before then.
+pub(super) fn unix_ns() -> u64 {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    since_1970.as_nanos() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::storage::MachineDisk;
+
+    #[test]
+    fn times_read_back_and_impossible_ones_are_named() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("training-times.json");
+        let times = [TrainingTime { training: 1, began_unix_ns: 5, ended_unix_ns: unix_ns() }];
+        TrainingTime::write_all(&times, &MachineDisk, &path).unwrap();
+        assert_eq!(TrainingTime::read_all(&MachineDisk, &path).unwrap(), times);
+        for bad in [
+            "",
+            "{}",
+            "[{\"training\":0,\"began_unix_ns\":6,\"ended_unix_ns\":5}]",
+            "[{\"training\":0,\"began_unix_ns\":-1,\"ended_unix_ns\":5}]",
+        ] {
+            std::fs::write(&path, bad).unwrap();
+            let told = TrainingTime::read_all(&MachineDisk, &path).unwrap_err();
+            assert!(told.contains("training-times.json"), "{told}");
+        }
+    }
+}
