@@ -61,7 +61,7 @@ fn a_larger_pendulum_is_trained_for_run_within_its_limits_and_replayed() {
         .success();
     program(directory)
         .args(run)
-        .args(["--excite", "steps", "--volts", "3", "--out", "excited"])
+        .args(["--excite", "steps", "--volts", "2.5", "--out", "excited"])
         .assert()
         .success();
     let narrow = SafetyBox::THESIS.within_travel(&plant);
