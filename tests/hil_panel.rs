@@ -115,6 +115,7 @@ fn the_doctor_says_whether_the_library_is_here_and_the_card_answers() {
 }
 
 #[test]
+#[ignore = "half a minute by the wall clock"]
 fn a_check_learns_the_signs_and_writes_the_card_into_the_file() {
     in_real_time(|| {
         let panel = Panel::new(&[("QUBE_TEST_HIL_SIGNS", "alpha")]);
@@ -151,7 +152,7 @@ fn a_rollout_is_recorded_and_comes_out_again_bit_for_bit() {
 }
 
 #[test]
-#[ignore = "takes two minutes by the wall clock"]
+#[ignore = "two minutes by the wall clock"]
 fn a_session_identifies_a_card_and_its_recordings_come_out_again() {
     const SMALL: &str = "seed = 5\n\
         [extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\nverification_rollouts = 1\n\
@@ -179,6 +180,7 @@ fn a_session_identifies_a_card_and_its_recordings_come_out_again() {
 }
 
 #[test]
+#[ignore = "a minute by the wall clock"]
 fn a_watchdog_that_leaves_the_motor_on_is_found_before_anything_else_moves() {
     in_real_time(|| {
         for (watchdog, words, code) in [
