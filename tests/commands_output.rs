@@ -138,3 +138,25 @@ fn a_port_that_is_none_leaves_nothing_behind() {
     refused(&qube_hil(directory.path(), &session), 2, &[PORT]);
     assert_eq!(std::fs::read_dir(directory.path().join("mine")).unwrap().count(), 0);
 }
+
+#[test]
+fn runs_that_begin_in_the_same_second_have_folders_of_their_own() {
+    let directory = tempfile::tempdir().unwrap();
+    let begin = || {
+        Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+            .current_dir(directory.path())
+            .env("XDG_STATE_HOME", directory.path())
+            .args(["run", "--policy", "classical", "--clock", "virtual"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap()
+    };
+    let runs = [begin(), begin(), begin()];
+    for mut run in runs {
+        assert!(run.wait().unwrap().success());
+    }
+    let folders: Vec<_> = std::fs::read_dir(directory.path().join("logs")).unwrap().collect();
+    assert_eq!(folders.len(), 3, "{folders:?}");
+}
