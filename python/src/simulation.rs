@@ -6,10 +6,10 @@ use numpy::{
 };
 use pyo3::prelude::*;
 use qube_hil::estimation::SettingsError as EstimatorError;
-use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity};
+use qube_hil::qube::{Distribution, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity};
 use qube_hil::simulation::{
-    Distribution, DomainDistribution, Family, LaneStatus, Model, Pendulums, SensorModel,
-    SimulationSettings, Trajectory,
+    DomainDistribution, Family, LaneStatus, Model, Pendulums, SensorModel, SimulationSettings,
+    Trajectory,
 };
 
 use crate::errors::{ActionError, bad_settings};

@@ -25,10 +25,10 @@ use crate::learning::{
     Checkpointing, Origin, Preset, TrainError, TrainSettings, TrainUpdate, train_from,
 };
 use crate::policy::{NetworkPolicy, Policy};
-use crate::qube::{MAX_HISTORY, Nonideality, PlantModel};
+use crate::qube::{Distribution, MAX_HISTORY, Nonideality, PlantModel};
 use crate::simulation::{
-    Distribution, DomainDistribution, Family, MAX_COMMAND_DELAY_S, Model, ProfileSettings, Psi,
-    SensorModel, SimulationSettings,
+    DomainDistribution, Family, MAX_COMMAND_DELAY_S, Model, ProfileSettings, Psi, SensorModel,
+    SimulationSettings,
 };
 
 /// Train one policy in randomised simulation

@@ -1,6 +1,6 @@
-use crate::policy::{RandomQuantity, Randomisation};
+use crate::policy::Randomisation;
 use crate::qube::Quantity;
-use crate::simulation::{Distribution, DomainDistribution};
+use crate::simulation::DomainDistribution;
 
 /// A distribution of simulated Qubes in the form of the policy file.
 pub(super) fn randomisation_of(distribution: &DomainDistribution) -> Randomisation {
@@ -8,24 +8,11 @@ pub(super) fn randomisation_of(distribution: &DomainDistribution) -> Randomisati
         let moved = Quantity::all().map(|quantity| (quantity, direction.of(quantity)));
         moved.filter(|&(_, deviation)| deviation != 0.0).collect()
     });
-    let distributions =
-        Quantity::all().map(|quantity| (quantity, of_quantity(distribution.get(quantity))));
+    let distributions = Quantity::all().map(|quantity| (quantity, distribution.get(quantity)));
     Randomisation {
         distributions: distributions.collect(),
         directions: directions.collect(),
         specimens: distribution.specimens().to_vec(),
-    }
-}
-
-fn of_quantity(distribution: Distribution) -> RandomQuantity {
-    match distribution {
-        Distribution::Constant { value } => RandomQuantity::Constant { value },
-        Distribution::Normal { mean, standard_deviation } => {
-            RandomQuantity::Normal { mean, standard_deviation }
-        }
-        Distribution::Uniform { mean, standard_deviation } => {
-            RandomQuantity::Uniform { mean, standard_deviation }
-        }
     }
 }
 

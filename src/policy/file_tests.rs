@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use proptest::prelude::*;
 
 use super::*;
-use crate::qube::{DomainParameter, MAX_HISTORY, Nonideality, PlantModel, QubeModel};
+use crate::qube::{Distribution, DomainParameter, MAX_HISTORY, Nonideality, PlantModel, QubeModel};
 
 fn network_policy() -> Policy {
     network_policy_with_history(0)
@@ -136,13 +136,13 @@ fn a_randomisation_comes_back_in_version_2_and_files_without_stay_as_they_are() 
         distributions: BTreeMap::from([
             (
                 DomainParameter::PendulumMass.into(),
-                RandomQuantity::Normal { mean: 0.024, standard_deviation: 0.1 + 0.2 },
+                Distribution::Normal { mean: 0.024, standard_deviation: 0.1 + 0.2 },
             ),
             (
                 Nonideality::CommandDelay.into(),
-                RandomQuantity::Uniform { mean: 0.008, standard_deviation: 0.004 },
+                Distribution::Uniform { mean: 0.008, standard_deviation: 0.004 },
             ),
-            (DomainParameter::Gravity.into(), RandomQuantity::Constant { value: 9.81 }),
+            (DomainParameter::Gravity.into(), Distribution::Constant { value: 9.81 }),
         ]),
         directions: vec![BTreeMap::from([(DomainParameter::MotorBackEmf.into(), -0.002)])],
         specimens: vec![QubeModel::NOMINAL],

@@ -86,7 +86,7 @@ pub use external::External;
 pub use file::{FORMAT_VERSION, MAX_FILE_BYTES, PolicyError, PolicyFault};
 pub use layer::LayerWeights;
 pub use network::{MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
-pub use randomisation::{RandomQuantity, Randomisation};
+pub use randomisation::Randomisation;
 pub use trained_for::OtherPlant;
 pub use training_record::{SimulatedGuard, SimulatedObserver, SimulatedSensors, TrainingRecord};
 

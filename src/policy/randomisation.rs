@@ -3,7 +3,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::qube::{Quantity, QubeModel};
+use crate::qube::{Distribution, Quantity, QubeModel};
 
 /// The randomisation under which a network was trained: the distribution from which the Qube of each simulated
 /// trajectory was drawn.
@@ -14,8 +14,8 @@ use crate::qube::{Quantity, QubeModel};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Randomisation {
-    /// Distribution of each quantity.
-    pub distributions: BTreeMap<Quantity, RandomQuantity>,
+    /// Distribution of each quantity in its SI unit.
+    pub distributions: BTreeMap<Quantity, Distribution>,
     /// Joint deviations: how far each moves a quantity, in its SI unit.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<BTreeMap<Quantity, f64>>,
@@ -24,59 +24,12 @@ pub struct Randomisation {
     pub specimens: Vec<QubeModel>,
 }
 
-/// The distribution of one quantity in its SI unit.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
-pub enum RandomQuantity {
-    /// Always the same value.
-    Constant {
-        /// The value.
-        value: f64,
-    },
-    /// A normal distribution.
-    Normal {
-        /// Mean.
-        mean: f64,
-        /// Standard deviation before truncation.
-        standard_deviation: f64,
-    },
-    /// A uniform distribution, sqrt(3) standard deviations to either side of the mean.
-    Uniform {
-        /// Mean.
-        mean: f64,
-        /// Standard deviation.
-        standard_deviation: f64,
-    },
-}
-
-impl RandomQuantity {
-    /// Whether draws differ.
-    #[must_use]
-    pub fn is_random(&self) -> bool {
-        match *self {
-            Self::Constant { .. } => false,
-            Self::Normal { standard_deviation, .. } | Self::Uniform { standard_deviation, .. } => {
-                standard_deviation != 0.0
-            }
-        }
-    }
-}
-
 /// The random quantities with means, standard deviations and units, in one line.
 impl fmt::Display for Randomisation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let random = self.distributions.iter().filter(|(_, drawn)| drawn.is_random());
-        let told: Vec<String> = random
-            .map(|(quantity, drawn)| match *drawn {
-                RandomQuantity::Constant { value } => in_words(*quantity, value, 0.0, "constant"),
-                RandomQuantity::Normal { mean, standard_deviation } => {
-                    in_words(*quantity, mean, standard_deviation, "normal")
-                }
-                RandomQuantity::Uniform { mean, standard_deviation } => {
-                    in_words(*quantity, mean, standard_deviation, "uniform")
-                }
-            })
-            .collect();
+        let random = self.distributions.iter().filter(|(_, drawn)| is_random(drawn));
+        let told: Vec<String> =
+            random.map(|(quantity, drawn)| in_words(*quantity, drawn)).collect();
         match (told.is_empty(), self.directions.len()) {
             (true, 0) => f.write_str("always the same Qube")?,
             (true, _) => {}
@@ -94,9 +47,19 @@ impl fmt::Display for Randomisation {
     }
 }
 
-fn in_words(quantity: Quantity, mean: f64, standard_deviation: f64, family: &str) -> String {
+fn is_random(distribution: &Distribution) -> bool {
+    distribution.standard_deviation() != 0.0
+}
+
+fn in_words(quantity: Quantity, distribution: &Distribution) -> String {
+    let family = match distribution {
+        Distribution::Constant { .. } => "constant",
+        Distribution::Normal { .. } => "normal",
+        Distribution::Uniform { .. } => "uniform",
+    };
     let (name, unit) = (quantity.symbol(), quantity.unit());
-    let [mean, deviation] = [mean, standard_deviation].map(three_digits);
+    let [mean, deviation] =
+        [distribution.mean(), distribution.standard_deviation()].map(three_digits);
     format!("{name} {mean} ± {deviation} {unit} ({family})")
 }
 
@@ -123,11 +86,11 @@ mod tests {
 
     #[test]
     fn the_random_quantities_are_told_with_their_units() {
-        let normal = RandomQuantity::Normal { mean: 8.4, standard_deviation: 0.84 };
-        let uniform = RandomQuantity::Uniform { mean: 0.0, standard_deviation: 0.00012 };
+        let normal = Distribution::Normal { mean: 8.4, standard_deviation: 0.84 };
+        let uniform = Distribution::Uniform { mean: 0.0, standard_deviation: 0.00012 };
         let mut randomisation = Randomisation {
             distributions: BTreeMap::from([
-                (DomainParameter::Gravity.into(), RandomQuantity::Constant { value: 9.81 }),
+                (DomainParameter::Gravity.into(), Distribution::Constant { value: 9.81 }),
                 (DomainParameter::MotorResistance.into(), normal),
                 (Nonideality::CoulombTorque.into(), uniform),
             ]),
@@ -140,7 +103,7 @@ mod tests {
         randomisation.specimens = vec![QubeModel::NOMINAL; 3];
         let more = "; one joint deviation; each draw is one of 3 Qubes with these moments";
         assert_eq!(randomisation.to_string(), format!("{told}{more}"));
-        randomisation.distributions.retain(|_, drawn| !drawn.is_random());
+        randomisation.distributions.retain(|_, drawn| !is_random(drawn));
         (randomisation.directions, randomisation.specimens) = Default::default();
         assert_eq!(randomisation.to_string(), "always the same Qube");
     }
@@ -152,7 +115,7 @@ mod tests {
                 format!(r#"{{"distributions":{{"{name}":{{"type":"constant","value":0.024}}}}}}"#);
             serde_json::from_str::<Randomisation>(&text)
         };
-        let constant = RandomQuantity::Constant { value: 0.024 };
+        let constant = Distribution::Constant { value: 0.024 };
         let mass = Quantity::from(DomainParameter::PendulumMass);
         assert_eq!(read("M_p").unwrap().distributions, BTreeMap::from([(mass, constant)]));
         let refused = read("M_x").unwrap_err().to_string();

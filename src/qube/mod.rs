@@ -18,6 +18,7 @@
 //! ```
 
 mod command_line;
+mod distribution;
 mod dynamics;
 mod encoder;
 mod integrator;
@@ -38,6 +39,7 @@ mod reward;
 mod state;
 
 pub use command_line::{limited_to, limited_voltage};
+pub use distribution::Distribution;
 pub use dynamics::{Acceleration, Dynamics, EquationsOfMotion};
 pub use encoder::{
     COUNTS_PER_REVOLUTION, Encoder, Encoders, Quantiser, RAD_PER_COUNT, angle_rad, counts,

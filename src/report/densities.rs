@@ -1,8 +1,7 @@
 //! Densities of simulated quantities as figures, and the quantities in words.
 
 use super::chart::{Axis, Chart, Mark, Series, Style};
-use crate::qube::{DomainParameter, Quantity};
-use crate::simulation::Distribution;
+use crate::qube::{Distribution, DomainParameter, Quantity};
 
 /// The masses and lengths of the thesis's figure 5.2, which are drawn first.
 pub const FIRST: [DomainParameter; 4] = [

@@ -1,10 +1,9 @@
-use libm::{exp, sqrt};
+use libm::sqrt;
 use rand::RngExt;
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::elementary::normal_pair;
-use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, Nonideality, Quantity};
+use crate::qube::{CONTROL_PERIOD_S, Distribution, MAX_HISTORY, Nonideality, Quantity};
 
 /// Largest distance of a draw from its mean, as a fraction of the mean: draws lie between 0.1 and 1.9 times
 /// the mean.
@@ -17,32 +16,6 @@ pub const TRUNCATION: f64 = 0.9;
 
 /// Longest simulated command delay, s: the time that [`MAX_HISTORY`] commands span.
 pub const MAX_COMMAND_DELAY_S: f64 = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
-
-/// The probability distribution of one quantity of a Qube.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
-pub enum Distribution {
-    /// Always the same value.
-    Constant {
-        /// The value.
-        value: f64,
-    },
-    /// A normal distribution, truncated at [`reach`] on either side of the mean.
-    Normal {
-        /// Mean, in the unit of the quantity.
-        mean: f64,
-        /// Standard deviation before truncation.
-        standard_deviation: f64,
-    },
-    /// A uniform distribution with this mean and standard deviation: a half-width of sqrt(3) standard
-    /// deviations, limited to [`reach`].
-    Uniform {
-        /// Mean, in the unit of the quantity.
-        mean: f64,
-        /// Standard deviation before the limit.
-        standard_deviation: f64,
-    },
-}
 
 /// The reason why a quantity cannot have a distribution.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -113,67 +86,6 @@ fn simulated_range(term: Nonideality) -> (f64, f64) {
 }
 
 impl Distribution {
-    /// The distribution of this quantity times a factor above 0.
-    #[must_use]
-    pub fn scaled(self, factor: f64) -> Self {
-        match self {
-            Self::Constant { value } => Self::Constant { value: factor * value },
-            Self::Normal { mean, standard_deviation } => Self::Normal {
-                mean: factor * mean,
-                standard_deviation: factor * standard_deviation,
-            },
-            Self::Uniform { mean, standard_deviation } => Self::Uniform {
-                mean: factor * mean,
-                standard_deviation: factor * standard_deviation,
-            },
-        }
-    }
-
-    /// A uniform distribution between two values.
-    #[must_use]
-    pub fn between(lower: f64, upper: f64) -> Self {
-        let (mean, half_width) = (0.5 * (lower + upper), 0.5 * (upper - lower));
-        Self::Uniform { mean, standard_deviation: half_width / sqrt(3.0) }
-    }
-
-    /// The constant value, or the mean of the draws.
-    #[must_use]
-    pub fn mean(&self) -> f64 {
-        match *self {
-            Self::Constant { value } => value,
-            Self::Normal { mean, .. } | Self::Uniform { mean, .. } => mean,
-        }
-    }
-
-    /// The standard deviation before truncation; 0 for a constant.
-    #[must_use]
-    pub fn standard_deviation(&self) -> f64 {
-        match *self {
-            Self::Constant { .. } => 0.0,
-            Self::Normal { standard_deviation, .. } | Self::Uniform { standard_deviation, .. } => {
-                standard_deviation
-            }
-        }
-    }
-
-    /// The probability density at a value, before truncation; zero for a constant, which has none.
-    #[must_use]
-    pub fn density(&self, value: f64) -> f64 {
-        let (mean, deviation) = (self.mean(), self.standard_deviation());
-        if deviation == 0.0 {
-            return 0.0;
-        }
-        let z = (value - mean) / deviation;
-        match self {
-            Self::Constant { .. } => 0.0,
-            Self::Normal { .. } => {
-                exp(-0.5 * z * z) / (deviation * sqrt(2.0 * std::f64::consts::PI))
-            }
-            Self::Uniform { .. } if z.abs() <= sqrt(3.0) => 1.0 / (sqrt(12.0) * deviation),
-            Self::Uniform { .. } => 0.0,
-        }
-    }
-
     /// Checks that every draw of this quantity is physical.
     ///
     /// # Errors

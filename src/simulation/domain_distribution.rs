@@ -5,9 +5,9 @@ use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
 use super::distribution::{held_in_range, largest_standard_deviation};
-use super::{Direction, Distribution, DistributionError, Psi, PsiTarget, reach};
+use super::{Direction, DistributionError, Psi, PsiTarget, reach};
 use crate::elementary::normal_pair;
-use crate::qube::{DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
+use crate::qube::{Distribution, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
 
 /// Standard deviation of a handcrafted distribution as a fraction of the nominal value (thesis, section
 /// 5.2).

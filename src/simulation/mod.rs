@@ -39,7 +39,7 @@ mod tests;
 mod trajectory;
 
 pub use direction::Direction;
-pub use distribution::{Distribution, DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
+pub use distribution::{DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
 pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate, evaluate_and_tell};
 pub use lane_status::LaneStatus;

@@ -3,7 +3,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::PsiError;
-use crate::qube::{DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
+use crate::qube::{Distribution, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
 
 /// The part of the simulation that an entry of psi sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -122,7 +122,7 @@ impl PsiTarget {
         let impossible =
             |reason: String| PsiError::Impossible { name: self.to_string(), value, reason };
         match self {
-            Self::Mean(quantity) => super::Distribution::Constant { value }
+            Self::Mean(quantity) => Distribution::Constant { value }
                 .check(quantity)
                 .map_err(|error| impossible(error.to_string())),
             Self::StandardDeviation(_) | Self::LagDeviation

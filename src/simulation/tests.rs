@@ -1,12 +1,11 @@
 //! Compares lanes with nonidealities with the emulator's plant, the `f64` equations and the ideal lanes.
 
-use super::{
-    Distribution, DomainDistribution, LaneStatus, Pendulums, SimulationSettings, Trajectory,
-};
+use super::{DomainDistribution, LaneStatus, Pendulums, SimulationSettings, Trajectory};
 use crate::device::emulator::{EmulatorSettings, Plant};
 use crate::elementary::Level;
 use crate::qube::{
-    NonidealDynamics, Nonidealities, Nonideality, QubeModel, RAD_PER_COUNT, State, control_step,
+    Distribution, NonidealDynamics, Nonidealities, Nonideality, QubeModel, RAD_PER_COUNT, State,
+    control_step,
 };
 
 /// A Qube with all nonidealities, different in each lane; delays from 0 to 40 ms.
