@@ -1,11 +1,15 @@
 //! Tests the command `experiment`: interrupted, killed and resumed, on any number of threads, it
 //! gives the same table, byte for byte, and repeats nothing that was finished.
 
+#[path = "folders/mod.rs"]
+mod folders;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
+use folders::files_of;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Policies with two small updates of training.
@@ -71,21 +75,8 @@ fn table(directory: &Path) -> String {
 
 /// Every policy and recording by its name, without the files that were put aside.
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            let name = path.display().to_string();
-            if path.is_dir() {
-                folders.push(path);
-            } else if !name.contains("unfinished") {
-                let name = name.rsplit_once("/one/").unwrap().1.to_owned();
-                files.insert(name, std::fs::read(path).unwrap());
-            }
-        }
-    }
-    files
+    let whole = files_of(folder).into_iter();
+    whole.filter(|(name, _)| !name.contains("unfinished")).collect()
 }
 
 #[test]

@@ -1,11 +1,15 @@
 //! Workers that the coordinator starts itself, by a command: the same policies, and one sentence where they cannot work.
 
+#[path = "folders/mod.rs"]
+mod folders;
+
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use folders::files_of;
 use qube_hil::jobs::folder::{JobFolder, Terms};
 use qube_hil::jobs::starter::{Census, StartError, Starter};
 use qube_hil::jobs::{Executor, FolderExecutor, JobEvent, TrainingJob};
@@ -33,21 +37,8 @@ fn experiment(directory: &Path, out: &str, options: &[&str]) -> Output {
 }
 
 /// The bytes of the policies, learning curves and recordings of an experiment, by their names.
-fn bytes(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![root.join("policies")];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                let name = path.strip_prefix(root).unwrap().to_owned();
-                found.insert(name, std::fs::read(&path).unwrap());
-            }
-        }
-    }
-    found
+fn bytes(root: &Path) -> BTreeMap<String, Vec<u8>> {
+    files_of(&root.join("policies"))
 }
 
 #[test]

@@ -1,11 +1,15 @@
 //! Tests that policies are trained while others run on the Qube, and that nothing depends on which ends first.
 
+#[path = "folders/mod.rs"]
+mod folders;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use folders::files_of;
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
 use qube_hil::rig::RigSettings;
@@ -40,24 +44,6 @@ fn open(root: &Path, settings: &SessionSettings, executor: Arc<dyn Executor>) ->
     let emulator = EmulatorSettings::default();
     let rig = RigSettings { homing: settings.homing, ..RigSettings::emulated(emulator) };
     Session::open(folder, settings.clone(), rig, Arc::default()).unwrap().trained_by(executor)
-}
-
-/// The contents of all files of a session.
-fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![root.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                let name = path.strip_prefix(root).unwrap().to_string_lossy().into_owned();
-                found.insert(name, std::fs::read(&path).unwrap());
-            }
-        }
-    }
-    found
 }
 
 /// Trains on several cores, each training some time longer than it takes, which differs from job to job and from one
@@ -107,7 +93,7 @@ fn a_session_has_the_same_bytes_however_long_its_trainings_take() {
                 .unwrap();
             let most = executor.most_at_once.load(Ordering::SeqCst);
             assert!(most <= threads, "{most} trainings at a time on {threads} threads");
-            let found = files(&root);
+            let found = files_of(&root);
             match &whole {
                 None => whole = Some(found),
                 Some(whole) => {
@@ -218,7 +204,7 @@ fn a_stop_while_the_qube_waits_ends_the_trainings_and_the_session_goes_on_to_the
         assert!(stops < 100, "it never comes to an end");
     }
     assert!(stops > 3, "{stops}");
-    let (found, expected) = (files(&root), files(&whole));
+    let (found, expected) = (files_of(&root), files_of(&whole));
     for (name, bytes) in &expected {
         assert!(found.get(name) == Some(bytes), "{name} after {stops} stops");
     }

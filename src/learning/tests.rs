@@ -4,7 +4,7 @@ use super::*;
 use crate::simulation::{DomainDistribution, Family, SimulationSettings};
 
 /// Settings that are small enough for a test and large enough to exercise each part of a training.
-fn small() -> TrainSettings {
+pub(super) fn small() -> TrainSettings {
     TrainSettings {
         updates: 3,
         num_envs: 48,

@@ -93,6 +93,7 @@ mod tests {
     use super::*;
     use crate::learning::actor::outputs;
     use crate::learning::random::Stream;
+    use crate::learning::tests::small;
     use crate::qube::{DomainParameter, QubeModel};
     use crate::simulation::SimulationSettings;
 
@@ -125,17 +126,6 @@ mod tests {
         }
     }
 
-    fn small() -> TrainSettings {
-        TrainSettings {
-            updates: 3,
-            num_envs: 48,
-            epochs: 1,
-            evaluation_starts: 20,
-            simulation: SimulationSettings::robust(),
-            ..TrainSettings::quick()
-        }
-    }
-
     /// Two Qubes, told apart by the mass of the pendulum.
     fn two_qubes() -> DomainDistribution {
         let [mut light, mut heavy] = [QubeModel::NOMINAL; 2];
@@ -149,8 +139,9 @@ mod tests {
         let mass = crate::qube::Quantity::Parameter(DomainParameter::PendulumMass);
         let nominal = QubeModel::NOMINAL.get(mass);
         let of = |model: &QubeModel| vec![(model.get(mass) / nominal - 1.0) as f32; count];
-        let (settings, physics) =
-            (TrainSettings { threads, ..small() }, PhysicsInputs { count, of: &of });
+        let simulation = SimulationSettings::robust();
+        let settings = TrainSettings { threads, simulation, ..small() };
+        let physics = PhysicsInputs { count, of: &of };
         let never = AtomicBool::new(false);
         train_universal(&two_qubes(), &settings, physics, 5, &never, |_| ())
     }

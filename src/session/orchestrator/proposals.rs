@@ -34,7 +34,7 @@ impl Session {
             Purpose::Incumbent => vec![self.incumbent()?.psi],
         };
         for psi in chosen {
-            self.append_proposal_beside(&pending, purpose, psi, tell)?;
+            self.append_proposal_beside(pending.clone(), purpose, psi, tell)?;
         }
         Ok(())
     }
@@ -45,18 +45,17 @@ impl Session {
         psi: Vec<f64>,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        self.append_proposal_beside(&[], purpose, psi, tell)
+        self.append_proposal_beside(Vec::new(), purpose, psi, tell)
     }
 
-    pub(super) fn append_proposal_beside(
+    fn append_proposal_beside(
         &mut self,
-        pending: &[u32],
+        pending: Vec<u32>,
         purpose: Purpose,
         psi: Vec<f64>,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let candidate = self.ledger.state().candidates().len() as u32;
-        let pending = pending.to_vec();
         self.ledger.append(Entry::Proposed { candidate, purpose, psi, pending })?;
         tell(SessionEvent::Proposed { candidate, purpose });
         Ok(())
