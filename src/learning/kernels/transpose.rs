@@ -16,12 +16,16 @@ pub(super) fn transpose(
     interleave_quarters(scratch, columns);
 }
 
+/// Interleaves the four quarters of an array. They are walked side by side: an index into the whole array has to be
+/// checked four times an entry, and whether the compiler then vectorises the loop changes with the code around it.
 #[inline(always)]
 fn interleave_quarters(from: &[Row; WIDTH], to: &mut [Row; WIDTH]) {
-    const QUARTER: usize = WIDTH * WIDTH / 4;
-    let from = from.as_flattened();
-    for (index, to) in to.as_flattened_mut().as_chunks_mut::<4>().0.iter_mut().enumerate() {
-        *to = std::array::from_fn(|quarter| from[quarter * QUARTER + index]);
+    let [first, second, third, fourth] =
+        std::array::from_fn(|quarter| from[quarter * WIDTH / 4..][..WIDTH / 4].as_flattened());
+    let to = to.as_flattened_mut().as_chunks_mut::<4>().0;
+    let quarters = first.iter().zip(second).zip(third).zip(fourth);
+    for (to, (((first, second), third), fourth)) in to.iter_mut().zip(quarters) {
+        *to = [*first, *second, *third, *fourth];
     }
 }
 
