@@ -15,7 +15,7 @@ use panel::{Ended, Panel, library};
 const PATIENCE: Duration = Duration::from_secs(180);
 
 /// Processes at once.
-const AT_ONCE: usize = 6;
+const AT_ONCE: usize = 12;
 
 /// Calls of a run at which a fault begins: at the start, within homing, within the rollout.
 const RARE: &[u64] = &[1, 2, 4];

@@ -4,7 +4,6 @@ use std::any::Any;
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
@@ -28,14 +27,10 @@ const CALM: Duration = Duration::from_secs(2);
 /// Number of such intervals to wait for before a repetition.
 const CALMS: u32 = 15;
 
-/// Lock: the Qubes of a test are served in real time, so one test runs at a time.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-
 /// Runs a test whose emulated Qube is served in real time. If it fails and the computer stalled
 /// meanwhile, or the program reports a busy computer, the test is repeated; a failure on a computer
 /// that kept up is final.
 pub fn in_real_time(test: impl Fn()) {
-    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     for again in 1..=AGAIN {
         let (ended, stood) = witnessed(&test);
         let Err(panic) = ended else { return };

@@ -1,5 +1,5 @@
 //! How late the control thread wakes while policies are trained beside it, measured in real time on an emulated Qube:
-//! `cargo test --release --test jobs_lateness -- --ignored --nocapture --test-threads 1`.
+//! `cargo bench --bench lateness`.
 //!
 //! Rollouts with and without trainings alternate in one run. The figure is the 99th percentile of the lateness with
 //! trainings by that without, in each of five pairs, and their median.
@@ -103,14 +103,7 @@ fn measure(name: &str, executor: &LocalExecutor) {
     println!("{name}: median of the ratios {:.2}", median(&ratios));
 }
 
-#[test]
-#[ignore = "measures for a minute; see the top of the file"]
-fn lateness_beside_trainings_that_leave_a_core() {
+fn main() {
     measure("trainings that leave a core", &LocalExecutor::beside_control_thread());
-}
-
-#[test]
-#[ignore = "measures for a minute; see the top of the file"]
-fn lateness_beside_trainings_on_all_cores() {
     measure("trainings on all cores", &LocalExecutor::on_all_cores());
 }
