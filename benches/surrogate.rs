@@ -43,7 +43,7 @@ fn fitted(n: usize) -> GaussianProcess {
 
 fn fit(c: &mut Criterion) {
     let mut group = c.benchmark_group("fit");
-    for n in [25, 100, 500, 1000] {
+    for n in [25, 100, 500, 1000, 2000] {
         group.sample_size(if n < 100 { 30 } else { 10 });
         group.bench_with_input(BenchmarkId::from_parameter(n), &data(n), |b, data| {
             b.iter(|| GaussianProcess::fit(black_box(data.clone()), &settings()));
@@ -55,7 +55,7 @@ fn fit(c: &mut Criterion) {
 fn maximise_acquisition(c: &mut Criterion) {
     let mut group = c.benchmark_group("maximise");
     let settings = MaximiserSettings::default();
-    for n in [25, 100, 500, 1000] {
+    for n in [25, 100, 500, 1000, 2000] {
         group.sample_size(if n < 100 { 30 } else { 10 });
         let process = fitted(n);
         let search_box = process.data().search_box().clone();
