@@ -20,7 +20,7 @@ use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
 use crate::session::{QUBE_FILE, QubeFile};
 
 /// Name of the embedded emulator in `--device`.
-const EMULATED: &str = "emulated";
+pub(super) const EMULATED: &str = "emulated";
 
 /// The arguments that select a Qube and a clock.
 #[derive(Clone, Debug, clap::Args)]
@@ -29,6 +29,14 @@ pub struct DeviceArguments {
     #[command(flatten)]
     qube: QubeArguments,
 
+    #[command(flatten)]
+    timed_plant: TimedPlantArguments,
+}
+
+/// The arguments that select the clock and the plant that is driven.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Which Qube")]
+pub struct TimedPlantArguments {
     /// Clock: `virtual` runs the emulated Qube as fast as the processor can
     #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
     clock: ClockArgument,
@@ -64,6 +72,14 @@ pub struct QubeArguments {
     #[arg(long, value_name = "FILE")]
     qube: Option<PathBuf>,
 
+    #[command(flatten)]
+    treatment: TreatmentArguments,
+}
+
+/// The arguments that say how a Qube is treated, whichever it is.
+#[derive(Clone, Copy, Debug, clap::Args)]
+#[command(next_help_heading = "Which Qube")]
+pub struct TreatmentArguments {
     /// How the arm's middle is found: between its stops, or where the operator put it by hand [default: as
     /// the --qube file says, else stops]
     #[arg(long, value_enum)]
@@ -119,15 +135,29 @@ pub struct ChosenDevice {
 impl DeviceArguments {
     /// Selects the Qube like [`QubeArguments::choose`], with the requested clock.
     pub fn choose(&self) -> Result<ChosenDevice, Failure> {
-        let clock = match self.clock {
-            ClockArgument::Wall => ClockChoice::Wall,
-            ClockArgument::Virtual => ClockChoice::Virtual,
-        };
-        Ok(ChosenDevice { clock, ..self.qube.choose(&self.plant)? })
+        self.qube.choose_timed(&self.timed_plant)
     }
 }
 
 impl QubeArguments {
+    /// The arguments of one Qube among several.
+    pub fn of_one(
+        device: Option<String>,
+        qube: Option<PathBuf>,
+        treatment: TreatmentArguments,
+    ) -> Self {
+        Self { device, qube, treatment }
+    }
+
+    /// Selects the Qube like [`choose`](Self::choose), with the requested clock.
+    pub fn choose_timed(&self, timed: &TimedPlantArguments) -> Result<ChosenDevice, Failure> {
+        let clock = match timed.clock {
+            ClockArgument::Wall => ClockChoice::Wall,
+            ClockArgument::Virtual => ClockChoice::Virtual,
+        };
+        Ok(ChosenDevice { clock, ..self.choose(&timed.plant)? })
+    }
+
     /// Reads the file with the Qube's properties, if there is one, and selects the Qube, or the other plant that is
     /// driven in its place. An emulated one is in virtual time.
     ///
@@ -185,10 +215,10 @@ impl QubeArguments {
             plant_is_given: false,
             plant_consent: None,
             profile,
-            unidentified: self.unidentified,
+            unidentified: self.treatment.unidentified,
             path: path.map(Path::to_owned),
             file,
-            home: self.home.map(|home| match home {
+            home: self.treatment.home.map(|home| match home {
                 HomeArgument::Stops => HomingMethod::Stops,
                 HomeArgument::Hand => HomingMethod::Hand,
             }),

@@ -42,6 +42,16 @@ impl Failure {
         Self { code, message: message.to_string(), fault: None }
     }
 
+    /// The failure of work of which several parts failed, each with its name; `None` if none did. Its exit code is the
+    /// largest: a stop comes before a fault, and a fault before other failures.
+    pub fn of_parts(parts: &[(String, Self)]) -> Option<Self> {
+        let code = parts.iter().map(|(_, failure)| failure.code).max()?;
+        let causes: Vec<String> =
+            parts.iter().map(|(name, failure)| format!("{name}: {}", failure.message)).collect();
+        let fault = parts.iter().find_map(|(_, failure)| failure.fault);
+        Some(Self { code, message: causes.join("\n"), fault })
+    }
+
     /// Adds the fault that caused the failure, and the command that helps after it.
     pub fn of(self, fault: Option<Fault>) -> Self {
         let failure = Self { fault, ..self };

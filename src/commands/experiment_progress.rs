@@ -175,7 +175,8 @@ impl ExperimentProgress {
             | SessionEvent::NotIdentified(_)
             | SessionEvent::NotUpdated(_)
             | SessionEvent::GoesOn { .. }
-            | SessionEvent::Settled { .. } => {}
+            | SessionEvent::Settled { .. }
+            | SessionEvent::EndedEarly(_) => {}
         }
     }
 

@@ -64,6 +64,17 @@ impl LiveArguments {
         self.live.is_some()
     }
 
+    /// The live view of one rig among several, from 1: each has a port of its own, counted up from the first.
+    pub fn of_rig(&self, rig: u32) -> Result<Self, Failure> {
+        let mut one = self.clone();
+        if let Some(address) = one.live.as_mut().filter(|address| address.port() != 0) {
+            let port = u16::try_from(u32::from(address.port()) + rig - 1);
+            let no_port = |_| Failure::usage("--live: there are too few ports above this one");
+            address.set_port(port.map_err(no_port)?);
+        }
+        Ok(one)
+    }
+
     /// Serves the live view, if it is asked for, and says where.
     pub fn serve(&self, command: &str, stop: &Stop) -> Result<Live, Failure> {
         let Some(address) = self.live else { return Ok(Live::default()) };

@@ -25,6 +25,10 @@ impl LiveArguments {
         self.live.is_some()
     }
 
+    pub fn of_rig(&self, _rig: u32) -> Result<Self, Failure> {
+        Ok(self.clone())
+    }
+
     pub fn serve(&self, _command: &str, _stop: &Stop) -> Result<Live, Failure> {
         if self.is_asked() {
             return Err(Failure::usage(

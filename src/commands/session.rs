@@ -1,4 +1,4 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::ValueEnum;
@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::command_hints::unidentified;
 use super::destination::OutputFolder;
-use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
+use super::device_arguments::{CheckArguments, ChosenDevice};
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::executor_arguments::ExecutorArguments;
@@ -17,21 +17,20 @@ use super::keyboard::Keyboard;
 use super::live::LiveArguments;
 use super::output::Output;
 use super::printable::tell;
-use super::profile;
 use super::report;
+use super::rig_arguments::RigArguments;
+use super::rig_sessions;
 use super::screen::ScreenArgument;
 use super::service_manager;
 use super::session_progress::SessionProgress;
+use super::session_settings::{begun, configured, name_in, resumed};
 use super::session_table::SessionTable;
 use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
-use crate::qube::{PlantModel, Profile};
+use crate::qube::Profile;
 use crate::rig::RigSettings;
-use crate::safety::{Guard, GuardConsent};
-use crate::session::{
-    EmulatedQubeSettings, IdentificationSettings, Session, SessionError, SessionFolder,
-    SessionReport, SessionSettings,
-};
+use crate::safety::GuardConsent;
+use crate::session::{Session, SessionError, SessionFolder, SessionReport, SessionSettings};
 use crate::simulation::SensorModel;
 
 /// Run the whole method: identify the Qube, search the distribution of simulations whose policies earn most on it
@@ -71,73 +70,73 @@ use crate::simulation::SensorModel;
 pub struct Arguments {
     /// Extent: `quick` takes minutes, `thesis` is the published extent and budget
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
-    preset: Preset,
+    pub(super) preset: Preset,
 
     /// Method: `identified` excites and identifies the Qube and searches around what is left unknown; `posterior`
     /// identifies, trains once and searches nothing; `bayrn` searches psi as configured, for an unknown Qube
     /// [default: identified; bayrn with --preset thesis, or a --config without the table identification]
     #[arg(long, value_enum, conflicts_with = "resume")]
-    method: Option<Method>,
+    pub(super) method: Option<Method>,
 
     /// Largest number of candidates around the identified Qube [default: 10]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "resume")]
-    candidates: Option<u32>,
+    pub(super) candidates: Option<u32>,
 
     /// Candidates whose returns are awaited when the search proposes another: that one is trained while these run on
     /// the Qube. With 0 the Qube waits for each training; goes with --method bayrn [default: 0, or as --config says]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000), conflicts_with = "resume")]
-    pending: Option<u32>,
+    pub(super) pending: Option<u32>,
 
     /// Run a policy of the nominal Qube once at the end, for comparison [default: true on the emulated Qube that is
     /// identified, otherwise false]
     #[arg(long, value_name = "true|false", num_args = 0..=1, default_missing_value = "true", conflicts_with = "resume")]
-    baseline: Option<bool>,
+    pub(super) baseline: Option<bool>,
 
     /// TOML file whose entries override the preset; `config print` explains every entry, `config check` checks a
     /// file
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
-    config: Option<PathBuf>,
+    pub(super) config: Option<PathBuf>,
 
     /// Seed from which every random number follows [default: 0, or as --config says]
     #[arg(long, conflicts_with = "resume")]
-    seed: Option<u64>,
+    pub(super) seed: Option<u64>,
 
     /// Folder for the session: a new one or an empty one [default: logs/session-DATE-TIME]
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
-    out: Option<PathBuf>,
+    pub(super) out: Option<PathBuf>,
 
     /// Resume the session in this folder, with its settings
     #[arg(long, value_name = "DIR")]
-    resume: Option<PathBuf>,
+    pub(super) resume: Option<PathBuf>,
 
     /// Guard that may end a rollout: foresight of the brake, or the box only [default: foresight, or as
     /// --config says]; with --resume that of the session
     #[arg(long, value_parser = guard_parser())]
-    guard: Option<GuardArgument>,
+    pub(super) guard: Option<GuardArgument>,
 
     #[command(flatten)]
-    consent: ConsentArgument,
+    pub(super) consent: ConsentArgument,
 
     #[command(flatten)]
-    estimator: EstimatorArguments,
+    pub(super) estimator: EstimatorArguments,
 
     #[command(flatten)]
-    device: DeviceArguments,
+    pub(super) rigs: RigArguments,
 
     #[command(flatten)]
-    emulated: EmulatedArguments,
+    pub(super) emulated: EmulatedArguments,
 
     #[command(flatten)]
-    check: CheckArguments,
+    pub(super) check: CheckArguments,
 
     #[command(flatten)]
-    executor: ExecutorArguments,
+    pub(super) executor: ExecutorArguments,
 
     #[command(flatten)]
-    live: LiveArguments,
+    pub(super) live: LiveArguments,
 
     #[command(flatten)]
-    screen: ScreenArgument,
+    pub(super) screen: ScreenArgument,
 }
 
 /// The extent of a session.
@@ -161,7 +160,7 @@ impl Preset {
 
 /// How a session comes to its policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Method {
+pub enum Method {
     /// Identify the Qube, then search around what is left unknown.
     Identified,
     /// Identify the Qube, train once, and search nothing.
@@ -172,35 +171,23 @@ enum Method {
 
 /// Runs or resumes a session and prints its table.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
+    if rig_sessions::are_asked(&arguments) {
+        return rig_sessions::run(&arguments, output);
+    }
     let started = Instant::now();
-    let mut device = arguments.device.choose()?;
+    let mut device = arguments.rigs.choose_one()?;
     let consent = arguments.consent.beside(arguments.guard)?;
     let begins = arguments.resume.is_none();
     let mut place = None;
     let (folder, settings) = match &arguments.resume {
-        Some(_) if arguments.emulated.settings(&device.plant)?.is_some() => {
-            return Err(Failure::usage(
-                "a session goes on with the emulated Qube that it began with: leave --profile, \
-                 --gap, --delay-ms, --jitter-ms, --cable-drift and --scale out",
-            ));
-        }
-        Some(_) if arguments.estimator.settings(&device.plant)?.is_some() => {
-            return Err(Failure::usage(
-                "a session goes on with the estimator that it began with: leave --estimator, \
-                 --filter, --estimator-profile and --estimator-delay-ms out",
-            ));
-        }
-        Some(directory) => resumed(directory, arguments.guard, &device)?,
+        Some(directory) => resumed(directory, &arguments, &device)?,
         None => {
             let settings = configured(&arguments, consent, &device)?;
             let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
-            begun(place, settings)?
+            begun(place.path(), name_in(place.path()), settings)?
         }
     };
-    device.plant = *settings.plant();
-    device.check_plant(&device.plant)?;
-    let configuration = folder.paths().configuration().display().to_string();
-    let limits = device.limits(&configuration, &settings.safety_box, consent)?;
+    let rig_settings = rig_settings(&mut device, &folder, &settings, consent, arguments.check)?;
     if let Some(difference) = estimators_differ(&settings) {
         tell(&difference);
     }
@@ -208,15 +195,6 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let root = folder.paths().root().display().to_string();
     let screen = arguments.screen.open(&format!("qube-hil session in {root}"), output, &stop);
-    let rig_settings = RigSettings {
-        homing: settings.homing,
-        limits,
-        ..device.rig_settings(
-            settings.emulated.emulator(settings.seed),
-            settings.estimator,
-            arguments.check,
-        )
-    };
     let resume = format!("qube-hil session --resume {}", folder.paths().root().display());
     let mut live = match arguments.live.serve("session", &stop) {
         Ok(live) => live,
@@ -245,13 +223,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         eprintln!("{}", keyboard.hint());
     }
     tell(&format!("session in {}", folder.paths().root().display()));
-    if let Some(warning) = device.power_warning() {
-        eprintln!("warning: {warning}");
-    }
-    // A session that identifies its Qube needs no such advice.
-    if settings.identification.is_none()
-        && let Some(warning) = unidentified(&rig_settings, settings.safety_box.guard)
-    {
+    for warning in warnings(&device, &rig_settings, &settings) {
         eprintln!("warning: {warning}");
     }
     if rig_settings.checks() {
@@ -293,24 +265,67 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         }
         return ended;
     }
-    match SessionReport::read(&mut session).map(SessionTable) {
-        Ok(table) => {
-            let ended = ended.and_then(|()| table.check_best_policy());
-            let mut result: Value = table.json();
-            let mut text = table.text();
-            let report = report::write_into_session(session.folder().paths().root());
-            match &report {
-                Ok(path) => text.push_str(&format!("a page for a browser: {}\n", path.display())),
-                Err(reason) => tell(&format!("warning: no report was written: {reason}")),
-            }
-            result["report"] = json!(report.ok().map(|path| path.to_string_lossy().into_owned()));
-            result["wall_s"] = json!(started.elapsed().as_secs_f64());
-            result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
-            output.print(&text, &result);
-            ended
-        }
-        Err(error) => ended.and(Err(failed(error))),
+    let (text, mut result, ended) = results(&mut session, ended, failed)?;
+    result["wall_s"] = json!(started.elapsed().as_secs_f64());
+    result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
+    output.print(&text, &result);
+    ended
+}
+
+/// The settings of the rig that a session drives.
+pub fn rig_settings(
+    device: &mut ChosenDevice,
+    folder: &SessionFolder,
+    settings: &SessionSettings,
+    consent: Option<GuardConsent>,
+    check: CheckArguments,
+) -> Result<RigSettings, Failure> {
+    device.plant = *settings.plant();
+    device.check_plant(&device.plant)?;
+    let configuration = folder.paths().configuration().display().to_string();
+    let limits = device.limits(&configuration, &settings.safety_box, consent)?;
+    let emulator = settings.emulated.emulator(settings.seed);
+    Ok(RigSettings {
+        homing: settings.homing,
+        limits,
+        ..device.rig_settings(emulator, settings.estimator, check)
+    })
+}
+
+/// What an operator must know before a session drives a Qube.
+pub fn warnings(
+    device: &ChosenDevice,
+    rig: &RigSettings,
+    settings: &SessionSettings,
+) -> Vec<String> {
+    // A session that identifies its Qube needs no such advice.
+    let needs_advice = settings.identification.is_none();
+    let guard = settings.safety_box.guard;
+    let advice = needs_advice.then(|| unidentified(rig, guard)).flatten();
+    device.power_warning().into_iter().chain(advice).collect()
+}
+
+/// The results of a session for people and as JSON, with its report in its folder; and how it ended, where the loss of
+/// the best policy counts too.
+pub fn results(
+    session: &mut Session,
+    ended: Result<(), Failure>,
+    failed: impl Fn(SessionError) -> Failure,
+) -> Result<(String, Value, Result<(), Failure>), Failure> {
+    let table = match SessionReport::read(session) {
+        Ok(report) => SessionTable(report),
+        Err(error) => return Err(ended.err().unwrap_or_else(|| failed(error))),
+    };
+    let ended = ended.and_then(|()| table.check_best_policy());
+    let mut result: Value = table.json();
+    let mut text = table.text();
+    let report = report::write_into_session(session.folder().paths().root());
+    match &report {
+        Ok(path) => text.push_str(&format!("a page for a browser: {}\n", path.display())),
+        Err(reason) => tell(&format!("warning: no report was written: {reason}")),
     }
+    result["report"] = json!(report.ok().map(|path| path.to_string_lossy().into_owned()));
+    Ok((text, result, ended))
 }
 
 /// A note for a session whose policies train on other states than the Qube's estimates.
@@ -334,133 +349,6 @@ fn described(estimator: &EstimatorSettings) -> String {
             let delay_ms = 1e3 * observer.model.nonidealities.command_delay_s;
             format!("an observer with a delay of {delay_ms:.1} ms")
         }
-    }
-}
-
-/// The settings of a new session.
-fn configured(
-    arguments: &Arguments,
-    consent: Option<GuardConsent>,
-    device: &ChosenDevice,
-) -> Result<SessionSettings, Failure> {
-    let preset = arguments.preset.settings().of_plant(&device.plant);
-    let mut settings = match &arguments.config {
-        Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
-        None => preset,
-    };
-    settings.identification = identification(arguments, &settings)?;
-    if let Some(pending) = arguments.pending {
-        if pending > 0 && settings.identification.is_some() {
-            return Err(Failure::usage(
-                "--pending goes with --method bayrn: around an identified Qube each proposal follows from the returns \
-                 of all candidates before it",
-            ));
-        }
-        settings.extent.pending = pending;
-    }
-    let emulated = !device.choice.is_hardware();
-    if let Some(baseline) = arguments.baseline {
-        settings.extent.baseline = baseline;
-    } else if arguments.config.is_none() {
-        settings.extent.baseline = emulated && settings.identification.is_some();
-    }
-    if arguments.config.is_none() && settings.identification.is_some() {
-        // The first command of a newcomer shows the problem: a Qube that differs from the nominal one. Another plant
-        // differs from its own nominal one alike.
-        let lab = profile::named("lab", &PlantModel::QUBE)?;
-        settings.emulated =
-            EmulatedQubeSettings { model: device.plant.in_proportion(&lab), ..settings.emulated };
-    }
-    if let Some(guard) = arguments.guard {
-        settings = settings.with_guard(guard.into());
-    }
-    settings.seed = arguments.seed.unwrap_or(settings.seed);
-    if let Some(estimator) = arguments.estimator.settings(&device.plant)? {
-        settings = settings.seen_through(estimator);
-    }
-    settings.emulated = arguments.emulated.settings(&device.plant)?.unwrap_or(settings.emulated);
-    let settings = on_this_qube(settings, device);
-    let origin = match (&arguments.guard, &arguments.config) {
-        (None, Some(path)) => path.display().to_string(),
-        _ => "--guard".into(),
-    };
-    device.limits(&origin, &settings.safety_box, consent)?;
-    Ok(settings)
-}
-
-/// The identification of a new session; `None` searches an unknown Qube.
-fn identification(
-    arguments: &Arguments,
-    settings: &SessionSettings,
-) -> Result<Option<IdentificationSettings>, Failure> {
-    let configured = settings.identification;
-    let by_default = arguments.preset == Preset::Quick && arguments.config.is_none();
-    let method = arguments.method.unwrap_or(match configured {
-        None if !by_default => Method::Bayrn,
-        _ => Method::Identified,
-    });
-    let mut plan = configured.unwrap_or_default();
-    match (method, arguments.candidates) {
-        (Method::Bayrn, None) => return Ok(None),
-        (Method::Bayrn, Some(_)) => {
-            return Err(Failure::usage(
-                "--candidates goes with --method identified; the extent of bayrn is in the table extent of --config",
-            ));
-        }
-        (Method::Posterior, Some(more)) if more > 1 => {
-            return Err(Failure::usage(
-                "--method posterior trains one candidate: leave --candidates out, or give --method identified",
-            ));
-        }
-        (Method::Posterior, _) => plan.candidates = 1,
-        (Method::Identified, Some(candidates)) => plan.candidates = candidates,
-        (Method::Identified, None) => {}
-    }
-    Ok(Some(plan))
-}
-
-fn begun(
-    place: &OutputFolder,
-    mut settings: SessionSettings,
-) -> Result<(SessionFolder, SessionSettings), Failure> {
-    settings.name = place
-        .path()
-        .file_name()
-        .map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned());
-    let configuration = settings.to_toml().map_err(Failure::failed)?;
-    let folder = SessionFolder::create(place.path(), &configuration)
-        .map_err(|error| failures::folder(&error))?;
-    Ok((folder, settings))
-}
-
-fn resumed(
-    directory: &Path,
-    guard: Option<GuardArgument>,
-    device: &ChosenDevice,
-) -> Result<(SessionFolder, SessionSettings), Failure> {
-    let folder = SessionFolder::open(directory).map_err(|error| failures::folder(&error))?;
-    let settings =
-        SessionSettings::load(&folder.paths().configuration()).map_err(Failure::usage)?;
-    if guard.is_some_and(|guard| Guard::from(guard) != settings.safety_box.guard) {
-        return Err(Failure::usage(
-            "a session goes on with the guard that it began with: leave --guard out",
-        ));
-    }
-    if device.plant_is_given && device.plant != *settings.plant() {
-        return Err(Failure::usage(format!(
-            "a session goes on with the plant that it began with, {}: leave --plant out",
-            settings.plant().name
-        )));
-    }
-    Ok((folder, on_this_qube(settings, device)))
-}
-
-/// Applies signs, homing and limits of the rig's own file, which take precedence over the session's.
-fn on_this_qube(settings: SessionSettings, device: &ChosenDevice) -> SessionSettings {
-    SessionSettings {
-        homing: device.homing(settings.homing),
-        safety_box: device.safety_box(settings.safety_box),
-        ..settings
     }
 }
 

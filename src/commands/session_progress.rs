@@ -8,7 +8,7 @@ use super::screen::{Progress, ScreenState};
 use super::stop::Stop;
 use super::warn_without_realtime;
 use crate::scoring::Verdict;
-use crate::session::{Purpose, SessionEvent, SessionSettings};
+use crate::session::{Purpose, SessionError, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;
 
 /// Phases of a session in words.
@@ -18,6 +18,8 @@ const ROLLOUTS: &str = "rollouts on the Qube";
 /// The display of a running session: a line for each finished piece of work, and the state of the work on the screen.
 pub struct SessionProgress {
     progress: Progress,
+    /// What each line begins with: the name of the rig among several.
+    prefix: String,
     stop: Arc<AtomicBool>,
     candidates: u32,
     /// Whether the session may end with fewer candidates.
@@ -51,6 +53,7 @@ impl SessionProgress {
         progress.update(|state| state.phase = OPENING.into());
         Self {
             progress: progress.clone(),
+            prefix: String::new(),
             stop: Arc::clone(&stop.flag),
             candidates,
             may_end_early: settings.identification.is_some(),
@@ -63,6 +66,11 @@ impl SessionProgress {
             returns: BTreeMap::new(),
             connected: false,
         }
+    }
+
+    /// Begins each line with the rig's name.
+    pub fn of_rig(self, name: &str) -> Self {
+        Self { prefix: format!("{name}: "), ..self }
     }
 
     /// Largest number of candidates.
@@ -153,6 +161,10 @@ impl SessionProgress {
             SessionEvent::Settled { expected_gain } => self.line(format!(
                 "the search ends: one more candidate is expected to gain {expected_gain:.1}"
             )),
+            SessionEvent::EndedEarly(SessionError::Stopped) => {}
+            SessionEvent::EndedEarly(error) => {
+                self.line(format!("its session ends, and the others go on: {error}"));
+            }
             SessionEvent::Drift(Ok(drift)) => self.line(command_hints::drift(drift)),
             SessionEvent::Drift(Err(unfit)) => self
                 .line(format!("the first rollouts say nothing of how the rig is today: {unfit}")),
@@ -224,7 +236,7 @@ impl SessionProgress {
     }
 
     fn line(&self, text: String) {
-        self.progress.line(&text);
+        self.progress.line(&format!("{}{text}", self.prefix));
     }
 }
 

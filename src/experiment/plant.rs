@@ -1,8 +1,5 @@
-use rand::{RngExt as _, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::qube::{DomainParameter, QubeModel};
 use crate::session::{EmulatedQubeSettings, SeedFor, derived_seed};
 
 /// An emulated Qube on which policies run, or one drawn around it for each policy.
@@ -26,30 +23,14 @@ impl Plant {
         if self.vary == 0.0 {
             return self.emulated;
         }
-        let mut random = ChaCha8Rng::seed_from_u64(derived_seed(seed, SeedFor::Qube { policy }));
-        let mut varied = |value: f64| value * (1.0 + random.random_range(-self.vary..=self.vary));
-        let QubeModel { mut parameters, mut nonidealities } = self.emulated.model;
-        for parameter in DomainParameter::ALL {
-            parameters.set(parameter, varied(parameters.get(parameter)));
-        }
-        // The cable's rest angle is a place, not a strength, so it stays.
-        for strength in [
-            &mut nonidealities.coulomb_torque_n_m,
-            &mut nonidealities.positive_dead_zone_v,
-            &mut nonidealities.negative_dead_zone_v,
-            &mut nonidealities.cable_stiffness_n_m_rad,
-            &mut nonidealities.command_delay_s,
-        ] {
-            *strength = varied(*strength);
-        }
-        EmulatedQubeSettings { model: QubeModel { parameters, nonidealities }, ..self.emulated }
+        self.emulated.varied(self.vary, derived_seed(seed, SeedFor::Qube { policy }))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::Nonidealities;
+    use crate::qube::{DomainParameter, Nonidealities, QubeModel};
 
     #[test]
     fn each_policy_has_its_own_qube_within_the_range_and_always_the_same() {

@@ -1,4 +1,4 @@
-use super::{Drift, Purpose};
+use super::{Drift, Purpose, SessionError};
 use crate::identification::Unfit;
 use crate::learning::TrainUpdate;
 use crate::rig::Rig;
@@ -69,4 +69,6 @@ pub enum SessionEvent<'a> {
     },
     /// Drift of the rig from its profile, or the reason why it cannot be estimated.
     Drift(&'a Result<Drift, Unfit>),
+    /// The session of one Qube among several has ended early; those of the others go on.
+    EndedEarly(&'a SessionError),
 }

@@ -50,6 +50,16 @@ pub enum SeedFor {
         /// Number of the repetition.
         repetition: u32,
     },
+    /// Session of one of several Qubes, each of which has a session of its own.
+    RigSession {
+        /// Number of the rig, from 1.
+        rig: u32,
+    },
+    /// Properties of one of several emulated Qubes.
+    RigQube {
+        /// Number of the rig, from 1.
+        rig: u32,
+    },
 }
 
 /// The stream's number: the kind in the highest byte, then candidate, rollout and attempt.
@@ -68,6 +78,8 @@ fn stream(purpose: SeedFor) -> u64 {
         SeedFor::Search => number(4, 0, 0, 0),
         SeedFor::Qube { policy } => number(5, policy, 0, 0),
         SeedFor::Repetition { repetition } => number(6, repetition, 0, 0),
+        SeedFor::RigSession { rig } => number(8, rig, 0, 0),
+        SeedFor::RigQube { rig } => number(9, rig, 0, 0),
     }
 }
 
@@ -104,6 +116,8 @@ mod tests {
             }
             purposes.push(SeedFor::Qube { policy: candidate });
             purposes.push(SeedFor::Repetition { repetition: candidate });
+            purposes.push(SeedFor::RigSession { rig: candidate });
+            purposes.push(SeedFor::RigQube { rig: candidate });
             for rollout in 0..4 {
                 purposes.push(SeedFor::Start { candidate, rollout });
                 for attempt in 0..4 {

@@ -1,12 +1,11 @@
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{Extent, IdentificationSettings};
+use super::{EmulatedQubeSettings, Extent, IdentificationSettings};
 use crate::control::HomingSettings;
-use crate::device::emulator::{Effects, EmulatorSettings};
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Origin, Preset, TrainSettings};
-use crate::qube::{PlantModel, Profile, QubeModel};
+use crate::qube::{PlantModel, Profile};
 use crate::safety::{Guard, SafetyBox};
 use crate::search::{BayRn, BayRnSettings, Observation, SearchError, Strategy, StrategyKind};
 use crate::simulation::{
@@ -14,56 +13,6 @@ use crate::simulation::{
     SensorModel, SimulationSettings, box_file,
 };
 use crate::surrogate::{GaussianProcess, SearchBox};
-
-/// The settings of the emulated Qube of a session.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EmulatedQubeSettings {
-    /// Physics of the Qube.
-    pub model: QubeModel,
-    /// Largest deviation of a command's delay from the model's, s.
-    pub command_jitter_s: f64,
-    /// Backlash between motor and arm, rad.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub play_rad: f64,
-    /// Effects beyond the equations.
-    #[serde(default, skip_serializing_if = "has_none")]
-    pub effects: Effects,
-}
-
-fn has_none(effects: &Effects) -> bool {
-    *effects == Effects::NONE
-}
-
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
-}
-
-impl EmulatedQubeSettings {
-    /// An emulator without faults whose start follows from this seed.
-    #[must_use]
-    pub fn emulator(&self, seed: u64) -> EmulatorSettings {
-        EmulatorSettings {
-            model: self.model,
-            command_jitter_s: self.command_jitter_s,
-            play_rad: self.play_rad,
-            effects: self.effects,
-            seed,
-            ..EmulatorSettings::default()
-        }
-    }
-}
-
-impl Default for EmulatedQubeSettings {
-    fn default() -> Self {
-        Self {
-            model: QubeModel::NOMINAL,
-            command_jitter_s: 0.0,
-            play_rad: 0.0,
-            effects: Effects::NONE,
-        }
-    }
-}
 
 /// Number of candidates around an identified Qube before the surrogate chooses: the simulations as identified, and two
 /// that tell it how the return depends on psi.

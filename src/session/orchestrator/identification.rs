@@ -39,7 +39,7 @@ impl Session {
         self.settings = self.settings.clone().around(&plan, &first, &latest);
         // A profile of a real Qube holds for its own board only; each rollout in virtual time has another one.
         if self.rig_settings.is_hardware() && self.rig_settings.board.is_none() {
-            self.rig_settings.board = self.identified_board()?;
+            self.rig_settings.board = self.board()?;
         }
         self.rig_settings.profile = Some(latest);
         // The guard's belief is set when the rig is opened.
@@ -266,13 +266,6 @@ impl Session {
         };
         let candidates = state.candidates().iter();
         candidates.filter(|it| is_used(it.purpose)).flat_map(of).collect()
-    }
-
-    /// Serial number of the board that made the first excitation.
-    fn identified_board(&self) -> Result<Option<String>, SessionError> {
-        let Some(first) = self.used_recordings().into_iter().next() else { return Ok(None) };
-        let recording = read_on(self.folder.disk(), &first)?;
-        Ok(recording.header.device.get("serial").cloned())
     }
 }
 

@@ -107,6 +107,31 @@ impl Session {
         self
     }
 
+    /// Refuses another board than that of this session's first recording, where a real Qube is driven.
+    ///
+    /// # Errors
+    /// The recording cannot be read.
+    pub fn on_the_same_board(mut self) -> Result<Self, SessionError> {
+        if self.rig_settings.is_hardware() && self.rig_settings.board.is_none() {
+            self.rig_settings.board = self.board()?;
+        }
+        Ok(self)
+    }
+
+    /// Serial number of the board that made the first finished recording; `None` before it.
+    ///
+    /// # Errors
+    /// The recording cannot be read.
+    pub fn board(&self) -> Result<Option<String>, SessionError> {
+        let first = self.ledger.state().candidates().iter().find_map(|it| {
+            let finished = it.finished.first()?;
+            Some(self.recording(it.number, finished.rollout, finished.attempt))
+        });
+        let Some(first) = first else { return Ok(None) };
+        let recording = read_on(self.folder.disk(), &first)?;
+        Ok(recording.header.device.get("serial").cloned())
+    }
+
     /// Runs until the best policy is verified, a fault ends the session, or the operator stops it.
     ///
     /// # Errors

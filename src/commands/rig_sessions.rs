@@ -1,0 +1,371 @@
+//! The sessions of several Qubes, one each, beside each other: `session --rig-policy own`.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use serde_json::{Value, json};
+
+use super::destination::OutputFolder;
+use super::device_arguments::{ChosenDevice, EMULATED};
+use super::exit::Failure;
+use super::failures;
+use super::keyboard::Keyboard;
+use super::live::Live;
+use super::output::Output;
+use super::printable::tell;
+use super::rig_arguments::{RigPolicy, name_of};
+use super::screen::Screen;
+use super::service_manager;
+use super::session::{self, Arguments};
+use super::session_progress::SessionProgress;
+use super::session_settings::{begun, configured, name_in, resumed};
+use super::stop::Stop;
+use crate::jobs::{Executor, LocalExecutor};
+use crate::qube::Profile;
+use crate::rig::ClockChoice;
+use crate::safety::GuardConsent;
+use crate::session::{
+    FolderError, RigSessions, SeedFor, Session, SessionError, SessionEvent, SessionFolder,
+    SessionSettings, derived_seed, run_side_by_side,
+};
+
+/// A rig with its session.
+struct Rig {
+    /// Number from 1.
+    number: u32,
+    device: String,
+    is_hardware: bool,
+    session: Session,
+    progress: SessionProgress,
+    live: Live,
+}
+
+impl Rig {
+    fn name(&self) -> String {
+        rig_name(self.number)
+    }
+}
+
+fn rig_name(number: u32) -> String {
+    format!("rig {number}")
+}
+
+/// A session's folder with its settings.
+type Begun = (SessionFolder, SessionSettings);
+
+/// Whether several Qubes are to have a session each.
+pub fn are_asked(arguments: &Arguments) -> bool {
+    match &arguments.resume {
+        Some(root) => RigSessions::are_in(root),
+        None => arguments.rigs.count() > 1,
+    }
+}
+
+/// Runs or resumes the sessions and prints their tables.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let started = Instant::now();
+    let consent = arguments.consent.beside(arguments.guard)?;
+    let begins = arguments.resume.is_none();
+    let mut place = None;
+    let (root, devices, sessions) = match &arguments.resume {
+        Some(root) => {
+            let devices = devices_again(arguments, root)?;
+            let sessions = goes_on(arguments, root, &devices)?;
+            (root.clone(), devices, sessions)
+        }
+        None => {
+            let devices = arguments.rigs.choose(arguments.rigs.count())?;
+            let settings = of_each(arguments, consent, &devices)?;
+            for device in &devices {
+                device.check_port()?;
+            }
+            let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
+            let root = place.path().to_owned();
+            let sessions = begin(&root, settings, &devices)?;
+            (root, devices, sessions)
+        }
+    };
+    let resume = again(&root, &devices);
+    let opened = open(arguments, &root, devices, sessions, consent, &resume);
+    let (stop, mut rigs) = match opened {
+        Ok(opened) => opened,
+        Err(failure) => {
+            if begins {
+                withdraw(&root, arguments.rigs.count());
+            }
+            return Err(failure);
+        }
+    };
+
+    let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
+    eprintln!("{}", keyboard.hint());
+    tell(&format!("sessions of {} Qubes in {}", rigs.len(), root.display()));
+    service_manager::ready();
+    let ended = run_side_by_side(rigs.iter_mut().map(|rig| {
+        let Rig { session, progress, live, .. } = rig;
+        let candidates = progress.candidates();
+        (session, move |news: SessionEvent| {
+            service_manager::alive();
+            progress.tell(&news);
+            live.tell(&news, candidates);
+        })
+    }));
+    service_manager::stopping();
+    drop(keyboard);
+
+    let failed = |error: SessionError| failures::session(error, &stop, &resume);
+    let ended: Vec<_> = ended.into_iter().map(|ended| ended.map_err(failed)).collect();
+    let none_began = rigs.iter().all(|rig| !rig.session.has_decided());
+    let all_refused = |ended: &[Result<(), Failure>]| {
+        ended.iter().all(|ended| ended.as_ref().is_err_and(Failure::is_usage))
+    };
+    if none_began && all_refused(&ended) {
+        let count = rigs.len();
+        let failure = together(rigs.into_iter().map(|rig| rig.name()).zip(ended));
+        if begins {
+            withdraw(&root, count);
+        }
+        return failure;
+    }
+    tell_results(rigs, ended, failed, &root, started, output)
+}
+
+/// Prints the results of all sessions.
+fn tell_results(
+    rigs: Vec<Rig>,
+    ended: Vec<Result<(), Failure>>,
+    failed: impl Fn(SessionError) -> Failure + Copy,
+    root: &Path,
+    started: Instant,
+    output: &Output,
+) -> Result<(), Failure> {
+    let (mut text, mut results) = (String::new(), Vec::new());
+    let mut outcomes = Vec::new();
+    for (mut rig, ended) in rigs.into_iter().zip(ended) {
+        let (mut result, ended) = match session::results(&mut rig.session, ended, failed) {
+            Ok((table, result, ended)) => {
+                let _ = write!(text, "\n{} ({}):\n{table}", rig.name(), rig.device);
+                (result, ended)
+            }
+            Err(failure) => (json!({ "best": null }), Err(failure)),
+        };
+        // An emulated Qube has a new number in each rollout of virtual time.
+        let board = rig.session.board().ok().flatten().filter(|_| rig.is_hardware);
+        result["rig"] = json!(rig.number);
+        result["device"] = json!(rig.device);
+        result["board"] = json!(board);
+        result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
+        results.push(result);
+        outcomes.push((rig.name(), ended));
+    }
+    text.push_str(&summary(&results));
+    let ended = together(outcomes);
+    let all = json!({
+        "rig_policy": "own",
+        "rigs": results,
+        "directory": root.to_string_lossy(),
+        "wall_s": started.elapsed().as_secs_f64(),
+        "ended_by": ended.as_ref().err().map(Failure::ended_by),
+    });
+    output.print(&text, &all);
+    ended
+}
+
+/// A line for each rig: its Qube, and the policy that its session recommends.
+fn summary(results: &[Value]) -> String {
+    let mut text = String::from("\n rig  mean return  balance  best policy\n");
+    for result in results {
+        let (rig, best) = (result["rig"].as_u64().unwrap_or_default(), &result["best"]);
+        let line = match (best["mean_return"].as_f64(), best["policy"].as_str()) {
+            (Some(mean), Some(policy)) => {
+                let rollouts = best["returns"].as_array().map_or(0, Vec::len);
+                format!("{mean:11.1}  {:2} of {rollouts:<2} {policy}", best["successes"])
+            }
+            _ => format!("{:>11}  {:>8}  none is verified", "-", "-"),
+        };
+        let early = if result["ended_by"].is_null() { "" } else { " (its session ended early)" };
+        let _ = writeln!(text, "{rig:>4}  {line}{early}");
+    }
+    text
+}
+
+/// The failure of all rigs that failed, if any.
+fn together(
+    outcomes: impl IntoIterator<Item = (String, Result<(), Failure>)>,
+) -> Result<(), Failure> {
+    let failures: Vec<_> =
+        outcomes.into_iter().filter_map(|(name, ended)| Some((name, ended.err()?))).collect();
+    Failure::of_parts(&failures).map_or(Ok(()), Err)
+}
+
+/// The settings of the session of each Qube.
+fn of_each(
+    arguments: &Arguments,
+    consent: Option<GuardConsent>,
+    devices: &[ChosenDevice],
+) -> Result<Vec<SessionSettings>, Failure> {
+    let mut all = Vec::new();
+    for (rig, device) in (1..).zip(devices) {
+        let mut settings = configured(arguments, consent, device)?;
+        let identifies = settings.identification.is_some();
+        let policy = arguments.rigs.rig_policy();
+        if policy == Some(RigPolicy::Shared) || (policy.is_none() && !identifies) {
+            return Err(Failure::usage(
+                "a policy that several Qubes share is not there yet: give --rig-policy own",
+            ));
+        }
+        let session_seed = settings.seed;
+        settings.seed = in_toml(derived_seed(session_seed, SeedFor::RigSession { rig }));
+        if !device.choice.is_hardware() && arguments.rigs.vary() > 0.0 {
+            let seed = derived_seed(session_seed, SeedFor::RigQube { rig });
+            settings.emulated = settings.emulated.varied(arguments.rigs.vary(), seed);
+        }
+        all.push(settings);
+    }
+    Ok(all)
+}
+
+/// A seed that a file of TOML can hold, whose integers have a sign.
+fn in_toml(seed: u64) -> u64 {
+    seed & i64::MAX as u64
+}
+
+/// Begins the sessions in an empty folder.
+fn begin(
+    root: &Path,
+    settings: Vec<SessionSettings>,
+    devices: &[ChosenDevice],
+) -> Result<Vec<Begun>, Failure> {
+    let mut inside = fs::read_dir(root).map_err(|error| failures::not_written(root, &error))?;
+    if inside.next().is_some() {
+        return Err(failures::folder(&FolderError::Exists { path: root.to_owned() }));
+    }
+    let count = settings.len();
+    let mut sessions = Vec::new();
+    let begun_all = (1..).zip(settings).try_for_each(|(rig, settings)| {
+        let name = format!("{}/rig-{rig}", name_in(root));
+        sessions.push(begun(&RigSessions::folder(root, rig), name, settings)?);
+        Ok(())
+    });
+    let devices = devices.iter().map(name_of).collect();
+    let all = RigSessions { devices };
+    let ended = begun_all.and_then(|()| all.save(root).map_err(|error| failures::folder(&error)));
+    if ended.is_err() {
+        drop(std::mem::take(&mut sessions));
+        withdraw(root, count);
+    }
+    ended.map(|()| sessions)
+}
+
+/// Removes sessions that have decided nothing; files that cannot be removed stay.
+fn withdraw(root: &Path, count: usize) {
+    let _ = fs::remove_file(RigSessions::path(root));
+    for rig in 1..=count as u32 {
+        let folder = RigSessions::folder(root, rig);
+        if let Ok(session) = SessionFolder::open(&folder) {
+            session.withdraw();
+        }
+        let _ = fs::remove_dir(&folder);
+    }
+}
+
+/// The Qubes of sessions that go on: as many as before, in their order.
+fn devices_again(arguments: &Arguments, root: &Path) -> Result<Vec<ChosenDevice>, Failure> {
+    let known = RigSessions::load(root).map_err(Failure::usage)?.devices;
+    let are_emulated = known.iter().all(|device| device == EMULATED);
+    if !arguments.rigs.are_named() && are_emulated {
+        return arguments.rigs.choose(known.len());
+    }
+    if !arguments.rigs.are_named() || arguments.rigs.count() != known.len() {
+        return Err(Failure::usage(format!(
+            "{} drives {} Qubes, which began at {}: give --device or --qube once for each, in this order",
+            root.display(),
+            known.len(),
+            known.join(", "),
+        )));
+    }
+    arguments.rigs.choose(known.len())
+}
+
+/// Opens the folders of sessions that go on.
+fn goes_on(
+    arguments: &Arguments,
+    root: &Path,
+    devices: &[ChosenDevice],
+) -> Result<Vec<Begun>, Failure> {
+    let open = |(rig, device)| resumed(&RigSessions::folder(root, rig), arguments, device);
+    (1..).zip(devices).map(open).collect()
+}
+
+/// Opens the sessions.
+fn open(
+    arguments: &Arguments,
+    root: &Path,
+    devices: Vec<ChosenDevice>,
+    sessions: Vec<Begun>,
+    consent: Option<GuardConsent>,
+    resume: &str,
+) -> Result<(Stop, Vec<Rig>), Failure> {
+    let stop = Stop::on_signals()?;
+    let executor: Arc<dyn Executor> = match arguments.executor.executor(root)? {
+        Some(executor) => executor,
+        // While one session trains, the Qubes of the others run.
+        None if devices.iter().any(|device| device.clock == ClockChoice::Wall) => {
+            Arc::new(LocalExecutor::beside_control_thread())
+        }
+        None => Arc::new(LocalExecutor::on_all_cores()),
+    };
+    let mut rigs = Vec::new();
+    for (number, (mut device, (folder, settings))) in (1..).zip(devices.into_iter().zip(sessions)) {
+        let name = rig_name(number);
+        let live = arguments.live.of_rig(number)?.serve("session", &stop)?;
+        let mut rig_settings =
+            session::rig_settings(&mut device, &folder, &settings, consent, arguments.check)?;
+        rig_settings.viewers = live.viewer().into_iter().collect();
+        for warning in session::warnings(&device, &rig_settings, &settings) {
+            eprintln!("{name}: warning: {warning}");
+        }
+        if rig_settings.checks() {
+            eprintln!(
+                "{name}: first the Qube is checked and homed (--skip-check leaves the check out)"
+            );
+        }
+        let progress = SessionProgress::new(&settings, &Screen::none().progress(), &stop);
+        let is_hardware = rig_settings.is_hardware();
+        let failed = |error| failures::session(error, &stop, resume);
+        let session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
+            .and_then(Session::on_the_same_board)
+            .map_err(failed)?
+            .beside(device.profile.as_ref().map(Profile::model))
+            .trained_by(Arc::clone(&executor));
+        rigs.push(Rig {
+            number,
+            device: name_of(&device),
+            is_hardware,
+            session,
+            progress: progress.of_rig(&name),
+            live,
+        });
+    }
+    Ok((stop, rigs))
+}
+
+/// The command with which the sessions go on.
+fn again(root: &Path, devices: &[ChosenDevice]) -> String {
+    let mut command = format!("qube-hil session --resume {}", root.display());
+    if devices.iter().all(|device| !device.choice.is_hardware()) {
+        return command;
+    }
+    let paths: Option<Vec<&PathBuf>> = devices.iter().map(|device| device.path.as_ref()).collect();
+    let named: Vec<String> = match paths {
+        Some(paths) => paths.iter().map(|path| format!("--qube {}", path.display())).collect(),
+        None => devices.iter().map(|device| format!("--device {}", name_of(device))).collect(),
+    };
+    for device in named {
+        let _ = write!(command, " {device}");
+    }
+    command
+}

@@ -1,0 +1,158 @@
+//! The settings of a session: those of a new one from the command line, or those that a folder has.
+
+use std::path::Path;
+
+use super::device_arguments::ChosenDevice;
+use super::exit::Failure;
+use super::failures;
+use super::profile;
+use super::session::{Arguments, Method, Preset};
+use crate::qube::PlantModel;
+use crate::safety::{Guard, GuardConsent};
+use crate::session::{
+    EmulatedQubeSettings, IdentificationSettings, SessionFolder, SessionSettings,
+};
+
+/// The settings of a new session.
+pub fn configured(
+    arguments: &Arguments,
+    consent: Option<GuardConsent>,
+    device: &ChosenDevice,
+) -> Result<SessionSettings, Failure> {
+    let preset = arguments.preset.settings().of_plant(&device.plant);
+    let mut settings = match &arguments.config {
+        Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
+        None => preset,
+    };
+    settings.identification = identification(arguments, &settings)?;
+    if let Some(pending) = arguments.pending {
+        if pending > 0 && settings.identification.is_some() {
+            return Err(Failure::usage(
+                "--pending goes with --method bayrn: around an identified Qube each proposal follows from the returns \
+                 of all candidates before it",
+            ));
+        }
+        settings.extent.pending = pending;
+    }
+    let emulated = !device.choice.is_hardware();
+    if let Some(baseline) = arguments.baseline {
+        settings.extent.baseline = baseline;
+    } else if arguments.config.is_none() {
+        settings.extent.baseline = emulated && settings.identification.is_some();
+    }
+    if arguments.config.is_none() && settings.identification.is_some() {
+        // The first command of a newcomer shows the problem: a Qube that differs from the nominal one. Another plant
+        // differs from its own nominal one alike.
+        let lab = profile::named("lab", &PlantModel::QUBE)?;
+        settings.emulated =
+            EmulatedQubeSettings { model: device.plant.in_proportion(&lab), ..settings.emulated };
+    }
+    if let Some(guard) = arguments.guard {
+        settings = settings.with_guard(guard.into());
+    }
+    settings.seed = arguments.seed.unwrap_or(settings.seed);
+    if let Some(estimator) = arguments.estimator.settings(&device.plant)? {
+        settings = settings.seen_through(estimator);
+    }
+    settings.emulated = arguments.emulated.settings(&device.plant)?.unwrap_or(settings.emulated);
+    let settings = on_this_qube(settings, device);
+    let origin = match (&arguments.guard, &arguments.config) {
+        (None, Some(path)) => path.display().to_string(),
+        _ => "--guard".into(),
+    };
+    device.limits(&origin, &settings.safety_box, consent)?;
+    Ok(settings)
+}
+
+/// The identification of a new session; `None` searches an unknown Qube.
+fn identification(
+    arguments: &Arguments,
+    settings: &SessionSettings,
+) -> Result<Option<IdentificationSettings>, Failure> {
+    let configured = settings.identification;
+    let by_default = arguments.preset == Preset::Quick && arguments.config.is_none();
+    let method = arguments.method.unwrap_or(match configured {
+        None if !by_default => Method::Bayrn,
+        _ => Method::Identified,
+    });
+    let mut plan = configured.unwrap_or_default();
+    match (method, arguments.candidates) {
+        (Method::Bayrn, None) => return Ok(None),
+        (Method::Bayrn, Some(_)) => {
+            return Err(Failure::usage(
+                "--candidates goes with --method identified; the extent of bayrn is in the table extent of --config",
+            ));
+        }
+        (Method::Posterior, Some(more)) if more > 1 => {
+            return Err(Failure::usage(
+                "--method posterior trains one candidate: leave --candidates out, or give --method identified",
+            ));
+        }
+        (Method::Posterior, _) => plan.candidates = 1,
+        (Method::Identified, Some(candidates)) => plan.candidates = candidates,
+        (Method::Identified, None) => {}
+    }
+    Ok(Some(plan))
+}
+
+/// Begins a session in a folder, with its name.
+pub fn begun(
+    root: &Path,
+    name: String,
+    settings: SessionSettings,
+) -> Result<(SessionFolder, SessionSettings), Failure> {
+    let settings = SessionSettings { name, ..settings };
+    let configuration = settings.to_toml().map_err(Failure::failed)?;
+    let folder =
+        SessionFolder::create(root, &configuration).map_err(|error| failures::folder(&error))?;
+    Ok((folder, settings))
+}
+
+/// Name of a session in a folder.
+pub fn name_in(root: &Path) -> String {
+    root.file_name().map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned())
+}
+
+/// Opens the folder of a session to go on with, and reads its settings.
+pub fn resumed(
+    directory: &Path,
+    arguments: &Arguments,
+    device: &ChosenDevice,
+) -> Result<(SessionFolder, SessionSettings), Failure> {
+    if arguments.emulated.settings(&device.plant)?.is_some() {
+        return Err(Failure::usage(
+            "a session goes on with the emulated Qube that it began with: leave --profile, \
+             --gap, --delay-ms, --jitter-ms, --cable-drift and --scale out",
+        ));
+    }
+    if arguments.estimator.settings(&device.plant)?.is_some() {
+        return Err(Failure::usage(
+            "a session goes on with the estimator that it began with: leave --estimator, \
+             --filter, --estimator-profile and --estimator-delay-ms out",
+        ));
+    }
+    let folder = SessionFolder::open(directory).map_err(|error| failures::folder(&error))?;
+    let settings =
+        SessionSettings::load(&folder.paths().configuration()).map_err(Failure::usage)?;
+    if arguments.guard.is_some_and(|guard| Guard::from(guard) != settings.safety_box.guard) {
+        return Err(Failure::usage(
+            "a session goes on with the guard that it began with: leave --guard out",
+        ));
+    }
+    if device.plant_is_given && device.plant != *settings.plant() {
+        return Err(Failure::usage(format!(
+            "a session goes on with the plant that it began with, {}: leave --plant out",
+            settings.plant().name
+        )));
+    }
+    Ok((folder, on_this_qube(settings, device)))
+}
+
+/// Applies signs, homing and limits of the rig's own file, which take precedence over the session's.
+fn on_this_qube(settings: SessionSettings, device: &ChosenDevice) -> SessionSettings {
+    SessionSettings {
+        homing: device.homing(settings.homing),
+        safety_box: device.safety_box(settings.safety_box),
+        ..settings
+    }
+}

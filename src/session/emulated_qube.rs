@@ -1,0 +1,79 @@
+use rand::{RngExt as _, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::device::emulator::{Effects, EmulatorSettings};
+use crate::qube::{DomainParameter, QubeModel};
+
+/// The settings of the emulated Qube of a session.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EmulatedQubeSettings {
+    /// Physics of the Qube.
+    pub model: QubeModel,
+    /// Largest deviation of a command's delay from the model's, s.
+    pub command_jitter_s: f64,
+    /// Backlash between motor and arm, rad.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub play_rad: f64,
+    /// Effects beyond the equations.
+    #[serde(default, skip_serializing_if = "has_none")]
+    pub effects: Effects,
+}
+
+fn has_none(effects: &Effects) -> bool {
+    *effects == Effects::NONE
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+impl EmulatedQubeSettings {
+    /// An emulator without faults whose start follows from this seed.
+    #[must_use]
+    pub fn emulator(&self, seed: u64) -> EmulatorSettings {
+        EmulatorSettings {
+            model: self.model,
+            command_jitter_s: self.command_jitter_s,
+            play_rad: self.play_rad,
+            effects: self.effects,
+            seed,
+            ..EmulatorSettings::default()
+        }
+    }
+
+    /// A Qube around this one that follows from this seed: every parameter and every strength among the nonidealities
+    /// is uniform within this part of its value.
+    #[must_use]
+    pub fn varied(&self, width: f64, seed: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut varied = |value: f64| value * (1.0 + random.random_range(-width..=width));
+        let QubeModel { mut parameters, mut nonidealities } = self.model;
+        for parameter in DomainParameter::ALL {
+            parameters.set(parameter, varied(parameters.get(parameter)));
+        }
+        // The cable's rest angle is a place, not a strength, so it stays.
+        for strength in [
+            &mut nonidealities.coulomb_torque_n_m,
+            &mut nonidealities.positive_dead_zone_v,
+            &mut nonidealities.negative_dead_zone_v,
+            &mut nonidealities.cable_stiffness_n_m_rad,
+            &mut nonidealities.command_delay_s,
+        ] {
+            *strength = varied(*strength);
+        }
+        Self { model: QubeModel { parameters, nonidealities }, ..*self }
+    }
+}
+
+impl Default for EmulatedQubeSettings {
+    fn default() -> Self {
+        Self {
+            model: QubeModel::NOMINAL,
+            command_jitter_s: 0.0,
+            play_rad: 0.0,
+            effects: Effects::NONE,
+        }
+    }
+}

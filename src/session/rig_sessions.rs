@@ -1,0 +1,93 @@
+//! The sessions of several Qubes in one folder, one each, at the same time.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::configuration::read;
+use super::{ConfigurationError, FolderError, Session, SessionError, SessionEvent};
+use crate::storage::{MachineDisk, write_whole};
+
+/// The file `rigs.toml`: which Qubes have a session each in its folder.
+///
+/// ```text
+/// rigs.toml                               this file; written when all sessions have begun
+/// rig-1/                                  the session of the first Qube
+/// rig-2/                                  the session of the second Qube
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RigSessions {
+    /// Devices as they were named when the sessions began, in the order of the rigs.
+    pub devices: Vec<String>,
+}
+
+impl RigSessions {
+    /// Path of the file.
+    #[must_use]
+    pub fn path(root: &Path) -> PathBuf {
+        root.join("rigs.toml")
+    }
+
+    /// Folder of the session of a rig, which is numbered from 1.
+    #[must_use]
+    pub fn folder(root: &Path, rig: u32) -> PathBuf {
+        root.join(format!("rig-{rig}"))
+    }
+
+    /// Whether a folder has the sessions of several Qubes.
+    #[must_use]
+    pub fn are_in(root: &Path) -> bool {
+        Self::path(root).exists()
+    }
+
+    /// Reads the file.
+    ///
+    /// # Errors
+    /// The file cannot be read or is invalid.
+    pub fn load(root: &Path) -> Result<Self, ConfigurationError> {
+        let path = Self::path(root);
+        toml::from_str(&read(&path)?)
+            .map_err(|source| ConfigurationError::Invalid { path, source: Box::new(source) })
+    }
+
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&self, root: &Path) -> Result<(), FolderError> {
+        let path = Self::path(root);
+        let text = toml::to_string_pretty(self).map_err(|error| FolderError::Io {
+            path: path.clone(),
+            source: std::io::Error::other(error),
+        })?;
+        Ok(write_whole(&MachineDisk, &path, text.as_bytes())?)
+    }
+}
+
+/// Runs sessions at the same time, each in a thread of its own with a listener of its own, until all of them have
+/// ended. A session that ends early tells so and changes nothing for the others.
+///
+/// # Panics
+/// A session panicked; the others have ended before.
+pub fn run_side_by_side<'a, T: FnMut(SessionEvent) + Send>(
+    sessions: impl IntoIterator<Item = (&'a mut Session, T)>,
+) -> Vec<Result<(), SessionError>> {
+    let run = |session: &mut Session, mut tell: T| {
+        let ended = session.run(&mut tell);
+        if let Err(error) = &ended {
+            tell(SessionEvent::EndedEarly(error));
+        }
+        ended
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = sessions
+            .into_iter()
+            .map(|(session, tell)| scope.spawn(move || run(session, tell)))
+            .collect();
+        threads
+            .into_iter()
+            .map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+            .collect()
+    })
+}
