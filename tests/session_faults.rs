@@ -68,7 +68,7 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
         let voids: Vec<u32> = entries
             .iter()
             .filter_map(|entry| match *entry {
-                Entry::RolloutVoid { candidate, rollout: 0, attempt: 0 } => Some(candidate),
+                Entry::RolloutVoid { candidate, rollout: 0, attempt: 0, .. } => Some(candidate),
                 _ => None,
             })
             .collect();
@@ -80,7 +80,7 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
         let folder = SessionFolder::open(&root).unwrap();
         let entries =
             Ledger::open(&MachineDisk, &folder.paths().ledger()).unwrap().entries().to_vec();
-        let again = Entry::RolloutFinished { candidate, rollout: 0, attempt: 1 };
+        let again = Entry::RolloutFinished { candidate, rollout: 0, attempt: 1, rig: None };
         assert!(entries.contains(&again), "{fault}: {entries:?}");
     }
 }

@@ -10,7 +10,8 @@ use std::time::Duration;
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::rig::RigSettings;
 use qube_hil::session::{
-    Extent, Session, SessionError, SessionEvent, SessionFolder, SessionSettings, run_side_by_side,
+    Entry, Extent, Session, SessionError, SessionEvent, SessionFolder, SessionSettings,
+    run_side_by_side,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -143,9 +144,42 @@ fn each_of_two_qubes_has_a_session_of_its_own() {
 }
 
 #[test]
-fn two_sessions_that_are_killed_go_on_to_the_same_bytes() {
-    let resumed = [2, 16, 128].into_iter().any(|it| is_killed_and_resumed("own", "rigs.toml", it));
-    assert!(resumed, "every session ended before a kill");
+fn a_policy_that_two_qubes_share_runs_on_both() {
+    let directory = with_settings(2);
+    let arguments: Vec<&str> = BEGIN.into_iter().chain(["--method", "bayrn", "--json"]).collect();
+    let output = ended(directory.path(), &arguments);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{told}");
+    assert!(told.contains("candidate 0, rollout 1 on rig 2: "), "{told}");
+    let result = json(&output);
+    assert_eq!(result["rig_policy"], "shared");
+    assert_eq!(result["rigs"].as_array().unwrap().len(), 2, "{result}");
+    let candidates = ["candidates", "verified"].map(|kind| result[kind].as_array().unwrap().iter());
+    for candidate in candidates.into_iter().flatten() {
+        let returns: Vec<f64> =
+            (0..2).map(|it| candidate["returns"][it].as_f64().unwrap()).collect();
+        for (index, rig) in candidate["by_rig"].as_array().unwrap().iter().enumerate() {
+            assert_eq!(rig["rig"], index + 1);
+            assert_eq!(rig["returns"], serde_json::json!([returns[index]]));
+        }
+        assert_eq!(candidate["mean_return"], (returns[0] + returns[1]) / 2.0);
+    }
+    let rigs = SessionSettings::load(&directory.path().join("two/session.toml")).unwrap().rigs;
+    assert_ne!(rigs[0].emulated.model, rigs[1].emulated.model);
+    let table = ended(directory.path(), &["--resume", "two"]);
+    let table = String::from_utf8_lossy(&table.stdout).into_owned();
+    assert!(table.contains("mean return on each rig\n   #      rig 1      rig 2\n"), "{table}");
+    let page = std::fs::read_to_string(directory.path().join("two/report.html")).unwrap();
+    assert!(page.contains("Mean return on each rig"));
+}
+
+#[test]
+fn sessions_of_two_qubes_that_are_killed_go_on_to_the_same_bytes() {
+    for (rig_policy, first_file) in [("own", "rigs.toml"), ("shared", "session.toml")] {
+        let mut updates = [2, 16, 128].into_iter();
+        let resumed = updates.any(|it| is_killed_and_resumed(rig_policy, first_file, it));
+        assert!(resumed, "{rig_policy}: every session ended before a kill");
+    }
 }
 
 #[test]
@@ -161,6 +195,17 @@ fn qubes_that_are_named_badly_are_refused() {
             "2 times and --qube 1",
         ),
         (&["--rig-policy", "own"], "goes with several Qubes"),
+        (
+            &["--device", "emulated", "--device", "emulated", "--rig-policy", "shared"],
+            "--method bayrn",
+        ),
+        (
+            &[
+                "--device", "emulated", "--device", "emulated", "--device", "emulated", "--method",
+                "bayrn",
+            ],
+            "2 rollouts of each candidate cannot be spread over 3 Qubes",
+        ),
         (&["--vary", "0.1", "--device", "emulated"], "goes with several Qubes"),
         (
             &["--device", "emulated", "--device", "/dev/no-qube", "--rig-policy", "own"],
@@ -220,4 +265,90 @@ fn the_fault_of_one_qube_ends_its_own_session_only() {
     alone.run(&mut |_| ()).unwrap();
     let files_of = |name: &str| files(&directory.path().join(name));
     assert!(files_of("sound") == files_of("alone"), "the other session's fault changed something");
+}
+
+/// A session that two emulated Qubes share, each with a fault or none; opens it again if it exists.
+fn shared(root: &Path, faults: [Option<&str>; 2]) -> Session {
+    let settings = settings();
+    let folder = if root.exists() {
+        SessionFolder::open(root).unwrap()
+    } else {
+        SessionFolder::create(root, &settings.to_toml().unwrap()).unwrap()
+    };
+    let [first, second] = faults.map(|fault| emulated(&settings, fault));
+    let stop = Arc::new(AtomicBool::new(false));
+    Session::open(folder, settings, first, stop).unwrap().spread_over([(second, None)])
+}
+
+/// The attempts in a ledger, each with its rig and whether it has a result; a rig that was taken out is in between.
+fn attempts(entries: &[Entry]) -> Vec<String> {
+    let told = entries.iter().filter_map(|entry| match entry {
+        Entry::RolloutFinished { candidate, rollout, rig, .. } => {
+            Some(format!("{candidate}/{rollout} on {}", rig.unwrap()))
+        }
+        Entry::RolloutVoid { candidate, rollout, rig, .. } => {
+            Some(format!("{candidate}/{rollout} void on {}", rig.unwrap()))
+        }
+        Entry::RigTakenOut { rig, .. } => Some(format!("{rig} is out")),
+        _ => None,
+    });
+    told.collect()
+}
+
+#[test]
+fn the_rollouts_of_a_rig_that_faults_are_made_by_the_other() {
+    let directory = tempfile::tempdir().unwrap();
+    // A doubt, and a fault after which the link does not come back; each rollout has a new Qube.
+    for (name, fault) in [("doubt", "amplifier@16.5"), ("silent", "silent@16.5")] {
+        let root = directory.path().join(name);
+        let mut session = shared(&root, [None, Some(fault)]);
+        let mut told = Vec::new();
+        session
+            .run(&mut |event| {
+                if let SessionEvent::RigTakenOut { rig, reason } = event {
+                    told.push((rig, reason.to_owned()));
+                }
+            })
+            .unwrap();
+        let made = attempts(session.entries());
+        assert_eq!(made[..4], ["0/0 on 1", "0/1 void on 2", "2 is out", "0/1 on 1"], "{fault}");
+        assert!(made[4..].iter().all(|it| it.ends_with("on 1")), "{fault}: {made:?}");
+        assert_eq!(session.state().taken_out(), told, "{fault}");
+        let candidates = session.state().candidates();
+        assert!(candidates.iter().all(|it| it.finished.len() == 2), "{fault}: {candidates:?}");
+        drop(session);
+        if name == "doubt" {
+            goes_on_from_each_line(&root, fault);
+        }
+    }
+}
+
+/// Cuts the ledger after each line around the fault, as a crash does, and goes on to the same bytes.
+fn goes_on_from_each_line(root: &Path, fault: &str) {
+    let whole = files(root);
+    let text = String::from_utf8(whole["ledger.jsonl"].clone()).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    let void = lines.iter().position(|line| line.contains("rollout_void")).unwrap();
+    for kept in void - 1..void + 3 {
+        let text: String = lines[..kept].iter().map(|line| format!("{line}\n")).collect();
+        std::fs::write(root.join("ledger.jsonl"), text).unwrap();
+        shared(root, [None, Some(fault)]).run(&mut |_| ()).unwrap();
+        assert!(files(root) == whole, "after {kept} lines");
+    }
+}
+
+#[test]
+fn the_fault_of_the_last_rig_ends_a_shared_session_until_it_is_mended() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path().join("session");
+    let faults = [Some("amplifier@16.5"), Some("stall@16.5")];
+    let error = shared(&root, faults).run(&mut |_| ()).unwrap_err();
+    assert!(matches!(error, SessionError::InDoubt { .. }), "{error}");
+    let session = shared(&root, [None, None]);
+    assert_eq!(attempts(session.entries()), ["0/0 void on 1", "1 is out", "0/0 void on 2"]);
+    drop(session);
+    let mut session = shared(&root, [None, None]);
+    session.acknowledge();
+    session.run(&mut |_| ()).unwrap();
+    assert!(attempts(session.entries())[3..].iter().all(|it| it.ends_with("on 2")));
 }

@@ -168,8 +168,9 @@ impl ExperimentProgress {
                 self.line(format!("{name}: candidate {candidate}, rollout {rollout}: {return_}"));
                 self.progress.wait_while_paused(&self.stop);
             }
-            SessionEvent::Connected(_)
-            | SessionEvent::Drift(_)
+            SessionEvent::Connected { .. }
+            | SessionEvent::Drift { .. }
+            | SessionEvent::RigTakenOut { .. }
             | SessionEvent::Identified { .. }
             | SessionEvent::ExcitesAgain(_)
             | SessionEvent::NotIdentified(_)

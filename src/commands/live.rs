@@ -186,7 +186,7 @@ impl Live {
                     better(status, verdict.return_());
                 }
             }),
-            SessionEvent::Connected(_) => self.doing("connected; the arm is homed"),
+            SessionEvent::Connected { .. } => self.doing("connected; the arm is homed"),
             _ => {}
         }
     }

@@ -55,6 +55,8 @@ mod session;
 mod session_progress;
 mod session_settings;
 mod session_table;
+mod several_rigs;
+mod shared_session;
 mod soak;
 mod stop;
 mod strategy_arguments;

@@ -95,6 +95,9 @@ impl RigArguments {
                 "{option} goes with several Qubes: give --device or --qube once for each"
             )));
         }
+        if self.count() > 1 {
+            return Err(Failure::usage("this session drives one Qube: name one"));
+        }
         self.choose(1).map(|mut chosen| chosen.remove(0))
     }
 

@@ -2,26 +2,27 @@
 
 use std::fmt::Write;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
 use serde_json::{Value, json};
 
 use super::destination::OutputFolder;
-use super::device_arguments::{ChosenDevice, EMULATED};
+use super::device_arguments::ChosenDevice;
 use super::exit::Failure;
 use super::failures;
 use super::keyboard::Keyboard;
 use super::live::Live;
 use super::output::Output;
 use super::printable::tell;
-use super::rig_arguments::{RigPolicy, name_of};
+use super::rig_arguments::name_of;
 use super::screen::Screen;
 use super::service_manager;
 use super::session::{self, Arguments};
 use super::session_progress::SessionProgress;
 use super::session_settings::{begun, configured, name_in, resumed};
+use super::several_rigs::{emulated_of, resume_command};
 use super::stop::Stop;
 use crate::jobs::{Executor, LocalExecutor};
 use crate::qube::Profile;
@@ -56,28 +57,20 @@ fn rig_name(number: u32) -> String {
 /// A session's folder with its settings.
 type Begun = (SessionFolder, SessionSettings);
 
-/// Whether several Qubes are to have a session each.
-pub fn are_asked(arguments: &Arguments) -> bool {
-    match &arguments.resume {
-        Some(root) => RigSessions::are_in(root),
-        None => arguments.rigs.count() > 1,
-    }
-}
-
 /// Runs or resumes the sessions and prints their tables.
-pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+pub fn run(
+    arguments: &Arguments,
+    devices: Vec<ChosenDevice>,
+    output: &Output,
+) -> Result<(), Failure> {
     let started = Instant::now();
     let consent = arguments.consent.beside(arguments.guard)?;
     let begins = arguments.resume.is_none();
     let mut place = None;
-    let (root, devices, sessions) = match &arguments.resume {
-        Some(root) => {
-            let devices = devices_again(arguments, root)?;
-            let sessions = goes_on(arguments, root, &devices)?;
-            (root.clone(), devices, sessions)
-        }
+    let count = devices.len();
+    let (root, sessions) = match &arguments.resume {
+        Some(root) => (root.clone(), goes_on(arguments, root, &devices)?),
         None => {
-            let devices = arguments.rigs.choose(arguments.rigs.count())?;
             let settings = of_each(arguments, consent, &devices)?;
             for device in &devices {
                 device.check_port()?;
@@ -85,16 +78,20 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
             let root = place.path().to_owned();
             let sessions = begin(&root, settings, &devices)?;
-            (root, devices, sessions)
+            (root, sessions)
         }
     };
-    let resume = again(&root, &devices);
+    // All of them have the same settings here.
+    if let Some(difference) = sessions.first().and_then(|(_, it)| session::estimators_differ(it)) {
+        tell(&difference);
+    }
+    let resume = resume_command(&root, &devices);
     let opened = open(arguments, &root, devices, sessions, consent, &resume);
     let (stop, mut rigs) = match opened {
         Ok(opened) => opened,
         Err(failure) => {
             if begins {
-                withdraw(&root, arguments.rigs.count());
+                withdraw(&root, count);
             }
             return Err(failure);
         }
@@ -123,7 +120,6 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         ended.iter().all(|ended| ended.as_ref().is_err_and(Failure::is_usage))
     };
     if none_began && all_refused(&ended) {
-        let count = rigs.len();
         let failure = together(rigs.into_iter().map(|rig| rig.name()).zip(ended));
         if begins {
             withdraw(&root, count);
@@ -153,7 +149,7 @@ fn tell_results(
             Err(failure) => (json!({ "best": null }), Err(failure)),
         };
         // An emulated Qube has a new number in each rollout of virtual time.
-        let board = rig.session.board().ok().flatten().filter(|_| rig.is_hardware);
+        let board = rig.session.board(None).ok().flatten().filter(|_| rig.is_hardware);
         result["rig"] = json!(rig.number);
         result["device"] = json!(rig.device);
         result["board"] = json!(board);
@@ -210,19 +206,9 @@ fn of_each(
     let mut all = Vec::new();
     for (rig, device) in (1..).zip(devices) {
         let mut settings = configured(arguments, consent, device)?;
-        let identifies = settings.identification.is_some();
-        let policy = arguments.rigs.rig_policy();
-        if policy == Some(RigPolicy::Shared) || (policy.is_none() && !identifies) {
-            return Err(Failure::usage(
-                "a policy that several Qubes share is not there yet: give --rig-policy own",
-            ));
-        }
         let session_seed = settings.seed;
         settings.seed = in_toml(derived_seed(session_seed, SeedFor::RigSession { rig }));
-        if !device.choice.is_hardware() && arguments.rigs.vary() > 0.0 {
-            let seed = derived_seed(session_seed, SeedFor::RigQube { rig });
-            settings.emulated = settings.emulated.varied(arguments.rigs.vary(), seed);
-        }
+        settings.emulated = emulated_of(arguments, &settings, session_seed, rig);
         all.push(settings);
     }
     Ok(all)
@@ -272,24 +258,6 @@ fn withdraw(root: &Path, count: usize) {
     }
 }
 
-/// The Qubes of sessions that go on: as many as before, in their order.
-fn devices_again(arguments: &Arguments, root: &Path) -> Result<Vec<ChosenDevice>, Failure> {
-    let known = RigSessions::load(root).map_err(Failure::usage)?.devices;
-    let are_emulated = known.iter().all(|device| device == EMULATED);
-    if !arguments.rigs.are_named() && are_emulated {
-        return arguments.rigs.choose(known.len());
-    }
-    if !arguments.rigs.are_named() || arguments.rigs.count() != known.len() {
-        return Err(Failure::usage(format!(
-            "{} drives {} Qubes, which began at {}: give --device or --qube once for each, in this order",
-            root.display(),
-            known.len(),
-            known.join(", "),
-        )));
-    }
-    arguments.rigs.choose(known.len())
-}
-
 /// Opens the folders of sessions that go on.
 fn goes_on(
     arguments: &Arguments,
@@ -337,7 +305,7 @@ fn open(
         let is_hardware = rig_settings.is_hardware();
         let failed = |error| failures::session(error, &stop, resume);
         let session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
-            .and_then(Session::on_the_same_board)
+            .and_then(Session::on_the_same_boards)
             .map_err(failed)?
             .beside(device.profile.as_ref().map(Profile::model))
             .trained_by(Arc::clone(&executor));
@@ -351,21 +319,4 @@ fn open(
         });
     }
     Ok((stop, rigs))
-}
-
-/// The command with which the sessions go on.
-fn again(root: &Path, devices: &[ChosenDevice]) -> String {
-    let mut command = format!("qube-hil session --resume {}", root.display());
-    if devices.iter().all(|device| !device.choice.is_hardware()) {
-        return command;
-    }
-    let paths: Option<Vec<&PathBuf>> = devices.iter().map(|device| device.path.as_ref()).collect();
-    let named: Vec<String> = match paths {
-        Some(paths) => paths.iter().map(|path| format!("--qube {}", path.display())).collect(),
-        None => devices.iter().map(|device| format!("--device {}", name_of(device))).collect(),
-    };
-    for device in named {
-        let _ = write!(command, " {device}");
-    }
-    command
 }

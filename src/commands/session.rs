@@ -19,12 +19,12 @@ use super::output::Output;
 use super::printable::tell;
 use super::report;
 use super::rig_arguments::RigArguments;
-use super::rig_sessions;
 use super::screen::ScreenArgument;
 use super::service_manager;
 use super::session_progress::SessionProgress;
 use super::session_settings::{begun, configured, name_in, resumed};
 use super::session_table::SessionTable;
+use super::several_rigs;
 use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
 use crate::qube::Profile;
@@ -171,8 +171,8 @@ pub enum Method {
 
 /// Runs or resumes a session and prints its table.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
-    if rig_sessions::are_asked(&arguments) {
-        return rig_sessions::run(&arguments, output);
+    if let Some(several) = several_rigs::asked(&arguments)? {
+        return several.run(&arguments, output);
     }
     let started = Instant::now();
     let mut device = arguments.rigs.choose_one()?;
@@ -329,7 +329,7 @@ pub fn results(
 }
 
 /// A note for a session whose policies train on other states than the Qube's estimates.
-fn estimators_differ(settings: &SessionSettings) -> Option<String> {
+pub fn estimators_differ(settings: &SessionSettings) -> Option<String> {
     let trained_on = match settings.training.simulation.sensors {
         SensorModel::Encoders { estimator } if estimator == settings.estimator => return None,
         SensorModel::Encoders { estimator } => described(&estimator),

@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
@@ -36,7 +36,8 @@ pub struct SessionProgress {
     trainings: u32,
     /// Returns of each candidate's rollouts, and how many of them balanced.
     returns: BTreeMap<u32, (Vec<f64>, u32)>,
-    connected: bool,
+    /// Rigs that were opened.
+    connected: BTreeSet<Option<u32>>,
 }
 
 impl SessionProgress {
@@ -64,7 +65,7 @@ impl SessionProgress {
             latest: 0,
             trainings: settings.identification.map_or(1, |plan| plan.trainings.max(1)),
             returns: BTreeMap::new(),
-            connected: false,
+            connected: BTreeSet::new(),
         }
     }
 
@@ -122,7 +123,7 @@ impl SessionProgress {
             SessionEvent::Trained { candidate, best_return } => {
                 self.progress.update(|state| {
                     state.trainings.retain(|(_, number, _), _| number != candidate);
-                    state.phase = if self.connected { ROLLOUTS } else { OPENING }.into();
+                    state.phase = if self.is_connected() { ROLLOUTS } else { OPENING }.into();
                 });
                 if let Some(best_return) = best_return {
                     self.line(format!(
@@ -130,16 +131,19 @@ impl SessionProgress {
                     ));
                 }
             }
-            SessionEvent::Connected(rig) => {
-                if !self.connected {
-                    let identity = rig.identity();
+            SessionEvent::Connected { rig, opened } => {
+                if !self.connected.contains(rig) {
+                    let identity = opened.identity();
                     self.line(format!(
-                        "connected to {} {} at {}; the arm is homed",
-                        identity.kind, identity.serial, identity.port
+                        "{}connected to {} {} at {}; the arm is homed",
+                        of_rig(*rig),
+                        identity.kind,
+                        identity.serial,
+                        identity.port
                     ));
-                    warn_without_realtime(rig.realtime());
+                    warn_without_realtime(opened.realtime());
                 }
-                self.connected = true;
+                self.connected.insert(*rig);
                 self.progress.update(|state| state.phase = ROLLOUTS.into());
             }
             SessionEvent::Identified { recordings, doubts } => {
@@ -165,17 +169,25 @@ impl SessionProgress {
             SessionEvent::EndedEarly(error) => {
                 self.line(format!("its session ends, and the others go on: {error}"));
             }
-            SessionEvent::Drift(Ok(drift)) => self.line(command_hints::drift(drift)),
-            SessionEvent::Drift(Err(unfit)) => self
-                .line(format!("the first rollouts say nothing of how the rig is today: {unfit}")),
-            SessionEvent::Rollout { candidate, rollout, attempt, verdict } => {
+            SessionEvent::Drift { rig, drift: Ok(drift) } => {
+                self.line(of_rig(*rig) + &command_hints::drift(drift));
+            }
+            SessionEvent::Drift { rig, drift: Err(unfit) } => self.line(format!(
+                "{}the first rollouts say nothing of how the rig is today: {unfit}",
+                of_rig(*rig)
+            )),
+            SessionEvent::RigTakenOut { rig, reason } => self.line(format!(
+                "rig {rig} is taken out, and the others make its rollouts: {reason}"
+            )),
+            SessionEvent::Rollout { candidate, rollout, attempt, rig, verdict } => {
+                let on_rig = rig.map_or(String::new(), |rig| format!(" on rig {rig}"));
                 let again =
                     if *attempt > 0 { format!(" (try {})", attempt + 1) } else { String::new() };
                 let came_to = match verdict {
                     Verdict::Result { .. } if self.excitations.contains(candidate) => "recorded".into(),
                     verdict => describe(verdict),
                 };
-                self.line(format!("candidate {candidate}, rollout {rollout}{again}: {came_to}"));
+                self.line(format!("candidate {candidate}, rollout {rollout}{on_rig}{again}: {came_to}"));
                 if let Verdict::Result { outcome, .. } = verdict
                     && let Ending::LeftBox(limit) = outcome.ending
                     && let Some(hint) = command_hints::after_limit(limit)
@@ -192,6 +204,10 @@ impl SessionProgress {
         }
     }
 
+    fn is_connected(&self) -> bool {
+        !self.connected.is_empty()
+    }
+
     /// Shows a new candidate.
     fn proposed(&mut self, candidate: u32, why: &str, is_excitation: bool) {
         self.latest = candidate;
@@ -201,7 +217,7 @@ impl SessionProgress {
             format!("candidate {candidate} ({} of {most}{candidates}): {why}", candidate + 1);
         self.progress.update(|state| {
             state.work = work;
-            state.phase = match (is_excitation, self.connected) {
+            state.phase = match (is_excitation, self.is_connected()) {
                 (true, false) => OPENING.into(),
                 (true, true) => ROLLOUTS.into(),
                 (false, _) => "preparing the training".into(),
@@ -251,6 +267,11 @@ fn best(candidates: &BTreeMap<u32, (Vec<f64>, u32)>) -> String {
             returns.len()
         )
     })
+}
+
+/// The beginning of a line on one rig of several that share a session.
+fn of_rig(rig: Option<u32>) -> String {
+    rig.map_or(String::new(), |rig| format!("rig {rig}: "))
 }
 
 /// The outcome of an identification as a sentence.

@@ -13,17 +13,37 @@ use crate::session::{
     EmulatedQubeSettings, IdentificationSettings, SessionFolder, SessionSettings,
 };
 
-/// The settings of a new session.
+/// The settings of a new session on this Qube.
 pub fn configured(
     arguments: &Arguments,
     consent: Option<GuardConsent>,
     device: &ChosenDevice,
 ) -> Result<SessionSettings, Failure> {
+    let settings = on_this_qube(asked(arguments, device)?, device);
+    device.limits(&origin_of_guard(arguments), &settings.safety_box, consent)?;
+    Ok(settings)
+}
+
+/// The place where the command line or a file chooses guard and box, for messages.
+pub fn origin_of_guard(arguments: &Arguments) -> String {
+    match (&arguments.guard, &arguments.config) {
+        (None, Some(path)) => path.display().to_string(),
+        _ => "--guard".into(),
+    }
+}
+
+/// The settings of a new session before those of the Qube's own file.
+pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let preset = arguments.preset.settings().of_plant(&device.plant);
     let mut settings = match &arguments.config {
         Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
         None => preset,
     };
+    if !settings.rigs.is_empty() {
+        return Err(Failure::usage(
+            "--config: several Qubes are named by --device or --qube: leave the entry rigs out",
+        ));
+    }
     settings.identification = identification(arguments, &settings)?;
     if let Some(pending) = arguments.pending {
         if pending > 0 && settings.identification.is_some() {
@@ -55,12 +75,6 @@ pub fn configured(
         settings = settings.seen_through(estimator);
     }
     settings.emulated = arguments.emulated.settings(&device.plant)?.unwrap_or(settings.emulated);
-    let settings = on_this_qube(settings, device);
-    let origin = match (&arguments.guard, &arguments.config) {
-        (None, Some(path)) => path.display().to_string(),
-        _ => "--guard".into(),
-    };
-    device.limits(&origin, &settings.safety_box, consent)?;
     Ok(settings)
 }
 
@@ -113,8 +127,18 @@ pub fn name_in(root: &Path) -> String {
     root.file_name().map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned())
 }
 
-/// Opens the folder of a session to go on with, and reads its settings.
+/// Opens the folder of a session to go on with on this Qube, and reads its settings.
 pub fn resumed(
+    directory: &Path,
+    arguments: &Arguments,
+    device: &ChosenDevice,
+) -> Result<(SessionFolder, SessionSettings), Failure> {
+    let (folder, settings) = reopened(directory, arguments, device)?;
+    Ok((folder, on_this_qube(settings, device)))
+}
+
+/// Opens the folder of a session to go on with, and reads its settings before those of the Qube's own file.
+pub fn reopened(
     directory: &Path,
     arguments: &Arguments,
     device: &ChosenDevice,
@@ -145,7 +169,7 @@ pub fn resumed(
             settings.plant().name
         )));
     }
-    Ok((folder, on_this_qube(settings, device)))
+    Ok((folder, settings))
 }
 
 /// Applies signs, homing and limits of the rig's own file, which take precedence over the session's.

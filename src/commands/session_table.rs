@@ -6,7 +6,9 @@ use super::exit::Failure;
 use super::printable::one_line;
 use super::session_progress::identified;
 use super::{observer_resets_line, quietness_line, timing_lines};
-use crate::session::{BestPolicy, Identification, Purpose, ScoredCandidate, SessionReport};
+use crate::session::{
+    BestPolicy, Identification, Purpose, RigResults, ScoredCandidate, SessionReport,
+};
 use crate::simulation::PsiSpace;
 
 /// A session's results as a table for people and as JSON for scripts.
@@ -82,6 +84,7 @@ impl SessionTable {
                 let _ = writeln!(text, "  {name:longest$}  {value:.5} {unit}");
             }
         }
+        text.push_str(&self.rig_lines());
         text.push_str(&self.identification_lines());
         if report.void_rollouts > 0 {
             let void = report.void_rollouts;
@@ -92,6 +95,39 @@ impl SessionTable {
         text.push_str(&timing_lines(&report.latencies));
         let _ = writeln!(text, "everything is in {}", report.directory.display());
         text.push_str("qube-hil session --help explains the words of this table\n");
+        text
+    }
+
+    /// The mean return of each candidate on each rig, and which rigs were taken out; empty with one rig.
+    fn rig_lines(&self) -> String {
+        let report = &self.0;
+        if report.rigs.is_empty() {
+            return String::new();
+        }
+        let mut text = String::from("\nmean return on each rig\n   #");
+        for rig in 1..=report.rigs.len() {
+            let _ = write!(text, "  {:>9}", format!("rig {rig}"));
+        }
+        text.push('\n');
+        for scored in &report.candidates {
+            let results = scored.by_rig();
+            let _ = write!(text, "{:4}", scored.candidate.number);
+            for rig in 1..=report.rigs.len() as u32 {
+                let mean =
+                    results.iter().find(|it| it.rig == rig).and_then(RigResults::mean_return);
+                let _ = match mean {
+                    Some(mean) => write!(text, "  {mean:9.1}"),
+                    None => write!(text, "  {:>9}", "-"),
+                };
+            }
+            text.push('\n');
+        }
+        for (rig, device) in (1..).zip(&report.rigs) {
+            let _ = writeln!(text, "rig {rig}: {device}");
+            if let Some((_, reason)) = report.taken_out.iter().find(|(out, _)| *out == rig) {
+                let _ = writeln!(text, "  it was taken out: {}", one_line(reason));
+            }
+        }
         text
     }
 
@@ -137,7 +173,7 @@ impl SessionTable {
             best["balancing"] = json!(quietness.figures());
             best
         });
-        json!({
+        let mut table = json!({
             "candidates": all(Purpose::is_searched),
             "verified": all(Purpose::verifies),
             "best": best,
@@ -153,7 +189,19 @@ impl SessionTable {
             "lateness_us": report.latencies.lateness_us(),
             "sample_to_act_us": report.latencies.sample_to_act_us(),
             "directory": report.directory.to_string_lossy(),
-        })
+        });
+        if !report.rigs.is_empty() {
+            table["rig_policy"] = json!("shared");
+            table["rigs"] =
+                (1..).zip(&report.rigs).map(|(rig, device)| self.rig(rig, device)).collect();
+        }
+        table
+    }
+
+    /// One of several rigs, for scripts.
+    fn rig(&self, rig: u32, device: &str) -> Value {
+        let taken_out = self.0.taken_out.iter().find(|(out, _)| *out == rig);
+        json!({ "rig": rig, "device": device, "taken_out": taken_out.map(|(_, reason)| reason) })
     }
 }
 
@@ -169,14 +217,27 @@ fn identification(known: &Identification) -> Value {
 }
 
 fn valued(psi: &PsiSpace, scored: &ScoredCandidate) -> Value {
-    json!({
+    let mut value = json!({
         "candidate": scored.candidate.number,
         "purpose": scored.candidate.purpose,
         "psi": psi.with_names(&scored.candidate.psi),
         "returns": scored.returns(),
         "mean_return": scored.mean_return(),
         "successes": scored.successes(),
-    })
+    });
+    let by_rig = scored.by_rig();
+    if !by_rig.is_empty() {
+        let of_rig = |it: &RigResults| {
+            json!({
+                "rig": it.rig,
+                "returns": it.returns,
+                "mean_return": it.mean_return(),
+                "successes": it.successes,
+            })
+        };
+        value["by_rig"] = by_rig.iter().map(of_rig).collect();
+    }
+    value
 }
 
 /// Position of each entry of psi within its box, as a digit.
@@ -209,6 +270,8 @@ mod tests {
             directory: "logs/one".into(),
             identification: Identification::None,
             settled: None,
+            rigs: Vec::new(),
+            taken_out: Vec::new(),
             best: None,
         });
         let text = table.text();

@@ -183,6 +183,35 @@ impl RigError {
         }
     }
 
+    /// Whether this Qube, its board or its link is the cause, in contrast to the request, the computer or the operator.
+    #[must_use]
+    pub fn is_of_rig(&self) -> bool {
+        match self {
+            Self::Device(_)
+            | Self::Refused(_)
+            | Self::ThreadGone(_)
+            | Self::Homing { .. }
+            | Self::Travel { .. }
+            | Self::NotBegun { .. }
+            | Self::LinkLost { .. }
+            | Self::AnotherBoard { .. }
+            | Self::OtherBoard { .. }
+            | Self::InDoubt(_)
+            | Self::Ended { .. }
+            | Self::Unfit { .. } => true,
+            Self::VirtualPort { .. }
+            | Self::Emulator(_)
+            | Self::Thread(_)
+            | Self::OtherPlant(_)
+            | Self::Stopped { .. }
+            | Self::TooWide(_)
+            | Self::TooSlow(_)
+            | Self::Recording(_)
+            | Self::External { .. }
+            | Self::Policy(_) => false,
+        }
+    }
+
     /// Adds the last second of the homing that ended with the loss of the link.
     pub(super) fn with_ticks_of(self, homing: Self) -> Self {
         match (self, homing) {

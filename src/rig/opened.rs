@@ -338,6 +338,12 @@ impl Rig {
         }
     }
 
+    /// The fault that ended the last motion, until the Qube is homed again.
+    #[must_use]
+    pub fn last_fault(&self) -> Option<Fault> {
+        self.last_fault.get()
+    }
+
     /// The identity of the device.
     #[must_use]
     pub fn identity(&self) -> &Identity {

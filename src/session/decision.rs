@@ -80,6 +80,7 @@ mod tests {
             trained: true,
             finished: Vec::new(),
             void: 0,
+            void_before: 0,
         };
         let verdict = |&(return_, success): &(f64, bool)| Verdict::Result {
             return_,

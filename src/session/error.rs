@@ -121,6 +121,17 @@ impl SessionError {
         }
     }
 
+    /// Whether a rig is the cause, so that another rig can go on.
+    #[must_use]
+    pub fn is_of_rig(&self) -> bool {
+        match self {
+            Self::GivenUp { .. } | Self::InDoubt { .. } => true,
+            Self::NotStartedAgain { source, .. } => source.is_of_rig(),
+            Self::Rig(error) => error.is_of_rig(),
+            _ => false,
+        }
+    }
+
     /// The doubt that an operator must acknowledge, if any.
     #[must_use]
     pub fn doubt(&self) -> Option<&Doubt> {

@@ -55,7 +55,12 @@ pub enum SessionEvent<'a> {
         best_return: Option<f64>,
     },
     /// The device is open and homed.
-    Connected(&'a Rig),
+    Connected {
+        /// Number of the rig, from 1, where several rigs share the session.
+        rig: Option<u32>,
+        /// The rig.
+        opened: &'a Rig,
+    },
     /// A rollout has ended.
     Rollout {
         /// Number of the candidate.
@@ -64,11 +69,25 @@ pub enum SessionEvent<'a> {
         rollout: u32,
         /// Number of the attempt.
         attempt: u32,
+        /// Number of the rig that made it, from 1, where several rigs share the session.
+        rig: Option<u32>,
         /// Verdict on the rollout.
         verdict: &'a Verdict,
     },
-    /// Drift of the rig from its profile, or the reason why it cannot be estimated.
-    Drift(&'a Result<Drift, Unfit>),
+    /// Drift of a rig from its profile.
+    Drift {
+        /// Number of the rig, from 1, where several rigs share the session.
+        rig: Option<u32>,
+        /// The drift, or the reason why it cannot be estimated.
+        drift: &'a Result<Drift, Unfit>,
+    },
+    /// A rig of several that share the session was taken out; the others make its rollouts.
+    RigTakenOut {
+        /// Number of the rig, from 1.
+        rig: u32,
+        /// Reason for people.
+        reason: &'a str,
+    },
     /// The session of one Qube among several has ended early; those of the others go on.
     EndedEarly(&'a SessionError),
 }

@@ -47,6 +47,9 @@ pub enum Entry {
         rollout: u32,
         /// Number of the attempt.
         attempt: u32,
+        /// Number of the rig that made it, from 1, where several rigs share the session.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        rig: Option<u32>,
     },
     /// The Qube was identified, and its profile is complete on disk.
     Identified {
@@ -75,6 +78,13 @@ pub enum Entry {
         /// Return that one more candidate was expected to gain over the verified policy.
         expected_gain: f64,
     },
+    /// A rig was taken out after a fault; the others make its rollouts.
+    RigTakenOut {
+        /// Number of the rig, from 1.
+        rig: u32,
+        /// Reason for people.
+        reason: String,
+    },
     /// A fault ended a rollout. Its recording is kept.
     RolloutVoid {
         /// Number of the candidate.
@@ -83,6 +93,9 @@ pub enum Entry {
         rollout: u32,
         /// Number of the attempt.
         attempt: u32,
+        /// Number of the rig that made it, from 1, where several rigs share the session.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        rig: Option<u32>,
     },
 }
 
@@ -339,8 +352,8 @@ mod tests {
                 pending: Vec::new(),
             },
             Entry::Trained { candidate: 0 },
-            Entry::RolloutVoid { candidate: 0, rollout: 0, attempt: 0 },
-            Entry::RolloutFinished { candidate: 0, rollout: 0, attempt: 1 },
+            Entry::RolloutVoid { candidate: 0, rollout: 0, attempt: 0, rig: None },
+            Entry::RolloutFinished { candidate: 0, rollout: 0, attempt: 1, rig: Some(2) },
         ]
     }
 
@@ -405,7 +418,8 @@ mod tests {
             pending,
         };
         let proposed = |candidate| beside(candidate, Vec::new());
-        let finished = |rollout, attempt| Entry::RolloutFinished { candidate: 0, rollout, attempt };
+        let finished =
+            |rollout, attempt| Entry::RolloutFinished { candidate: 0, rollout, attempt, rig: None };
         let trained = Entry::Trained { candidate: 0 };
         let begun = || Entry::Begun { settings: file_checksum(b"seed = 1") };
         parse(lines(&[begun(), proposed(0), trained.clone()]).as_bytes()).unwrap();

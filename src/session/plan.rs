@@ -153,7 +153,7 @@ pub fn trains_ahead(
 }
 
 /// The settings of the identification, unless it has failed.
-fn identifying<'a>(
+pub(super) fn identifying<'a>(
     state: &SessionState,
     identification: Option<&'a IdentificationSettings>,
 ) -> Option<&'a IdentificationSettings> {
@@ -211,14 +211,9 @@ fn lacking(
     extent: &Extent,
     identifies: Option<&IdentificationSettings>,
 ) -> Option<Step> {
-    let wanted = match (it.purpose, identifies) {
-        (Purpose::Excitation | Purpose::Baseline, _) => 1,
-        (Purpose::Verification | Purpose::Incumbent, _) => extent.verification_rollouts,
-        (Purpose::Initial | Purpose::Search, Some(plan)) => plan.rollouts,
-        (Purpose::Initial | Purpose::Search, None) => extent.rollouts,
-    };
+    let wanted = wanted_rollouts(it.purpose, extent, identifies);
     let (candidate, rollout, attempt) = (it.number, it.finished.len() as u32, it.void);
-    let given_up = attempt > extent.repetitions;
+    let given_up = attempt - it.void_before > extent.repetitions;
     if !it.trained {
         return Some(Step::Train { candidates: vec![candidate] });
     }
@@ -227,6 +222,20 @@ fn lacking(
     } else {
         Step::Rollout { candidate, rollout, attempt }
     })
+}
+
+/// Number of rollouts of a candidate with this purpose.
+pub(super) fn wanted_rollouts(
+    purpose: Purpose,
+    extent: &Extent,
+    identifies: Option<&IdentificationSettings>,
+) -> u32 {
+    match (purpose, identifies) {
+        (Purpose::Excitation | Purpose::Baseline, _) => 1,
+        (Purpose::Verification | Purpose::Incumbent, _) => extent.verification_rollouts,
+        (Purpose::Initial | Purpose::Search, Some(plan)) => plan.rollouts,
+        (Purpose::Initial | Purpose::Search, None) => extent.rollouts,
+    }
 }
 
 impl SessionState {
@@ -297,9 +306,9 @@ mod tests {
                 Step::Rollout { candidate, rollout, attempt } => {
                     tries += 1;
                     entries.push(if tries % fault_every == 0 {
-                        Entry::RolloutVoid { candidate, rollout, attempt }
+                        Entry::RolloutVoid { candidate, rollout, attempt, rig: None }
                     } else {
-                        Entry::RolloutFinished { candidate, rollout, attempt }
+                        Entry::RolloutFinished { candidate, rollout, attempt, rig: None }
                     });
                 }
                 Step::GiveUp { .. } => panic!("gave up"),
@@ -426,9 +435,20 @@ mod tests {
         for attempt in 0..4 {
             let step = next_step_after(&entries, &EXTENT);
             assert_eq!(step, Step::Rollout { candidate, rollout, attempt });
-            entries.push(Entry::RolloutVoid { candidate, rollout, attempt });
+            entries.push(Entry::RolloutVoid { candidate, rollout, attempt, rig: None });
         }
         assert_eq!(next_step_after(&entries, &EXTENT), Step::GiveUp { candidate, rollout });
+
+        // The attempts of a rig that is taken out do not count against the others.
+        entries.push(Entry::RigTakenOut { rig: 1, reason: "it rests".into() });
+        for attempt in 4..8 {
+            let step = next_step_after(&entries, &EXTENT);
+            assert_eq!(step, Step::Rollout { candidate, rollout, attempt });
+            entries.push(Entry::RolloutVoid { candidate, rollout, attempt, rig: Some(2) });
+        }
+        assert_eq!(next_step_after(&entries, &EXTENT), Step::GiveUp { candidate, rollout });
+        entries.push(Entry::RigTakenOut { rig: 1, reason: "again".into() });
+        assert!(SessionState::of(&entries).is_err());
     }
 
     const IDENTIFIED: IdentificationSettings =
@@ -444,7 +464,8 @@ mod tests {
 
     /// The entries of a finished candidate with so many rollouts.
     fn finished(candidate: u32, purpose: Purpose, rollouts: u32) -> Vec<Entry> {
-        let finished = |rollout| Entry::RolloutFinished { candidate, rollout, attempt: 0 };
+        let finished =
+            |rollout| Entry::RolloutFinished { candidate, rollout, attempt: 0, rig: None };
         let mut entries = vec![proposed(candidate, purpose), Entry::Trained { candidate }];
         entries.extend((0..rollouts).map(finished));
         entries

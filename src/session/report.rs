@@ -24,6 +24,10 @@ pub struct SessionReport {
     pub identification: Identification,
     /// Return that one more candidate was expected to gain when the search around an identified Qube ended.
     pub settled: Option<f64>,
+    /// Devices of the rigs that share the session, as they were named when it began; empty with one rig.
+    pub rigs: Vec<String>,
+    /// Rigs that were taken out, by their numbers from 1, each with the reason.
+    pub taken_out: Vec<(u32, String)>,
     /// Policy to use: the verified one with the highest mean return.
     pub best: Option<BestPolicy>,
 }
@@ -65,6 +69,8 @@ impl SessionReport {
             directory: paths.root().to_owned(),
             identification: session.state().identification().clone(),
             settled: session.state().settled(),
+            rigs: session.settings().rigs.iter().map(|rig| rig.device.clone()).collect(),
+            taken_out: session.state().taken_out().to_vec(),
             best: ScoredCandidate::best_verified(&candidates).map(|candidate| BestPolicy {
                 candidate,
                 policy: paths.candidate(candidate as u32).policy(),

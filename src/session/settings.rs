@@ -14,6 +14,16 @@ use crate::simulation::{
 };
 use crate::surrogate::{GaussianProcess, SearchBox};
 
+/// One of several rigs that share a session.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SharedRig {
+    /// Device as it was named when the session began.
+    pub device: String,
+    /// Settings of the emulated Qube, if it is one.
+    pub emulated: EmulatedQubeSettings,
+}
+
 /// Number of candidates around an identified Qube before the surrogate chooses: the simulations as identified, and two
 /// that tell it how the return depends on psi.
 pub(super) const INITIAL_AROUND: u32 = 3;
@@ -51,6 +61,9 @@ pub struct SessionSettings {
     pub homing: HomingSettings,
     /// Settings of the emulated Qube, if it is used.
     pub emulated: EmulatedQubeSettings,
+    /// Rigs that share the session and its policies; empty with one rig. The command line names them.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub rigs: Vec<SharedRig>,
     /// Strategy of the search for psi.
     pub strategy: StrategyKind,
     /// Settings of BayRn.
@@ -81,6 +94,7 @@ impl SessionSettings {
             safety_box: SafetyBox::GUARDED,
             homing: HomingSettings::default(),
             emulated: EmulatedQubeSettings::default(),
+            rigs: Vec::new(),
             strategy: StrategyKind::BayRn,
             bayrn: BayRnSettings::default(),
             preset: Some(Preset::Robust),

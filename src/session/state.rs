@@ -15,6 +15,8 @@ pub struct Candidate {
     pub finished: Vec<Finished>,
     /// Number of attempts of the current rollout that a fault ended.
     pub void: u32,
+    /// How many of these were made before the last rig was taken out; they do not count against the others.
+    pub void_before: u32,
 }
 
 /// A rollout that has a result.
@@ -24,6 +26,8 @@ pub struct Finished {
     pub rollout: u32,
     /// Number of the attempt that has the result.
     pub attempt: u32,
+    /// Number of the rig that made it, from 1, where several rigs share the session.
+    pub rig: Option<u32>,
 }
 
 /// What a session knows of the Qube that it drives.
@@ -56,6 +60,7 @@ pub struct SessionState {
     identification: Identification,
     settled: Option<f64>,
     took_in_verification: bool,
+    taken_out: Vec<(u32, String)>,
 }
 
 impl SessionState {
@@ -110,6 +115,18 @@ impl SessionState {
         self.took_in_verification
     }
 
+    /// The rigs that were taken out, each with the reason, in order.
+    #[must_use]
+    pub fn taken_out(&self) -> &[(u32, String)] {
+        &self.taken_out
+    }
+
+    /// Whether a rig was taken out.
+    #[must_use]
+    pub fn is_taken_out(&self, rig: u32) -> bool {
+        self.taken_out.iter().any(|(out, _)| *out == rig)
+    }
+
     /// Applies the next entry. An entry that cannot follow the earlier ones changes nothing.
     ///
     /// # Errors
@@ -139,6 +156,7 @@ impl SessionState {
                     trained: false,
                     finished: Vec::new(),
                     void: 0,
+                    void_before: 0,
                 });
             }
             Entry::Trained { candidate } => {
@@ -148,10 +166,10 @@ impl SessionState {
                 }
                 candidate.trained = true;
             }
-            Entry::RolloutFinished { candidate, rollout, attempt } => {
+            Entry::RolloutFinished { candidate, rollout, attempt, rig } => {
                 let candidate = self.candidate_due(candidate, rollout, attempt)?;
-                candidate.finished.push(Finished { rollout, attempt });
-                candidate.void = 0;
+                candidate.finished.push(Finished { rollout, attempt, rig });
+                (candidate.void, candidate.void_before) = (0, 0);
             }
             Entry::Identified { recordings, ref verdict, ref doubts, ref checksum } => {
                 let mut profiles = match &self.identification {
@@ -190,8 +208,15 @@ impl SessionState {
                 }
                 self.settled = Some(expected_gain);
             }
-            Entry::RolloutVoid { candidate, rollout, attempt } => {
+            Entry::RolloutVoid { candidate, rollout, attempt, .. } => {
                 self.candidate_due(candidate, rollout, attempt)?.void += 1;
+            }
+            Entry::RigTakenOut { rig, ref reason } => {
+                if self.is_taken_out(rig) {
+                    return Err("the rig is taken out already");
+                }
+                self.taken_out.push((rig, reason.clone()));
+                self.candidates.iter_mut().for_each(|it| it.void_before = it.void);
             }
         }
         self.entries += 1;

@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use super::ledger::{MAX_FILE_BYTES, Parsed};
 use super::{Candidate, Entry, LedgerError, SessionPaths, SessionState, parse_ledger};
 use crate::recording::RecordingError;
@@ -67,6 +69,26 @@ pub struct ScoredCandidate {
     pub verdicts: Vec<Verdict>,
 }
 
+/// The results of a candidate's rollouts on one of several rigs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigResults {
+    /// Number of the rig, from 1.
+    pub rig: u32,
+    /// Returns of its rollouts.
+    pub returns: Vec<f64>,
+    /// Number of successful rollouts.
+    pub successes: usize,
+}
+
+impl RigResults {
+    /// Mean return; `None` without a rollout.
+    #[must_use]
+    pub fn mean_return(&self) -> Option<f64> {
+        let count = self.returns.len();
+        (count > 0).then(|| self.returns.iter().sum::<f64>() / count as f64)
+    }
+}
+
 impl ScoredCandidate {
     /// Returns of the rollouts.
     #[must_use]
@@ -84,6 +106,26 @@ impl ScoredCandidate {
     #[must_use]
     pub fn successes(&self) -> usize {
         self.verdicts.iter().filter(|verdict| verdict.is_success()).count()
+    }
+
+    /// The results of each rig, where several share the session, in the order of their numbers.
+    #[must_use]
+    pub fn by_rig(&self) -> Vec<RigResults> {
+        let mut results: BTreeMap<u32, RigResults> = BTreeMap::new();
+        // A verdict without its recording would move the others to wrong rigs.
+        let is_whole = self.verdicts.len() == self.candidate.finished.len();
+        let made = self.candidate.finished.iter().zip(&self.verdicts).filter(|_| is_whole);
+        for (finished, verdict) in made {
+            let Some(rig) = finished.rig else { continue };
+            let of_rig = results.entry(rig).or_insert_with(|| RigResults {
+                rig,
+                returns: Vec::new(),
+                successes: 0,
+            });
+            of_rig.returns.extend(verdict.return_());
+            of_rig.successes += usize::from(verdict.is_success());
+        }
+        results.into_values().collect()
     }
 
     /// The psi with its returns, as the search sees them.

@@ -273,8 +273,8 @@ impl Schedule {
         assert_eq!(entries, recorded);
         let mut finished = Vec::new();
         for entry in &entries {
-            let (&Entry::RolloutFinished { candidate, rollout, attempt }
-            | &Entry::RolloutVoid { candidate, rollout, attempt }) = entry
+            let (&Entry::RolloutFinished { candidate, rollout, attempt, .. }
+            | &Entry::RolloutVoid { candidate, rollout, attempt, .. }) = entry
             else {
                 continue;
             };

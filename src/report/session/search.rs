@@ -91,4 +91,35 @@ fn add_table(page: &mut Page, source: &SessionSource) {
              policy trains.",
         );
     }
+    add_rigs(page, source);
+}
+
+/// Adds the mean return of each candidate on each rig, where several share the session.
+fn add_rigs(page: &mut Page, source: &SessionSource) {
+    let rigs = &source.settings.rigs;
+    if rigs.is_empty() {
+        return;
+    }
+    let best = ScoredCandidate::best_verified(&source.candidates);
+    let row = |scored: &ScoredCandidate| {
+        let results = scored.by_rig();
+        let on = |rig: u32| results.iter().find(|it| it.rig == rig)?.mean_return();
+        let means = (1..=rigs.len() as u32).map(|rig| Cell::number(on(rig), 1));
+        let number = Cell::Number(scored.candidate.number.to_string());
+        [number].into_iter().chain(means).collect()
+    };
+    let rows: Vec<Vec<Cell>> = source.candidates.iter().map(row).collect();
+    let names: Vec<String> = (1..=rigs.len()).map(|rig| format!("rig {rig}")).collect();
+    let heads: Vec<&str> =
+        ["candidate"].into_iter().chain(names.iter().map(String::as_str)).collect();
+    page.heading("Mean return on each rig");
+    page.table(&heads, &rows, best);
+    for (name, rig) in names.iter().zip(rigs) {
+        page.paragraph(&format!("{name}: {}.", rig.device));
+    }
+    for (rig, reason) in source.state.taken_out() {
+        page.paragraph(&format!(
+            "Rig {rig} was taken out, and the others made its rollouts: {reason}"
+        ));
+    }
 }

@@ -22,7 +22,7 @@ impl Session {
     /// Guards an emulated Qube that is to be identified like a real one, which nobody knows before.
     pub(super) fn guard_as_unknown(&mut self) {
         if self.settings.identification.is_some() {
-            self.rig_settings.unidentified = true;
+            self.seats[0].settings.unidentified = true;
         }
     }
 
@@ -38,12 +38,13 @@ impl Session {
         let plan = self.settings.identification.unwrap_or_default();
         self.settings = self.settings.clone().around(&plan, &first, &latest);
         // A profile of a real Qube holds for its own board only; each rollout in virtual time has another one.
-        if self.rig_settings.is_hardware() && self.rig_settings.board.is_none() {
-            self.rig_settings.board = self.board()?;
+        let settings = &self.seats[0].settings;
+        if settings.is_hardware() && settings.board.is_none() {
+            self.seats[0].settings.board = self.board(None)?;
         }
-        self.rig_settings.profile = Some(latest);
+        self.seats[0].settings.profile = Some(latest);
         // The guard's belief is set when the rig is opened.
-        self.rig = None;
+        self.seats[0].rig = None;
         Ok(())
     }
 

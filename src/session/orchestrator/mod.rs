@@ -3,29 +3,28 @@
 mod identification;
 mod policies;
 mod proposals;
+mod rollouts;
 mod training;
 mod training_ahead;
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use rollouts::Seat;
 use training_ahead::TrainingAhead;
 
-use super::folder::put_aside;
-use super::seeds::{SeedFor, derived_seed};
+use super::seeds::SeedFor;
 use super::{
-    Candidate, DRIFT_ROLLOUTS, Drift, Entry, FolderError, Ledger, Purpose, RolloutPlan,
-    ScoredCandidate, SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState,
-    Step, file_checksum, next_step,
+    Candidate, Entry, FolderError, Ledger, ScoredCandidate, SessionError, SessionEvent,
+    SessionFolder, SessionSettings, SessionState, Step, file_checksum, next_step,
 };
 use crate::jobs::{Executor, LocalExecutor};
-use crate::policy::EXCITATION_STEPS;
 use crate::qube::QubeModel;
-use crate::recording::{Recording, RecordingError, read_on};
-use crate::rig::{ClockChoice, Doubt, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
-use crate::scoring::{Verdict, score, score_recording};
+use crate::recording::{Recording, read_on};
+use crate::rig::{ClockChoice, Doubt, RigSettings};
+use crate::scoring::{Verdict, score};
 use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
 
@@ -35,19 +34,13 @@ pub struct Session {
     ledger: Ledger,
     /// Settings of the search: as the session began, or around the Qube that it has identified.
     settings: SessionSettings,
-    rig_settings: RigSettings,
-    rig: Option<Rig>,
+    /// The rigs that make the rollouts: one, or several that share the session.
+    seats: Vec<Seat>,
     verdicts: HashMap<(u32, u32, u32), Verdict>,
     stop: Arc<AtomicBool>,
     executor: Arc<dyn Executor>,
     /// Trainings beside the rollouts, where the search proposes while it awaits returns.
     ahead: Option<TrainingAhead>,
-    /// Model in the rig's profile, until today's drift is known.
-    profile: Option<QubeModel>,
-    /// Today's recordings, until there are enough for the drift.
-    today: Vec<Recording>,
-    /// Number of consecutive rollouts that could not begin.
-    not_begun: u32,
 }
 
 impl Session {
@@ -75,15 +68,11 @@ impl Session {
             folder,
             ledger,
             settings,
-            rig_settings,
-            rig: None,
+            seats: vec![Seat::of(rig_settings, None)],
             verdicts: HashMap::new(),
             stop,
             executor: Arc::new(executor),
             ahead: None,
-            profile: None,
-            today: Vec::new(),
-            not_begun: 0,
         };
         session.guard_as_unknown();
         session.search_around_identified()?;
@@ -96,7 +85,19 @@ impl Session {
     /// Compares the rig with its profile after the first rollouts and reports the drift.
     #[must_use]
     pub fn beside(mut self, profile: Option<QubeModel>) -> Self {
-        self.profile = profile;
+        self.seats[0].profile = profile;
+        self
+    }
+
+    /// Spreads the rollouts of each candidate over these rigs too, each with the model in its profile, if any. The
+    /// first rig is the one with which the session was opened.
+    #[must_use]
+    pub fn spread_over(
+        mut self,
+        others: impl IntoIterator<Item = (RigSettings, Option<QubeModel>)>,
+    ) -> Self {
+        self.seats
+            .extend(others.into_iter().map(|(settings, profile)| Seat::of(settings, profile)));
         self
     }
 
@@ -107,24 +108,28 @@ impl Session {
         self
     }
 
-    /// Refuses another board than that of this session's first recording, where a real Qube is driven.
+    /// Refuses other boards than those of this session's first recordings, where real Qubes are driven.
     ///
     /// # Errors
-    /// The recording cannot be read.
-    pub fn on_the_same_board(mut self) -> Result<Self, SessionError> {
-        if self.rig_settings.is_hardware() && self.rig_settings.board.is_none() {
-            self.rig_settings.board = self.board()?;
+    /// A recording cannot be read.
+    pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
+        for index in 0..self.seats.len() {
+            let settings = &self.seats[index].settings;
+            if settings.is_hardware() && settings.board.is_none() {
+                self.seats[index].settings.board = self.board(self.number_of(index))?;
+            }
         }
         Ok(self)
     }
 
-    /// Serial number of the board that made the first finished recording; `None` before it.
+    /// Serial number of the board that made the first finished recording of a rig, if several share the session, or of
+    /// all; `None` before it.
     ///
     /// # Errors
     /// The recording cannot be read.
-    pub fn board(&self) -> Result<Option<String>, SessionError> {
+    pub fn board(&self, rig: Option<u32>) -> Result<Option<String>, SessionError> {
         let first = self.ledger.state().candidates().iter().find_map(|it| {
-            let finished = it.finished.first()?;
+            let finished = it.finished.iter().find(|it| rig.is_none() || it.rig == rig)?;
             Some(self.recording(it.number, finished.rollout, finished.attempt))
         });
         let Some(first) = first else { return Ok(None) };
@@ -174,7 +179,7 @@ impl Session {
         goes_on: impl Fn(&SessionState) -> bool,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        self.heed_doubt()?;
+        self.heed_doubt(tell)?;
         self.connect_early(tell)?;
         while goes_on(self.ledger.state()) {
             if self.stop.load(Ordering::Relaxed) {
@@ -187,10 +192,12 @@ impl Session {
                 Step::Decide => self.decide(tell)?,
                 Step::Train { candidates } => self.train(&candidates, tell)?,
                 Step::Rollout { candidate, rollout, attempt } => {
-                    self.rollout(candidate, rollout, attempt, tell)?;
+                    self.roll_out(candidate, rollout, attempt, tell)?;
                 }
                 Step::GiveUp { candidate, rollout } => {
-                    return Err(self.given_up(candidate, rollout));
+                    let given_up = self.given_up(candidate, rollout);
+                    let seat = self.seat_of(rollout);
+                    self.without(seat, given_up, tell)?;
                 }
                 Step::Done => break,
             }
@@ -205,14 +212,16 @@ impl Session {
 
     /// Acknowledges the session's doubt for the operator: the Qube is examined when it is next opened.
     pub fn acknowledge(&mut self) {
-        self.rig = None;
-        self.rig_settings.recovery.acknowledged = true;
+        for seat in &mut self.seats {
+            seat.rig = None;
+            seat.settings.recovery.acknowledged = true;
+        }
     }
 
     /// Passes a doubt at the end of the ledger to the rig, so that nothing moves without the operator's
     /// acknowledgement, also on another computer.
-    fn heed_doubt(&mut self) -> Result<(), SessionError> {
-        let Some(&Entry::RolloutVoid { candidate, rollout, attempt }) =
+    fn heed_doubt(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
+        let Some(&Entry::RolloutVoid { candidate, rollout, attempt, rig }) =
             self.ledger.entries().last()
         else {
             return Ok(());
@@ -221,10 +230,13 @@ impl Session {
         // A missing recording leaves no doubt that could be named; the port's memory holds its own.
         let Some(recording) = read_on(self.folder.disk(), &path).ok() else { return Ok(()) };
         let Some(doubt) = doubt_of(&recording) else { return Ok(()) };
-        if !self.rig_settings.recovery.acknowledged {
-            return Err(SessionError::InDoubt { candidate, rollout, doubt: Box::new(doubt) });
+        let seat = rig.map_or(0, |rig| rig as usize - 1);
+        let recovery = &mut self.seats[seat].settings.recovery;
+        if !recovery.acknowledged {
+            let in_doubt = SessionError::InDoubt { candidate, rollout, doubt: Box::new(doubt) };
+            return self.without(seat, in_doubt, tell);
         }
-        self.rig_settings.recovery.doubt = Some(doubt);
+        recovery.doubt = Some(doubt);
         Ok(())
     }
 
@@ -232,9 +244,11 @@ impl Session {
     /// hours.
     fn connect_early(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
         let is_over = self.next_step() == Step::Done;
-        if !is_over && self.rig_settings.is_hardware() {
-            let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
-            self.ready_rig(first, tell)?;
+        for seat in 0..self.seats.len() {
+            if !is_over && !self.is_out(seat) && self.seats[seat].settings.is_hardware() {
+                let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
+                self.ready_rig(seat, first, tell)?;
+            }
         }
         Ok(())
     }
@@ -306,162 +320,6 @@ impl Session {
 
     fn policy_path(&self, candidate: u32) -> PathBuf {
         self.folder.paths().candidate(candidate).policy()
-    }
-
-    fn rollout(
-        &mut self,
-        candidate: u32,
-        rollout: u32,
-        attempt: u32,
-        tell: &mut dyn FnMut(SessionEvent),
-    ) -> Result<(), SessionError> {
-        let path = self.recording(candidate, rollout, attempt);
-        // An existing recording was made before a crash or a stop. A complete one is taken over. An
-        // unfinished or unreadable one, which a crash or a loss of power cut off, is put aside, because
-        // nothing refers to it yet.
-        if self.folder.disk().exists(&path) {
-            match score(self.folder.disk(), &path) {
-                Ok(Verdict::Unfinished) | Err(RecordingError::Unreadable { .. }) => {
-                    put_aside(self.folder.disk(), &path)?;
-                }
-                Ok(Verdict::Result { .. } | Verdict::Void { .. }) => {}
-                Err(error) => return Err(error.into()),
-            }
-        }
-        if !self.folder.disk().exists(&path) {
-            match self.perform(candidate, rollout, attempt, &path, tell) {
-                Ok(()) => self.not_begun = 0,
-                Err(SessionError::Rig(error @ RigError::NotBegun { .. })) => {
-                    return self.try_again(candidate, rollout, error);
-                }
-                Err(error) => return Err(error),
-            }
-        }
-        let recording = read_on(self.folder.disk(), &path)?;
-        let verdict = score_recording(&recording);
-        tell(SessionEvent::Rollout { candidate, rollout, attempt, verdict: &verdict });
-        match &verdict {
-            Verdict::Result { .. } => {
-                self.ledger.append(Entry::RolloutFinished { candidate, rollout, attempt })?;
-            }
-            Verdict::Void { reason } => {
-                self.ledger.append(Entry::RolloutVoid { candidate, rollout, attempt })?;
-                if let Some(doubt) = doubt_of(&recording) {
-                    self.rig = None;
-                    return Err(SessionError::InDoubt {
-                        candidate,
-                        rollout,
-                        doubt: Box::new(doubt),
-                    });
-                }
-                self.start_again(candidate, rollout, reason)?;
-            }
-            // The stop request is still set and ends the session; --resume repeats the rollout.
-            Verdict::Unfinished => {}
-        }
-        if matches!(verdict, Verdict::Result { .. }) {
-            self.watch_drift(recording, tell);
-        }
-        self.verdicts.insert((candidate, rollout, attempt), verdict);
-        Ok(())
-    }
-
-    /// Repeats a rollout that could not begin; it left nothing on disk and is the next step again.
-    fn try_again(
-        &mut self,
-        candidate: u32,
-        rollout: u32,
-        error: RigError,
-    ) -> Result<(), SessionError> {
-        self.not_begun += 1;
-        if self.not_begun > MAX_NOT_BEGUN {
-            return Err(error.into());
-        }
-        self.start_again(candidate, rollout, &error.to_string())
-    }
-
-    fn start_again(
-        &mut self,
-        candidate: u32,
-        rollout: u32,
-        reason: &str,
-    ) -> Result<(), SessionError> {
-        let Some(rig) = &mut self.rig else { return Ok(()) };
-        rig.start_again().map_err(|source| SessionError::NotStartedAgain {
-            candidate,
-            rollout,
-            fault: reason.to_owned(),
-            source: Box::new(source),
-        })
-    }
-
-    /// Estimates the rig's drift from its profile once enough of today's rollouts exist.
-    fn watch_drift(&mut self, recording: Recording, tell: &mut dyn FnMut(SessionEvent)) {
-        let Some(profile) = self.profile else { return };
-        self.today.push(recording);
-        if self.today.len() == DRIFT_ROLLOUTS {
-            let drift = Drift::of(&std::mem::take(&mut self.today), &profile);
-            self.profile = None;
-            tell(SessionEvent::Drift(&drift));
-        }
-    }
-
-    fn perform(
-        &mut self,
-        candidate: u32,
-        rollout: u32,
-        attempt: u32,
-        path: &Path,
-        tell: &mut dyn FnMut(SessionEvent),
-    ) -> Result<(), SessionError> {
-        let policy = self.policy(candidate)?;
-        let Candidate { psi, purpose, .. } =
-            self.ledger.state().candidates()[candidate as usize].clone();
-        let (name, steps) = match purpose {
-            Purpose::Excitation => ("excitation by chirp".into(), EXCITATION_STEPS),
-            _ => (format!("candidate {candidate}"), self.settings.extent.steps),
-        };
-        let plan = RolloutPlan {
-            session: self.settings.name.clone(),
-            candidate: Some(candidate),
-            rollout,
-            attempt,
-            psi: self.settings.psi.with_names(&psi),
-            seed: self.settings.seed,
-            policy: name,
-            estimator: self.settings.estimator,
-            safety_box: self.settings.safety_box,
-            steps,
-        };
-        let disk = self.folder.shared_disk();
-        let rig = self.ready_rig(SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
-        rig.rollout(disk.as_ref(), path, plan.header(), &policy)?;
-        Ok(())
-    }
-
-    /// The rig, opened on first use. Under virtual time each rollout has a new one that follows from the
-    /// seed alone, so that a resumed session repeats byte for byte.
-    fn ready_rig(
-        &mut self,
-        emulator: SeedFor,
-        tell: &mut dyn FnMut(SessionEvent),
-    ) -> Result<&Rig, SessionError> {
-        if self.rig_settings.clock == ClockChoice::Virtual {
-            self.rig_settings.emulator.seed = derived_seed(self.settings.seed, emulator);
-            self.rig = None;
-        }
-        let rig = match self.rig.take() {
-            Some(rig) => rig,
-            None => {
-                let rig = Rig::open(&self.rig_settings, &self.stop)?;
-                // An acknowledgement holds for one doubt only.
-                self.rig_settings.recovery.acknowledged = false;
-                self.rig_settings.recovery.doubt = None;
-                tell(SessionEvent::Connected(&rig));
-                rig
-            }
-        };
-        Ok(self.rig.insert(rig))
     }
 
     fn verdict(

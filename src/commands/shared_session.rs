@@ -1,0 +1,207 @@
+//! A session whose policies several Qubes share: `session --rig-policy shared`.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use serde_json::json;
+
+use super::destination::OutputFolder;
+use super::device_arguments::ChosenDevice;
+use super::exit::Failure;
+use super::failures;
+use super::keyboard::Keyboard;
+use super::live::Live;
+use super::output::Output;
+use super::printable::tell;
+use super::rig_arguments::name_of;
+use super::screen::Screen;
+use super::service_manager;
+use super::session::{self, Arguments};
+use super::session_progress::SessionProgress;
+use super::session_settings::{asked, begun, name_in, origin_of_guard, reopened};
+use super::several_rigs::{emulated_of, resume_command};
+use super::stop::Stop;
+use crate::qube::{Profile, QubeModel};
+use crate::rig::RigSettings;
+use crate::safety::GuardConsent;
+use crate::session::{
+    Session, SessionError, SessionEvent, SessionFolder, SessionSettings, SharedRig,
+};
+
+/// A rig with the model in its profile, if any.
+type RigWithProfile = (RigSettings, Option<QubeModel>);
+
+/// Runs or resumes the session and prints its table.
+pub fn run(
+    arguments: &Arguments,
+    devices: Vec<ChosenDevice>,
+    output: &Output,
+) -> Result<(), Failure> {
+    let started = Instant::now();
+    let consent = arguments.consent.beside(arguments.guard)?;
+    let begins = arguments.resume.is_none();
+    let mut place = None;
+    let (folder, settings) = match &arguments.resume {
+        Some(directory) => {
+            let (folder, settings) = reopened(directory, arguments, &devices[0])?;
+            (folder, inside_all(settings, &devices))
+        }
+        None => {
+            let settings = spread(arguments, consent, &devices)?;
+            for device in &devices {
+                device.check_port()?;
+            }
+            let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
+            begun(place.path(), name_in(place.path()), settings)?
+        }
+    };
+    if let Some(difference) = session::estimators_differ(&settings) {
+        tell(&difference);
+    }
+    let root = folder.paths().root().to_owned();
+    let resume = resume_command(&root, &devices);
+    let withdrawn = |folder: SessionFolder| {
+        if begins {
+            folder.withdraw();
+        }
+    };
+    let stop = Stop::on_signals()?;
+    let (mut rigs, mut lives) = match opened(arguments, devices, &folder, &settings, consent, &stop)
+    {
+        Ok(opened) => opened,
+        Err(failure) => {
+            withdrawn(folder);
+            return Err(failure);
+        }
+    };
+    let executor = match arguments.executor.executor(&root) {
+        Ok(executor) => executor,
+        Err(failure) => {
+            withdrawn(folder);
+            return Err(failure);
+        }
+    };
+    let screen = Screen::none();
+    let keyboard = Keyboard::watch(&stop, &screen.progress());
+    eprintln!("{}", keyboard.hint());
+    tell(&format!("session of {} Qubes in {}", rigs.len(), root.display()));
+
+    let failed = |error| failures::session(error, &stop, &resume);
+    let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
+    let candidates = progress.candidates();
+    let (first, profile) = rigs.remove(0);
+    let mut session = Session::open(folder, settings, first, Arc::clone(&stop.flag))
+        .map_err(failed)?
+        .beside(profile)
+        .spread_over(rigs)
+        .on_the_same_boards()
+        .map_err(failed)?;
+    if let Some(executor) = executor {
+        session = session.trained_by(executor);
+    }
+    service_manager::ready();
+    let ended = loop {
+        let ended = session.run(&mut |news| {
+            service_manager::alive();
+            progress.tell(&news);
+            for (number, live) in (1..).zip(&mut lives) {
+                if rig_of(&news).is_none_or(|rig| rig == number) {
+                    live.tell(&news, candidates);
+                }
+            }
+        });
+        match ended.as_ref().err().and_then(SessionError::doubt) {
+            Some(doubt) if keyboard.acknowledges(doubt, &stop) => session.acknowledge(),
+            _ => break ended.map_err(failed),
+        }
+    };
+    service_manager::stopping();
+    drop(keyboard);
+    if let Err(failure) = &ended
+        && failure.is_usage()
+        && !session.has_decided()
+    {
+        withdrawn(session.into_folder());
+        return ended;
+    }
+    let (text, mut result, ended) = session::results(&mut session, ended, failed)?;
+    result["wall_s"] = json!(started.elapsed().as_secs_f64());
+    result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
+    output.print(&text, &result);
+    ended
+}
+
+/// The rig that an event is about, if it is about one.
+fn rig_of(news: &SessionEvent) -> Option<u32> {
+    match news {
+        SessionEvent::Connected { rig, .. } | SessionEvent::Rollout { rig, .. } => *rig,
+        _ => None,
+    }
+}
+
+/// The settings of a new session that is spread over these Qubes.
+fn spread(
+    arguments: &Arguments,
+    consent: Option<GuardConsent>,
+    devices: &[ChosenDevice],
+) -> Result<SessionSettings, Failure> {
+    let mut settings = asked(arguments, &devices[0])?;
+    let (rollouts, count) = (settings.extent.rollouts as usize, devices.len());
+    if rollouts < count {
+        return Err(Failure::usage(format!(
+            "{rollouts} rollouts of each candidate cannot be spread over {count} Qubes: make extent.rollouts in \
+             --config {count} or more, best a multiple of it"
+        )));
+    }
+    let rig = |(number, device): (u32, &ChosenDevice)| SharedRig {
+        device: name_of(device),
+        emulated: emulated_of(arguments, &settings, settings.seed, number),
+    };
+    settings.rigs = (1..).zip(devices).map(rig).collect();
+    let settings = inside_all(settings, devices);
+    for device in devices {
+        device.limits(&origin_of_guard(arguments), &settings.safety_box, consent)?;
+    }
+    Ok(settings)
+}
+
+/// Narrows the box to the limits of all Qubes: their rollouts are compared. Homing and signs are each Qube's own.
+fn inside_all(settings: SessionSettings, devices: &[ChosenDevice]) -> SessionSettings {
+    let narrowed = |safety_box, device: &ChosenDevice| device.safety_box(safety_box);
+    let safety_box = devices.iter().fold(settings.safety_box, narrowed);
+    SessionSettings { safety_box, ..settings }
+}
+
+/// The settings of the rigs, each with a live view of its own if one is asked for.
+fn opened(
+    arguments: &Arguments,
+    devices: Vec<ChosenDevice>,
+    folder: &SessionFolder,
+    settings: &SessionSettings,
+    consent: Option<GuardConsent>,
+    stop: &Stop,
+) -> Result<(Vec<RigWithProfile>, Vec<Live>), Failure> {
+    let (mut rigs, mut lives) = (Vec::new(), Vec::new());
+    for (number, (mut device, rig)) in (1..).zip(devices.into_iter().zip(&settings.rigs)) {
+        let of_rig = SessionSettings {
+            emulated: rig.emulated,
+            homing: device.homing(settings.homing),
+            ..settings.clone()
+        };
+        let mut rig_settings =
+            session::rig_settings(&mut device, folder, &of_rig, consent, arguments.check)?;
+        let live = arguments.live.of_rig(number)?.serve("session", stop)?;
+        rig_settings.viewers = live.viewer().into_iter().collect();
+        for warning in session::warnings(&device, &rig_settings, &of_rig) {
+            eprintln!("rig {number}: warning: {warning}");
+        }
+        if rig_settings.checks() {
+            eprintln!(
+                "rig {number} is checked and homed first (--skip-check leaves the check out)"
+            );
+        }
+        rigs.push((rig_settings, device.profile.as_ref().map(Profile::model)));
+        lives.push(live);
+    }
+    Ok((rigs, lives))
+}

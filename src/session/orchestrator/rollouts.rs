@@ -1,0 +1,348 @@
+//! Makes rollouts on the rigs: one after another on one, side by side on several that share the session.
+
+use std::sync::atomic::Ordering;
+
+use super::{Session, doubt_of};
+use crate::policy::EXCITATION_STEPS;
+use crate::qube::QubeModel;
+use crate::recording::{Recording, RecordingError, read_on};
+use crate::rig::{ClockChoice, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
+use crate::scoring::{Verdict, score, score_recording};
+use crate::session::folder::put_aside;
+use crate::session::plan::{identifying, wanted_rollouts};
+use crate::session::seeds::{SeedFor, derived_seed};
+use crate::session::{
+    DRIFT_ROLLOUTS, Drift, Entry, Purpose, RolloutPlan, SessionError, SessionEvent, rig_of_rollout,
+};
+
+/// A rig of the session, with what this process knows of it.
+pub(super) struct Seat {
+    pub(super) settings: RigSettings,
+    /// The rig, opened on first use.
+    pub(super) rig: Option<Rig>,
+    /// Model in the rig's profile, until today's drift is known.
+    pub(super) profile: Option<QubeModel>,
+    /// Today's recordings, until there are enough for the drift.
+    today: Vec<Recording>,
+    /// Number of consecutive rollouts that could not begin.
+    not_begun: u32,
+}
+
+impl Seat {
+    pub(super) fn of(settings: RigSettings, profile: Option<QubeModel>) -> Self {
+        Self { settings, rig: None, profile, today: Vec::new(), not_begun: 0 }
+    }
+}
+
+/// An attempt of a rollout and the seat of the rig that makes it.
+#[derive(Clone, Copy, Debug)]
+struct Turn {
+    candidate: u32,
+    rollout: u32,
+    attempt: u32,
+    seat: usize,
+}
+
+impl Session {
+    /// The number of a seat's rig, where several rigs share the session.
+    pub(super) fn number_of(&self, seat: usize) -> Option<u32> {
+        (self.seats.len() > 1).then_some(seat as u32 + 1)
+    }
+
+    /// Whether the rig of this seat was taken out.
+    pub(super) fn is_out(&self, seat: usize) -> bool {
+        self.ledger.state().is_taken_out(seat as u32 + 1)
+    }
+
+    /// The seat whose rig makes this rollout. The last rig is never taken out.
+    pub(super) fn seat_of(&self, rollout: u32) -> usize {
+        let taken_out: Vec<u32> =
+            self.ledger.state().taken_out().iter().map(|(rig, _)| *rig).collect();
+        let rig = rig_of_rollout(rollout, self.seats.len() as u32, &taken_out);
+        rig.map_or(0, |rig| rig as usize - 1)
+    }
+
+    /// Goes on without a rig after a fault of its own, where another is left; otherwise the fault ends the session.
+    pub(super) fn without(
+        &mut self,
+        seat: usize,
+        fault: SessionError,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let left = (0..self.seats.len()).filter(|&it| !self.is_out(it)).count();
+        if left < 2 || !fault.is_of_rig() || self.stop.load(Ordering::Relaxed) {
+            return Err(fault);
+        }
+        let (rig, reason) = (seat as u32 + 1, fault.to_string());
+        self.seats[seat].rig = None;
+        tell(SessionEvent::RigTakenOut { rig, reason: &reason });
+        Ok(self.ledger.append(Entry::RigTakenOut { rig, reason })?)
+    }
+
+    /// Makes the rollout that is due, and beside it those of the same candidate that other rigs make; enters them in
+    /// their order as far as they have a result.
+    pub(super) fn roll_out(
+        &mut self,
+        candidate: u32,
+        rollout: u32,
+        attempt: u32,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let turns = self.turns(candidate, rollout, attempt);
+        let mut missing = Vec::new();
+        for turn in &turns {
+            if !self.takes_over(turn)? {
+                missing.push(*turn);
+            }
+        }
+        for turn in &missing {
+            if let Err(error) = self.ready_for(turn, tell) {
+                return self.without(turn.seat, error, tell);
+            }
+        }
+        let mut failed = self.record(&missing)?;
+        for turn in turns {
+            let failure = failed.iter().position(|(seat, _)| *seat == turn.seat);
+            let goes_on = match failure.map(|index| failed.swap_remove(index).1) {
+                None => self.enter(&turn, tell),
+                Some(error @ RigError::NotBegun { .. }) => {
+                    self.try_again(&turn, error).map(|()| false)
+                }
+                Some(error) => Err(error.into()),
+            };
+            match goes_on {
+                Ok(true) => {}
+                // The other recordings are on disk, and are taken over when they are due.
+                Ok(false) => return Ok(()),
+                Err(error) => return self.without(turn.seat, error, tell),
+            }
+        }
+        Ok(())
+    }
+
+    /// The rollout that is due and those after it that other rigs make meanwhile.
+    fn turns(&self, candidate: u32, rollout: u32, attempt: u32) -> Vec<Turn> {
+        let state = self.ledger.state();
+        let purpose = state.candidates()[candidate as usize].purpose;
+        let identifies = identifying(state, self.settings.identification.as_ref());
+        let wanted = wanted_rollouts(purpose, &self.settings.extent, identifies);
+        let mut turns = vec![Turn { candidate, rollout, attempt, seat: self.seat_of(rollout) }];
+        for rollout in rollout + 1..wanted {
+            let seat = self.seat_of(rollout);
+            if turns.iter().any(|turn| turn.seat == seat) {
+                break;
+            }
+            turns.push(Turn { candidate, rollout, attempt: 0, seat });
+        }
+        turns
+    }
+
+    /// Whether a recording exists and is taken over: it was made before a crash or a stop, or beside a rollout that
+    /// came before it. An unfinished or unreadable one, which a crash or a loss of power cut off, is put aside,
+    /// because nothing refers to it yet.
+    fn takes_over(&self, turn: &Turn) -> Result<bool, SessionError> {
+        let path = self.recording(turn.candidate, turn.rollout, turn.attempt);
+        let disk = self.folder.disk();
+        if !disk.exists(&path) {
+            return Ok(false);
+        }
+        let is_shared = self.seats.len() > 1;
+        match score(disk, &path) {
+            Ok(Verdict::Unfinished) | Err(RecordingError::Unreadable { .. }) => {
+                put_aside(disk, &path)?;
+                Ok(false)
+            }
+            // It may be of a rig whose fault is long mended, or which is out; a real one remembers its fault itself.
+            Ok(Verdict::Void { .. }) if is_shared => {
+                put_aside(disk, &path)?;
+                Ok(false)
+            }
+            Ok(Verdict::Result { .. } | Verdict::Void { .. }) => Ok(true),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Makes the rig of a turn ready for its rollout.
+    fn ready_for(
+        &mut self,
+        turn: &Turn,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let Turn { candidate, rollout, attempt, seat } = *turn;
+        self.ready_rig(seat, SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
+        // Its last rollout was beside another one that a fault ended, and is not entered yet.
+        match self.seats[seat].rig.as_ref().and_then(Rig::last_fault) {
+            Some(fault) => self.start_again(turn, &fault.to_string()),
+            None => Ok(()),
+        }
+    }
+
+    /// The rig of a seat, opened on first use. Under virtual time each rollout has a new one that follows from the
+    /// seed alone, so that a resumed session repeats byte for byte.
+    pub(super) fn ready_rig(
+        &mut self,
+        seat: usize,
+        emulator: SeedFor,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        let number = self.number_of(seat);
+        let Seat { settings, rig, .. } = &mut self.seats[seat];
+        if settings.clock == ClockChoice::Virtual {
+            settings.emulator.seed = derived_seed(self.settings.seed, emulator);
+            *rig = None;
+        }
+        if rig.is_none() {
+            let opened = Rig::open(settings, &self.stop)?;
+            // An acknowledgement holds for one doubt only.
+            settings.recovery.acknowledged = false;
+            settings.recovery.doubt = None;
+            tell(SessionEvent::Connected { rig: number, opened: &opened });
+            *rig = Some(opened);
+        }
+        Ok(())
+    }
+
+    /// Records these rollouts side by side; returns the errors of rigs, by their seats.
+    fn record(&mut self, turns: &[Turn]) -> Result<Vec<(usize, RigError)>, SessionError> {
+        let Some(candidate) = turns.first().map(|turn| turn.candidate) else {
+            return Ok(Vec::new());
+        };
+        let policy = self.policy(candidate)?;
+        let disk = self.folder.shared_disk();
+        let recordings: Vec<_> = turns
+            .iter()
+            .map(|turn| {
+                let path = self.recording(candidate, turn.rollout, turn.attempt);
+                (turn.seat, path, self.plan_of(turn).header())
+            })
+            .collect();
+        let (policy, disk) = (policy.as_slice(), &disk);
+        let mut results = Vec::new();
+        std::thread::scope(|scope| {
+            let mut threads = Vec::new();
+            let mut recordings = recordings.into_iter();
+            let first = recordings.next();
+            let mut rigs: Vec<_> = self.seats.iter_mut().map(|seat| seat.rig.as_mut()).collect();
+            for (seat, path, header) in recordings {
+                let Some(rig) = rigs[seat].take() else { continue };
+                let record = move || rig.rollout(disk.as_ref(), &path, header, policy).map(drop);
+                threads.push((seat, scope.spawn(record)));
+            }
+            // The first one is made by this thread, so that a session of one rig has no other.
+            if let Some((seat, path, header)) = first
+                && let Some(rig) = rigs[seat].take()
+            {
+                results.push((seat, rig.rollout(disk.as_ref(), &path, header, policy).map(drop)));
+            }
+            for (seat, thread) in threads {
+                let result = thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+                results.push((seat, result));
+            }
+        });
+        let mut failed = Vec::new();
+        for (seat, result) in results {
+            match result {
+                Ok(()) => self.seats[seat].not_begun = 0,
+                Err(error) => failed.push((seat, error)),
+            }
+        }
+        Ok(failed)
+    }
+
+    fn plan_of(&self, turn: &Turn) -> RolloutPlan {
+        let candidate = &self.ledger.state().candidates()[turn.candidate as usize];
+        let (policy, steps) = match candidate.purpose {
+            Purpose::Excitation => ("excitation by chirp".into(), EXCITATION_STEPS),
+            _ => (format!("candidate {}", turn.candidate), self.settings.extent.steps),
+        };
+        RolloutPlan {
+            session: self.settings.name.clone(),
+            candidate: Some(turn.candidate),
+            rollout: turn.rollout,
+            attempt: turn.attempt,
+            psi: self.settings.psi.with_names(&candidate.psi),
+            seed: self.settings.seed,
+            policy,
+            estimator: self.settings.estimator,
+            safety_box: self.settings.safety_box,
+            steps,
+        }
+    }
+
+    /// Enters a recorded rollout into the ledger; returns whether it has a result, so that the next one is due.
+    fn enter(
+        &mut self,
+        turn: &Turn,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) -> Result<bool, SessionError> {
+        let Turn { candidate, rollout, attempt, seat } = *turn;
+        let rig = self.number_of(seat);
+        let path = self.recording(candidate, rollout, attempt);
+        let recording = read_on(self.folder.disk(), &path)?;
+        let verdict = score_recording(&recording);
+        tell(SessionEvent::Rollout { candidate, rollout, attempt, rig, verdict: &verdict });
+        match &verdict {
+            Verdict::Result { .. } => {
+                self.ledger.append(Entry::RolloutFinished { candidate, rollout, attempt, rig })?;
+            }
+            Verdict::Void { reason } => {
+                self.ledger.append(Entry::RolloutVoid { candidate, rollout, attempt, rig })?;
+                if let Some(doubt) = doubt_of(&recording) {
+                    self.seats[seat].rig = None;
+                    return Err(SessionError::InDoubt {
+                        candidate,
+                        rollout,
+                        doubt: Box::new(doubt),
+                    });
+                }
+                self.start_again(turn, reason)?;
+            }
+            // The stop request is still set and ends the session; --resume repeats the rollout.
+            Verdict::Unfinished => {}
+        }
+        let has_result = matches!(verdict, Verdict::Result { .. });
+        if has_result {
+            self.watch_drift(seat, recording, tell);
+        }
+        self.verdicts.insert((candidate, rollout, attempt), verdict);
+        Ok(has_result)
+    }
+
+    /// Repeats a rollout that could not begin; it left nothing on disk and is the next step again.
+    fn try_again(&mut self, turn: &Turn, error: RigError) -> Result<(), SessionError> {
+        let not_begun = &mut self.seats[turn.seat].not_begun;
+        *not_begun += 1;
+        if *not_begun > MAX_NOT_BEGUN {
+            return Err(error.into());
+        }
+        self.start_again(turn, &error.to_string())
+    }
+
+    fn start_again(&mut self, turn: &Turn, reason: &str) -> Result<(), SessionError> {
+        let Some(rig) = &mut self.seats[turn.seat].rig else { return Ok(()) };
+        rig.start_again().map_err(|source| SessionError::NotStartedAgain {
+            candidate: turn.candidate,
+            rollout: turn.rollout,
+            fault: reason.to_owned(),
+            source: Box::new(source),
+        })
+    }
+
+    /// Estimates a rig's drift from its profile once enough of today's rollouts exist.
+    fn watch_drift(
+        &mut self,
+        seat: usize,
+        recording: Recording,
+        tell: &mut dyn FnMut(SessionEvent),
+    ) {
+        let rig = self.number_of(seat);
+        let seat = &mut self.seats[seat];
+        let Some(profile) = seat.profile else { return };
+        seat.today.push(recording);
+        if seat.today.len() == DRIFT_ROLLOUTS {
+            let drift = Drift::of(&std::mem::take(&mut seat.today), &profile);
+            seat.profile = None;
+            tell(SessionEvent::Drift { rig, drift: &drift });
+        }
+    }
+}
