@@ -1,5 +1,8 @@
 //! Tests sessions that drive several Qubes: a policy for each in a session of its own, or one that they share.
 
+#[path = "folders/mod.rs"]
+mod folders;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -7,6 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use folders::files_of;
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::rig::RigSettings;
 use qube_hil::session::{
@@ -48,28 +52,11 @@ fn begin(rig_policy: &str) -> Vec<&str> {
     BEGIN.into_iter().chain(["--rig-policy", rig_policy]).collect()
 }
 
-/// The contents of all files below a folder but the reports, which name folders of this computer.
+/// The files of a session but its reports, which name folders of this computer, and what a kill has cut off.
 fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![root.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-                continue;
-            }
-            let name = path.strip_prefix(root).unwrap().to_string_lossy().into_owned();
-            // A kill leaves a recording behind that it has cut off.
-            if name != "report.html"
-                && !name.ends_with("/report.html")
-                && !name.contains("unfinished")
-            {
-                found.insert(name, std::fs::read(&path).unwrap());
-            }
-        }
-    }
-    found
+    let mut files = files_of(root);
+    files.retain(|name, _| !name.ends_with("report.html") && !name.contains("unfinished"));
+    files
 }
 
 fn json(output: &Output) -> Value {
@@ -103,8 +90,8 @@ fn is_killed_and_resumed(rig_policy: &str, first_file: &str, updates: u32) -> bo
             child = pair(killed.path(), &["--resume", "two"]).spawn().unwrap();
         }
     }
-    let files_of = |directory: &tempfile::TempDir| files(&directory.path().join("two"));
-    let (expected, found) = (files_of(&whole), files_of(&killed));
+    let files_in = |directory: &tempfile::TempDir| files(&directory.path().join("two"));
+    let (expected, found) = (files_in(&whole), files_in(&killed));
     assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
     for (name, bytes) in expected {
         assert!(found[&name] == bytes, "{name} differs after {kills} kills");
@@ -263,8 +250,8 @@ fn the_fault_of_one_qube_ends_its_own_session_only() {
     assert!(ended[1].is_ok(), "{:?}", ended[1]);
     let mut alone = open("alone", None);
     alone.run(&mut |_| ()).unwrap();
-    let files_of = |name: &str| files(&directory.path().join(name));
-    assert!(files_of("sound") == files_of("alone"), "the other session's fault changed something");
+    let files_in = |name: &str| files(&directory.path().join(name));
+    assert!(files_in("sound") == files_in("alone"), "the other session's fault changed something");
 }
 
 /// A session that two emulated Qubes share, each with a fault or none; opens it again if it exists.

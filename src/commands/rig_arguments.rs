@@ -10,7 +10,7 @@ use super::device_arguments::{
 };
 use super::exit::Failure;
 use super::number_arguments::between;
-use crate::rig::DeviceChoice;
+use crate::rig::{ClockChoice, DeviceChoice};
 use crate::session::QUBE_FILE;
 
 /// Most Qubes of a session.
@@ -127,6 +127,13 @@ impl RigArguments {
             chosen.push(one.choose_timed(&self.timed_plant)?);
         }
         refuse_twice(&chosen)?;
+        let in_virtual_time = |it: &&ChosenDevice| it.clock == ClockChoice::Virtual;
+        let real = chosen.iter().filter(in_virtual_time).find_map(|it| it.choice.name());
+        if let Some(name) = real.filter(|_| count > 1) {
+            return Err(Failure::usage(format!(
+                "virtual time works with emulated Qubes only, not with {name}: leave --clock virtual or the port out"
+            )));
+        }
         Ok(chosen)
     }
 }

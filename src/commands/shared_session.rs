@@ -25,7 +25,8 @@ use crate::qube::{Profile, QubeModel};
 use crate::rig::RigSettings;
 use crate::safety::GuardConsent;
 use crate::session::{
-    Session, SessionError, SessionEvent, SessionFolder, SessionSettings, SharedRig,
+    SeedFor, Session, SessionError, SessionEvent, SessionFolder, SessionSettings, SharedRig,
+    derived_seed,
 };
 
 /// A rig with the model in its profile, if any.
@@ -190,6 +191,9 @@ fn opened(
         };
         let mut rig_settings =
             session::rig_settings(&mut device, folder, &of_rig, consent, arguments.check)?;
+        // Two boards have two serial numbers, emulated ones too.
+        let board = SeedFor::RigQube { rig: number };
+        rig_settings.emulator.seed = derived_seed(settings.seed, board);
         let live = arguments.live.of_rig(number)?.serve("session", stop)?;
         rig_settings.viewers = live.viewer().into_iter().collect();
         for warning in session::warnings(&device, &rig_settings, &of_rig) {

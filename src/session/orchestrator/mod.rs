@@ -90,7 +90,8 @@ impl Session {
     }
 
     /// Spreads the rollouts of each candidate over these rigs too, each with the model in its profile, if any. The
-    /// first rig is the one with which the session was opened.
+    /// first rig is the one with which the session was opened. It is for a session without identification, which
+    /// describes one Qube.
     #[must_use]
     pub fn spread_over(
         mut self,
