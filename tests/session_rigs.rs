@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use folders::files_of;
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
-use qube_hil::rig::RigSettings;
+use qube_hil::rig::{DeviceChoice, RigSettings};
 use qube_hil::session::{
     Entry, Extent, Session, SessionError, SessionEvent, SessionFolder, SessionSettings,
     run_side_by_side,
@@ -338,4 +338,33 @@ fn the_fault_of_the_last_rig_ends_a_shared_session_until_it_is_mended() {
     session.acknowledge();
     session.run(&mut |_| ()).unwrap();
     assert!(attempts(session.entries())[3..].iter().all(|it| it.ends_with("on 2")));
+}
+
+#[test]
+fn the_qubes_of_a_session_keep_their_places() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path().join("session");
+    shared(&root, [None, None]).run(&mut |_| ()).unwrap();
+    let session = shared(&root, [None, None]);
+    let boards = [1, 2].map(|rig| session.board(Some(rig)).unwrap().unwrap());
+    assert_ne!(boards[0], boards[1]);
+    drop(session);
+    let opened = |named: [&str; 2]| {
+        let settings = settings();
+        let rig = |board: &str| RigSettings {
+            device: DeviceChoice::Port("/dev/no-qube".into()),
+            board: Some(board.into()),
+            ..emulated(&settings, None)
+        };
+        let folder = SessionFolder::open(&root).unwrap();
+        let [first, second] = named.map(rig);
+        Session::open(folder, settings, first, Arc::new(AtomicBool::new(false)))
+            .unwrap()
+            .spread_over([(second, None)])
+            .on_the_same_boards()
+    };
+    assert!(opened([&boards[0], &boards[1]]).is_ok());
+    let refused = opened([&boards[1], &boards[0]]).err().unwrap().to_string();
+    let told = format!("board {} is named in the place of board {}", boards[1], boards[0]);
+    assert!(refused.contains(&told), "{refused}");
 }

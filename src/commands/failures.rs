@@ -157,7 +157,9 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::Ledger(_) | SessionError::Search(_) => Failure::failed(error),
         SessionError::Policy(error) => policy(&error),
         SessionError::ProfileLost { .. } => Failure::data_lost(error),
-        SessionError::Psi(_) | SessionError::SettingsChanged { .. } => Failure::usage(error),
+        SessionError::Psi(_)
+        | SessionError::SettingsChanged { .. }
+        | SessionError::OtherBoard { .. } => Failure::usage(error),
     };
     failure.of(fault)
 }

@@ -39,11 +39,6 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
         Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
         None => preset,
     };
-    if !settings.rigs.is_empty() {
-        return Err(Failure::usage(
-            "--config: several Qubes are named by --device or --qube: leave the entry rigs out",
-        ));
-    }
     settings.identification = identification(arguments, &settings)?;
     if let Some(pending) = arguments.pending {
         if pending > 0 && settings.identification.is_some() {

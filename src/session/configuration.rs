@@ -153,6 +153,7 @@ mod tests {
     use super::*;
     use crate::estimation::{EstimatorSettings, ObserverSettings};
     use crate::qube::{Nonideality, QubeModel};
+    use crate::session::SharedRig;
     use crate::session::retired::table_at;
     use crate::simulation::PsiSpace;
 
@@ -309,6 +310,19 @@ mod tests {
         assert!(message.contains("my.toml") && message.contains("line 2"), "{message}");
         let message = overridden("[extent]\nrolouts = 8\n").unwrap_err().to_string();
         assert!(message.contains("rolouts") && message.contains("line 2"), "{message}");
+    }
+
+    #[test]
+    fn a_new_session_has_its_rigs_from_the_command_line_alone() {
+        let rig = SharedRig { device: "emulated".into(), emulated: Default::default() };
+        let shared = SessionSettings { rigs: vec![rig], ..SessionSettings::thesis() };
+        let text = shared.to_toml().unwrap();
+        let message = overridden(&text).unwrap_err().to_string();
+        assert!(message.contains("rigs: who begins a session"), "{message}");
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("session.toml");
+        std::fs::write(&path, text).unwrap();
+        assert_eq!(SessionSettings::load(&path).unwrap().rigs, shared.rigs);
     }
 
     #[test]

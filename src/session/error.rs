@@ -67,6 +67,16 @@ pub enum SessionError {
         /// Path of the session's `session.toml`.
         path: PathBuf,
     },
+    /// One of several Qubes has the place of another.
+    #[error(
+        "board {now} is named in the place of board {before}: give the Qubes in the order in which they began"
+    )]
+    OtherBoard {
+        /// Board that made the recordings so far.
+        before: String,
+        /// Board that is named now.
+        now: String,
+    },
     /// A profile that the session identified is missing or damaged.
     #[error(
         "{path}: the profile that this session identified is lost: {reason}. Restore it from a backup"

@@ -108,6 +108,9 @@ impl SessionSettings {
                     .into(),
             );
         }
+        if !self.rigs.is_empty() {
+            return Err("rigs: who begins a session names its Qubes: leave it out".into());
+        }
         let give = "give guard = \"foresight\" or leave it out";
         self.safety_box.guard.check_driven().map_err(|gone| format!("safety_box.{gone}: {give}"))
     }

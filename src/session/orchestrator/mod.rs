@@ -112,12 +112,19 @@ impl Session {
     /// Refuses other boards than those of this session's first recordings, where real Qubes are driven.
     ///
     /// # Errors
-    /// A recording cannot be read.
+    /// A recording cannot be read, or the settings of a rig are for another board.
     pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
         for index in 0..self.seats.len() {
-            let settings = &self.seats[index].settings;
-            if settings.is_hardware() && settings.board.is_none() {
-                self.seats[index].settings.board = self.board(self.number_of(index))?;
+            let Some(before) = self.board(self.number_of(index))? else { continue };
+            let settings = &mut self.seats[index].settings;
+            if !settings.is_hardware() {
+                continue;
+            }
+            match settings.board.replace(before.clone()) {
+                Some(now) if now != before => {
+                    return Err(SessionError::OtherBoard { before, now });
+                }
+                _ => {}
             }
         }
         Ok(self)
