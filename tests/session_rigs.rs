@@ -123,6 +123,10 @@ fn each_of_two_qubes_has_a_session_of_its_own() {
         assert!(directory.path().join(rig["best"]["policy"].as_str().unwrap()).exists());
         assert!(directory.path().join(rig["report"].as_str().unwrap()).exists());
     }
+    let mut report = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    let report = report.current_dir(directory.path()).args(["report", "two"]).output().unwrap();
+    let told = String::from_utf8_lossy(&report.stderr);
+    assert!(report.status.code() == Some(2) && told.contains("as two/rig-1"), "{told}");
     // One more or less than before is not the same sessions.
     let alone = ended(directory.path(), &["--resume", "two", "--device", "emulated"]);
     let told = String::from_utf8_lossy(&alone.stderr);

@@ -16,7 +16,7 @@ use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings};
 use crate::recording::{Recording, read};
 use crate::report::{ReportError, SessionSource, recordings_page, session_page};
 use crate::rig::RigSettings;
-use crate::session::{ScoredCandidate, SessionPaths};
+use crate::session::{RigSessions, ScoredCandidate, SessionPaths};
 use crate::storage::{MachineDisk, write_whole};
 
 /// Name of a session's report in its folder.
@@ -65,6 +65,13 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                 return Err(Failure::usage(
                     "a session is shown beside the Qube that it identified: leave --profile out, or name its recordings",
                 ));
+            }
+            if RigSessions::are_in(folder) {
+                return Err(Failure::usage(format!(
+                    "{} has the sessions of several Qubes: give the folder of one, as {}",
+                    folder.display(),
+                    RigSessions::folder(folder, 1).display()
+                )));
             }
             let page = match folder.join("experiment.toml").exists() {
                 true => of_experiment(folder)?,
