@@ -22,7 +22,7 @@ impl Session {
     /// Guards an emulated Qube that is to be identified like a real one, which nobody knows before.
     pub(super) fn guard_as_unknown(&mut self) {
         if self.settings.identification.is_some() {
-            self.seats[0].settings.unidentified = true;
+            self.rigs[0].settings.unidentified = true;
         }
     }
 
@@ -38,13 +38,13 @@ impl Session {
         let plan = self.settings.identification.unwrap_or_default();
         self.settings = self.settings.clone().around(&plan, &first, &latest);
         // A profile of a real Qube holds for its own board only; each rollout in virtual time has another one.
-        let settings = &self.seats[0].settings;
+        let settings = &self.rigs[0].settings;
         if settings.is_hardware() && settings.board.is_none() {
-            self.seats[0].settings.board = self.board(None)?;
+            self.rigs[0].settings.board = self.board(None)?;
         }
-        self.seats[0].settings.profile = Some(latest);
+        self.rigs[0].settings.profile = Some(latest);
         // The guard's belief is set when the rig is opened.
-        self.seats[0].rig = None;
+        self.rigs[0].opened = None;
         Ok(())
     }
 

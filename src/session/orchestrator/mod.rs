@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use rollouts::Seat;
+use rollouts::SessionRig;
 use training_ahead::TrainingAhead;
 
 use super::seeds::SeedFor;
@@ -35,7 +35,7 @@ pub struct Session {
     /// Settings of the search: as the session began, or around the Qube that it has identified.
     settings: SessionSettings,
     /// The rigs that make the rollouts: one, or several that share the session.
-    seats: Vec<Seat>,
+    rigs: Vec<SessionRig>,
     verdicts: HashMap<(u32, u32, u32), Verdict>,
     stop: Arc<AtomicBool>,
     executor: Arc<dyn Executor>,
@@ -68,7 +68,7 @@ impl Session {
             folder,
             ledger,
             settings,
-            seats: vec![Seat::of(rig_settings, None)],
+            rigs: vec![SessionRig::of(rig_settings, None)],
             verdicts: HashMap::new(),
             stop,
             executor: Arc::new(executor),
@@ -85,7 +85,7 @@ impl Session {
     /// Compares the rig with its profile after the first rollouts and reports the drift.
     #[must_use]
     pub fn beside(mut self, profile: Option<QubeModel>) -> Self {
-        self.seats[0].profile = profile;
+        self.rigs[0].profile = profile;
         self
     }
 
@@ -97,8 +97,9 @@ impl Session {
         mut self,
         others: impl IntoIterator<Item = (RigSettings, Option<QubeModel>)>,
     ) -> Self {
-        self.seats
-            .extend(others.into_iter().map(|(settings, profile)| Seat::of(settings, profile)));
+        self.rigs.extend(
+            others.into_iter().map(|(settings, profile)| SessionRig::of(settings, profile)),
+        );
         self
     }
 
@@ -114,9 +115,9 @@ impl Session {
     /// # Errors
     /// A recording cannot be read, or the settings of a rig are for another board.
     pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
-        for index in 0..self.seats.len() {
+        for index in 0..self.rigs.len() {
             let Some(before) = self.board(self.number_of(index))? else { continue };
-            let settings = &mut self.seats[index].settings;
+            let settings = &mut self.rigs[index].settings;
             if !settings.is_hardware() {
                 continue;
             }
@@ -204,8 +205,8 @@ impl Session {
                 }
                 Step::GiveUp { candidate, rollout } => {
                     let given_up = self.given_up(candidate, rollout);
-                    let seat = self.seat_of(rollout);
-                    self.without(seat, given_up, tell)?;
+                    let index = self.index_of(rollout);
+                    self.without(index, given_up, tell)?;
                 }
                 Step::Done => break,
             }
@@ -220,9 +221,9 @@ impl Session {
 
     /// Acknowledges the session's doubt for the operator: the Qube is examined when it is next opened.
     pub fn acknowledge(&mut self) {
-        for seat in &mut self.seats {
-            seat.rig = None;
-            seat.settings.recovery.acknowledged = true;
+        for rig in &mut self.rigs {
+            rig.opened = None;
+            rig.settings.recovery.acknowledged = true;
         }
     }
 
@@ -238,11 +239,11 @@ impl Session {
         // A missing recording leaves no doubt that could be named; the port's memory holds its own.
         let Some(recording) = read_on(self.folder.disk(), &path).ok() else { return Ok(()) };
         let Some(doubt) = doubt_of(&recording) else { return Ok(()) };
-        let seat = rig.map_or(0, |rig| rig as usize - 1);
-        let recovery = &mut self.seats[seat].settings.recovery;
+        let index = rig.map_or(0, |rig| rig as usize - 1);
+        let recovery = &mut self.rigs[index].settings.recovery;
         if !recovery.acknowledged {
             let in_doubt = SessionError::InDoubt { candidate, rollout, doubt: Box::new(doubt) };
-            return self.without(seat, in_doubt, tell);
+            return self.without(index, in_doubt, tell);
         }
         recovery.doubt = Some(doubt);
         Ok(())
@@ -252,10 +253,10 @@ impl Session {
     /// hours.
     fn connect_early(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
         let is_over = self.next_step() == Step::Done;
-        for seat in 0..self.seats.len() {
-            if !is_over && !self.is_out(seat) && self.seats[seat].settings.is_hardware() {
+        for index in 0..self.rigs.len() {
+            if !is_over && !self.is_out(index) && self.rigs[index].settings.is_hardware() {
                 let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
-                self.ready_rig(seat, first, tell)?;
+                self.ready_rig(index, first, tell)?;
             }
         }
         Ok(())

@@ -93,7 +93,7 @@ impl Session {
             settings: self.settings.clone(),
             identification: self.ledger.state().identification().clone(),
             executor: Arc::clone(&self.executor),
-            in_real_time: self.seats[0].settings.clock == ClockChoice::Wall,
+            in_real_time: self.rigs[0].settings.clock == ClockChoice::Wall,
         }
     }
 

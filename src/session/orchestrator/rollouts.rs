@@ -16,10 +16,10 @@ use crate::session::{
 };
 
 /// A rig of the session, with what this process knows of it.
-pub(super) struct Seat {
+pub(super) struct SessionRig {
     pub(super) settings: RigSettings,
-    /// The rig, opened on first use.
-    pub(super) rig: Option<Rig>,
+    /// The rig itself, opened on first use.
+    pub(super) opened: Option<Rig>,
     /// Model in the rig's profile, until today's drift is known.
     pub(super) profile: Option<QubeModel>,
     /// Today's recordings, until there are enough for the drift.
@@ -28,53 +28,53 @@ pub(super) struct Seat {
     not_begun: u32,
 }
 
-impl Seat {
+impl SessionRig {
     pub(super) fn of(settings: RigSettings, profile: Option<QubeModel>) -> Self {
-        Self { settings, rig: None, profile, today: Vec::new(), not_begun: 0 }
+        Self { settings, opened: None, profile, today: Vec::new(), not_begun: 0 }
     }
 }
 
-/// An attempt of a rollout and the seat of the rig that makes it.
+/// An attempt of a rollout and the index of the rig that makes it.
 #[derive(Clone, Copy, Debug)]
 struct Turn {
     candidate: u32,
     rollout: u32,
     attempt: u32,
-    seat: usize,
+    index: usize,
 }
 
 impl Session {
-    /// The number of a seat's rig, where several rigs share the session.
-    pub(super) fn number_of(&self, seat: usize) -> Option<u32> {
-        (self.seats.len() > 1).then_some(seat as u32 + 1)
+    /// Number of the rig at this index, from 1, where several rigs share the session.
+    pub(super) fn number_of(&self, index: usize) -> Option<u32> {
+        (self.rigs.len() > 1).then_some(index as u32 + 1)
     }
 
-    /// Whether the rig of this seat was taken out.
-    pub(super) fn is_out(&self, seat: usize) -> bool {
-        self.ledger.state().is_taken_out(seat as u32 + 1)
+    /// Whether the rig at this index was taken out.
+    pub(super) fn is_out(&self, index: usize) -> bool {
+        self.ledger.state().is_taken_out(index as u32 + 1)
     }
 
-    /// The seat whose rig makes this rollout. The last rig is never taken out.
-    pub(super) fn seat_of(&self, rollout: u32) -> usize {
+    /// Index of the rig that makes this rollout. The last rig is never taken out.
+    pub(super) fn index_of(&self, rollout: u32) -> usize {
         let taken_out: Vec<u32> =
             self.ledger.state().taken_out().iter().map(|(rig, _)| *rig).collect();
-        let rig = rig_of_rollout(rollout, self.seats.len() as u32, &taken_out);
+        let rig = rig_of_rollout(rollout, self.rigs.len() as u32, &taken_out);
         rig.map_or(0, |rig| rig as usize - 1)
     }
 
     /// Goes on without a rig after a fault of its own, where another is left; otherwise the fault ends the session.
     pub(super) fn without(
         &mut self,
-        seat: usize,
+        index: usize,
         fault: SessionError,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let left = (0..self.seats.len()).filter(|&it| !self.is_out(it)).count();
+        let left = (0..self.rigs.len()).filter(|&it| !self.is_out(it)).count();
         if left < 2 || !fault.is_of_rig() || self.stop.load(Ordering::Relaxed) {
             return Err(fault);
         }
-        let (rig, reason) = (seat as u32 + 1, fault.to_string());
-        self.seats[seat].rig = None;
+        let (rig, reason) = (index as u32 + 1, fault.to_string());
+        self.rigs[index].opened = None;
         tell(SessionEvent::RigTakenOut { rig, reason: &reason });
         Ok(self.ledger.append(Entry::RigTakenOut { rig, reason })?)
     }
@@ -97,13 +97,13 @@ impl Session {
         }
         for turn in &missing {
             if let Err(error) = self.ready_for(turn, tell) {
-                return self.without(turn.seat, error, tell);
+                return self.without(turn.index, error, tell);
             }
         }
         let mut failed = self.record(&missing)?;
         for turn in turns {
-            let failure = failed.iter().position(|(seat, _)| *seat == turn.seat);
-            let goes_on = match failure.map(|index| failed.swap_remove(index).1) {
+            let failure = failed.iter().position(|(index, _)| *index == turn.index);
+            let goes_on = match failure.map(|place| failed.swap_remove(place).1) {
                 None => self.enter(&turn, tell),
                 Some(error @ RigError::NotBegun { .. }) => {
                     self.try_again(&turn, error).map(|()| false)
@@ -114,7 +114,7 @@ impl Session {
                 Ok(true) => {}
                 // The other recordings are on disk, and are taken over when they are due.
                 Ok(false) => return Ok(()),
-                Err(error) => return self.without(turn.seat, error, tell),
+                Err(error) => return self.without(turn.index, error, tell),
             }
         }
         Ok(())
@@ -126,13 +126,13 @@ impl Session {
         let purpose = state.candidates()[candidate as usize].purpose;
         let identifies = identifying(state, self.settings.identification.as_ref());
         let wanted = wanted_rollouts(purpose, &self.settings.extent, identifies);
-        let mut turns = vec![Turn { candidate, rollout, attempt, seat: self.seat_of(rollout) }];
+        let mut turns = vec![Turn { candidate, rollout, attempt, index: self.index_of(rollout) }];
         for rollout in rollout + 1..wanted {
-            let seat = self.seat_of(rollout);
-            if turns.iter().any(|turn| turn.seat == seat) {
+            let index = self.index_of(rollout);
+            if turns.iter().any(|turn| turn.index == index) {
                 break;
             }
-            turns.push(Turn { candidate, rollout, attempt: 0, seat });
+            turns.push(Turn { candidate, rollout, attempt: 0, index });
         }
         turns
     }
@@ -146,7 +146,7 @@ impl Session {
         if !disk.exists(&path) {
             return Ok(false);
         }
-        let is_shared = self.seats.len() > 1;
+        let is_shared = self.rigs.len() > 1;
         match score(disk, &path) {
             Ok(Verdict::Unfinished) | Err(RecordingError::Unreadable { .. }) => {
                 put_aside(disk, &path)?;
@@ -168,41 +168,41 @@ impl Session {
         turn: &Turn,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let Turn { candidate, rollout, attempt, seat } = *turn;
-        self.ready_rig(seat, SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
+        let Turn { candidate, rollout, attempt, index } = *turn;
+        self.ready_rig(index, SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
         // Its last rollout was beside another one that a fault ended, and is not entered yet.
-        match self.seats[seat].rig.as_ref().and_then(Rig::last_fault) {
+        match self.rigs[index].opened.as_ref().and_then(Rig::last_fault) {
             Some(fault) => self.start_again(turn, &fault.to_string()),
             None => Ok(()),
         }
     }
 
-    /// The rig of a seat, opened on first use. Under virtual time each rollout has a new one that follows from the
+    /// Opens the rig at this index, on first use. Under virtual time each rollout has a new one that follows from the
     /// seed alone, so that a resumed session repeats byte for byte.
     pub(super) fn ready_rig(
         &mut self,
-        seat: usize,
+        index: usize,
         emulator: SeedFor,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let number = self.number_of(seat);
-        let Seat { settings, rig, .. } = &mut self.seats[seat];
+        let number = self.number_of(index);
+        let SessionRig { settings, opened, .. } = &mut self.rigs[index];
         if settings.clock == ClockChoice::Virtual {
             settings.emulator.seed = derived_seed(self.settings.seed, emulator);
-            *rig = None;
+            *opened = None;
         }
-        if rig.is_none() {
-            let opened = Rig::open(settings, &self.stop)?;
+        if opened.is_none() {
+            let rig = Rig::open(settings, &self.stop)?;
             // An acknowledgement holds for one doubt only.
             settings.recovery.acknowledged = false;
             settings.recovery.doubt = None;
-            tell(SessionEvent::Connected { rig: number, opened: &opened });
-            *rig = Some(opened);
+            tell(SessionEvent::Connected { rig: number, opened: &rig });
+            *opened = Some(rig);
         }
         Ok(())
     }
 
-    /// Records these rollouts side by side; returns the errors of rigs, by their seats.
+    /// Records these rollouts side by side; returns the errors of rigs, by their rigs.
     fn record(&mut self, turns: &[Turn]) -> Result<Vec<(usize, RigError)>, SessionError> {
         let Some(candidate) = turns.first().map(|turn| turn.candidate) else {
             return Ok(Vec::new());
@@ -213,7 +213,7 @@ impl Session {
             .iter()
             .map(|turn| {
                 let path = self.recording(candidate, turn.rollout, turn.attempt);
-                (turn.seat, path, self.plan_of(turn).header())
+                (turn.index, path, self.plan_of(turn).header())
             })
             .collect();
         let (policy, disk) = (policy.as_slice(), &disk);
@@ -222,28 +222,28 @@ impl Session {
             let mut threads = Vec::new();
             let mut recordings = recordings.into_iter();
             let first = recordings.next();
-            let mut rigs: Vec<_> = self.seats.iter_mut().map(|seat| seat.rig.as_mut()).collect();
-            for (seat, path, header) in recordings {
-                let Some(rig) = rigs[seat].take() else { continue };
+            let mut rigs: Vec<_> = self.rigs.iter_mut().map(|rig| rig.opened.as_mut()).collect();
+            for (index, path, header) in recordings {
+                let Some(rig) = rigs[index].take() else { continue };
                 let record = move || rig.rollout(disk.as_ref(), &path, header, policy).map(drop);
-                threads.push((seat, scope.spawn(record)));
+                threads.push((index, scope.spawn(record)));
             }
             // The first one is made by this thread, so that a session of one rig has no other.
-            if let Some((seat, path, header)) = first
-                && let Some(rig) = rigs[seat].take()
+            if let Some((index, path, header)) = first
+                && let Some(rig) = rigs[index].take()
             {
-                results.push((seat, rig.rollout(disk.as_ref(), &path, header, policy).map(drop)));
+                results.push((index, rig.rollout(disk.as_ref(), &path, header, policy).map(drop)));
             }
-            for (seat, thread) in threads {
+            for (index, thread) in threads {
                 let result = thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-                results.push((seat, result));
+                results.push((index, result));
             }
         });
         let mut failed = Vec::new();
-        for (seat, result) in results {
+        for (index, result) in results {
             match result {
-                Ok(()) => self.seats[seat].not_begun = 0,
-                Err(error) => failed.push((seat, error)),
+                Ok(()) => self.rigs[index].not_begun = 0,
+                Err(error) => failed.push((index, error)),
             }
         }
         Ok(failed)
@@ -275,8 +275,8 @@ impl Session {
         turn: &Turn,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<bool, SessionError> {
-        let Turn { candidate, rollout, attempt, seat } = *turn;
-        let rig = self.number_of(seat);
+        let Turn { candidate, rollout, attempt, index } = *turn;
+        let rig = self.number_of(index);
         let path = self.recording(candidate, rollout, attempt);
         let recording = read_on(self.folder.disk(), &path)?;
         let verdict = score_recording(&recording);
@@ -288,7 +288,7 @@ impl Session {
             Verdict::Void { reason } => {
                 self.ledger.append(Entry::RolloutVoid { candidate, rollout, attempt, rig })?;
                 if let Some(doubt) = doubt_of(&recording) {
-                    self.seats[seat].rig = None;
+                    self.rigs[index].opened = None;
                     return Err(SessionError::InDoubt {
                         candidate,
                         rollout,
@@ -302,7 +302,7 @@ impl Session {
         }
         let has_result = matches!(verdict, Verdict::Result { .. });
         if has_result {
-            self.watch_drift(seat, recording, tell);
+            self.watch_drift(index, recording, tell);
         }
         self.verdicts.insert((candidate, rollout, attempt), verdict);
         Ok(has_result)
@@ -310,7 +310,7 @@ impl Session {
 
     /// Repeats a rollout that could not begin; it left nothing on disk and is the next step again.
     fn try_again(&mut self, turn: &Turn, error: RigError) -> Result<(), SessionError> {
-        let not_begun = &mut self.seats[turn.seat].not_begun;
+        let not_begun = &mut self.rigs[turn.index].not_begun;
         *not_begun += 1;
         if *not_begun > MAX_NOT_BEGUN {
             return Err(error.into());
@@ -319,7 +319,7 @@ impl Session {
     }
 
     fn start_again(&mut self, turn: &Turn, reason: &str) -> Result<(), SessionError> {
-        let Some(rig) = &mut self.seats[turn.seat].rig else { return Ok(()) };
+        let Some(rig) = &mut self.rigs[turn.index].opened else { return Ok(()) };
         rig.start_again().map_err(|source| SessionError::NotStartedAgain {
             candidate: turn.candidate,
             rollout: turn.rollout,
@@ -331,17 +331,17 @@ impl Session {
     /// Estimates a rig's drift from its profile once enough of today's rollouts exist.
     fn watch_drift(
         &mut self,
-        seat: usize,
+        index: usize,
         recording: Recording,
         tell: &mut dyn FnMut(SessionEvent),
     ) {
-        let rig = self.number_of(seat);
-        let seat = &mut self.seats[seat];
-        let Some(profile) = seat.profile else { return };
-        seat.today.push(recording);
-        if seat.today.len() == DRIFT_ROLLOUTS {
-            let drift = Drift::of(&std::mem::take(&mut seat.today), &profile);
-            seat.profile = None;
+        let rig = self.number_of(index);
+        let its = &mut self.rigs[index];
+        let Some(profile) = its.profile else { return };
+        its.today.push(recording);
+        if its.today.len() == DRIFT_ROLLOUTS {
+            let drift = Drift::of(&std::mem::take(&mut its.today), &profile);
+            its.profile = None;
             tell(SessionEvent::Drift { rig, drift: &drift });
         }
     }
