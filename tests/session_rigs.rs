@@ -132,6 +132,25 @@ fn each_of_two_qubes_has_a_session_of_its_own() {
     let told = String::from_utf8_lossy(&alone.stderr);
     assert_eq!(alone.status.code(), Some(2), "{told}");
     assert!(told.contains("two drives 2 Qubes"), "{told}");
+    // Nor is an emulated Qube what a port was, or a file that names other Qubes than have sessions.
+    for (rigs, message) in [
+        ("[\"/dev/ttyACM0\", \"emulated\"]", "rig 1 of two began at /dev/ttyACM0"),
+        ("[\"emulated\"]", "names 1 Qubes, but two has other sessions"),
+        ("[]", "names 0 Qubes"),
+    ] {
+        let file = directory.path().join("two/rigs.toml");
+        std::fs::write(file, format!("devices = {rigs}\n")).unwrap();
+        let arguments = ["--resume", "two", "--device", "emulated", "--device", "emulated"];
+        let other = ended(directory.path(), &arguments);
+        let told = String::from_utf8_lossy(&other.stderr);
+        assert_eq!(other.status.code(), Some(2), "{told}");
+        assert!(told.contains(message), "{told}");
+    }
+    let arguments = ["--resume", "none", "--device", "emulated", "--device", "emulated"];
+    let none = ended(directory.path(), &arguments);
+    let told = String::from_utf8_lossy(&none.stderr);
+    assert!(none.status.code() == Some(2) && told.contains("none"), "{told}");
+    assert!(!told.contains("name one"), "{told}");
 }
 
 #[test]

@@ -5,13 +5,15 @@ use std::path::{Path, PathBuf};
 
 use super::device_arguments::{ChosenDevice, EMULATED};
 use super::exit::Failure;
+use super::failures;
 use super::output::Output;
 use super::rig_arguments::{RigPolicy, name_of};
 use super::session::Arguments;
 use super::session_settings::asked as asked_settings;
 use super::{rig_sessions, shared_session};
 use crate::session::{
-    EmulatedQubeSettings, RigSessions, SeedFor, SessionPaths, SessionSettings, derived_seed,
+    EmulatedQubeSettings, RigSessions, SeedFor, SessionFolder, SessionPaths, SessionSettings,
+    derived_seed,
 };
 
 /// Several Qubes to drive.
@@ -47,7 +49,10 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
         let devices = devices_again(arguments, root, &known)?;
         return Ok(Some(SeveralRigs { policy: RigPolicy::Own, devices }));
     }
-    // What else is wrong with the folder is told when it is opened.
+    // What is wrong with the folder of one Qube is told when it is opened.
+    if arguments.rigs.count() > 1 {
+        SessionFolder::open(root).map_err(|error| failures::folder(&error))?;
+    }
     let settings = SessionSettings::load(&SessionPaths::new(root).configuration());
     let shared = settings.map(|settings| settings.rigs).unwrap_or_default();
     if shared.is_empty() {
@@ -84,7 +89,17 @@ fn devices_again(
             known.join(", "),
         )));
     }
-    arguments.rigs.choose(known.len())
+    let devices = arguments.rigs.choose(known.len())?;
+    for ((rig, device), before) in (1..).zip(&devices).zip(known) {
+        if device.choice.is_hardware() == (before == EMULATED) {
+            return Err(Failure::usage(format!(
+                "rig {rig} of {} began at {before}, and {} cannot take its place",
+                root.display(),
+                name_of(device)
+            )));
+        }
+    }
+    Ok(devices)
 }
 
 /// The emulated Qube of a rig among several, numbered from 1.

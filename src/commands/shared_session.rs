@@ -147,11 +147,20 @@ fn spread(
     devices: &[ChosenDevice],
 ) -> Result<SessionSettings, Failure> {
     let mut settings = asked(arguments, &devices[0])?;
-    let (rollouts, count) = (settings.extent.rollouts as usize, devices.len());
-    if rollouts < count {
+    let count = devices.len() as u32;
+    let extent = &settings.extent;
+    let spread = [
+        ("rollouts of each candidate", "extent.rollouts", extent.rollouts),
+        (
+            "rollouts of the verification",
+            "extent.verification_rollouts",
+            extent.verification_rollouts,
+        ),
+    ];
+    if let Some((what, key, rollouts)) = spread.into_iter().find(|(.., number)| *number < count) {
         return Err(Failure::usage(format!(
-            "{rollouts} rollouts of each candidate cannot be spread over {count} Qubes: make extent.rollouts in \
-             --config {count} or more, best a multiple of it"
+            "{rollouts} {what} cannot be spread over {count} Qubes: make {key} in --config {count} or more, best a \
+             multiple of it"
         )));
     }
     let rig = |(number, device): (u32, &ChosenDevice)| SharedRig {

@@ -44,11 +44,24 @@ impl RigSessions {
     /// Reads the file.
     ///
     /// # Errors
-    /// The file cannot be read or is invalid.
+    /// The file cannot be read or is invalid, or names fewer or more Qubes than there are sessions.
     pub fn load(root: &Path) -> Result<Self, ConfigurationError> {
         let path = Self::path(root);
-        toml::from_str(&read(&path)?)
-            .map_err(|source| ConfigurationError::Invalid { path, source: Box::new(source) })
+        let all: Self = match toml::from_str(&read(&path)?) {
+            Ok(all) => all,
+            Err(source) => {
+                return Err(ConfigurationError::Invalid { path, source: Box::new(source) });
+            }
+        };
+        let count = all.devices.len() as u32;
+        if count < 2 || Self::folder(root, count + 1).exists() {
+            let reason = format!(
+                "the file names {count} Qubes, but {} has other sessions: name the device of each rig-N",
+                root.display()
+            );
+            return Err(ConfigurationError::OutOfRange { path, line: None, reason });
+        }
+        Ok(all)
     }
 
     /// Writes the file.

@@ -3,16 +3,23 @@
 /// The rig, from 1, that makes a candidate's rollout of this number; `None` if no rig is left.
 ///
 /// Rollouts go round the rigs in turn, so that each rig evaluates every candidate alike. A rollout of a rig that was
-/// taken out goes to one of the others, again in turn; the rollouts of those others stay theirs.
+/// taken out goes to the one of the others that has the fewest until then; the rollouts of those others stay theirs.
 #[must_use]
 pub fn rig_of_rollout(rollout: u32, rigs: u32, taken_out: &[u32]) -> Option<u32> {
-    let own = rollout % rigs.max(1) + 1;
-    if !taken_out.contains(&own) {
-        return Some(own);
+    // The rigs that are left, and how many of the rollouts so far each makes.
+    let mut left: Vec<(u32, u32)> =
+        (1..=rigs).filter(|rig| !taken_out.contains(rig)).map(|rig| (rig, 0)).collect();
+    let mut rig = None;
+    for earlier in 0..=rollout {
+        let own = earlier % rigs.max(1) + 1;
+        let makes = match left.iter().position(|(rig, _)| *rig == own) {
+            Some(index) => index,
+            None => (0..left.len()).min_by_key(|&index| left[index].1)?,
+        };
+        left[makes].1 += 1;
+        rig = Some(left[makes].0);
     }
-    let left: Vec<u32> = (1..=rigs).filter(|rig| !taken_out.contains(rig)).collect();
-    let round = (rollout / rigs.max(1)) as usize;
-    left.get(round.checked_rem(left.len())?).copied()
+    rig
 }
 
 #[cfg(test)]
@@ -30,14 +37,22 @@ mod tests {
     }
 
     #[test]
-    fn the_rollouts_of_a_rig_that_is_taken_out_go_round_the_others_which_keep_theirs() {
+    fn the_others_share_the_rollouts_of_a_rig_that_is_taken_out_and_keep_theirs() {
         assert_eq!(spread(5, 2, &[1]), [2; 5]);
-        assert_eq!(spread(9, 3, &[2]), [1, 1, 3, 1, 3, 3, 1, 1, 3]);
+        assert_eq!(spread(9, 3, &[2]), [1, 3, 3, 1, 1, 3, 1, 3, 3]);
         assert_eq!(spread(4, 3, &[2, 1]), [3; 4]);
         for rigs in 1..6 {
             for taken_out in 1..=rigs {
                 let (before, after) =
                     (spread(20, rigs, &[]), |out| rig_of_rollout(out, rigs, &[taken_out]));
+                for made in 1..20 {
+                    let by = spread(if rigs > 1 { made } else { 0 }, rigs, &[taken_out]);
+                    let counts = (1..=rigs).filter(|rig| *rig != taken_out);
+                    let counts = counts.map(|rig| by.iter().filter(|it| **it == rig).count());
+                    let (least, most) =
+                        counts.fold((20, 0), |(least, most), it| (it.min(least), it.max(most)));
+                    assert!(most <= least + 2, "{made} rollouts of {rigs} rigs: {by:?}");
+                }
                 for (rollout, rig) in (0..).zip(before) {
                     let now = after(rollout);
                     assert_eq!(now.is_none(), rigs == 1);

@@ -320,11 +320,15 @@ impl Session {
 
     fn start_again(&mut self, turn: &Turn, reason: &str) -> Result<(), SessionError> {
         let Some(rig) = &mut self.rigs[turn.index].opened else { return Ok(()) };
-        rig.start_again().map_err(|source| SessionError::NotStartedAgain {
-            candidate: turn.candidate,
-            rollout: turn.rollout,
-            fault: reason.to_owned(),
-            source: Box::new(source),
+        rig.start_again().map_err(|source| match source {
+            // The operator stopped it; the fault before is in the ledger.
+            RigError::Stopped { .. } => SessionError::Stopped,
+            source => SessionError::NotStartedAgain {
+                candidate: turn.candidate,
+                rollout: turn.rollout,
+                fault: reason.to_owned(),
+                source: Box::new(source),
+            },
         })
     }
 
