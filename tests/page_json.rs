@@ -154,7 +154,7 @@ fn commands_print_the_fields_of_the_page() {
     let pair = ["session", "--clock", "virtual", "--device", "emulated", "--device", "emulated"];
     let own = ["--config", "small.toml", "--rig-policy", "own", "--out", "own"];
     succeeds("`session --rig-policy own`", &[&pair[..], &own].concat());
-    let both = small.replace("\nrollouts = 1", "\nrollouts = 2");
+    let both = small.replace("rollouts = 1", "rollouts = 2");
     std::fs::write(directory.path().join("both.toml"), both).unwrap();
     let shared = ["--config", "both.toml", "--rig-policy", "shared", "--out", "shared"];
     succeeds("`session`", &[&pair[..], &shared].concat());
