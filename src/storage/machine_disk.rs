@@ -75,7 +75,7 @@ impl Disk for MachineDisk {
     fn hold(&self, folder: &Path) -> Result<Hold, TryLockError> {
         let lock = File::open(folder).map_err(TryLockError::Error)?;
         lock.try_lock()?;
-        Ok(Hold { _lock: Some(lock) })
+        Ok(Hold { lock: Some(lock) })
     }
 }
 
@@ -116,6 +116,17 @@ mod tests {
         assert_eq!(MachineDisk.names(&folder).unwrap(), ["file"]);
         let no_folder = MachineDisk.names(&path).unwrap_err();
         assert_eq!(no_folder.kind(), io::ErrorKind::NotADirectory);
+    }
+
+    #[test]
+    fn a_hold_ends_although_a_process_that_begins_has_a_copy_of_its_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let hold = MachineDisk.hold(directory.path()).unwrap();
+        let of_the_other_process = hold.lock.as_ref().unwrap().try_clone().unwrap();
+        assert!(matches!(MachineDisk.hold(directory.path()), Err(TryLockError::WouldBlock)));
+        drop(hold);
+        assert!(MachineDisk.hold(directory.path()).is_ok());
+        drop(of_the_other_process);
     }
 
     #[test]

@@ -105,14 +105,24 @@ pub trait DiskFile: Write + Send + fmt::Debug {
 /// A lock on a folder. The operating system releases it when the process ends, however it ends.
 #[derive(Debug)]
 pub struct Hold {
-    _lock: Option<File>,
+    lock: Option<File>,
 }
 
 impl Hold {
     /// A hold on a disk that only this process can see.
     #[must_use]
     pub fn unshared() -> Self {
-        Self { _lock: None }
+        Self { lock: None }
+    }
+}
+
+impl Drop for Hold {
+    /// Unlocks the folder. To close the file is not enough: a process that another thread starts at this moment has a copy
+    /// of its descriptor until it begins its own program, and would keep the lock for so long.
+    fn drop(&mut self) {
+        if let Some(lock) = &self.lock {
+            let _ = lock.unlock();
+        }
     }
 }
 
