@@ -88,7 +88,7 @@ const ROOMS: &[Room] = &[
     room("live", &["recording", "telemetry"]),
     // A page is written from what other rooms read and computed.
     room("report", &["experiment", "session", "scoring", "replay", "identification", "recording", "search", "surrogate",
-                     "simulation", "telemetry", "storage", "qube"]),
+                     "learning", "simulation", "telemetry", "storage", "qube"]),
     room("commands", EVERY_ROOM),
 ];
 

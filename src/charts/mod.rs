@@ -13,6 +13,7 @@ mod searches;
 mod strategies;
 mod style;
 pub mod toy;
+mod training_progress;
 
 pub use animation::animation_svg;
 pub use budgets::{ShareOfPlant, budgets_svg};
@@ -22,6 +23,7 @@ pub use noise::noise_svg;
 pub use regret::regret_svg;
 pub use searches::searches_svg;
 pub use strategies::{StepLine, strategies_svg};
+pub use training_progress::training_progress_svg;
 
 use plotters::coord::Shift;
 use plotters::prelude::{DrawingArea, DrawingAreaErrorKind, SVGBackend};

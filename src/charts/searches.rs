@@ -6,8 +6,8 @@ use super::{DrawingError, Panel, PlotError};
 /// Mean return from which a policy may count as successful.
 const SUCCESS: f64 = 400.0;
 
-/// Draws the thesis's figure 5.3: for each recipe, by its name, the return of each candidate in turn, and of
-/// the best so far; dots are single rollouts.
+/// Draws the searches: for each recipe, by its name, the return of each candidate in turn, and of the best so far; dots
+/// are single rollouts.
 ///
 /// # Errors
 /// The drawing library failed.

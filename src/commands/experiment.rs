@@ -138,7 +138,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 
-    /// Also draw the thesis's figures 5.2 and 5.3, or the lines of the strategies, into this folder
+    /// Also draw figures into this folder: the thesis's 5.2 (distributions) and 5.3 (training progress) and the searches,
+    /// or the lines of the strategies
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
 

@@ -6,10 +6,11 @@ use super::exit::Failure;
 use super::{experiment_table, failures, strategy_table};
 use crate::charts::{
     DrawingError, ShareOfPlant, StepLine, budgets_svg, densities_svg, searches_svg, strategies_svg,
+    training_progress_svg,
 };
 use crate::experiment::{
     ALL_PLANTS, Experiment, ExperimentError, PolicyResult, RecipeResult, Results, SearchReturns,
-    StrategyResult, StrategyResults,
+    StrategyResult, StrategyResults, TrainingProgress,
 };
 use crate::qube::PlantModel;
 use crate::recording::read;
@@ -86,10 +87,10 @@ impl ExperimentReport {
         .map_err(|error| error.to_string())
     }
 
-    /// The figures; those of recipes need the searches and distributions too.
+    /// The figures; those of recipes need the searches, distributions and trainings too.
     ///
     /// # Errors
-    /// A search cannot be read.
+    /// A search or a learning curve cannot be read.
     pub fn figures(&self, experiment: &Experiment) -> Result<Figures<'_>, ExperimentError> {
         Ok(match self {
             Self::Strategies(results) => Figures::Strategies(results),
@@ -100,6 +101,7 @@ impl ExperimentReport {
                 plant: *experiment.settings().plant(),
                 distributions: experiment.distributions()?,
                 searches: experiment.searches()?,
+                progress: experiment.training_progress()?,
             },
         })
     }
@@ -152,11 +154,12 @@ pub enum Figures<'a> {
     Strategies(&'a StrategyResults),
     /// Success after fixed numbers of real rollouts, of a comparison of methods.
     Budgets(Vec<ShareOfPlant>),
-    /// The distributions and searches of recipes.
+    /// The distributions, searches and trainings of recipes.
     Recipes {
         plant: PlantModel,
         distributions: Vec<(String, DomainDistribution)>,
         searches: SearchReturns,
+        progress: TrainingProgress,
     },
 }
 
@@ -183,10 +186,13 @@ impl Figures<'_> {
                 drawn
                     .push(("budgets.svg", budgets_svg("policies that succeed, by plant", shares)?));
             }
-            Self::Recipes { plant, distributions, searches } => {
+            Self::Recipes { plant, distributions, searches, progress } => {
                 drawn.push(("figure-5.2.svg", densities_svg(distributions, plant)?));
+                if !progress.is_empty() {
+                    drawn.push(("figure-5.3.svg", training_progress_svg(progress)?));
+                }
                 if !searches.is_empty() {
-                    drawn.push(("figure-5.3.svg", searches_svg(searches)?));
+                    drawn.push(("searches.svg", searches_svg(searches)?));
                 }
             }
         }

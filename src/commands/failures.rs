@@ -198,7 +198,9 @@ pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure 
         _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
         ExperimentError::Search { source, .. } => session(*source, stop, resume),
         ExperimentError::Session(error) => session(error, stop, resume),
-        ExperimentError::Unwritable(_) | ExperimentError::WorkerGone => Failure::failed(error),
+        ExperimentError::Curve { .. }
+        | ExperimentError::Unwritable(_)
+        | ExperimentError::WorkerGone => Failure::failed(error),
         ExperimentError::NotAnExperiment { .. } => {
             Failure::usage(format!("{error}. Give the folder of one to --resume"))
         }

@@ -41,6 +41,14 @@ pub enum ExperimentError {
     /// The session settings of a recipe are invalid.
     #[error(transparent)]
     Configuration(#[from] ConfigurationError),
+    /// The learning curve of a policy cannot be read.
+    #[error("{path}: {reason}")]
+    Curve {
+        /// Path of the file.
+        path: PathBuf,
+        /// Defect of the file.
+        reason: String,
+    },
     /// The settings cannot be written as TOML.
     #[error("the experiment's settings cannot be written: {0}")]
     Unwritable(#[from] toml::ser::Error),

@@ -41,4 +41,4 @@ pub use strategies::{
     ALL_PLANTS, Method, RecommendationResult, Repetition, Score, StrategyResult, StrategyResults,
     StrategySettings,
 };
-pub use work::{Experiment, ExperimentEvent, SearchReturns};
+pub use work::{Experiment, ExperimentEvent, SearchReturns, TrainingProgress};

@@ -1,3 +1,4 @@
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -11,10 +12,11 @@ use super::{
     Repetition, RolloutResult,
 };
 use crate::jobs::{Executor, LocalExecutor};
-use crate::learning::TrainUpdate;
+use crate::learning::{CURVE_BYTES, TrainUpdate, parse_curve_csv};
 use crate::rig::{ClockChoice, Rig, RigSettings};
 use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
 use crate::simulation::{DomainDistribution, Psi};
+use crate::storage::read_text;
 
 /// An event of a running experiment, from any thread.
 pub enum ExperimentEvent<'a> {
@@ -111,6 +113,9 @@ enum WorkItem {
 
 /// For each search, by its name, the returns of each candidate's rollouts.
 pub type SearchReturns = Vec<(String, Vec<Vec<f64>>)>;
+
+/// The mean returns of the trainings of each recipe, by the recipe's name: one list a policy, one entry an update.
+pub type TrainingProgress = Vec<(String, Vec<Vec<f64>>)>;
 
 /// Receives the events of an experiment.
 pub(super) type Tell<'a> = dyn Fn(ExperimentEvent) + Sync + 'a;
@@ -323,6 +328,28 @@ impl Experiment {
             .collect()
     }
 
+    /// The training progress of the policies of each recipe, by the recipes' names: a policy's mean return in simulation
+    /// after each update.
+    ///
+    /// # Errors
+    /// A learning curve cannot be read.
+    pub fn training_progress(&self) -> Result<TrainingProgress, ExperimentError> {
+        let mut all = Vec::new();
+        for recipe in &self.settings.recipes {
+            let mut policies = Vec::new();
+            for policy in 0..self.settings.policies {
+                let path = self.folder.policies(&recipe.name).policy(policy).curve();
+                if path.exists() {
+                    policies.push(mean_returns(&path)?);
+                }
+            }
+            if !policies.is_empty() {
+                all.push((recipe.name.clone(), policies));
+            }
+        }
+        Ok(all)
+    }
+
     fn series<'a>(&'a self, recipe: &'a Recipe, psi: Option<&'a Psi>) -> Series<'a> {
         Series {
             experiment: &self.settings.name,
@@ -376,4 +403,12 @@ impl Experiment {
         }
         Ok(())
     }
+}
+
+/// The mean returns in the file of a learning curve.
+fn mean_returns(path: &Path) -> Result<Vec<f64>, ExperimentError> {
+    let bad = |reason| ExperimentError::Curve { path: path.to_owned(), reason };
+    let text = read_text(path, CURVE_BYTES).map_err(|error| bad(error.to_string()))?;
+    let points = parse_curve_csv(&text).map_err(|error| bad(error.to_string()))?;
+    Ok(points.iter().map(|it| it.mean_return).collect())
 }

@@ -1,4 +1,5 @@
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 /// The statistics of one update: a point of the learning curve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -122,6 +123,53 @@ pub fn curve_csv(curve: &[TrainUpdate]) -> String {
         .fold(String::new(), |text, line| text + &line + "\n")
 }
 
+/// Largest size of a file with a learning curve, bytes; a long training's has some 200 kB.
+pub const CURVE_BYTES: u64 = 4 << 20;
+
+/// A point of a learning curve that was read from a file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CurvePoint {
+    /// Simulated control steps so far.
+    pub steps: f64,
+    /// Mean return of the deterministic policy from the fixed starts.
+    pub mean_return: f64,
+}
+
+/// The defect of a file that should have a learning curve.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum CurveError {
+    /// The header line does not name a column.
+    #[error("there is no column {0}")]
+    NoColumn(&'static str),
+    /// A line has no numbers where the columns are.
+    #[error("a line is no update: {0}")]
+    NoUpdate(String),
+}
+
+/// Reads a learning curve from the text that [`curve_csv`] made.
+///
+/// # Errors
+/// A column is missing, or a line has no numbers in it.
+pub fn parse_curve_csv(text: &str) -> Result<Vec<CurvePoint>, CurveError> {
+    let mut lines = text.lines();
+    let heads: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let column = |name: &'static str| {
+        heads.iter().position(|head| *head == name).ok_or(CurveError::NoColumn(name))
+    };
+    let columns = [column("steps")?, column("mean_return")?];
+    lines
+        .map(|line| {
+            let fields: Vec<&str> = line.split(',').collect();
+            let number =
+                |column: usize| fields.get(column).and_then(|field| field.parse::<f64>().ok());
+            let [Some(steps), Some(mean_return)] = columns.map(number) else {
+                return Err(CurveError::NoUpdate(line.to_owned()));
+            };
+            Ok(CurvePoint { steps, mean_return })
+        })
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -134,5 +182,21 @@ mod tests {
         assert_eq!(lines.len(), 2);
         assert_eq!(lines[0].split(',').count(), lines[1].split(',').count());
         assert!(lines[1].starts_with("3,541.500,"));
+    }
+
+    #[test]
+    fn a_curve_is_read_as_it_was_written() {
+        let update = |update| TrainUpdate {
+            update,
+            mean_return: 10.0 * f64::from(update),
+            steps: 9600 * u64::from(update + 1),
+            ..TrainUpdate::default()
+        };
+        let text = curve_csv(&[update(0), update(1)]);
+        let point = |steps, mean_return| CurvePoint { steps, mean_return };
+        assert_eq!(parse_curve_csv(&text).unwrap(), [point(9600.0, 0.0), point(19_200.0, 10.0)]);
+        assert_eq!(parse_curve_csv("update,steps\n"), Err(CurveError::NoColumn("mean_return")));
+        let torn = text.trim_end().rsplit_once(',').unwrap().0;
+        assert!(matches!(parse_curve_csv(torn), Err(CurveError::NoUpdate(_))));
     }
 }

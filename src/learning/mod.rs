@@ -48,7 +48,7 @@ mod workbench;
 mod worst;
 
 pub use checkpoint::Checkpointing;
-pub use curve::{TrainUpdate, curve_csv};
+pub use curve::{CURVE_BYTES, CurveError, CurvePoint, TrainUpdate, curve_csv, parse_curve_csv};
 pub use error::TrainError;
 pub use evaluation::evaluate_afresh;
 pub use physics_inputs::PhysicsInputs;

@@ -336,9 +336,7 @@ fn add_searches(page: &mut Page, searches: &SearchReturns) {
         return;
     }
     page.section("Searches");
-    page.paragraph(
-        "As the thesis's figure 5.3: the returns of each candidate in turn; a dot is one rollout.",
-    );
+    page.paragraph("The returns of each candidate in turn; a dot is one rollout.");
     page.grid(|page| {
         for (recipe, candidates) in searches {
             page.chart(recipe, "", search_chart(candidates));

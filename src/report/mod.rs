@@ -7,7 +7,7 @@
 //! and no request.
 //!
 //! Only the feature `cli` builds this room. It may import `experiment`, `session`, `scoring`, `replay`, `identification`, `recording`,
-//! `search`, `surrogate`, `simulation`, `telemetry`, `storage` and `qube`.
+//! `search`, `surrogate`, `learning`, `simulation`, `telemetry`, `storage` and `qube`.
 
 mod chart;
 mod densities;

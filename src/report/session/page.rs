@@ -156,7 +156,7 @@ fn add_curves(page: &mut Page, source: &SessionSource) {
     page.section("Trainings");
     let curves = source.curves.iter().filter(|(_, curve)| !curve.is_empty());
     let mut xs: Vec<f64> =
-        curves.clone().flat_map(|(_, curve)| curve.iter().map(|point| point[0])).collect();
+        curves.clone().flat_map(|(_, curve)| curve.iter().map(|point| point.steps)).collect();
     xs.sort_by(f64::total_cmp);
     xs.dedup();
     let mut series = Vec::new();
@@ -164,7 +164,7 @@ fn add_curves(page: &mut Page, source: &SessionSource) {
         let mut points = curve.iter().peekable();
         let values: Vec<Option<f64>> = xs
             .iter()
-            .map(|x| points.next_if(|point| point[0] == *x).map(|point| point[1]))
+            .map(|x| points.next_if(|point| point.steps == *x).map(|point| point.mean_return))
             .collect();
         let colour = *number as usize;
         series.push(

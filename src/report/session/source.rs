@@ -2,6 +2,7 @@ use std::path::Path;
 
 use super::time_line::TimeLine;
 use crate::identification::check_recording;
+use crate::learning::{CURVE_BYTES, CurvePoint, parse_curve_csv};
 use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
 use crate::replay::MotionLog;
@@ -13,9 +14,6 @@ use crate::session::{
     SessionState, SessionView, Step, TrainingTime, identified_profile, next_step,
 };
 use crate::storage::Disk;
-
-/// Largest size of a training curve, bytes; a long training's has some 200 kB.
-const CURVE_BYTES: u64 = 4 << 20;
 
 /// Number of recordings of each kind that the identification is compared with.
 const COMPARED: usize = 3;
@@ -37,8 +35,8 @@ pub struct SessionSource {
     pub(super) rollouts: Vec<(u32, RolloutView)>,
     /// Attempts that a fault ended: candidate, rollout, attempt, reason.
     pub(super) void: Vec<(u32, u32, u32, String)>,
-    /// Learning curves by candidate: simulated steps, mean and worst return.
-    pub(super) curves: Vec<(u32, Vec<[f64; 3]>)>,
+    /// Learning curves by candidate.
+    pub(super) curves: Vec<(u32, Vec<CurvePoint>)>,
     /// Rollouts and trainings by the wall clock.
     pub(super) time_line: TimeLine,
     /// Timing of all ticks.
@@ -264,31 +262,12 @@ impl SessionSource {
     }
 }
 
-/// Simulated steps, mean and worst return of each update of a training.
-fn read_curve(disk: &dyn Disk, path: &Path) -> Result<Vec<[f64; 3]>, String> {
+/// The learning curve of a training.
+fn read_curve(disk: &dyn Disk, path: &Path) -> Result<Vec<CurvePoint>, String> {
     let shown = path.display();
     let bytes = disk.read(path, CURVE_BYTES).map_err(|error| format!("{shown}: {error}"))?;
     if bytes.len() as u64 > CURVE_BYTES {
         return Err(format!("{shown} is longer than any training curve"));
     }
-    let text = String::from_utf8_lossy(&bytes);
-    let mut lines = text.lines();
-    let heads: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
-    let column = |name: &str| {
-        heads
-            .iter()
-            .position(|head| *head == name)
-            .ok_or_else(|| format!("{shown} has no column {name}"))
-    };
-    let columns = [column("steps")?, column("mean_return")?, column("worst_return")?];
-    let mut curve = Vec::new();
-    for line in lines {
-        let fields: Vec<&str> = line.split(',').collect();
-        let number = |column: usize| fields.get(column).and_then(|field| field.parse::<f64>().ok());
-        let [Some(steps), Some(mean), Some(worst)] = columns.map(number) else {
-            return Err(format!("{shown} has a line that is no update: {line}"));
-        };
-        curve.push([steps, mean, worst]);
-    }
-    Ok(curve)
+    parse_curve_csv(&String::from_utf8_lossy(&bytes)).map_err(|error| format!("{shown}: {error}"))
 }
