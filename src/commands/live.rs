@@ -107,8 +107,10 @@ impl LiveArguments {
 #[derive(Default)]
 pub struct Live {
     view: Option<LiveView>,
-    /// When this process proposed its first candidate, and that candidate's number.
-    began: Option<(Instant, u32)>,
+    /// When this process began its first training.
+    trains: Option<Instant>,
+    /// Number of candidates that this process has trained.
+    trained: u32,
     /// Numbers of the excitations.
     excitations: Vec<u32>,
 }
@@ -153,8 +155,7 @@ impl Live {
                         "exciting the Qube to identify it".clone_into(&mut status.doing);
                     });
                 }
-                let (began, first) = *self.began.get_or_insert((Instant::now(), *candidate));
-                let each = began.elapsed().checked_div(candidate.saturating_sub(first));
+                let each = self.trains.and_then(|since| since.elapsed().checked_div(self.trained));
                 let left = each.map(|each| each * candidates.saturating_sub(*candidate));
                 view.tell(|status| {
                     status.candidate = Some(*candidate);
@@ -167,14 +168,18 @@ impl Live {
                     };
                 });
             }
-            SessionEvent::Training { candidate, update, .. } => view.tell(|status| {
-                let (done, mean) = (update.update + 1, update.mean_return);
-                status.doing = format!(
-                    "training candidate {}: update {done}, return {mean:.0}",
-                    candidate + 1
-                );
-            }),
-            SessionEvent::Trained { candidate, .. } => {
+            SessionEvent::Training { candidate, update, .. } => {
+                self.trains.get_or_insert_with(Instant::now);
+                view.tell(|status| {
+                    let (done, mean) = (update.update + 1, update.mean_return);
+                    status.doing = format!(
+                        "training candidate {}: update {done}, return {mean:.0}",
+                        candidate + 1
+                    );
+                });
+            }
+            SessionEvent::Trained { candidate, best_return } => {
+                self.trained += u32::from(best_return.is_some());
                 view.tell(|status| {
                     status.doing = format!("candidate {} is trained", candidate + 1)
                 });

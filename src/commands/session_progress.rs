@@ -27,11 +27,11 @@ pub struct SessionProgress {
     /// The excitations, whose rollouts are recordings and no attempts to balance.
     excitations: Vec<u32>,
     updates: u32,
-    /// When this process proposed its first candidate, and that candidate's number.
-    began: Option<(Instant, u32)>,
-    /// The same for the first candidate that is trained, and the latest candidate: excitations take less time.
-    searched: Option<(Instant, u32)>,
-    latest: u32,
+    /// When this process began its first training, and the number of its candidate: excitations take less time.
+    trains: Option<(Instant, u32)>,
+    /// Number of candidates that this process has trained. Several may be proposed at once, which says nothing of the
+    /// time that they take.
+    trained: u32,
     /// Number of trainings of each candidate.
     trainings: u32,
     /// Returns of each candidate's rollouts, and how many of them balanced.
@@ -60,9 +60,8 @@ impl SessionProgress {
             may_end_early: settings.identification.is_some(),
             excitations: Vec::new(),
             updates,
-            began: None,
-            searched: None,
-            latest: 0,
+            trains: None,
+            trained: 0,
             trainings: settings.identification.map_or(1, |plan| plan.trainings.max(1)),
             returns: BTreeMap::new(),
             connected: BTreeSet::new(),
@@ -91,24 +90,21 @@ impl SessionProgress {
                     Purpose::Verification => "the search's recommendation, to be verified",
                     Purpose::Incumbent => "the best candidate's policy, to be verified too",
                 };
-                let (began, first) = *self.began.get_or_insert((Instant::now(), *candidate));
-                let done = candidate.saturating_sub(first);
                 if *purpose == Purpose::Excitation {
                     self.excitations.push(*candidate);
-                }
-                if *purpose != Purpose::Excitation {
-                    self.searched.get_or_insert((Instant::now(), *candidate));
                 }
                 self.proposed(*candidate, why, *purpose == Purpose::Excitation);
                 if self.may_end_early {
                     let most = self.candidates;
                     self.line(format!("candidate {candidate} (of at most {most}): {why}"));
                 } else {
-                    let left = time_left(began.elapsed(), done, self.candidates - candidate);
+                    let elapsed = self.trains.map_or(Duration::ZERO, |(since, _)| since.elapsed());
+                    let left = time_left(elapsed, self.trained, self.candidates - candidate);
                     self.line(proposed(*candidate, self.candidates, why) + &left);
                 }
             }
             SessionEvent::Training { candidate, training, update } => {
+                self.trains.get_or_insert_with(|| (Instant::now(), *candidate));
                 let name = match training {
                     0 => format!("candidate {candidate}"),
                     again => format!("candidate {candidate}, training {again}"),
@@ -126,6 +122,7 @@ impl SessionProgress {
                     state.phase = if self.is_connected() { ROLLOUTS } else { OPENING }.into();
                 });
                 if let Some(best_return) = best_return {
+                    self.trained += 1;
                     self.line(format!(
                         "candidate {candidate}: trained, earns {best_return:.0} in its simulations"
                     ));
@@ -210,7 +207,6 @@ impl SessionProgress {
 
     /// Shows a new candidate.
     fn proposed(&mut self, candidate: u32, why: &str, is_excitation: bool) {
-        self.latest = candidate;
         let candidates = self.candidates;
         let most = if self.may_end_early { "at most " } else { "" };
         let work =
@@ -228,17 +224,17 @@ impl SessionProgress {
         });
     }
 
-    /// Expects the end from the time of the candidates so far; the updates of the latest one count as its part.
+    /// Expects the end from the time of the candidates that were trained so far; the updates of those that are in training
+    /// count as their part.
     fn expect_end(&self, state: &mut ScreenState) {
-        let Some((since, first)) = self.searched else { return };
+        let Some((since, first)) = self.trains else { return };
         let updates: usize = state.trainings.values().map(|training| training.returns.len()).sum();
         let all = f64::from(self.updates) * f64::from(self.trainings);
-        let part = (updates as f64 / all.max(1.0)).min(1.0);
-        let done = f64::from(self.latest.saturating_sub(first)) + part;
+        let done = f64::from(self.trained) + updates as f64 / all.max(1.0);
         state.expect_end(
             since.elapsed(),
             done,
-            f64::from(self.candidates.saturating_sub(self.latest)) - part,
+            f64::from(self.candidates.saturating_sub(first)) - done,
         );
     }
 
@@ -288,8 +284,8 @@ fn proposed(candidate: u32, candidates: u32, why: &str) -> String {
     format!("candidate {candidate} ({} of {candidates}): {why}", candidate + 1)
 }
 
-/// The time left for the whole session, from the time that the candidates done by this process took; empty
-/// before the first is done.
+/// The time left for the whole session, from the time that the candidates trained by this process took; empty
+/// before the first is trained.
 fn time_left(elapsed: Duration, done: u32, to_do: u32) -> String {
     let Some(each) = elapsed.checked_div(done) else { return String::new() };
     let left_s = (each * to_do).as_secs();
