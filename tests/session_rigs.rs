@@ -193,6 +193,32 @@ fn sessions_of_two_qubes_that_are_killed_go_on_to_the_same_bytes() {
 }
 
 #[test]
+fn what_is_left_of_a_start_that_was_killed_is_in_nobodys_way() {
+    let directory = with_settings(2);
+    assert!(ended(directory.path(), &begin("own")).status.success());
+    // A kill after the first of two sessions has begun, and before the second and rigs.toml.
+    let left = directory.path().join("left");
+    std::fs::create_dir_all(left.join("rig-1/candidates")).unwrap();
+    let settings = directory.path().join("two/rig-1/session.toml");
+    std::fs::copy(settings, left.join("rig-1/session.toml")).unwrap();
+    let arguments = ["--resume", "left", "--device", "emulated", "--device", "emulated"];
+    let resumed = ended(directory.path(), &arguments);
+    let told = String::from_utf8_lossy(&resumed.stderr);
+    assert!(resumed.status.code() == Some(2) && told.contains("nothing to resume"), "{told}");
+    let again: Vec<&str> =
+        begin("own").into_iter().map(|it| if it == "two" { "left" } else { it }).collect();
+    let begun = ended(directory.path(), &again);
+    assert!(begun.status.success(), "{}", String::from_utf8_lossy(&begun.stderr));
+    // What was begun in earnest is nothing left.
+    let refused = ended(directory.path(), &again);
+    let told = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && told.contains("is not empty"), "{told}");
+    std::fs::remove_file(left.join("rigs.toml")).unwrap();
+    assert_eq!(ended(directory.path(), &again).status.code(), Some(2));
+    assert!(left.join("rig-2/ledger.jsonl").exists());
+}
+
+#[test]
 fn qubes_that_are_named_badly_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let link = directory.path().join("qube");

@@ -11,10 +11,7 @@ use super::device_arguments::{
 use super::exit::Failure;
 use super::number_arguments::between;
 use crate::rig::{ClockChoice, DeviceChoice};
-use crate::session::QUBE_FILE;
-
-/// Most Qubes of a session.
-const MOST_RIGS: usize = 16;
+use crate::session::{QUBE_FILE, RigSessions};
 
 /// Relative width in which several emulated Qubes differ without --vary.
 const VARY: f64 = 0.05;
@@ -104,8 +101,9 @@ impl RigArguments {
     /// Selects this number of Qubes: those that are named, or emulated ones if none is.
     pub fn choose(&self, count: usize) -> Result<Vec<ChosenDevice>, Failure> {
         let (devices, files) = (self.device.len(), self.qube.len());
-        if count > MOST_RIGS {
-            return Err(Failure::usage(format!("a session drives at most {MOST_RIGS} Qubes")));
+        if count > RigSessions::MOST as usize {
+            let most = RigSessions::MOST;
+            return Err(Failure::usage(format!("a session drives at most {most} Qubes")));
         }
         if count > 1 && devices > 0 && files > 0 && devices != files {
             return Err(Failure::usage(format!(

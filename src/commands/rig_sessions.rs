@@ -1,7 +1,6 @@
 //! The sessions of several Qubes, one each, beside each other: `session --rig-policy own`.
 
 use std::fmt::Write;
-use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -67,7 +66,6 @@ pub fn run(
     let consent = arguments.consent.beside(arguments.guard)?;
     let begins = arguments.resume.is_none();
     let mut place = None;
-    let count = devices.len();
     let (root, sessions) = match &arguments.resume {
         Some(root) => (root.clone(), goes_on(arguments, root, &devices)?),
         None => {
@@ -91,7 +89,7 @@ pub fn run(
         Ok(opened) => opened,
         Err(failure) => {
             if begins {
-                withdraw(&root, count);
+                RigSessions::withdraw(&root);
             }
             return Err(failure);
         }
@@ -122,7 +120,7 @@ pub fn run(
     if none_began && all_refused(&ended) {
         let failure = together(rigs.into_iter().map(|rig| rig.name()).zip(ended));
         if begins {
-            withdraw(&root, count);
+            RigSessions::withdraw(&root);
         }
         return failure;
     }
@@ -219,17 +217,17 @@ fn in_toml(seed: u64) -> u64 {
     seed & i64::MAX as u64
 }
 
-/// Begins the sessions in an empty folder.
+/// Begins the sessions in a folder that is empty, or has what was left of sessions that were killed as they began.
 fn begin(
     root: &Path,
     settings: Vec<SessionSettings>,
     devices: &[ChosenDevice],
 ) -> Result<Vec<Begun>, Failure> {
-    let mut inside = fs::read_dir(root).map_err(|error| failures::not_written(root, &error))?;
-    if inside.next().is_some() {
-        return Err(failures::folder(&FolderError::Exists { path: root.to_owned() }));
+    let refused = |error| failures::folder(&error);
+    if !RigSessions::have_not_begun(root).map_err(refused)? {
+        return Err(refused(FolderError::Exists { path: root.to_owned() }));
     }
-    let count = settings.len();
+    RigSessions::withdraw(root);
     let mut sessions = Vec::new();
     let begun_all = (1..).zip(settings).try_for_each(|(rig, settings)| {
         let name = format!("{}/rig-{rig}", name_in(root));
@@ -238,24 +236,12 @@ fn begin(
     });
     let devices = devices.iter().map(name_of).collect();
     let all = RigSessions { devices };
-    let ended = begun_all.and_then(|()| all.save(root).map_err(|error| failures::folder(&error)));
+    let ended = begun_all.and_then(|()| all.save(root).map_err(refused));
     if ended.is_err() {
         drop(std::mem::take(&mut sessions));
-        withdraw(root, count);
+        RigSessions::withdraw(root);
     }
     ended.map(|()| sessions)
-}
-
-/// Removes sessions that have decided nothing; files that cannot be removed stay.
-fn withdraw(root: &Path, count: usize) {
-    let _ = fs::remove_file(RigSessions::path(root));
-    for rig in 1..=count as u32 {
-        let folder = RigSessions::folder(root, rig);
-        if let Ok(session) = SessionFolder::open(&folder) {
-            session.withdraw();
-        }
-        let _ = fs::remove_dir(&folder);
-    }
 }
 
 /// Opens the folders of sessions that go on.
@@ -303,7 +289,7 @@ fn open(
         }
         let progress = SessionProgress::new(&settings, &Screen::none().progress(), &stop);
         let is_hardware = rig_settings.is_hardware();
-        let failed = |error| failures::session(error, &stop, resume);
+        let failed = |error| failures::session(error, &stop, resume).after(&format!("{name}:"));
         let session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
             .and_then(Session::on_the_same_boards)
             .map_err(failed)?

@@ -12,8 +12,8 @@ use super::session::Arguments;
 use super::session_settings::asked as asked_settings;
 use super::{rig_sessions, shared_session};
 use crate::session::{
-    EmulatedQubeSettings, RigSessions, SeedFor, SessionFolder, SessionPaths, SessionSettings,
-    derived_seed,
+    EmulatedQubeSettings, FolderError, RigSessions, SeedFor, SessionFolder, SessionPaths,
+    SessionSettings, derived_seed,
 };
 
 /// Several Qubes to drive.
@@ -51,6 +51,9 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
     }
     // What is wrong with the folder of one Qube is told when it is opened.
     if arguments.rigs.count() > 1 {
+        if root.is_dir() && RigSessions::have_not_begun(root).map_err(|it| failures::folder(&it))? {
+            return Err(failures::folder(&FolderError::NotBegun { path: root.clone() }));
+        }
         SessionFolder::open(root).map_err(|error| failures::folder(&error))?;
     }
     let settings = SessionSettings::load(&SessionPaths::new(root).configuration());

@@ -111,8 +111,8 @@ pub enum RigError {
     },
     /// The settings are for another board.
     #[error(
-        "{port} is board {found}, but the settings in qube.toml are for board {expected}: wrong signs \
-         would drive the arm into its stops. Use that board's port, or a file of this one"
+        "{port} is board {found}, but its settings or recordings are of board {expected}: wrong signs \
+         would drive the arm into its stops. Use that board's port, or the qube.toml of this one"
     )]
     OtherBoard {
         /// Name of the port.

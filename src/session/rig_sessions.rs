@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::configuration::read;
-use super::{ConfigurationError, FolderError, Session, SessionError, SessionEvent};
+use super::{
+    ConfigurationError, FolderError, Session, SessionError, SessionEvent, SessionFolder,
+    SessionPaths,
+};
 use crate::storage::{MachineDisk, write_whole};
 
 /// The file `rigs.toml`: which Qubes have a session each in its folder.
@@ -23,6 +26,9 @@ pub struct RigSessions {
 }
 
 impl RigSessions {
+    /// Largest number of Qubes.
+    pub const MOST: u32 = 16;
+
     /// Path of the file.
     #[must_use]
     pub fn path(root: &Path) -> PathBuf {
@@ -39,6 +45,35 @@ impl RigSessions {
     #[must_use]
     pub fn are_in(root: &Path) -> bool {
         Self::path(root).exists()
+    }
+
+    /// Whether a folder has only sessions that were killed before the last of them had begun, or nothing.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn have_not_begun(root: &Path) -> Result<bool, FolderError> {
+        let failed = |source| FolderError::Io { path: root.to_owned(), source };
+        for entry in std::fs::read_dir(root).map_err(failed)? {
+            let path = entry.map_err(failed)?.path();
+            let is_of_rig = (1..=Self::MOST).any(|rig| path == Self::folder(root, rig));
+            // The first entry of a ledger follows this file.
+            if !is_of_rig || SessionPaths::new(&path).ledger().exists() {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Removes sessions that have decided nothing, and the file; what cannot be removed stays.
+    pub fn withdraw(root: &Path) {
+        let _ = std::fs::remove_file(Self::path(root));
+        for rig in 1..=Self::MOST {
+            let folder = Self::folder(root, rig);
+            if let Ok(session) = SessionFolder::open(&folder) {
+                session.withdraw();
+            }
+            let _ = std::fs::remove_dir(&folder);
+        }
     }
 
     /// Reads the file.
@@ -86,7 +121,9 @@ impl RigSessions {
 pub fn run_side_by_side<'a, T: FnMut(SessionEvent) + Send>(
     sessions: impl IntoIterator<Item = (&'a mut Session, T)>,
 ) -> Vec<Result<(), SessionError>> {
-    let run = |session: &mut Session, mut tell: T| {
+    let run = |number: u32, session: &mut Session, mut tell: T| {
+        // Names the rig in the warnings that it logs.
+        let _rig = tracing::warn_span!("rig", number).entered();
         let ended = session.run(&mut tell);
         if let Err(error) = &ended {
             tell(SessionEvent::EndedEarly(error));
@@ -94,9 +131,9 @@ pub fn run_side_by_side<'a, T: FnMut(SessionEvent) + Send>(
         ended
     };
     std::thread::scope(|scope| {
-        let threads: Vec<_> = sessions
-            .into_iter()
-            .map(|(session, tell)| scope.spawn(move || run(session, tell)))
+        let threads: Vec<_> = (1..)
+            .zip(sessions)
+            .map(|(number, (session, tell))| scope.spawn(move || run(number, session, tell)))
             .collect();
         threads
             .into_iter()

@@ -34,6 +34,11 @@ impl SessionRig {
     }
 }
 
+/// What names a rig in the warnings that it logs, where several rigs share the session.
+fn span_of(number: Option<u32>) -> tracing::Span {
+    number.map_or_else(tracing::Span::none, |number| tracing::warn_span!("rig", number))
+}
+
 /// An attempt of a rollout and the index of the rig that makes it.
 #[derive(Clone, Copy, Debug)]
 struct Turn {
@@ -192,7 +197,7 @@ impl Session {
             *opened = None;
         }
         if opened.is_none() {
-            let rig = Rig::open(settings, &self.stop)?;
+            let rig = span_of(number).in_scope(|| Rig::open(settings, &self.stop))?;
             // An acknowledgement holds for one doubt only.
             settings.recovery.acknowledged = false;
             settings.recovery.doubt = None;
@@ -204,16 +209,15 @@ impl Session {
 
     /// Records these rollouts side by side; returns the errors of rigs, by their rigs.
     fn record(&mut self, turns: &[Turn]) -> Result<Vec<(usize, RigError)>, SessionError> {
-        let Some(candidate) = turns.first().map(|turn| turn.candidate) else {
-            return Ok(Vec::new());
-        };
+        let Some(&Turn { candidate, .. }) = turns.first() else { return Ok(Vec::new()) };
         let policy = self.policy(candidate)?;
         let disk = self.folder.shared_disk();
         let recordings: Vec<_> = turns
             .iter()
             .map(|turn| {
                 let path = self.recording(candidate, turn.rollout, turn.attempt);
-                (turn.index, path, self.plan_of(turn).header())
+                let span = span_of(self.number_of(turn.index));
+                (turn.index, path, self.plan_of(turn).header(), span)
             })
             .collect();
         let (policy, disk) = (policy.as_slice(), &disk);
@@ -223,16 +227,19 @@ impl Session {
             let mut recordings = recordings.into_iter();
             let first = recordings.next();
             let mut rigs: Vec<_> = self.rigs.iter_mut().map(|rig| rig.opened.as_mut()).collect();
-            for (index, path, header) in recordings {
+            for (index, path, header, span) in recordings {
                 let Some(rig) = rigs[index].take() else { continue };
-                let record = move || rig.rollout(disk.as_ref(), &path, header, policy).map(drop);
+                let record = move || {
+                    span.in_scope(|| rig.rollout(disk.as_ref(), &path, header, policy).map(drop))
+                };
                 threads.push((index, scope.spawn(record)));
             }
             // The first one is made by this thread, so that a session of one rig has no other.
-            if let Some((index, path, header)) = first
+            if let Some((index, path, header, span)) = first
                 && let Some(rig) = rigs[index].take()
             {
-                results.push((index, rig.rollout(disk.as_ref(), &path, header, policy).map(drop)));
+                let record = || rig.rollout(disk.as_ref(), &path, header, policy).map(drop);
+                results.push((index, span.in_scope(record)));
             }
             for (index, thread) in threads {
                 let result = thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -319,8 +326,9 @@ impl Session {
     }
 
     fn start_again(&mut self, turn: &Turn, reason: &str) -> Result<(), SessionError> {
+        let span = span_of(self.number_of(turn.index));
         let Some(rig) = &mut self.rigs[turn.index].opened else { return Ok(()) };
-        rig.start_again().map_err(|source| match source {
+        span.in_scope(|| rig.start_again()).map_err(|source| match source {
             // The operator stopped it; the fault before is in the ledger.
             RigError::Stopped { .. } => SessionError::Stopped,
             source => SessionError::NotStartedAgain {
