@@ -1,8 +1,10 @@
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 
+use rustix::fs::{FlockOperation, flock};
+
 /// An open port that lends its file descriptor; the port's own type gives it only as a number.
 #[derive(Debug)]
-pub(super) struct PortFd<P>(P);
+pub(super) struct PortFd<P: AsRawFd>(P);
 
 impl<P: AsRawFd> PortFd<P> {
     pub(super) fn new(port: P) -> Self {
@@ -34,5 +36,14 @@ impl<P: AsRawFd> AsFd for PortFd<P> {
         // SAFETY: the port owns its descriptor and keeps it open as long as it lives, and the
         // borrow cannot outlive it.
         unsafe { BorrowedFd::borrow_raw(self.0.as_raw_fd()) }
+    }
+}
+
+impl<P: AsRawFd> Drop for PortFd<P> {
+    /// Gives up the port's lock, which the serial library leaves to the closing of the descriptor. A process that another
+    /// thread starts at this moment has a copy of it until it begins its own program: the port that is to be opened again
+    /// would be in use.
+    fn drop(&mut self) {
+        let _ = flock(self.as_fd(), FlockOperation::Unlock);
     }
 }

@@ -153,3 +153,22 @@ fn named_ports() -> String {
     let ports = available_ports();
     if ports.is_empty() { "none".to_owned() } else { ports.join(", ") }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::MonotonicClock;
+    use crate::device::emulator::{EmulatedQube, EmulatorSettings};
+
+    #[test]
+    fn a_port_opens_again_although_a_process_that_begins_has_a_copy_of_it() {
+        let qube = EmulatedQube::spawn(EmulatorSettings::default()).unwrap();
+        let open = || Tty::open(qube.port().to_str().unwrap(), Arc::new(MonotonicClock));
+        let port = open().unwrap();
+        let of_the_other_process = rustix::io::dup(port.fd.as_ref().unwrap()).unwrap();
+        assert!(open().is_err());
+        drop(port);
+        assert!(open().is_ok());
+        drop(of_the_other_process);
+    }
+}

@@ -16,9 +16,12 @@ pub fn library() -> &'static Path {
             Some(profile) => profile,
         };
         let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
+        // With other features than these tests the whole library would be compiled once more.
+        let features = if cfg!(feature = "live") { "live" } else { "" };
         let built = Command::new(cargo)
             .current_dir(env!("CARGO_MANIFEST_DIR"))
             .args(["build", "--quiet", "--locked", "--example", "hil_library"])
+            .args(["--features", features])
             .args(["--profile", profile, "--target-dir"])
             .arg(folder.parent().unwrap())
             .status();
