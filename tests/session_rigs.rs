@@ -4,10 +4,11 @@
 mod folders;
 
 use std::collections::BTreeMap;
+use std::io::{self, Write};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use folders::files_of;
@@ -281,24 +282,25 @@ fn emulated(settings: &SessionSettings, fault: Option<&str>) -> RigSettings {
     RigSettings { homing: settings.homing, ..RigSettings::emulated(emulator) }
 }
 
+/// A new session of one emulated Qube, with a fault or none.
+fn alone(root: &Path, fault: Option<&str>) -> Session {
+    let settings = settings();
+    let folder = SessionFolder::create(root, &settings.to_toml().unwrap()).unwrap();
+    let rig = emulated(&settings, fault);
+    Session::open(folder, settings, rig, Arc::new(AtomicBool::new(false))).unwrap()
+}
+
 #[test]
 fn the_fault_of_one_qube_ends_its_own_session_only() {
     let directory = tempfile::tempdir().unwrap();
-    let open = |name: &str, fault| {
-        let settings = settings();
-        let root = directory.path().join(name);
-        let folder = SessionFolder::create(&root, &settings.to_toml().unwrap()).unwrap();
-        let rig = emulated(&settings, fault);
-        Session::open(folder, settings, rig, Arc::new(AtomicBool::new(false))).unwrap()
-    };
+    let open = |name: &str, fault| alone(&directory.path().join(name), fault);
     // Each rollout has a new Qube, which is homed within 16 s.
     let mut sessions = [open("faulty", Some("amplifier@16.5")), open("sound", None)];
     let ended =
         run_side_by_side(sessions.iter_mut().map(|session| (session, |_: SessionEvent| ())));
     assert!(matches!(ended[0], Err(SessionError::InDoubt { .. })), "{:?}", ended[0]);
     assert!(ended[1].is_ok(), "{:?}", ended[1]);
-    let mut alone = open("alone", None);
-    alone.run(&mut |_| ()).unwrap();
+    open("alone", None).run(&mut |_| ()).unwrap();
     let files_in = |name: &str| files(&directory.path().join(name));
     assert!(files_in("sound") == files_in("alone"), "the other session's fault changed something");
 }
@@ -314,6 +316,42 @@ fn shared(root: &Path, faults: [Option<&str>; 2]) -> Session {
     let [first, second] = faults.map(|fault| emulated(&settings, fault));
     let stop = Arc::new(AtomicBool::new(false));
     Session::open(folder, settings, first, stop).unwrap().spread_over([(second, None)])
+}
+
+/// What this process logs.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_warning_names_the_rig_that_it_is_about() {
+    let log = Log::default();
+    let writer = log.clone();
+    let subscriber = tracing_subscriber::fmt().with_writer(move || writer.clone()).with_ansi(false);
+    // No other test of this file has a subscriber.
+    subscriber.init();
+    let directory = tempfile::tempdir().unwrap();
+    // While the arm is homed; only this test's boards restart.
+    let fault = Some("board-restart@5");
+    shared(&directory.path().join("shared"), [None, fault]).run(&mut |_| ()).unwrap();
+    let open = |name: &str, fault| alone(&directory.path().join(name), fault);
+    let mut own = [open("first", None), open("second", fault)];
+    let ended = run_side_by_side(own.iter_mut().map(|session| (session, |_: SessionEvent| ())));
+    assert!(ended.iter().all(Result::is_ok), "{ended:?}");
+    let logged = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
+    let warnings: Vec<&str> =
+        logged.lines().filter(|line| line.contains("the board has restarted")).collect();
+    assert!(warnings.len() >= 2, "{logged}");
+    assert!(warnings.iter().all(|line| line.contains("rig{number=2}")), "{warnings:?}");
 }
 
 /// The attempts in a ledger, each with its rig and whether it has a result; a rig that was taken out is in between.

@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use super::screen::{Progress, ScreenState};
+use super::screen::{Progress, ScreenState, time_left};
 use super::stop::Stop;
 use crate::experiment::{
     ExperimentEvent, ExperimentSettings, Recipe, RecommendationResult, Repetition, Score,
@@ -109,7 +109,7 @@ impl ExperimentProgress {
             (training.returns.len() as f64 / f64::from(training.updates.max(1))).min(1.0)
         });
         let done = done as f64 + parts.sum::<f64>();
-        state.expect_end(self.began.elapsed(), done, self.count as f64 - done);
+        state.expect_end(time_left(self.began.elapsed(), done, self.count as f64 - done));
     }
 
     /// Shows an update of a training: recipe or search, what is trained, its number, and that of the training.

@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
+use std::time::Duration;
 
 use super::exit::Failure;
 use super::printable::tell;
@@ -107,10 +107,6 @@ impl LiveArguments {
 #[derive(Default)]
 pub struct Live {
     view: Option<LiveView>,
-    /// When this process began its first training.
-    trains: Option<Instant>,
-    /// Number of candidates that this process has trained.
-    trained: u32,
     /// Numbers of the excitations.
     excitations: Vec<u32>,
 }
@@ -144,8 +140,8 @@ impl Live {
         self.change(|status| better(status, return_));
     }
 
-    /// Shows one event of a session that has at most this number of candidates.
-    pub fn tell(&mut self, news: &SessionEvent, candidates: u32) {
+    /// Shows one event of a session that has at most this number of candidates, and takes this time until the last.
+    pub fn tell(&mut self, news: &SessionEvent, candidates: u32, left: Option<Duration>) {
         let Some(view) = &self.view else { return };
         match news {
             SessionEvent::Proposed { candidate, purpose } => {
@@ -155,8 +151,6 @@ impl Live {
                         "exciting the Qube to identify it".clone_into(&mut status.doing);
                     });
                 }
-                let each = self.trains.and_then(|since| since.elapsed().checked_div(self.trained));
-                let left = each.map(|each| each * candidates.saturating_sub(*candidate));
                 view.tell(|status| {
                     status.candidate = Some(*candidate);
                     status.of = Some(candidates);
@@ -168,22 +162,17 @@ impl Live {
                     };
                 });
             }
-            SessionEvent::Training { candidate, update, .. } => {
-                self.trains.get_or_insert_with(Instant::now);
-                view.tell(|status| {
-                    let (done, mean) = (update.update + 1, update.mean_return);
-                    status.doing = format!(
-                        "training candidate {}: update {done}, return {mean:.0}",
-                        candidate + 1
-                    );
-                });
-            }
-            SessionEvent::Trained { candidate, best_return } => {
-                self.trained += u32::from(best_return.is_some());
-                view.tell(|status| {
-                    status.doing = format!("candidate {} is trained", candidate + 1)
-                });
-            }
+            SessionEvent::Training { candidate, update, .. } => view.tell(|status| {
+                let (done, mean) = (update.update + 1, update.mean_return);
+                status.time_left_s = left.map(|left| left.as_secs_f64());
+                status.doing = format!(
+                    "training candidate {}: update {done}, return {mean:.0}",
+                    candidate + 1
+                );
+            }),
+            SessionEvent::Trained { candidate, .. } => view.tell(|status| {
+                status.doing = format!("candidate {} is trained", candidate + 1);
+            }),
             SessionEvent::Rollout { candidate, rollout, verdict, .. } => view.tell(|status| {
                 status.doing = format!("candidate {}, rollout {}", candidate + 1, rollout + 1);
                 // An excitation is no attempt to balance.

@@ -1,6 +1,7 @@
 //! The live view of a program that is built without it: the option says how to get it, and nothing is watched.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::exit::Failure;
 use super::stop::Stop;
@@ -59,7 +60,7 @@ impl Live {
 
     pub fn experiment(&self, _news: &ExperimentEvent) {}
 
-    pub fn tell(&mut self, _news: &SessionEvent, _candidates: u32) {}
+    pub fn tell(&mut self, _news: &SessionEvent, _candidates: u32, _left: Option<Duration>) {}
 }
 
 #[cfg(test)]

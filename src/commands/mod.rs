@@ -64,6 +64,7 @@ mod strategy_table;
 mod terminal;
 mod toy;
 mod train;
+mod training_pace;
 mod training_progress;
 mod words_gone;
 mod work;

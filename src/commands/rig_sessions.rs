@@ -105,7 +105,7 @@ pub fn run(
         (session, move |news: SessionEvent| {
             service_manager::alive();
             progress.tell(&news);
-            live.tell(&news, candidates);
+            live.tell(&news, candidates, progress.time_left());
         })
     }));
     service_manager::stopping();

@@ -246,7 +246,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         let ended = session.run(&mut |news| {
             service_manager::alive();
             progress.tell(&news);
-            live.tell(&news, candidates);
+            live.tell(&news, candidates, progress.time_left());
         });
         match ended.as_ref().err().and_then(SessionError::doubt) {
             Some(doubt) if keyboard.acknowledges(doubt, &stop) => session.acknowledge(),

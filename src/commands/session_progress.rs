@@ -4,8 +4,9 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use super::command_hints;
-use super::screen::{Progress, ScreenState};
+use super::screen::{Progress, in_words};
 use super::stop::Stop;
+use super::training_pace::TrainingPace;
 use super::warn_without_realtime;
 use crate::scoring::Verdict;
 use crate::session::{Purpose, SessionError, SessionEvent, SessionSettings};
@@ -26,14 +27,9 @@ pub struct SessionProgress {
     may_end_early: bool,
     /// The excitations, whose rollouts are recordings and no attempts to balance.
     excitations: Vec<u32>,
+    /// Number of updates of a training.
     updates: u32,
-    /// When this process began its first training, and the number of its candidate: excitations take less time.
-    trains: Option<(Instant, u32)>,
-    /// Number of candidates that this process has trained. Several may be proposed at once, which says nothing of the
-    /// time that they take.
-    trained: u32,
-    /// Number of trainings of each candidate.
-    trainings: u32,
+    pace: TrainingPace,
     /// Returns of each candidate's rollouts, and how many of them balanced.
     returns: BTreeMap<u32, (Vec<f64>, u32)>,
     /// Rigs that were opened.
@@ -51,6 +47,7 @@ impl SessionProgress {
             None => searched + 1 + u32::from(extent.verifies_incumbent),
         } + u32::from(extent.baseline);
         let updates = settings.training.updates;
+        let trainings = settings.identification.map_or(1, |plan| plan.trainings.max(1));
         progress.update(|state| state.phase = OPENING.into());
         Self {
             progress: progress.clone(),
@@ -60,9 +57,7 @@ impl SessionProgress {
             may_end_early: settings.identification.is_some(),
             excitations: Vec::new(),
             updates,
-            trains: None,
-            trained: 0,
-            trainings: settings.identification.map_or(1, |plan| plan.trainings.max(1)),
+            pace: TrainingPace::new(updates.saturating_mul(trainings)),
             returns: BTreeMap::new(),
             connected: BTreeSet::new(),
         }
@@ -76,6 +71,11 @@ impl SessionProgress {
     /// Largest number of candidates.
     pub fn candidates(&self) -> u32 {
         self.candidates
+    }
+
+    /// Time left until the last candidate; `None` before the first training.
+    pub fn time_left(&self) -> Option<Duration> {
+        self.pace.time_left(self.candidates, Instant::now())
     }
 
     /// Shows one event.
@@ -98,13 +98,15 @@ impl SessionProgress {
                     let most = self.candidates;
                     self.line(format!("candidate {candidate} (of at most {most}): {why}"));
                 } else {
-                    let elapsed = self.trains.map_or(Duration::ZERO, |(since, _)| since.elapsed());
-                    let left = time_left(elapsed, self.trained, self.candidates - candidate);
+                    let left = self.time_left().map_or(String::new(), |left| {
+                        format!("; about {} left in all", in_words(left))
+                    });
                     self.line(proposed(*candidate, self.candidates, why) + &left);
                 }
             }
             SessionEvent::Training { candidate, training, update } => {
-                self.trains.get_or_insert_with(|| (Instant::now(), *candidate));
+                self.pace.update(*candidate, Instant::now());
+                let left = self.time_left();
                 let name = match training {
                     0 => format!("candidate {candidate}"),
                     again => format!("candidate {candidate}, training {again}"),
@@ -113,7 +115,7 @@ impl SessionProgress {
                     state.phase = "training in simulation".into();
                     let key = (String::new(), *candidate, *training);
                     state.add_update(key, &name, self.updates, update.mean_return);
-                    self.expect_end(state);
+                    state.expect_end(left);
                 });
             }
             SessionEvent::Trained { candidate, best_return } => {
@@ -121,8 +123,8 @@ impl SessionProgress {
                     state.trainings.retain(|(_, number, _), _| number != candidate);
                     state.phase = if self.is_connected() { ROLLOUTS } else { OPENING }.into();
                 });
+                self.pace.trained(*candidate, best_return.is_some());
                 if let Some(best_return) = best_return {
-                    self.trained += 1;
                     self.line(format!(
                         "candidate {candidate}: trained, earns {best_return:.0} in its simulations"
                     ));
@@ -220,22 +222,8 @@ impl SessionProgress {
             };
             state.may_end_early = self.may_end_early;
             state.done = Some((candidate.into(), candidates.into()));
-            self.expect_end(state);
+            state.expect_end(self.time_left());
         });
-    }
-
-    /// Expects the end from the time of the candidates that were trained so far; the updates of those that are in training
-    /// count as their part.
-    fn expect_end(&self, state: &mut ScreenState) {
-        let Some((since, first)) = self.trains else { return };
-        let updates: usize = state.trainings.values().map(|training| training.returns.len()).sum();
-        let all = f64::from(self.updates) * f64::from(self.trainings);
-        let done = f64::from(self.trained) + updates as f64 / all.max(1.0);
-        state.expect_end(
-            since.elapsed(),
-            done,
-            f64::from(self.candidates.saturating_sub(first)) - done,
-        );
     }
 
     /// Shows the best candidate after one more rollout.
@@ -284,18 +272,6 @@ fn proposed(candidate: u32, candidates: u32, why: &str) -> String {
     format!("candidate {candidate} ({} of {candidates}): {why}", candidate + 1)
 }
 
-/// The time left for the whole session, from the time that the candidates trained by this process took; empty
-/// before the first is trained.
-fn time_left(elapsed: Duration, done: u32, to_do: u32) -> String {
-    let Some(each) = elapsed.checked_div(done) else { return String::new() };
-    let left_s = (each * to_do).as_secs();
-    if left_s < 120 {
-        format!("; about {left_s} s left in all")
-    } else {
-        format!("; about {} min left in all", left_s / 60)
-    }
-}
-
 /// A verdict in words.
 fn describe(verdict: &Verdict) -> String {
     match verdict {
@@ -321,14 +297,6 @@ mod tests {
         let progress = SessionProgress::new(&settings, &Progress::lines(), &Stop::default());
         assert_eq!(progress.candidates, 12);
         assert_eq!(proposed(11, 12, "the last"), "candidate 11 (12 of 12): the last");
-    }
-
-    #[test]
-    fn the_time_left_is_that_of_the_candidates_to_come() {
-        let seconds = Duration::from_secs;
-        assert_eq!(time_left(seconds(5), 0, 12), "", "nothing is known yet");
-        assert_eq!(time_left(seconds(30), 3, 9), "; about 90 s left in all");
-        assert_eq!(time_left(seconds(600), 2, 10), "; about 50 min left in all");
     }
 
     #[test]

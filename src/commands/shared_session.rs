@@ -107,7 +107,7 @@ pub fn run(
             progress.tell(&news);
             for (number, live) in (1..).zip(&mut lives) {
                 if rig_of(&news).is_none_or(|rig| rig == number) {
-                    live.tell(&news, candidates);
+                    live.tell(&news, candidates, progress.time_left());
                 }
             }
         });

@@ -1,6 +1,6 @@
 use std::time::Instant;
 
-use super::screen::{Progress, in_words};
+use super::screen::{Progress, in_words, time_left};
 use crate::learning::TrainUpdate;
 
 /// Number of lines of a training without a screen.
@@ -38,9 +38,12 @@ impl TrainingProgress {
         let best_return = self.best_return;
         let began = *self.began.get_or_insert_with(Instant::now);
         // The first update of this process begins before the count of time.
-        let (elapsed, each) = (began.elapsed(), done.saturating_sub(1));
+        let left = time_left(
+            began.elapsed(),
+            done.saturating_sub(1).into(),
+            all.saturating_sub(done).into(),
+        );
         if !self.progress.has_screen() && (done * LINES) % all < LINES {
-            let left = elapsed.checked_div(each).map(|each| each * (all - done.min(all)));
             let left = left.map_or(String::new(), |left| format!(", {} left", in_words(left)));
             self.progress
                 .line(&format!("update {done} of {all}, best return {best_return:.1}{left}"));
@@ -48,7 +51,7 @@ impl TrainingProgress {
         self.progress.update(|state| {
             state.add_update((String::new(), 0, 0), "the policy", all, update.mean_return);
             state.done = Some((done.into(), all.into()));
-            state.expect_end(elapsed, each.into(), all.saturating_sub(done).into());
+            state.expect_end(left);
             state.best = format!("best return so far: {best_return:.0}");
         });
     }

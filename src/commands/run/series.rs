@@ -7,7 +7,7 @@ use crate::commands::exit::Failure;
 use crate::commands::keyboard::Keyboard;
 use crate::commands::live::Live;
 use crate::commands::printable::tell;
-use crate::commands::screen::Progress;
+use crate::commands::screen::{Progress, time_left};
 use crate::commands::stop::Stop;
 use crate::commands::{command_hints, failures, warn_without_realtime};
 use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
@@ -63,7 +63,7 @@ impl Series<'_> {
             self.progress.update(|state| {
                 state.done = Some((done, rollouts.into()));
                 let to_do = u64::from(rollouts) - done;
-                state.expect_end(began.elapsed(), done as f64, to_do as f64);
+                state.expect_end(time_left(began.elapsed(), done as f64, to_do as f64));
                 state.best = results.best();
                 if let Some(row) = results.rollouts.last() {
                     state.add_message(&format!("rollout {rollout}: {}", row.in_words()));

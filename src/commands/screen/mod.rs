@@ -27,7 +27,7 @@ use self::capture::CapturedStderr;
 use self::draw::{Styles, draw};
 pub use self::rollout::RolloutView;
 use self::state::{Overlay, Pause, STOP_EFFECT};
-pub use self::state::{ScreenState, in_words};
+pub use self::state::{ScreenState, in_words, time_left};
 use super::output::Output;
 use super::printable::printable;
 use super::stop::Stop;

@@ -156,13 +156,18 @@ impl ScreenState {
         training.returns.push(mean_return);
     }
 
-    /// Expects the end after `to_do` more pieces of work that take as long as the `done` ones of this process. The piece
-    /// under way counts in part.
-    pub fn expect_end(&mut self, elapsed: Duration, done: f64, to_do: f64) {
-        let left_s = elapsed.as_secs_f64() / done * to_do.max(0.0);
-        let is_known = done > 0.0 && left_s.is_finite() && left_s < 1e9;
-        self.ends = is_known.then(|| Instant::now() + Duration::from_secs_f64(left_s));
+    /// Expects the end after this time, if it is known.
+    pub fn expect_end(&mut self, left: Option<Duration>) {
+        self.ends = left.map(|left| Instant::now() + left);
     }
+}
+
+/// Time that `to_do` more pieces of work take if they take as long as the `done` ones of this process, in which a piece under
+/// way counts in part; `None` before any is done.
+pub fn time_left(elapsed: Duration, done: f64, to_do: f64) -> Option<Duration> {
+    let left_s = elapsed.as_secs_f64() / done * to_do.max(0.0);
+    let is_known = done > 0.0 && left_s.is_finite() && left_s < 1e9;
+    is_known.then(|| Duration::from_secs_f64(left_s))
 }
 
 /// A time in the words of a clock: `45 s`, `4 min`, `2 h 05 min`.

@@ -1,0 +1,81 @@
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use super::screen::time_left;
+
+/// The pace at which a session trains its candidates, from which its time left is expected.
+///
+/// Only what this process trains counts: several candidates may be proposed at once, and an excitation takes less time.
+pub struct TrainingPace {
+    /// Number of updates of a candidate, over all its trainings.
+    updates: u32,
+    /// When the first update was made, and the number of its candidate.
+    began: Option<(Instant, u32)>,
+    /// Number of candidates that are trained.
+    trained: u32,
+    /// Updates so far of each candidate that is in training.
+    in_training: BTreeMap<u32, u32>,
+}
+
+impl TrainingPace {
+    /// The pace before the first training, of candidates with this number of updates each.
+    pub fn new(updates: u32) -> Self {
+        Self { updates, began: None, trained: 0, in_training: BTreeMap::new() }
+    }
+
+    /// Counts one more update of a candidate. The very first only begins the count of time.
+    pub fn update(&mut self, candidate: u32, now: Instant) {
+        match self.began {
+            None => self.began = Some((now, candidate)),
+            Some(_) => *self.in_training.entry(candidate).or_default() += 1,
+        }
+    }
+
+    /// Ends the trainings of a candidate; `by_this_process` is whether they took place and were not found done.
+    pub fn trained(&mut self, candidate: u32, by_this_process: bool) {
+        self.in_training.remove(&candidate);
+        self.trained += u32::from(by_this_process);
+    }
+
+    /// Time left for a session of this number of candidates; `None` before the second update.
+    pub fn time_left(&self, candidates: u32, now: Instant) -> Option<Duration> {
+        let (began, first) = self.began?;
+        // Trainings that failed and were begun again have more updates than one that is done.
+        let part = |updates: &u32| f64::from((*updates).min(self.updates));
+        let parts = self.in_training.values().map(part).sum::<f64>();
+        let done = f64::from(self.trained) + parts / f64::from(self.updates.max(1));
+        let to_do = f64::from(candidates.saturating_sub(first)) - done;
+        time_left(now.saturating_duration_since(began), done, to_do)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_left_is_that_of_the_candidates_to_come() {
+        let began = Instant::now();
+        let after_s = |seconds| began + Duration::from_secs(seconds);
+        let mut pace = TrainingPace::new(10);
+        assert_eq!(pace.time_left(12, began), None, "nothing is known yet");
+        // Candidate 0 is an excitation; 1 and 2 are trained at once.
+        pace.update(1, began);
+        assert_eq!(pace.time_left(12, began), None);
+        for number in [1, 1, 1, 1, 1, 2, 2, 2, 2, 2] {
+            pace.update(number, began);
+        }
+        assert_eq!(pace.time_left(12, after_s(30)), Some(Duration::from_secs(300)));
+        pace.trained(1, true);
+        pace.trained(2, true);
+        assert_eq!(pace.time_left(12, after_s(60)), Some(Duration::from_secs(270)));
+        // Found done, and proposed but not begun: both say nothing of the time that they take.
+        pace.trained(3, false);
+        assert_eq!(pace.time_left(12, after_s(60)), Some(Duration::from_secs(270)));
+        for _ in 0..30 {
+            pace.update(4, after_s(60));
+        }
+        assert_eq!(pace.time_left(12, after_s(90)), Some(Duration::from_secs(240)));
+        assert_eq!(pace.time_left(3, after_s(90)), Some(Duration::ZERO));
+    }
+}
