@@ -13,8 +13,8 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use qube_hil::elementary::{Level, dispatch};
 use qube_hil::policy::{Controller, Policy};
 use qube_hil::qube::{
-    BLOCK, ControlPeriod, InLanes, MAX_HISTORY, Profile, QubeLanes, QubeModel, State,
-    limited_voltage,
+    BLOCK, ControlPeriod, InLanes, MAX_HISTORY, MAX_VOLTAGE_V, Profile, QubeLanes, QubeModel,
+    State, limited_to,
 };
 use qube_hil::safety::{ForesightSettings, IdentifiedQube, TrustedForesight};
 use rand::{RngExt as _, SeedableRng as _};
@@ -55,7 +55,7 @@ fn rollout(model: &QubeModel, seed: u64) -> Vec<Tick> {
             theta_dot: f64::from(state.theta_dot),
             alpha_dot: f64::from(state.alpha_dot),
         };
-        let voltage_v = limited_voltage(policy.voltage_v(&state) as f32);
+        let voltage_v = limited_to(policy.voltage_v(&state) as f32, MAX_VOLTAGE_V as f32);
         policy.applied(f64::from(voltage_v));
         ticks.push(Tick { state, sent_v, voltage_v });
         dispatch(ControlPeriod { qubes: &mut qubes, commands_v: &[[voltage_v; BLOCK]] });

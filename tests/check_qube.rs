@@ -14,7 +14,7 @@ use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::{Examination, ExaminationSettings, examine};
 use qube_hil::recording::read;
 use qube_hil::rig::{Rig, RigError, RigSettings};
-use qube_hil::safety::SafetyBox;
+use qube_hil::safety::{MotorHeat, SafetyBox};
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::session::{QubeFile, RolloutPlan};
 use qube_hil::storage::MachineDisk;
@@ -86,7 +86,9 @@ fn an_arm_that_lies_at_a_stop_is_judged_right() {
         };
         // It takes its time until the pendulum hangs still again.
         clock.advance(30_000_000_000);
-        let found = examine(&mut link, &clock, &stop(), &settings).unwrap().unwrap();
+        let found = examine(&mut link, &clock, &mut MotorHeat::default(), &stop(), &settings)
+            .unwrap()
+            .unwrap();
         assert!(found.passed(), "{:#?}", found.results);
     }
 }

@@ -14,6 +14,7 @@ use qube_hil::device::{Device, SerialLink};
 use qube_hil::estimation::Calibration;
 use qube_hil::preflight::{Examination, ExaminationSettings, examine};
 use qube_hil::qube::{HARD_STOP_RAD, QubeModel, State};
+use qube_hil::safety::MotorHeat;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rigs::{DEFECTS, FIRST_SEED, failed, number, of_each, rig, signs_of};
@@ -34,7 +35,9 @@ fn examined(
         plant: qube_hil::qube::PlantModel::QUBE,
     };
     let stop = AtomicBool::new(false);
-    let found = examine(&mut link, &clock, &stop, &examination).unwrap().unwrap();
+    let found = examine(&mut link, &clock, &mut MotorHeat::default(), &stop, &examination)
+        .unwrap()
+        .unwrap();
     let touch_rad_s = link.transport().board().plant().hardest_touch_rad_s();
     (found, touch_rad_s)
 }

@@ -54,7 +54,8 @@ fn cost(count: u64) -> Cost {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path();
     let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
-    let executor = FolderExecutor::new(folder.clone(), None, 1, false).unwrap();
+    let executor =
+        FolderExecutor::new(folder.clone(), None, 1, false, &AtomicBool::new(false)).unwrap();
     let jobs: Vec<TrainingJob> = (0..count).map(job).collect();
     let done = AtomicBool::new(false);
     let (begun, cpu_before) = (Instant::now(), cpu_s(libc::RUSAGE_SELF));

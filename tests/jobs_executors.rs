@@ -141,7 +141,9 @@ fn a_stop_ends_workers_and_trainings_or_leaves_them() {
         let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
         let cancelled = Arc::new(AtomicBool::new(false));
         let queue = Box::new(FullQueue(Arc::clone(&cancelled)));
-        let executor = FolderExecutor::new(folder.clone(), Some(queue), 1, leave).unwrap();
+        let executor =
+            FolderExecutor::new(folder.clone(), Some(queue), 1, leave, &AtomicBool::new(false))
+                .unwrap();
         let job = TrainingJob {
             distribution: DomainDistribution::nominal(),
             settings: TrainSettings::quick(),

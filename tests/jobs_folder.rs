@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use qube_hil::jobs::folder::{Ending, Heartbeat, Holder, JobFolder, Terms};
+use qube_hil::jobs::folder::{ClaimEnding, Heartbeat, Holder, JobFolder, Terms};
 use qube_hil::jobs::{
     Executor, FolderExecutor, JobError, JobEvent, JobFolderError, LocalExecutor, TrainingJob,
 };
@@ -60,9 +60,13 @@ fn hasty() -> Terms {
     Terms { beat_ms: 50, stale_ms: 500, ..Terms::default() }
 }
 
+fn never() -> AtomicBool {
+    AtomicBool::new(false)
+}
+
 fn executor(root: &Path) -> FolderExecutor {
     let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
-    FolderExecutor::new(folder, None, 2, false).unwrap()
+    FolderExecutor::new(folder, None, 2, false, &never()).unwrap()
 }
 
 fn work(root: &Path, options: &[&str]) -> Command {
@@ -211,8 +215,8 @@ fn a_job_that_kills_its_workers_is_given_up_by_name_and_the_others_are_not() {
         let claim = Heartbeat::create(&MachineDisk, &path, &elsewhere()).unwrap().unwrap();
         match number {
             // A stop on request is no failure.
-            0 => claim.end(&Ending::Stopped).unwrap(),
-            1 => claim.end(&Ending::Failed("no space left".into())).unwrap(),
+            0 => claim.end(&ClaimEnding::Stopped).unwrap(),
+            1 => claim.end(&ClaimEnding::Failed("no space left".into())).unwrap(),
             _ => {}
         }
     }
@@ -253,7 +257,7 @@ fn the_jobs_of_a_killed_coordinator_are_found_again() {
     let (root, jobs) = (directory.path(), jobs(2, 4));
     let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
     // A killed coordinator leaves open jobs, and no ending of its own.
-    drop(folder.coordinate(&elsewhere()).unwrap());
+    drop(folder.coordinate(&elsewhere(), &never()).unwrap());
     jobs.iter().for_each(|job| drop(folder.put(job).unwrap()));
     let mut worker = WorkerProcess::start(root, &[]);
     worker.says("trained");
@@ -285,8 +289,9 @@ fn a_worker_that_would_train_other_policies_is_refused_by_name() {
     JobFolder::create(Arc::new(MachineDisk), root, other).unwrap();
     let output = work(root, &[]).output().unwrap();
     refused(&output, &["qube-hil 9.9.9 (beef)", env!("CARGO_PKG_VERSION"), "same program"]);
-    // The coordinator can read the reason.
+    // The coordinator can read the reason; from then on its own terms hold.
     let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
+    drop(folder.coordinate(&elsewhere(), &never()).unwrap());
     let files = folder.worker_files().unwrap();
     assert_eq!(files.len(), 1, "{files:?}");
     assert!(folder.refusal(&files[0]).unwrap().contains("9.9.9"));
@@ -304,12 +309,29 @@ fn a_folder_has_one_coordinator() {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path();
     let first = executor(root);
-    let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
-    let refused = folder.coordinate(&Holder::this_process()).unwrap_err();
+    let terms = fs::read(root.join("folder.json")).unwrap();
+    let other = Terms { program: "qube-hil 9.9.9 (beef)".into(), tries: 9, ..hasty() };
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, other).unwrap();
+    let refused = folder.coordinate(&Holder::this_process(), &never()).unwrap_err();
     assert!(matches!(refused, JobFolderError::TwoCoordinators { .. }), "{refused}");
     // One of another computer is known by its beats.
-    let refused = folder.coordinate(&elsewhere()).unwrap_err();
+    let refused = folder.coordinate(&elsewhere(), &never()).unwrap_err();
     assert!(matches!(refused, JobFolderError::TwoCoordinators { .. }), "{refused}");
+    // Neither has changed the terms of the first.
+    assert_eq!(fs::read(root.join("folder.json")).unwrap(), terms);
     drop(first);
-    folder.coordinate(&elsewhere()).unwrap();
+    folder.coordinate(&elsewhere(), &never()).unwrap();
+    assert_ne!(fs::read(root.join("folder.json")).unwrap(), terms);
+}
+
+#[test]
+fn a_coordinator_that_waits_for_a_sign_of_another_can_be_stopped() {
+    let directory = tempfile::tempdir().unwrap();
+    let patient = Terms { stale_ms: 3_600_000, ..hasty() };
+    let folder = JobFolder::create(Arc::new(MachineDisk), directory.path(), patient).unwrap();
+    // A coordinator of another computer has left no ending: it may still live.
+    drop(folder.coordinate(&elsewhere(), &never()).unwrap());
+    let stopped = AtomicBool::new(true);
+    let refused = folder.coordinate(&Holder::this_process(), &stopped).unwrap_err();
+    assert!(matches!(refused, JobFolderError::Stopped { .. }), "{refused}");
 }

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 
 use plant::{Beyond, Plant};
 use qube_hil::identification::{
-    Doubt, Estimate, Identified, IdentifyError, Unknown, Verdict, identify,
+    Estimate, Identified, IdentifyError, MissingEffect, ModelVerdict, Unknown, identify,
 };
 use qube_hil::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
 use qube_hil::qube::{
@@ -125,9 +125,9 @@ impl Row {
     fn add(&mut self, found: &Result<Identified, IdentifyError>) {
         self.plants += 1;
         let verdict = found.as_ref().map(|found| found.assessment.verdict);
-        self.doubted += u32::from(verdict != Ok(Verdict::Fits));
+        self.doubted += u32::from(verdict != Ok(ModelVerdict::Fits));
         let doubts = found.iter().flat_map(|found| &found.assessment.doubts);
-        for doubt in doubts.filter(|doubt| **doubt != Doubt::Unexplained) {
+        for doubt in doubts.filter(|doubt| **doubt != MissingEffect::Unexplained) {
             *self.named.entry(doubt.name()).or_default() += 1;
         }
     }

@@ -10,7 +10,7 @@ pub struct ShareOfPlant {
     pub plant: String,
     /// Name of the method.
     pub method: String,
-    /// Number of real rollouts that the method took.
+    /// Budget: largest number of real rollouts, after which the recommendation is scored.
     pub budget: u32,
     /// Share that succeeds.
     pub share: f64,

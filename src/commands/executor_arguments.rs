@@ -5,6 +5,7 @@ use super::exit::Failure;
 use super::failures;
 use super::printable::tell;
 use super::service_manager;
+use super::stop::Stop;
 use crate::jobs::folder::{JobFolder, Terms};
 use crate::jobs::starter::{CommandStarter, SlurmOptions, SlurmStarter, Starter, quoted};
 use crate::jobs::{Executor, FolderExecutor};
@@ -68,7 +69,11 @@ fn stale_seconds(text: &str) -> Result<f64, String> {
 
 impl ExecutorArguments {
     /// The executor, or `None` for this computer's cores. `results` is the folder of the session or experiment.
-    pub fn executor(&self, results: &Path) -> Result<Option<Arc<dyn Executor>>, Failure> {
+    pub fn executor(
+        &self,
+        results: &Path,
+        stop: &Stop,
+    ) -> Result<Option<Arc<dyn Executor>>, Failure> {
         if self.executor == "local" {
             return Ok(None);
         }
@@ -96,7 +101,7 @@ impl ExecutorArguments {
         let stale_ms = (1e3 * self.stale) as u64;
         let terms =
             Terms { stale_ms, beat_ms: stale_ms / 12, tries: self.tries, ..Terms::default() };
-        let failed = |error| failures::job_folder(&error);
+        let failed = |error| failures::job_folder(&error, stop);
         let folder = JobFolder::create(Arc::new(MachineDisk), &root, terms).map_err(failed)?;
         let starter = match self.executor.as_str() {
             "slurm" => {
@@ -114,7 +119,8 @@ impl ExecutorArguments {
         if starter.is_none() {
             tell(&format!("start workers by hand: qube-hil work {}", root.display()));
         }
-        let executor = FolderExecutor::new(folder, starter, self.workers, self.leave_workers);
+        let leave = self.leave_workers;
+        let executor = FolderExecutor::new(folder, starter, self.workers, leave, &stop.flag);
         Ok(Some(Arc::new(executor.map_err(failed)?.telling(service_manager::alive))))
     }
 }

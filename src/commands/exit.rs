@@ -53,7 +53,7 @@ impl Failure {
     }
 
     /// Adds the fault that caused the failure, and the command that helps after it.
-    pub fn of(self, fault: Option<Fault>) -> Self {
+    pub fn caused_by(self, fault: Option<Fault>) -> Self {
         let failure = Self { fault, ..self };
         match fault.and_then(after_fault) {
             Some(hint) => failure.followed_by(hint),
@@ -62,7 +62,7 @@ impl Failure {
     }
 
     /// Adds a sentence before the message.
-    pub fn after(self, before: &str) -> Self {
+    pub fn preceded_by(self, before: &str) -> Self {
         Self { message: format!("{before} {}", self.message), ..self }
     }
 

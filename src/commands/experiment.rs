@@ -268,7 +268,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let progress = ExperimentProgress::new(&settings, &screen.progress(), &stop);
     let executor = match arguments.table {
         true => None,
-        false => arguments.executor.executor(folder.root())?,
+        false => arguments.executor.executor(folder.root(), &stop)?,
     };
     let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag))
         .trained_by(executor);

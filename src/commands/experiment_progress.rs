@@ -12,6 +12,9 @@ use crate::learning::TrainUpdate;
 use crate::scoring::Behaviour;
 use crate::session::SessionEvent;
 
+/// Ending of the names under which the trainings of a search are shown.
+const SEARCH: &str = " (search)";
+
 /// The display of a running experiment: a line for each finished piece of work, and on the screen how many of the
 /// policies, searches or scores are done.
 pub struct ExperimentProgress {
@@ -81,17 +84,22 @@ impl ExperimentProgress {
                     .map(|kind| format!("{} {}", count(kind), kind.name().replace('_', " ")))
                     .collect();
                 let returns: Vec<f64> = results.iter().filter_map(|it| it.return_).collect();
-                let mean = returns.iter().sum::<f64>() / returns.len().max(1) as f64;
                 let kinds = kinds.join(", ");
-                self.line(format!("{recipe} {policy} on {plant}: mean return {mean:.0}; {kinds}"));
-                self.better(mean, &format!("{recipe}, policy {policy} on {plant}"));
+                let told = if returns.is_empty() {
+                    "no return".to_owned()
+                } else {
+                    let mean = returns.iter().sum::<f64>() / returns.len() as f64;
+                    self.better(mean, &format!("{recipe}, policy {policy} on {plant}"));
+                    format!("mean return {mean:.0}")
+                };
+                self.line(format!("{recipe} {policy} on {plant}: {told}; {kinds}"));
                 self.one_more();
                 self.progress.wait_while_paused(&self.stop);
             }
             ExperimentEvent::Scored { repetition, recommendation } => {
                 self.scored(repetition, recommendation);
             }
-            ExperimentEvent::Over { .. } => self.one_more(),
+            ExperimentEvent::Over { .. } | ExperimentEvent::NotScored => self.one_more(),
         }
     }
 
@@ -101,12 +109,14 @@ impl ExperimentProgress {
         self.progress.update(|state| self.expect_end(state));
     }
 
-    /// Expects the end from the time of the finished work; the updates of trainings under way count as parts of theirs.
+    /// Expects the end from the time of the finished work; a training in progress counts by its share of updates, unless it
+    /// is one of a search, which has many.
     fn expect_end(&self, state: &mut ScreenState) {
         let done = self.done.load(Ordering::Relaxed);
         state.done = Some((done, self.count));
-        let parts = state.trainings.values().map(|training| {
-            (training.returns.len() as f64 / f64::from(training.updates.max(1))).min(1.0)
+        let parts = state.trainings.iter().map(|((group, ..), training)| match group {
+            group if group.ends_with(SEARCH) => 0.0,
+            _ => (training.returns.len() as f64 / f64::from(training.updates.max(1))).min(1.0),
         });
         let done = done as f64 + parts.sum::<f64>();
         state.expect_end(time_left(self.began.elapsed(), done, self.count as f64 - done));
@@ -115,9 +125,10 @@ impl ExperimentProgress {
     /// Shows an update of a training: recipe or search, what is trained, its number, and that of the training.
     fn training(&self, of: (&str, &str, u32, u32), update: &TrainUpdate) {
         let (group, what, number, training) = of;
-        let updates = *self.updates.0.get(group).unwrap_or(&self.updates.1);
+        let recipe = group.strip_suffix(SEARCH).unwrap_or(group);
+        let updates = *self.updates.0.get(recipe).unwrap_or(&self.updates.1);
         let again = if training > 0 { format!(", training {training}") } else { String::new() };
-        let name = format!("{group}: {what} {number}{again}");
+        let name = format!("{recipe}: {what} {number}{again}");
         self.progress.update(|state| {
             let key = (group.to_owned(), number, training);
             state.add_update(key, &name, updates, update.mean_return);
@@ -160,9 +171,12 @@ impl ExperimentProgress {
                 self.line(format!("{name}: the search proposes candidate {candidate}"));
             }
             SessionEvent::Training { candidate, training, update } => {
-                self.training((name, "candidate", *candidate, *training), update);
+                let group = format!("{name}{SEARCH}");
+                self.training((&group, "candidate", *candidate, *training), update);
             }
-            SessionEvent::Trained { candidate, .. } => self.trained(name, *candidate),
+            SessionEvent::Trained { candidate, .. } => {
+                self.trained(&format!("{name}{SEARCH}"), *candidate);
+            }
             SessionEvent::Rollout { candidate, rollout, verdict, .. } => {
                 let return_ = verdict.return_().map_or("void".into(), |it| format!("{it:.0}"));
                 self.line(format!("{name}: candidate {candidate}, rollout {rollout}: {return_}"));
@@ -176,7 +190,7 @@ impl ExperimentProgress {
             | SessionEvent::NotIdentified(_)
             | SessionEvent::NotUpdated(_)
             | SessionEvent::GoesOn { .. }
-            | SessionEvent::Settled { .. }
+            | SessionEvent::SearchEnded { .. }
             | SessionEvent::EndedEarly(_) => {}
         }
     }

@@ -56,7 +56,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
             Failure::usage(one_line(&error.to_string()))
         }
     };
-    failure.of(fault)
+    failure.caused_by(fault)
 }
 
 /// Writes the second before a fault of homing, which has no recording, to a file with one tick a line.
@@ -153,7 +153,7 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::Rig(error) => return rig(error, stop),
         SessionError::Recording(error) => recording(&error),
         SessionError::Folder(error) => folder(&error),
-        SessionError::Training(error) => job(error),
+        SessionError::Training(error) => job(error, stop),
         SessionError::Ledger(_) | SessionError::Search(_) => Failure::failed(error),
         SessionError::Policy(error) => policy(&error),
         SessionError::ProfileLost { .. } => Failure::data_lost(error),
@@ -161,13 +161,13 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         | SessionError::SettingsChanged { .. }
         | SessionError::OtherBoard { .. } => Failure::usage(error),
     };
-    failure.of(fault)
+    failure.caused_by(fault)
 }
 
 /// The failure for an error of a job.
-fn job(error: JobError) -> Failure {
+fn job(error: JobError, stop: &Stop) -> Failure {
     match error {
-        JobError::Folder(error) => job_folder(&error),
+        JobError::Folder(error) => job_folder(&error, stop),
         JobError::Start(ref start) => match start.as_ref() {
             StartError::NoProgram { .. }
             | StartError::Refused { .. }
@@ -181,8 +181,9 @@ fn job(error: JobError) -> Failure {
 }
 
 /// The failure for an error of a folder of jobs.
-pub fn job_folder(error: &JobFolderError) -> Failure {
+pub fn job_folder(error: &JobFolderError, stop: &Stop) -> Failure {
     match error {
+        JobFolderError::Stopped { .. } => stop.failure(error),
         JobFolderError::NotAFolderOfJobs { .. }
         | JobFolderError::OtherProgram { .. }
         | JobFolderError::NoFma { .. }

@@ -11,7 +11,7 @@ use super::plant_file::PlantArgument;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::identification::{
-    Blind, Estimate, HorizonError, Identified, Phase, Unknown, Verdict, check_recording,
+    Blind, Estimate, HorizonError, Identified, ModelVerdict, Phase, Unknown, check_recording,
     comes_upright, horizon_error, identify, phase_error, start_state,
 };
 use crate::qube::{PlantModel, QubeModel};
@@ -269,9 +269,9 @@ fn assessment(identified: &Identified) -> String {
     let doubts: Vec<String> = tests.doubts.iter().map(ToString::to_string).collect();
     let doubts = doubts.join("; ");
     let verdict = match tests.verdict {
-        Verdict::Fits => "The model describes this Qube.".to_owned(),
-        Verdict::FitsBut => format!("The model describes this Qube but for {doubts}."),
-        Verdict::DoesNotFit => format!("The model does not describe this Qube: {doubts}."),
+        ModelVerdict::Fits => "The model describes this Qube.".to_owned(),
+        ModelVerdict::FitsBut => format!("The model describes this Qube but for {doubts}."),
+        ModelVerdict::DoesNotFit => format!("The model does not describe this Qube: {doubts}."),
     };
     let widened = if identified.inflation > 1.05 {
         let factor = identified.inflation;

@@ -12,7 +12,7 @@ pub fn onnx_model(file: &Path) -> Result<Vec<u8>, Failure> {
     match Policy::load(file).map_err(|error| failures::policy(&error))? {
         Policy::Network(policy) => Ok(to_onnx(&policy)),
         _ => Err(Failure::usage(format!(
-            "{}: it has no network, which an ONNX model would contain. Give a policy that `train` or `import` wrote",
+            "{}: it contains no network, so it cannot be exported as ONNX. Give a policy that `train` or `import` wrote",
             file.display()
         ))),
     }

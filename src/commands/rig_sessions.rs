@@ -264,7 +264,7 @@ fn open(
     resume: &str,
 ) -> Result<(Stop, Vec<Rig>), Failure> {
     let stop = Stop::on_signals()?;
-    let executor: Arc<dyn Executor> = match arguments.executor.executor(root)? {
+    let executor: Arc<dyn Executor> = match arguments.executor.executor(root, &stop)? {
         Some(executor) => executor,
         // While one session trains, the Qubes of the others run.
         None if devices.iter().any(|device| device.clock == ClockChoice::Wall) => {
@@ -289,7 +289,8 @@ fn open(
         }
         let progress = SessionProgress::new(&settings, &Screen::none().progress(), &stop);
         let is_hardware = rig_settings.is_hardware();
-        let failed = |error| failures::session(error, &stop, resume).after(&format!("{name}:"));
+        let failed =
+            |error| failures::session(error, &stop, resume).preceded_by(&format!("{name}:"));
         let session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
             .and_then(Session::on_the_same_boards)
             .map_err(failed)?

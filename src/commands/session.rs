@@ -206,7 +206,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             return Err(failure);
         }
     };
-    let executor = match arguments.executor.executor(folder.paths().root()) {
+    let executor = match arguments.executor.executor(folder.paths().root(), &stop) {
         Ok(executor) => executor,
         Err(failure) => {
             if begins {

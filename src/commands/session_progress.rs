@@ -158,10 +158,10 @@ impl SessionProgress {
             SessionEvent::NotUpdated(reason) => {
                 self.line(format!("the verification leaves the profile as it is: {reason}"));
             }
-            SessionEvent::GoesOn { expected_gain, enough } => self.line(format!(
-                "one more candidate is expected to gain {expected_gain:.1}; the search ends below {enough:.1}"
+            SessionEvent::GoesOn { expected_gain, smallest_gain } => self.line(format!(
+                "one more candidate is expected to gain {expected_gain:.1}; the search ends below {smallest_gain:.1}"
             )),
-            SessionEvent::Settled { expected_gain } => self.line(format!(
+            SessionEvent::SearchEnded { expected_gain } => self.line(format!(
                 "the search ends: one more candidate is expected to gain {expected_gain:.1}"
             )),
             SessionEvent::EndedEarly(SessionError::Stopped) => {}

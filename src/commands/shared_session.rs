@@ -75,7 +75,7 @@ pub fn run(
             return Err(failure);
         }
     };
-    let executor = match arguments.executor.executor(&root) {
+    let executor = match arguments.executor.executor(&root, &stop) {
         Ok(executor) => executor,
         Err(failure) => {
             withdrawn(folder);

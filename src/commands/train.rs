@@ -323,7 +323,7 @@ fn delays_s(text: &str) -> Result<(f64, f64), String> {
 fn start(path: &Path) -> Result<NetworkPolicy, Failure> {
     match Policy::load(path).map_err(|error| failures::policy(&error))? {
         Policy::Network(policy) => Ok(policy),
-        _ => Err(Failure::usage(format!("--from {}: it has no network", path.display()))),
+        _ => Err(Failure::usage(format!("--from {}: it contains no network", path.display()))),
     }
 }
 

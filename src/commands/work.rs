@@ -64,7 +64,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         if !matches!(error, JobFolderError::NotAFolderOfJobs { .. }) {
             JobFolder::leave_refusal(disk.as_ref(), &arguments.folder, &holder, &error.to_string());
         }
-        failures::job_folder(&error)
+        failures::job_folder(&error, &stop)
     })?;
     tell(&format!("{holder} works in {}", arguments.folder.display()));
     let report = worker
@@ -83,7 +83,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             WorkerEvent::Unreadable { reason, .. } => tell(&format!("warning: {reason}")),
             WorkerEvent::Waiting => tell("nothing to do: waiting"),
         })
-        .map_err(|error| failures::job_folder(&error))?;
+        .map_err(|error| failures::job_folder(&error, &stop))?;
     if stop.requested() {
         return Err(stop.failure("stopped; what was under way is given back"));
     }

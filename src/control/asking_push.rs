@@ -77,7 +77,7 @@ impl Slowest {
         Self {
             weight_holds_v: weight * WEIGHT_HOLDS_V,
             swing_holds_v_s2: swing * SWING_HOLDS_V_S2,
-            least_rad_s2_v: LEAST_RAD_S2_V / plant.volts_of_qube(),
+            least_rad_s2_v: LEAST_RAD_S2_V / plant.volts_per_qube_volt(),
             gives_way: (gives_way(&own) / gives_way(&qube) * GIVES_WAY).min(MOST_GIVES_WAY),
             must_have_gone_rad: MUST_HAVE_GONE_COUNTS * plant.encoders.theta.rad_per_count(),
             largest_v: plant.limits.largest_voltage_v,

@@ -203,7 +203,7 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::AtomicUsize;
 
-    use super::super::plant_device::{Mishap, PlantDevice};
+    use super::super::plant_device::{PlantDevice, TestFault};
     use super::super::{Homing, HomingMethod, HomingSettings};
     use super::*;
     use crate::clock::{AwakeProcessor, Nanoseconds, VirtualClock, openings_of};
@@ -262,7 +262,7 @@ mod tests {
     /// Homes on a device that checks in each tick whether the file is held, and injects `mishap`.
     fn homed_while_watched(
         file: &Path,
-        mishap: impl Fn(u32) -> Option<Mishap> + Send + 'static,
+        mishap: impl Fn(u32) -> Option<TestFault> + Send + 'static,
     ) -> (Option<Ending>, usize) {
         let most_openings = Arc::new(AtomicUsize::new(0));
         let (seen, watched) = (Arc::clone(&most_openings), file.to_owned());
@@ -291,7 +291,7 @@ mod tests {
         assert_eq!(homed_while_watched(&file, |_| None), (Some(Ending::Completed), 1));
         assert_eq!(openings_of(&file), 0, "after a motion");
 
-        let gone = |sample| (sample == 20).then_some(Mishap::Gone);
+        let gone = |sample| (sample == 20).then_some(TestFault::Gone);
         let by_fault = Some(Ending::Fault(crate::telemetry::Fault::LinkGone));
         assert_eq!(homed_while_watched(&file, gone), (by_fault, 1));
         assert_eq!(openings_of(&file), 0, "after a fault");

@@ -1,6 +1,6 @@
 use std::sync::atomic::AtomicBool;
 
-use super::plant_device::{Mishap, PlantDevice};
+use super::plant_device::{PlantDevice, TestFault};
 use super::{Homing, HomingMethod, HomingSettings, Motion, TickInput, drive};
 use crate::estimation::Calibration;
 use crate::qube::{COUNTS_PER_REVOLUTION, Measurement, State, counts};
@@ -120,7 +120,7 @@ fn a_qube_in_which_nothing_answers_is_not_homed() {
 #[test]
 fn a_lost_link_ends_homing() {
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick > 50).then_some(Mishap::Lost));
+    device.mishap = Box::new(|tick| (tick > 50).then_some(TestFault::Lost));
     let (ending, found) = home(&mut device, &HomingSettings::default());
     assert_eq!((ending, found), (Ending::Fault(Fault::NoSample), None));
 }

@@ -60,7 +60,7 @@ struct Coefficients {
     /// Change of the arm's velocity for each change of the pendulum's.
     throw: f64,
     /// Counts of the arm's encoder for each count of a Qube's.
-    counts_of_qube: f64,
+    counts_per_qube_count: f64,
 }
 
 impl Coefficients {
@@ -80,7 +80,7 @@ impl Coefficients {
                 * nominal.pendulum_length_m
                 * nominal.rotary_length_m
                 / arm_inertia,
-            counts_of_qube: plant.encoders.theta.counts_of_qube(),
+            counts_per_qube_count: plant.encoders.theta.counts_per_qube_count(),
         }
     }
 }
@@ -192,7 +192,7 @@ impl MomentumWatch {
 
     /// Counts of this plant's arm that cover the same angle as these of a Qube's.
     fn of_qube(&self, counts: i32) -> i32 {
-        (f64::from(counts) * self.coefficients.counts_of_qube) as i32
+        (f64::from(counts) * self.coefficients.counts_per_qube_count) as i32
     }
 
     /// Acceleration of a free arm by the motor, rad/s^2.

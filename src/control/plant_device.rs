@@ -10,7 +10,7 @@ use crate::qube::{
 
 /// A disturbance of a tick's sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Mishap {
+pub enum TestFault {
     /// No answer.
     Lost,
     /// The port is gone.
@@ -24,7 +24,7 @@ pub enum Mishap {
 pub struct PlantDevice {
     pub state: State,
     pub clock: VirtualClock,
-    pub mishap: Box<dyn Fn(u32) -> Option<Mishap> + Send>,
+    pub mishap: Box<dyn Fn(u32) -> Option<TestFault> + Send>,
     /// Counts that both encoders show at zero angle.
     pub offset_counts: i32,
     pub armed: bool,
@@ -110,13 +110,13 @@ impl Device for PlantDevice {
         self.samples += 1;
         let mut status = Status { armed: self.armed, ..Status::default() };
         match (self.mishap)(tick) {
-            Some(Mishap::Lost) => {
+            Some(TestFault::Lost) => {
                 self.clock.sleep_until(deadline_ns);
                 return Err(LinkFault::Timeout);
             }
-            Some(Mishap::Gone) => return Err(LinkFault::Gone),
-            Some(Mishap::Slow(duration_ns)) => self.clock.advance(duration_ns),
-            Some(Mishap::Reports(reported)) => status = reported,
+            Some(TestFault::Gone) => return Err(LinkFault::Gone),
+            Some(TestFault::Slow(duration_ns)) => self.clock.advance(duration_ns),
+            Some(TestFault::Reports(reported)) => status = reported,
             None => {}
         }
         Ok(Measurement {

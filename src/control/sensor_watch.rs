@@ -67,7 +67,7 @@ const FELT_RAD_S: f64 = 0.4;
 pub struct SensorWatch {
     plant: PlantModel,
     /// Counts of arm and pendulum for each count of a Qube's.
-    counts_of_qube: [f64; 2],
+    counts_per_qube_count: [f64; 2],
     previous: Option<Measurement>,
     /// Last sample with a sufficient interval to the one before.
     stepped: Option<Measurement>,
@@ -113,7 +113,8 @@ impl SensorWatch {
         let encoders = &plant.encoders;
         Self {
             plant: *plant,
-            counts_of_qube: [encoders.theta, encoders.alpha].map(|own| own.counts_of_qube()),
+            counts_per_qube_count: [encoders.theta, encoders.alpha]
+                .map(|own| own.counts_per_qube_count()),
             previous: None,
             stepped: None,
             theta_steps: [0; 3],
@@ -193,7 +194,7 @@ impl SensorWatch {
         let alpha = moved(sample.alpha_counts, previous.alpha_counts);
         let periods = (elapsed_s / CONTROL_PERIOD_S).max(1.0);
         let step = self.step(sample, &previous);
-        let [of_theta, of_alpha] = self.counts_of_qube;
+        let [of_theta, of_alpha] = self.counts_per_qube_count;
         if theta.abs() > of_theta * JUMP_COUNTS * periods {
             return Some(Alarm::Zero(Fault::EncoderJump));
         }
@@ -324,7 +325,7 @@ impl SensorWatch {
     fn disagrees(&mut self, sample: &Measurement, counts_s: f64) -> bool {
         let tachometer = f64::from(sample.tachometer_counts_s);
         let faster = tachometer.abs().max(counts_s.abs());
-        let [of_theta, _] = self.counts_of_qube;
+        let [of_theta, _] = self.counts_per_qube_count;
         let allowed = of_theta * TACHOMETER_COUNTS_S + TACHOMETER_SHARE * faster;
         if (tachometer - counts_s).abs() <= allowed {
             self.disagree_since_us = None;
@@ -336,8 +337,8 @@ impl SensorWatch {
 }
 
 /// Appends the next step of a count, which has this many counts for each count of a Qube's; returns whether the step before it was a jump.
-fn is_spike(steps: &mut [i32; 3], step: f64, counts_of_qube: f64) -> bool {
-    let spike_counts = (f64::from(SPIKE_COUNTS) * counts_of_qube) as i32;
+fn is_spike(steps: &mut [i32; 3], step: f64, counts_per_qube_count: f64) -> bool {
+    let spike_counts = (f64::from(SPIKE_COUNTS) * counts_per_qube_count) as i32;
     *steps = [steps[1], steps[2], step as i32];
     let [before, between, after] = *steps;
     let (lowest, highest) = (before.min(after), before.max(after));

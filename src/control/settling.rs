@@ -25,7 +25,7 @@ impl Feedback {
     /// The feedback for this plant.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
-        let volts = plant.volts_of_qube();
+        let volts = plant.volts_per_qube_volt();
         // Gains that are smaller than a Qube's would lose to friction, which is not smaller.
         let volts = volts.max(1.0);
         Self {

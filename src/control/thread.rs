@@ -37,7 +37,7 @@ enum Command {
 }
 
 /// A task that uses the device, its clock and the request to stop.
-type Borrower = Box<dyn FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) + Send>;
+type Borrower = Box<dyn FnOnce(&mut dyn Device, &dyn Clock, &mut MotorHeat, &AtomicBool) + Send>;
 
 enum Event {
     /// Identity of the device, and whether it is hardware.
@@ -147,7 +147,8 @@ impl ControlThread {
     /// Runs one rollout to its end and sends its records to `records`.
     ///
     /// # Errors
-    /// The thread is gone; the device has not been homed since its hello or could not be armed.
+    /// The thread is gone; the device has not been homed since its hello or could not be armed; arm or pendulum has moved
+    /// since the last motion, or the link failed.
     pub fn rollout(
         &self,
         settings: TickSettings,
@@ -181,18 +182,21 @@ impl ControlThread {
     }
 
     /// Lends the device to a task between motions. The task runs on this thread with its priority,
-    /// so that a check measures the latencies that a tick will have.
+    /// so that a check measures the latencies that a tick will have. It updates the motor's heat with what it drives, and
+    /// begins when the motor is cool enough.
     ///
     /// # Errors
     /// The thread is gone; the device has not answered a hello, or a fault is latched.
     pub fn lend<R: Send + 'static>(
         &self,
-        task: impl FnOnce(&mut dyn Device, &dyn Clock, &AtomicBool) -> R + Send + 'static,
+        task: impl FnOnce(&mut dyn Device, &dyn Clock, &mut MotorHeat, &AtomicBool) -> R
+        + Send
+        + 'static,
     ) -> Result<R, ControlError> {
         let (results, result) = bounded(1);
-        let borrower: Borrower = Box::new(move |device, clock, stop| {
+        let borrower: Borrower = Box::new(move |device, clock, heat, stop| {
             // The receiver waits below, and the channel has room for one result.
-            let _ = results.send(task(device, clock, stop));
+            let _ = results.send(task(device, clock, heat, stop));
         });
         match self.ask(Command::Lend(borrower))? {
             Event::Returned(Ok(())) => result.recv().map_err(|_| ThreadGone.into()),
@@ -281,7 +285,9 @@ fn obey(
         }
         Command::Lend(borrower) => {
             let lent = allowed(state, ControlEvent::Check).map(|()| {
-                borrower(device, clock, stop);
+                motor.cool_down(clock, stop);
+                borrower(device, clock, &mut motor.heat, stop);
+                motor.switched_off(clock);
                 state.take(ControlEvent::Checked);
             });
             Event::Returned(lent)
@@ -323,7 +329,7 @@ fn driven(
 
 #[cfg(test)]
 mod tests {
-    use super::super::plant_device::{Mishap, PlantDevice};
+    use super::super::plant_device::{PlantDevice, TestFault};
     use super::*;
     use crate::control::RING_CAPACITY;
     use crate::device::LinkFault;
@@ -337,7 +343,7 @@ mod tests {
     /// A thread whose device loses its port at this sample, and settings for a short rollout on it.
     fn control(gone_at: u32) -> (ControlThread, TickSettings) {
         let mut device = PlantDevice::new(State::default());
-        device.mishap = Box::new(move |sample| (sample == gone_at).then_some(Mishap::Gone));
+        device.mishap = Box::new(move |sample| (sample == gone_at).then_some(TestFault::Gone));
         let clock: Arc<dyn Clock> = Arc::new(device.clock.clone());
         let stop = Arc::new(AtomicBool::new(false));
         let thread = ControlThread::spawn(Box::new(device), clock, false, stop).unwrap();
@@ -393,7 +399,7 @@ mod tests {
         // Latched: homing and rollouts are refused until a new hello, and rollouts until homing.
         assert!(is_refused(&rollout(&thread, settings)));
         assert!(thread.home(HomingSettings::default()).is_err());
-        assert!(thread.lend(|_, _, _| ()).is_err());
+        assert!(thread.lend(|_, _, _, _| ()).is_err());
         thread.hello().unwrap();
         assert!(is_refused(&rollout(&thread, settings)));
         let (_, homed) = thread.home(HomingSettings::default()).unwrap();

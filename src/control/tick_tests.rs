@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 use std::sync::atomic::AtomicBool;
 
-use super::plant_device::{Mishap, PlantDevice};
+use super::plant_device::{PlantDevice, TestFault};
 use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, drive};
 use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use crate::policy::{ClassicalController, ClassicalGains, Controller, Policy};
@@ -167,8 +167,8 @@ impl Controller for &mut Listener {
 fn a_policy_is_told_what_the_motor_had_in_each_period_of_its_rollout() {
     let mut device = PlantDevice::new(State::default());
     device.mishap = Box::new(|tick| match tick {
-        80 => Some(Mishap::Slow(34_000_000)),
-        tick => (tick % 17 == 3).then_some(Mishap::Lost),
+        80 => Some(TestFault::Slow(34_000_000)),
+        tick => (tick % 17 == 3).then_some(TestFault::Lost),
     });
     let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
     let mut listener = Listener::default();
@@ -194,7 +194,7 @@ fn a_policy_is_told_what_the_motor_had_in_each_period_of_its_rollout() {
 #[test]
 fn the_last_hundred_ticks_travel_with_a_fault() {
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick == 170).then_some(Mishap::Gone));
+    device.mishap = Box::new(|tick| (tick == 170).then_some(TestFault::Gone));
     let (report, records) = rollout(&mut device, classical(), false);
     assert_eq!(report.outcome.ending, Ending::Fault(Fault::LinkGone));
     assert_eq!(report.last_ticks, records[records.len() - 100..]);
@@ -221,7 +221,7 @@ fn a_stop_brakes_at_once() {
 #[test]
 fn lost_samples_are_held_over_and_a_silent_link_ends_the_rollout() {
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick % 20 < 2).then_some(Mishap::Lost));
+    device.mishap = Box::new(|tick| (tick % 20 < 2).then_some(TestFault::Lost));
     let (report, records) = rollout(&mut device, classical(), false);
     assert_eq!(report.outcome.ending, Ending::Completed);
     let held = records.iter().filter(|record| record.measurement.is_none()).count();
@@ -229,7 +229,7 @@ fn lost_samples_are_held_over_and_a_silent_link_ends_the_rollout() {
     assert_eq!(report.outcome.missed_deadlines as usize, held);
 
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick >= 100).then_some(Mishap::Lost));
+    device.mishap = Box::new(|tick| (tick >= 100).then_some(TestFault::Lost));
     let (report, records) = rollout(&mut device, classical(), false);
     assert_eq!(report.outcome.ending, Ending::Fault(Fault::NoSample));
     assert_eq!(records.len(), 104);
@@ -238,7 +238,7 @@ fn lost_samples_are_held_over_and_a_silent_link_ends_the_rollout() {
 #[test]
 fn a_stalled_answer_skips_whole_periods_and_never_bursts() {
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick == 150).then_some(Mishap::Slow(34_000_000)));
+    device.mishap = Box::new(|tick| (tick == 150).then_some(TestFault::Slow(34_000_000)));
     let (report, records) = rollout(&mut device, classical(), false);
     assert_eq!(report.outcome.ending, Ending::Completed);
     assert_eq!(records[151].skipped_periods, 2);
@@ -253,10 +253,10 @@ fn a_stalled_answer_skips_whole_periods_and_never_bursts() {
 fn faults_of_link_and_machine_switch_off_without_another_act() {
     let armed = Status { armed: true, ..Status::default() };
     for (mishap, fault) in [
-        (Mishap::Gone, Fault::LinkGone),
-        (Mishap::Reports(Status::default()), Fault::NotArmed),
-        (Mishap::Reports(Status { watchdog_tripped: true, ..armed }), Fault::WatchdogTripped),
-        (Mishap::Reports(Status { amplifier_fault: true, ..armed }), Fault::Amplifier),
+        (TestFault::Gone, Fault::LinkGone),
+        (TestFault::Reports(Status::default()), Fault::NotArmed),
+        (TestFault::Reports(Status { watchdog_tripped: true, ..armed }), Fault::WatchdogTripped),
+        (TestFault::Reports(Status { amplifier_fault: true, ..armed }), Fault::Amplifier),
     ] {
         let mut device = PlantDevice::new(State::default());
         device.mishap = Box::new(move |tick| (tick == 70).then_some(mishap));

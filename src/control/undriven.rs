@@ -29,7 +29,7 @@ const LARGEST_KICK: f64 = 16.0;
 
 /// Counts of an encoder that cover the angle of these counts of a Qube's, at least one.
 fn of_qube(counts: f64, encoder: Encoder) -> i32 {
-    (counts * encoder.counts_of_qube()).ceil() as i32
+    (counts * encoder.counts_per_qube_count()).ceil() as i32
 }
 
 /// Counts at which arm and pendulum are at rest.
@@ -185,7 +185,7 @@ impl RestWatch {
         });
         if let Some((counts, ticks, Some(velocity))) = moved {
             let kick = (counts - velocity * ticks).abs();
-            let largest_kick = LARGEST_KICK * self.encoders.theta.counts_of_qube();
+            let largest_kick = LARGEST_KICK * self.encoders.theta.counts_per_qube_count();
             self.has_jumped |= kick > largest_kick * ticks.max(1.0);
         }
         self.last = Some(Last {

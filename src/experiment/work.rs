@@ -65,6 +65,8 @@ pub enum ExperimentEvent<'a> {
         /// Result of the scoring.
         recommendation: &'a RecommendationResult,
     },
+    /// A budget has no score of its own: it allows no recommendation, or no other than the budget before.
+    NotScored,
     /// A repetition of a method has ended.
     Over {
         /// Repetition with all its recommendations.

@@ -28,8 +28,8 @@ const LARGEST_GROWTH: f64 = 2.0;
 /// Residual over short windows beyond which a model does not fit, rad.
 const UNFIT_RAD: f64 = 0.03;
 
-/// Score of an effect outside the equations, chi-squared of one or two degrees of freedom where the model holds, from
-/// which it is doubted.
+/// Smallest score that counts as evidence for an effect outside the equations; if the model holds, the score is
+/// chi-squared with one or two degrees of freedom.
 const SIGNIFICANT: f64 = 50.0;
 
 /// Share of the squared residuals beyond the encoders' rounding that an effect must explain to be named.
@@ -37,7 +37,7 @@ const NAMED_SHARE: f64 = 0.2;
 
 /// Whether the model describes the Qube that made the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum ModelVerdict {
     /// The residuals are as large and as little correlated as the encoders' rounding.
     Fits,
     /// The model predicts, but something is missing.
@@ -46,7 +46,7 @@ pub enum Verdict {
     DoesNotFit,
 }
 
-impl Verdict {
+impl ModelVerdict {
     /// The name in files.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -60,8 +60,8 @@ impl Verdict {
 
 /// An effect that the model may lack: a hint for the operator and no identification.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Doubt {
-    /// The residuals exceed the encoders' rounding.
+pub enum MissingEffect {
+    /// The residuals are larger, more correlated or faster growing than the encoders' rounding explains.
     Unexplained,
     /// A torque builds up after the arm turns back: friction that gives way, or a cable with hysteresis.
     Reversals,
@@ -69,11 +69,11 @@ pub enum Doubt {
     Warming,
     /// The arm's measured angle has an error that is periodic in the angle.
     Angle,
-    /// The arm's resistance depends on its direction.
+    /// The arm's damping depends on its direction.
     Direction,
 }
 
-impl Doubt {
+impl MissingEffect {
     /// The name in files.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -87,17 +87,17 @@ impl Doubt {
     }
 }
 
-impl fmt::Display for Doubt {
+impl fmt::Display for MissingEffect {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         f.write_str(match self {
-            Self::Unexplained => "residuals larger than the encoders'",
+            Self::Unexplained => "residuals that the encoders' rounding does not explain",
             Self::Reversals => {
                 "a torque that builds up after the arm turns back (friction that gives way before it \
                  slides, a cable with hysteresis?)"
             }
             Self::Warming => "a motor that changes with time (does it warm?)",
             Self::Angle => "an error of the arm's angle that depends on the angle (an encoder off its centre?)",
-            Self::Direction => "a resistance that depends on the arm's direction",
+            Self::Direction => "damping that depends on the arm's direction",
         })
     }
 }
@@ -106,15 +106,15 @@ impl fmt::Display for Doubt {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Assessment {
     /// Result of the tests.
-    pub verdict: Verdict,
+    pub verdict: ModelVerdict,
     /// Effects that the model lacks, as far as the tests find any.
-    pub doubts: Vec<Doubt>,
+    pub doubts: Vec<MissingEffect>,
     /// Residual over windows of half a second, in standard deviations of the encoder's quantisation.
     pub noise_ratio: f64,
     /// Mean correlation of residuals of an angle that are one to five samples apart, in windows of half a second, the
     /// larger of both angles: about 0 for white ones.
     pub whiteness: f64,
-    /// Residual over the fitted windows of chirps, in residuals over half a second.
+    /// Ratio of the residual over the fitted windows of chirps to that over half a second.
     pub growth: f64,
 }
 
@@ -136,22 +136,23 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     let largest_whiteness = LARGEST_WHITENESS.max(LARGEST_CHANCE / samples.sqrt());
     let growth = growth(fit, &check, &residuals);
     let encoders = fit.plant.encoders;
-    let finer = encoders.theta.counts_of_qube().max(encoders.alpha.counts_of_qube()).max(1.0);
+    let finer =
+        encoders.theta.counts_per_qube_count().max(encoders.alpha.counts_per_qube_count()).max(1.0);
     let mut doubts = Vec::new();
     if noise_ratio > LARGEST_NOISE_RATIO
         || whiteness > largest_whiteness
         || growth > LARGEST_GROWTH * finer
     {
-        doubts.push(Doubt::Unexplained);
+        doubts.push(MissingEffect::Unexplained);
     }
     let check = Fit { unknowns: fit.unknowns, ..check };
     doubts.extend(named(&check, 2.0 * samples, noise_ratio));
     let verdict = if short_rad > UNFIT_RAD {
-        Verdict::DoesNotFit
+        ModelVerdict::DoesNotFit
     } else if doubts.is_empty() {
-        Verdict::Fits
+        ModelVerdict::Fits
     } else {
-        Verdict::FitsBut
+        ModelVerdict::FitsBut
     };
     Assessment { verdict, doubts, noise_ratio, whiteness, growth }
 }
@@ -209,14 +210,14 @@ fn correlation(fit: &Fit<'_>, residuals: &[Vec<Residual>], angle: usize) -> f64 
 
 /// The effect outside the equations that explains the residuals best, when it is significant and explains a good part
 /// of the residuals beyond the encoders' rounding.
-fn named(check: &Fit<'_>, residuals: f64, noise_ratio: f64) -> Option<Doubt> {
+fn named(check: &Fit<'_>, residuals: f64, noise_ratio: f64) -> Option<MissingEffect> {
     let scores = scores(check);
     let (effect, score) = scores.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let excess = residuals * (1.0 - noise_ratio.max(1.0).powi(-2));
     (score > SIGNIFICANT && score > NAMED_SHARE * excess).then_some(match effect {
-        Effect::Reversals => Doubt::Reversals,
-        Effect::Warming => Doubt::Warming,
-        Effect::Angle => Doubt::Angle,
-        Effect::Direction => Doubt::Direction,
+        Effect::Reversals => MissingEffect::Reversals,
+        Effect::Warming => MissingEffect::Warming,
+        Effect::Angle => MissingEffect::Angle,
+        Effect::Direction => MissingEffect::Direction,
     })
 }

@@ -26,7 +26,7 @@ mod tests;
 mod uncertainty;
 mod unknowns;
 
-pub use assessment::{Assessment, Doubt, Verdict};
+pub use assessment::{Assessment, MissingEffect, ModelVerdict};
 pub use drift::{DriftEstimate, drift};
 pub use fitness::{Unfit, check_recording};
 pub use identify::{Cause, Identified, IdentifyError, Sign, identify};

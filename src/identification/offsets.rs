@@ -63,7 +63,7 @@ pub struct Scatter {
 impl Scatter {
     /// The scatter before any data: the cable's own prior, and a count of the pendulum's encoder.
     pub(super) fn likely(encoders: Encoders) -> Self {
-        Self { cable_rest_rad: 0.5, alpha_zero_rad: 3e-3 / encoders.alpha.counts_of_qube() }
+        Self { cable_rest_rad: 0.5, alpha_zero_rad: 3e-3 / encoders.alpha.counts_per_qube_count() }
     }
 
     /// The scatter below which recordings count as alike.

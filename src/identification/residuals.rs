@@ -25,7 +25,7 @@ pub struct ResidualScale {
 impl ResidualScale {
     /// The smallest scale with these encoders.
     fn smallest(encoders: Encoders) -> Self {
-        let of = |encoder: Encoder| SMALLEST_SCALE_RAD / encoder.counts_of_qube();
+        let of = |encoder: Encoder| SMALLEST_SCALE_RAD / encoder.counts_per_qube_count();
         Self { theta_rad: of(encoders.theta), alpha_rad: of(encoders.alpha) }
     }
 }

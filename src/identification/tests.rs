@@ -128,7 +128,7 @@ fn recordings_whose_cables_rest_elsewhere_have_rest_angles_of_their_own() {
     let rest = Unknown::from(Nonideality::CableRest);
     let rest = found.estimates.iter().find(|estimate| estimate.unknown == rest).unwrap();
     assert!(rest.standard_error > found.scatter.cable_rest_rad, "{rest:?}");
-    assert_eq!(found.assessment.verdict, Verdict::Fits, "{:?}", found.assessment);
+    assert_eq!(found.assessment.verdict, ModelVerdict::Fits, "{:?}", found.assessment);
 }
 
 #[test]
@@ -277,12 +277,12 @@ fn warming_chirp(truth: &QubeModel, sign: f64, share: f64) -> MotionLog {
 
 #[test]
 fn a_motor_that_warms_is_doubted_and_one_that_does_not_is_not() {
-    for (share, verdict) in [(0.0, Verdict::Fits), (0.3, Verdict::FitsBut)] {
+    for (share, verdict) in [(0.0, ModelVerdict::Fits), (0.3, ModelVerdict::FitsBut)] {
         let logs = [1.0, -1.0].map(|sign| warming_chirp(&truth(), sign, share));
         let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
         let tests = &found.assessment;
         assert_eq!(tests.verdict, verdict, "{share}: {tests:?}");
-        assert_eq!(tests.doubts.contains(&Doubt::Warming), share > 0.0, "{tests:?}");
+        assert_eq!(tests.doubts.contains(&MissingEffect::Warming), share > 0.0, "{tests:?}");
         assert_eq!(tests.doubts.is_empty(), share == 0.0, "{tests:?}");
     }
 }
@@ -297,8 +297,8 @@ fn an_encoder_off_its_centre_is_doubted_and_named() {
         log
     });
     let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
-    assert_eq!(found.assessment.verdict, Verdict::FitsBut);
-    assert!(found.assessment.doubts.contains(&Doubt::Angle), "{:?}", found.assessment);
+    assert_eq!(found.assessment.verdict, ModelVerdict::FitsBut);
+    assert!(found.assessment.doubts.contains(&MissingEffect::Angle), "{:?}", found.assessment);
 }
 
 #[test]

@@ -115,7 +115,11 @@ impl Unknown {
 /// a Qube's in the proportion of the two motors, because a parameter moves by its logarithm.
 fn likely(parameter: DomainParameter, plant: &PlantModel) -> f64 {
     let own = plant.parameters.get(parameter);
-    if own > 0.0 { own } else { plant.torques_of_qube() * DomainParameters::NOMINAL.get(parameter) }
+    if own > 0.0 {
+        own
+    } else {
+        plant.torque_per_qube_torque() * DomainParameters::NOMINAL.get(parameter)
+    }
 }
 
 impl<Q: Into<Quantity>> From<Q> for Unknown {

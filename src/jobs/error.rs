@@ -88,7 +88,7 @@ pub enum JobFolderError {
         /// Version that the folder asks for.
         there: String,
     },
-    /// The processor would train other policies than the others.
+    /// The processor lacks FMA, so that its policies would differ.
     #[error(
         "the processor of {host} has no fused multiply-add (FMA), so that its policies would differ from those of other \
          computers: leave it out"
@@ -105,7 +105,13 @@ pub enum JobFolderError {
         /// The other coordinator.
         by: String,
     },
-    /// The disk refuses.
+    /// A stop was requested before it was known whether another coordinator lives.
+    #[error("stopped while it was not known whether another program uses {path}")]
+    Stopped {
+        /// Path of the folder.
+        path: PathBuf,
+    },
+    /// A file operation fails.
     #[error("{path}: {source}")]
     Disk {
         /// Path of the file or folder.

@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{RecvTimeoutError, Sender, unbounded};
 
-use super::folder::{Ending, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult, Tries, Turn};
+use super::folder::{
+    ClaimEnding, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult, NextTry, Tries,
+};
 use super::starter::{StartError, Starter};
 use super::workforce::{NoWorkforce, Workforce};
 use super::{Executor, JobError, JobEvent, JobFolderError, TrainingJob};
@@ -99,14 +101,15 @@ impl FolderExecutor {
     /// `leave`, workers and open jobs outlive an executor that is stopped.
     ///
     /// # Errors
-    /// Another coordinator has it; the disk refuses.
+    /// Another coordinator has it; `stop` was set before that was known; a file operation fails.
     pub fn new(
         folder: JobFolder,
         starter: Option<Box<dyn Starter>>,
         workers: u32,
         leave: bool,
+        stop: &AtomicBool,
     ) -> Result<Self, JobFolderError> {
-        let heartbeat = folder.coordinate(&Holder::this_process())?;
+        let heartbeat = folder.coordinate(&Holder::this_process(), stop)?;
         folder.reopen()?;
         let shared = Arc::new(Shared {
             folder,
@@ -346,7 +349,7 @@ impl Shared {
             let _ = self.folder.close();
             workforce.iter_mut().for_each(Workforce::cancel);
         }
-        let _ = heartbeat.end(&Ending::Done);
+        let _ = heartbeat.end(&ClaimEnding::Done);
     }
 
     /// Tells callers of new results; returns whether there were any.
@@ -386,7 +389,7 @@ impl Shared {
             }
             let tries = Tries::read(&self.folder, &job, begun, watch, now)?;
             // The result may have come while the claims were read.
-            if tries.turn(most) != Turn::GivenUp || self.folder.has_result(&job) {
+            if tries.next_try(most) != NextTry::GivenUp || self.folder.has_result(&job) {
                 continue;
             }
             self.folder.remove_job(&job)?;

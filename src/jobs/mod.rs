@@ -23,6 +23,7 @@
 //! # Ok::<(), qube_hil::jobs::JobError>(())
 //! ```
 
+mod checksum;
 mod error;
 mod executor;
 pub mod folder;

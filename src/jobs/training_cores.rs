@@ -5,8 +5,8 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// The logical processors on which trainings run while a control thread runs on this computer.
 ///
-/// One core stays free of them, with all its hardware threads. The control thread itself is not bound to that core: a
-/// stranger's program may be busy there, and the kernel finds the idle one.
+/// One core stays free of them, with all its hardware threads. The control thread itself is not bound to that core: another
+/// user's program may be busy there, and the kernel finds the idle one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TrainingCores(CpuSet);
 
@@ -66,7 +66,7 @@ fn siblings(processor: usize) -> Vec<usize> {
     parse_list(&text)
 }
 
-/// The numbers of a list such as `0,4-6`; what is no number is left out.
+/// The numbers of a list such as `0,4-6`; skips parts that are not numbers.
 fn parse_list(text: &str) -> Vec<usize> {
     let numbers = text.trim().split(',').filter_map(|part| {
         let (first, last) = part.split_once('-').unwrap_or((part, part));

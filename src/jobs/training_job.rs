@@ -1,10 +1,8 @@
-use crc::{CRC_64_XZ, Crc};
 use serde::{Deserialize, Serialize};
 
+use super::checksum::checksum;
 use crate::learning::TrainSettings;
 use crate::simulation::DomainDistribution;
-
-const CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
 
 /// A training as data: the same job gives the same policy and learning curve, bit for bit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,7 +24,7 @@ impl TrainingJob {
         // The number of threads does not change the result.
         job.settings.threads = 1;
         let json = serde_json::to_vec(&job).unwrap_or_default();
-        format!("{:016x}", CHECKSUM.checksum(&json))
+        checksum(&json)
     }
 }
 

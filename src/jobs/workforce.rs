@@ -2,7 +2,7 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use super::JobFolderError;
-use super::folder::{Ending, HeartbeatState, HeartbeatWatch, Holder, JobFolder};
+use super::folder::{ClaimEnding, HeartbeatState, HeartbeatWatch, Holder, JobFolder};
 use super::starter::{StartError, Starter};
 
 /// Number of starts without any worker after which the work ends.
@@ -199,7 +199,7 @@ impl Workforce {
             if is_new && self.has_looked {
                 self.compare_clocks(&state);
             }
-            if let Some(Ending::Failed(reason)) = &state.ending {
+            if let Some(ClaimEnding::Failed(reason)) = &state.ending {
                 let note = format!("{} has ended: {reason}", state.by());
                 self.tell(note);
             }

@@ -43,7 +43,8 @@ impl Encoder {
     /// Fewest counts a revolution: a coarser encoder shows no velocity within a control period.
     const FEWEST: i32 = 256;
 
-    /// Most counts a revolution: with more, a fast arm's count overflows within a session.
+    /// Most counts a revolution: with more, the count of a spinning pendulum could overflow within a session (2048 turns at
+    /// this limit).
     const MOST: i32 = 1 << 20;
 
     /// Counts in one revolution.
@@ -60,7 +61,7 @@ impl Encoder {
 
     /// Counts of this encoder for each count of a Qube's encoder.
     #[must_use]
-    pub fn counts_of_qube(self) -> f64 {
+    pub fn counts_per_qube_count(self) -> f64 {
         f64::from(self.counts_per_revolution) / f64::from(COUNTS_PER_REVOLUTION)
     }
 
@@ -140,13 +141,7 @@ pub fn counts(angle_rad: f64) -> i32 {
     Encoder::QUBE.counts(angle_rad)
 }
 
-/// The angle at the edge of a count of a Qube's encoder, rad.
-#[must_use]
-pub fn angle_rad(counts: i32) -> f64 {
-    Encoder::QUBE.angle_rad(counts)
-}
-
-/// An angle rounded down to a count of a Qube's encoder, rad: [`angle_rad`] of [`counts`], for any number type.
+/// An angle rounded down to a count of a Qube's encoder, rad: the angle of its [`counts`], for any number type.
 #[must_use]
 #[inline(always)]
 pub fn quantised<T: Scalar>(angle_rad: T) -> T {

@@ -17,7 +17,7 @@
 //! assert!(next.alpha < start.alpha);
 //! ```
 
-mod command_line;
+mod delay_line;
 mod distribution;
 mod dynamics;
 mod encoder;
@@ -38,12 +38,11 @@ mod qube_lanes;
 mod reward;
 mod state;
 
-pub use command_line::{limited_to, limited_voltage};
+pub use delay_line::limited_to;
 pub use distribution::Distribution;
 pub use dynamics::{Acceleration, Dynamics, EquationsOfMotion};
 pub use encoder::{
-    COUNTS_PER_REVOLUTION, Encoder, Encoders, Quantiser, RAD_PER_COUNT, angle_rad, counts,
-    quantised,
+    COUNTS_PER_REVOLUTION, Encoder, Encoders, Quantiser, RAD_PER_COUNT, counts, quantised,
 };
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use lanes::{BLOCK, InLanes, Lanes};

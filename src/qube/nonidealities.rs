@@ -31,7 +31,7 @@ pub struct Nonidealities {
     pub cable_drift_rad_per_min: f64,
 }
 
-/// Largest accepted drift of the cable, rad/min: across the arm's travel in about four minutes.
+/// Largest accepted drift of the cable, rad/min: across the arm's travel in about five minutes.
 pub const MAX_CABLE_DRIFT_RAD_PER_MIN: f64 = 1.0;
 
 fn is_zero(value: &f64) -> bool {
@@ -73,7 +73,7 @@ impl QubeModel {
     };
 
     /// The Qube on the straight line from the nominal one through this one, `factor` times as far away: 0
-    /// gives the nominal Qube, 1 this one. Parameters move by their logarithms.
+    /// gives the nominal Qube, 1 this one. Parameters move by their logarithms, and those with a zero linearly.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         self.scaled_from(&DomainParameters::NOMINAL, factor)
@@ -85,7 +85,7 @@ impl QubeModel {
         let mut parameters = *nominal;
         for parameter in DomainParameter::ALL {
             let (nominal, own) = (parameters.get(parameter), self.parameters.get(parameter));
-            if own > 0.0 {
+            if own > 0.0 && nominal > 0.0 {
                 parameters.set(parameter, nominal * (factor * (own / nominal).ln()).exp());
             } else {
                 parameters.set(parameter, nominal + factor * (own - nominal));

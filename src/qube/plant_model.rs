@@ -102,8 +102,7 @@ impl PlantModel {
     /// The name of the first entry that is not known to be as harmless as a Qube's; `None` for a plant that
     /// differs from a Qube by smaller limits alone.
     ///
-    /// The guard simulates the nominal parameters and counts by the encoders, so that any other ones may be
-    /// harmful if the file is wrong.
+    /// The guard simulates the nominal parameters and counts by the encoders, so a wrong value in the file can do harm.
     #[must_use]
     pub fn beyond_qube(&self) -> Option<&'static str> {
         let (own, qube) = (&self.limits, &Self::QUBE.limits);
@@ -127,7 +126,7 @@ impl PlantModel {
     /// Volts that accelerate this plant's arm as one volt accelerates a Qube's. Gains that were tuned for a Qube
     /// are multiplied by it.
     #[must_use]
-    pub fn volts_of_qube(&self) -> f64 {
+    pub fn volts_per_qube_volt(&self) -> f64 {
         let per_volt = |parameters| {
             let dynamics = Dynamics::<f64>::new(parameters);
             dynamics.torque_per_volt / dynamics.arm_inertia
@@ -135,10 +134,10 @@ impl PlantModel {
         per_volt(&DomainParameters::NOMINAL) / per_volt(&self.parameters)
     }
 
-    /// The voltage that accelerates this plant's arm as this one accelerates a Qube's, within the largest, V.
+    /// A Qube's voltage (not negative) scaled to give this plant's arm the same acceleration, at most `largest_voltage_v`, V.
     #[must_use]
     pub fn volts_like(&self, of_qube_v: f64) -> f64 {
-        (of_qube_v * self.volts_of_qube()).min(self.limits.largest_voltage_v)
+        (of_qube_v * self.volts_per_qube_volt()).min(self.limits.largest_voltage_v)
     }
 
     /// The specimen that differs from this plant's nominal one as the given Qube differs from the nominal Qube.
@@ -160,7 +159,7 @@ impl PlantModel {
                 self.parameters.get(parameter) / DomainParameters::NOMINAL.get(parameter)
             }
             Quantity::Nonideality(Nonideality::CoulombTorque | Nonideality::CableStiffness) => {
-                self.torques_of_qube()
+                self.torque_per_qube_torque()
             }
             Quantity::Nonideality(_) => 1.0,
         }
@@ -169,7 +168,7 @@ impl PlantModel {
     /// Torque of this plant's motor for each N m of a Qube's, at the same voltage. Friction and cable of a plant
     /// that nobody has identified are assumed in proportion to it.
     #[must_use]
-    pub fn torques_of_qube(&self) -> f64 {
+    pub fn torque_per_qube_torque(&self) -> f64 {
         let per_volt = |parameters: &DomainParameters| {
             parameters.motor_back_emf_v_s / parameters.motor_resistance_ohm
         };
@@ -292,8 +291,8 @@ mod tests {
     #[test]
     fn the_qube_compares_with_itself_without_rounding() {
         let qube = PlantModel::QUBE;
-        assert_eq!(qube.volts_of_qube(), 1.0);
-        assert_eq!(qube.torques_of_qube(), 1.0);
+        assert_eq!(qube.volts_per_qube_volt(), 1.0);
+        assert_eq!(qube.torque_per_qube_torque(), 1.0);
         assert_eq!(qube.travel_fraction(), 1.0);
         assert_eq!(qube.volts_like(1.5), 1.5);
         assert_eq!(qube.in_proportion(&QubeModel::NOMINAL), QubeModel::NOMINAL);
@@ -350,7 +349,7 @@ mod tests {
         let specimen = larger.in_proportion(&qube);
         let heavier = specimen.parameters.pendulum_mass_kg / larger.parameters.pendulum_mass_kg;
         assert!((heavier - 1.1).abs() < 1e-12);
-        let torque = specimen.nonidealities.coulomb_torque_n_m / larger.torques_of_qube();
+        let torque = specimen.nonidealities.coulomb_torque_n_m / larger.torque_per_qube_torque();
         assert!((torque - 5e-4).abs() < 1e-12);
         assert_eq!(specimen.nonidealities.command_delay_s, 0.01);
         assert!(larger.volts_like(100.0) <= larger.limits.largest_voltage_v);

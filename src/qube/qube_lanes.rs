@@ -3,7 +3,7 @@
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
 )]
 
-use super::command_line::{CommandLine, STEP_S};
+use super::delay_line::{DelayLine, STEP_S};
 use super::{
     BLOCK, EquationsOfMotion as _, InLanes, Lanes, MAX_HISTORY, NonidealDynamics, QubeModel,
     SUBSTEPS, State, limited_to, runge_kutta_4,
@@ -22,7 +22,7 @@ pub struct QubeLanes {
     /// True states of the Qubes.
     pub state: State<Lanes>,
     dynamics: NonidealDynamics<Lanes>,
-    commands: CommandLine,
+    commands: DelayLine,
     /// Lanes that hold the thesis's ideal Qube. A block of these alone is integrated by a shorter path to
     /// the same bits.
     ideal: [bool; BLOCK],
@@ -36,7 +36,7 @@ impl QubeLanes {
         Self {
             state: State::all(&at_rest),
             dynamics: NonidealDynamics::all(&NonidealDynamics::new(&QubeModel::NOMINAL)),
-            commands: CommandLine::EMPTY,
+            commands: DelayLine::EMPTY,
             ideal: [true; BLOCK],
         }
     }
@@ -44,7 +44,7 @@ impl QubeLanes {
     /// Qubes like [`Self::hanging`] whose motors get at most this voltage, V.
     #[must_use]
     pub fn hanging_limited_to(largest_v: f32) -> Self {
-        Self { commands: CommandLine::limited_to(largest_v), ..Self::hanging() }
+        Self { commands: DelayLine::limited_to(largest_v), ..Self::hanging() }
     }
 
     /// Largest voltage that the motors get, V.

@@ -64,7 +64,7 @@ fn facts(header: &RolloutHeader) -> Vec<(String, String)> {
     facts.push((
         "clock".into(),
         match header.started_unix_ns {
-            None => "computed time".into(),
+            None => "virtual time".into(),
             Some(started_ns) => format!("real time, from {}", date(started_ns)),
         },
     ));

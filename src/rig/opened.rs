@@ -7,7 +7,7 @@ use super::connection::connect;
 use super::{ClockChoice, Doubt, DoubtMemory, RigError, RigSettings};
 use crate::clock::RealtimeReport;
 use crate::control::{
-    ControlError, ControlThread, HomingSettings, Patience, PressOutcome, StopPress, drive,
+    ControlError, ControlThread, HomingSettings, Patience, PressOutcome, StopPress, drive_warm,
 };
 use crate::device::emulator::EmulatedQube;
 use crate::device::{DeviceError, Identity};
@@ -33,7 +33,7 @@ pub struct Rig {
     pub(super) plant: PlantModel,
     homing: HomingSettings,
     pub(super) preflight: Preflight,
-    /// Measured link, except for the embedded emulator's plain line.
+    /// Measured link; `None` for the embedded emulator, unless it emulates a USB bridge.
     pub(super) link: Option<MeasuredLink>,
     /// Whether samples carry a time of the device; otherwise their age is unknown.
     pub(super) has_device_clock: bool,
@@ -42,7 +42,7 @@ pub struct Rig {
     stop: Arc<AtomicBool>,
     link_patience_s: f64,
     memory: Option<DoubtMemory>,
-    /// Longest prediction of the guard on this processor, us; 0 where nothing real moves.
+    /// Time that foresight's longest prediction takes on this processor, us; 0 for an emulated Qube.
     pub(super) foresight_time_us: f64,
     /// Model that the guard uses, until a rollout contradicts it.
     pub(super) identified: Cell<Option<IdentifiedQube>>,
@@ -105,7 +105,8 @@ impl Rig {
     /// Opens the device and reads its identity without any motion.
     ///
     /// # Errors
-    /// The device does not exist, or is another board than the settings are for.
+    /// The device does not exist, is another board than the settings are for, or is hardware whose plant file needs a consent
+    /// that the settings lack.
     pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let (device, clock, emulator) = connect(settings)?;
         let realtime = settings.clock == ClockChoice::Wall;
@@ -173,12 +174,12 @@ impl Rig {
         let port = self.identity.port.clone();
         let link = self
             .control
-            .lend(move |device, clock, stop| measure_link(device, clock, stop, &port))??;
+            .lend(move |device, clock, _, stop| measure_link(device, clock, stop, &port))??;
         self.link = Some(link.ok_or(RigError::Stopped { during: "the measurement of the link" })?);
         Ok(())
     }
 
-    /// The measured link; `None` for the embedded emulator's plain line.
+    /// The measured link; `None` for the embedded emulator, unless it emulates a USB bridge.
     #[must_use]
     pub fn link(&self) -> Option<&MeasuredLink> {
         self.link.as_ref()
@@ -187,13 +188,13 @@ impl Rig {
     /// Presses the arm outward against the stop that it touches, for a limited number of ticks.
     ///
     /// # Errors
-    /// The device could not be armed, or the Qube is not homed.
+    /// The device has not answered a hello, a fault is latched, or the device could not be armed.
     pub fn press(&mut self, push_v: f64, ticks: u32, rehearsal: bool) -> Result<Pressed, RigError> {
         let (plant, calibration) = (self.plant, self.measured.calibration);
-        let pressed = self.control.lend(move |device, clock, stop| {
+        let pressed = self.control.lend(move |device, clock, heat, stop| {
             device.hello()?;
             let mut press = StopPress::new(&plant, calibration, push_v, ticks, rehearsal);
-            let report = drive(device, clock, &mut press, None, stop)?;
+            let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
             Ok::<_, DeviceError>(Pressed {
                 ending: report.outcome.ending,
                 outcome: press.outcome(),
@@ -224,7 +225,7 @@ impl Rig {
         };
         let examination = self
             .control
-            .lend(move |device, clock, stop| examine(device, clock, stop, &settings))??
+            .lend(move |device, clock, heat, stop| examine(device, clock, heat, stop, &settings))??
             .ok_or(RigError::Stopped { during: "the check" })?;
         self.homing.signs = examination.signs;
         self.homing.hand_counts = examination.start_theta_counts;

@@ -27,12 +27,13 @@ pub struct Recorded {
 /// Smallest distance between the box and the nearer stop, rad: that of the thesis.
 const INSIDE_STOP_RAD: f64 = 0.09;
 
-/// Age that a sample without a time of the device may have beyond the time of its read, s: a driver that hands over
-/// what it read last, up to 1 kHz.
+/// Largest age of a buffered sample when its read begins, s: the driver refreshes its buffer at 1 kHz or faster.
 const BUFFERED_S: f64 = 0.001;
 
-/// Range of the assumed age of such a sample, s.
+/// Smallest age that is assumed for a sample without a time of the device, s.
 const LEAST_AGE_S: f64 = 0.002;
+
+/// Largest age that is assumed for a sample without a time of the device, s.
 const LONGEST_AGE_S: f64 = 0.01;
 
 /// Age that a sample without a time of the device may have, s: 99 of 100 reads of the measured link take less.
@@ -50,7 +51,7 @@ fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> Safety
 /// A controller that notes its last answer.
 struct Noted {
     controller: Box<dyn Controller>,
-    /// Bits of the last answer, V; not a number before the first.
+    /// Bits of the last answer, V; NaN before the first.
     last_v: Arc<AtomicU64>,
 }
 
@@ -75,7 +76,9 @@ impl Rig {
     /// header.
     ///
     /// # Errors
-    /// The box is wider than hardware may have, or its guard no longer exists; the device could not be armed; the policy is invalid; or the recording could not be written. A rollout that a fault ended is not an error here: its outcome names the fault.
+    /// The box is wider than this hardware allows; its guard is the envelope, which only replays use; the device could not
+    /// be armed; the policy is invalid; or the recording could not be written. A rollout that a fault ended is `Ok`: its
+    /// outcome names the fault.
     pub fn rollout(
         &self,
         disk: &dyn Disk,
@@ -197,7 +200,7 @@ impl Rig {
     fn device_by_name(&self) -> BTreeMap<String, String> {
         let identity = &self.identity;
         let link = self.link.as_ref();
-        // The recorded samples reflect the time that a tick waits; a replay needs neither figure, but a
+        // The recorded samples reflect the time that a tick waits; a replay needs none of these, but a
         // reader may.
         let link = link.into_iter().flat_map(|link| {
             [
@@ -211,7 +214,6 @@ impl Rig {
             ("serial", identity.serial.clone()),
             ("firmware_version", identity.firmware_version.clone()),
             ("protocol_version", identity.protocol_version.to_string()),
-            // A pty has a different name each time, and under virtual time nothing may differ.
             ("port", identity.port.clone()),
         ];
         let clock = (!self.has_device_clock).then(|| {

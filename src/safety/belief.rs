@@ -118,7 +118,7 @@ impl Belief {
             }
         }
         low.nonidealities = Nonidealities { cable_rest_rad: -1.2, ..Nonidealities::default() };
-        let torques = plant.torques_of_qube();
+        let torques = plant.torque_per_qube_torque();
         high.nonidealities = Nonidealities {
             coulomb_torque_n_m: torques * 7e-4,
             positive_dead_zone_v: 0.35,

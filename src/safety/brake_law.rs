@@ -58,7 +58,7 @@ impl CentringBrake {
     /// its wall lies at the same part of the travel.
     #[must_use]
     pub fn of_plant(plant: &PlantModel) -> Self {
-        let (qube, volts) = (Self::default(), plant.volts_of_qube());
+        let (qube, volts) = (Self::default(), plant.volts_per_qube_volt());
         Self {
             damping_v_s: volts * qube.damping_v_s,
             fast_v_s: volts * qube.fast_v_s,

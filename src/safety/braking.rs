@@ -22,7 +22,7 @@ struct StoppingBrake {
 impl StoppingBrake {
     fn of(plant: &PlantModel) -> Self {
         Self {
-            gain_v_s: GAIN_V_S * plant.volts_of_qube(),
+            gain_v_s: GAIN_V_S * plant.volts_per_qube_volt(),
             largest_v: plant.limits.largest_voltage_v,
         }
     }

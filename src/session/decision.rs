@@ -2,7 +2,7 @@
 
 use super::{Purpose, ScoredCandidate};
 
-/// Part of a policy's return below which the gain that is expected of one more candidate is not worth its rollouts.
+/// Smallest gain that is worth one more candidate, as a fraction of the verified return.
 pub const WORTHWHILE_GAIN: f64 = 0.01;
 
 /// The next move of the search around an identified Qube.
@@ -15,18 +15,18 @@ pub enum Decision {
         /// Number of the candidate.
         candidate: u32,
     },
-    /// End the search if one more candidate is expected to gain less than `enough`; evaluate it otherwise.
-    SettleBelow {
+    /// End the search if one more candidate is expected to gain less than `smallest_gain`; evaluate it otherwise.
+    EndBelow {
         /// Mean return of the verified policy.
         verified: f64,
         /// Smallest gain that is worth a candidate.
-        enough: f64,
+        smallest_gain: f64,
     },
     /// End the search: the largest number of candidates is reached.
-    Settle,
+    End,
 }
 
-/// Decides after the candidates so far, of which all rollouts are finished.
+/// Decides the next move; all rollouts of `candidates` must be finished.
 ///
 /// A candidate whose rollouts all succeed and whose mean return is the highest is verified at once. Once its policy is
 /// verified with success in every rollout, only an expected gain keeps the search going. At the largest number of
@@ -50,10 +50,10 @@ pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
     match verification {
         None if is_full || succeeds(best) => Decision::Verify { candidate: best.candidate.number },
         None => Decision::Propose,
-        Some(_) if is_full => Decision::Settle,
+        Some(_) if is_full => Decision::End,
         Some(verified) if succeeds(verified) => {
             let verified = verified.mean_return().unwrap_or(0.0);
-            Decision::SettleBelow { verified, enough: WORTHWHILE_GAIN * verified }
+            Decision::EndBelow { verified, smallest_gain: WORTHWHILE_GAIN * verified }
         }
         Some(_) => Decision::Propose,
     }
@@ -102,9 +102,9 @@ mod tests {
         candidates.push(scored(2, Purpose::Search, 1.0, &[GOOD]));
         assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 2 });
         candidates.push(scored(3, Purpose::Incumbent, 1.0, &[GOOD; 5]));
-        let settle = Decision::SettleBelow { verified: 540.0, enough: 5.4 };
-        assert_eq!(decide(&candidates, 10), settle);
-        assert_eq!(decide(&candidates, 2), Decision::Settle);
+        let end = Decision::EndBelow { verified: 540.0, smallest_gain: 5.4 };
+        assert_eq!(decide(&candidates, 10), end);
+        assert_eq!(decide(&candidates, 2), Decision::End);
         // A better candidate is verified in its turn.
         candidates.push(scored(4, Purpose::Search, 2.0, &[(545.0, true)]));
         assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 4 });
@@ -117,7 +117,7 @@ mod tests {
             scored(2, Purpose::Incumbent, 0.0, &[GOOD, GOOD, BAD, GOOD, GOOD]),
         ];
         assert_eq!(decide(&candidates, 2), Decision::Propose);
-        assert_eq!(decide(&candidates, 1), Decision::Settle);
+        assert_eq!(decide(&candidates, 1), Decision::End);
     }
 
     #[test]

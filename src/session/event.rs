@@ -27,7 +27,7 @@ pub enum SessionEvent<'a> {
     /// The recordings of the verification left the profile as it was, for this reason.
     NotUpdated(&'a str),
     /// The search around the identified Qube ended: one more candidate was expected to gain this return.
-    Settled {
+    SearchEnded {
         /// Expected gain.
         expected_gain: f64,
     },
@@ -36,7 +36,7 @@ pub enum SessionEvent<'a> {
         /// Expected gain.
         expected_gain: f64,
         /// Gain below which the search ends.
-        enough: f64,
+        smallest_gain: f64,
     },
     /// A candidate's training has completed one more update.
     Training {

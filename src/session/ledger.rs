@@ -74,7 +74,8 @@ pub enum Entry {
         reason: String,
     },
     /// The search around an identified Qube ended.
-    Settled {
+    #[serde(rename = "settled")]
+    SearchEnded {
         /// Return that one more candidate was expected to gain over the verified policy.
         expected_gain: f64,
     },

@@ -503,7 +503,7 @@ mod tests {
         assert_eq!(next(&entries), Step::Decide, "a better profile changes no plan");
         entries.extend(finished(3, Purpose::Incumbent, extent.verification_rollouts));
         assert_eq!(next(&entries), Step::Decide);
-        entries.push(Entry::Settled { expected_gain: 0.5 });
+        entries.push(Entry::SearchEnded { expected_gain: 0.5 });
         assert_eq!(next(&entries), Step::Identify, "the verification is data, too");
         let mut unchanged = entries.clone();
         unchanged.push(Entry::NotUpdated { reason: "no rollout can be fitted".into() });

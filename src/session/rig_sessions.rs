@@ -11,7 +11,7 @@ use super::{
 };
 use crate::storage::{MachineDisk, write_whole};
 
-/// The file `rigs.toml`: which Qubes have a session each in its folder.
+/// Contents of `rigs.toml`: the device of each session in the folder.
 ///
 /// ```text
 /// rigs.toml                               this file; written when all sessions have begun
@@ -64,7 +64,7 @@ impl RigSessions {
         Ok(true)
     }
 
-    /// Removes sessions that have decided nothing, and the file; what cannot be removed stays.
+    /// Removes `rigs.toml` and the sessions that have decided nothing; ignores errors.
     pub fn withdraw(root: &Path) {
         let _ = std::fs::remove_file(Self::path(root));
         for rig in 1..=Self::MOST {
@@ -79,7 +79,7 @@ impl RigSessions {
     /// Reads the file.
     ///
     /// # Errors
-    /// The file cannot be read or is invalid, or names fewer or more Qubes than there are sessions.
+    /// The file cannot be read or is invalid, or names fewer than two Qubes, or fewer than there are sessions.
     pub fn load(root: &Path) -> Result<Self, ConfigurationError> {
         let path = Self::path(root);
         let all: Self = match toml::from_str(&read(&path)?) {
@@ -89,14 +89,20 @@ impl RigSessions {
             }
         };
         let count = all.devices.len() as u32;
-        if count < 2 || Self::folder(root, count + 1).exists() {
-            let reason = format!(
-                "the file names {count} Qubes, but {} has other sessions: name the device of each rig-N",
-                root.display()
-            );
-            return Err(ConfigurationError::OutOfRange { path, line: None, reason });
-        }
-        Ok(all)
+        let next = Self::folder(root, count + 1);
+        let reason = if next.exists() {
+            format!(
+                "devices has {count} entries, but there is {}: name the device of each rig-N",
+                next.display()
+            )
+        } else if count < 2 {
+            format!(
+                "devices has {count} entries, and sessions side by side are two or more: name the device of each rig-N"
+            )
+        } else {
+            return Ok(all);
+        };
+        Err(ConfigurationError::OutOfRange { path, line: None, reason })
     }
 
     /// Writes the file.
@@ -113,8 +119,8 @@ impl RigSessions {
     }
 }
 
-/// Runs sessions at the same time, each in a thread of its own with a listener of its own, until all of them have
-/// ended. A session that ends early tells so and changes nothing for the others.
+/// Runs sessions at the same time, each in its own thread with its own listener, until all of them have ended. A session
+/// that ends early reports `EndedEarly`; the others go on.
 ///
 /// # Panics
 /// A session panicked; the others have ended before.

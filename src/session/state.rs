@@ -202,7 +202,7 @@ impl SessionState {
                 }
                 self.identification = Identification::Refused(reason.clone());
             }
-            Entry::Settled { expected_gain } => {
+            Entry::SearchEnded { expected_gain } => {
                 if self.settled.is_some() {
                     return Err("the search has ended already");
                 }

@@ -39,7 +39,7 @@ pub struct TickSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TickRules {
-    /// The rules of recordings that name none.
+    /// The original rules, without the additions below; recordings that name no rules follow them.
     #[default]
     First,
     /// The two encoders check each other, settling is gentle, and a braked arm may come to rest anywhere
@@ -92,8 +92,8 @@ pub struct RolloutHeader {
     /// Motor heat at the start; `None` in recordings without this estimate, whose replay ignores it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motor_heat: Option<MotorHeat>,
-    /// Whether the guard was off on hardware, because the operator accepted on the command line that the
-    /// arm may reach its hard stop.
+    /// Whether hardware ran under the box alone, without foresight, because the operator accepted on the command line that
+    /// the arm may reach its hard stop.
     #[serde(default, skip_serializing_if = "is_false")]
     pub hard_stop_accepted: bool,
     /// Name of the policy.
@@ -127,7 +127,7 @@ pub struct RolloutOutcome {
     pub phase: Phase,
     /// Number of steps of the policy.
     pub steps: u32,
-    /// Number of ticks that were late by more than a whole period, or without a valid sample.
+    /// Number of skipped periods, plus ticks that were more than a period late or had no valid sample.
     pub missed_deadlines: u32,
     /// Number of records for which the recorder had no room; above 0, the file has gaps.
     pub records_lost: u64,

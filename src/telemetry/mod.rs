@@ -1,7 +1,7 @@
 //! Plain records that leave the tick: the record of a tick, header and outcome of a rollout, and the table
 //! of faults.
 //!
-//! Their fields are the fields of recordings, so that names never change. The room may import `qube`,
+//! Their fields are the fields of recordings, so they must not be renamed. The room may import `qube`,
 //! `safety` and `estimation`.
 //!
 //! ```

@@ -85,7 +85,7 @@ impl Series<'_> {
             return Err(self.stop.failure("stopped; the recordings are whole up to here"));
         }
         match results.fault {
-            Some(fault) => Err(Failure::fault(told(fault)).of(Some(fault))),
+            Some(fault) => Err(Failure::fault(told(fault)).caused_by(Some(fault))),
             None => results.gaps(),
         }
     }
@@ -137,7 +137,8 @@ impl Series<'_> {
             }
             Err(error) => {
                 let failure = failures::rig(error, self.stop);
-                Err(failure.after(&format!("a fault ended the last rollout ({fault}), and then")))
+                Err(failure
+                    .preceded_by(&format!("a fault ended the last rollout ({fault}), and then")))
             }
         }
     }

@@ -17,7 +17,7 @@ pub struct TrueReadings {
 
 /// The progress of a fault of encoders or motor.
 #[derive(Clone, Copy, Debug)]
-pub struct Mishap {
+pub struct FaultProgress {
     fault: Option<EmulatorFault>,
     stage: Stage,
     /// Readings at the onset of the fault.
@@ -34,7 +34,7 @@ enum Stage {
     After,
 }
 
-impl Mishap {
+impl FaultProgress {
     /// A fault before its onset.
     pub fn new(fault: Option<EmulatorFault>) -> Self {
         let held = TrueReadings { theta_counts: 0, alpha_counts: 0, tachometer_raw: 0 };
@@ -169,7 +169,7 @@ mod tests {
     #[test]
     fn an_encoder_of_half_or_twice_as_many_lines_counts_so_and_its_tachometer_too() {
         for (factor, counts, ticks) in [(0.5, 400, 2000), (2.0, 100, 500)] {
-            let mut mishap = Mishap::new(Some(EmulatorFault::ScaledTheta { factor }));
+            let mut mishap = FaultProgress::new(Some(EmulatorFault::ScaledTheta { factor }));
             mishap.go_on(START);
             let seen = mishap.readings(TrueReadings { theta_counts: 300, ..START });
             assert_eq!((seen.theta_counts, seen.tachometer_raw), (counts, ticks));
@@ -183,7 +183,7 @@ mod tests {
     #[test]
     fn a_one_sided_amplifier_gives_nothing_the_other_way() {
         let fault = EmulatorFault::OneSidedMotor { after_s: 1.0, positive: false };
-        let mut mishap = Mishap::new(Some(fault));
+        let mut mishap = FaultProgress::new(Some(fault));
         assert_eq!(mishap.driven_v(2.0), 2.0);
         mishap.go_on(START);
         assert_eq!((mishap.driven_v(2.0), mishap.driven_v(-2.0)), (0.0, -2.0));

@@ -8,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::effects::{ActingEffects, EFFECTS_STEP_US};
-use super::mishap::{Mishap, TrueReadings};
+use super::mishap::{FaultProgress, TrueReadings};
 use super::play::Play;
 use super::{EmulatorSettings, Finger};
 use crate::qube::{Encoder, Encoders, NonidealDynamics, QubeModel, State, runge_kutta_4};
@@ -70,7 +70,7 @@ pub struct Plant {
     motor_is_open: bool,
     stops_rad: [f64; 2],
     encoders: Encoders,
-    mishap: Mishap,
+    mishap: FaultProgress,
 }
 
 impl Plant {
@@ -123,7 +123,7 @@ impl Plant {
             motor_is_open: false,
             stops_rad: settings.stops_rad,
             encoders: settings.encoders,
-            mishap: Mishap::new(settings.fault),
+            mishap: FaultProgress::new(settings.fault),
         };
         plant.let_mishap_go_on();
         plant
@@ -162,7 +162,7 @@ impl Plant {
             let before = self.state;
             let step_s = step_us as f64 * 1e-6;
             let push_v = self.mishap.driven_v(self.voltage_v) + self.mishap.pushed_like_v();
-            self.warm(push_v, step_s);
+            self.warm(step_s);
             let equations = match &self.effects {
                 None => self.dynamics,
                 Some(effects) => effects.equations(&self.dynamics),
@@ -194,13 +194,23 @@ impl Plant {
         self.let_mishap_go_on();
     }
 
-    /// Changes the motor's resistance by what its winding has lost.
-    fn warm(&mut self, voltage_v: f64, step_s: f64) {
+    /// The current through the motor, (V - k_m theta') / R_m, A. A hand at the arm adds no voltage, and with play the motor
+    /// has a velocity of its own.
+    fn current_a(&self) -> f64 {
+        if self.motor_is_open {
+            return 0.0;
+        }
+        let motor_rad_s = self.play.map_or(self.state.theta_dot, |play| play.motor_rad_s());
+        let back_emf_v = self.model.parameters.motor_back_emf_v_s * motor_rad_s;
+        let driven_v = self.mishap.driven_v(self.voltage_v);
+        (driven_v - back_emf_v) / self.model.parameters.motor_resistance_ohm
+    }
+
+    /// Raises the motor's resistance with the heat of its winding.
+    fn warm(&mut self, step_s: f64) {
+        let current_a = self.current_a();
         let Some(effects) = self.effects.as_mut().filter(|_| !self.motor_is_open) else { return };
-        let parameters = &self.model.parameters;
-        let back_emf_v = parameters.motor_back_emf_v_s * self.state.theta_dot;
-        let current_a = (voltage_v - back_emf_v) / parameters.motor_resistance_ohm;
-        let loss_w = current_a * current_a * parameters.motor_resistance_ohm;
+        let loss_w = current_a * current_a * self.model.parameters.motor_resistance_ohm;
         let factor = effects.resistance_factor(loss_w, step_s);
         if factor != 1.0 {
             let mut warm = self.model;
@@ -209,7 +219,7 @@ impl Plant {
         }
     }
 
-    /// The stop that the arm would have passed at an angle.
+    /// The stop that an arm at this angle would have passed.
     fn stop_beyond(&self, theta: f64) -> Option<f64> {
         let [lowest_rad, highest_rad] = self.stops_rad;
         if theta < lowest_rad {
@@ -219,7 +229,7 @@ impl Plant {
         }
     }
 
-    /// Moves an arm at a stop when the finger's time has come.
+    /// Carries the arm to its positive stop at the finger's first time; later pushes it off a stop that it touches.
     fn push_by_finger(&mut self) {
         let Some(finger) = self.finger.filter(|_| self.time_us >= self.next_finger_us) else {
             return;
@@ -326,17 +336,10 @@ impl Plant {
         }
     }
 
-    /// The motor current (V - k_m theta') / R_m as the Qube's converter reads it.
+    /// The motor current as the Qube's converter reads it.
     #[must_use]
     pub fn current_raw(&self) -> u16 {
-        if self.motor_is_open {
-            return CURRENT_ZERO as u16;
-        }
-        let motor_rad_s = self.play.map_or(self.state.theta_dot, |play| play.motor_rad_s());
-        let back_emf_v = self.model.parameters.motor_back_emf_v_s * motor_rad_s;
-        let driven_v = self.mishap.driven_v(self.voltage_v);
-        let current_a = (driven_v - back_emf_v) / self.model.parameters.motor_resistance_ohm;
-        let raw = f64::from(CURRENT_ZERO) + current_a * f64::from(CURRENT_COUNTS_PER_A);
+        let raw = f64::from(CURRENT_ZERO) + self.current_a() * f64::from(CURRENT_COUNTS_PER_A);
         raw.round().clamp(0.0, f64::from(u16::MAX)) as u16
     }
 }

@@ -1,11 +1,11 @@
 use thiserror::Error;
 
-/// A failure of the vendor's library or of the card behind it. Each message names the cause and the remedy.
+/// A failure of the vendor's library or of the card behind it.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum HilError {
     /// No file of the library could be loaded.
     #[error(
-        "the vendor's HIL library is not here (tried {tried}). Install the vendor's package quanser-sdk, or \
+        "the vendor's HIL library was not found (tried {tried}). Install the vendor's package quanser-sdk, or \
          name its libhil.so in the environment variable QUBE_HIL_LIBHIL"
     )]
     NoLibrary {
@@ -14,7 +14,7 @@ pub enum HilError {
     },
     /// A library of another version.
     #[error(
-        "{library} has no function {function}, so it is of another version. Install the vendor's present \
+        "{library} has no function {function}, so it is of another version. Install the vendor's current \
          package quanser-sdk, or name another file in QUBE_HIL_LIBHIL"
     )]
     NoFunction {
@@ -25,8 +25,8 @@ pub enum HilError {
     },
     /// The library finds no such card.
     #[error(
-        "{port} is not there: {reason}. Switch the Qube on, plug its USB cable in, and see that the card's \
-         name is that of this Qube's panel"
+        "{port} is not there: {reason}. Switch the Qube on, plug its USB cable in, and check that the \
+         address names this Qube's panel"
     )]
     NoCard {
         /// Address of the card.

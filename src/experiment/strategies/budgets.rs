@@ -58,13 +58,22 @@ impl Experiment {
         let mut recommendations = recommendations_of(&run, method, strategies)?;
         let mut results: Vec<(usize, PolicyResult)> = Vec::new();
         let mut scored: Option<u32> = None;
+        let not_scored = || {
+            if let Access::Work(tell) = access {
+                tell(ExperimentEvent::NotScored);
+            }
+        };
         for (index, &budget) in strategies.budgets.iter().enumerate() {
-            let Some(steps) = steps_within(recommendations.as_ref(), budget) else { continue };
+            let Some(steps) = steps_within(recommendations.as_ref(), budget) else {
+                not_scored();
+                continue;
+            };
             // A budget that allows no further candidate has the recommendation of the one before.
             if scored == Some(steps)
                 && let Some((_, last)) = results.last()
             {
                 results.push((index, last.clone()));
+                not_scored();
                 continue;
             }
             let recommendation = match recommendations.after(steps)? {

@@ -6,7 +6,7 @@ use super::rivals::{FromRival, FromUniversalPolicy};
 use super::run::{
     Access, MethodRun, Recommendation, Recommendations, Recommended, WithoutRollouts,
 };
-use super::score::{Decision, score};
+use super::score::{ScoredDecision, score};
 use super::search::FromSearch;
 use super::{Method, StrategySettings};
 use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Plant};
@@ -96,7 +96,8 @@ impl MethodRun<'_> {
                 }
                 Recommended::Found(recommendation) if scored.contains(&recommendation) => continue,
                 Recommended::Found(recommendation) => {
-                    let Some(Decision { score, succeeds }) = self.score(&recommendation, steps)?
+                    let Some(ScoredDecision { score, succeeds }) =
+                        self.score(&recommendation, steps)?
                     else {
                         return Ok(());
                     };
@@ -120,7 +121,7 @@ impl MethodRun<'_> {
         &self,
         recommendation: &Recommendation,
         steps: u32,
-    ) -> Result<Option<Decision>, ExperimentError> {
+    ) -> Result<Option<ScoredDecision>, ExperimentError> {
         let settings = self.experiment.settings();
         let trainings = settings.strategies.as_ref().map_or(1, |it| it.trainings);
         let series = self.series(recommendation, steps, trainings);

@@ -3,7 +3,7 @@ use super::recordings::{Recorded, Recordings, excitation, read};
 use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::{ExperimentError, Recipe};
-use crate::identification::{Unknown, Verdict, check_recording, identify};
+use crate::identification::{ModelVerdict, Unknown, check_recording, identify};
 use crate::policy::Policy;
 use crate::qube::Profile;
 use crate::replay::{MotionLog, MotionLogError};
@@ -107,7 +107,7 @@ impl<'a> FromRecordings<'a> {
             Ok(found) => found,
             Err(why) => return Ok(Fit::Refused(why.to_string())),
         };
-        if found.assessment.verdict == Verdict::DoesNotFit {
+        if found.assessment.verdict == ModelVerdict::DoesNotFit {
             return Ok(Fit::Refused("the model does not describe this Qube".into()));
         }
         // Those that cannot be fitted do not count.

@@ -35,7 +35,7 @@ impl Score {
 }
 
 /// The score of a recommendation, and whether it succeeds.
-pub(super) struct Decision {
+pub(super) struct ScoredDecision {
     /// Score when the decision could not change any more.
     pub score: Score,
     /// Whether the recommendation succeeds.
@@ -53,7 +53,7 @@ pub(super) fn score(
     policies: u32,
     rollouts: u32,
     access: Access,
-) -> Result<Option<Decision>, ExperimentError> {
+) -> Result<Option<ScoredDecision>, ExperimentError> {
     let mut score = Score::default();
     for policy in 0..policies {
         let results = if access.works() {
@@ -68,7 +68,7 @@ pub(super) fn score(
         };
         score.add(&results);
         if let Some(succeeds) = score.decided(policies * rollouts) {
-            return Ok(Some(Decision { score, succeeds }));
+            return Ok(Some(ScoredDecision { score, succeeds }));
         }
     }
     Ok(None)

@@ -16,7 +16,7 @@ const MAX_BYTES: u64 = 1 << 20;
 /// The way in which a process has given up its file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Ending {
+pub enum ClaimEnding {
     /// The work is done.
     Done,
     /// The process was asked to stop, by a scheduler or a person; this counts as no failure.
@@ -25,9 +25,9 @@ pub enum Ending {
     Failed(String),
 }
 
-/// A file that its process, which created it exclusively, extends by a byte at each beat.
+/// A file that shows that its process lives: created exclusively, and one byte longer at each beat.
 ///
-/// The file stays open: a process that was suspended and has lost its claim writes into nothing that others use.
+/// It stays open, so a suspended process that has lost its claim writes only into its own file.
 #[derive(Debug)]
 pub struct Heartbeat {
     file: Box<dyn DiskFile>,
@@ -37,7 +37,7 @@ impl Heartbeat {
     /// Creates the file; `None` if it exists.
     ///
     /// # Errors
-    /// The disk refuses; no file is left if it can be helped.
+    /// A file operation fails; no file is left if it can be helped.
     pub fn create(disk: &dyn Disk, path: &Path, holder: &Holder) -> io::Result<Option<Self>> {
         let mut file = match disk.create(path, false) {
             Ok(file) => file,
@@ -57,7 +57,7 @@ impl Heartbeat {
     /// Shows that the process lives.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn beat(&mut self) -> io::Result<()> {
         self.file.write_all(b".")?;
         self.file.sync()
@@ -66,8 +66,8 @@ impl Heartbeat {
     /// Gives the file up.
     ///
     /// # Errors
-    /// The disk refuses; the file then looks like that of a dead process.
-    pub fn end(mut self, ending: &Ending) -> io::Result<()> {
+    /// A file operation fails; the file then looks like that of a dead process.
+    pub fn end(mut self, ending: &ClaimEnding) -> io::Result<()> {
         let line = format!("\n{}\n", serde_json::to_string(ending)?);
         self.file.write_all(line.as_bytes())?;
         self.file.sync()
@@ -79,8 +79,8 @@ impl Heartbeat {
 pub struct HeartbeatState {
     /// Process that created it; `None` while its first line is not whole.
     pub holder: Option<Holder>,
-    /// Ending, if the process has given it up.
-    pub ending: Option<Ending>,
+    /// ClaimEnding, if the process has given it up.
+    pub ending: Option<ClaimEnding>,
     length: usize,
 }
 
@@ -88,7 +88,7 @@ impl HeartbeatState {
     /// Reads such a file; `None` if there is none.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn read(disk: &dyn Disk, path: &Path) -> io::Result<Option<Self>> {
         let bytes = match disk.read(path, MAX_BYTES) {
             Ok(bytes) => bytes,
@@ -102,7 +102,7 @@ impl HeartbeatState {
         Ok(Some(Self { holder, ending, length: bytes.len() }))
     }
 
-    /// The process as a text.
+    /// Describes the process that created the file.
     #[must_use]
     pub fn by(&self) -> String {
         self.holder.as_ref().map_or_else(|| "an unknown process".to_owned(), Holder::to_string)
@@ -172,8 +172,8 @@ mod tests {
         claim.beat().unwrap();
         claim.beat().unwrap();
         assert_eq!(state().ending, None);
-        claim.end(&Ending::Failed("no\nspace".into())).unwrap();
-        assert_eq!(state().ending, Some(Ending::Failed("no\nspace".into())));
+        claim.end(&ClaimEnding::Failed("no\nspace".into())).unwrap();
+        assert_eq!(state().ending, Some(ClaimEnding::Failed("no\nspace".into())));
     }
 
     #[test]

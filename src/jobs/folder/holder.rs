@@ -11,13 +11,13 @@ pub struct Holder {
     /// Name of the scheduler's node and task, if it started the process.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task: Option<String>,
-    /// Number of the process.
+    /// Process id.
     pub process: u32,
-    /// Start of the process in clock ticks since the computer's start: process numbers repeat.
+    /// Start of the process in clock ticks since boot; process ids are reused.
     pub started: u64,
-    /// Identity of the computer's start, and of the space in which the process number counts.
+    /// Boot id of the computer and PID namespace of the process.
     pub boot: String,
-    /// Seconds since 1970 by the computer's clock.
+    /// Time of this record, s since 1970, by the computer's clock.
     pub at_s: u64,
 }
 

@@ -2,6 +2,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -28,7 +29,7 @@ pub fn program() -> String {
     format!("qube-hil {} ({})", env!("CARGO_PKG_VERSION"), env!("QUBE_HIL_GIT_REVISION"))
 }
 
-/// What all processes of a folder agree on.
+/// The settings that all processes of a folder share.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Terms {
     /// Version of the meaning of the files.
@@ -91,19 +92,29 @@ pub struct JobFolder {
 }
 
 impl JobFolder {
-    /// Creates the folder, or continues one, for the coordinator.
+    /// Creates the folder with these terms. One that exists keeps its own until [`coordinate`](Self::coordinate) succeeds.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn create(disk: Arc<dyn Disk>, root: &Path, terms: Terms) -> Result<Self, JobFolderError> {
         let folder = Self { disk, root: root.to_owned(), terms };
         for name in ["jobs", "claims", "results", "workers", "coordinators"] {
             let path = root.join(name);
             folder.disk.create_folder(&path).map_err(|source| refused(&path, source))?;
         }
-        let json = serde_json::to_vec_pretty(&folder.terms).unwrap_or_default();
-        folder.write(&root.join("folder.json"), "terms", &json)?;
+        if !folder.disk.exists(&folder.terms_file()) {
+            folder.write_terms()?;
+        }
         Ok(folder)
+    }
+
+    fn terms_file(&self) -> PathBuf {
+        self.root.join("folder.json")
+    }
+
+    fn write_terms(&self) -> Result<(), JobFolderError> {
+        let path = self.terms_file();
+        self.write(&path, "terms", &json(&path, &self.terms)?)
     }
 
     /// Opens the folder for a worker.
@@ -151,18 +162,18 @@ impl JobFolder {
     /// Puts a job into the folder; returns its fingerprint, which is its name.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn put(&self, job: &TrainingJob) -> Result<String, JobFolderError> {
         let name = job.fingerprint();
-        let json = serde_json::to_vec(job).unwrap_or_default();
-        self.write(&self.job(&name), "job", &json)?;
+        let path = self.job(&name);
+        self.write(&path, "job", &json(&path, job)?)?;
         Ok(name)
     }
 
     /// The names of the open jobs.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn open_jobs(&self) -> Result<BTreeSet<String>, JobFolderError> {
         Ok(self.names("jobs")?.into_iter().collect())
     }
@@ -176,7 +187,7 @@ impl JobFolder {
     /// An open job; `None` if it is not open any more.
     ///
     /// # Errors
-    /// The file is damaged, or the disk refuses.
+    /// The file is damaged, or a file operation fails.
     pub fn read_job(&self, name: &str) -> Result<Option<TrainingJob>, JobFolderError> {
         let path = self.job(name);
         let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
@@ -197,7 +208,7 @@ impl JobFolder {
     /// The names of the jobs with a result.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn results(&self) -> Result<BTreeSet<String>, JobFolderError> {
         Ok(self.names("results")?.into_iter().collect())
     }
@@ -208,10 +219,11 @@ impl JobFolder {
         self.disk.exists(&self.result(name))
     }
 
-    /// Stores the result of a job; one that exists is replaced by the same bytes.
+    /// Stores the result of a job. A second worker's result replaces it: the same policy and curve, with another worker's
+    /// name.
     ///
     /// # Errors
-    /// The disk refuses; no result appears.
+    /// A file operation fails; no result appears.
     pub fn write_result(
         &self,
         name: &str,
@@ -224,12 +236,13 @@ impl JobFolder {
             level: format!("{:?}", Level::best()),
             error: outcome.as_ref().err().cloned(),
         };
-        let mut payload = serde_json::to_vec(&header).unwrap_or_default();
+        let path = self.result(name);
+        let mut payload = json(&path, &header)?;
         payload.push(b'\n');
         if let Ok(trained) = outcome {
             payload.extend(trained.to_bytes());
         }
-        self.write(&self.result(name), "result", &payload)
+        self.write(&path, "result", &payload)
     }
 
     /// Reads the result of a job.
@@ -264,7 +277,7 @@ impl JobFolder {
     /// Removes the result of a job, so that it is done again.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn discard_result(&self, name: &str) -> Result<(), JobFolderError> {
         self.remove(&self.result(name))
     }
@@ -272,7 +285,7 @@ impl JobFolder {
     /// Removes a job with its claims and its result. A worker that still does it finds no job and drops its result.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn remove_job(&self, name: &str) -> Result<(), JobFolderError> {
         self.remove(&self.job(name))?;
         for number in 0.. {
@@ -288,7 +301,7 @@ impl JobFolder {
     /// The number of tries of each job that was ever claimed.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn claims(&self) -> Result<HashMap<String, u32>, JobFolderError> {
         let mut claims = HashMap::new();
         for name in self.names("claims")? {
@@ -312,7 +325,7 @@ impl JobFolder {
     /// Registers a worker.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn register(&self, worker: &Holder) -> Result<Heartbeat, JobFolderError> {
         let path = self.root.join("workers").join(worker.file_name());
         self.remove(&path)?;
@@ -323,7 +336,7 @@ impl JobFolder {
         }
     }
 
-    /// Leaves word why a worker refuses to work in this folder; a disk that refuses this too is ignored.
+    /// Leaves word why a worker refuses to work in this folder; a failure to do so is ignored.
     pub fn leave_refusal(disk: &dyn Disk, root: &Path, worker: &Holder, reason: &str) {
         let path = root.join("workers").join(worker.file_name() + ".refused");
         let _ = write_whole_beside(disk, &path, &sealed("refusal", reason.as_bytes()));
@@ -332,7 +345,7 @@ impl JobFolder {
     /// The names of the workers' files.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn worker_files(&self) -> Result<Vec<String>, JobFolderError> {
         self.names("workers")
     }
@@ -340,7 +353,7 @@ impl JobFolder {
     /// The state of a worker's file.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn worker(&self, name: &str) -> Result<Option<HeartbeatState>, JobFolderError> {
         let path = self.root.join("workers").join(name);
         HeartbeatState::read(self.disk(), &path).map_err(|source| refused(&path, source))
@@ -353,12 +366,16 @@ impl JobFolder {
         unsealed("refusal", &bytes).ok().map(|text| String::from_utf8_lossy(text).into_owned())
     }
 
-    /// Takes the folder for one coordinator. Where an earlier one of another computer has left no ending, this waits
-    /// until that one has shown a beat or is stale.
+    /// Takes the folder for one coordinator, whose terms hold from then on. Where an earlier one of another computer has
+    /// left no ending, this waits until that one has shown a beat or is stale.
     ///
     /// # Errors
-    /// Another coordinator lives; the disk refuses.
-    pub fn coordinate(&self, holder: &Holder) -> Result<Heartbeat, JobFolderError> {
+    /// Another coordinator lives; `stop` was set while this waited; a file operation fails.
+    pub fn coordinate(
+        &self,
+        holder: &Holder,
+        stop: &AtomicBool,
+    ) -> Result<Heartbeat, JobFolderError> {
         let folder = self.root.join("coordinators");
         let mut watch = HeartbeatWatch::new(holder.clone(), self.terms.stale());
         let begun = std::time::Instant::now();
@@ -384,6 +401,9 @@ impl JobFolder {
                         let (path, by) = (self.root.clone(), state.by());
                         return Err(JobFolderError::TwoCoordinators { path, by });
                     }
+                    if stop.load(Ordering::Relaxed) {
+                        return Err(JobFolderError::Stopped { path: self.root.clone() });
+                    }
                     first.get_or_insert((last, state));
                     std::thread::sleep(self.terms.beat().min(Duration::from_secs(1)));
                     continue;
@@ -391,7 +411,10 @@ impl JobFolder {
             }
             let path = folder.join(last.map_or(0, |last| last + 1).to_string());
             match Heartbeat::create(self.disk(), &path, holder) {
-                Ok(Some(heartbeat)) => return Ok(heartbeat),
+                Ok(Some(heartbeat)) => {
+                    self.write_terms()?;
+                    return Ok(heartbeat);
+                }
                 Ok(None) => {}
                 Err(source) => return Err(refused(&path, source)),
             }
@@ -401,7 +424,7 @@ impl JobFolder {
     /// Tells the workers that no further work is wanted: they stop.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn close(&self) -> Result<(), JobFolderError> {
         self.write(&self.root.join("closed"), "end", b"")
     }
@@ -409,7 +432,7 @@ impl JobFolder {
     /// Takes [`close`](Self::close) back.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn reopen(&self) -> Result<(), JobFolderError> {
         self.remove(&self.root.join("closed"))
     }
@@ -449,7 +472,7 @@ impl JobFolder {
     }
 }
 
-/// Ending of the names of files that are being written.
+/// ClaimEnding of the names of files that are being written.
 const UNFINISHED: &str = ".unfinished";
 
 /// Writes a file whole or not at all. Each process uses a name of its own meanwhile: two may write the same result.
@@ -468,6 +491,11 @@ fn write_whole_beside(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> io::Result<
             Err(error)
         }
     }
+}
+
+/// A value as JSON for the file at `path`.
+fn json(path: &Path, value: &impl Serialize) -> Result<Vec<u8>, JobFolderError> {
+    serde_json::to_vec(value).map_err(|error| refused(path, error.into()))
 }
 
 fn refused(path: &Path, source: io::Error) -> JobFolderError {

@@ -21,8 +21,8 @@ mod sealed;
 mod tries;
 mod worker;
 
-pub use heartbeat::{Ending, Heartbeat, HeartbeatState, HeartbeatWatch};
+pub use heartbeat::{ClaimEnding, Heartbeat, HeartbeatState, HeartbeatWatch};
 pub use holder::Holder;
 pub use job_folder::{JobFolder, JobResult, Terms, program};
-pub use tries::{Tries, Turn};
+pub use tries::{NextTry, Tries};
 pub use worker::{Slot, WorkReport, Worker, WorkerEvent};

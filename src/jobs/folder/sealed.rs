@@ -1,8 +1,6 @@
 //! Files with a checksum in their first line, so that a half-written or damaged one is recognised.
 
-use crc::{CRC_64_XZ, Crc};
-
-const CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
+use crate::jobs::checksum::checksum;
 
 /// The content of a file of this kind that contains `payload`.
 pub(super) fn sealed(kind: &str, payload: &[u8]) -> Vec<u8> {
@@ -25,7 +23,7 @@ pub(super) fn unsealed<'a>(kind: &str, bytes: &'a [u8]) -> Result<&'a [u8], Stri
 }
 
 fn first_line(kind: &str, payload: &[u8]) -> String {
-    format!("qube-hil {kind} 1 {:016x}\n", CHECKSUM.checksum(payload))
+    format!("qube-hil {kind} 1 {}\n", checksum(payload))
 }
 
 #[cfg(test)]

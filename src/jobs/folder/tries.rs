@@ -1,6 +1,6 @@
 use std::time::Duration;
 
-use super::{Ending, HeartbeatState, HeartbeatWatch, JobFolder};
+use super::{ClaimEnding, HeartbeatState, HeartbeatWatch, JobFolder};
 use crate::jobs::JobFolderError;
 
 /// How the tries of a job have ended so far.
@@ -16,7 +16,7 @@ pub struct Tries {
 
 /// What a worker may do with a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Turn {
+pub enum NextTry {
     /// Claim this try.
     Claim(u32),
     /// Another worker is at it.
@@ -29,7 +29,7 @@ impl Tries {
     /// Reads the claims of a job that has no result; `begun` is the number of claims.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A file operation fails.
     pub fn read(
         folder: &JobFolder,
         job: &str,
@@ -45,9 +45,11 @@ impl Tries {
                 .unwrap_or_default();
             let by = state.by();
             match &state.ending {
-                Some(Ending::Stopped) => {}
-                Some(Ending::Failed(reason)) => tries.failures.push(format!("{by}: {reason}")),
-                Some(Ending::Done) => tries.failures.push(format!("{by}: its result was damaged")),
+                Some(ClaimEnding::Stopped) => {}
+                Some(ClaimEnding::Failed(reason)) => tries.failures.push(format!("{by}: {reason}")),
+                Some(ClaimEnding::Done) => {
+                    tries.failures.push(format!("{by}: its result was damaged"))
+                }
                 None if number + 1 < begun => tries.failures.push(format!("{by}: vanished")),
                 None if watch.is_dead(&format!("{job}.{number}"), &state, now) => {
                     tries.failures.push(format!("{by}: vanished"));
@@ -60,13 +62,13 @@ impl Tries {
 
     /// What a worker may do, where a job is given up after `most` failures.
     #[must_use]
-    pub fn turn(&self, most: u32) -> Turn {
+    pub fn next_try(&self, most: u32) -> NextTry {
         if self.is_under_way {
-            Turn::UnderWay
+            NextTry::UnderWay
         } else if self.failures.len() >= most as usize {
-            Turn::GivenUp
+            NextTry::GivenUp
         } else {
-            Turn::Claim(self.begun)
+            NextTry::Claim(self.begun)
         }
     }
 }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::{Ending, Heartbeat, HeartbeatWatch, Holder, JobFolder, Tries, Turn};
+use super::{ClaimEnding, Heartbeat, HeartbeatWatch, Holder, JobFolder, NextTry, Tries};
 use crate::elementary::Level;
 use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::{TrainError, Trained, train};
@@ -128,7 +128,7 @@ impl Worker {
     /// Works until there was no work for long, the coordinator ends, or `stop` is set.
     ///
     /// # Errors
-    /// The disk refuses; finished work is in the folder.
+    /// A file operation fails; finished work is in the folder.
     pub fn run(
         &self,
         stop: &AtomicBool,
@@ -144,9 +144,9 @@ impl Worker {
             let ended = lock(&alive).take();
             if let Some(Alive { worker, .. }) = ended {
                 let ending = match &outcome {
-                    Ok(_) if halt.load(Ordering::Relaxed) => Ending::Stopped,
-                    Ok(_) => Ending::Done,
-                    Err(error) => Ending::Failed(error.to_string()),
+                    Ok(_) if halt.load(Ordering::Relaxed) => ClaimEnding::Stopped,
+                    Ok(_) => ClaimEnding::Done,
+                    Err(error) => ClaimEnding::Failed(error.to_string()),
                 };
                 let _ = worker.end(&ending);
             }
@@ -211,13 +211,13 @@ impl Worker {
                     begun_tries => {
                         let (folder, now) = (&self.folder, begun.elapsed());
                         let tries = Tries::read(folder, job, begun_tries, &mut watch, now)?;
-                        match tries.turn(folder.terms().tries) {
-                            Turn::Claim(number) if !folder.has_result(job) => number,
-                            Turn::UnderWay => {
+                        match tries.next_try(folder.terms().tries) {
+                            NextTry::Claim(number) if !folder.has_result(job) => number,
+                            NextTry::UnderWay => {
                                 others = true;
                                 continue;
                             }
-                            Turn::Claim(_) | Turn::GivenUp => continue,
+                            NextTry::Claim(_) | NextTry::GivenUp => continue,
                         }
                     }
                 };
@@ -288,7 +288,7 @@ impl Worker {
             }
             Err(error) => {
                 let reason = error.to_string();
-                let _ = claim.end(&Ending::Failed(reason.clone()));
+                let _ = claim.end(&ClaimEnding::Failed(reason.clone()));
                 tell(WorkerEvent::Unreadable { job, reason });
                 return Ok(false);
             }
@@ -306,9 +306,9 @@ impl Worker {
         };
         let claim = lock(alive).as_mut().and_then(|alive| alive.claim.take());
         let ending = match (&outcome, &written) {
-            (_, Err(error)) => Ending::Failed(error.to_string()),
-            (Err(TrainError::Stopped), _) => Ending::Stopped,
-            _ => Ending::Done,
+            (_, Err(error)) => ClaimEnding::Failed(error.to_string()),
+            (Err(TrainError::Stopped), _) => ClaimEnding::Stopped,
+            _ => ClaimEnding::Done,
         };
         let _ = claim.map(|claim| claim.end(&ending));
         written?;

@@ -1,12 +1,9 @@
 use std::io::{self, Write};
 use std::process::{Command, Output, Stdio};
 
-use crc::{CRC_64_XZ, Crc};
-
 use super::{Census, StartError, Starter};
+use crate::jobs::checksum::checksum;
 use crate::jobs::folder::JobFolder;
-
-const CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
 
 /// First words of a note on a controller that does not answer.
 const SILENT: &str = "Slurm does not answer: ";
@@ -44,7 +41,7 @@ impl SlurmStarter {
     #[must_use]
     pub fn new(options: SlurmOptions, work: String, folder: &JobFolder) -> Self {
         let root = folder.root().to_string_lossy();
-        let name = format!("qube-hil-{:016x}", CHECKSUM.checksum(root.as_bytes()));
+        let name = format!("qube-hil-{}", checksum(root.as_bytes()));
         Self { options, work, name }
     }
 
@@ -112,8 +109,12 @@ impl Starter for SlurmStarter {
         let options = ["-r", "-h", &own, "-n", &self.name, "-o", "%i %T %r"].map(str::to_owned);
         let output = run_command("squeue", &options, "")?;
         if !output.status.success() {
-            let note = format!("{SILENT}{}", first_line(&output.stderr));
-            return Ok(Census { note: Some(note), ..Census::default() });
+            let reason = first_line(&output.stderr);
+            if !is_silence(&reason) {
+                return Err(StartError::Refused { reason });
+            }
+            let note = Some(format!("{SILENT}{reason}"));
+            return Ok(Census { note, ..Census::default() });
         }
         Ok(of_queue(&String::from_utf8_lossy(&output.stdout)))
     }

@@ -19,6 +19,7 @@ use crate::clock::Clock;
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::Calibration;
 use crate::qube::PlantModel;
+use crate::safety::MotorHeat;
 use crate::telemetry::{CheckResult, Fault, MeasuredLink};
 
 const HOMING: &str = "homing";
@@ -75,14 +76,15 @@ impl From<DeviceError> for Interruption {
     }
 }
 
-/// Examines a device that has answered a hello. The motor is off when this returns. `None`: a stop
-/// was requested.
+/// Examines a device that has answered a hello, and updates the motor's heat by its pushes. The motor is off when this
+/// returns. `None`: a stop was requested.
 ///
 /// # Errors
 /// The device no longer answers.
 pub fn examine(
     device: &mut dyn Device,
     clock: &dyn Clock,
+    heat: &mut MotorHeat,
     stop: &AtomicBool,
     settings: &ExaminationSettings,
 ) -> Result<Option<Examination>, DeviceError> {
@@ -93,7 +95,7 @@ pub fn examine(
         link: None,
         library_watchdog_ms: None,
     };
-    let outcome = look_at_everything(device, clock, stop, settings, &mut found);
+    let outcome = look_at_everything(device, clock, heat, stop, settings, &mut found);
     // In every case: a device that still answers is switched off by a hello.
     let left_off = device.hello();
     match outcome {
@@ -106,6 +108,7 @@ pub fn examine(
 fn look_at_everything(
     device: &mut dyn Device,
     clock: &dyn Clock,
+    heat: &mut MotorHeat,
     stop: &AtomicBool,
     settings: &ExaminationSettings,
     found: &mut Examination,
@@ -141,7 +144,7 @@ fn look_at_everything(
         }
         found.library_watchdog_ms = expired_ms;
     }
-    motion::check(device, clock, stop, settings, found)
+    motion::check(device, clock, heat, stop, settings, found)
 }
 
 /// Measures a link without an examination, and sets the time for which ticks wait for their samples

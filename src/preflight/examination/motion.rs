@@ -3,9 +3,10 @@ use std::sync::atomic::AtomicBool;
 use super::evidence::{Evidence, Pendulum, PushEffect};
 use super::{Examination, ExaminationSettings, Interruption, ensure_going, rest};
 use crate::clock::Clock;
-use crate::control::{SignProbe, drive};
+use crate::control::{SignProbe, drive_warm};
 use crate::device::Device;
 use crate::estimation::Calibration;
+use crate::safety::MotorHeat;
 use crate::telemetry::{CheckResult, Ending, Fault};
 
 /// Increment of the push, V, alternating in direction: an arm that the last push did not move gets
@@ -57,12 +58,13 @@ fn give_up(found: &mut Examination, fault: Fault) {
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
+    heat: &mut MotorHeat,
     stop: &AtomicBool,
     settings: &ExaminationSettings,
     found: &mut Examination,
 ) -> Result<(), Interruption> {
     let mut signs = settings.signs;
-    let mut seen = match probe(device, clock, stop, signs, settings)? {
+    let mut seen = match probe(device, clock, heat, stop, signs, settings)? {
         Probed::Evidence(seen) => seen,
         Probed::Ended(fault) => {
             give_up(found, fault);
@@ -74,7 +76,7 @@ pub(super) fn check(
     {
         // Signs that were concluded must pass a second probe.
         signs = right;
-        match probe(device, clock, stop, signs, settings)? {
+        match probe(device, clock, heat, stop, signs, settings)? {
             Probed::Evidence(again) => seen = again,
             Probed::Ended(fault) => {
                 give_up(found, fault);
@@ -99,6 +101,7 @@ enum Probed {
 fn probe(
     device: &mut dyn Device,
     clock: &dyn Clock,
+    heat: &mut MotorHeat,
     stop: &AtomicBool,
     signs: Calibration,
     settings: &ExaminationSettings,
@@ -113,7 +116,7 @@ fn probe(
                 ensure_going(stop)?;
                 device.hello()?;
                 let mut probe = SignProbe::new(&settings.plant, signs, push_v);
-                let report = drive(device, clock, &mut probe, None, stop)?;
+                let report = drive_warm(device, clock, &mut probe, heat, None, stop)?;
                 match report.outcome.ending {
                     Ending::Fault(Fault::LinkGone) => return Err(super::link::gone(port)),
                     Ending::Fault(fault) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {

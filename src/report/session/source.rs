@@ -188,7 +188,7 @@ impl SessionSource {
 
     /// The last profile that was identified before the search ended, which no recording of the verification informed.
     pub(super) fn profile_before_end(&self) -> Option<&(u32, Profile)> {
-        let is_end = |entry: &Entry| matches!(entry, Entry::Settled { .. });
+        let is_end = |entry: &Entry| matches!(entry, Entry::SearchEnded { .. });
         let count =
             self.entries.iter().take_while(|entry| !is_end(entry)).fold(None, |last, it| {
                 if let Entry::Identified { recordings, .. } = it { Some(*recordings) } else { last }
@@ -202,7 +202,7 @@ impl SessionSource {
         &self.candidates
     }
 
-    /// Whether the rollouts were made in computed time, which gives the same bytes again.
+    /// Whether the rollouts were made under virtual time, which gives the same bytes again.
     #[must_use]
     pub fn is_of_computed_time(&self) -> bool {
         self.rollouts.iter().all(|(_, view)| view.header.started_unix_ns.is_none())

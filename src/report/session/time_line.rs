@@ -85,7 +85,7 @@ impl TimeLine {
     }
 }
 
-/// Adds the time line of a session by the wall clock; in computed time there is none.
+/// Adds the time line of a session by the wall clock; under virtual time there is none.
 pub(super) fn add_time_line(page: &mut Page, source: &SessionSource) {
     let line = &source.time_line;
     if line.rollouts.is_empty() || line.trainings.is_empty() {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::Session;
 use crate::identification::{
-    Identified, IdentifyError, Unknown, Verdict, check_recording, identify,
+    Identified, IdentifyError, ModelVerdict, Unknown, check_recording, identify,
 };
 use crate::policy::Policy;
 use crate::qube::Profile;
@@ -114,31 +114,31 @@ impl Session {
                 let psi = self.ledger.state().candidates()[candidate as usize].psi.clone();
                 self.append_proposal(Purpose::Incumbent, psi, tell)
             }
-            Decision::SettleBelow { verified, enough } => {
+            Decision::EndBelow { verified, smallest_gain } => {
                 let expected_gain = self.expected_gain(&scored, verified)?;
-                if expected_gain < enough {
-                    return self.settle(expected_gain, tell);
+                if expected_gain < smallest_gain {
+                    return self.end_search(expected_gain, tell);
                 }
-                tell(SessionEvent::GoesOn { expected_gain, enough });
+                tell(SessionEvent::GoesOn { expected_gain, smallest_gain });
                 self.propose_around(tell)
             }
-            Decision::Settle => {
+            Decision::End => {
                 let verified = ScoredCandidate::best_verified(&scored)
                     .and_then(|index| scored[index].mean_return())
                     .unwrap_or(0.0);
                 let expected_gain = self.expected_gain(&scored, verified)?;
-                self.settle(expected_gain, tell)
+                self.end_search(expected_gain, tell)
             }
         }
     }
 
-    fn settle(
+    fn end_search(
         &mut self,
         expected_gain: f64,
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        self.ledger.append(Entry::Settled { expected_gain })?;
-        tell(SessionEvent::Settled { expected_gain });
+        self.ledger.append(Entry::SearchEnded { expected_gain })?;
+        tell(SessionEvent::SearchEnded { expected_gain });
         Ok(())
     }
 
@@ -208,7 +208,7 @@ impl Session {
             Err(error) => return Ok(Fitted::Refused(error.to_string())),
         };
         let doubts: Vec<String> = found.assessment.doubts.iter().map(ToString::to_string).collect();
-        if found.assessment.verdict == Verdict::DoesNotFit {
+        if found.assessment.verdict == ModelVerdict::DoesNotFit {
             let doubts = doubts.join("; ");
             let reason = format!("the model does not describe this Qube: {doubts}");
             return Ok(Fitted::Refused(reason));

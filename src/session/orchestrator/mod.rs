@@ -206,7 +206,7 @@ impl Session {
                 Step::GiveUp { candidate, rollout } => {
                     let given_up = self.given_up(candidate, rollout);
                     let index = self.index_of(rollout);
-                    self.without(index, given_up, tell)?;
+                    self.take_out(index, given_up, tell)?;
                 }
                 Step::Done => break,
             }
@@ -243,7 +243,7 @@ impl Session {
         let recovery = &mut self.rigs[index].settings.recovery;
         if !recovery.acknowledged {
             let in_doubt = SessionError::InDoubt { candidate, rollout, doubt: Box::new(doubt) };
-            return self.without(index, in_doubt, tell);
+            return self.take_out(index, in_doubt, tell);
         }
         recovery.doubt = Some(doubt);
         Ok(())

@@ -20,21 +20,21 @@ pub(super) struct SessionRig {
     pub(super) settings: RigSettings,
     /// The rig itself, opened on first use.
     pub(super) opened: Option<Rig>,
-    /// Model in the rig's profile, until today's drift is known.
+    /// Model in the rig's profile, until the drift from it is known.
     pub(super) profile: Option<QubeModel>,
-    /// Today's recordings, until there are enough for the drift.
-    today: Vec<Recording>,
+    /// First recordings that this process entered, until there are enough for the drift.
+    first_recordings: Vec<Recording>,
     /// Number of consecutive rollouts that could not begin.
     not_begun: u32,
 }
 
 impl SessionRig {
     pub(super) fn of(settings: RigSettings, profile: Option<QubeModel>) -> Self {
-        Self { settings, opened: None, profile, today: Vec::new(), not_begun: 0 }
+        Self { settings, opened: None, profile, first_recordings: Vec::new(), not_begun: 0 }
     }
 }
 
-/// What names a rig in the warnings that it logs, where several rigs share the session.
+/// The tracing span that adds the rig's number to its warnings; none for a single rig.
 fn span_of(number: Option<u32>) -> tracing::Span {
     number.map_or_else(tracing::Span::none, |number| tracing::warn_span!("rig", number))
 }
@@ -67,8 +67,8 @@ impl Session {
         rig.map_or(0, |rig| rig as usize - 1)
     }
 
-    /// Goes on without a rig after a fault of its own, where another is left; otherwise the fault ends the session.
-    pub(super) fn without(
+    /// Takes out a rig after a fault of its own where another is left; otherwise the fault ends the session.
+    pub(super) fn take_out(
         &mut self,
         index: usize,
         fault: SessionError,
@@ -102,7 +102,7 @@ impl Session {
         }
         for turn in &missing {
             if let Err(error) = self.ready_for(turn, tell) {
-                return self.without(turn.index, error, tell);
+                return self.take_out(turn.index, error, tell);
             }
         }
         let mut failed = self.record(&missing)?;
@@ -119,7 +119,7 @@ impl Session {
                 Ok(true) => {}
                 // The other recordings are on disk, and are taken over when they are due.
                 Ok(false) => return Ok(()),
-                Err(error) => return self.without(turn.index, error, tell),
+                Err(error) => return self.take_out(turn.index, error, tell),
             }
         }
         Ok(())
@@ -175,7 +175,7 @@ impl Session {
     ) -> Result<(), SessionError> {
         let Turn { candidate, rollout, attempt, index } = *turn;
         self.ready_rig(index, SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
-        // Its last rollout was beside another one that a fault ended, and is not entered yet.
+        // The ledger does not have the fault of its last rollout: another rig's fault ended that round first.
         match self.rigs[index].opened.as_ref().and_then(Rig::last_fault) {
             Some(fault) => self.start_again(turn, &fault.to_string()),
             None => Ok(()),
@@ -340,7 +340,7 @@ impl Session {
         })
     }
 
-    /// Estimates a rig's drift from its profile once enough of today's rollouts exist.
+    /// Estimates a rig's drift from its profile once this process has entered enough rollouts.
     fn watch_drift(
         &mut self,
         index: usize,
@@ -350,9 +350,9 @@ impl Session {
         let rig = self.number_of(index);
         let its = &mut self.rigs[index];
         let Some(profile) = its.profile else { return };
-        its.today.push(recording);
-        if its.today.len() == DRIFT_ROLLOUTS {
-            let drift = Drift::of(&std::mem::take(&mut its.today), &profile);
+        its.first_recordings.push(recording);
+        if its.first_recordings.len() == DRIFT_ROLLOUTS {
+            let drift = Drift::of(&std::mem::take(&mut its.first_recordings), &profile);
             its.profile = None;
             tell(SessionEvent::Drift { rig, drift: &drift });
         }

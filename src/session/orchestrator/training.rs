@@ -41,8 +41,8 @@ struct Competition {
 /// A candidate whose policy is to be trained, with the times of its trainings so far.
 type Due = (Candidate, Vec<TrainingTime>);
 
-/// Trains policies and writes them into the session's folder. It is apart from the session's rig and ledger, so that it
-/// may do so in another thread.
+/// Trains policies and writes them into the session's folder. It owns neither rig nor ledger, so it can run in another
+/// thread.
 #[derive(Clone)]
 pub(super) struct Trainer {
     pub(super) disk: Arc<dyn Disk>,
@@ -50,7 +50,7 @@ pub(super) struct Trainer {
     pub(super) settings: SessionSettings,
     pub(super) identification: Identification,
     pub(super) executor: Arc<dyn Executor>,
-    /// Whether the times of trainings are kept. In computed time they say nothing, and files repeat byte for byte.
+    /// Whether the times of trainings are kept. Under virtual time they mean nothing, and files repeat byte for byte.
     pub(super) in_real_time: bool,
 }
 
@@ -108,12 +108,12 @@ impl Trainer {
         for (index, (candidate, times)) in candidates.iter().zip(times).enumerate() {
             let trainings = self.trainings(candidate);
             let missing = trainings.len() as u32;
-            for (training, purpose) in (round * missing..).zip(trainings) {
-                let (distribution, settings) = self.training_of(candidate, purpose)?;
+            for (training, trained_for) in (round * missing..).zip(trainings) {
+                let (distribution, settings) = self.training_of(candidate, trained_for)?;
                 let seed_for = SeedFor::Training { candidate: candidate.number, training };
                 let seed = derived_seed(self.settings.seed, seed_for);
                 jobs.push(TrainingJob { distribution, settings, seed });
-                of_job.push((index, training, purpose));
+                of_job.push((index, training, trained_for));
             }
             competitions.push(Competition { missing, best: None, times });
         }
@@ -127,7 +127,7 @@ impl Trainer {
                 tell(SessionEvent::Training { candidate, training, update: &update });
             }
             JobEvent::Finished { job, result } => {
-                let (index, training, purpose) = of_job[job];
+                let (index, training, trained_for) = of_job[job];
                 let (candidate, competition) = (&candidates[index], &mut competitions[index]);
                 competition.times.push(TrainingTime {
                     training,
@@ -136,7 +136,7 @@ impl Trainer {
                     ended_unix_ns: unix_ns().max(began_unix_ns[job]),
                 });
                 let kept = result.map_err(SessionError::from).and_then(|trained| {
-                    self.compete(candidate, competition, (*trained, purpose), is_last)
+                    self.compete(candidate, competition, (*trained, trained_for), is_last)
                 });
                 match kept {
                     Ok(Some(best_return)) => {
@@ -161,7 +161,7 @@ impl Trainer {
         &self,
         candidate: &Candidate,
         competition: &mut Competition,
-        (trained, purpose): (Trained, TrainedFor),
+        (trained, trained_for): (Trained, TrainedFor),
         is_last: bool,
     ) -> Result<Option<f64>, SessionError> {
         let competes = competition.missing > 1 || competition.best.is_some();
@@ -172,20 +172,20 @@ impl Trainer {
         };
         competition.missing -= 1;
         if competition.best.as_ref().is_none_or(|(best, ..)| score > *best) {
-            competition.best = Some((score, trained, purpose));
+            competition.best = Some((score, trained, trained_for));
         }
         let decided = |best: &(f64, Trained, TrainedFor)| best.0 >= SUCCEEDED || is_last;
         if competition.missing > 0 || !competition.best.as_ref().is_some_and(decided) {
             return Ok(None);
         }
-        let Some((_, best, purpose)) = competition.best.take() else { return Ok(None) };
+        let Some((_, best, trained_for)) = competition.best.take() else { return Ok(None) };
         let best_return = best.best_return;
         // A policy on disk implies the times of its trainings.
         if self.in_real_time {
             let path = self.paths.candidate(candidate.number).training_times();
             TrainingTime::write_all(&competition.times, self.disk.as_ref(), &path)?;
         }
-        self.save(candidate.number, best, self.origin(candidate, purpose)?)?;
+        self.save(candidate.number, best, self.origin(candidate, trained_for)?)?;
         Ok(Some(best_return))
     }
 
@@ -193,11 +193,11 @@ impl Trainer {
     fn training_of(
         &self,
         candidate: &Candidate,
-        purpose: TrainedFor,
+        trained_for: TrainedFor,
     ) -> Result<(DomainDistribution, TrainSettings), SessionError> {
         let settings = &self.settings;
         let base = |model: Model| model.distribution(settings.plant(), settings.family, None, None);
-        Ok(match purpose {
+        Ok(match trained_for {
             TrainedFor::Psi => {
                 let psi = settings.psi.psi(&candidate.psi)?;
                 let simulation = settings.simulation(&psi);
@@ -206,7 +206,7 @@ impl Trainer {
             }
             TrainedFor::Unknown => (base(Model::Robust)?, settings.training.clone()),
             TrainedFor::Nominal => {
-                // What one trains who knows of no gap: the Qube's sensors, and no history of commands.
+                // A baseline that ignores the nonidealities: the Qube's sensors, and no history of commands.
                 let simulation = SimulationSettings { history: 0, ..settings.training.simulation };
                 (base(Model::Nominal)?, TrainSettings { simulation, ..TrainSettings::quick() })
             }
@@ -214,13 +214,17 @@ impl Trainer {
     }
 
     /// The origin that a candidate's policy file records.
-    fn origin(&self, candidate: &Candidate, purpose: TrainedFor) -> Result<Origin, SessionError> {
+    fn origin(
+        &self,
+        candidate: &Candidate,
+        trained_for: TrainedFor,
+    ) -> Result<Origin, SessionError> {
         let without_psi = |model: Model, preset: Preset| Origin {
             model: model.name().into(),
             psi: None,
             preset: preset.name().into(),
         };
-        Ok(match purpose {
+        Ok(match trained_for {
             TrainedFor::Psi => self.settings.origin(&self.settings.psi.psi(&candidate.psi)?),
             TrainedFor::Unknown => without_psi(Model::Robust, self.settings.preset()),
             TrainedFor::Nominal => without_psi(Model::Nominal, Preset::Quick),

@@ -12,20 +12,20 @@ pub(super) const STEP_S: f32 = (CONTROL_PERIOD_S / SUBSTEPS as f64) as f32;
 
 /// The commands that are on their way to the motors of a block; each lane has its own delay.
 ///
-/// A delay of `n` periods and a fraction `f` of one means that command `k - n - 1` acts at the motor for
+/// A delay of `n` whole periods plus `f` seconds means that command `k - n - 1` acts at the motor for
 /// the first `f` seconds of period `k` and command `k - n` after them. A period is integrated in one piece
 /// more than `SUBSTEPS`: the substeps, with the one in which the voltage changes cut in two there. The delay is
 /// therefore exact, and each piece has the integrator's error for a step no longer than a substep. Without
 /// a delay the first piece is empty and the others are the substeps.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct CommandLine {
+pub(super) struct DelayLine {
     /// Last commands after clipping, V, newest first.
     sent_v: [Lanes; MAX_HISTORY],
     /// n, whole periods of delay.
     whole_periods: Lanes,
     /// f, the instant in the period at which the voltage changes, s.
     change_s: Lanes,
-    /// Voltage at the motor before `change_s` in the current period, V.
+    /// Voltage at the motor until `change_s` in the current period, V; where that is 0, the voltage of the period before.
     before_v: Lanes,
     /// Voltage at the motor after `change_s`, V.
     after_v: Lanes,
@@ -33,8 +33,8 @@ pub(super) struct CommandLine {
     largest_v: f32,
 }
 
-impl CommandLine {
-    /// A command line without delay that has sent nothing.
+impl DelayLine {
+    /// A delay line without delay that has sent nothing.
     pub(super) const EMPTY: Self = Self {
         sent_v: [[0.0; BLOCK]; MAX_HISTORY],
         whole_periods: [0.0; BLOCK],
@@ -98,14 +98,15 @@ impl CommandLine {
                 newer_v = older_v;
             }
             // The longest delay is a whole number of periods: the voltage does not change within the
-            // period.
+            // period. The command before it is forgotten, so that `before_v` is that of the period too.
             let oldest = self.whole_periods[lane] == MAX_HISTORY as f32;
             self.before_v[lane] = if oldest { newer_v } else { before_v };
             self.after_v[lane] = if oldest { newer_v } else { after_v };
         }
     }
 
-    /// The voltages that act at the motors at the beginning of the current period, and just before it, V.
+    /// The voltages that act at the motors just before the current period begins, V; at the longest delay those of the current
+    /// period.
     #[inline(always)]
     pub(super) fn before_v(&self) -> &Lanes {
         &self.before_v
@@ -152,19 +153,12 @@ pub fn limited_to<T: Scalar>(voltage_v: T, largest_v: T) -> T {
     if voltage_v > largest_v { largest_v } else { voltage_v }
 }
 
-/// Clips a voltage to +-[`MAX_VOLTAGE_V`].
-#[must_use]
-#[inline(always)]
-pub fn limited_voltage(voltage_v: f32) -> f32 {
-    voltage_v.clamp(-MAX_VOLTAGE_V as f32, MAX_VOLTAGE_V as f32)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     /// The non-empty pieces of lane 0 in a period, as (duration, voltage).
-    fn pieces(line: &CommandLine) -> Vec<(f32, f32)> {
+    fn pieces(line: &DelayLine) -> Vec<(f32, f32)> {
         let all = (0..=SUBSTEPS).map(|piece| line.piece(piece, 0));
         all.filter(|(duration_s, _)| *duration_s > 1e-7).collect()
     }
@@ -173,7 +167,7 @@ mod tests {
     fn a_command_is_at_the_motor_for_one_period_after_its_delay() {
         for delay_us in (0..=40_000).step_by(250) {
             let delay_s = f64::from(delay_us) * 1e-6;
-            let mut line = CommandLine::EMPTY;
+            let mut line = DelayLine::EMPTY;
             line.restart(0, delay_s);
             let mut time_s = 0.0;
             for period in 0..20 {
@@ -196,7 +190,7 @@ mod tests {
 
     #[test]
     fn without_a_delay_the_pieces_are_the_substeps_to_the_last_bit() {
-        let mut line = CommandLine::EMPTY;
+        let mut line = DelayLine::EMPTY;
         line.restart(0, 0.0);
         line.begin_period(&[7.0; BLOCK]);
         assert!(line.is_immediate(0));
