@@ -10,7 +10,7 @@ use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, RewardWeights, State};
 /// Late answers in a row after which the arm is braked.
 pub const MAX_LATE_IN_A_ROW: u32 = 10;
 
-/// What control thread and Python share. Both hold the lock only to copy a few numbers.
+/// The state that control thread and Python share. Both hold the lock only to copy a few numbers.
 #[derive(Default)]
 pub struct Exchange {
     slot: Mutex<Slot>,

@@ -15,7 +15,7 @@ pub struct Guard {
     lanes: Vec<Guarded>,
 }
 
-/// What the guard remembers of one Qube.
+/// The guard's memory of one Qube.
 #[derive(Clone)]
 struct Guarded {
     state: State,

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::errors::{SessionError, bad_settings};
 
-/// What a session believes of the return over psi: the report's Gaussian process.
+/// A session's posterior of the return over psi: the report's Gaussian process.
 #[pyclass(module = "qube_hil._core", frozen)]
 pub struct Surrogate {
     fitted: SessionSurrogate,

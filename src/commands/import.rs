@@ -73,7 +73,7 @@ const EXPORT_FAILED: &str = ". If torch.onnx.export failed, as its default expor
     Stable-Baselines3, use Policy.from_sb3 or Policy.from_torch of the Python package, or export with dynamo=False";
 
 impl Arguments {
-    /// What the file of another program does not say; `None` where the file is to say it.
+    /// The conventions of a foreign file, from the options; `None` where the file has them.
     fn foreign(&self) -> Option<ForeignConventions> {
         let own = || Sight::own(self.history.unwrap_or_default().into());
         self.action_scale.map(|action_scale_v| ForeignConventions {

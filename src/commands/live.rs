@@ -112,7 +112,7 @@ pub struct Live {
 }
 
 impl Live {
-    /// What follows rollouts for the view; `None` without one.
+    /// The viewer of rollouts for the page; `None` without a live view.
     pub fn viewer(&self) -> Option<Arc<dyn Viewer>> {
         self.view.as_ref().map(LiveView::viewer)
     }

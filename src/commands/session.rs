@@ -293,7 +293,7 @@ pub fn rig_settings(
     })
 }
 
-/// What an operator must know before a session drives a Qube.
+/// Warnings for an operator before a session drives a Qube.
 pub fn warnings(
     device: &ChosenDevice,
     rig: &RigSettings,

@@ -19,7 +19,7 @@ const ROLLOUTS: &str = "rollouts on the Qube";
 /// The display of a running session: a line for each finished piece of work, and the state of the work on the screen.
 pub struct SessionProgress {
     progress: Progress,
-    /// What each line begins with: the name of the rig among several.
+    /// Beginning of each line: the name of the rig among several.
     prefix: String,
     stop: Arc<AtomicBool>,
     candidates: u32,

@@ -131,7 +131,7 @@ impl SessionTable {
         text
     }
 
-    /// What the session knows of the Qube, and why its search ended; empty where nothing was to be identified.
+    /// Describes the identification, and why the search ended; empty where nothing was to be identified.
     fn identification_lines(&self) -> String {
         let report = &self.0;
         let mut text = match &report.identification {
@@ -205,7 +205,7 @@ impl SessionTable {
     }
 }
 
-/// What the session knows of the Qube, for scripts.
+/// The identification as JSON.
 fn identification(known: &Identification) -> Value {
     match known {
         Identification::None => Value::Null,

@@ -1,4 +1,4 @@
-//! What sessions of several Qubes have in common: which Qubes, with a policy for each or one for all.
+//! The Qubes of a session that drives several, with a policy for each or one for all.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -130,7 +130,7 @@ impl<C: Controller> Tick<C> {
         tick
     }
 
-    /// What foresight predicted in the last tick for the voltage that the policy asked for.
+    /// The angle that foresight predicted in the last tick for the voltage that the policy asked for.
     #[must_use]
     pub fn foreseen_angle(&self) -> Option<ForeseenAngle> {
         self.angle

@@ -31,7 +31,7 @@ pub(super) fn open_search(
     Ok(Session::open(session_folder, settings, rig, Arc::clone(stop))?)
 }
 
-/// What is known of a recipe's psi.
+/// The state of the search for a recipe's psi.
 pub(super) enum RecipePsi {
     /// The recipe's model has none.
     NotSearched,

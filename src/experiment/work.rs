@@ -291,7 +291,7 @@ impl Experiment {
         session.trained_by(self.executor(cores)).run(tell).map_err(failed)
     }
 
-    /// What is known of a recipe's psi.
+    /// The state of the search for a recipe's psi.
     pub(super) fn psi(&self, recipe: &Recipe) -> Result<RecipePsi, ExperimentError> {
         if !recipe.model.is_searched() {
             return Ok(RecipePsi::NotSearched);

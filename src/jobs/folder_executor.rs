@@ -87,7 +87,7 @@ impl From<NoWorkforce> for Failure {
     }
 }
 
-/// What a waiting caller learns.
+/// A message to a caller that waits for results.
 #[derive(Debug)]
 enum Notice {
     /// The job with this index has a result.

@@ -18,7 +18,7 @@ use crate::simulation::{DomainDistribution, LaneStatus, Pendulums, Trajectory};
 /// The transitions of one update, lane by lane and each lane in order of time.
 pub(super) struct Batch {
     pub transitions: Vec<Transition>,
-    /// What follows the observations of the transitions; empty without physics inputs that need it.
+    /// Further inputs of the networks at each transition; empty without physics inputs that need them.
     pub further: Vec<Further>,
     /// Number of trajectories begun.
     pub trajectories: u32,

@@ -15,7 +15,7 @@ const VALUE_GAIN: f64 = 1.0;
 pub(super) struct TrainingState<'a> {
     pub distribution: &'a DomainDistribution,
     pub settings: &'a TrainSettings,
-    /// What the networks are told of the Qube beside the observation.
+    /// Inputs of the networks beside the observation: the Qube's physics.
     pub physics: Option<PhysicsInputs<'a>>,
     pub seed: u64,
     pub policy: Box<Learner>,

@@ -23,7 +23,7 @@ const TICKS_AT_ONCE: usize = 128;
 /// recorder's ring has room for the longest rollout.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// What the recorder's thread hands over.
+/// A message of the recorder's thread.
 enum Event {
     Begins(Box<RolloutHeader>, u64),
     Tick(TickRecord),
@@ -115,7 +115,7 @@ pub(super) struct Place {
     tick: u64,
 }
 
-/// What is new for a connection.
+/// The changes that a connection has not been sent.
 #[derive(Debug, Default)]
 pub(super) struct News {
     pub(super) status: Option<Status>,
@@ -238,7 +238,7 @@ impl Feed {
         Place { tick: shown.first + shown.ticks.len() as u64, ..Place::default() }
     }
 
-    /// What is new since a connection was at its place, up to a bounded amount.
+    /// The changes since a connection was at its place, up to a bounded amount.
     pub(super) fn since(&self, place: &mut Place) -> News {
         let shown = self.shown();
         let mut news = News::default();

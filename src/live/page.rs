@@ -18,7 +18,7 @@ const ALIVE: Duration = Duration::from_secs(5);
 /// Time for which a client may take its answer before the connection is closed.
 const LINGER: Duration = Duration::from_millis(500);
 
-/// What the page may do: run and show what comes from here, and nothing else.
+/// The content security policy of the page: it may run and show what comes from this address, and nothing else.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
      img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 

@@ -38,7 +38,7 @@ pub(super) struct NetworkMetadata {
     /// 2 on, where entries are clipped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     observation_bounds: Option<Vec<Option<[f32; 2]>>>,
-    /// What a reader of another program must know; from version 2 on.
+    /// Conventions for readers in other programs; from version 2 on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     conventions: Option<Conventions>,
     training: TrainingRecord,

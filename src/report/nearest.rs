@@ -8,7 +8,7 @@ use crate::telemetry::Phase;
 pub struct Nearest {
     /// Quantity in words.
     pub quantity: &'static str,
-    /// Which angle of the player's figures it is; `None` for a velocity.
+    /// Name of the angle in the player's figures; `None` for a velocity.
     pub angle: Option<&'static str>,
     /// Its value, rad or rad/s.
     pub value: f64,

@@ -12,7 +12,7 @@ pub struct CandidateReturns {
     pub is_searched: bool,
 }
 
-/// What stands at one place of the horizontal axis: a rollout, or a candidate's mean and the best so far.
+/// The points at one place of the horizontal axis: a rollout, or a candidate's mean and the best so far.
 struct Place {
     at: f64,
     rollout: Option<f64>,

@@ -17,7 +17,7 @@ pub enum SessionEvent<'a> {
     Identified {
         /// Number of recordings.
         recordings: u32,
-        /// What the verdict doubts, by name.
+        /// Names of the effects that the verdict says are missing.
         doubts: &'a [String],
     },
     /// No recording can be fitted yet, for this reason; another one is made.

@@ -58,7 +58,7 @@ pub enum Entry {
         recordings: u32,
         /// The fit's verdict by its name: `fits` or `fits_but`.
         verdict: String,
-        /// What the verdict doubts, by name.
+        /// Names of the effects that the verdict says are missing.
         doubts: Vec<String>,
         /// The checksum of the profile, as [`file_checksum`] computes it: the guard follows that file.
         checksum: String,

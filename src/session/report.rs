@@ -20,7 +20,7 @@ pub struct SessionReport {
     pub observer_resets: u64,
     /// Folder of the session.
     pub directory: PathBuf,
-    /// What the session knows of the Qube.
+    /// The state of the identification.
     pub identification: Identification,
     /// Return that one more candidate was expected to gain when the search around an identified Qube ended.
     pub settled: Option<f64>,

@@ -1,4 +1,4 @@
-//! Which rig makes which rollout, where several rigs share a session.
+//! The assignment of rollouts to the rigs that share a session.
 
 /// The rig, from 1, that makes a candidate's rollout of this number; `None` if no rig is left.
 ///

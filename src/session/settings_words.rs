@@ -1,4 +1,4 @@
-//! What each setting of a session means, in one line, and its unit.
+//! The meaning of each setting of a session, in one line, and its unit.
 
 /// The meaning of settings whose key ends like this, and their unit.
 pub(super) struct Words {

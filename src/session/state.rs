@@ -30,7 +30,7 @@ pub struct Finished {
     pub rig: Option<u32>,
 }
 
-/// What a session knows of the Qube that it drives.
+/// The state of a session's identification of its Qube.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Identification {
     /// The Qube is not identified yet, or is not to be.
@@ -42,7 +42,7 @@ pub enum Identification {
         recordings: u32,
         /// Verdict of that fit, by name.
         verdict: String,
-        /// What the verdict doubts, by name.
+        /// Names of the effects that the verdict says are missing.
         doubts: Vec<String>,
         /// Profiles in the order in which they were found: the number of recordings that each was fitted to, and the
         /// checksum of its file. Psi is relative to the first.
@@ -96,7 +96,7 @@ impl SessionState {
         self.candidates.iter().filter(|candidate| candidate.purpose == purpose).count() as u32
     }
 
-    /// What is known of the Qube.
+    /// The state of the identification.
     #[must_use]
     pub fn identification(&self) -> &Identification {
         &self.identification

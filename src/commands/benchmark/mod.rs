@@ -186,7 +186,7 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What a problem's title says of its trainings.
+/// The words about trainings in a problem's title.
 fn trainings_of(problem: TwoHumped) -> String {
     match problem.rollout_correlation {
         0.0 => String::new(),

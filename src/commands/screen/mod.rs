@@ -51,7 +51,7 @@ pub struct ScreenArgument {
     plain: bool,
 }
 
-/// What the threads of a screen share.
+/// The state that the threads of a screen share.
 #[derive(Debug)]
 pub struct Shared {
     state: Mutex<ScreenState>,
@@ -123,7 +123,7 @@ impl Screen {
         Progress { shared: self.shared.clone() }
     }
 
-    /// What follows rollouts for the screen; `None` without one.
+    /// The viewer of rollouts for the screen; `None` without one.
     pub fn viewer(&self) -> Option<Arc<dyn Viewer>> {
         let shared = self.shared.as_ref()?;
         Some(Arc::clone(&shared.rollout) as Arc<dyn Viewer>)

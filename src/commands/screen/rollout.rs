@@ -7,7 +7,7 @@ use crate::safety::SafetyBox;
 use crate::scoring::Latencies;
 use crate::telemetry::{LatencySummary, Phase, RolloutHeader, RolloutOutcome, TickRecord};
 
-/// What the screen shows of a rollout.
+/// The state of a rollout on the screen.
 #[derive(Clone, Debug, Default)]
 pub struct RolloutState {
     /// Candidate, where a session has one.

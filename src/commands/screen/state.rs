@@ -1,4 +1,4 @@
-//! What the screen shows of the work, apart from the present rollout.
+//! The state of the work on the screen, apart from the present rollout.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -48,7 +48,7 @@ pub enum Pause {
     Now,
 }
 
-/// What lies over the screen.
+/// A window over the screen.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Overlay {
     /// Nothing.
@@ -71,7 +71,7 @@ pub struct ScreenState {
     pub began: Instant,
     /// The present work, as `candidate 3 (4 of 12): proposed by the search`.
     pub work: String,
-    /// What happens at present.
+    /// Description of the present work.
     pub phase: String,
     /// Finished and all pieces of work.
     pub done: Option<(u64, u64)>,
@@ -98,7 +98,7 @@ pub struct ScreenState {
     pub pause: Pause,
     /// Whether a stop was requested.
     pub is_stopping: bool,
-    /// What lies over everything.
+    /// Window over everything.
     pub overlay: Overlay,
     /// Messages, the oldest first.
     pub messages: VecDeque<String>,

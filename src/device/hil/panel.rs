@@ -21,7 +21,7 @@ const DOUBTED_NS: Nanoseconds = 30_000_000;
 /// which keeps an older one.
 const MAX_FAILED_ACTS: u32 = 2;
 
-/// What the amplifier is known to be.
+/// The known state of the amplifier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Motor {
     Off,

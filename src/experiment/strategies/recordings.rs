@@ -16,7 +16,7 @@ const EXCITATION_V: f64 = 1.5;
 /// Largest file about a result that is read, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 24;
 
-/// What moved the Qube in a recording.
+/// The source of the voltages of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Recorded {
     /// An excitation.

@@ -14,7 +14,7 @@ pub struct Tries {
     pub failures: Vec<String>,
 }
 
-/// What a worker may do with a job.
+/// The next step that a job allows a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NextTry {
     /// Claim this try.
@@ -60,7 +60,7 @@ impl Tries {
         Ok(tries)
     }
 
-    /// What a worker may do, where a job is given up after `most` failures.
+    /// The next step that the job allows a worker; after `most` failures it is given up.
     #[must_use]
     pub fn next_try(&self, most: u32) -> NextTry {
         if self.is_under_way {

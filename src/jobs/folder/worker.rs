@@ -92,7 +92,7 @@ pub struct Worker {
     linger: Duration,
 }
 
-/// What a worker's heart keeps alive.
+/// The files that a worker extends at each beat.
 struct Alive {
     worker: Heartbeat,
     claim: Option<Heartbeat>,

@@ -245,7 +245,7 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
     Ok(Layers { layers, inputs, bounds, activation, output, scale, limits })
 }
 
-/// What follows the last layer and its function: a factor, and limits of the product.
+/// The scaling after the last layer and its function: a factor, and limits of the product.
 struct After {
     is_begun: bool,
     scale: f32,

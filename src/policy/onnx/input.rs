@@ -3,7 +3,7 @@
 use super::ImportError;
 use crate::policy::LayerWeights;
 
-/// What the first layer sees of each entry x of the input: factor · clip(x, bounds) + offset.
+/// The preparation of each entry x of the input for the first layer: factor · clip(x, bounds) + offset.
 #[derive(Debug)]
 pub struct Input {
     factors: Vec<f64>,

@@ -145,7 +145,7 @@ impl From<PolicyFault> for ImportError {
     }
 }
 
-/// What the file of another program does not say.
+/// Conventions of a network that the file of another program does not contain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ForeignConventions {
     /// Observation that the network sees.

@@ -17,7 +17,7 @@ pub const POLICY_ENTRY: &str = "qube_hil.policy";
 /// The entry that says what the graph is, for a person.
 const GRAPH_ENTRY: &str = "qube_hil.graph";
 
-/// What the graph is, in the file.
+/// Description of the graph in the file.
 const GRAPH: &str = "Input: observation, float32 [n, entries], its entries as the metadata entry qube_hil.policy names \
     them. Output: voltage_v, float32 [n, 1], V. The graph contains the bounds of the observation where there are any, the \
     network, the action scale, and the limit of 5 V. It does not contain what stands before and after it: the velocity \

@@ -91,7 +91,7 @@ pub(super) fn check(
 
 /// The result of a probe.
 enum Probed {
-    /// What the pushes showed.
+    /// The response of arm and pendulum to the pushes.
     Evidence(Evidence),
     /// A fault ended a push.
     Ended(Fault),

@@ -1,4 +1,4 @@
-//! What the session found out about the Qube.
+//! The section about the identified Qube: parameters, verdict, and its simulation beside recordings.
 
 use super::SessionSource;
 use super::source::ComparedMotion;

@@ -1,4 +1,4 @@
-//! What the surrogate believes of the return over psi.
+//! The section about the surrogate: its posterior of the return over psi.
 
 use thiserror::Error;
 

@@ -47,7 +47,7 @@ pub struct SessionSource {
     pub(super) motions: Vec<ComparedMotion>,
     /// Number of motions so far that inform the method and can be fitted.
     fittable: usize,
-    /// What could not be read, in words.
+    /// Sentences about files that could not be read.
     pub(super) problems: Vec<String>,
 }
 

@@ -20,7 +20,7 @@ pub(super) struct TimeLine {
     trainings: Vec<(u64, u64)>,
 }
 
-/// What a time line comes to.
+/// The sums of a time line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Busy {
     /// From the first begin to the last end, s.

@@ -34,7 +34,7 @@ pub(super) struct TrainingAhead {
     failed: BTreeMap<u32, SessionError>,
 }
 
-/// What the session's thread learns of a training.
+/// A message of a training to the session's thread.
 enum News {
     Update { candidate: u32, training: u32, update: TrainUpdate },
     Trained { candidate: u32, best_return: Option<f64> },

@@ -90,7 +90,7 @@ impl Rival for ActiveRandomisation {
     }
 }
 
-/// What a policy does in Qubes, as features.
+/// A policy's motion in simulated Qubes, as features.
 struct Behaviour<'a> {
     network: &'a Network,
     given: &'a Given<'a>,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::gaussian::Gaussian;
 use super::space::Space;
 
-/// What a rival believes about a Qube after some recordings, in the coordinates of a [`Space`].
+/// A rival's belief about a Qube after some recordings, in the coordinates of a [`Space`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Written", into = "Written")]
 pub enum Belief {

@@ -23,7 +23,7 @@ pub enum Data {
     Rollouts,
 }
 
-/// What a rival knows when it learns.
+/// The knowledge from which a rival learns.
 pub struct Given<'a> {
     /// Coordinates of Qubes.
     pub space: &'a Space,

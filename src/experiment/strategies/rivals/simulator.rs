@@ -47,8 +47,8 @@ impl Motion {
     }
 }
 
-/// What each of several Qubes would have done in a rollout: the policy acts on what it sees of that Qube; voltages of
-/// an excitation are the recorded ones.
+/// Simulates a recorded rollout on each of several Qubes: a policy acts on the observations of that Qube; an excitation has
+/// the recorded voltages.
 pub fn simulate(
     demonstration: &Demonstration,
     simulation: &SimulationSettings,

@@ -9,7 +9,7 @@ const STEPS: usize = 10;
 /// Samples on either side of one from which its velocities are differences of angles.
 const SLOPE_SAMPLES: usize = 1;
 
-/// What a transition's four numbers are known to: angles by the encoders and the start's velocities, velocities by
+/// Standard deviations of a transition's four numbers: of angles by the encoders and the start's velocities, of velocities by
 /// differences of angles, rad and rad/s.
 pub const NOISE: [f64; 4] = [0.007, 0.007, 0.12, 0.12];
 
