@@ -37,7 +37,7 @@ fn without_the_library_each_command_says_what_to_install() {
         let mut command = panel.command(arguments);
         command.env("QUBE_HIL_LIBHIL", &nowhere);
         let ended = Ended::of(command.output().unwrap());
-        refused(&panel, &ended, &["is not here", nowhere.to_str().unwrap(), "quanser-sdk"]);
+        refused(&panel, &ended, &["was not found", nowhere.to_str().unwrap(), "quanser-sdk"]);
         assert!(!panel.path().join("session").exists(), "{arguments:?}");
     }
 }

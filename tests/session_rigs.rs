@@ -136,8 +136,8 @@ fn each_of_two_qubes_has_a_session_of_its_own() {
     // Nor is an emulated Qube what a port was, or a file that names other Qubes than have sessions.
     for (rigs, message) in [
         ("[\"/dev/ttyACM0\", \"emulated\"]", "rig 1 of two began at /dev/ttyACM0"),
-        ("[\"emulated\"]", "names 1 Qubes, but two has other sessions"),
-        ("[]", "names 0 Qubes"),
+        ("[\"emulated\"]", "devices has 1 entries, but there is two/rig-2"),
+        ("[]", "devices has 0 entries, but there is two/rig-1"),
     ] {
         let file = directory.path().join("two/rigs.toml");
         std::fs::write(file, format!("devices = {rigs}\n")).unwrap();

@@ -100,12 +100,13 @@ impl Workforce {
         }
         let alive = self.look(folder)?;
         let census = self.starter.census(self.appeared, alive)?;
-        if let Some(note) = census.note {
-            self.tell(note);
+        if let Some(note) = &census.note {
+            self.tell(note.clone());
         }
         let Some(expected) = census.expected else {
             if self.silent_since.get_or_insert_with(Instant::now).elapsed() >= PATIENCE {
-                let reason = "ten minutes have passed".to_owned();
+                let note = census.note.unwrap_or_default();
+                let reason = format!("ten minutes have passed ({note})");
                 return Err(StartError::Silent { reason }.into());
             }
             return Ok(());

@@ -12,7 +12,7 @@
 //!
 //! All files but the growing ones appear whole, by rename, with a checksum. Nothing relies on file locks, which are per
 //! computer on many NFS servers, nor on equal clocks. Two workers may do the same job after one was taken for dead: they
-//! write the same bytes, and a job has one result.
+//! train the same policy and curve, and a job has one result.
 
 mod heartbeat;
 mod holder;

@@ -5,9 +5,6 @@ use super::{Census, StartError, Starter};
 use crate::jobs::checksum::checksum;
 use crate::jobs::folder::JobFolder;
 
-/// First words of a note on a controller that does not answer.
-const SILENT: &str = "Slurm does not answer: ";
-
 /// The options with which workers are submitted, each in the form that Slurm's commands take.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SlurmOptions {
@@ -110,11 +107,9 @@ impl Starter for SlurmStarter {
         let output = run_command("squeue", &options, "")?;
         if !output.status.success() {
             let reason = first_line(&output.stderr);
-            if !is_silence(&reason) {
-                return Err(StartError::Refused { reason });
-            }
-            let note = Some(format!("{SILENT}{reason}"));
-            return Ok(Census { note, ..Census::default() });
+            // Whatever it is, it may pass: workers are at work meanwhile.
+            let what = if is_silence(&reason) { "Slurm does not answer" } else { "squeue fails" };
+            return Ok(Census { note: Some(format!("{what}: {reason}")), ..Census::default() });
         }
         Ok(of_queue(&String::from_utf8_lossy(&output.stdout)))
     }
