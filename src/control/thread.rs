@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn homing_and_rollouts_warm_the_motor_and_time_cools_it() {
+    fn whatever_drives_warms_the_motor_and_time_cools_it() {
         let device = PlantDevice::new(State::default());
         let clock = device.clock.clone();
         let stop = Arc::new(AtomicBool::new(false));
@@ -431,6 +431,17 @@ mod tests {
         assert_eq!(thread.cool_motor().unwrap(), cooled);
         let (_, settings) = control(u32::MAX);
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
-        assert!(thread.cool_motor().unwrap().load > cooled.load);
+        let driven = thread.cool_motor().unwrap();
+        assert!(driven.load > cooled.load);
+        // A check or a power test drives too, and its time is no pause.
+        let pushed = thread.lend(|_, clock, heat, _| {
+            let begun = *heat;
+            clock.sleep_until(clock.now_ns() + 60_000_000_000);
+            heat.load += 0.1;
+            (begun, *heat)
+        });
+        let (begun, pushed) = pushed.unwrap();
+        assert_eq!(begun, driven);
+        assert_eq!(thread.cool_motor().unwrap(), pushed);
     }
 }
