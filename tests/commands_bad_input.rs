@@ -304,3 +304,85 @@ fn folders_that_cannot_be() {
     let port = ["session", "--clock", "virtual", "--device", "/dev/ttyUSB0", "--out", "new"];
     refused(directory.path(), &port, 2, &["--clock virtual", "/dev/ttyUSB0"]);
 }
+
+#[test]
+fn messages_that_cannot_be_printed_change_no_exit_code() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).env("XDG_STATE_HOME", directory.path());
+        command.args(arguments).stderr(full).output().unwrap()
+    };
+    let rollout = ["run", "--policy", "classical", "--clock", "virtual"];
+    let output = run(&[&rollout[..], &["--out", "unheard"]].concat());
+    assert_eq!(output.status.code(), Some(0));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("return"));
+    assert!(directory.path().join("unheard/rollout-0.mcap").exists());
+    let output = run(&["run", "--policy", "none.safetensors", "--clock", "virtual"]);
+    assert_eq!(output.status.code(), Some(2));
+}
+
+#[test]
+fn a_moving_picture_replaces_no_file_unasked() {
+    let directory = tempfile::tempdir().unwrap();
+    let run =
+        ["run", "--policy", "classical", "--clock", "virtual", "--rollouts", "2", "--out", "r"];
+    assert!(qube_hil(directory.path(), &run).status.success());
+    let other = directory.path().join("r/rollout-1.mcap");
+    let before = std::fs::read(&other).unwrap();
+    let animate = ["replay", "--animate", "r/rollout-1.mcap", "r/rollout-0.mcap"];
+    refused(directory.path(), &animate, 2, &["--animate r/rollout-1.mcap", "--force"]);
+    assert_eq!(std::fs::read(&other).unwrap(), before);
+    refused(directory.path(), &["replay", "--animate", "r", "r/rollout-0.mcap"], 2, &["no file"]);
+    let animate = ["replay", "--animate", "moving.svg", "r/rollout-0.mcap"];
+    assert!(qube_hil(directory.path(), &animate).status.success());
+    refused(directory.path(), &animate, 2, &["exists already"]);
+    assert!(qube_hil(directory.path(), &[&animate[..], &["--force"]].concat()).status.success());
+}
+
+#[test]
+fn a_recording_counts_once() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "chirps"];
+    assert!(qube_hil(directory.path(), &run).status.success());
+    for again in ["chirps/rollout-0.mcap", "./chirps/../chirps/rollout-0.mcap"] {
+        let identify = ["identify", "chirps/rollout-0.mcap", again, "--out", "mine.toml"];
+        refused(directory.path(), &identify, 2, &["is named twice", "once"]);
+        let identify = ["identify", "chirps/rollout-0.mcap", "--holdout", again, "--out", "m.toml"];
+        refused(directory.path(), &identify, 2, &["is named twice"]);
+    }
+}
+
+#[test]
+fn a_seed_that_no_file_can_hold_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    for command in ["session", "experiment"] {
+        let arguments = [command, "--seed", "9223372036854775808"];
+        refused(directory.path(), &arguments, 2, &["--seed", "9223372036854775807"]);
+    }
+}
+
+#[test]
+fn a_folder_in_which_another_program_records_is_in_use() {
+    use qube_hil::storage::Disk;
+    let directory = tempfile::tempdir().unwrap();
+    let runs = directory.path().join("runs");
+    std::fs::create_dir(&runs).unwrap();
+    let hold = qube_hil::storage::MachineDisk.hold(&runs).unwrap();
+    let run = ["run", "--policy", "classical", "--clock", "virtual", "--out", "runs"];
+    refused(directory.path(), &run, 2, &["runs", "in use"]);
+    drop(hold);
+    assert!(qube_hil(directory.path(), &run).status.success());
+}
+
+#[test]
+fn the_travel_of_a_rig_is_a_travel() {
+    let directory = tempfile::tempdir().unwrap();
+    for travel in ["nan", "-1", "1e300", "0"] {
+        let settings = format!("[homing]\ntravel_rad = {travel}\n");
+        std::fs::write(directory.path().join("c.toml"), settings).unwrap();
+        let session = ["session", "--config", "c.toml", "--clock", "virtual"];
+        refused(directory.path(), &session, 2, &["homing.travel_rad", "3.60 to 6.00"]);
+    }
+}

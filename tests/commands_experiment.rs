@@ -353,3 +353,26 @@ fn scripts_get_the_models_with_their_intervals() {
     let sum: f64 = shares.map(|share| share.as_f64().unwrap()).sum();
     assert!((sum - 1.0).abs() < 1e-12);
 }
+
+#[test]
+fn an_experiment_goes_on_with_the_settings_that_it_began_with_and_no_others() {
+    let directory = tempfile::tempdir().unwrap();
+    for (arguments, words) in [
+        (&["--profile", "lab"][..], "leave --profile"),
+        (&["--delay-ms", "16"], "leave --profile"),
+        (&["--gap", "2"], "leave --profile"),
+        (&["--filter", "20"], "leave --estimator"),
+        (&["--vary", "0.1"], "--vary"),
+        (&["--plants", "none.toml"], "--plants"),
+        (&["--repetitions", "3"], "--repetitions"),
+        (&["--budgets", "2"], "--budgets"),
+        (&["--trainings", "2"], "--trainings"),
+        (&["--recordings", "2"], "--recordings"),
+    ] {
+        let resume = [&["--resume", "one"], arguments].concat();
+        let output = experiment(directory.path(), &resume).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {told}");
+        assert!(told.contains(words), "{arguments:?}: {told}");
+    }
+}

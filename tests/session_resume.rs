@@ -206,3 +206,17 @@ fn a_best_policy_that_is_lost_is_data_lost() {
         assert_eq!(told["ended_by"]["exit_code"], 3, "{told}");
     }
 }
+
+#[test]
+fn a_finished_recording_that_was_cut_is_data_lost() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
+    let recording = directory.path().join("mine/candidates/001/rollout-0-attempt-0.mcap");
+    let whole = std::fs::read(&recording).unwrap();
+    std::fs::write(&recording, &whole[..whole.len() / 2]).unwrap();
+    let (code, told) = resumed(directory.path(), "mine");
+    assert_eq!(code, Some(3), "{told}");
+    assert!(told.contains("rollout-0-attempt-0.mcap") && told.contains("missing"), "{told}");
+    std::fs::write(&recording, whole).unwrap();
+    assert_eq!(resumed(directory.path(), "mine").0, Some(0));
+}

@@ -1,4 +1,5 @@
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::style::{FAINT, FONT, INK, Key, TEXT, TITLE, colour, with_key};
 use super::{DrawingError, PlotError};
@@ -18,11 +19,11 @@ pub struct ShareOfPlant {
     pub interval: [f64; 2],
 }
 
-/// Height of a plant's row, pixels.
-const ROW: u32 = 60;
+/// Width of the rows' names, pixels.
+const NAMES: u32 = 120;
 
 /// Draws the share of repetitions that succeed, with its interval, for each method on each plant: a panel for each
-/// budget of real rollouts.
+/// budget of real rollouts. Rows are the plants and colours the methods, or the reverse if there are more methods.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -48,27 +49,41 @@ fn draw(svg: &mut String, title: &str, shares: &[ShareOfPlant]) -> Result<(), Pl
     let methods = distinct(shares.iter().map(|it| it.method.as_str()));
     let mut budgets = distinct(shares.iter().map(|it| it.budget));
     budgets.sort_unstable();
-    let height = 150 + ROW * plants.len() as u32;
+    let rows_are_methods = methods.len() > plants.len();
+    let (rows, colours) = if rows_are_methods { (methods, plants) } else { (plants, methods) };
+    let row_of = |it: &ShareOfPlant| {
+        let name = if rows_are_methods { &it.method } else { &it.plant };
+        rows.iter().position(|row| row == name).unwrap_or_default()
+    };
+    let colour_of = |it: &ShareOfPlant| {
+        let name = if rows_are_methods { &it.plant } else { &it.method };
+        colours.iter().position(|of| of == name).unwrap_or_default()
+    };
+    let row_height = 14 + 9 * colours.len() as u32;
+    let height = 160 + row_height * rows.len() as u32;
     let root = SVGBackend::with_string(svg, (1000, height)).into_drawing_area();
     root.fill(&WHITE)?;
     let root = root.titled(title, (FONT, TITLE))?;
-    let key: Vec<(String, Key)> = methods
+    let key: Vec<(String, Key)> = colours
         .iter()
         .enumerate()
         .map(|(index, name)| ((*name).to_owned(), Key::Dot(colour(index))))
         .collect();
-    let panels = with_key(&root, &key)?;
-    let rows = plants.len() as f64;
+    let below = with_key(&root, &key)?;
+    let (below, foot) = below.split_vertically(below.dim_in_pixel().1 - 24);
+    let centred = (FONT, TEXT - 2).into_font().color(&INK).pos(Pos::new(HPos::Center, VPos::Top));
+    let words = "share of repetitions that succeed, with its 95 % interval";
+    let centre = (NAMES as i32 + foot.dim_in_pixel().0 as i32) / 2;
+    foot.draw(&Text::new(words, (centre, 2), centred))?;
+    let (names, panels) = below.split_horizontally(NAMES);
     let columns = panels.split_evenly((1, budgets.len().max(1)));
     for (column, (panel, budget)) in columns.iter().zip(&budgets).enumerate() {
-        // The names of the plants are beside the first panel alone.
-        let names = if column == 0 { 120 } else { 10 };
         let mut chart = ChartBuilder::on(panel)
             .margin(10)
             .caption(format!("after {budget} real rollouts"), (FONT, TEXT))
-            .x_label_area_size(40)
-            .y_label_area_size(names)
-            .build_cartesian_2d(0.0..1.0, 0.0..rows)?;
+            .x_label_area_size(22)
+            .y_label_area_size(2)
+            .build_cartesian_2d(0.0..1.0, 0.0..rows.len() as f64)?;
         chart
             .configure_mesh()
             .disable_y_mesh()
@@ -76,28 +91,26 @@ fn draw(svg: &mut String, title: &str, shares: &[ShareOfPlant]) -> Result<(), Pl
             .bold_line_style(FAINT)
             .x_labels(6)
             .y_labels(0)
-            .x_desc("share of repetitions that succeed, with its 95 % interval")
             .label_style((FONT, TEXT - 2))
-            .axis_desc_style((FONT, TEXT - 2))
             .draw()?;
-        for (row, plant) in plants.iter().enumerate() {
-            let top = rows - row as f64;
+        for (row, name) in rows.iter().enumerate() {
+            let top = (rows.len() - row) as f64;
+            chart.draw_series(LineSeries::new([(0.0, top), (1.0, top)], FAINT))?;
             if column == 0 {
-                let (x, y) = chart.backend_coord(&(0.0, top - 0.5));
-                let [x0, y0] = [panel.get_pixel_range().0.start, panel.get_pixel_range().1.start];
+                let (_, y) = chart.backend_coord(&(0.0, top - 0.5));
+                let y = y - names.get_pixel_range().1.start;
                 let style = (FONT, TEXT).into_font().color(&INK);
-                panel.draw(&Text::new((*plant).to_owned(), (x - x0 - 115, y - y0 - 8), style))?;
+                names.draw(&Text::new((*name).to_owned(), (14, y - 8), style))?;
             }
-            let of_row = shares.iter().filter(|it| it.plant == *plant && it.budget == *budget);
-            for it in of_row {
-                let index = methods.iter().position(|name| *name == it.method).unwrap_or_default();
-                let step = 0.8 / methods.len() as f64;
-                let y = top - 0.1 - step * (index as f64 + 0.5);
-                let [lower, upper] = it.interval;
-                let line = [(lower, y), (upper, y)];
-                chart.draw_series(LineSeries::new(line, colour(index).stroke_width(2)))?;
-                chart.draw_series([Circle::new((it.share, y), 4, colour(index).filled())])?;
-            }
+        }
+        for it in shares.iter().filter(|it| it.budget == *budget) {
+            let (top, index) = ((rows.len() - row_of(it)) as f64, colour_of(it));
+            let step = 0.8 / colours.len() as f64;
+            let y = top - 0.1 - step * (index as f64 + 0.5);
+            let [lower, upper] = it.interval;
+            let line = [(lower, y), (upper, y)];
+            chart.draw_series(LineSeries::new(line, colour(index).stroke_width(2)))?;
+            chart.draw_series([Circle::new((it.share, y), 4, colour(index).filled())])?;
         }
     }
     root.present()
@@ -127,5 +140,9 @@ mod tests {
         }
         // Three shares, and two methods in the key.
         assert_eq!(svg.matches("<circle").count(), 5);
+        // With more methods than plants the key has the plants.
+        let methods = ["robust", "posterior", "simopt"].map(|method| share("lab", method, 0));
+        let svg = budgets_svg("success by plant", &methods).unwrap();
+        assert_eq!(svg.matches("<circle").count(), 4);
     }
 }

@@ -2,7 +2,7 @@
 //! begins.
 
 use std::ffi::OsStr;
-use std::fs;
+use std::fs::{self, TryLockError};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -10,7 +10,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::exit::Failure;
 use super::failures;
 use super::printable::tell;
-use crate::storage::{Disk, MachineDisk, write_whole};
+use crate::session::FolderError;
+use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
 const ROOM_BYTES: usize = 1 << 18;
@@ -23,22 +24,29 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Checks that the file can be written. An existing file is refused unless `replace` is set.
+    /// Checks that the file of `--out` can be written. An existing file is refused unless `replace` is set.
     pub fn prepare(path: &Path, replace: bool) -> Result<Self, Failure> {
+        Self::of_option("--out", path, replace)
+    }
+
+    /// The same for the file of another option.
+    pub fn of_option(option: &str, path: &Path, replace: bool) -> Result<Self, Failure> {
         let shown = path.display();
         match path.symlink_metadata() {
             Ok(found) if !found.is_file() && !found.is_symlink() => {
-                return Err(Failure::usage(format!("--out {shown}: it is no file: name a file")));
+                return Err(Failure::usage(format!(
+                    "{option} {shown}: it is no file: name a file"
+                )));
             }
             Ok(_) if !replace => {
                 return Err(Failure::usage(format!(
-                    "--out {shown} exists already: name another file, or replace it with --force"
+                    "{option} {shown} exists already: name another file, or replace it with --force"
                 )));
             }
             _ => {}
         }
         if path.file_name().is_none() {
-            return Err(Failure::usage(format!("--out {shown}: name a file")));
+            return Err(Failure::usage(format!("{option} {shown}: name a file")));
         }
         check_folder(folder_of(path))?;
         Ok(Self { path: path.to_owned(), replace })
@@ -136,6 +144,17 @@ impl OutputFolder {
     /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Locks the folder against other processes that would write into it.
+    pub fn hold(&self) -> Result<Hold, Failure> {
+        let path = self.path.clone();
+        MachineDisk.hold(&self.path).map_err(|error| {
+            failures::folder(&match error {
+                TryLockError::WouldBlock => FolderError::InUse { path },
+                TryLockError::Error(source) => FolderError::Io { path, source },
+            })
+        })
     }
 
     /// Checks that the folder has room for this many recordings and none of their names.

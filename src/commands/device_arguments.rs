@@ -342,9 +342,9 @@ impl CheckArguments {
         let outlives = matches!(device, DeviceChoice::Port(_) | DeviceChoice::Hil(_));
         let memory = doubts_folder().filter(|_| outlives).map(DoubtMemory::new);
         if outlives && memory.is_none() {
-            eprintln!(
+            tell(
                 "warning: there is no folder for what must be remembered after a fault: set HOME or \
-                 XDG_STATE_HOME"
+                 XDG_STATE_HOME",
             );
         }
         Recovery {

@@ -3,6 +3,7 @@ use serde_json::json;
 use super::check_table::{Row, table};
 use super::exit::Failure;
 use super::output::Output;
+use super::printable::tell;
 use super::stop::Stop;
 use crate::preflight::doctor::{Diagnosis, Fitness, diagnose};
 
@@ -27,7 +28,7 @@ pub struct Arguments {
 /// Performs the checks and prints the findings.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
-    eprintln!("watching the timer for {} s", arguments.seconds);
+    tell(&format!("watching the timer for {} s", arguments.seconds));
     let found = diagnose(&arguments.device, arguments.seconds, &stop.flag)
         .map_err(|error| Failure::failed(format!("the timer cannot be watched: {error}")))?;
     if stop.requested() {

@@ -19,6 +19,7 @@ use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::keyboard::Keyboard;
 use super::live::{Live, LiveArguments};
 use super::named_values::{named, presets};
+use super::number_arguments::seed_in_toml;
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
 use super::printable::tell;
@@ -115,7 +116,7 @@ pub struct Arguments {
     sensors: Option<Sensors>,
 
     /// Seed from which every random number follows
-    #[arg(long, default_value_t = 0, conflicts_with = "resume")]
+    #[arg(long, default_value_t = 0, conflicts_with = "resume", value_parser = seed_in_toml())]
     seed: u64,
 
     /// Folder for the experiment, which must not exist [default: logs/experiment-DATE-TIME]
@@ -237,7 +238,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(warning) = unidentified(&rig, first.safety_box.guard)
         && !arguments.table
     {
-        eprintln!("warning: {warning}");
+        tell(&format!("warning: {warning}"));
     }
     let live = match arguments.table {
         true => Live::default(),
@@ -440,6 +441,18 @@ fn resumed(
     arguments: &Arguments,
     device: &ChosenDevice,
 ) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
+    if arguments.plants.describe_qube(&device.plant)? {
+        return Err(Failure::usage(
+            "an experiment goes on with the emulated Qubes that it began with: leave --profile, --gap, --delay-ms, \
+             --jitter-ms, --cable-drift, --play-deg, --effect and --scale out",
+        ));
+    }
+    if arguments.estimator.settings(&device.plant)?.is_some() {
+        return Err(Failure::usage(
+            "an experiment goes on with the estimator that it began with: leave --estimator, --filter, \
+             --estimator-profile and --estimator-delay-ms out",
+        ));
+    }
     let folder = ExperimentFolder::open(directory).map_err(folder_failure)?;
     let load =
         if arguments.table { ExperimentSettings::load } else { ExperimentSettings::load_to_resume };

@@ -1,3 +1,4 @@
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -80,6 +81,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut plant = arguments.plant.given()?;
     let fitted = read(&arguments.files, &mut plant)?;
     let held_out = read(&arguments.holdout, &mut plant)?;
+    if let Some(twice) = twice(arguments.files.iter().chain(&arguments.holdout)) {
+        let shown = twice.display();
+        return Err(Failure::usage(format!(
+            "{shown} is named twice: the same data would count as new evidence. Name each recording once"
+        )));
+    }
     let plant = plant.unwrap_or_default();
     let first_guess = match &arguments.from {
         Some(path) => profile::load(path, &plant)?.model(),
@@ -185,6 +192,15 @@ fn read(files: &[PathBuf], plant: &mut Option<PlantModel>) -> Result<Vec<MotionL
         Ok(log)
     };
     files.iter().map(&mut read_one).collect()
+}
+
+/// The first file that is named twice, under whatever path.
+fn twice<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Option<&'a PathBuf> {
+    let mut seen = BTreeSet::new();
+    files.into_iter().find(|path| {
+        let whole = path.canonicalize().unwrap_or_else(|_| PathBuf::from(path));
+        !seen.insert(whole)
+    })
 }
 
 fn file_name(path: &Path) -> String {

@@ -12,6 +12,7 @@ use rustix::stdio::stdin;
 use rustix::termios::isatty;
 use signal_hook::consts::SIGTSTP;
 
+use super::printable::tell;
 use super::screen::Progress;
 use super::stop::Stop;
 use super::terminal;
@@ -82,7 +83,7 @@ impl Keyboard {
             "{doubt}\nThe motor is off. Look at the Qube; then press a: it is examined, and driven \
              again. Any other key ends this."
         );
-        eprintln!("{question}");
+        tell(&question);
         self.progress.ask(&question);
         while keys.try_recv().is_ok() {}
         shared.asking.store(true, Ordering::Relaxed);
@@ -180,7 +181,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
                 false => key == b' ',
             };
             if is_stop && !shared.stop.swap(true, Ordering::Relaxed) {
-                eprintln!("stopping: {}", shared.progress.stop_effect());
+                tell(&format!("stopping: {}", shared.progress.stop_effect()));
             }
         }
     }

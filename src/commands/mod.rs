@@ -203,6 +203,8 @@ fn log_to_stderr(verbose: u8) {
         .with_ansi(std::io::stderr().is_terminal())
         .without_time()
         .with_target(false)
+        // It would print them on stderr, which panics if that cannot be written.
+        .log_internal_errors(false)
         .init();
 }
 

@@ -1,5 +1,12 @@
 //! Parsers of numbers on the command line.
 
+use clap::builder::TypedValueParser;
+
+/// The parser of seeds that are written to a TOML file, whose numbers have 63 bits.
+pub fn seed_in_toml() -> impl TypedValueParser<Value = u64> {
+    clap::value_parser!(u64).range(..=i64::MAX as u64)
+}
+
 /// Parses a finite number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {
     match text.parse() {

@@ -15,7 +15,7 @@ pub struct PlantArguments {
     emulated: EmulatedArguments,
 
     /// Draw each policy's own Qube, with every parameter uniform within this part of its value
-    #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = part)]
+    #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = part, conflicts_with = "resume")]
     vary: f64,
 
     /// Several Qubes: a TOML file with one table `[[plants]]` for each: name, profile, gap, delay_ms,
@@ -23,7 +23,7 @@ pub struct PlantArguments {
     /// psi is searched on the first
     #[arg(long, value_name = "FILE",
           conflicts_with_all = ["profile", "gap", "delay_ms", "jitter_ms", "cable_drift", "play_deg",
-                              "effect", "scale", "vary"])]
+                              "effect", "scale", "vary", "resume"])]
     plants: Option<PathBuf>,
 }
 
@@ -34,6 +34,11 @@ struct PlantsFile {
 }
 
 impl PlantArguments {
+    /// Whether the options describe an emulated Qube.
+    pub fn describe_qube(&self, plant: &PlantModel) -> Result<bool, Failure> {
+        Ok(self.emulated.settings(plant)?.is_some())
+    }
+
     /// The emulated specimens of a plant on which policies run, at least one.
     pub fn plants(&self, plant: &PlantModel) -> Result<Vec<Plant>, Failure> {
         let Some(path) = &self.plants else {

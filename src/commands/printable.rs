@@ -2,6 +2,7 @@
 //! description of itself.
 
 use std::borrow::Cow;
+use std::io::Write;
 
 use crate::report::is_obeyed;
 
@@ -63,9 +64,10 @@ pub fn with_short_numbers(text: &str) -> String {
     short + rest
 }
 
-/// Prints a message to the user on stderr.
+/// Prints a message to the user on stderr. One that cannot be written is lost: a full disk or a reader that has gone away
+/// must not end a motion, or change the exit code that names its fault.
 pub fn tell(text: &str) {
-    eprintln!("{}", printable(text.trim_end()));
+    let _ = writeln!(std::io::stderr(), "{}", printable(text.trim_end()));
 }
 
 fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {

@@ -6,6 +6,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::command_hints;
+use super::destination::OutputFile;
 use super::exit::Failure;
 use super::output::{Output, path_as_text};
 use super::printable::one_line;
@@ -49,6 +50,10 @@ pub struct Arguments {
     /// File for a moving picture (.svg) of the recording, for pages and slides: the pendulum and its angles
     #[arg(long, value_name = "FILE")]
     animate: Option<PathBuf>,
+
+    /// Replace --animate where there is such a file already
+    #[arg(long, requires = "animate")]
+    force: bool,
 
     /// Folder for one picture (.svg) of each recording with its simulation
     #[arg(long, value_name = "DIR", requires = "simulate")]
@@ -139,6 +144,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     if arguments.animate.is_some() && arguments.files.len() > 1 {
         return Err(Failure::usage("--animate draws one recording: name one file"));
+    }
+    if let Some(picture) = &arguments.animate {
+        OutputFile::of_option("--animate", picture, arguments.force)?;
     }
     let mut reports = Vec::new();
     let mut problems = Vec::new();
@@ -366,6 +374,7 @@ fn is_bad_input(error: &RecordingError) -> bool {
     match error {
         RecordingError::Create { .. }
         | RecordingError::Read { .. }
+        | RecordingError::CutOff { .. }
         | RecordingError::Unreadable { .. } => true,
         RecordingError::DiskFull { .. }
         | RecordingError::Write { .. }

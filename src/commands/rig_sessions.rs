@@ -96,7 +96,7 @@ pub fn run(
     };
 
     let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
-    eprintln!("{}", keyboard.hint());
+    tell(keyboard.hint());
     tell(&format!("sessions of {} Qubes in {}", rigs.len(), root.display()));
     service_manager::ready();
     let ended = run_side_by_side(rigs.iter_mut().map(|rig| {
@@ -280,12 +280,12 @@ fn open(
             session::rig_settings(&mut device, &folder, &settings, consent, arguments.check)?;
         rig_settings.viewers = live.viewer().into_iter().collect();
         for warning in session::warnings(&device, &rig_settings, &settings) {
-            eprintln!("{name}: warning: {warning}");
+            tell(&format!("{name}: warning: {warning}"));
         }
         if rig_settings.checks() {
-            eprintln!(
+            tell(&format!(
                 "{name}: first the Qube is checked and homed (--skip-check leaves the check out)"
-            );
+            ));
         }
         let progress = SessionProgress::new(&settings, &Screen::none().progress(), &stop);
         let is_hardware = rig_settings.is_hardware();

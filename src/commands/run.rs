@@ -131,6 +131,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let profile = device.profile.as_ref().map(Profile::model);
     let (settings, plan) = asked(&arguments, &device)?;
     let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
+    let _hold = folder.hold()?;
     folder.check_for_recordings(arguments.rollouts.into())?;
     let directory = folder.path().to_owned();
     controller.notes.iter().for_each(|note| tell(note));
@@ -144,19 +145,19 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let keyboard = Keyboard::watch(&stop, &screen.progress());
     // The screen has a line of keys.
     if !screen.progress().has_screen() {
-        eprintln!("{}", keyboard.hint());
+        tell(keyboard.hint());
     }
     if let Some(warning) = device.power_warning() {
-        eprintln!("warning: {warning}");
+        tell(&format!("warning: {warning}"));
     }
     if let Some(warning) = unidentified(&settings, plan.safety_box.guard) {
-        eprintln!("warning: {warning}");
+        tell(&format!("warning: {warning}"));
     }
     if settings.checks() {
-        eprintln!("checking the Qube: the arm is pushed a little (--skip-check leaves it out)");
+        tell("checking the Qube: the arm is pushed a little (--skip-check leaves it out)");
     }
     if settings.homing.method == HomingMethod::Stops {
-        eprintln!("homing: the arm looks for its stops");
+        tell("homing: the arm looks for its stops");
     }
     let plan = RolloutPlan { steps: controller.steps, policy: controller.name.clone(), ..plan };
     let mut results = Results::new(arguments.excite.is_some());

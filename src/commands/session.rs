@@ -15,6 +15,7 @@ use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::keyboard::Keyboard;
 use super::live::LiveArguments;
+use super::number_arguments::seed_in_toml;
 use super::output::Output;
 use super::printable::tell;
 use super::report;
@@ -99,7 +100,7 @@ pub struct Arguments {
     pub(super) config: Option<PathBuf>,
 
     /// Seed from which every random number follows [default: 0, or as --config says]
-    #[arg(long, conflicts_with = "resume")]
+    #[arg(long, conflicts_with = "resume", value_parser = seed_in_toml())]
     pub(super) seed: Option<u64>,
 
     /// Folder for the session: a new one or an empty one [default: logs/session-DATE-TIME]
@@ -221,14 +222,14 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let keyboard = Keyboard::watch(&stop, &screen.progress());
     // The screen has a line of keys.
     if !screen.progress().has_screen() {
-        eprintln!("{}", keyboard.hint());
+        tell(keyboard.hint());
     }
     tell(&format!("session in {}", folder.paths().root().display()));
     for warning in warnings(&device, &rig_settings, &settings) {
-        eprintln!("warning: {warning}");
+        tell(&format!("warning: {warning}"));
     }
     if rig_settings.checks() {
-        eprintln!("first the Qube is checked and homed (--skip-check leaves the check out)");
+        tell("first the Qube is checked and homed (--skip-check leaves the check out)");
     }
 
     let failed = |error| failures::session(error, &stop, &resume);

@@ -84,7 +84,7 @@ pub fn run(
     };
     let screen = Screen::none();
     let keyboard = Keyboard::watch(&stop, &screen.progress());
-    eprintln!("{}", keyboard.hint());
+    tell(keyboard.hint());
     tell(&format!("session of {} Qubes in {}", rigs.len(), root.display()));
 
     let failed = |error| failures::session(error, &stop, &resume);
@@ -206,12 +206,12 @@ fn opened(
         let live = arguments.live.of_rig(number)?.serve("session", stop)?;
         rig_settings.viewers = live.viewer().into_iter().collect();
         for warning in session::warnings(&device, &rig_settings, &of_rig) {
-            eprintln!("rig {number}: warning: {warning}");
+            tell(&format!("rig {number}: warning: {warning}"));
         }
         if rig_settings.checks() {
-            eprintln!(
+            tell(&format!(
                 "rig {number} is checked and homed first (--skip-check leaves the check out)"
-            );
+            ));
         }
         rigs.push((rig_settings, device.profile.as_ref().map(Profile::model)));
         lives.push(live);

@@ -8,6 +8,7 @@ use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::number_arguments::positive;
 use super::output::Output;
+use super::printable::tell;
 use super::stop::Stop;
 use super::{failures, warn_without_realtime};
 use crate::device::emulator::EmulatorSettings;
@@ -177,7 +178,7 @@ impl Soaked {
             self.add(&read(&path).map_err(|error| failures::recording(&error))?);
             folder.is_done_with(&path)?;
             if self.rollouts.is_multiple_of(200) {
-                eprintln!("{:.1} h of {} h", self.hours(), arguments.hours);
+                tell(&format!("{:.1} h of {} h", self.hours(), arguments.hours));
             }
             if self.last_was_void && !stop.requested() {
                 rig.start_again().map_err(failed)?;

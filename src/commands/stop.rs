@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::exit::Failure;
+use super::printable::tell;
 use super::terminal;
 
 /// A request to stop, set by a signal or a key.
@@ -36,9 +37,7 @@ impl Stop {
             if !interrupt.swap(true, Ordering::Relaxed) {
                 interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
             }
-            eprintln!(
-                "\nstopping: the arm is braked and the state is kept (Ctrl-C again ends the program at once)"
-            );
+            tell("\nstopping: the arm is braked and the state is kept (Ctrl-C again ends the program at once)");
         })
         .map_err(|error| handlers(error.to_string()))?;
         for kind in [SIGTERM, SIGHUP] {

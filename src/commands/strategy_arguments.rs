@@ -19,11 +19,11 @@ pub struct StrategyArguments {
     pub strategies: Vec<Method>,
 
     /// Repetitions of each method, each with its own seed
-    #[arg(long, default_value_t = 10, requires = "strategies")]
+    #[arg(long, default_value_t = 10, requires = "strategies", conflicts_with = "resume")]
     repetitions: u32,
 
     /// Largest number of recordings for methods that identify the Qube
-    #[arg(long, default_value_t = 6, requires = "strategies", conflicts_with = "budgets")]
+    #[arg(long, default_value_t = 6, requires = "strategies", conflicts_with_all = ["budgets", "resume"])]
     recordings: u32,
 
     /// Score each method after these numbers of real rollouts, on every plant, instead of up to its first success; one
@@ -33,12 +33,12 @@ pub struct StrategyArguments {
         value_name = "NUMBERS",
         value_delimiter = ',',
         requires = "strategies",
-        conflicts_with = "policies"
+        conflicts_with_all = ["policies", "resume"]
     )]
     budgets: Vec<u32>,
 
     /// Competing trainings of each scored policy, of which the best in simulation is kept
-    #[arg(long, default_value_t = 1, requires = "strategies")]
+    #[arg(long, default_value_t = 1, requires = "strategies", conflicts_with = "resume")]
     trainings: u32,
 }
 

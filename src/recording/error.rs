@@ -52,6 +52,15 @@ pub enum RecordingError {
         /// Cause of the failure.
         source: io::Error,
     },
+    /// The recording was finished, and its end is missing.
+    #[error(
+        "{path}: this rollout was finished, and the end of its recording is missing. Put the whole file back: its \
+         return cannot be computed from a part"
+    )]
+    CutOff {
+        /// Path of the file.
+        path: PathBuf,
+    },
     /// The content is not a valid recording.
     #[error("{path}: {why}")]
     Unreadable {

@@ -212,7 +212,7 @@ fn is_nominal(rating: &MotorRating) -> bool {
 }
 
 /// Accepted travel of a rig, rad: from a quarter less than a Qube's.
-const TRAVELS_RAD: std::ops::RangeInclusive<f64> = 3.6..=6.0;
+pub(super) const TRAVELS_RAD: std::ops::RangeInclusive<f64> = 3.6..=6.0;
 
 fn travel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     let value = f64::deserialize(deserializer)?;

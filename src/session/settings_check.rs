@@ -1,8 +1,9 @@
 //! The ranges of a session's settings.
 
 use super::SessionSettings;
+use super::qube_file::TRAVELS_RAD;
 use crate::learning::TrainError;
-use crate::qube::MAX_STEPS;
+use crate::qube::{HARD_STOP_RAD, MAX_STEPS};
 use crate::safety::SafetyBox;
 use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
 
@@ -78,6 +79,16 @@ impl SessionSettings {
             return Err(format!(
                 "homing.theta_offset_rad = {offset_rad}: give -{LARGEST_OFFSET_RAD} to \
                  {LARGEST_OFFSET_RAD}, or the box would reach beyond a stop"
+            ));
+        }
+        // In proportion to the plant's own stops, as `qube.toml` has it for a Qube.
+        let proportion = self.training.simulation.plant.limits.hard_stop_rad / HARD_STOP_RAD;
+        let [least, most] = [TRAVELS_RAD.start(), TRAVELS_RAD.end()].map(|it| it * proportion);
+        if let Some(travel_rad) = self.homing.travel_rad
+            && !(least..=most).contains(&travel_rad)
+        {
+            return Err(format!(
+                "homing.travel_rad = {travel_rad}: give {least:.2} to {most:.2}, the distance between this rig's stops"
             ));
         }
         self.homing.estimator.check().map_err(|error| format!("homing.estimator.{error}"))

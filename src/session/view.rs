@@ -48,13 +48,19 @@ impl<'a> SessionView<'a> {
     /// Reads a candidate's recordings and scores them.
     ///
     /// # Errors
-    /// A recording cannot be read.
+    /// A recording cannot be read, or has lost its end since the ledger entered it as finished.
     pub fn scored(&self, candidate: &Candidate) -> Result<ScoredCandidate, RecordingError> {
         let paths = self.paths.candidate(candidate.number);
         let verdicts = candidate
             .finished
             .iter()
-            .map(|it| score(self.disk, &paths.rollout(it.rollout, it.attempt)))
+            .map(|it| {
+                let path = paths.rollout(it.rollout, it.attempt);
+                match score(self.disk, &path)? {
+                    Verdict::Unfinished => Err(RecordingError::CutOff { path }),
+                    verdict => Ok(verdict),
+                }
+            })
             .collect::<Result<_, _>>()?;
         Ok(ScoredCandidate { candidate: candidate.clone(), verdicts })
     }

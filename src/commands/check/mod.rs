@@ -3,7 +3,7 @@
 mod conformance;
 mod power_test;
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
@@ -13,6 +13,7 @@ use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
+use super::printable::tell;
 use super::stop::Stop;
 use super::warn_without_realtime;
 use crate::device::emulator::EmulatorSettings;
@@ -82,7 +83,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     // The file to be replaced may belong to another board.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };
-    eprintln!("checking the Qube: the arm is pushed a little, then homed");
+    tell("checking the Qube: the arm is pushed a little, then homed");
     let failed = |error| failures::rig(error, &stop);
     let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
     warn_without_realtime(rig.realtime());
@@ -161,7 +162,10 @@ fn wants_power_test(path: &Path) -> bool {
     if is_known || !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
         return false;
     }
-    eprint!("Find out now what the motor does when its board loses power (3 minutes)? [y/N] ");
+    let _ = write!(
+        std::io::stderr(),
+        "Find out now what the motor does when its board loses power (3 minutes)? [y/N] "
+    );
     let mut line = String::new();
     let read = std::io::stdin().read_line(&mut line);
     read.is_ok() && matches!(line.trim(), "y" | "Y" | "yes")

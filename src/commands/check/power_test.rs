@@ -15,6 +15,7 @@ use serde_json::{Value, json};
 
 use crate::commands::exit::Failure;
 use crate::commands::failures;
+use crate::commands::printable::tell;
 use crate::commands::stop::Stop;
 use crate::control::PressOutcome;
 use crate::rig::{Rig, RigError, RigSettings};
@@ -57,9 +58,9 @@ pub fn run(
     )?;
     let push_v = rehearse(&mut rig, stop)?;
 
-    eprintln!(
+    tell(
         "Now pull the USB plug out of the computer, within 60 s. Leave the Qube's own power on and \
-         the arm alone."
+         the arm alone.",
     );
     let pressed = rig.press(push_v, STEP_TICKS, false).map_err(failed)?;
     match pressed.ending {
@@ -111,23 +112,23 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     let mut push_v = STEP_V;
     let mut disturbed = 0;
     while push_v <= MOST_V {
-        eprintln!(
+        tell(&format!(
             "At {push_v:.2} V: with one finger push the arm a finger's breadth (1 cm) off its stop \
              and let go."
-        );
+        ));
         let pressed =
             rig.press(push_v, STEP_TICKS, true).map_err(|error| failures::rig(error, stop))?;
         match (pressed.ending, pressed.outcome) {
             (Ending::Stopped, _) => return Err(stop.failure("stopped; the motor is off")),
             (Ending::Fault(fault), _) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {
                 disturbed += 1;
-                eprintln!("The motor is off, and nothing is known yet: {fault}. Once more.");
+                tell(&format!("The motor is off, and nothing is known yet: {fault}. Once more."));
             }
             (Ending::Fault(fault), _) => {
                 return Err(failures::rig(RigError::Ended { fault }, stop));
             }
             (_, PressOutcome::CameBack) => {
-                eprintln!("It came back: so it feels while the motor has its voltage.");
+                tell("It came back: so it feels while the motor has its voltage.");
                 return Ok(push_v);
             }
             (_, PressOutcome::NotAtStop) => {
@@ -164,7 +165,7 @@ fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
 
 /// Asks a question and returns the line that was typed.
 fn ask(question: &str, stop: &Stop) -> Result<String, Failure> {
-    eprintln!("\n{question}");
+    tell(&format!("\n{question}"));
     let _ = std::io::stderr().flush();
     let mut line = String::new();
     let read = std::io::stdin().lock().read_line(&mut line);
