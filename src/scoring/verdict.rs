@@ -54,6 +54,17 @@ pub fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
     (!returns.is_empty()).then(|| returns.iter().sum::<f64>() / returns.len() as f64)
 }
 
+/// Reads the recording of a rollout that was finished, and computes the verdict.
+///
+/// # Errors
+/// The file cannot be read, one of its bytes has changed, or its end is missing.
+pub fn score_finished(disk: &dyn Disk, path: &Path) -> Result<Verdict, RecordingError> {
+    match score(disk, path)? {
+        Verdict::Unfinished => Err(RecordingError::CutOff { path: path.to_owned() }),
+        verdict => Ok(verdict),
+    }
+}
+
 /// Reads a recording and computes the verdict.
 ///
 /// # Errors

@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use super::ledger::{MAX_FILE_BYTES, Parsed};
 use super::{Candidate, Entry, LedgerError, SessionPaths, SessionState, parse_ledger};
 use crate::recording::RecordingError;
-use crate::scoring::{Verdict, mean_return, score};
+use crate::scoring::{Verdict, mean_return, score_finished};
 use crate::search::Observation;
 use crate::storage::Disk;
 
@@ -54,13 +54,7 @@ impl<'a> SessionView<'a> {
         let verdicts = candidate
             .finished
             .iter()
-            .map(|it| {
-                let path = paths.rollout(it.rollout, it.attempt);
-                match score(self.disk, &path)? {
-                    Verdict::Unfinished => Err(RecordingError::CutOff { path }),
-                    verdict => Ok(verdict),
-                }
-            })
+            .map(|it| score_finished(self.disk, &paths.rollout(it.rollout, it.attempt)))
             .collect::<Result<_, _>>()?;
         Ok(ScoredCandidate { candidate: candidate.clone(), verdicts })
     }

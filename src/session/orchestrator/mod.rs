@@ -24,7 +24,7 @@ use crate::jobs::{Executor, LocalExecutor};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, read_on};
 use crate::rig::{ClockChoice, Doubt, RigSettings};
-use crate::scoring::{Verdict, score};
+use crate::scoring::{Verdict, score, score_finished};
 use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
 
@@ -341,7 +341,8 @@ impl Session {
         if let Some(verdict) = self.verdicts.get(&key) {
             return Ok(verdict.clone());
         }
-        let verdict = score(self.folder.disk(), &self.recording(candidate, rollout, attempt))?;
+        let path = self.recording(candidate, rollout, attempt);
+        let verdict = score_finished(self.folder.disk(), &path)?;
         self.verdicts.insert(key, verdict.clone());
         Ok(verdict)
     }
