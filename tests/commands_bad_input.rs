@@ -179,13 +179,15 @@ fn values_with_a_dash_are_told_by_their_option() {
 fn scripts_are_told_too() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("no.policy"), "nonsense").unwrap();
-    let cases: [(&[&str], &str); 6] = [
+    let cases: [(&[&str], &str); 8] = [
+        (&["run"], "--policy"),
         (&["run", "--nonsense"], "--nonsense"),
         (&["run", "--policy", "classical", "--seed", "-1"], "--seed"),
         (&["run", "--policy", "no.policy", "--clock", "virtual"], "no.policy"),
         (&["train", "--out", "missing/p"], "missing"),
         (&["session", "--device", "/dev/ttyNOWHERE"], "no such port"),
         (&["replay", "missing.mcap"], "missing.mcap"),
+        (&["check", "--device", "/dev/null", "--write", "missing/qube.toml"], "missing"),
     ];
     for (arguments, cause) in cases {
         let output = qube_hil(directory.path(), &[arguments, &["--json"]].concat());

@@ -88,8 +88,6 @@ fn conformance_of_any_device_is_a_command() {
 
 #[test]
 fn a_port_with_something_else_behind_it_is_bad_input() {
-    // Alone among the tests of this file: a program whose Qube was unplugged tries to open its port again,
-    // and the kernel gives the number of a closed pty to the next one.
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let refused = |port: &str, words: &[&str]| {

@@ -69,7 +69,8 @@ fn begin(directory: &Path, arguments: &[&str], threads: &str) -> Child {
 }
 
 fn table(directory: &Path) -> String {
-    let output = experiment(directory, &["--resume", "one", "--csv", "one.csv"]).output().unwrap();
+    let arguments = ["--resume", "one", "--csv", "one.csv", "--force"];
+    let output = experiment(directory, &arguments).output().unwrap();
     succeeds(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
 }
 
@@ -94,6 +95,13 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let recordings = expected_files.keys().filter(|name| name.ends_with(".mcap")).count();
     assert_eq!(recordings, 2 * 3 * 2 * 2 + 4);
 
+    // The file of --csv is never replaced unasked.
+    let output =
+        experiment(whole.path(), &["--resume", "one", "--csv", "one.csv"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains("--csv one.csv exists already"), "{told}");
+
     // --table shows finished work without running anything; a resumed experiment makes missing files again.
     let lost = "one/policies/tiny-nominal/002/lab/rollout-1-attempt-0.mcap";
     std::fs::remove_file(whole.path().join(lost)).unwrap();
@@ -103,6 +111,16 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     assert!(!whole.path().join(lost).exists());
     assert_eq!(table(whole.path()), expected);
     assert!(files(&whole.path().join("one")) == expected_files);
+
+    // Settings that were changed show what is finished, and nothing more is made with them.
+    let settings = whole.path().join("one/experiment.toml");
+    let begun_with = std::fs::read_to_string(&settings).unwrap();
+    std::fs::write(&settings, begun_with.replacen("seed = 4", "seed = 5", 1)).unwrap();
+    let output = experiment(whole.path(), &["--resume", "one"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains("experiment.toml: it was changed since"), "{told}");
+    succeeds(&experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap());
 
     let torn = tempfile::tempdir().unwrap();
     prepare(torn.path());

@@ -15,6 +15,9 @@ use real_time::in_real_time;
 /// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(600);
 
+/// Time after which a program that has ended shows nothing more.
+const ENDED: Duration = Duration::from_secs(5);
+
 /// A tmux server of its own with one window of 80 letters by 24 rows, in which a shell runs.
 struct Tmux {
     socket: String,
@@ -84,12 +87,18 @@ impl Tmux {
     #[track_caller]
     fn wait_for(&self, text: &str) -> String {
         let begun = Instant::now();
+        let mut last_running = begun;
         loop {
             let shown = self.shown();
             if shown.contains(text) {
                 return shown;
             }
-            assert!(begun.elapsed() < PATIENCE, "{text} does not appear:\n{shown}");
+            // The exit code of the program before stays for a moment.
+            if !shown.lines().any(|line| line.starts_with("exit=")) {
+                last_running = Instant::now();
+            }
+            let is_over = begun.elapsed() > PATIENCE || last_running.elapsed() > ENDED;
+            assert!(!is_over, "{text} does not appear:\n{shown}");
             std::thread::sleep(Duration::from_millis(50));
         }
     }

@@ -1,10 +1,14 @@
 //! Tests a fault during a session, in virtual time: the motor is off, the rollout is void and kept,
 //! and the session can be resumed once the fault is mended.
 
+#[path = "logged/mod.rs"]
+mod logged;
+
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use logged::Log;
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::recording::read;
 use qube_hil::rig::{Recovery, RigSettings};
@@ -55,12 +59,19 @@ fn begin(root: &Path) -> SessionFolder {
 fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
     // Each rollout has a new Qube, which is homed within 16 s; an untrained policy is braked soon
     // after that, and braking takes some seconds.
-    for fault in ["silent@16.5", "unplug@16.5"] {
+    for (fault, warned) in [
+        ("silent@16.5", ""),
+        ("unplug@16.5", "Switch the Qube off: its motor may still have its last voltage"),
+    ] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("session");
         let fault: EmulatorFault = fault.parse().unwrap();
-        let error = run(begin(&root), Some(fault)).unwrap_err();
+        let log = Log::default();
+        let run_logged = || run(begin(&root), Some(fault));
+        let error = tracing::subscriber::with_default(log.subscriber(), run_logged).unwrap_err();
         assert!(matches!(error, SessionError::NotStartedAgain { .. }), "{fault}: {error}");
+        // Before the wait for the board, not after it.
+        assert!(log.text().contains(warned), "{fault}: {}", log.text());
 
         let folder = SessionFolder::open(&root).unwrap();
         let entries =

@@ -217,6 +217,19 @@ fn a_finished_recording_that_was_cut_is_data_lost() {
     let (code, told) = resumed(directory.path(), "mine");
     assert_eq!(code, Some(3), "{told}");
     assert!(told.contains("rollout-0-attempt-0.mcap") && told.contains("missing"), "{told}");
+
+    // A session that is not over notices it before it goes on.
+    let ledger = directory.path().join("mine/ledger.jsonl");
+    let entries = std::fs::read_to_string(&ledger).unwrap();
+    let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 4).collect();
+    std::fs::write(&ledger, &earlier).unwrap();
+    std::fs::remove_file(&recording).unwrap();
+    let (code, told) = resumed(directory.path(), "mine");
+    assert_eq!(code, Some(3), "{told}");
+    assert!(told.contains("its recording is missing. Put the file back"), "{told}");
+    assert_eq!(std::fs::read_to_string(&ledger).unwrap(), earlier);
+
+    std::fs::write(&ledger, entries).unwrap();
     std::fs::write(&recording, whole).unwrap();
     assert_eq!(resumed(directory.path(), "mine").0, Some(0));
 }

@@ -2,16 +2,18 @@
 
 #[path = "folders/mod.rs"]
 mod folders;
+#[path = "logged/mod.rs"]
+mod logged;
 
 use std::collections::BTreeMap;
-use std::io::{self, Write};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use folders::files_of;
+use logged::Log;
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::rig::{DeviceChoice, RigSettings};
 use qube_hil::session::{
@@ -318,27 +320,11 @@ fn shared(root: &Path, faults: [Option<&str>; 2]) -> Session {
     Session::open(folder, settings, first, stop).unwrap().spread_over([(second, None)])
 }
 
-/// What this process logs.
-#[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<u8>>>);
-
-impl Write for Log {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().unwrap().write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
 #[test]
 fn a_warning_names_the_rig_that_it_is_about() {
     let log = Log::default();
-    let writer = log.clone();
-    let subscriber = tracing_subscriber::fmt().with_writer(move || writer.clone()).with_ansi(false);
-    // No other test of this file has a subscriber.
-    subscriber.init();
+    // For every thread, because each rig has its own; no other test of this file has a subscriber.
+    tracing::subscriber::set_global_default(log.subscriber()).unwrap();
     let directory = tempfile::tempdir().unwrap();
     // While the arm is homed; only this test's boards restart.
     let fault = Some("board-restart@5");
@@ -347,7 +333,7 @@ fn a_warning_names_the_rig_that_it_is_about() {
     let mut own = [open("first", None), open("second", fault)];
     let ended = run_side_by_side(own.iter_mut().map(|session| (session, |_: SessionEvent| ())));
     assert!(ended.iter().all(Result::is_ok), "{ended:?}");
-    let logged = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
+    let logged = log.text();
     let warnings: Vec<&str> =
         logged.lines().filter(|line| line.contains("the board has restarted")).collect();
     assert!(warnings.len() >= 2, "{logged}");

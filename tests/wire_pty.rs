@@ -204,6 +204,17 @@ fn an_unplugged_qube_is_gone() {
 }
 
 #[test]
+fn the_name_of_a_port_whose_cable_is_out_is_given_to_no_other() {
+    let gone = qube(Some(EmulatorFault::Unplugged { after_s: 0.0 }));
+    while !gone.is_gone() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(!gone.port().exists());
+    let others = [(); 3].map(|()| qube(None));
+    assert!(others.iter().all(|other| other.port() != gone.port()), "{others:?}");
+}
+
+#[test]
 fn a_second_name_goes_with_the_qube() {
     let folder = tempfile::tempdir().unwrap();
     let name = folder.path().join("qube");

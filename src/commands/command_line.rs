@@ -28,16 +28,19 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     };
     // If stderr is closed, the error cannot be shown.
     let _ = error.print();
-    let cause = first_line(&error);
+    let cause = cause_of(&error);
     let output = Output::new(arguments.iter().any(|argument| argument == "--json"));
     let _ = output.finish(Err(Failure::usage(cause)));
     Err(2)
 }
 
-/// The first line of an error, which says what is wrong.
-pub fn first_line(error: &clap::Error) -> String {
+/// What is wrong by the first paragraph of an error, on one line.
+pub fn cause_of(error: &clap::Error) -> String {
     let told = error.to_string();
-    told.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned()
+    // Missing arguments are listed below the first line.
+    let lines: Vec<&str> =
+        told.lines().map(str::trim).take_while(|line| !line.is_empty()).collect();
+    lines.join(" ").trim_start_matches("error: ").to_owned()
 }
 
 /// The commands; negative numbers count as values, because no option is a digit.

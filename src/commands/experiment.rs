@@ -7,7 +7,7 @@ use clap::builder::TypedValueParser;
 use serde_json::json;
 
 use super::command_hints::unidentified;
-use super::destination::OutputFolder;
+use super::destination::{OutputFile, OutputFolder, check_folder};
 use super::device_arguments::{CheckArguments, ChosenDevice, DrivenPlantArguments, QubeArguments};
 use super::estimator_arguments::EstimatorArguments;
 use super::executor_arguments::ExecutorArguments;
@@ -37,7 +37,6 @@ use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
 use crate::session::{Extent, SessionError, SessionSettings};
 use crate::simulation::{Family, Model, SensorModel};
-use crate::storage::{MachineDisk, write_whole};
 
 /// Compare recipes: train several policies with each, run them all on the Qube, print the table
 ///
@@ -139,6 +138,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 
+    /// Replace the file of --csv if it exists
+    #[arg(long, requires = "csv")]
+    force: bool,
+
     /// Also draw figures into this folder: the thesis's 5.2 (distributions) and 5.3 (training progress) and the searches,
     /// or the lines of the strategies
     #[arg(long, value_name = "DIR")]
@@ -211,6 +214,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ));
     }
     let consent = arguments.consent.beside(arguments.guard)?;
+    let figures = arguments.figures.as_deref().map(place_of_figures).transpose()?;
+    let csv = arguments
+        .csv
+        .as_deref()
+        .map(|path| OutputFile::of_option("--csv", path, arguments.force))
+        .transpose()?;
     let (folder, mut settings) = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
@@ -306,16 +315,20 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         output.print(&text, &result);
         return ended;
     }
-    if let Some(path) = &arguments.csv {
-        write_whole(&MachineDisk, path, report.csv().as_bytes())
-            .map_err(|error| failures::folder(&error.into()))?;
+    if let Some(file) = csv {
+        file.write(report.csv().as_bytes())?;
     }
-    if let Some(folder) = &arguments.figures {
-        let figures = report.figures(&experiment).map_err(failed)?;
-        figures.write(folder)?;
+    if let Some(folder) = figures {
+        report.figures(&experiment).map_err(failed)?.write(folder.path())?;
     }
     output.print(&text, &result);
     Ok(())
+}
+
+fn place_of_figures(path: &Path) -> Result<OutputFolder, Failure> {
+    let folder = OutputFolder::make(Some(path), "experiment")?;
+    check_folder(folder.path())?;
+    Ok(folder)
 }
 
 /// Narrows the recipes' boxes to the Qube's own limits, and returns the limits of a rig for all of them.

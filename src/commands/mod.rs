@@ -95,8 +95,8 @@ use crate::telemetry::LatencySummary;
     version,
     max_term_width = 100,
     after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or input, 3 finished but data lost \
-                  or a replay differs, 4 stopped by a safety fault, 130 and 143 stopped by Ctrl-C \
-                  and SIGTERM"
+                  or a replay differs, 4 stopped by a safety fault, 129, 130 and 143 stopped by \
+                  SIGHUP, Ctrl-C and SIGTERM"
 )]
 struct CommandLine {
     #[command(subcommand)]
@@ -186,7 +186,7 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
 pub fn rollouts_asked(options: Vec<OsString>) -> Result<(RigSettings, RolloutPlan), String> {
     let run = ["qube-hil", "run", "--policy", "classical"].map(OsString::from);
     let command_line = CommandLine::try_parse_from(run.into_iter().chain(options));
-    match command_line.map_err(|error| command_line::first_line(&error))?.command {
+    match command_line.map_err(|error| command_line::cause_of(&error))?.command {
         Command::Run(arguments) => {
             run::for_external(&arguments).map_err(|failure| failure.to_string())
         }

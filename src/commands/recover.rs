@@ -5,7 +5,8 @@ use serde_json::json;
 use super::exit::Failure;
 use super::output::Output;
 use super::replay::recording_failure;
-use crate::recording::{Recovered, recover};
+use crate::recording::{RecordingError, Recovered, recover};
+use crate::storage::MachineDisk;
 
 /// Recover a truncated recording: save every intact tick into a new file
 ///
@@ -27,7 +28,14 @@ pub struct Arguments {
 /// Saves the intact part and reports the losses.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let out = arguments.out.clone().unwrap_or_else(|| recovered_name(&arguments.file));
-    let recovered = recover(&arguments.file, &out).map_err(|error| recording_failure(&error))?;
+    let recovered =
+        recover(&MachineDisk, &arguments.file, &out).map_err(|error| match error {
+            RecordingError::DiskFull { path } => Failure::failed(format!(
+                "{}: the disk is full, and nothing was kept there. Make room, or name a file on another disk with --out",
+                path.display()
+            )),
+            error => recording_failure(&error),
+        })?;
     let path = arguments.file.display();
     match recovered {
         Recovered::WasWhole => {

@@ -374,6 +374,7 @@ fn is_bad_input(error: &RecordingError) -> bool {
     match error {
         RecordingError::Create { .. }
         | RecordingError::Read { .. }
+        | RecordingError::Missing { .. }
         | RecordingError::CutOff { .. }
         | RecordingError::Unreadable { .. } => true,
         RecordingError::DiskFull { .. }

@@ -154,10 +154,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         tell(&format!("warning: {warning}"));
     }
     if settings.checks() {
-        tell("checking the Qube: the arm is pushed a little (--skip-check leaves it out)");
+        tell("first a check: the arm is pushed a little (--skip-check leaves it out)");
     }
     if settings.homing.method == HomingMethod::Stops {
-        tell("homing: the arm looks for its stops");
+        tell("before the first rollout homing: the arm looks for its stops");
     }
     let plan = RolloutPlan { steps: controller.steps, policy: controller.name.clone(), ..plan };
     let mut results = Results::new(arguments.excite.is_some());

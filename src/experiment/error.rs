@@ -22,12 +22,12 @@ pub enum ExperimentError {
         /// Reason why it is refused.
         reason: String,
     },
-    /// The experiment began with a setting that no longer exists, so only its results can be shown.
+    /// The settings were changed, or one of them no longer exists, so only the results can be shown.
     #[error("{path}: {reason}")]
     NotResumable {
         /// Path of the file.
         path: PathBuf,
-        /// Setting that prevents it.
+        /// What prevents it.
         reason: String,
     },
     /// A recipe is invalid.

@@ -2,6 +2,7 @@ use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 
 use super::ExperimentError;
+use super::seal::sealed;
 use crate::session::{FolderError, PolicyPaths};
 use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 
@@ -44,7 +45,7 @@ impl ExperimentFolder {
         if MachineDisk.exists(&folder.settings()) {
             return Err(exists().into());
         }
-        write_whole(&MachineDisk, &folder.settings(), settings.as_bytes())?;
+        write_whole(&MachineDisk, &folder.settings(), sealed(settings).as_bytes())?;
         Ok(folder)
     }
 

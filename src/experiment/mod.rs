@@ -22,6 +22,7 @@ mod queue;
 mod recipe;
 mod results;
 mod rollouts;
+mod seal;
 mod search;
 mod series;
 mod settings;

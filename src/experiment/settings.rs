@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::folder::check_name;
+use super::seal::is_unchanged;
 use super::{ExperimentError, Plant, Recipe, StrategySettings};
 use crate::qube::PlantModel;
 use crate::session::{Retired, take_retired};
@@ -47,9 +48,14 @@ impl ExperimentSettings {
     /// Reads an `experiment.toml` to resume the experiment.
     ///
     /// # Errors
-    /// The file cannot be read, is not an experiment, or has a setting that no longer exists.
+    /// The file cannot be read, is not an experiment, was changed since it began, or has a setting that no longer
+    /// exists.
     pub fn load_to_resume(path: &Path) -> Result<Self, ExperimentError> {
         let (settings, retired) = Self::loaded(path)?;
+        let changed = (!is_unchanged(&text_of(path)?)).then(|| {
+            "it was changed since this experiment began: restore it, or begin a new experiment with these settings"
+                .to_owned()
+        });
         let retired = retired.iter().find(|entry| entry.changed_something()).map(|entry| {
             format!("{entry}: an experiment continues with the settings that it began with")
         });
@@ -57,7 +63,7 @@ impl ExperimentSettings {
             let gone = recipe.settings.check_resumable().err()?;
             Some(format!("recipe {}: {gone}", recipe.name))
         });
-        match gone.or(retired) {
+        match changed.or(gone).or(retired) {
             Some(reason) => Err(ExperimentError::NotResumable { path: path.to_owned(), reason }),
             None => Ok(settings),
         }
@@ -68,8 +74,7 @@ impl ExperimentSettings {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
         let invalid = |error: toml::de::Error| unreadable(error.to_string().trim_end().to_owned());
-        let mut text =
-            read_text(path, SETTINGS_BYTES).map_err(|error| unreadable(error.to_string()))?;
+        let mut text = text_of(path)?;
         let mut table: Table = toml::from_str(&text).map_err(invalid)?;
         let recipes = table.get_mut("recipes").and_then(Value::as_array_mut);
         let retired: Vec<Retired> = recipes
@@ -180,6 +185,13 @@ fn distinct(what: &str, names: &[&str]) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+fn text_of(path: &Path) -> Result<String, ExperimentError> {
+    read_text(path, SETTINGS_BYTES).map_err(|error| ExperimentError::Settings {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    })
 }
 
 #[cfg(test)]

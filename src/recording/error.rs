@@ -52,6 +52,15 @@ pub enum RecordingError {
         /// Cause of the failure.
         source: io::Error,
     },
+    /// The recording was finished, and the file is missing.
+    #[error(
+        "{path}: this rollout was finished, and its recording is missing. Put the file back: its return is computed \
+         from it"
+    )]
+    Missing {
+        /// Path of the file.
+        path: PathBuf,
+    },
     /// The recording was finished, and its end is missing.
     #[error(
         "{path}: this rollout was finished, and the end of its recording is missing. Put the whole file back: its \

@@ -2,8 +2,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::reader::{checked_scan, read_bytes, recording};
-use super::{RecordingError, RolloutWriter};
-use crate::storage::MachineDisk;
+use super::{Recording, RecordingError, RolloutWriter};
+use crate::storage::Disk;
 
 /// The result of a recovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,24 +25,40 @@ pub enum Recovered {
 /// unchanged.
 ///
 /// # Errors
-/// The old file cannot be read or has no intact part; the new one exists or cannot be written.
-pub fn recover(damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
+/// The old file cannot be read or has no intact part; the new one exists or cannot be written, and nothing of it is
+/// left.
+pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
-    let bytes = read_bytes(&MachineDisk, damaged)?;
+    let bytes = read_bytes(disk, damaged)?;
     let scan = checked_scan(&bytes).map_err(unreadable)?;
     let Some(damage) = scan.first_damage() else { return Ok(Recovered::WasWhole) };
     let lost_bytes = scan.lost_bytes;
     let recording = recording(scan).map_err(unreadable)?;
-    let mut writer =
-        RolloutWriter::create(&MachineDisk, saved, recording.header, &recording.policy)?;
-    for tick in &recording.ticks {
-        writer.write(tick)?;
-    }
+    let (ticks, has_outcome) = (recording.ticks.len(), recording.outcome.is_some());
     let lost = BTreeMap::from([
         ("lost_bytes".to_owned(), lost_bytes.to_string()),
         ("reason".to_owned(), damage),
     ]);
-    writer.finish_recovered(recording.outcome.as_ref(), lost)?;
-    let has_outcome = recording.outcome.is_some();
-    Ok(Recovered::Saved { ticks: recording.ticks.len(), lost_bytes, has_outcome })
+    match write(disk, saved, recording, lost) {
+        Ok(()) => Ok(Recovered::Saved { ticks, lost_bytes, has_outcome }),
+        Err(error @ RecordingError::Create { .. }) => Err(error),
+        Err(error) => {
+            // The old file still holds all of it.
+            let _ = disk.remove(saved);
+            Err(error)
+        }
+    }
+}
+
+fn write(
+    disk: &dyn Disk,
+    path: &Path,
+    recording: Recording,
+    lost: BTreeMap<String, String>,
+) -> Result<(), RecordingError> {
+    let mut writer = RolloutWriter::create(disk, path, recording.header, &recording.policy)?;
+    for tick in &recording.ticks {
+        writer.write(tick)?;
+    }
+    writer.finish_recovered(recording.outcome.as_ref(), lost).map(drop)
 }

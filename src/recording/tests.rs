@@ -200,7 +200,7 @@ fn a_damaged_block_costs_its_own_ticks_only() {
         Err(RecordingError::Unreadable { why: Unreadable::Damaged { .. }, .. })
     ));
 
-    let recovered = recover(&damaged, &saved).unwrap();
+    let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
     assert!(
         matches!(recovered, Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true }),
         "{recovered:?}"
@@ -210,7 +210,10 @@ fn a_damaged_block_costs_its_own_ticks_only() {
     assert!(recording.has_gaps());
     assert_eq!(recording.outcome, Some(outcome()));
     assert_eq!(std::fs::read(&damaged).unwrap(), bytes, "the old file stays");
-    assert_eq!(recover(&saved, &damaged.with_extension("c")).unwrap(), Recovered::WasWhole);
+    assert_eq!(
+        recover(&MachineDisk, &saved, &damaged.with_extension("c")).unwrap(),
+        Recovered::WasWhole
+    );
 }
 
 fn find_all(bytes: &[u8], text: &[u8]) -> Vec<usize> {
@@ -226,12 +229,12 @@ fn a_cut_off_recording_is_made_whole() {
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
     let before = read(&cut).unwrap();
     assert!(before.outcome.is_none() && !before.ticks.is_empty());
-    recover(&cut, &saved).unwrap();
+    recover(&MachineDisk, &cut, &saved).unwrap();
     let after = read(&saved).unwrap();
     assert_eq!(all_bits(&after.ticks), all_bits(&before.ticks));
     assert_eq!(after.completeness, Completeness::Recovered);
     assert_eq!(after.outcome, None);
-    let again = recover(&cut, &saved);
+    let again = recover(&MachineDisk, &cut, &saved);
     assert!(matches!(again, Err(RecordingError::Create { .. })), "nothing is overwritten");
 }
 

@@ -243,7 +243,13 @@ impl Rig {
             match fault.consequence() {
                 Consequence::Examine => return Err(RigError::InDoubt(Box::new(self.doubt(fault)))),
                 Consequence::End => return Err(RigError::Ended { fault }),
-                Consequence::TryAgain | Consequence::Reconnect => {}
+                // The motor may still have its last voltage: the operator hears it before the wait.
+                Consequence::Reconnect => tracing::warn!(
+                    "{fault}. {} The program waits {} s for the same board",
+                    fault.operator_step(),
+                    self.link_patience_s
+                ),
+                Consequence::TryAgain => {}
             }
         }
         self.greet_again(0)?;

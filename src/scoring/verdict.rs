@@ -1,3 +1,4 @@
+use std::io::ErrorKind;
 use std::path::Path;
 
 use super::criterion::{SUCCESS_RETURN, balanced_to_the_end, running};
@@ -57,11 +58,14 @@ pub fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
 /// Reads the recording of a rollout that was finished, and computes the verdict.
 ///
 /// # Errors
-/// The file cannot be read, one of its bytes has changed, or its end is missing.
+/// The file cannot be read, one of its bytes has changed, or it or its end is missing.
 pub fn score_finished(disk: &dyn Disk, path: &Path) -> Result<Verdict, RecordingError> {
-    match score(disk, path)? {
-        Verdict::Unfinished => Err(RecordingError::CutOff { path: path.to_owned() }),
-        verdict => Ok(verdict),
+    match score(disk, path) {
+        Ok(Verdict::Unfinished) => Err(RecordingError::CutOff { path: path.to_owned() }),
+        Err(RecordingError::Read { path, source }) if source.kind() == ErrorKind::NotFound => {
+            Err(RecordingError::Missing { path })
+        }
+        scored => scored,
     }
 }
 

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
+use qube_hil::recording::recover;
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::session::SessionError;
 
@@ -51,6 +52,26 @@ fn a_ledger_cut_at_any_byte_costs_no_rollout() {
         assert_eq!(rollouts, 0, "cut at {cut}: a finished rollout was done again");
     });
     println!("ledger cut at each of {length} bytes: no rollout lost, none done again");
+}
+
+#[test]
+fn a_recovery_that_a_write_ends_leaves_nothing_and_can_be_repeated() {
+    let whole = Undisturbed::world(0);
+    let path = recordings(&whole.disk).remove(0);
+    let bytes = whole.disk.bytes(&path).unwrap();
+    let saved = path.with_extension("recovered.mcap");
+    let mut failed = 0;
+    for operation in 0..40 {
+        let disk = SimulatedDisk::default();
+        disk.put(&path, &bytes[..bytes.len() / 2]);
+        disk.plan([(disk.operations() + operation, DiskFault::WriteFails)]);
+        // A sync, or after the end.
+        let Err(error) = recover(&disk, &path, &saved) else { continue };
+        assert!(disk.bytes(&saved).is_none(), "operation {operation}: a part is left: {error}");
+        recover(&disk, &path, &saved).unwrap();
+        failed += 1;
+    }
+    assert!(failed > 3, "{failed}");
 }
 
 #[test]

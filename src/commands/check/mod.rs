@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::check_table::{Row, checks_json, failed_names, table};
+use super::destination::OutputFile;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::failures;
@@ -46,7 +47,7 @@ pub struct Arguments {
     conformance: bool,
 
     /// Adopt the signs that are found, and write them to a file with the port's lasting name. Other entries
-    /// of the file are kept [FILE: qube.toml]
+    /// of the file are kept, its comments are not [FILE: qube.toml]
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = QUBE_FILE)]
     write: Option<PathBuf>,
 
@@ -71,7 +72,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         ));
     }
     let file = match &arguments.write {
-        Some(path) => Some((path.as_path(), base_file(path, &device)?)),
+        Some(path) => {
+            // Before anything moves.
+            OutputFile::of_option("--write", path, true)?;
+            Some((path.as_path(), base_file(path, &device)?))
+        }
         None => None,
     };
     let stop = Stop::on_signals()?;
@@ -83,7 +88,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     // The file to be replaced may belong to another board.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };
-    tell("checking the Qube: the arm is pushed a little, then homed");
+    tell("in the check the arm is pushed a little, then homed");
     let failed = |error| failures::rig(error, &stop);
     let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
     warn_without_realtime(rig.realtime());

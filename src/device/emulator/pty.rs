@@ -25,7 +25,8 @@ pub struct EmulatedQube {
     port: PathBuf,
     link: Arc<Mutex<Link>>,
     stop: Arc<OwnedFd>,
-    server: Option<JoinHandle<io::Result<()>>>,
+    /// Ends with the name of a port whose cable stays out.
+    server: Option<JoinHandle<io::Result<Option<ReservedName>>>>,
 }
 
 /// The port's second name and its target.
@@ -88,6 +89,12 @@ impl Pty {
     }
 }
 
+/// Keeps the kernel from giving the name of a port whose cable is out to the next pty: a program that opens its lost
+/// port again would find a stranger there.
+struct ReservedName {
+    _port_side: OwnedFd,
+}
+
 impl EmulatedQube {
     /// Opens a pty and starts serving it.
     ///
@@ -107,14 +114,16 @@ impl EmulatedQube {
             let mut pty = pty;
             loop {
                 if server.serve(&pty)? == Served::Stopped {
-                    return Ok(());
+                    return Ok(None);
                 }
-                // The kernel hangs the port up when the server's last descriptor is closed.
-                drop(pty);
+                // The kernel hangs the port up when its master is closed.
+                let name = ReservedName { _port_side: pty.port_side };
+                drop(pty.master);
                 Link::lock(&linked).take_away();
                 if server.wait_for_plug()? == Served::Stopped {
-                    return Ok(());
+                    return Ok(Some(name));
                 }
+                drop(name);
                 pty = Pty::open()?;
                 Link::lock(&linked).lead_to(pty.port.clone())?;
             }

@@ -1,5 +1,5 @@
 use std::fs;
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::Path;
 
 use rustix::fs::{Access, access};
@@ -41,12 +41,21 @@ fn permission(port: &str) -> Diagnosis {
     let Ok(metadata) = fs::metadata(port) else {
         return Diagnosis::unfit(&name, "does not exist", "plug the board in, or name another");
     };
+    if !may_be_serial(&metadata) {
+        return Diagnosis::unfit(&name, "is no serial port", "name the Qube's port");
+    }
     if access(port, Access::READ_OK | Access::WRITE_OK).is_ok() {
         return Diagnosis::well(&name, "may be opened");
     }
     let groups = fs::read_to_string("/etc/group").unwrap_or_default();
     let user = std::env::var("USER").unwrap_or_default();
     refused(&name, &owner(&groups, metadata.gid(), &user))
+}
+
+/// Whether the file can be a serial port; opening it to ask would restart boards that reset on a connection.
+fn may_be_serial(metadata: &fs::Metadata) -> bool {
+    // Major 1 has memory, /dev/null and their like.
+    metadata.file_type().is_char_device() && rustix::fs::major(metadata.rdev()) != 1
 }
 
 fn refused(name: &str, owner: &Owner) -> Diagnosis {
@@ -114,8 +123,10 @@ mod tests {
 
     #[test]
     fn a_port_that_is_not_there_is_said_so() {
-        let found = look(&["/dev/no-such-port".to_owned()]);
-        assert_eq!(found.len(), 1);
-        assert_eq!(found[0].verdict, Fitness::Unfit);
+        for port in ["/dev/no-such-port", "/dev/null", "/etc/passwd"] {
+            let found = look(&[port.to_owned()]);
+            assert_eq!(found.len(), 1);
+            assert_eq!(found[0].verdict, Fitness::Unfit, "{port}");
+        }
     }
 }

@@ -189,6 +189,8 @@ impl Session {
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         self.heed_doubt(tell)?;
+        // Before anything moves or is trained: the search needs every return.
+        self.scored_candidates()?;
         self.connect_early(tell)?;
         while goes_on(self.ledger.state()) {
             if self.stop.load(Ordering::Relaxed) {

@@ -1,0 +1,31 @@
+//! The last line of an `experiment.toml`: a checksum of the lines above it, by which a change is noticed before it
+//! mixes results of two experiments.
+
+use crate::session::file_checksum;
+
+const MARK: &str = "# checksum of the lines above, as this experiment began: ";
+
+/// The settings with the checksum below them.
+pub(super) fn sealed(settings: &str) -> String {
+    format!("{settings}{MARK}{}\n", file_checksum(settings.as_bytes()))
+}
+
+/// Whether the lines above the checksum are unchanged. Earlier versions wrote no checksum: such a file passes.
+pub(super) fn is_unchanged(text: &str) -> bool {
+    text.rsplit_once(MARK).is_none_or(|(settings, checksum)| {
+        file_checksum(settings.as_bytes()) == checksum.trim_end()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_change_above_or_below_the_checksum_is_noticed() {
+        let whole = sealed("seed = 1\n");
+        assert!(is_unchanged(&whole) && is_unchanged("seed = 1\n"));
+        assert!(!is_unchanged(&whole.replace("seed = 1", "seed = 2")));
+        assert!(!is_unchanged(&format!("{whole}policies = 3\n")));
+    }
+}
