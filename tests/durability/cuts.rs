@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use qube_hil::recording::recover;
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::session::SessionError;
+use qube_hil::storage::Disk;
 
 use crate::count_from;
 use crate::schedules::{Undisturbed, ledger_path, live, recordings};
@@ -63,6 +64,7 @@ fn a_recovery_that_a_write_ends_leaves_nothing_and_can_be_repeated() {
     let mut failed = 0;
     for operation in 0..40 {
         let disk = SimulatedDisk::default();
+        disk.create_folder(path.parent().unwrap()).unwrap();
         disk.put(&path, &bytes[..bytes.len() / 2]);
         disk.plan([(disk.operations() + operation, DiskFault::WriteFails)]);
         // A sync, or after the end.
