@@ -13,7 +13,7 @@ pub enum JobError {
     /// The training failed or was stopped on this computer.
     #[error(transparent)]
     Training(#[from] TrainError),
-    /// The training failed on another computer; it would fail everywhere.
+    /// The training failed on another computer, and would fail on every other.
     #[error("a training failed on {by}: {reason}")]
     Elsewhere {
         /// Worker that carried it out.
@@ -30,7 +30,7 @@ pub enum JobError {
         job: String,
         /// Number of tries.
         tries: u32,
-        /// How each try ended.
+        /// Endings of the failed tries.
         reasons: String,
     },
     /// The folder of jobs cannot be used.
@@ -88,7 +88,7 @@ pub enum JobFolderError {
         /// Version that the folder asks for.
         there: String,
     },
-    /// The processor lacks FMA, so that its policies would differ.
+    /// The processor lacks fused multiply-add (FMA), so that its policies would differ.
     #[error(
         "the processor of {host} has no fused multiply-add (FMA), so that its policies would differ from those of other \
          computers: leave it out"
@@ -105,7 +105,7 @@ pub enum JobFolderError {
         /// The other coordinator.
         by: String,
     },
-    /// A stop was requested before it was known whether another coordinator lives.
+    /// A stop was requested before it was clear whether another coordinator lives.
     #[error("stopped while it was not known whether another program uses {path}")]
     Stopped {
         /// Path of the folder.

@@ -6,12 +6,13 @@ use super::training_cores::TrainingCores;
 use super::{Executor, JobEvent, TrainingJob};
 use crate::learning::{Checkpointing, train};
 
-/// Trains on this computer, one policy on each of several cores at a time. A policy's bytes do not depend on
-/// the number of cores.
+/// An executor that trains on this computer, on each of several cores one policy at a time. A
+/// policy's bytes do not depend on the number of cores.
 #[derive(Clone, Debug)]
 pub struct LocalExecutor {
     cores: usize,
-    /// Cores that trainings keep to while a control thread runs; `None` if none does.
+    /// Cores that the trainings are confined to, so that a control thread has one for itself;
+    /// `None` without a control thread.
     keeps_to: Option<TrainingCores>,
     checkpointing: Option<Checkpointing>,
 }
@@ -29,16 +30,16 @@ impl LocalExecutor {
         Self { cores: cores.max(1), keeps_to: None, checkpointing: None }
     }
 
-    /// An executor that trains while a control thread runs: on all cores but one, which is left to that thread, and in
-    /// threads of the lowest priority.
+    /// An executor for trainings beside a control thread. It leaves one core to that thread, uses
+    /// all others, and trains in threads of the lowest priority.
     #[must_use]
     pub fn beside_control_thread() -> Self {
         let keeps_to = TrainingCores::beside_control_thread();
         Self { keeps_to: Some(keeps_to), ..Self::on_cores(keeps_to.count()) }
     }
 
-    /// Writes checkpoints of a single job, from which it resumes. Several jobs at once have none, because
-    /// they would share the file.
+    /// Sets the checkpoints from which a single job resumes. Several jobs at once write none,
+    /// because they would share the file.
     #[must_use]
     pub fn checkpointed(mut self, checkpointing: Option<Checkpointing>) -> Self {
         self.checkpointing = checkpointing;
@@ -69,7 +70,8 @@ impl Executor for LocalExecutor {
 
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
         let workers = self.cores.min(jobs.len());
-        // The caller's thread keeps its own cores and priority.
+        // Trainings that are confined to some cores need threads of their own, because the caller's
+        // thread must keep its cores and priority.
         if workers <= 1 && self.keeps_to.is_none() {
             (0..jobs.len()).for_each(|index| self.carry_out(jobs, index, stop, tell));
             return;

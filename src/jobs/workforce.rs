@@ -5,20 +5,20 @@ use super::JobFolderError;
 use super::folder::{ClaimEnding, HeartbeatState, HeartbeatWatch, Holder, JobFolder};
 use super::starter::{StartError, Starter};
 
-/// Number of starts without any worker after which the work ends.
+/// Number of starts in a row without any new worker after which the work ends.
 const FRUITLESS_STARTS: u32 = 2;
 
-/// Number of starts without any result after which the work ends: a scheduler may end all workers before they finish a
-/// training.
+/// Number of starts without any result after which the work ends. Such starts happen when a
+/// scheduler ends all workers before they finish a training.
 const VAIN_STARTS: u32 = 20;
 
-/// Time for which a scheduler may be silent.
+/// Longest time for which a scheduler may fail to answer.
 const PATIENCE: Duration = Duration::from_secs(600);
 
-/// Difference between two computers' clocks that the operator is told of, s.
+/// Smallest difference between two computers' clocks that is reported to the operator, s.
 const CLOCK_DIFFERENCE_S: u64 = 120;
 
-/// Starts workers as long as there are fewer of them than open jobs, up to a largest number.
+/// The workers that a starter keeps running: one for each open job, up to a largest number.
 #[derive(Debug)]
 pub(super) struct Workforce {
     starter: Box<dyn Starter>,
@@ -43,7 +43,7 @@ pub(super) struct Workforce {
     told: Vec<String>,
 }
 
-/// The reason why nobody can carry out jobs.
+/// The reason why no worker can carry out jobs.
 #[derive(Debug)]
 pub(super) enum NoWorkforce {
     /// No workers can be started.
@@ -118,7 +118,7 @@ impl Workforce {
         {
             self.tell("workers were started, and none has appeared yet: waiting".to_owned());
         }
-        // Workers that somebody has started by hand count too.
+        // Workers that the operator has started by hand count, too.
         let expected = expected.max(alive);
         let wanted = self.workers.min(u32::try_from(open_jobs).unwrap_or(u32::MAX));
         if expected >= wanted {
@@ -152,7 +152,12 @@ impl Workforce {
         Ok(())
     }
 
-    /// The first worker is the probe of the shared folder: one that runs must appear in it.
+    /// Checks that the first workers have appeared in the folder. A worker that the starter reports
+    /// as running, but that is not in the folder within the stale time, sees another folder or
+    /// fails at once.
+    ///
+    /// # Errors
+    /// No worker has appeared in time; all workers are cancelled.
     fn probe(&mut self, folder: &JobFolder, running: u32, alive: u32) -> Result<(), StartError> {
         if running == 0 || alive > 0 || self.appeared > 0 {
             self.running_since = None;
@@ -174,7 +179,7 @@ impl Workforce {
         }
     }
 
-    /// Looks at the workers' files; returns how many workers live.
+    /// Reads the workers' files and returns how many workers live.
     fn look(&mut self, folder: &JobFolder) -> Result<u32, NoWorkforce> {
         let now = self.begun.elapsed();
         let (mut alive, mut refusal) = (0, None);
@@ -184,7 +189,8 @@ impl Workforce {
             }
             if name.ends_with(".refused") {
                 self.seen.insert(name.clone(), false);
-                // A refusal of an earlier coordinator's worker says nothing about today's.
+                // A refusal that a worker left under an earlier coordinator says nothing about this
+                // one's workers.
                 if self.has_looked || self.started.is_some() {
                     self.appeared += 1;
                     refusal = folder.refusal(&name);
@@ -231,7 +237,7 @@ impl Workforce {
         }
     }
 
-    /// Tells the operator something once.
+    /// Warns the operator, once for each text.
     fn tell(&mut self, note: String) {
         if !self.told.contains(&note) {
             tracing::warn!("{note}");
@@ -245,7 +251,7 @@ impl Workforce {
     }
 }
 
-/// The last line that a start or a worker has printed.
+/// The last line of the newest log of a start or a worker.
 fn last_log_line(folder: &JobFolder) -> Option<String> {
     let logs = std::fs::read_dir(folder.root().join("logs")).ok()?.flatten();
     let newest = logs.max_by_key(|log| log.metadata().and_then(|it| it.modified()).ok())?.path();

@@ -10,10 +10,11 @@ use serde::{Deserialize, Serialize};
 use super::Holder;
 use crate::storage::{Disk, DiskFile};
 
-/// Largest file of this kind that is read: at a beat in five seconds, two months.
+/// Largest heartbeat file that is read, bytes. With a beat every 5 s a file reaches it in two
+/// months.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// The way in which a process has given up its file.
+/// The reason why a process has given up its heartbeat file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClaimEnding {
@@ -25,19 +26,21 @@ pub enum ClaimEnding {
     Failed(String),
 }
 
-/// A file that shows that its process lives: created exclusively, and one byte longer at each beat.
+/// A file that shows that its process lives: the process creates it exclusively and appends one
+/// byte at each beat.
 ///
-/// It stays open, so a suspended process that has lost its claim writes only into its own file.
+/// The process keeps the file open. If it was suspended and has lost its claim, it therefore writes
+/// only into its own file, not into the one of its successor.
 #[derive(Debug)]
 pub struct Heartbeat {
     file: Box<dyn DiskFile>,
 }
 
 impl Heartbeat {
-    /// Creates the file; `None` if it exists.
+    /// Creates the file; `None` if the file exists.
     ///
     /// # Errors
-    /// A file operation fails; no file is left if it can be helped.
+    /// A file operation fails. A file that was created is removed again if possible.
     pub fn create(disk: &dyn Disk, path: &Path, holder: &Holder) -> io::Result<Option<Self>> {
         let mut file = match disk.create(path, false) {
             Ok(file) => file,
@@ -54,7 +57,7 @@ impl Heartbeat {
         }
     }
 
-    /// Shows that the process lives.
+    /// Appends a byte, which shows that the process lives.
     ///
     /// # Errors
     /// A file operation fails.
@@ -63,10 +66,10 @@ impl Heartbeat {
         self.file.sync()
     }
 
-    /// Gives the file up.
+    /// Appends the reason why the process gives up the file, and closes the file.
     ///
     /// # Errors
-    /// A file operation fails; the file then looks like that of a dead process.
+    /// A file operation fails. The file then looks as if its process had died.
     pub fn end(mut self, ending: &ClaimEnding) -> io::Result<()> {
         let line = format!("\n{}\n", serde_json::to_string(ending)?);
         self.file.write_all(line.as_bytes())?;
@@ -74,18 +77,18 @@ impl Heartbeat {
     }
 }
 
-/// The content of such a file.
+/// The content of a heartbeat file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct HeartbeatState {
-    /// Process that created it; `None` while its first line is not whole.
+    /// Process that created the file; `None` while the first line is incomplete.
     pub holder: Option<Holder>,
-    /// ClaimEnding, if the process has given it up.
+    /// Reason why the process has given up the file; `None` if it has not.
     pub ending: Option<ClaimEnding>,
     length: usize,
 }
 
 impl HeartbeatState {
-    /// Reads such a file; `None` if there is none.
+    /// Reads a heartbeat file; `None` if there is none.
     ///
     /// # Errors
     /// A file operation fails.
@@ -109,7 +112,8 @@ impl HeartbeatState {
     }
 }
 
-/// Finds out which files have stopped growing, by this process's own clock: the clocks of other computers do not matter.
+/// Detects heartbeat files that have stopped growing. It measures time by this process's own clock,
+/// so the clocks of other computers do not matter.
 #[derive(Debug)]
 pub struct HeartbeatWatch {
     here: Holder,
@@ -118,14 +122,14 @@ pub struct HeartbeatWatch {
 }
 
 impl HeartbeatWatch {
-    /// A watch of the process `here` for which a file is stale after this time without a beat.
+    /// A watch in the process `here`. A file counts as stale after the time `stale` without a beat.
     #[must_use]
     pub fn new(here: Holder, stale: Duration) -> Self {
         Self { here, stale, seen: HashMap::new() }
     }
 
-    /// Whether the process of a file is dead: it has ended on this computer, or its file has not grown for the time
-    /// after which it is stale. `now` is the time since any fixed instant.
+    /// Whether the process of a file is dead: the process ran on this computer and has ended, or
+    /// the file has not grown for the stale time. `now` is the time since any fixed instant.
     pub fn is_dead(&mut self, name: &str, state: &HeartbeatState, now: Duration) -> bool {
         if state.holder.as_ref().is_some_and(|holder| holder.has_ended_here(&self.here)) {
             return true;
@@ -145,7 +149,7 @@ impl HeartbeatWatch {
         }
     }
 
-    /// Forgets all files but those that `names` accepts.
+    /// Forgets all files except those whose names `names` accepts.
     pub fn forget_all_but(&mut self, names: impl Fn(&str) -> bool) {
         self.seen.retain(|name, _| names(name));
     }

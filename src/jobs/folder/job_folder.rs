@@ -14,16 +14,17 @@ use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::Trained;
 use crate::storage::Disk;
 
-/// Largest job file that is read: a job has some kB.
+/// Largest job file that is read, bytes. A job has some kB.
 const MAX_JOB_BYTES: u64 = 16 << 20;
 
-/// Largest result that is read: a policy has 20 kB, and a learning curve 100 bytes an update.
+/// Largest result file that is read, bytes. A policy has 20 kB, and a learning curve 100 bytes an
+/// update.
 const MAX_RESULT_BYTES: u64 = 256 << 20;
 
-/// Version of the files' meaning.
+/// Version of the format of a folder's files.
 const FORMAT: u32 = 1;
 
-/// The version of this program, to the revision of its source.
+/// The name and version of this program and the revision of its source.
 #[must_use]
 pub fn program() -> String {
     format!("qube-hil {} ({})", env!("CARGO_PKG_VERSION"), env!("QUBE_HIL_GIT_REVISION"))
@@ -32,9 +33,9 @@ pub fn program() -> String {
 /// The settings that all processes of a folder share.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Terms {
-    /// Version of the meaning of the files.
+    /// Version of the format of the folder's files.
     pub format: u32,
-    /// Version of the program.
+    /// Name, version and source revision of the program, as [`program`] gives them.
     pub program: String,
     /// Time between two beats of a process, ms.
     pub beat_ms: u64,
@@ -92,7 +93,8 @@ pub struct JobFolder {
 }
 
 impl JobFolder {
-    /// Creates the folder with these terms. One that exists keeps its own until [`coordinate`](Self::coordinate) succeeds.
+    /// Creates the folder with these terms. A folder that exists keeps the terms in its
+    /// `folder.json` until [`coordinate`](Self::coordinate) succeeds.
     ///
     /// # Errors
     /// A file operation fails.
@@ -120,7 +122,8 @@ impl JobFolder {
     /// Opens the folder for a worker.
     ///
     /// # Errors
-    /// It is no folder of jobs; its jobs are of another version of the program.
+    /// The folder has no `folder.json`, this file is damaged or names another version of the
+    /// program, or a file operation fails.
     pub fn open(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, JobFolderError> {
         let path = root.join("folder.json");
         let bytes = disk.read(&path, MAX_JOB_BYTES).map_err(|source| match source.kind() {
@@ -184,7 +187,7 @@ impl JobFolder {
         self.disk.exists(&self.job(name))
     }
 
-    /// An open job; `None` if it is not open any more.
+    /// Reads an open job; `None` if the job is no longer open.
     ///
     /// # Errors
     /// The file is damaged, or a file operation fails.
@@ -219,8 +222,8 @@ impl JobFolder {
         self.disk.exists(&self.result(name))
     }
 
-    /// Stores the result of a job. A second worker's result replaces it: the same policy and curve, with another worker's
-    /// name.
+    /// Stores the result of a job. If two workers finish the same job, the later result replaces
+    /// the earlier one; both have the same policy and curve, and only the worker's name differs.
     ///
     /// # Errors
     /// A file operation fails; no result appears.
@@ -248,7 +251,8 @@ impl JobFolder {
     /// Reads the result of a job.
     ///
     /// # Errors
-    /// There is none, it is damaged, or another version of the program wrote it.
+    /// There is no result, the result is damaged, another version of the program wrote it, or a
+    /// file operation fails.
     pub fn read_result(&self, name: &str, job: &TrainingJob) -> Result<JobResult, JobFolderError> {
         let path = self.result(name);
         let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
@@ -282,7 +286,8 @@ impl JobFolder {
         self.remove(&self.result(name))
     }
 
-    /// Removes a job with its claims and its result. A worker that still does it finds no job and drops its result.
+    /// Removes a job with its claims and its result. A worker that still carries the job out finds
+    /// that it is gone and drops its own result.
     ///
     /// # Errors
     /// A file operation fails.
@@ -298,7 +303,7 @@ impl JobFolder {
         self.discard_result(name)
     }
 
-    /// The number of tries of each job that was ever claimed.
+    /// Counts the tries of each job that was ever claimed, by the name of the job.
     ///
     /// # Errors
     /// A file operation fails.
@@ -316,13 +321,13 @@ impl JobFolder {
         Ok(claims)
     }
 
-    /// Path of the claim of a try.
+    /// Path of the file by which a worker claims try `number`, from 0, of a job.
     #[must_use]
     pub fn claim(&self, name: &str, number: u32) -> PathBuf {
         self.root.join("claims").join(format!("{name}.{number}"))
     }
 
-    /// Registers a worker.
+    /// Registers a worker: creates its heartbeat file.
     ///
     /// # Errors
     /// A file operation fails.
@@ -336,13 +341,13 @@ impl JobFolder {
         }
     }
 
-    /// Leaves word why a worker refuses to work in this folder; a failure to do so is ignored.
+    /// Writes down why a worker refuses to work in this folder. A failure to write is ignored.
     pub fn leave_refusal(disk: &dyn Disk, root: &Path, worker: &Holder, reason: &str) {
         let path = root.join("workers").join(worker.file_name() + ".refused");
         let _ = write_whole_beside(disk, &path, &sealed("refusal", reason.as_bytes()));
     }
 
-    /// The names of the workers' files.
+    /// The names of the workers' files: heartbeats and refusals.
     ///
     /// # Errors
     /// A file operation fails.
@@ -350,7 +355,7 @@ impl JobFolder {
         self.names("workers")
     }
 
-    /// The state of a worker's file.
+    /// Reads the state of a worker's heartbeat file; `None` if the file does not exist.
     ///
     /// # Errors
     /// A file operation fails.
@@ -359,18 +364,19 @@ impl JobFolder {
         HeartbeatState::read(self.disk(), &path).map_err(|source| refused(&path, source))
     }
 
-    /// The reason in a file of a worker that refused.
+    /// Reads the reason why a worker refused; `None` if its file cannot be read.
     #[must_use]
     pub fn refusal(&self, name: &str) -> Option<String> {
         let bytes = self.disk.read(&self.root.join("workers").join(name), MAX_JOB_BYTES).ok()?;
         unsealed("refusal", &bytes).ok().map(|text| String::from_utf8_lossy(text).into_owned())
     }
 
-    /// Takes the folder for one coordinator, whose terms hold from then on. Where an earlier one of another computer has
-    /// left no ending, this waits until that one has shown a beat or is stale.
+    /// Takes the folder for one coordinator, whose terms hold from then on. If the last coordinator
+    /// has written no ending and ran on another computer, this waits until its heartbeat file grows
+    /// or counts as stale.
     ///
     /// # Errors
-    /// Another coordinator lives; `stop` was set while this waited; a file operation fails.
+    /// Another coordinator lives, `stop` was set during the wait, or a file operation fails.
     pub fn coordinate(
         &self,
         holder: &Holder,
@@ -429,7 +435,7 @@ impl JobFolder {
         self.write(&self.root.join("closed"), "end", b"")
     }
 
-    /// Takes [`close`](Self::close) back.
+    /// Undoes [`close`](Self::close).
     ///
     /// # Errors
     /// A file operation fails.
@@ -437,7 +443,7 @@ impl JobFolder {
         self.remove(&self.root.join("closed"))
     }
 
-    /// Whether no further work is wanted.
+    /// Whether the coordinator wants no further work.
     #[must_use]
     pub fn is_closed(&self) -> bool {
         self.disk.exists(&self.root.join("closed"))
@@ -451,7 +457,7 @@ impl JobFolder {
         self.root.join("results").join(name)
     }
 
-    /// The names of the whole files in a part of the folder.
+    /// The names of the finished files in one of the folder's subfolders.
     fn names(&self, part: &str) -> Result<Vec<String>, JobFolderError> {
         let path = self.root.join(part);
         let names = self.disk.names(&path).map_err(|source| refused(&path, source))?;
@@ -472,10 +478,11 @@ impl JobFolder {
     }
 }
 
-/// ClaimEnding of the names of files that are being written.
+/// End of the names of files that are still being written.
 const UNFINISHED: &str = ".unfinished";
 
-/// Writes a file whole or not at all. Each process uses a name of its own meanwhile: two may write the same result.
+/// Writes a file whole or not at all. The temporary file has a name of its own in each process,
+/// because two processes may write the same result.
 fn write_whole_beside(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}{UNFINISHED}", Holder::this_process().file_name()));

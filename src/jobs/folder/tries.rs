@@ -3,25 +3,26 @@ use std::time::Duration;
 use super::{ClaimEnding, HeartbeatState, HeartbeatWatch, JobFolder};
 use crate::jobs::JobFolderError;
 
-/// How the tries of a job have ended so far.
+/// The tries of a job so far, and how they ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tries {
     /// Number of tries.
     pub begun: u32,
     /// Whether the last try is under way.
     pub is_under_way: bool,
-    /// The failures: worker, and how it ended. Tries that were stopped on request are none.
+    /// One text for each failed try: the worker, and how the try ended. A try that was stopped on
+    /// request does not count as failed.
     pub failures: Vec<String>,
 }
 
 /// The next step that a job allows a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NextTry {
-    /// Claim this try.
+    /// Claim the try with this number, from 0.
     Claim(u32),
-    /// Another worker is at it.
+    /// Wait: another worker carries the job out.
     UnderWay,
-    /// It has failed too often.
+    /// Do nothing: the job has failed too often.
     GivenUp,
 }
 
@@ -60,7 +61,7 @@ impl Tries {
         Ok(tries)
     }
 
-    /// The next step that the job allows a worker; after `most` failures it is given up.
+    /// The next step that the job allows a worker. After `most` failures the job is given up.
     #[must_use]
     pub fn next_try(&self, most: u32) -> NextTry {
         if self.is_under_way {

@@ -9,16 +9,18 @@ use crate::elementary::Level;
 use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::{TrainError, Trained, train};
 
-/// Longest time between two looks at a folder without work.
+/// Longest time between two looks at a folder that has no work.
 const LONGEST_WAIT: Duration = Duration::from_secs(5);
 
-/// Time between two looks at the stop flag and at the end of the folder.
+/// Time between two looks at the stop flag. It is also the first wait for work, and the least time
+/// between two readings of the other workers' claims.
 const GLANCE: Duration = Duration::from_millis(50);
 
 /// Number of times that a worker tries to write a result before it gives up.
 const WRITES: u32 = 3;
 
-/// The place of a worker among those that share a folder: it begins with another part of the jobs than the others.
+/// The number of a worker among those that share a folder. It makes each worker begin at another
+/// place in the list of jobs, so that they seldom try to claim the same one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot {
     /// Number of the worker, below `count`.
@@ -30,7 +32,8 @@ pub struct Slot {
 impl FromStr for Slot {
     type Err = String;
 
-    /// Reads `k/N` with `k` from 0 to N: schedulers count from 0 or from 1, and the place is only a start.
+    /// Reads `k/N` with `k` from 0 to N. Schedulers count from 0 or from 1, so N is accepted and
+    /// means 0.
     fn from_str(text: &str) -> Result<Self, String> {
         let parsed: Option<(u32, u32)> = text
             .split_once('/')
@@ -79,7 +82,7 @@ pub enum WorkerEvent<'a> {
 pub struct WorkReport {
     /// Number of policies trained.
     pub trained: u32,
-    /// Number of trainings that failed, as they would anywhere.
+    /// Number of trainings that failed and would fail on any computer.
     pub failed: u32,
 }
 
@@ -98,7 +101,7 @@ struct Alive {
     claim: Option<Heartbeat>,
 }
 
-/// Ends the heart however the work ends, also by a panic.
+/// Ends the heartbeat thread when the work ends, also when it panics.
 struct EndOfHeart<'a>(&'a Mutex<Option<Alive>>);
 
 impl Drop for EndOfHeart<'_> {
@@ -111,7 +114,8 @@ impl Worker {
     /// A worker that ends after `linger` without work.
     ///
     /// # Errors
-    /// The processor would train other policies than the others.
+    /// The processor has no fused multiply-add, so that its policies would differ from those of
+    /// other computers.
     pub fn new(
         folder: JobFolder,
         holder: Holder,
@@ -125,10 +129,11 @@ impl Worker {
         }
     }
 
-    /// Works until there was no work for long, the coordinator ends, or `stop` is set.
+    /// Carries out jobs until none has come for the time `linger`, the coordinator closes the
+    /// folder, or `stop` is set.
     ///
     /// # Errors
-    /// A file operation fails; finished work is in the folder.
+    /// A file operation fails. The results of finished jobs are in the folder.
     pub fn run(
         &self,
         stop: &AtomicBool,
@@ -155,7 +160,8 @@ impl Worker {
         })
     }
 
-    /// Beats until the worker has ended, and halts it on a stop or when the folder is closed.
+    /// Writes the beats until the worker has ended. Halts the worker when `stop` is set or the
+    /// folder is closed.
     fn beat(&self, alive: &Mutex<Option<Alive>>, stop: &AtomicBool, halt: &AtomicBool) {
         let mut beaten = Instant::now();
         loop {
@@ -168,7 +174,8 @@ impl Worker {
             let Some(alive) = alive.as_mut() else { return };
             if is_due {
                 beaten = Instant::now();
-                // A beat that cannot be written makes others take the job: they do it as well.
+                // Without beats other workers take the job and train the same policy, so a beat
+                // that cannot be written does no harm.
                 let _ = alive.worker.beat();
                 let _ = alive.claim.as_mut().map(Heartbeat::beat);
             }
@@ -227,7 +234,8 @@ impl Worker {
                         did |= self.do_job(job, number, claim, alive, halt, &mut report, tell)?;
                         (last_work, wait, waits) = (Instant::now(), GLANCE, false);
                     }
-                    // Others have come this far: what they did since the last look needs no second look.
+                    // Another worker has claimed this job since the last reading of the folder. A
+                    // new reading of claims and results skips the other jobs that are taken.
                     Ok(None) => {
                         others = true;
                         if looked.elapsed() >= GLANCE {
@@ -242,7 +250,7 @@ impl Worker {
             if did {
                 continue;
             }
-            // While others work, one of them may die and leave its job.
+            // A worker may die and leave its job. While others work, this one therefore waits.
             if !others && last_work.elapsed() >= self.linger {
                 return Ok(report);
             }
@@ -258,7 +266,7 @@ impl Worker {
         }
     }
 
-    /// The jobs from this worker's place on.
+    /// All jobs, beginning at this worker's place in the list and wrapping around.
     fn in_order<'a>(&self, jobs: &'a BTreeSet<String>) -> impl Iterator<Item = &'a String> {
         let from = match self.slot {
             Some(Slot { number, count }) => jobs.len() * number as usize / count as usize,
@@ -267,7 +275,7 @@ impl Worker {
         jobs.iter().skip(from).chain(jobs.iter().take(from))
     }
 
-    /// Carries out a claimed job. Returns whether it was done.
+    /// Carries out a claimed job. Returns whether the job was finished, with or without success.
     #[allow(clippy::too_many_arguments)]
     fn do_job(
         &self,
@@ -325,7 +333,7 @@ impl Worker {
         Ok(true)
     }
 
-    /// Stores a result, unless the job is not wanted any more.
+    /// Stores a result in up to [`WRITES`] attempts, unless the coordinator has removed the job.
     fn store(&self, job: &str, outcome: Result<&Trained, String>) -> Result<(), JobFolderError> {
         for attempt in 1.. {
             if !self.folder.is_open(job) {
@@ -340,7 +348,7 @@ impl Worker {
     }
 }
 
-/// Trains on one core.
+/// Trains a job's policy in one thread.
 fn carried_out(job: TrainingJob, halt: &AtomicBool) -> Result<Trained, TrainError> {
     let TrainingJob { distribution, mut settings, seed } = job;
     settings.threads = 1;

@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::{Census, StartError, Starter};
 use crate::jobs::folder::JobFolder;
 
-/// Starts workers by a command of the user's, such as GNU parallel over ssh.
+/// A starter that runs a shell command of the user's, such as GNU parallel over ssh.
 #[derive(Debug)]
 pub struct CommandStarter {
     template: String,
@@ -25,7 +25,7 @@ struct Start {
     has_failed: bool,
 }
 
-/// The reason why a text is no template of a command.
+/// The reason why a text is not a template of a command.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum TemplateError {
     /// The command would start no worker.
@@ -34,8 +34,9 @@ pub enum TemplateError {
 }
 
 impl CommandStarter {
-    /// A starter by a command for the shell, in which `{work}` stands for `work`, a worker's command, `{folder}` for the
-    /// folder of jobs, and `{workers}` for the number of workers to start.
+    /// A starter with a template of a shell command. In the template, `{work}` stands for the
+    /// command of one worker, which is the argument `work`, `{folder}` for the folder of jobs, and
+    /// `{workers}` for the number of workers to start.
     ///
     /// # Errors
     /// The command would start no worker.
@@ -54,7 +55,7 @@ impl CommandStarter {
     }
 }
 
-/// A text as one word of the shell.
+/// The text quoted as one word of the shell.
 #[must_use]
 pub fn quoted(text: &str) -> String {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-+=:,@%".contains(letter);
@@ -77,7 +78,8 @@ impl Starter for CommandStarter {
             .stdin(Stdio::null())
             .stdout(log.try_clone().map_err(StartError::Command)?)
             .stderr(log)
-            // Ctrl-C at this program reaches the workers by the folder, which may also leave them.
+            // Ctrl-C at this program must not end the workers directly: closing the folder of jobs
+            // ends them, unless they are to work on without this program.
             .process_group(0)
             .spawn()
             .map_err(StartError::Command)?;
@@ -88,7 +90,8 @@ impl Starter for CommandStarter {
     fn census(&mut self, appeared: u32, alive: u32) -> Result<Census, StartError> {
         let mut note = None;
         for start in self.starts.iter_mut().filter(|start| !start.has_failed) {
-            // A command that ends well may have handed its workers to a queue.
+            // A command that ends with success counts on: it may have handed its workers to a
+            // queue.
             if let Ok(Some(status)) = start.child.try_wait()
                 && !status.success()
             {

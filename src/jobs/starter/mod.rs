@@ -12,40 +12,43 @@ use super::folder::JobFolder;
 pub use command::{CommandStarter, TemplateError, quoted};
 pub use slurm::{SlurmOptions, SlurmStarter};
 
-/// Starts workers, and knows which of them are still to be expected.
+/// Starts workers, and counts those that run or are still to come.
 pub trait Starter: Send + fmt::Debug {
-    /// Starts workers.
+    /// Starts a number of workers for a folder.
     ///
     /// # Errors
-    /// They cannot be started.
+    /// The workers cannot be started.
     fn start(&mut self, folder: &JobFolder, workers: u32) -> Result<(), StartError>;
 
-    /// Asks which workers are under way. `appeared` is the number of workers that have registered in the folder since the
-    /// coordinator began, and `alive` how many of them live.
+    /// Counts the workers that run or wait. `appeared` is the number of workers that have
+    /// registered in the folder since the coordinator began, and `alive` is the number of those
+    /// that live.
     ///
     /// # Errors
-    /// They cannot be asked, now or later.
+    /// The workers cannot be counted at all. A scheduler that fails to answer only for the moment
+    /// is no error: then [`Census::expected`] is `None`.
     fn census(&mut self, appeared: u32, alive: u32) -> Result<Census, StartError>;
 
-    /// Ends all workers, as far as they can be reached.
+    /// Ends all workers that the starter can reach.
     fn cancel(&mut self);
 }
 
-/// The workers that a starter knows of.
+/// The numbers of workers that a starter knows of.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Census {
-    /// Number of workers that run or wait to; `None` while the scheduler does not answer.
+    /// Number of workers that run or wait to run; `None` while the scheduler does not answer.
     pub expected: Option<u32>,
-    /// Number of workers that the scheduler says are running, if it tells.
+    /// Number of workers that run, as far as the starter knows.
     pub running: u32,
-    /// Something that the operator should know: the scheduler does not answer, or it holds the workers.
+    /// Note for the operator: the scheduler does not answer or does not start a worker, or the
+    /// start command failed.
     pub note: Option<String>,
 }
 
 /// The reason why no workers can be started.
 #[derive(Debug, Error)]
 pub enum StartError {
-    /// The program that starts them is missing.
+    /// The program that starts the workers is missing.
     #[error(
         "there is no {program} on this computer: start this on a computer from which the cluster is used, or choose \
          another executor"
@@ -54,22 +57,22 @@ pub enum StartError {
         /// Name of the program.
         program: String,
     },
-    /// The scheduler refuses.
+    /// The scheduler refuses the workers.
     #[error("Slurm refuses the workers: {reason}")]
     Refused {
         /// Message of the scheduler.
         reason: String,
     },
-    /// The scheduler does not answer; it may later.
+    /// The scheduler does not answer. It may answer later.
     #[error("Slurm does not answer: {reason}")]
     Silent {
-        /// Message of its command.
+        /// Message of the scheduler's command.
         reason: String,
     },
-    /// The operating system refuses.
+    /// The operating system cannot run the command that starts workers.
     #[error("the command that starts workers cannot be run: {0}")]
     Command(std::io::Error),
-    /// Workers were started, and nothing of them appeared in the folder.
+    /// Workers were started, but none has appeared in the folder.
     #[error(
         "workers were started {starts} times, and none has appeared in {folder}: is it the same folder on all computers, \
          and the program there? {last}"
@@ -82,7 +85,7 @@ pub enum StartError {
         /// Last message of a start or of a worker.
         last: String,
     },
-    /// The workers are always ended before they finish a training.
+    /// Every worker was ended before it had finished a training.
     #[error(
         "workers were started {starts} times since the last finished training, and each was ended early: give them more time \
          or memory"
@@ -94,7 +97,7 @@ pub enum StartError {
     /// Every worker refuses to work.
     #[error("the workers refuse: {reason}")]
     WorkersRefuse {
-        /// Reason of the first.
+        /// Reason that one of the workers gave.
         reason: String,
     },
 }

@@ -18,10 +18,11 @@ pub struct SlurmOptions {
     pub memory: Option<String>,
 }
 
-/// Starts workers as job arrays of Slurm.
+/// A starter that submits workers as job arrays of Slurm.
 ///
-/// Slurm is asked only whether workers are alive; results are files. It needs no accounting. The arrays are named after
-/// the folder, so a coordinator that was killed finds those of its predecessor.
+/// Slurm is asked only which workers wait or run; the results are files in the folder. Slurm needs
+/// no accounting for this. The arrays are named after the folder, so that a coordinator whose
+/// predecessor was killed finds the predecessor's arrays.
 #[derive(Debug)]
 pub struct SlurmStarter {
     options: SlurmOptions,
@@ -30,11 +31,12 @@ pub struct SlurmStarter {
 }
 
 impl SlurmStarter {
-    /// The environment variable with a worker's number in its array.
+    /// The environment variable in which Slurm gives a worker its number in the array.
     pub const NUMBER: &str = "SLURM_ARRAY_TASK_ID";
 
-    /// A starter of workers for a folder. `work` is a worker's command for the shell, in which `{workers}` stands for the
-    /// number of workers in the array and [`Self::NUMBER`] names the worker's own.
+    /// A starter of workers for a folder. `work` is a worker's shell command, in which `{workers}`
+    /// stands for the number of workers in the array and the variable [`Self::NUMBER`] for the
+    /// worker's own number.
     #[must_use]
     pub fn new(options: SlurmOptions, work: String, folder: &JobFolder) -> Self {
         let root = folder.root().to_string_lossy();
@@ -69,7 +71,8 @@ impl SlurmStarter {
         options
     }
 
-    /// The script of a worker. The program takes the place of the shell, so that it receives Slurm's signal.
+    /// The script of a worker. It replaces the shell by the program (`exec`), so that the program
+    /// receives the signal of Slurm.
     fn script(&self, workers: u32) -> String {
         format!("#!/bin/sh\nexec {}\n", self.work.replace("{workers}", &workers.to_string()))
     }
@@ -107,7 +110,7 @@ impl Starter for SlurmStarter {
         let output = run_command("squeue", &options, "")?;
         if !output.status.success() {
             let reason = first_line(&output.stderr);
-            // Whatever it is, it may pass: workers are at work meanwhile.
+            // The failure may pass, and workers may be running, so it is a note and not an error.
             let what = if is_silence(&reason) { "Slurm does not answer" } else { "squeue fails" };
             return Ok(Census { note: Some(format!("{what}: {reason}")), ..Census::default() });
         }
@@ -120,7 +123,8 @@ impl Starter for SlurmStarter {
     }
 }
 
-/// The census of squeue's lines: number, state and reason of each task.
+/// Counts the workers in the lines of `squeue`, each of which gives a task's number, state and
+/// reason.
 fn of_queue(lines: &str) -> Census {
     let mut census = Census { expected: Some(0), ..Census::default() };
     for line in lines.lines() {
@@ -128,7 +132,7 @@ fn of_queue(lines: &str) -> Census {
         let (task, state) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
         let reason = words.next().unwrap_or_default();
         match state {
-            // The worker ends, or has ended.
+            // The worker is ending, or has ended.
             "COMPLETING" | "COMPLETED" | "CANCELLED" | "FAILED" | "TIMEOUT" | "NODE_FAIL"
             | "PREEMPTED" | "OUT_OF_MEMORY" | "BOOT_FAIL" | "DEADLINE" | "" => continue,
             "RUNNING" => census.running += 1,
@@ -153,7 +157,7 @@ fn run_command(program: &str, options: &[String], input: &str) -> Result<Output,
             .stderr(Stdio::piped())
             .spawn()?;
         if let Some(mut stdin) = child.stdin.take() {
-            // A command that refuses its options does not read.
+            // A command that refuses its options does not read its input.
             let _ = stdin.write_all(input.as_bytes());
         }
         child.wait_with_output()
@@ -164,7 +168,7 @@ fn run_command(program: &str, options: &[String], input: &str) -> Result<Output,
     })
 }
 
-/// Whether a message says that the controller does not answer, as while it is restarted.
+/// Whether a message says that Slurm's controller does not answer, for example during its restart.
 fn is_silence(message: &str) -> bool {
     let words = ["nable to contact", "ocket timed out", "onnection refused", "onnect failure"];
     words.iter().any(|word| message.contains(word))
