@@ -1,19 +1,20 @@
-//! Brings arm and pendulum to rest before a rollout. It takes less than 2 s; waiting would take 10
-//! s, and the arm would drift.
+//! Brings arm and pendulum to rest before a rollout. This takes less than 2 s. Waiting instead
+//! would take 10 s, and the arm would drift.
 
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
 
-/// State feedback around hanging, V = -k (s - [start_theta, 0, 0, 0]): discrete LQR at 100 Hz on
-/// the nominal parameters, Q = diag(4, 2, 0.05, 0.2), R = 1, which a test solves. The pendulum's gains act on
-/// sin(alpha) and on its velocity along the arm, which keeps their signs right far from hanging.
+/// Gains k of the state feedback around hanging, V = -k (s - [target_theta, 0, 0, 0]): the discrete
+/// LQR at 100 Hz for the nominal parameters, Q = diag(4, 2, 0.05, 0.2), R = 1. A test solves the
+/// Riccati equation and compares. The gains of the pendulum act on sin(alpha) and on cos(alpha)
+/// alpha_dot, so that their signs remain right far from hanging.
 const GAINS: [f64; 4] = [1.716, -1.869, 0.46, -0.085];
 
 /// Largest settling voltage, V.
 const LIMIT_V: f64 = 4.0;
 
-/// The state feedback of one plant: the Qube's gains times the volts that accelerate this plant's arm as one volt
-/// accelerates a Qube's.
+/// The state feedback for one plant. Its gains are those of the Qube, scaled by the number of volts
+/// that accelerate this plant's arm as one volt accelerates a Qube's, if this number is above 1.
 #[derive(Clone, Copy, Debug)]
 pub struct Feedback {
     gains: [f64; 4],
@@ -26,7 +27,8 @@ impl Feedback {
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
         let volts = plant.volts_per_qube_volt();
-        // Gains that are smaller than a Qube's would lose to friction, which is not smaller.
+        // A scale below 1 would make the voltages too small for the plant's friction, which is not
+        // smaller.
         let volts = volts.max(1.0);
         Self {
             gains: GAINS.map(|gain| volts * gain),
@@ -45,21 +47,22 @@ impl Feedback {
     }
 }
 
-/// Growth of the trim, V/(rad s): 1 V in 3 s for an arm that is held 0.2 rad off its target.
+/// Growth of the trim, V/(rad s): about 1 V in 3 s for an arm that is held 0.2 rad off its target.
 const TRIM_RATE: f64 = 1.5;
 
-/// Largest trim, V: the sum of what cable, friction and dead zone of a real Qube need.
+/// Largest trim, V: the sum of the voltages that cable, friction and dead zone of a real Qube take
+/// up.
 const LARGEST_TRIM_V: f64 = 1.2;
 
-/// Distance from the target within which the trim is frozen, rad: static friction would make it
-/// oscillate.
+/// Distance from the target within which the trim is frozen, rad. With static friction, a trim that
+/// is not frozen there would oscillate.
 const TRIM_REACH_RAD: f64 = 0.03;
 
 /// Velocity above which the arm is still moving to its target and the trim is frozen, rad/s.
 const TRIM_SPEED_RAD_S: f64 = 0.5;
 
-/// Brings a Qube to rest at its target. A slowly growing trim removes the offset that cable,
-/// friction and dead zone leave under state feedback.
+/// A state feedback with a trim that brings a Qube to rest at its target. The trim is a voltage
+/// that grows slowly, until the offset is gone that cable, friction and dead zone cause.
 #[derive(Clone, Copy, Debug)]
 pub struct Settler {
     feedback: Feedback,
@@ -85,34 +88,36 @@ impl Settler {
     }
 }
 
-/// Velocity of the moving target, rad/s: the arm is no faster even if its encoder fails.
+/// Velocity of the moving target, rad/s. It limits the velocity of the arm even if its encoder
+/// fails.
 pub const LEAD_RAD_S: f64 = 1.2;
 
 /// Largest voltage while the pendulum is calm, V: cable, friction and dead zone take 1.4 V.
 const GENTLE_V: f64 = 2.0;
 
-/// Slew rate of the voltage while the pendulum is calm, V/s: a frozen encoder is found before the
-/// voltage has grown.
+/// Slew rate of the voltage while the pendulum is calm, V/s. It is so low that a frozen encoder is
+/// detected before the voltage has grown.
 const GENTLE_V_S: f64 = 6.0;
 
-/// Slew rate while the pendulum swings widely, V/s: practically unlimited.
+/// Slew rate while the pendulum swings widely, V/s. It is practically no limit.
 const FIRM_V_S: f64 = 400.0;
 
-/// Velocity above which an arm is thrown, for example by the cable off a stop, rad/s; the slew rate
-/// grows from here on.
+/// Velocity above which the arm counts as thrown, for example by the cable off a stop, rad/s. From
+/// here on the slew rate grows with the velocity.
 const THROWN_RAD_S: f64 = 1.5;
 
-/// Velocity at which the slew rate is largest, rad/s.
+/// Velocity from which on the slew rate is largest, rad/s.
 const FAST_RAD_S: f64 = 3.0;
 
-/// Swing, as |sin(alpha)| + |alpha_dot| / 15, above which the limits grow.
+/// Swing, |sin(alpha)| + |alpha_dot| / (15 rad/s), above which the limits of voltage and slew rate
+/// grow.
 const CALM_SWING: f64 = 0.35;
 
-/// Swing at which the limits are largest.
+/// Swing from which on these limits are largest.
 const WIDE_SWING: f64 = 0.9;
 
-/// Leads arm and pendulum to rest so gently that an encoder that freezes meanwhile does no damage:
-/// both the target and the voltage move slowly.
+/// A settler that moves both the target and the voltage so slowly that an encoder that freezes
+/// meanwhile does no damage.
 #[derive(Clone, Copy, Debug)]
 pub struct GentleSettler {
     settler: Settler,
@@ -136,7 +141,8 @@ impl GentleSettler {
         self.limit(state, wanted_v, GENTLE_V)
     }
 
-    /// The voltage of the next tick towards a target that moves by itself, plus a push, V.
+    /// The voltage of the next tick towards a target that the caller moves, plus the push `push_v`,
+    /// V.
     pub fn follow(&mut self, state: &State, target_theta_rad: f64, push_v: f64) -> f64 {
         self.target_rad = None;
         let wanted_v = self.settler.feedback.voltage_v(state, target_theta_rad) + push_v;
@@ -170,8 +176,8 @@ mod tests {
         control_step,
     };
 
-    /// The change of a nominal Qube's state in one period, for each unit of each entry of the state and for
-    /// each volt, around hanging at rest.
+    /// The derivatives of a nominal Qube's state after one period, with respect to the state and
+    /// the voltage before it, around hanging at rest.
     fn linearised() -> (Matrix4<f64>, Vector4<f64>) {
         const STEP: f64 = 1e-4;
         let dynamics = Dynamics::<f64>::new(&DomainParameters::NOMINAL);

@@ -5,7 +5,7 @@ use crate::clock::{Clock, PunctualClock, VirtualClock};
 use crate::device::emulator::EmulatedQube;
 use crate::device::{Device, HilLink, SerialLink};
 
-/// A device, its clock, and the emulator that serves it, if one does.
+/// A device, its clock, and the running emulator if the device is one behind a pty.
 type Connection = (Box<dyn Device>, Arc<dyn Clock>, Option<EmulatedQube>);
 
 /// Opens the device that the settings choose.

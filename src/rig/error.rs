@@ -30,7 +30,7 @@ pub enum RigError {
     /// The policy was made for another plant.
     #[error(transparent)]
     OtherPlant(#[from] OtherPlant),
-    /// Control refused the motion: no hello, or no homing.
+    /// Control refused the motion, because it lacks a hello or a homing.
     #[error("{0}")]
     Refused(ControlError),
     /// The control thread has ended.
@@ -41,10 +41,11 @@ pub enum RigError {
     Homing {
         /// Fault that ended homing.
         fault: Fault,
-        /// Last second before it, because homing has no recording.
+        /// Ticks of the last second before the fault. A homing has no recording that would contain
+        /// them.
         last_ticks: Vec<TickRecord>,
     },
-    /// The distance between the stops is wrong.
+    /// The distance between the arm's stops is wrong.
     #[error(
         "the arm's stops are {travel_rad:.2} rad apart, and should be {expected_rad:.2}: something is in \
          its way (a cable, a hand, a screw), or this rig's stops are elsewhere. The motor is off. Clear \
@@ -57,12 +58,13 @@ pub enum RigError {
         /// Expected distance, rad.
         expected_rad: f64,
     },
-    /// The link failed before a rollout could begin, or its zeros are out of date; nothing has moved.
+    /// The link failed before a rollout could begin, or the counts moved after homing, so that the
+    /// zeros are out of date. The program has moved nothing.
     #[error("the rollout could not begin: {source}. The motor is off. {}", fault.operator_step())]
     NotBegun {
-        /// Corresponding fault.
+        /// Fault of the table that corresponds to the cause.
         fault: Fault,
-        /// Cause reported by the device or its counts.
+        /// Error of the device, or the counts that moved.
         source: ControlError,
     },
     /// A lost link did not return.
@@ -71,11 +73,11 @@ pub enum RigError {
         Fault::LinkGone.operator_step()
     )]
     LinkLost {
-        /// Time for which it was retried, s.
+        /// Time for which the program tried to reach the link again, s.
         patience_s: f64,
         /// Error of the last attempt.
         source: DeviceError,
-        /// Last second of homing, if the link was lost in it.
+        /// Ticks of the last second of a homing that the loss ended; empty otherwise.
         last_ticks: Vec<TickRecord>,
     },
     /// Another board answers at the same port after a fault.
@@ -88,7 +90,7 @@ pub enum RigError {
         /// Serial number of the board that answers.
         found: String,
     },
-    /// The last motion left a doubt about a sensor or the motor.
+    /// The last motion left a sensor or the motor in doubt.
     #[error("{0}")]
     InDoubt(Box<Doubt>),
     /// The next attempt would end with the same fault.
@@ -131,7 +133,7 @@ pub enum RigError {
     /// The recording failed.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The policy is a name for a controller outside of this program.
+    /// The policy only names a controller outside of this program.
     #[error(
         "the policy is the controller {name:?} outside of this program: a recording of it can be replayed, and only \
          its own program can run it"
@@ -158,7 +160,7 @@ impl From<ControlError> for RigError {
     }
 }
 
-/// The failed checks and their remedies, one a line.
+/// The failed checks with their remedies, one check a line.
 fn listed(results: &[CheckResult]) -> String {
     let line = |result: &CheckResult| {
         let cure = result.cure.as_deref().unwrap_or_default();
@@ -183,7 +185,8 @@ impl RigError {
         }
     }
 
-    /// Whether this Qube, its board or its link is the cause, in contrast to the request, the computer or the operator.
+    /// Whether the Qube, its board or its link caused the error, and not the request, the computer
+    /// or the operator.
     #[must_use]
     pub fn is_of_rig(&self) -> bool {
         match self {
@@ -212,7 +215,7 @@ impl RigError {
         }
     }
 
-    /// Adds the last second of the homing that ended with the loss of the link.
+    /// Copies the last ticks of the error `homing` into this error, if this one is a lost link.
     pub(super) fn with_ticks_of(self, homing: Self) -> Self {
         match (self, homing) {
             (Self::LinkLost { patience_s, source, .. }, Self::Homing { last_ticks, .. }) => {
@@ -222,7 +225,7 @@ impl RigError {
         }
     }
 
-    /// The fault, if the program may repeat the motion by itself.
+    /// The fault of this error, if the program may repeat the motion without the operator.
     pub(super) fn passing_fault(&self) -> Option<Fault> {
         let may_pass = |fault: &Fault| {
             matches!(fault.consequence(), Consequence::TryAgain | Consequence::Reconnect)
@@ -236,8 +239,8 @@ impl RigError {
     }
 }
 
-/// The fault that a failed link or a restarted board corresponds to; `None` for errors that waiting does
-/// not cure.
+/// The fault that corresponds to a failed link or a restarted board; `None` for other errors, which
+/// waiting does not cure.
 pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
     match error {
         DeviceError::Link { fault: LinkFault::Gone, .. } => Some(Fault::LinkGone),

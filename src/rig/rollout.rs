@@ -24,34 +24,37 @@ pub struct Recorded {
     pub outcome: RolloutOutcome,
 }
 
-/// Smallest distance between the box and the nearer stop, rad: that of the thesis.
+/// Smallest distance between the box and the nearer stop, rad. It is the distance of the thesis:
+/// its box ends at 2.3 rad, the stop is at 2.39 rad.
 const INSIDE_STOP_RAD: f64 = 0.09;
 
-/// Largest age of a buffered sample when its read begins, s: the driver refreshes its buffer at 1 kHz or faster.
+/// Largest age of a sample in the driver's buffer when its read begins, s. The driver refreshes the
+/// buffer at 1 kHz or faster.
 const BUFFERED_S: f64 = 0.001;
 
-/// Smallest age that is assumed for a sample without a time of the device, s.
+/// Smallest age that is assumed for a sample without a device time, s.
 const LEAST_AGE_S: f64 = 0.002;
 
-/// Largest age that is assumed for a sample without a time of the device, s.
+/// Largest age that is assumed for a sample without a device time, s.
 const LONGEST_AGE_S: f64 = 0.01;
 
-/// Age that a sample without a time of the device may have, s: 99 of 100 reads of the measured link take less.
+/// Age that the guard assumes for a sample without a device time, s: the 99th percentile of the
+/// link's round trip plus [`BUFFERED_S`].
 fn unknown_age_s(link: Option<&MeasuredLink>) -> f64 {
     let read_s = link.map_or(LONGEST_AGE_S, |link| link.round_trip_us.p99 * 1e-6);
     (read_s + BUFFERED_S).clamp(LEAST_AGE_S, LONGEST_AGE_S)
 }
 
-/// Narrows the task's box to the rig's own stops.
+/// The task's box, narrowed so that it ends [`INSIDE_STOP_RAD`] before the rig's own stops.
 fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> SafetyBox {
     let widest_rad = stops.map_or(f64::INFINITY, |stops| stops.nearer_rad() - INSIDE_STOP_RAD);
     SafetyBox { theta: of_the_task.theta.min(widest_rad), ..*of_the_task }
 }
 
-/// A controller that notes its last answer.
+/// A controller that stores the last voltage that it returned.
 struct Noted {
     controller: Box<dyn Controller>,
-    /// Bits of the last answer, V; NaN before the first.
+    /// Bits of the last voltage, V; NaN before the first.
     last_v: Arc<AtomicU64>,
 }
 
@@ -72,13 +75,15 @@ impl Controller for Noted {
 }
 
 impl Rig {
-    /// Runs one rollout and records it to `path`. The rig fills device, calibration and time into the
-    /// header.
+    /// Runs one rollout and records it to `path`. The rig itself fills in the entries of the header
+    /// about device, plant, calibration, guard and time.
     ///
     /// # Errors
-    /// The box is wider than this hardware allows; its guard is the envelope, which only replays use; the device could not
-    /// be armed; the policy is invalid; or the recording could not be written. A rollout that a fault ended is `Ok`: its
-    /// outcome names the fault.
+    /// The policy is invalid, was made for another plant, or only names an external controller; the
+    /// box is wider than this hardware allows; the guard is the envelope, which exists for replays
+    /// only; the processor is too slow for foresight; the device could not be armed; or the
+    /// recording could not be written. A rollout that a fault ended is `Ok`: its outcome names the
+    /// fault.
     pub fn rollout(
         &self,
         disk: &dyn Disk,
@@ -94,11 +99,12 @@ impl Rig {
         self.recorded(disk, path, header, policy_file, Box::new(policy), None)
     }
 
-    /// Runs one rollout like [`Self::rollout`] with a controller outside of the policies that a file may hold, under
-    /// the same guard. The recording has its answers, so that a replay recomputes everything else.
+    /// Runs one rollout like [`Self::rollout`], but with an external controller in place of a
+    /// policy from a file. The guard is the same. The recording contains the voltages that the
+    /// controller asked for, so that a replay recomputes everything else.
     ///
     /// # Errors
-    /// [`Self::rollout`] would fail for another reason than its policy.
+    /// The errors of [`Self::rollout`], except those about the policy.
     pub fn rollout_by(
         &self,
         disk: &dyn Disk,
@@ -113,7 +119,8 @@ impl Rig {
         self.recorded(disk, path, header, &file, Box::new(noted), Some(&last_v))
     }
 
-    /// Runs and records one rollout; `last_v` has the bits of an external controller's last answer.
+    /// Runs and records one rollout. `last_v` contains the bits of the last voltage of an external
+    /// controller.
     fn recorded(
         &self,
         disk: &dyn Disk,
@@ -200,8 +207,8 @@ impl Rig {
     fn device_by_name(&self) -> BTreeMap<String, String> {
         let identity = &self.identity;
         let link = self.link.as_ref();
-        // The recorded samples reflect the time that a tick waits; a replay needs none of these, but a
-        // reader may.
+        // The recorded samples already contain the effect of these figures, so a replay does not
+        // need them. They inform a reader of the recording.
         let link = link.into_iter().flat_map(|link| {
             [
                 ("link_p50_us", format!("{:.0}", link.round_trip_us.p50)),
@@ -229,7 +236,7 @@ impl Rig {
     }
 }
 
-/// The report with an external controller's last answer, where that is a number.
+/// The report with the last voltage of an external controller, if it is a finite number.
 fn with_last_answer(mut report: DriveReport, last_v: Option<&AtomicU64>) -> DriveReport {
     let answer_v = last_v.map(|last_v| f64::from_bits(last_v.load(Ordering::Relaxed)));
     report.outcome.last_answer_v = answer_v.filter(|answer_v| answer_v.is_finite());

@@ -9,10 +9,11 @@ use crate::qube::{PlantModel, Profile};
 use crate::recording::Viewer;
 use crate::safety::{Guard, HardwareLimits, IdentifiedQube};
 
-/// Time for which a lost link is retried, s.
+/// Time for which the program tries to reach a lost link again, s.
 pub const LINK_PATIENCE_S: f64 = 30.0;
 
-/// Largest number of consecutive rollouts that fail to begin because of the link or of moved counts.
+/// Largest number of rollouts in a row that fail to begin because of the link or because counts
+/// have moved.
 pub const MAX_NOT_BEGUN: u32 = 3;
 
 /// The connection to a Qube.
@@ -22,17 +23,18 @@ pub enum DeviceChoice {
     Emulated,
     /// A serial port by its name.
     Port(String),
-    /// A Qube with the USB panel, through the vendor's library.
+    /// A Qube with the USB panel, reached through the vendor's library.
     Hil(HilAddress),
-    /// A device of another kind, with its own time.
+    /// A device of a kind that this program does not have, with a clock of its own.
     Other(Arc<dyn Connect>),
 }
 
 impl DeviceChoice {
-    /// The device at a port, or at an address of the vendor's library, by its name.
+    /// The device of this name: a serial port, or an address of the vendor's library
+    /// (`hil:CARD@ID`).
     ///
     /// # Errors
-    /// The name begins as such an address does, and names no card.
+    /// The name begins like an address of the vendor's library, but names no card.
     pub fn named(name: &str) -> Result<Self, NotAnAddress> {
         if HilAddress::is_meant(name) {
             return Ok(Self::Hil(name.parse()?));
@@ -40,7 +42,7 @@ impl DeviceChoice {
         Ok(Self::Port(name.to_owned()))
     }
 
-    /// Name of the device for messages, if it is outside this program.
+    /// Name of the device in messages; `None` for the emulator and for devices of other kinds.
     #[must_use]
     pub fn name(&self) -> Option<String> {
         match self {
@@ -61,16 +63,18 @@ impl DeviceChoice {
     }
 }
 
-/// A connection to a Qube of a kind that this program does not have, such as an emulator with a failing
+/// Connects to a kind of device that this program does not have, such as an emulator with a failing
 /// wire.
 pub trait Connect: Send + Sync + std::fmt::Debug {
-    /// Connects; returns a device and the clock of its deadlines. Each opening of a rig calls it.
+    /// Connects, and returns the device with the clock of its deadlines. Each opening of a rig
+    /// calls this function.
     ///
     /// # Errors
     /// The device does not exist.
     fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError>;
 
-    /// Whether a real motor may be behind the connection; the default is the safe answer.
+    /// Whether a real motor may be behind the connection. The default is `true`, which is the safe
+    /// answer.
     fn is_hardware(&self) -> bool {
         true
     }
@@ -107,8 +111,8 @@ pub struct RigSettings {
     pub board: Option<String>,
     /// Profile of the Qube, if it is identified.
     pub profile: Option<Profile>,
-    /// Guards an emulated Qube like one that is not identified. Otherwise an emulated Qube without a
-    /// profile counts as identified by its own model.
+    /// Whether the guard treats an emulated Qube as not identified. If this is `false`, an emulated
+    /// Qube without a profile counts as identified by its own model.
     pub unidentified: bool,
     /// Widest box of a rollout on hardware; an emulated Qube has no such limit.
     pub limits: HardwareLimits,
@@ -121,14 +125,14 @@ pub struct RigSettings {
 /// The settings of the reaction to faults.
 #[derive(Clone, Debug)]
 pub struct Recovery {
-    /// Whether the operator has acknowledged the last doubt; the Qube is examined before it is driven
-    /// again.
+    /// Whether the operator has acknowledged the last doubt. The Qube is examined before it is
+    /// driven again.
     pub acknowledged: bool,
-    /// Time for which a lost link is retried, s.
+    /// Time for which the program tries to reach a lost link again, s.
     pub link_patience_s: f64,
-    /// Store of doubts that outlive the program; `None` where the device does not outlive it.
+    /// Store of doubts that outlive the program; `None` for a device that ends with the program.
     pub memory: Option<DoubtMemory>,
-    /// Doubt that is known before the device is opened, from the end of a session's ledger.
+    /// Doubt that is known before the device is opened, because a session's ledger ends with it.
     pub doubt: Option<Doubt>,
 }
 
@@ -139,7 +143,7 @@ impl Default for Recovery {
 }
 
 impl RigSettings {
-    /// A device in virtual time, with defaults otherwise.
+    /// Settings of a rig with this device in virtual time; all other settings have their defaults.
     #[must_use]
     pub fn in_virtual_time(device: DeviceChoice) -> Self {
         Self {
@@ -158,7 +162,7 @@ impl RigSettings {
         }
     }
 
-    /// An embedded emulated Qube with these settings, in virtual time.
+    /// Settings of a rig with the embedded emulator, which has these settings, in virtual time.
     #[must_use]
     pub fn emulated(emulator: EmulatorSettings) -> Self {
         Self { emulator, ..Self::in_virtual_time(DeviceChoice::Emulated) }
@@ -170,7 +174,8 @@ impl RigSettings {
         self.device.is_hardware()
     }
 
-    /// The model that the guard may use. A real Qube's profile counts for its own board only.
+    /// The identified model that the guard may use; `None` if the Qube counts as not identified.
+    /// The profile of a real Qube counts only if its board is known.
     #[must_use]
     pub fn identified(&self) -> Option<IdentifiedQube> {
         match &self.profile {
@@ -184,8 +189,8 @@ impl RigSettings {
         }
     }
 
-    /// The warning before a Qube that is not identified is driven; `None` if it is identified or no guard
-    /// looks ahead.
+    /// The warning before a Qube that is not identified is driven. It is `None` if the Qube is
+    /// identified or the guard does not use foresight.
     #[must_use]
     pub fn identification_warning(&self, guard: Guard) -> Option<&'static str> {
         (guard == Guard::Foresight && self.identified().is_none()).then_some(
@@ -194,7 +199,7 @@ impl RigSettings {
         )
     }
 
-    /// Whether opening such a rig begins with a check.
+    /// Whether opening the rig begins with a check of the Qube.
     #[must_use]
     pub fn checks(&self) -> bool {
         !self.skip_check && self.is_hardware()

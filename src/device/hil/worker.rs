@@ -14,20 +14,21 @@ use super::{HilAddress, HilError};
 use crate::clock::{Clock, Nanoseconds, enter_realtime};
 use crate::device::Identity;
 
-/// Requests of the tick that may wait for a call that has not returned.
+/// Number of requests, and of replies, that fit into their rings. Requests wait there while a call
+/// of the library has not returned.
 const RING: usize = 8;
 
-/// Longest wait for the thread to load the library and begin.
+/// Longest wait for the library's thread to load the library.
 const BEGIN_TIME: Duration = Duration::from_secs(1);
 
-/// Time that the end of the process waits for the amplifier to go off.
+/// Longest wait for the amplifier to go off when the process ends.
 const AT_EXIT: Duration = Duration::from_millis(200);
 
 /// A request of the tick.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Request {
     pub(super) number: u64,
-    /// Time after which nobody waits for it: it is dropped then.
+    /// Time after which the request is dropped, because the tick no longer waits for it.
     pub(super) expires_ns: Nanoseconds,
     pub(super) kind: RequestKind,
 }
@@ -46,19 +47,21 @@ pub(super) struct Reply {
     pub(super) sample: Result<Reading, NoSample>,
 }
 
-/// Work between motions, with the channel for its result.
+/// A job for the card between motions, with the channel for its result.
 pub(super) enum Job {
     Hello(Sender<Result<Identity, HilError>>),
     Arm(Sender<Result<(), HilError>>),
     Off(Sender<Result<(), HilError>>),
-    /// Closes the card, after which the thread is free for another worker.
+    /// Switches the amplifier off and closes the card. After this job the thread is free for
+    /// another worker.
     End(Sender<Result<(), HilError>>),
 }
 
-/// The thread that calls the vendor's library for one card, as the control thread sees it.
+/// The control thread's handle of the thread that calls the vendor's library for one card.
 ///
-/// The tick's requests and answers are `Copy` and go through wait-free rings; each side wakes the other by a
-/// counter in the kernel (`eventfd`), on which a wait has a time limit as on a serial port.
+/// The tick's requests and replies are `Copy` and pass through wait-free rings. Each side wakes the
+/// other with a counter in the kernel (`eventfd`). A wait for the counter has a time limit, like a
+/// wait for a serial port.
 pub(super) struct Worker {
     requests: rtrb::Producer<Request>,
     replies: rtrb::Consumer<Reply>,
@@ -66,18 +69,18 @@ pub(super) struct Worker {
     clock: Arc<dyn Clock>,
 }
 
-/// The ends that may be used from any thread.
+/// The parts of a worker that any thread may use.
 struct Shared {
     jobs: Sender<Job>,
-    /// Counted up for each request and job.
+    /// Counter that each request and each job increments.
     asked: OwnedFd,
-    /// Counted up for each reply.
+    /// Counter that each reply increments.
     answered: OwnedFd,
     calling: Arc<Calling>,
 }
 
 impl Worker {
-    /// Has the library's thread load the library and serve this worker. Nothing is opened yet.
+    /// Makes the library's thread load the library and serve this worker. No card is opened yet.
     pub(super) fn start(address: HilAddress, clock: Arc<dyn Clock>) -> Result<Self, HilError> {
         let port = address.to_string();
         let failed = |reason: String| HilError::NoThread { port: port.clone(), reason };
@@ -90,7 +93,8 @@ impl Worker {
         let (jobs, to_do) = crossbeam_channel::unbounded();
         let calling = Arc::new(Calling::default());
         let shared = Arc::new(Shared { jobs, asked, answered, calling });
-        // Without room, so that a worker that has given up waiting is not served.
+        // A channel without a buffer: `send` fails if `start` has given up waiting, so that the
+        // thread does not serve a worker that nobody has.
         let (loaded, is_loaded) = crossbeam_channel::bounded(0);
         let (serving, its_clock) = (Arc::clone(&shared), Arc::clone(&clock));
         let work = move || {
@@ -99,7 +103,8 @@ impl Worker {
                 .map(|library| Panel::new(library, address, calling, Arc::clone(&its_clock)));
             match panel {
                 Ok(panel) if loaded.send(Ok(())).is_ok() => {
-                    // Without these rights calls are late, which the control thread has said already.
+                    // Without real-time rights calls are late. The control thread has already
+                    // warned of this.
                     let _ = enter_realtime();
                     serve(panel, &serving, &to_do, to_serve, to_reply, &*its_clock);
                 }
@@ -123,12 +128,12 @@ impl Worker {
         Ok(Self { requests, replies, shared, clock })
     }
 
-    /// Hands a request of the tick over, without waiting. False if earlier ones fill the ring.
+    /// Hands over a request of the tick without waiting; `false` if earlier requests fill the ring.
     pub(super) fn ask(&mut self, request: Request) -> bool {
         self.requests.push(request).is_ok() && wake(&self.shared.asked)
     }
 
-    /// Waits until `deadline_ns` for the answer to this request; older answers are dropped.
+    /// Waits until `deadline_ns` for the reply to this request, and drops older replies.
     pub(super) fn wait(&mut self, number: u64, deadline_ns: Nanoseconds) -> Option<Reply> {
         loop {
             while let Ok(reply) = self.replies.pop() {
@@ -154,7 +159,7 @@ impl Worker {
         }
     }
 
-    /// Has a job done and waits for its result; `None` if it takes longer.
+    /// Runs a job and returns its result; `None` if the job takes longer than `longest`.
     pub(super) fn perform<T>(
         &self,
         job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
@@ -163,18 +168,20 @@ impl Worker {
         self.shared.perform(job, longest)
     }
 
-    /// The call that has not returned, by name, and for how long, s.
+    /// The call of the library that has not returned: its name, and the time since it began, s.
     pub(super) fn under_way(&self) -> Option<(&'static str, f64)> {
         self.shared.under_way(&*self.clock)
     }
 
-    /// Closes the card, if the call under way returns in time: nothing can end a call of the library.
+    /// Closes the card, if a call under way returns in time: nothing can interrupt a call of the
+    /// library.
     pub(super) fn end(&mut self, longest: Duration) {
         let _ = self.shared.perform(Job::End, longest);
     }
 }
 
-/// The error that the library's thread is still in a call of an earlier worker.
+/// The error of a worker that cannot begin, because the library's thread is still in a call of an
+/// earlier worker.
 fn earlier_call(clock: &dyn Clock, port: String, waited: Duration) -> HilError {
     let alive = ALIVE.lock().unwrap_or_else(PoisonError::into_inner);
     let under_way = alive
@@ -205,7 +212,7 @@ impl Shared {
     }
 }
 
-/// Counts a counter up, which wakes the thread that waits for it.
+/// Increments a counter, which wakes the thread that waits for it.
 fn wake(counter: &OwnedFd) -> bool {
     loop {
         match rustix::io::write(counter, &1_u64.to_ne_bytes()) {
@@ -215,7 +222,7 @@ fn wake(counter: &OwnedFd) -> bool {
     }
 }
 
-/// Waits for requests and jobs and serves them, until a job ends it.
+/// Serves requests and jobs until [`Job::End`] has been served.
 fn serve(
     mut panel: Panel,
     shared: &Shared,
@@ -231,7 +238,8 @@ fn serve(
         }
         loop {
             if let Ok(job) = jobs.try_recv() {
-                // The motion is over: its requests, and above all its voltages, are void.
+                // A job means that the motion is over, so its requests, above all its voltages, are
+                // void.
                 while requests.pop().is_ok() {}
                 match job {
                     Job::Hello(result) => drop(result.send(panel.hello())),
@@ -265,11 +273,12 @@ fn serve(
     }
 }
 
-/// The workers that are alive, for the end of the process.
+/// The workers whose amplifiers are switched off when the process ends.
 static ALIVE: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
-/// Registers a worker whose amplifier is switched off when the process ends without dropping it, as by a second
-/// Ctrl-C. Only a killed process leaves that to the watchdog.
+/// Registers a worker, so that its amplifier goes off even if the process ends without dropping the
+/// worker, for example after a second Ctrl-C. If the process is killed, only the watchdog switches
+/// the amplifier off.
 fn switch_off_at_exit(shared: &Arc<Shared>) {
     let mut alive = ALIVE.lock().unwrap_or_else(PoisonError::into_inner);
     if alive.is_empty() {
