@@ -4,11 +4,11 @@ use super::style::{BLUE, FAINT, FONT, INK, TEXT, TITLE};
 use super::{DrawingError, Panel, PlotError};
 use crate::search::benchmark::VariantResult;
 
-/// Room at the left for the names of the variants.
+/// Width left of each panel for the names of the variants, pixels.
 const NAMES: u32 = 330;
 
-/// Draws one panel for each problem, by its name: the expected return of the point that each variant recommends, with
-/// its 95 % interval.
+/// Draws one panel for each problem, a name with the results of the search variants. A panel shows,
+/// for each variant, the expected return of the recommended point and its 95 % interval.
 ///
 /// # Errors
 /// The drawing library failed.

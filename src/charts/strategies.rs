@@ -3,21 +3,22 @@ use plotters::prelude::*;
 use super::style::{FAINT, FONT, INK, TEXT, TITLE, colour};
 use super::{DrawingError, PlotError};
 
-/// A line of steps with its name.
+/// A step line of the figure, with its name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepLine {
     /// Name beside the figure.
     pub name: String,
-    /// Corners of the line: real rollouts and share of repetitions.
+    /// Corners of the line: number of real rollouts, and share of the repetitions, 0 to 1.
     pub corners: Vec<(f64, f64)>,
 }
 
-/// Distance by which lines are set apart, so that equal ones do not hide each other, shares.
+/// Vertical offset of each line from the line before it, as a share of the repetitions. It keeps
+/// equal lines from hiding each other.
 const APART: f64 = 0.012;
 
-/// Draws the share of repetitions whose recommendation has succeeded against real rollouts, a step line for
-/// each method. A line below 1 at its end has repetitions that never succeeded. `last` is the right end of the
-/// axis.
+/// Draws, for each method, the share of repetitions whose recommendation has succeeded, as a step
+/// line over the number of real rollouts. A line that ends below 1 has repetitions that never
+/// succeeded. `last` is the number of rollouts at the right end of the axis.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -33,7 +34,7 @@ fn draw(svg: &mut String, title: &str, steps: &[StepLine], last: f64) -> Result<
     let (root, note) = root.split_vertically(476);
     let words = "Lines are drawn a little apart, so that equal ones can be told apart. A line that ends below 1 has repetitions that never succeeded.";
     note.draw(&Text::new(words, (60, 2), (FONT, TEXT - 2).into_font().color(&INK)))?;
-    // Lines end anywhere at the right; their names are beside them.
+    // The names have a column of their own, because the lines end at any height.
     let (lines, names) = root.split_horizontally(860);
     let below = APART * steps.len() as f64 + 0.02;
     let mut chart = ChartBuilder::on(&lines)
@@ -41,7 +42,7 @@ fn draw(svg: &mut String, title: &str, steps: &[StepLine], last: f64) -> Result<
         .caption(title, (FONT, TITLE))
         .x_label_area_size(42)
         .y_label_area_size(52)
-        // A logarithmic axis shows one or two recordings as well as a hundred rollouts.
+        // A logarithmic axis shows both one or two recordings and a hundred rollouts.
         .build_cartesian_2d((1.0..last).log_scale(), -below..1.05)?;
     chart
         .configure_mesh()

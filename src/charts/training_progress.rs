@@ -3,8 +3,9 @@ use plotters::prelude::*;
 use super::style::{BLUE, FAINT, FONT, GREEN, INK, Key, LINE, TEXT, TITLE, with_key};
 use super::{DrawingError, Panel, PlotError};
 
-/// Draws the thesis's figure 5.3: for each model, by its name, the mean return in simulation after each update, of the
-/// current policy (left) and of the best policy so far (right); one line a training, and their mean.
+/// Draws figure 5.3 of the thesis: the mean return in simulation after each update, with one row
+/// for each model. The left panel shows the current policies, the right one the best policies so
+/// far; each has a line for every training and one for their mean.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -33,7 +34,7 @@ fn draw(svg: &mut String, models: &[(String, Vec<Vec<f64>>)]) -> Result<(), Plot
     root.present()
 }
 
-/// Colour of single trainings: between the grid and the axes.
+/// Colour of the lines of single trainings, between that of the grid and that of the axes.
 const THIN: RGBColor = RGBColor(160, 168, 178);
 
 fn panel(
@@ -74,7 +75,7 @@ fn panel(
     Ok(())
 }
 
-/// The largest return of each update and those before it.
+/// The largest return up to and including each update.
 fn best_so_far(returns: &[f64]) -> Vec<f64> {
     returns
         .iter()
@@ -85,7 +86,7 @@ fn best_so_far(returns: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// The mean of all trainings after each update, as far as the shortest goes.
+/// The mean return of all trainings after each update, up to the last update of the shortest.
 fn mean_by_update(trainings: &[Vec<f64>]) -> Vec<f64> {
     let updates = trainings.iter().map(Vec::len).min().unwrap_or(0);
     let mean =

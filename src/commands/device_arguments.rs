@@ -118,15 +118,15 @@ pub struct ChosenDevice {
     pub clock: ClockChoice,
     /// Plant that is driven.
     pub plant: PlantModel,
-    /// Whether a file describes that plant.
+    /// Whether the operator gave a file that describes the plant.
     pub plant_is_given: bool,
     plant_consent: Option<PlantConsent>,
     /// Properties of the Qube, if a file describes it.
     pub file: Option<QubeFile>,
-    /// Path of that file.
+    /// Path of the file with the Qube's properties.
     pub path: Option<PathBuf>,
     home: Option<HomingMethod>,
-    /// Profile that the file names, if any.
+    /// Profile that the file with the Qube's properties names, if any.
     pub profile: Option<Profile>,
     /// Whether the embedded emulated Qube counts as not identified.
     unidentified: bool,
@@ -158,11 +158,11 @@ impl QubeArguments {
         Ok(ChosenDevice { clock, ..self.choose(&timed.plant)? })
     }
 
-    /// Reads the file with the Qube's properties, if there is one, and selects the Qube, or the other plant that is
-    /// driven in its place. An emulated one is in virtual time.
+    /// Reads the file with the Qube's properties, if there is one, and selects the Qube, or the
+    /// other plant that is driven in its place. An emulated Qube is put into virtual time.
     ///
-    /// The file in the working directory counts only with a port: without `--device` and `--qube` nothing
-    /// but the emulated Qube moves, whatever files are there.
+    /// The file `qube.toml` in the working directory counts only with a port: without `--device`
+    /// and `--qube` nothing but the emulated Qube moves, even if that file exists.
     pub fn choose(&self, driven: &DrivenPlantArguments) -> Result<ChosenDevice, Failure> {
         let given = driven.plant.given()?;
         let chosen = ChosenDevice {
@@ -174,7 +174,7 @@ impl QubeArguments {
         Ok(chosen)
     }
 
-    /// Selects a specimen of this plant.
+    /// Selects one specimen of this plant, emulated or real.
     fn choose_specimen(&self, plant: &PlantModel) -> Result<ChosenDevice, Failure> {
         let path = match (&self.qube, self.device.as_deref()) {
             (Some(path), _) => Some(path.as_path()),
@@ -227,7 +227,8 @@ impl QubeArguments {
 }
 
 impl ChosenDevice {
-    /// Homing as the arguments say, else as the file says, else `default`.
+    /// Homing settings: those of the Qube's file or else `default`, with the method that the
+    /// arguments name, if any.
     pub fn homing(&self, default: HomingSettings) -> HomingSettings {
         let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
         HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
@@ -257,13 +258,14 @@ impl ChosenDevice {
         opened.map_err(Failure::usage)
     }
 
-    /// Narrows a box to the limits of the file.
+    /// The task's box, narrowed to the limits in the Qube's file.
     pub fn safety_box(&self, of_the_task: SafetyBox) -> SafetyBox {
         self.file.as_ref().map_or(of_the_task, |file| file.within_limits(&of_the_task))
     }
 
-    /// The limits of a rig with this device, and a check that the request of `origin` keeps them. Only
-    /// hardware has limits, because an emulated Qube has no stop that could break.
+    /// The limits of a rig with this device, after a check that `safety_box` keeps them. `origin`
+    /// names the source of the box in the error. Only hardware has limits, because an emulated Qube
+    /// has no stop that could break.
     pub fn limits(
         &self,
         origin: &str,
@@ -280,13 +282,14 @@ impl ChosenDevice {
             .map_err(|error| Failure::usage(format!("{origin}: {}", too_wide(&error))))
     }
 
-    /// The warning before a real Qube is driven whose motor is not known to go off without its board.
+    /// The warning before driving a real Qube whose motor is not known to go off when its board
+    /// loses power; `None` for every other Qube.
     pub fn power_warning(&self) -> Option<String> {
         let power = self.file.as_ref().and_then(|file| file.power.as_ref());
         before_driving(power).filter(|_| self.choice.is_hardware())
     }
 
-    /// Thermal rating of the motor: the plant's unless a file gives a lower one.
+    /// Thermal rating of the motor: that of the plant, or the lower one that the Qube's file gives.
     fn motor(&self) -> MotorRating {
         let of_plant = self.plant.motor_rating();
         self.file.as_ref().map_or(of_plant, |file| file.motor.lower(&of_plant))
@@ -338,7 +341,7 @@ pub struct CheckArguments {
 
 impl CheckArguments {
     fn recovery(self, device: &DeviceChoice) -> Recovery {
-        // Only a device that outlives this program can still be in doubt later.
+        // Only a device that outlives this program can be in doubt after the program has ended.
         let outlives = matches!(device, DeviceChoice::Port(_) | DeviceChoice::Hil(_));
         let memory = doubts_folder().filter(|_| outlives).map(DoubtMemory::new);
         if outlives && memory.is_none() {
@@ -360,7 +363,8 @@ fn patience(text: &str) -> Result<f64, String> {
     between(text, 0.0, 3600.0)
 }
 
-/// Folder for doubts about boards: within the service's state, else the user's.
+/// Folder for the doubts about boards: the service's state folder, else the user's; `None` if the
+/// environment names none.
 fn doubts_folder() -> Option<PathBuf> {
     let folder = |name: &str| {
         let value = std::env::var_os(name).filter(|value| !value.is_empty())?;

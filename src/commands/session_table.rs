@@ -15,7 +15,7 @@ use crate::simulation::PsiSpace;
 pub struct SessionTable(pub SessionReport);
 
 impl SessionTable {
-    /// Checks that the policy that is told as the best can be run.
+    /// Checks that the policy that the table names as the best can be run.
     pub fn check_best_policy(&self) -> Result<(), Failure> {
         let checked = self.0.best.as_ref().map_or(Ok(()), BestPolicy::check);
         checked.map_err(|error| {
@@ -98,7 +98,8 @@ impl SessionTable {
         text
     }
 
-    /// The mean return of each candidate on each rig, and which rigs were taken out; empty with one rig.
+    /// The mean return of each candidate on each rig, and the rigs that were taken out; empty if
+    /// the session has one rig.
     fn rig_lines(&self) -> String {
         let report = &self.0;
         if report.rigs.is_empty() {
@@ -131,7 +132,7 @@ impl SessionTable {
         text
     }
 
-    /// Describes the identification, and why the search ended; empty where nothing was to be identified.
+    /// The identification, and why the search ended; empty if the session was not to identify a Qube.
     fn identification_lines(&self) -> String {
         let report = &self.0;
         let mut text = match &report.identification {
@@ -198,7 +199,7 @@ impl SessionTable {
         table
     }
 
-    /// One of several rigs, for scripts.
+    /// One of several rigs as JSON.
     fn rig(&self, rig: u32, device: &str) -> Value {
         let taken_out = self.0.taken_out.iter().find(|(out, _)| *out == rig);
         json!({ "rig": rig, "device": device, "taken_out": taken_out.map(|(_, reason)| reason) })
@@ -240,7 +241,7 @@ fn valued(psi: &PsiSpace, scored: &ScoredCandidate) -> Value {
     value
 }
 
-/// Position of each entry of psi within its box, as a digit.
+/// The position of each entry of psi within its box, as a digit from 0 to 9.
 fn digits(space: &PsiSpace, psi: &[f64]) -> String {
     space
         .dimensions()

@@ -1,4 +1,5 @@
-//! The Qubes of a session that drives several, with a policy for each or one for all.
+//! Selects the Qubes of a session that drives several of them, with one policy for each or one for
+//! all.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -16,13 +17,14 @@ use crate::session::{
     SessionSettings, derived_seed,
 };
 
-/// Several Qubes to drive.
+/// The Qubes of a session that drives several of them, and how they share policies.
 pub struct SeveralRigs {
     policy: RigPolicy,
     devices: Vec<ChosenDevice>,
 }
 
-/// The Qubes to drive if they are several: as the command line names them, or those with which a session goes on.
+/// Selects the Qubes that the command line names, or those with which a session is resumed; `None`
+/// if there is only one.
 pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
     let rigs = &arguments.rigs;
     let Some(root) = &arguments.resume else {
@@ -49,7 +51,7 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
         let devices = devices_again(arguments, root, &known)?;
         return Ok(Some(SeveralRigs { policy: RigPolicy::Own, devices }));
     }
-    // What is wrong with the folder of one Qube is told when it is opened.
+    // With a single Qube the session itself reports what is wrong with its folder.
     if arguments.rigs.count() > 1 {
         if root.is_dir() && RigSessions::have_not_begun(root).map_err(|it| failures::folder(&it))? {
             return Err(failures::folder(&FolderError::NotBegun { path: root.clone() }));
@@ -67,7 +69,8 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
 }
 
 impl SeveralRigs {
-    /// Runs or resumes what drives them and prints its results.
+    /// Runs or resumes the sessions of these Qubes, or the session that they share, and prints the
+    /// results.
     pub fn run(self, arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         match self.policy {
             RigPolicy::Own => rig_sessions::run(arguments, self.devices, output),
@@ -76,7 +79,8 @@ impl SeveralRigs {
     }
 }
 
-/// The Qubes of sessions that go on: as many as before, in their order.
+/// Selects the Qubes for a session that is resumed. They must be as many as before and in the same
+/// order, and emulated or real as before.
 fn devices_again(
     arguments: &Arguments,
     root: &Path,
@@ -105,7 +109,8 @@ fn devices_again(
     Ok(devices)
 }
 
-/// The emulated Qube of a rig among several, numbered from 1.
+/// The emulated Qube of rig number `rig`, from 1, among several. It differs from the others as
+/// `--vary` says.
 pub fn emulated_of(
     arguments: &Arguments,
     settings: &SessionSettings,
@@ -120,7 +125,7 @@ pub fn emulated_of(
     }
 }
 
-/// The command with which sessions of several Qubes go on.
+/// The command that resumes the sessions of several Qubes.
 pub fn resume_command(root: &Path, devices: &[ChosenDevice]) -> String {
     let mut command = format!("qube-hil session --resume {}", root.display());
     if devices.iter().all(|device| !device.choice.is_hardware()) {

@@ -1,6 +1,7 @@
 use super::Scalar;
 
-/// `libm` is plain Rust and computes the same bits on every platform; the system's library does not.
+/// Sine, cosine and exponential come from `libm`, which is plain Rust and computes the same bits on
+/// every platform. The mathematical library of the system does not.
 impl Scalar for f64 {
     #[inline(always)]
     fn from_f64(value: f64) -> Self {

@@ -8,10 +8,10 @@ pub(super) const MAX_HEAD_BYTES: usize = 8192;
 /// Largest number of headers.
 const MAX_HEADERS: usize = 64;
 
-/// Time within which the whole head must have come.
+/// Time within which the whole head must arrive.
 const HEAD_WITHIN: Duration = Duration::from_secs(5);
 
-/// The head of a request.
+/// The head of an HTTP request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Request {
     pub(super) method: String,
@@ -20,19 +20,20 @@ pub(super) struct Request {
     headers: Vec<(String, String)>,
 }
 
-/// The reason why there is no request.
+/// The reason why no request was read.
 #[derive(Debug)]
 pub(super) enum BadRequest {
-    /// The client is gone, or too slow.
+    /// The client has gone, or is too slow.
     Gone,
     /// The head is too large.
     TooLarge,
-    /// The bytes are no request.
+    /// The bytes are not an HTTP request.
     Malformed,
 }
 
 impl Request {
-    /// The value of the header of this name in lower case; `None` if it is absent or there are several.
+    /// The value of a header; `name` is in lower case. `None` if the header is absent or occurs
+    /// several times.
     pub(super) fn header(&self, name: &str) -> Option<&str> {
         let mut found = self.headers.iter().filter(|(header, _)| header == name);
         match (found.next(), found.next()) {
@@ -51,7 +52,7 @@ impl Request {
         self.header("upgrade").is_some_and(|value| value.eq_ignore_ascii_case("websocket"))
     }
 
-    /// Reads a head, and returns it with the bytes that came after it.
+    /// Reads a head, and returns it with the bytes that followed it.
     pub(super) fn read(stream: &mut TcpStream) -> Result<(Self, Vec<u8>), BadRequest> {
         let until = Instant::now() + HEAD_WITHIN;
         let mut bytes = Vec::new();
@@ -76,7 +77,8 @@ impl Request {
         }
     }
 
-    /// The request in the bytes and the length of its head; `None` while some is missing.
+    /// Parses the request in the bytes, and returns it with the length of its head; `None` while
+    /// bytes are missing.
     pub(super) fn parse(bytes: &[u8]) -> Result<Option<(Self, usize)>, BadRequest> {
         let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
         let mut parsed = httparse::Request::new(&mut headers);

@@ -1,10 +1,11 @@
 use crate::qube::RewardWeights;
 use crate::telemetry::{Phase, TickRecord};
 
-/// The return of a rollout: the sum of rewards over the ticks in which the policy had the motor, from the
-/// estimated state and the voltage sent.
+/// The return of a rollout: the sum of the rewards of the ticks in which the policy drove the
+/// motor. Each reward is computed from the estimated state and the voltage that was sent.
 ///
-/// A tick without a sample counts with the held state; a skipped period earns nothing.
+/// A tick without a sample earns the reward of the last estimated state; a skipped period earns
+/// nothing.
 #[must_use]
 pub fn return_of(ticks: &[TickRecord], weights: &RewardWeights) -> f64 {
     ticks

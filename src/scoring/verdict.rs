@@ -7,7 +7,7 @@ use crate::recording::{Completeness, Recording, RecordingError, read_on};
 use crate::storage::Disk;
 use crate::telemetry::{Ending, RolloutOutcome};
 
-/// The verdict on a recording, computed from its ticks each time.
+/// The verdict on a recording. It is stored nowhere, but computed from the ticks each time.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
     /// A rollout with a result, good or bad.
@@ -20,8 +20,8 @@ pub enum Verdict {
         /// Outcome with its latencies.
         outcome: RolloutOutcome,
     },
-    /// A fault ended it, or the recording has gaps: the recording is kept but not given to the surrogate,
-    /// and the rollout is repeated a limited number of times.
+    /// A fault ended the rollout, or the recording has gaps. The recording is kept but not given to
+    /// the surrogate, and the rollout is repeated a limited number of times.
     Void {
         /// Reason in words.
         reason: String,
@@ -48,17 +48,17 @@ impl Verdict {
     }
 }
 
-/// Mean of the returns; `None` without any result.
+/// The mean of the returns; `None` if no verdict has one.
 #[must_use]
 pub fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
     let returns: Vec<f64> = verdicts.iter().filter_map(Verdict::return_).collect();
     (!returns.is_empty()).then(|| returns.iter().sum::<f64>() / returns.len() as f64)
 }
 
-/// Reads the recording of a rollout that was finished, and computes the verdict.
+/// Reads the recording of a finished rollout and computes the verdict.
 ///
 /// # Errors
-/// The file cannot be read, one of its bytes has changed, or it or its end is missing.
+/// The file is missing or cannot be read, its end is missing, or one of its bytes has changed.
 pub fn score_finished(disk: &dyn Disk, path: &Path) -> Result<Verdict, RecordingError> {
     match score(disk, path) {
         Ok(Verdict::Unfinished) => Err(RecordingError::CutOff { path: path.to_owned() }),

@@ -7,20 +7,22 @@ use crate::surrogate::FitSettings;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BayRnSettings {
-    /// Number of initial points. Files do not contain it: a session derives it from its extent.
+    /// Number of initial points. Files do not contain it: a session takes it from
+    /// `extent.initial_candidates`.
     #[serde(skip)]
     pub initial_points: usize,
     /// Sampling of the initial points.
     pub initial_design: InitialDesign,
-    /// Acquisition function that the next point maximises.
+    /// Acquisition function: the next point is its maximum.
     pub acquisition: AcquisitionKind,
-    /// Weight of the standard deviation in `upper-confidence-bound`.
+    /// Weight beta of the standard deviation in the upper confidence bound; no other acquisition
+    /// function uses it.
     pub beta: f64,
-    /// Reference value of an improvement.
+    /// Rule for the incumbent: the value against which an improvement is measured.
     pub incumbent: IncumbentRule,
     /// Noise model of mean returns.
     pub noise: NoiseModel,
-    /// Form and fit of the surrogate. Its seed is combined with the search's.
+    /// Form and fit of the surrogate. The search combines the seed of the fit with its own seed.
     pub surrogate: FitSettings,
 }
 
@@ -93,20 +95,21 @@ pub enum AcquisitionKind {
     ProbabilityOfImprovement,
     /// Upper confidence bound (UCB).
     UpperConfidenceBound,
-    /// Noisy expected improvement (NEI): EI averaged over the posterior of the candidates' true values.
-    /// Suits noisy returns and needs no incumbent.
+    /// Noisy expected improvement (NEI): EI averaged over the posterior of the true values at the
+    /// candidates. It suits noisy returns and needs no incumbent.
     #[default]
     NoisyExpectedImprovement,
-    /// Knowledge gradient (KG): the expected rise of the largest posterior mean. Suits noisy returns and
-    /// needs no incumbent.
+    /// Knowledge gradient (KG): the expected rise of the largest posterior mean. It suits noisy
+    /// returns and needs no incumbent.
     KnowledgeGradient,
 }
 
-/// The incumbent: the value against which an improvement is measured.
+/// The rules for the incumbent, the value against which an improvement is measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum IncumbentRule {
-    /// Largest observed mean return, as in the thesis; under noise it is that of the luckiest candidate.
+    /// Largest observed mean return, as in the thesis. With noisy returns it is that of a lucky
+    /// candidate.
     LargestObserved,
     /// The largest posterior mean among the candidates evaluated.
     #[default]
@@ -119,8 +122,8 @@ pub enum IncumbentRule {
 pub enum NoiseModel {
     /// One fitted variance for all candidates.
     Shared,
-    /// The fitted variance plus each candidate's own, estimated from the spread of its returns
-    /// ([`crate::surrogate::noise_of_means`]).
+    /// The fitted variance plus a variance of each candidate's own, which is estimated from the
+    /// spread of its returns ([`crate::surrogate::noise_of_means`]).
     #[default]
     PerCandidate,
 }

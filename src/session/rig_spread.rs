@@ -1,12 +1,14 @@
 //! The assignment of rollouts to the rigs that share a session.
 
-/// The rig, from 1, that makes a candidate's rollout of this number; `None` if no rig is left.
+/// The number, from 1, of the rig that makes a candidate's rollout with the number `rollout`, from
+/// 0; `None` if every rig was taken out.
 ///
-/// Rollouts go round the rigs in turn, so that each rig evaluates every candidate alike. A rollout of a rig that was
-/// taken out goes to the one of the others that has the fewest until then; the rollouts of those others stay theirs.
+/// The rigs take the rollouts in turn, so that each rig evaluates every candidate alike. If the rig
+/// whose turn it is was taken out, the rig with the fewest rollouts so far makes the rollout. The
+/// other rigs keep their own rollouts.
 #[must_use]
 pub fn rig_of_rollout(rollout: u32, rigs: u32, taken_out: &[u32]) -> Option<u32> {
-    // The rigs that are left, and how many of the rollouts so far each makes.
+    // The rigs that were not taken out, each with its number of rollouts so far.
     let mut left: Vec<(u32, u32)> =
         (1..=rigs).filter(|rig| !taken_out.contains(rig)).map(|rig| (rig, 0)).collect();
     let mut rig = None;

@@ -1,10 +1,10 @@
-//! Derives every random number of a session from its seed and from the purpose of the draw, never from
-//! earlier draws, so that a resumed session draws the same.
+//! Derives every random number of a session from the session's seed and the purpose of the draw,
+//! never from earlier draws. A resumed session therefore draws the same numbers.
 
 use rand::{RngExt as _, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Largest start angle of the arm, rad, as in training.
+/// Largest distance of the start angle of the arm from the middle, rad, as in training.
 const START_REACH_RAD: f64 = 0.1;
 
 /// The purpose of a random stream.
@@ -24,12 +24,12 @@ pub enum SeedFor {
         /// Number of the training for this candidate.
         training: u32,
     },
-    /// Simulations in which the policies of a candidate compete.
+    /// Simulations that compare the competing policies of a candidate.
     Evaluation {
         /// Number of the candidate.
         candidate: u32,
     },
-    /// Emulated Qube of one attempt of one rollout, under virtual time.
+    /// Emulated Qube of one attempt at one rollout, under virtual time.
     Emulator {
         /// Number of the candidate.
         candidate: u32,
@@ -40,7 +40,7 @@ pub enum SeedFor {
     },
     /// Session within an experiment, whose candidates are separate from the experiment's policies.
     Search,
-    /// Properties of a policy's Qube, where each policy has its own.
+    /// Properties of the Qube of a policy, where each policy runs on a Qube of its own.
     Qube {
         /// Number of the policy.
         policy: u32,
@@ -62,7 +62,8 @@ pub enum SeedFor {
     },
 }
 
-/// The stream's number: the kind in the highest byte, then candidate, rollout and attempt.
+/// The number of the random stream of a purpose: its kind in the highest byte, then candidate,
+/// rollout and attempt.
 fn stream(purpose: SeedFor) -> u64 {
     let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
         kind << 56
@@ -95,7 +96,7 @@ pub fn derived_seed(session_seed: u64, purpose: SeedFor) -> u64 {
     random(session_seed, purpose).random()
 }
 
-/// Start angle of the arm, rad, the same for each attempt of a rollout.
+/// The start angle of the arm in a rollout, rad. It is the same for each attempt at the rollout.
 #[must_use]
 pub fn start_theta_rad(session_seed: u64, candidate: u32, rollout: u32) -> f64 {
     random(session_seed, SeedFor::Start { candidate, rollout })

@@ -11,7 +11,8 @@ pub struct Hyperparameters {
     pub lengthscales: Vec<f64>,
     /// The signal's variance (not its square root).
     pub signal_variance: f64,
-    /// Variance of the noise that all observations share; each one's own is added to it.
+    /// Variance of the noise that all observations share. The noise variance of a single
+    /// observation is added to it.
     pub noise_variance: f64,
 }
 
@@ -47,7 +48,8 @@ impl Hyperparameters {
         Ok(())
     }
 
-    /// Sum of the log densities of all hyperparameters under a set of priors (the mean has none).
+    /// Sum of the log densities of the hyperparameters under a set of priors. The mean has no
+    /// prior.
     #[must_use]
     pub fn log_prior(&self, priors: PriorSet) -> f64 {
         let lengthscale = priors.lengthscale(self.lengthscales.len());

@@ -7,7 +7,7 @@ use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::{PlantModel, RewardWeights};
 use crate::safety::{Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
 
-/// The settings of the tick. With them, the measurements and the policy, a recording can be replayed.
+/// The settings of the tick. A replay of a recording needs them, the measurements and the policy.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TickSettings {
@@ -15,31 +15,34 @@ pub struct TickSettings {
     pub calibration: Calibration,
     /// Estimator of the state that the policy sees.
     pub estimator: EstimatorSettings,
-    /// Box that ends the rollout.
+    /// Box that the state must not leave, and the guard.
     pub safety_box: SafetyBox,
     /// Number of steps of the policy.
     pub max_steps: u32,
     /// Start angle of the arm, rad.
     pub start_theta_rad: f64,
-    /// Positions of the arm's stops, if homing has touched them; the guard keeps away from the nearer one.
+    /// Positions of the arm's stops, if homing has touched them. The guard keeps away from the
+    /// nearer one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stops: Option<MeasuredStops>,
-    /// Model and settings of foresight, where foresight is the guard.
+    /// Model and settings of foresight, if foresight is the guard.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foresight: Option<ForesightSettings>,
-    /// Version of the tick's rules; recordings that name none have [`TickRules::First`].
+    /// Version of the rules of the tick; recordings that name no version follow
+    /// [`TickRules::First`].
     #[serde(default)]
     pub rules: TickRules,
-    /// Plant that is driven; recordings that name none are of the built-in Qube.
+    /// Plant that is driven; recordings that name no plant are of the built-in Qube.
     #[serde(default, skip_serializing_if = "PlantModel::is_qube")]
     pub plant: PlantModel,
 }
 
-/// The versions of the tick's rules for settling, watching and braking.
+/// The versions of the tick's rules for settling, watching and braking. A recording names its
+/// version, so that its replay follows the same rules.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TickRules {
-    /// The original rules, without the additions below; recordings that name no rules follow them.
+    /// The rules without any of the additions below; recordings that name no rules follow them.
     #[default]
     First,
     /// The two encoders check each other, settling is gentle, and a braked arm may come to rest anywhere
@@ -48,11 +51,11 @@ pub enum TickRules {
     /// As [`Witnessed`](Self::Witnessed); in addition, an arm whose count is in doubt under a policy is
     /// damped before the motor goes off.
     Damped,
-    /// As [`Damped`](Self::Damped); in addition, a brake that rings loses gain, and an arm whose count
-    /// is in doubt is damped while it settles, too.
+    /// As [`Damped`](Self::Damped); in addition, a brake that oscillates loses gain, and an arm
+    /// whose count is in doubt is damped also while it settles.
     Yielding,
-    /// As [`Yielding`](Self::Yielding); in addition, foresight tries each voltage of the brake, and knows how old a
-    /// velocity is after lost samples.
+    /// As [`Yielding`](Self::Yielding); in addition, foresight simulates each voltage of the brake
+    /// before it is sent, and takes into account how old a velocity is after lost samples.
     Tried,
 }
 
@@ -72,9 +75,9 @@ pub struct RolloutHeader {
     pub candidate: Option<u32>,
     /// Number of the rollout for its candidate.
     pub rollout: u32,
-    /// Number of the attempt: 0, or the count of repetitions after void rollouts.
+    /// Number of the attempt, from 0. Each repetition after a void rollout adds 1.
     pub attempt: u32,
-    /// Psi of the candidate by name; empty without one.
+    /// Entries of the candidate's psi by name; empty for a rollout without a psi.
     pub psi: BTreeMap<String, f64>,
     /// Seed of the run.
     pub seed: u64,
@@ -89,11 +92,11 @@ pub struct RolloutHeader {
     /// Check of the device before the rollout.
     #[serde(default)]
     pub preflight: Preflight,
-    /// Motor heat at the start; `None` in recordings without this estimate, whose replay ignores it.
+    /// Motor heat at the start; `None` in recordings that lack it, whose replay ignores the heat.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motor_heat: Option<MotorHeat>,
-    /// Whether hardware ran under the box alone, without foresight, because the operator accepted on the command line that
-    /// the arm may reach its hard stop.
+    /// Whether a real Qube ran under the box alone, without foresight. The operator then accepted
+    /// on the command line that the arm may reach its hard stop.
     #[serde(default, skip_serializing_if = "is_false")]
     pub hard_stop_accepted: bool,
     /// Name of the policy.
@@ -104,7 +107,8 @@ pub struct RolloutHeader {
     pub reward: RewardWeights,
 }
 
-/// The ending of a rollout. `Completed` and `LeftBox` are results; the others are void or stopped.
+/// The ending of a rollout. Rollouts that end with `Completed` or `LeftBox` have a result; the
+/// others are stopped or void.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind", content = "detail")]
 pub enum Ending {
@@ -112,9 +116,9 @@ pub enum Ending {
     Completed,
     /// The state left the safety box.
     LeftBox(Limit),
-    /// The operator or the program asked to stop.
+    /// The operator or the program stopped the rollout.
     Stopped,
-    /// A fault of timing, link or machine ended it.
+    /// A fault of timing, link or machine ended the rollout.
     Fault(Fault),
 }
 
@@ -123,7 +127,7 @@ pub enum Ending {
 pub struct RolloutOutcome {
     /// Ending of the rollout.
     pub ending: Ending,
-    /// Phase of the tick at the end.
+    /// Phase in which the rollout ended.
     pub phase: Phase,
     /// Number of steps of the policy.
     pub steps: u32,
@@ -131,18 +135,19 @@ pub struct RolloutOutcome {
     pub missed_deadlines: u32,
     /// Number of records for which the recorder had no room; above 0, the file has gaps.
     pub records_lost: u64,
-    /// Number of times that the observer lost the Qube and was reset from encoders and filter: its model does not
-    /// match, or something hit the Qube.
+    /// Number of times that the observer diverged and was reset from encoders and filter: its model
+    /// does not match the Qube, or something hit the Qube.
     #[serde(default, rename = "times_astray", skip_serializing_if = "is_zero")]
     pub observer_resets: u32,
-    /// Prediction for which foresight ended the rollout; `None` for other endings and in older recordings.
+    /// Prediction for which foresight ended the rollout; `None` for other endings, and in
+    /// recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foreseen: Option<Foreseen>,
-    /// Largest load of the motor, 1 at its continuous rating; `None` in older recordings.
+    /// Largest load of the motor, 1 at its continuous rating; `None` in recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_motor_load: Option<f64>,
-    /// Last answer of an external controller, V, which the guard may have refused; the earlier ones are in the
-    /// ticks. `None` for every other policy.
+    /// Last voltage that an external controller asked for, V, which the guard may have refused; the
+    /// ticks contain the earlier ones. `None` for every other policy.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last_answer_v: Option<f64>,
     /// Lateness of wake-ups, microseconds.

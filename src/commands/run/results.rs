@@ -18,12 +18,13 @@ use crate::telemetry::{Ending, Fault};
 /// The results of the rollouts, read from their recordings.
 #[derive(Debug, Default)]
 pub struct Results {
-    /// Whether an excitation drove the Qube, so that `identify`'s use of it is reported.
+    /// Whether an excitation drove the Qube. The results then say whether `identify` can use the
+    /// recordings, and show no returns.
     excited: bool,
     /// Rollouts in order.
     pub rollouts: Vec<RolloutRow>,
     latencies: Latencies,
-    /// Quietness of balancing, if the policy balanced.
+    /// Quietness of the balancing, if the policy balanced.
     quietness: Quietness,
     /// Number of observer resets.
     observer_resets: u64,
@@ -31,9 +32,9 @@ pub struct Results {
     largest_motor_load: Option<f64>,
     /// Fault that ended the last rollout, if one did.
     pub fault: Option<Fault>,
-    /// Reason why the last rollout is void without a fault.
+    /// Reason why the last rollout is void, if no fault ended it.
     void: Option<String>,
-    /// Recordings of the first rollouts with a result.
+    /// Recordings of the first rollouts that have a result, for the estimate of the drift.
     first: Vec<Recording>,
     /// Drift of the rig from its profile, or the reason why it cannot be estimated.
     drift: Option<Result<Drift, Unfit>>,
@@ -46,7 +47,7 @@ pub struct RolloutRow {
     /// Return; `None` without a result.
     pub return_: Option<f64>,
     success: bool,
-    /// Reason why it ended before its last step, or has no result.
+    /// Reason why the rollout ended before its last step, or has no result.
     pub ended_early: Option<String>,
     /// Outcome in words.
     told: String,
@@ -76,7 +77,7 @@ impl Results {
         }
     }
 
-    /// No results yet, of an excitation or a policy.
+    /// Results without any rollout yet, of an excitation or else of a policy.
     pub fn new(excited: bool) -> Self {
         Self { excited, ..Self::default() }
     }
@@ -88,7 +89,7 @@ impl Results {
         self.quietness.add(&recording.ticks, &recording.header.settings.plant);
         let outcome = recording.outcome.as_ref();
         self.observer_resets += outcome.map_or(0, |outcome| u64::from(outcome.observer_resets));
-        // `None` is less than any number.
+        // `None` is less than any load.
         let load = outcome.and_then(|outcome| outcome.largest_motor_load);
         if self.largest_motor_load < load {
             self.largest_motor_load = load;
@@ -131,7 +132,7 @@ impl Results {
         Ok(())
     }
 
-    /// Checks that the last rollout is not void without a fault.
+    /// Checks that the last rollout is valid or was ended by a fault, which `fault` names.
     pub fn gaps(&self) -> Result<(), Failure> {
         match &self.void {
             Some(reason) => Err(Failure::fault(format!("the last rollout is void: {reason}"))),
@@ -139,7 +140,7 @@ impl Results {
         }
     }
 
-    /// Compares the first rollouts with the profile, if there are any.
+    /// Estimates the drift of the first rollouts from the profile, if there are such rollouts.
     pub fn compare(&mut self, profile: &QubeModel) {
         if !self.first.is_empty() {
             self.drift = Some(Drift::of(&self.first, profile));

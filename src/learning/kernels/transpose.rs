@@ -1,10 +1,10 @@
 use crate::learning::network::{Row, WIDTH};
 
-/// Transposes a matrix; `scratch` is overwritten.
+/// Transposes the matrix `rows` into `columns`, both of WIDTH x WIDTH; `scratch` is overwritten.
 ///
-/// Interleaving the four quarters of an array moves the upper two bits of each entry's index to the lower
-/// end. An index has twelve bits, six for the row and six for the column, so three passes exchange them.
-/// Compilers vectorise interleaving well.
+/// Interleaving the four quarters of an array moves the two highest bits of each entry's index to
+/// the low end. An index has twelve bits, six for the row and six for the column, so three passes
+/// exchange row and column. Compilers vectorise interleaving well.
 #[inline(always)]
 pub(super) fn transpose(
     rows: &[Row; WIDTH],
@@ -16,8 +16,9 @@ pub(super) fn transpose(
     interleave_quarters(scratch, columns);
 }
 
-/// Interleaves the four quarters of an array. They are walked side by side: an index into the whole array has to be
-/// checked four times an entry, and whether the compiler then vectorises the loop changes with the code around it.
+/// Interleaves the four quarters of an array. The loop walks the quarters side by side. With
+/// indices into the whole array it would check four of them for each entry, and whether the
+/// compiler vectorised it would depend on the code around it.
 #[inline(always)]
 fn interleave_quarters(from: &[Row; WIDTH], to: &mut [Row; WIDTH]) {
     let [first, second, third, fourth] =

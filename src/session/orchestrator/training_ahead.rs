@@ -1,4 +1,4 @@
-//! Trains policies in threads of their own while the session's thread runs others on the Qube.
+//! Trains policies in other threads while the session's thread runs policies on the Qube.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -12,13 +12,15 @@ use super::training::Trainer;
 use crate::learning::TrainUpdate;
 use crate::session::{Candidate, SessionError, SessionEvent};
 
-/// Time between two looks at a stop flag.
+/// Longest wait for a message between two looks at the stop flag.
 const GLANCE: Duration = Duration::from_millis(50);
 
-/// Trainings under way beside the session's thread, at most as many at a time as the executor carries out.
+/// The trainings that run beside the session's thread. At most as many run at a time as the
+/// executor carries out.
 ///
-/// Candidates are begun in the order in which they were added. Which of them ends first changes no result: the session
-/// records a policy when it needs it. Dropping this stops the trainings and waits for their threads.
+/// Trainings begin in the order in which their candidates were added. The order in which they end
+/// changes no result, because the session records a policy only when it needs it. Dropping this
+/// value stops the trainings and waits for their threads.
 pub(super) struct TrainingAhead {
     trainer: Arc<Trainer>,
     dropped: Arc<AtomicBool>,
@@ -27,9 +29,9 @@ pub(super) struct TrainingAhead {
     news: Receiver<News>,
     reporter: Sender<News>,
     threads: Vec<JoinHandle<()>>,
-    /// Candidates that were taken care of.
+    /// Candidates that [`Self::note`] has seen.
     known: BTreeSet<u32>,
-    /// Candidates whose training has not ended, as far as the session's thread knows.
+    /// Candidates whose training is queued or under way, as far as the session's thread has heard.
     under_way: BTreeSet<u32>,
     failed: BTreeMap<u32, SessionError>,
 }
@@ -59,16 +61,18 @@ impl TrainingAhead {
         }
     }
 
-    /// Notes that a candidate is taken care of; returns whether it was not before.
+    /// Remembers a candidate, so that its training is not begun twice. Returns whether the
+    /// candidate is new.
     pub(super) fn note(&mut self, candidate: u32) -> bool {
         self.known.insert(candidate)
     }
 
-    /// Trains a candidate as soon as a thread is free.
+    /// Adds a candidate to the queue. Its training begins as soon as a thread is free.
     pub(super) fn train(&mut self, candidate: Candidate) {
         self.under_way.insert(candidate.number);
         if let Some(queue) = &self.queue {
-            // This holds a receiver, so that the channel is open.
+            // `queued` is a receiver of this channel, so the channel is open and `send` cannot
+            // fail.
             let _ = queue.send(candidate);
         }
         if self.threads.len() < self.under_way.len().min(self.trainer.executor.concurrency()) {
@@ -82,7 +86,7 @@ impl TrainingAhead {
         }
     }
 
-    /// Tells what has happened since the last call.
+    /// Passes on the messages of the trainings since the last call.
     pub(super) fn tell_news(&mut self, tell: &mut dyn FnMut(SessionEvent)) {
         while let Ok(news) = self.news.try_recv() {
             self.hear(news, tell);
@@ -92,7 +96,7 @@ impl TrainingAhead {
     /// Waits until the training of a candidate has ended.
     ///
     /// # Errors
-    /// It failed, or `stop` is set.
+    /// The training failed, or `stop` is set.
     pub(super) fn wait_for(
         &mut self,
         candidate: u32,
@@ -128,7 +132,8 @@ impl TrainingAhead {
         }
     }
 
-    /// Panics if a training did: threads end only when this is dropped.
+    /// Panics if a thread has panicked. Every thread that has ended has panicked, because otherwise
+    /// threads end only when this value is dropped.
     fn pass_panic_on(&mut self) {
         if let Some(ended) = self.threads.iter().position(JoinHandle::is_finished)
             && let Err(panic) = self.threads.swap_remove(ended).join()
@@ -154,7 +159,7 @@ fn train_one(
     dropped: &AtomicBool,
     reporter: &Sender<News>,
 ) {
-    // Nobody hears the news any more once the receiver is dropped.
+    // The receiver may be dropped already, and then nobody needs the message.
     let report = |news| drop(reporter.send(news));
     if dropped.load(Ordering::Relaxed) {
         return;

@@ -1,9 +1,11 @@
-//! An example process for tests of acquisitions that use the whole process, and a check of their gradients.
+//! An example of a Gaussian process for tests of acquisition functions that use the whole process,
+//! and a check of their gradients.
 
 use super::Acquisition;
 use crate::surrogate::{Dataset, GaussianProcess, Hyperparameters, Kernel, SearchBox};
 
-/// A process over nine points in two dimensions, optionally with a noise of each point's own.
+/// A Gaussian process over nine points in two dimensions. `own_variances` are the noise variances
+/// of the single points, in addition to `noise_variance`, which all share.
 pub fn nine_points(noise_variance: f64, own_variances: Option<&[f64]>) -> GaussianProcess {
     let search_box = SearchBox::new(vec![-1.0, 10.0], vec![1.0, 30.0]).unwrap();
     let points: Vec<Vec<f64>> =
@@ -19,7 +21,8 @@ pub fn nine_points(noise_variance: f64, own_variances: Option<&[f64]>) -> Gaussi
     GaussianProcess::new(data, Kernel::Matern52, hyperparameters).unwrap()
 }
 
-/// Checks an acquisition's gradient against finite differences, in the box of [`nine_points`].
+/// Checks the gradient of an acquisition function against finite differences at three points.
+/// `search_box` is the box of [`nine_points`].
 pub fn check_gradient(acquisition: &impl Acquisition, search_box: &SearchBox) {
     for point in [[0.7, 26.0], [0.1, 12.0], [-0.4, 19.0]] {
         let (value, gradient) = acquisition.value_and_gradient(&point);

@@ -1,6 +1,7 @@
 use super::{Criterion, Score};
 
-/// `UCB = mu + beta sigma` (Srinivas et al. 2010, who write the root of their beta).
+/// Upper confidence bound, `UCB = mu + beta sigma`. Source: Srinivas et al. 2010, whose beta is the
+/// square of this one.
 #[derive(Clone, Copy, Debug)]
 pub struct UpperConfidenceBound {
     /// Weight of the standard deviation.
