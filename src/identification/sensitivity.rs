@@ -1,4 +1,5 @@
-//! Residuals of a stretch with their derivatives.
+//! Computes the residuals of a stretch of a recording, and their derivatives with respect to the
+//! unknowns.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -8,22 +9,24 @@ use super::stretch::Stretch;
 use crate::qube::{Dynamics, NonidealDynamics, PlantModel, QubeModel, State};
 use crate::replay::simulate_numbers;
 
-/// Numbers of a start state.
+/// Number of entries of a start state.
 pub(super) const STARTS: usize = 4;
 
-/// Inputs of a simulation with derivatives: every unknown, and the start state.
+/// Number of inputs of a simulation that carries derivatives: all unknowns and the start state.
 const INPUTS: usize = 14 + STARTS;
 
-/// Step of the differences through the products of the parameters, as a fraction of an unknown's prior
-/// standard deviation. The products are smooth and need no simulation.
+/// Step of the finite differences of the equations' products (such as M_p L_r^2), as a fraction of
+/// the standard deviation of an unknown's prior. Finite differences suffice, because the products
+/// are smooth and need no simulation.
 const PRODUCT_STEP: f64 = 1e-5;
 
-/// Smallest delay at which the slope is taken, s: a command without any delay arrives with its sample, and no
-/// integration step ends at its arrival.
+/// Smallest delay at which the derivative is computed, s. With a delay of 0 a command arrives with
+/// its sample. Then no integration step ends at the arrival, and the derivative would be lost.
 const SMALLEST_DELAY_S: f64 = 1e-7;
 
-/// The residuals of a stretch (theta and alpha of each sample, in units of `scale`) and their derivatives:
-/// one column an unknown, then four of the start state.
+/// The residuals of a stretch and their derivatives. The residuals are those of theta and alpha at
+/// each sample, in units of `scale`. The derivatives have one column for each unknown, then four
+/// for the start state.
 pub(super) fn linearised(
     stretch: &Stretch<'_>,
     unknowns: &[Unknown],
@@ -74,7 +77,8 @@ fn run<const N: usize>(
     (residuals, slopes)
 }
 
-/// The equations' products and the delay with their derivatives with respect to the unknowns.
+/// The products in the equations and the delay, with their derivatives with respect to the
+/// unknowns.
 fn with_slopes<const N: usize>(
     unknowns: &[Unknown],
     plant: &PlantModel,
@@ -128,7 +132,7 @@ fn with_slopes<const N: usize>(
     (dynamics, delay_s)
 }
 
-/// The numbers that the equations use, then the delay.
+/// The products that the equations use, then the delay, s.
 fn numbers(model: &QubeModel) -> [f64; 14] {
     let dynamics = NonidealDynamics::<f64>::new(model);
     let ideal = &dynamics.ideal;

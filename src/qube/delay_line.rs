@@ -12,20 +12,21 @@ pub(super) const STEP_S: f32 = (CONTROL_PERIOD_S / SUBSTEPS as f64) as f32;
 
 /// The commands that are on their way to the motors of a block; each lane has its own delay.
 ///
-/// A delay of `n` whole periods plus `f` seconds means that command `k - n - 1` acts at the motor for
-/// the first `f` seconds of period `k` and command `k - n` after them. A period is integrated in one piece
-/// more than `SUBSTEPS`: the substeps, with the one in which the voltage changes cut in two there. The delay is
-/// therefore exact, and each piece has the integrator's error for a step no longer than a substep. Without
-/// a delay the first piece is empty and the others are the substeps.
+/// With a delay of `n` whole periods and `f` seconds, command `k - n - 1` acts at the motor for the
+/// first `f` seconds of period `k`, and command `k - n` for the rest. A period is integrated in
+/// `SUBSTEPS + 1` pieces: the instant `f` cuts one substep in two. The delay is therefore exact,
+/// and no piece is longer than a substep. Without a delay the first piece is empty and the others
+/// are the substeps.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DelayLine {
     /// Last commands after clipping, V, newest first.
     sent_v: [Lanes; MAX_HISTORY],
-    /// n, whole periods of delay.
+    /// Number of whole periods of the delay, n.
     whole_periods: Lanes,
-    /// f, the instant in the period at which the voltage changes, s.
+    /// Instant in the period at which the voltage changes, f, s.
     change_s: Lanes,
-    /// Voltage at the motor until `change_s` in the current period, V; where that is 0, the voltage of the period before.
+    /// Voltage at the motor until `change_s` in the current period, V; if `change_s` is 0, the
+    /// voltage at the end of the period before.
     before_v: Lanes,
     /// Voltage at the motor after `change_s`, V.
     after_v: Lanes,
@@ -44,13 +45,13 @@ impl DelayLine {
         largest_v: MAX_VOLTAGE_V as f32,
     };
 
-    /// An empty line that clips to another largest voltage, V.
+    /// An empty line that clips to this largest voltage, V.
     pub(super) fn limited_to(largest_v: f32) -> Self {
         Self { largest_v, ..Self::EMPTY }
     }
 
-    /// Largest voltage, V. Loops over lanes copy it first: a load within them would keep them from becoming vector
-    /// code.
+    /// Largest voltage, V. Loops over lanes copy it to a local variable first, because a load
+    /// inside the loop would keep it from becoming vector code.
     #[inline(always)]
     pub(super) fn largest_v(&self) -> f32 {
         self.largest_v
@@ -97,16 +98,17 @@ impl DelayLine {
                 after_v = if arrives { newer_v } else { after_v };
                 newer_v = older_v;
             }
-            // The longest delay is a whole number of periods: the voltage does not change within the
-            // period. The command before it is forgotten, so that `before_v` is that of the period too.
+            // With the longest delay, a whole number of periods, the voltage does not change within
+            // the period. The line has forgotten the command before, so `before_v` is the voltage
+            // of this period too.
             let oldest = self.whole_periods[lane] == MAX_HISTORY as f32;
             self.before_v[lane] = if oldest { newer_v } else { before_v };
             self.after_v[lane] = if oldest { newer_v } else { after_v };
         }
     }
 
-    /// The voltages that act at the motors just before the current period begins, V; at the longest delay those of the current
-    /// period.
+    /// The voltages at the motors just before the current period begins, V. In a lane with the
+    /// longest delay it is the voltage of the current period.
     #[inline(always)]
     pub(super) fn before_v(&self) -> &Lanes {
         &self.before_v
@@ -125,7 +127,7 @@ impl DelayLine {
     #[inline(always)]
     fn piece(&self, piece: usize, lane: usize) -> (f32, f32) {
         let change_s = self.change_s[lane];
-        // Part of a substep that lies before the change.
+        // The part of a substep that lies before the change of the voltage, s.
         let unchanged_s = |substep: usize| (change_s - substep as f32 * STEP_S).clamp(0.0, STEP_S);
         let rest_s = if piece == 0 { 0.0 } else { STEP_S - unchanged_s(piece - 1) };
         let begun_s = if piece == SUBSTEPS { 0.0 } else { unchanged_s(piece) };
@@ -133,7 +135,7 @@ impl DelayLine {
         (rest_s + begun_s, if changed { self.after_v[lane] } else { self.before_v[lane] })
     }
 
-    /// Ends the period: its commands become the newest past ones.
+    /// Ends the period: adds its commands to the past ones.
     #[inline(always)]
     pub(super) fn end_period(&mut self, commands_v: &Lanes) {
         self.sent_v.rotate_right(1);

@@ -10,15 +10,15 @@ pub enum Distribution {
         /// The value.
         value: f64,
     },
-    /// A normal distribution, which the simulation truncates on either side of the mean.
+    /// A normal distribution. The simulation truncates it on both sides of the mean.
     Normal {
         /// Mean, in the unit of the quantity.
         mean: f64,
         /// Standard deviation before truncation.
         standard_deviation: f64,
     },
-    /// A uniform distribution with this mean and standard deviation: a half-width of sqrt(3) standard
-    /// deviations, which the simulation limits.
+    /// A uniform distribution with this mean and standard deviation. Its half-width is sqrt(3)
+    /// standard deviations; the simulation limits the half-width.
     Uniform {
         /// Mean, in the unit of the quantity.
         mean: f64,
@@ -28,7 +28,7 @@ pub enum Distribution {
 }
 
 impl Distribution {
-    /// The distribution of this quantity times a factor above 0.
+    /// The distribution of the quantity multiplied by a factor above 0.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         match self {
@@ -51,7 +51,7 @@ impl Distribution {
         Self::Uniform { mean, standard_deviation: half_width / sqrt(3.0) }
     }
 
-    /// The constant value, or the mean of the draws.
+    /// The constant value, or the mean of the distribution.
     #[must_use]
     pub fn mean(&self) -> f64 {
         match *self {
@@ -71,7 +71,8 @@ impl Distribution {
         }
     }
 
-    /// The probability density at a value, before truncation; zero for a constant, which has none.
+    /// The probability density at a value, before truncation; 0 for a constant, which has no
+    /// density.
     #[must_use]
     pub fn density(&self, value: f64) -> f64 {
         let (mean, deviation) = (self.mean(), self.standard_deviation());

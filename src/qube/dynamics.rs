@@ -13,21 +13,22 @@ use crate::elementary::Scalar;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dynamics<T = f64> {
-    /// M_p L_r^2 + J_r.
+    /// M_p L_r^2 + J_r, kg m^2.
     pub arm_inertia: T,
-    /// 1/4 M_p L_p^2.
+    /// 1/4 M_p L_p^2, kg m^2.
     pub quarter_inertia: T,
-    /// 1/2 M_p L_p L_r.
+    /// 1/2 M_p L_p L_r, kg m^2.
     pub coupling: T,
-    /// J_p + 1/4 M_p L_p^2.
+    /// J_p + 1/4 M_p L_p^2, kg m^2.
     pub pendulum_inertia: T,
-    /// 1/2 M_p L_p g.
+    /// 1/2 M_p L_p g, N m.
     pub gravity_torque: T,
-    /// k_m / R_m: torque per volt.
+    /// k_m / R_m, the torque per volt, N m/V.
     pub torque_per_volt: T,
-    /// k_m^2 / R_m + D_r: back EMF and friction, which both brake the arm in proportion to its velocity.
+    /// k_m^2 / R_m + D_r, N m s: back EMF and friction, which both brake the arm in proportion to
+    /// its velocity.
     pub arm_damping: T,
-    /// D_p.
+    /// D_p, N m s.
     pub pendulum_damping: T,
 }
 
@@ -47,7 +48,8 @@ pub trait EquationsOfMotion<T> {
 }
 
 impl<T: Scalar> Dynamics<T> {
-    /// Computes the products of the parameters in `f64` and rounds each once.
+    /// The equations with these parameters. Their products are computed in `f64` and rounded once
+    /// each.
     #[must_use]
     pub fn new(parameters: &DomainParameters) -> Self {
         let p = parameters;
@@ -100,7 +102,8 @@ impl<T: Scalar> Dynamics<T> {
         }
     }
 
-    /// Kinetic plus potential energy in J; zero potential at the height of the arm.
+    /// The kinetic plus the potential energy, J. The potential energy is 0 with the pendulum
+    /// horizontal.
     pub fn energy(&self, state: &State<T>) -> T {
         let (sin, cos) = state.alpha.sin_cos();
         let (theta_dot, alpha_dot) = (state.theta_dot, state.alpha_dot);
@@ -113,8 +116,9 @@ impl<T: Scalar> Dynamics<T> {
 }
 
 impl Dynamics {
-    /// The state after an inelastic impact of the arm at `theta`. The pendulum swings freely about its
-    /// bearing, so the impact conserves its momentum m12 theta' + m22 alpha'.
+    /// The state after an inelastic impact that stops the arm at `theta`. The pendulum swings
+    /// freely about its bearing, so the impact conserves its angular momentum there,
+    /// m12 theta' + m22 alpha'.
     #[must_use]
     pub fn with_arm_stopped(&self, state: State, theta: f64) -> State {
         let coupling = self.coupling * state.alpha.cos();
@@ -122,8 +126,8 @@ impl Dynamics {
         State { theta, theta_dot: 0.0, alpha_dot, ..state }
     }
 
-    /// The state after a hand has stopped the pendulum at `alpha`. The hand takes none of the momentum
-    /// about the arm's axis, m11 theta' + m12 alpha'.
+    /// The state after a hand has stopped the pendulum at `alpha`. The stop conserves the angular
+    /// momentum about the arm's axis, m11 theta' + m12 alpha'.
     #[must_use]
     pub fn with_pendulum_stopped(&self, state: State, alpha: f64) -> State {
         let (sin, cos) = state.alpha.sin_cos();

@@ -29,7 +29,7 @@ pub struct Encoders {
     pub alpha: Encoder,
 }
 
-/// Rounds angles down to an encoder's counts, in any number type.
+/// The rounding of angles down to the counts of an encoder, in any number type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantiser<T = f64> {
     counts_per_rad: T,
@@ -43,8 +43,8 @@ impl Encoder {
     /// Fewest counts a revolution: a coarser encoder shows no velocity within a control period.
     const FEWEST: i32 = 256;
 
-    /// Most counts a revolution: with more, the count of a spinning pendulum could overflow within a session (2048 turns at
-    /// this limit).
+    /// Most counts a revolution. With more, the count of a pendulum that spins could overflow
+    /// within a session: at this limit it holds 2048 turns.
     const MOST: i32 = 1 << 20;
 
     /// Counts in one revolution.
@@ -77,7 +77,7 @@ impl Encoder {
         f64::from(counts) * self.rad_per_count()
     }
 
-    /// The rounding of angles to this encoder's counts.
+    /// The quantiser that rounds angles to the counts of this encoder.
     #[must_use]
     pub fn quantiser<T: Scalar>(self) -> Quantiser<T> {
         let rad_per_count = self.rad_per_count();
@@ -127,7 +127,7 @@ impl Default for Encoders {
 }
 
 impl<T: Scalar> Quantiser<T> {
-    /// An angle rounded down to its count, rad.
+    /// The angle rounded down to its count, rad.
     #[must_use]
     #[inline(always)]
     pub fn quantised(&self, angle_rad: T) -> T {

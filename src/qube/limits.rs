@@ -1,7 +1,7 @@
 //! Constants of the wire, the task and the built-in Qube.
 
-/// Largest motor voltage that the wire carries, V, and the unit of a policy's output. A plant's own limit may be
-/// smaller ([`super::PlantLimits`]).
+/// Largest motor voltage that the wire carries, V. It is also the unit in which a policy sees its
+/// last commands. The limit of a plant may be smaller ([`super::PlantLimits`]).
 pub const MAX_VOLTAGE_V: f64 = 5.0;
 
 /// Control period, s: 100 Hz.

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 pub struct MotorRating {
     /// Current that the motor can carry indefinitely, A.
     pub continuous_a: f64,
-    /// Thermal time constant of the winding, s: the time to reach 63 % of the final temperature. A value
-    /// below the true one trips sooner.
+    /// Thermal time constant of the winding, s: the time to reach 63 % of the final temperature.
+    /// With a value below the true one the motor counts as overheated sooner than necessary.
     pub time_constant_s: f64,
 }
 
@@ -20,7 +20,7 @@ impl MotorRating {
     /// the housing dominates, so 30 s for the whole motor is a conservative assumption, not a measurement.
     pub const NOMINAL: Self = Self { continuous_a: 0.54, time_constant_s: 30.0 };
 
-    /// The rating with the lower number of either.
+    /// The rating with the smaller current and the smaller time constant of the two.
     #[must_use]
     pub fn lower(&self, other: &Self) -> Self {
         Self {
@@ -29,7 +29,7 @@ impl MotorRating {
         }
     }
 
-    /// Whether the rating is positive and no higher than another one.
+    /// Whether both numbers of the rating are positive and no larger than those of another one.
     #[must_use]
     pub fn is_within(&self, other: &Self) -> bool {
         let within = |value: f64, most: f64| value > 0.0 && value <= most;

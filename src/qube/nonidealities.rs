@@ -3,8 +3,9 @@ use serde::{Deserialize, Serialize};
 use super::{Acceleration, DomainParameter, DomainParameters, Dynamics, EquationsOfMotion, State};
 use crate::elementary::Scalar;
 
-/// Velocity of the arm at which Coulomb friction has reached three quarters of its torque, rad/s. A
-/// friction that jumps at zero velocity would need an integrator that locates the instant of reversal.
+/// Velocity of the arm at which Coulomb friction has reached three quarters of its torque, rad/s.
+/// The friction grows steadily through zero, because a jump there would need an integrator that
+/// locates the instant of reversal.
 const FRICTION_VELOCITY_RAD_S: f64 = 0.05;
 
 /// The effects in a real Qube that the thesis's equations leave out: friction, dead zone, cable and delay.
@@ -72,14 +73,15 @@ impl QubeModel {
         },
     };
 
-    /// The Qube on the straight line from the nominal one through this one, `factor` times as far away: 0
-    /// gives the nominal Qube, 1 this one. Parameters move by their logarithms, and those with a zero linearly.
+    /// The Qube on the straight line from the nominal Qube through this one: `factor` 0 gives the
+    /// nominal Qube, and 1 gives this one. A parameter is interpolated in its logarithm, or
+    /// linearly if it is 0 here or in the nominal Qube. The rest angle of the cable does not change.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         self.scaled_from(&DomainParameters::NOMINAL, factor)
     }
 
-    /// The same on the line from these nominal parameters.
+    /// As [`Self::scaled`], but on the line from the nominal Qube with these parameters.
     #[must_use]
     pub fn scaled_from(&self, nominal: &DomainParameters, factor: f64) -> Self {
         let mut parameters = *nominal;
@@ -126,7 +128,8 @@ pub struct NonidealDynamics<T = f64> {
 }
 
 impl<T: Scalar> NonidealDynamics<T> {
-    /// The forces of this Qube. The command delay is not part of them; the caller applies it.
+    /// The equations of motion of this Qube. They do not contain the command delay, which the
+    /// caller applies.
     #[must_use]
     pub fn new(model: &QubeModel) -> Self {
         let nonidealities = &model.nonidealities;
@@ -140,7 +143,7 @@ impl<T: Scalar> NonidealDynamics<T> {
         }
     }
 
-    /// The part of a voltage that drives the motor after the dead zone, V.
+    /// The part of a voltage that is left after the dead zone and drives the motor, V.
     #[inline(always)]
     fn effective_voltage(&self, voltage_v: T) -> T {
         let zero = T::from_f64(0.0);

@@ -36,7 +36,7 @@ pub struct DomainParameters {
     pub pendulum_length_m: f64,
 }
 
-/// Names one of the nine domain parameters, in the order of the thesis's table 5.1.
+/// The nine domain parameters by name, in the order of the thesis's table 5.1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum DomainParameter {
     /// Gravity g.
@@ -89,7 +89,7 @@ pub enum ParameterError {
 }
 
 impl DomainParameter {
-    /// All nine, in order.
+    /// All nine parameters, in the order of the thesis's table 5.1.
     pub const ALL: [Self; 9] = [
         Self::Gravity,
         Self::MotorResistance,
@@ -186,13 +186,13 @@ impl DomainParameters {
         Ok(())
     }
 
-    /// J_r = M_r L_r^2 / 12, kg m^2.
+    /// Moment of inertia of the arm, J_r = M_r L_r^2 / 12, kg m^2.
     #[must_use]
     pub fn rotary_inertia_kg_m2(&self) -> f64 {
         self.rotary_mass_kg * self.rotary_length_m * self.rotary_length_m / 12.0
     }
 
-    /// J_p = M_p L_p^2 / 12, kg m^2.
+    /// Moment of inertia of the pendulum about its centre, J_p = M_p L_p^2 / 12, kg m^2.
     #[must_use]
     pub fn pendulum_inertia_kg_m2(&self) -> f64 {
         self.pendulum_mass_kg * self.pendulum_length_m * self.pendulum_length_m / 12.0

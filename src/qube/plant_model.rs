@@ -10,7 +10,8 @@ use super::{
 /// A rotary pendulum as its maker describes it: its nominal parameters, encoders, stops and motor. A TOML file
 /// can describe one (`docs/reference/plants.md`); [`PlantModel::QUBE`] is built in.
 ///
-/// It is what all specimens of a plant share. A [`super::Profile`] describes one of them, as it was identified.
+/// It describes what all specimens of a plant share. A [`super::Profile`] describes one identified
+/// specimen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlantModel {
@@ -39,7 +40,8 @@ pub struct PlantLimits {
     pub largest_voltage_v: f64,
 }
 
-/// The rating of a plant's motor. Unlike a [`MotorRating`] it has no defaults.
+/// The thermal rating of a plant's motor as the file gives it. Unlike a [`MotorRating`], it has no
+/// defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlantMotor {
@@ -60,7 +62,8 @@ pub enum PlantError {
 }
 
 impl PlantModel {
-    /// The Quanser Qube (QUBE-Servo 2): name plate, 512 lines on both axes, stops at +-137 degrees, and 5 V.
+    /// The Quanser Qube (QUBE-Servo 2): the values of its name plate, encoders with 512 lines on
+    /// both axes, stops at +-137 degrees, and at most 5 V.
     pub const QUBE: Self = Self {
         name: PlantName::QUBE,
         parameters: DomainParameters::NOMINAL,
@@ -75,7 +78,7 @@ impl PlantModel {
     /// Reads a plant from TOML.
     ///
     /// # Errors
-    /// A key is missing, unknown, or has a value outside its range; the error knows its line.
+    /// A key is missing or unknown, or has a value outside its range. The message names the line.
     pub fn parse(text: &str) -> Result<Self, PlantError> {
         Ok(toml::from_str(text).map_err(Box::new)?)
     }
@@ -99,10 +102,11 @@ impl PlantModel {
         MotorRating { continuous_a, time_constant_s }
     }
 
-    /// The name of the first entry that is not known to be as harmless as a Qube's; `None` for a plant that
-    /// differs from a Qube by smaller limits alone.
+    /// The name of the first entry that may be less safe than that of a Qube; `None` for a plant
+    /// that differs from a Qube only in its name and in smaller limits and motor ratings.
     ///
-    /// The guard simulates the nominal parameters and counts by the encoders, so a wrong value in the file can do harm.
+    /// The guard simulates the nominal parameters and computes angles with the encoders'
+    /// resolution, so a wrong value in the file can do harm.
     #[must_use]
     pub fn beyond_qube(&self) -> Option<&'static str> {
         let (own, qube) = (&self.limits, &Self::QUBE.limits);
@@ -123,8 +127,8 @@ impl PlantModel {
         (self.limits.hard_stop_rad / HARD_STOP_RAD).min(1.0)
     }
 
-    /// Volts that accelerate this plant's arm as one volt accelerates a Qube's. Gains that were tuned for a Qube
-    /// are multiplied by it.
+    /// The number of volts that accelerate this plant's arm as one volt accelerates that of a Qube.
+    /// Gains that were tuned for a Qube are multiplied by this number.
     #[must_use]
     pub fn volts_per_qube_volt(&self) -> f64 {
         let per_volt = |parameters| {
@@ -134,13 +138,15 @@ impl PlantModel {
         per_volt(&DomainParameters::NOMINAL) / per_volt(&self.parameters)
     }
 
-    /// A Qube's voltage (not negative) scaled to give this plant's arm the same acceleration, at most `largest_voltage_v`, V.
+    /// The voltage that accelerates this plant's arm as `of_qube_v` (not negative) accelerates that
+    /// of a Qube, at most `largest_voltage_v`, V.
     #[must_use]
     pub fn volts_like(&self, of_qube_v: f64) -> f64 {
         (of_qube_v * self.volts_per_qube_volt()).min(self.limits.largest_voltage_v)
     }
 
-    /// The specimen that differs from this plant's nominal one as the given Qube differs from the nominal Qube.
+    /// The specimen that differs from the nominal plant in the same proportions in which `qube`
+    /// differs from the nominal Qube.
     #[must_use]
     pub fn in_proportion(&self, qube: &QubeModel) -> QubeModel {
         let mut specimen = *qube;
@@ -150,8 +156,9 @@ impl PlantModel {
         specimen
     }
 
-    /// This plant's value of a quantity for each unit of a Qube's: the ratio of the nominal parameters, of the motors'
-    /// torques for friction and cable, and 1 for dead zone, delay and the cable's rest angle.
+    /// The factor by which a Qube's value of a quantity is multiplied for this plant: the ratio of
+    /// the nominal values for a parameter, that of the motors' torques for friction and cable, and
+    /// 1 for dead zone, delay and the cable's rest angle.
     #[must_use]
     pub fn proportion(&self, quantity: Quantity) -> f64 {
         match quantity {
@@ -165,8 +172,8 @@ impl PlantModel {
         }
     }
 
-    /// Torque of this plant's motor for each N m of a Qube's, at the same voltage. Friction and cable of a plant
-    /// that nobody has identified are assumed in proportion to it.
+    /// The torque of this plant's motor for each N m of a Qube's motor, at the same voltage.
+    /// Friction and cable of a plant that is not identified are assumed to be in this proportion.
     #[must_use]
     pub fn torque_per_qube_torque(&self) -> f64 {
         let per_volt = |parameters: &DomainParameters| {
@@ -185,8 +192,8 @@ impl Default for PlantModel {
 /// Smallest and largest accepted value.
 type Range = (f64, f64);
 
-/// Accepted angles of a stop, rad: within less, no box holds a swing-up; from half a turn on, the two stops
-/// overlap.
+/// Accepted angles of a stop, rad. With a smaller angle no box leaves enough room for a swing-up;
+/// from half a turn on the two stops would overlap.
 const HARD_STOPS_RAD: Range = (0.6, 3.1);
 
 /// Accepted largest voltages, V: homing needs 2.75 V.
@@ -224,7 +231,7 @@ fn time_constant<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::E
     within(deserializer, TIME_CONSTANTS_S)
 }
 
-/// A parameter that must be above 0, within what a table-top pendulum has.
+/// A parameter that must be above 0, in a range that covers table-top pendulums.
 #[derive(Clone, Copy, Deserialize)]
 struct Positive(#[serde(deserialize_with = "positive")] f64);
 
@@ -240,7 +247,8 @@ fn not_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Er
     within(deserializer, (0.0, 1e3))
 }
 
-/// The parameters as a file holds them: each value is checked where it stands, so that an error knows its line.
+/// The parameters as a file contains them. Each value is checked as it is read, so that the error
+/// names its line.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 #[expect(non_snake_case, reason = "the symbols of the thesis")]

@@ -7,7 +7,8 @@ const LONGEST: usize = 32;
 
 /// The name of a plant: 1 to 32 letters, digits, dots, hyphens and underscores.
 ///
-/// It holds its letters in place, so that settings which name a plant can be copied into a tick.
+/// The value contains the letters themselves and not a pointer to them, so that settings which name
+/// a plant can be copied into a tick.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct PlantName {
@@ -16,14 +17,14 @@ pub struct PlantName {
 }
 
 impl PlantName {
-    /// The built-in Qube's.
+    /// The name of the built-in Qube.
     pub const QUBE: Self = {
         let mut letters = [0; LONGEST];
         (letters[0], letters[1], letters[2], letters[3]) = (b'q', b'u', b'b', b'e');
         Self { letters, length: 4 }
     };
 
-    /// Whether this is the built-in Qube's.
+    /// Whether this is the name of the built-in Qube.
     #[must_use]
     pub fn is_qube(&self) -> bool {
         *self == Self::QUBE

@@ -8,8 +8,8 @@ use super::{
     ParameterError, PlantName, Quantity, QubeModel,
 };
 
-/// One Qube in a file: its model, the uncertainty of its values, and their provenance. `identify` writes
-/// it; simulation and emulator read it.
+/// One Qube, as a file describes it: its model, the uncertainty of its values, and their
+/// provenance. `identify` writes the file; simulation and emulator read it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Profile {
@@ -28,7 +28,7 @@ pub struct Profile {
     /// Standard error by quantity name, each in the unit of its quantity.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub standard_errors: BTreeMap<String, f64>,
-    /// Correlations of the errors; `None` in files of programs that did not write them.
+    /// Correlations of the errors; `None` if the file has none, which then count as 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlations: Option<Correlations>,
     /// Recordings and program that the profile was identified with.
@@ -42,8 +42,8 @@ pub struct Profile {
 pub struct Correlations {
     /// Names of the quantities.
     pub names: Vec<String>,
-    /// Lower triangle, one row a quantity: its correlations with the quantities before it and with itself,
-    /// -1 to 1.
+    /// Lower triangle of the matrix, one row for each quantity. A row contains the correlations
+    /// with the quantities before it and with itself, -1 to 1.
     pub rows: Vec<Vec<f64>>,
 }
 
@@ -192,7 +192,7 @@ impl Correlations {
         known && self.rows.len() == self.names.len() && self.rows.iter().enumerate().all(whole)
     }
 
-    /// The correlation of two quantities: 1 of a quantity with itself, 0 where the file names none.
+    /// The correlation of two quantities: 1 for a quantity with itself, 0 if the file gives none.
     #[must_use]
     pub fn of(&self, one: Quantity, other: Quantity) -> f64 {
         let place = |quantity: Quantity| self.names.iter().position(|name| name == quantity.name());

@@ -45,7 +45,7 @@ impl Nonideality {
         }
     }
 
-    /// The symbol beside parameters' symbols in psi and its tables.
+    /// The symbol of the term in psi and in the tables of psi.
     #[must_use]
     pub fn symbol(self) -> &'static str {
         match self {
@@ -58,7 +58,7 @@ impl Nonideality {
         }
     }
 
-    /// The accepted range in the term's unit. An angle may have either sign; the other terms are strengths.
+    /// The accepted range, in the unit of the term. Only the rest angle may be negative.
     #[must_use]
     pub fn range(self) -> RangeInclusive<f64> {
         match self {
@@ -143,7 +143,7 @@ impl Quantity {
         }
     }
 
-    /// Its SI unit.
+    /// The SI unit.
     #[must_use]
     pub fn unit(self) -> &'static str {
         use DomainParameter as P;

@@ -14,8 +14,8 @@ use crate::elementary::{InstructionSet, VectorKernel};
 /// structure of arrays. Loops over the lanes have a fixed length and no aliasing, so that they become plain
 /// vector code.
 ///
-/// A lane's numbers depend on its own start and commands alone, and are the same bits on every instruction
-/// set. Fast only inside a [`VectorKernel`].
+/// The numbers of a lane depend only on its own start and commands, and have the same bits on every
+/// instruction set. The methods are fast only inside a [`VectorKernel`].
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct QubeLanes {
@@ -23,8 +23,8 @@ pub struct QubeLanes {
     pub state: State<Lanes>,
     dynamics: NonidealDynamics<Lanes>,
     commands: DelayLine,
-    /// Lanes that hold the thesis's ideal Qube. A block of these alone is integrated by a shorter path to
-    /// the same bits.
+    /// Whether each lane holds the thesis's ideal Qube. If all do, a shorter path integrates the
+    /// block and gives the same bits.
     ideal: [bool; BLOCK],
 }
 
@@ -54,8 +54,8 @@ impl QubeLanes {
         self.commands.largest_v()
     }
 
-    /// Puts another Qube into a lane, with no commands in its past. Its delay is at most [`MAX_HISTORY`]
-    /// control periods.
+    /// Puts another Qube into a lane, without any past commands. The delay of the Qube is at most
+    /// [`MAX_HISTORY`] control periods.
     ///
     /// # Panics
     /// Panics if the lane does not exist.
@@ -73,7 +73,7 @@ impl QubeLanes {
         self.ideal[lane] = forces == [0.0; 4] && self.commands.is_immediate(lane);
     }
 
-    /// Continues all lanes from these states, with these commands (V, newest first) in their past.
+    /// Continues all lanes from these states. `sent_v` are the past commands, V, newest first.
     #[inline(always)]
     pub fn resume(&mut self, states: &State<Lanes>, sent_v: &[Lanes; MAX_HISTORY]) {
         self.state = *states;
@@ -94,7 +94,8 @@ impl QubeLanes {
         self.commands.all_sent_v()
     }
 
-    /// Whether all lanes are the thesis's Qube, so that [`Self::advance_ideal`] integrates them.
+    /// Whether all lanes hold the thesis's ideal Qube, so that [`Self::advance_ideal`] may
+    /// integrate them.
     #[must_use]
     #[inline(always)]
     pub fn are_ideal(&self) -> bool {
@@ -121,8 +122,8 @@ impl QubeLanes {
         self.commands.begin_period(commands_v);
     }
 
-    /// The accelerations of arm and pendulum, rad/s^2, under the voltages that acted at the motors when the
-    /// current period began.
+    /// The accelerations of arm and pendulum in the present states, rad/s^2, under the voltages
+    /// that [`Self::begin_period`] found at the motors just before the period.
     #[must_use]
     #[inline(always)]
     pub fn accelerations_before(&self) -> (Lanes, Lanes) {
@@ -142,8 +143,8 @@ impl QubeLanes {
     #[inline(always)]
     pub fn advance(&mut self, piece: usize) {
         let Self { state, dynamics, commands, .. } = self;
-        // The pieces are computed apart from the integration: with both in one loop the compiler emits
-        // scalar code, which is eight times slower.
+        // The lengths and voltages of the pieces are computed in a loop of their own. In one loop
+        // with the integration the compiler emits scalar code, which is eight times slower.
         let (steps_s, voltages_v) = commands.pieces(piece);
         for lane in 0..BLOCK {
             let own = dynamics.lane(lane);
@@ -152,7 +153,7 @@ impl QubeLanes {
         }
     }
 
-    /// Ends a control period: its commands become the newest past ones.
+    /// Ends a control period: adds its commands to the past ones.
     #[inline(always)]
     pub fn end_period(&mut self, commands_v: &Lanes) {
         self.commands.end_period(commands_v);
@@ -176,8 +177,8 @@ impl VectorKernel for ControlPeriod<'_> {
         for (qubes, commands_v) in qubes.iter_mut().zip(commands_v) {
             qubes.begin_period(commands_v);
         }
-        // Each piece is computed for every block before the next piece: blocks are independent, so that the
-        // processor works on several at once.
+        // Each piece is computed for every block before the next piece begins. The blocks are
+        // independent, so the processor works on several at once.
         for piece in 0..=SUBSTEPS {
             for qubes in qubes.iter_mut() {
                 qubes.advance(piece);

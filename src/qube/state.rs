@@ -38,7 +38,7 @@ impl State {
     }
 }
 
-/// The equivalent angle in (-pi, pi].
+/// The angle in (-pi, pi] that differs from `angle_rad` by whole turns, rad.
 #[must_use]
 #[inline(always)]
 pub fn wrap_angle<T: Scalar>(angle_rad: T) -> T {

@@ -5,8 +5,8 @@ use thiserror::Error;
 use crate::elementary::normal_pair;
 use crate::qube::{CONTROL_PERIOD_S, Distribution, MAX_HISTORY, Nonideality, Quantity};
 
-/// Largest distance of a draw from its mean, as a fraction of the mean: draws lie between 0.1 and 1.9 times
-/// the mean.
+/// Largest distance of a draw from its mean, as a fraction of the mean: draws of a parameter lie
+/// between 0.1 and 1.9 times the mean.
 ///
 /// The truncation guarantees physical draws: a parameter whose mean is above zero is above zero in every
 /// draw. The lower end is a tenth of the mean because the integrator's step still resolves an arm of a
@@ -60,8 +60,8 @@ pub fn reach(quantity: Quantity, mean: f64) -> f64 {
     }
 }
 
-/// A value of a quantity, put at the end of its range where it lies beyond: for a parameter [`TRUNCATION`] times the
-/// mean from the mean, for a nonideality the ends of what can be simulated.
+/// A value of a quantity, clamped to the range of its draws: for a parameter [`TRUNCATION`] times
+/// the mean on either side of the mean, for a nonideality the range that can be simulated.
 #[must_use]
 pub(super) fn held_in_range(quantity: Quantity, mean: f64, value: f64) -> f64 {
     let (smallest, largest) = match quantity {
@@ -71,7 +71,7 @@ pub(super) fn held_in_range(quantity: Quantity, mean: f64, value: f64) -> f64 {
     value.clamp(smallest, largest)
 }
 
-/// The largest standard deviation that a quantity may have around a mean.
+/// The largest standard deviation that a distribution of a quantity may have around a mean.
 #[must_use]
 pub(super) fn largest_standard_deviation(quantity: Quantity, mean: f64) -> f64 {
     match quantity {
@@ -116,8 +116,8 @@ impl Distribution {
         Ok(())
     }
 
-    /// Draws one value of this quantity. At least 63 % of the normal draws lie within the [`reach`] of a
-    /// distribution that passes [`Self::check`], so the rejection loop ends soon.
+    /// Draws one value of this quantity. If the distribution passes [`Self::check`], at least 63 %
+    /// of its normal draws lie within the [`reach`], so the rejection loop ends soon.
     pub fn sample(&self, quantity: Quantity, rng: &mut impl rand::Rng) -> f64 {
         match *self {
             Self::Constant { value } => value,

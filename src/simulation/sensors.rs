@@ -8,17 +8,17 @@ use super::lane_observer::{LaneObserver, ObserverLanes};
 use crate::estimation::{FilterGains, through_filters};
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, PlantModel, Quantiser, State};
 
-/// The sensor and estimator chain between the true states of a block and the states that policy and guard
-/// see.
+/// The encoders and estimators that turn the true states of a block into the states that policy and
+/// guard see.
 #[derive(Clone, Debug)]
 pub(super) struct Sensors {
     /// Gains of the guard's filter; `None` where policy and guard see the true state.
     guard: Option<FilterGains<f32>>,
-    /// Gains of the policy's filter where that is slower than the guard's.
+    /// Gains of the policy's filter, if it is slower than the guard's.
     slow: Option<FilterGains<f32>>,
     /// Observer of the policy, if it has one.
     observer: Option<LaneObserver>,
-    /// Encoders of arm and pendulum.
+    /// Rounding of the angles of arm and pendulum to the counts of their encoders.
     theta: Quantiser<f32>,
     alpha: Quantiser<f32>,
 }
@@ -33,12 +33,12 @@ pub(super) struct SeenLanes {
 }
 
 impl SeenLanes {
-    /// Shows this state to policy and guard, in all lanes.
+    /// The same state for policy and guard, in all lanes.
     pub(super) fn both(state: &State<f32>) -> Self {
         Self { seen: State::all(state), guarded: State::all(state) }
     }
 
-    /// Restarts one lane with the same state for policy and guard.
+    /// Restarts one lane, with this state for both policy and guard.
     pub(super) fn restart(&mut self, lane: usize, state: &State<f32>) {
         self.seen.set_lane(lane, state);
         self.guarded.set_lane(lane, state);
@@ -62,13 +62,13 @@ impl Sensors {
         }
     }
 
-    /// Whether blocks need the memory of an observer.
+    /// Whether each block needs the memory of an observer.
     pub(super) fn observe(&self) -> bool {
         self.observer.is_some()
     }
 
-    /// The estimate at the start of a trajectory: as on the machine, the estimator treats the first
-    /// measurement as one at rest.
+    /// The estimate at the start of a trajectory. As on the machine, the estimator takes the
+    /// velocities at the first measurement to be 0.
     pub(super) fn first(&self, state: &State<f32>) -> State<f32> {
         match self.guard {
             None => *state,
@@ -81,8 +81,9 @@ impl Sensors {
         }
     }
 
-    /// Advances by one sample. `observers` is the memory of the block's observers where it has them,
-    /// `voltages_v` the commands of the elapsed period.
+    /// Advances the states that policy and guard see by one sample. `observers` is the memory of
+    /// the block's observers, if the policy has observers. `voltages_v` are the commands of the
+    /// elapsed period, V.
     #[inline(always)]
     pub(super) fn look(
         &self,
@@ -92,8 +93,8 @@ impl Sensors {
         voltages_v: &Lanes,
     ) {
         let Some(guard) = &self.guard else {
-            // Copied lane by lane, because whole structures are copied by a call that costs a few percent
-            // of a step.
+            // The lanes are copied one by one, because the copy of a whole structure is a function
+            // call that costs a few percent of a step.
             for lane in 0..BLOCK {
                 let one = state.lane(lane);
                 lanes.seen.set_lane(lane, &one);
