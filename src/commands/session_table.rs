@@ -132,7 +132,8 @@ impl SessionTable {
         text
     }
 
-    /// The identification, and why the search ended; empty if the session was not to identify a Qube.
+    /// The identification, and why the search ended; empty if the session was not to identify its
+    /// Qube.
     fn identification_lines(&self) -> String {
         let report = &self.0;
         let mut text = match &report.identification {

@@ -75,7 +75,7 @@ impl QubeModel {
 
     /// The Qube on the straight line from the nominal Qube through this one: `factor` 0 gives the
     /// nominal Qube, and 1 gives this one. A parameter is interpolated in its logarithm, or
-    /// linearly if it is 0 here or in the nominal Qube. The rest angle of the cable does not change.
+    /// linearly if it is 0 here or in the nominal Qube. The rest angle of the cable stays as it is.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         self.scaled_from(&DomainParameters::NOMINAL, factor)
