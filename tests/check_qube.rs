@@ -150,7 +150,7 @@ fn the_signs_that_are_found_make_a_flipped_qube_swing_up() {
 fn signs_of_another_board_are_refused() {
     let other = RigSettings { board: Some("00000000000000ff".into()), ..settings(None) };
     let error = Rig::connect(&other, &stop()).err().unwrap();
-    assert!(matches!(error, RigError::OtherBoard { .. }), "{error}");
+    assert!(matches!(error, RigError::WrongBoard { .. }), "{error}");
     let same = RigSettings { board: Some(format!("{:016x}", 11)), ..settings(None) };
     assert!(Rig::connect(&same, &stop()).is_ok());
 }

@@ -20,7 +20,7 @@ fn draw(svg: &mut String, models: &[(String, Vec<Vec<f64>>)]) -> Result<(), Plot
     let root = SVGBackend::with_string(svg, (1000, 30 + 220 * rows as u32)).into_drawing_area();
     root.fill(&WHITE)?;
     let entries = [
-        ("one training", Key::Line(THIN, 1)),
+        ("one training", Key::Line(GREY, 1)),
         ("mean of the current policies", Key::Line(BLUE, LINE)),
         ("mean of the best policies so far", Key::Line(GREEN, LINE)),
     ];
@@ -35,7 +35,7 @@ fn draw(svg: &mut String, models: &[(String, Vec<Vec<f64>>)]) -> Result<(), Plot
 }
 
 /// Colour of the lines of single trainings, between that of the grid and that of the axes.
-const THIN: RGBColor = RGBColor(160, 168, 178);
+const GREY: RGBColor = RGBColor(160, 168, 178);
 
 fn panel(
     area: &Panel<'_>,
@@ -68,7 +68,7 @@ fn panel(
         (1..).map(f64::from).zip(returns.iter().copied()).collect()
     };
     for training in trainings {
-        chart.draw_series(LineSeries::new(points(training), THIN.stroke_width(1)))?;
+        chart.draw_series(LineSeries::new(points(training), GREY.stroke_width(1)))?;
     }
     let mean = points(&mean_by_update(trainings));
     chart.draw_series(LineSeries::new(mean, colour.stroke_width(LINE)))?;

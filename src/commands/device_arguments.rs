@@ -52,8 +52,8 @@ pub struct DrivenPlantArguments {
     #[command(flatten)]
     plant: PlantArgument,
 
-    /// With a PORT and a --plant that differs from a Qube by more than smaller limits: accept that guard and homing
-    /// of real hardware rely on what the file says
+    /// Drive hardware as a --plant that differs from a Qube by more than smaller limits: its guard and homing then
+    /// rely on what the file says
     #[arg(long)]
     accept_plant: bool,
 }

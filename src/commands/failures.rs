@@ -29,7 +29,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         | RigError::Travel { .. }
         | RigError::Refused(_)
         | RigError::NotBegun { .. }
-        | RigError::AnotherBoard { .. }
+        | RigError::BoardChanged { .. }
         | RigError::Ended { .. } => Failure::fault(error),
         RigError::InDoubt(_) => {
             Failure::fault(format!("{error}. Then start again with --acknowledge"))
@@ -39,13 +39,13 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::Recording(error) => recording(&error),
         RigError::Emulator(_) | RigError::Thread(_) => Failure::failed(error),
         RigError::TooSlow(_) => Failure::failed(format!("{error}; see qube-hil doctor")),
-        RigError::Unfit { .. } => Failure::failed(format!(
+        RigError::CheckFailed { .. } => Failure::failed(format!(
             "{error}\nSee the whole table with qube-hil check; --skip-check goes on all the same"
         )),
         RigError::VirtualPort { .. } => {
             Failure::usage(format!("{error}: leave --clock virtual or the port out"))
         }
-        RigError::OtherBoard { .. } => {
+        RigError::WrongBoard { .. } => {
             Failure::usage(format!("{error}, which qube-hil check --write writes"))
         }
         RigError::TooWide(reason) => {

@@ -36,7 +36,7 @@ use crate::session::RolloutPlan;
 /// Run a policy on the Qube and record it: homing, then for each rollout settling, six seconds of policy,
 /// braking; or excite the Qube for `identify`
 ///
-/// Exit code 0 also when a rollout left the safety box, which is a result; 4 when a fault ended the last
+/// Exit code 0 also when box or guard ended a rollout, which is a result; 4 when a fault ended the last
 /// rollout.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \

@@ -50,7 +50,7 @@ use crate::simulation::SensorModel;
 #[command(after_help = "Examples:\n  \
     qube-hil session                               # on the emulated Qube\n  \
     qube-hil session --device /dev/ttyACM0 --out logs/monday\n  \
-    qube-hil session --method bayrn --preset thesis   # the published method\n  \
+    qube-hil session --method bayrn --preset thesis   # the thesis's search, without identification\n  \
     qube-hil session --device /dev/ttyACM0 --device /dev/ttyACM1   # a policy for each\n  \
     qube-hil session --resume logs/monday          # after Ctrl-C, crash or fault\n  \
     qube-hil session --clock virtual --seed 3      # as fast as the processor can\n\n\

@@ -154,7 +154,10 @@ impl SessionTable {
             }
         };
         if let Some(gain) = report.settled {
-            let _ = writeln!(text, "one more candidate was expected to gain {gain:.1} of return");
+            let _ = writeln!(
+                text,
+                "the search ended: one more candidate was expected to raise the return by only {gain:.1}"
+            );
         }
         let _ = writeln!(
             text,

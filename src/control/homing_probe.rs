@@ -28,7 +28,7 @@ const RAMP_V_S: f64 = 0.55;
 /// makes the hanging angle uncertain, and a frozen arm encoder is then found later.
 const SLOWER_PER_SWING: f64 = 12.0;
 
-/// Largest push, V: cable, friction and dead zone of a real Qube take 1.4 V together.
+/// Largest push, V: at 1.5 times the gap of `lab`, cable, friction and dead zone take 1.4 V.
 pub const STRONGEST_V: f64 = 1.8;
 
 /// Duration of the largest push, ticks.

@@ -50,8 +50,7 @@ impl Feedback {
 /// Growth of the trim, V/(rad s): about 1 V in 3 s for an arm that is held 0.2 rad off its target.
 const TRIM_RATE: f64 = 1.5;
 
-/// Largest trim, V: the sum of the voltages that cable, friction and dead zone of a real Qube take
-/// up.
+/// Largest trim, V: cable, friction and dead zone of `lab` take up at most 0.9 V.
 const LARGEST_TRIM_V: f64 = 1.2;
 
 /// Distance from the target within which the trim is frozen, rad. With static friction, a trim that
@@ -92,7 +91,8 @@ impl Settler {
 /// fails.
 pub const LEAD_RAD_S: f64 = 1.2;
 
-/// Largest voltage while the pendulum is calm, V: cable, friction and dead zone take 1.4 V.
+/// Largest voltage while the pendulum is calm, V: at 1.5 times the gap of `lab`, cable, friction and
+/// dead zone take 1.4 V.
 const GENTLE_V: f64 = 2.0;
 
 /// Slew rate of the voltage while the pendulum is calm, V/s. It is so low that a frozen encoder is

@@ -3,7 +3,7 @@
 use crate::qube::CONTROL_PERIOD_S;
 
 /// Largest lead of the moving target over the arm, rad: the arm presses against a stop with 1.6 V.
-/// A real Qube's cable, friction and dead zone together take 1.2 V.
+/// On `lab` cable, friction and dead zone together take at most 0.9 V of it.
 const LEAD_RAD: f64 = 0.95;
 
 /// Velocity below which an arm at the full lead gets an additional push, rad/s.

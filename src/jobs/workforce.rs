@@ -6,11 +6,11 @@ use super::folder::{ClaimEnding, HeartbeatState, HeartbeatWatch, Holder, JobFold
 use super::starter::{StartError, Starter};
 
 /// Number of starts in a row without any new worker after which the work ends.
-const FRUITLESS_STARTS: u32 = 2;
+const MAX_STARTS_WITHOUT_WORKER: u32 = 2;
 
 /// Number of starts without any result after which the work ends. Such starts happen when a
 /// scheduler ends all workers before they finish a training.
-const VAIN_STARTS: u32 = 20;
+const MAX_STARTS_WITHOUT_RESULT: u32 = 20;
 
 /// Longest time for which a scheduler may fail to answer.
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -132,10 +132,10 @@ impl Workforce {
         } else {
             self.fruitless = 0;
         }
-        if self.fruitless >= FRUITLESS_STARTS {
+        if self.fruitless >= MAX_STARTS_WITHOUT_WORKER {
             return Err(self.no_worker(folder).into());
         }
-        if self.in_vain >= VAIN_STARTS {
+        if self.in_vain >= MAX_STARTS_WITHOUT_RESULT {
             return Err(StartError::InVain { starts: self.in_vain }.into());
         }
         self.appeared_at_start = self.appeared;

@@ -72,8 +72,7 @@ pub enum ProfileError {
     Invalid(#[from] Box<toml::de::Error>),
     /// The correlations name unknown quantities or do not form a correlation matrix.
     #[error(
-        "correlations: give each of some quantities one row, of numbers from -1 to 1 with those before it \
-         and 1 with itself"
+        "correlations: give one row for each name; row N has N numbers from -1 to 1, of which the last is 1"
     )]
     Correlations,
     /// A standard error has an unknown name or is not a number from 0.
@@ -140,7 +139,7 @@ impl Profile {
                 return Err(ProfileError::StandardError { name: name.clone(), value });
             }
         }
-        if profile.correlations.as_ref().is_some_and(|correlations| !correlations.are_some()) {
+        if profile.correlations.as_ref().is_some_and(|correlations| !correlations.are_valid()) {
             return Err(ProfileError::Correlations);
         }
         Ok(profile)
@@ -182,7 +181,7 @@ impl Correlations {
     }
 
     /// Whether every name is a known quantity and every row has the right length and range.
-    fn are_some(&self) -> bool {
+    fn are_valid(&self) -> bool {
         let known = self.names.iter().all(|name| Quantity::from_name(name).is_some());
         let whole = |(index, row): (usize, &Vec<f64>)| {
             row.len() == index + 1

@@ -82,7 +82,7 @@ pub enum RigError {
     },
     /// Another board answers at the same port after a fault.
     #[error("{port} was board {expected}, and now board {found} answers there. Nothing has moved")]
-    AnotherBoard {
+    BoardChanged {
         /// Name of the port.
         port: String,
         /// Serial number of the previous board.
@@ -107,7 +107,7 @@ pub enum RigError {
     },
     /// The check failed.
     #[error("the Qube did not pass its check, so nothing was run.{}", listed(results))]
-    Unfit {
+    CheckFailed {
         /// Results of all checks; at least one failed.
         results: Vec<CheckResult>,
     },
@@ -116,7 +116,7 @@ pub enum RigError {
         "{port} is board {found}, but its settings or recordings are of board {expected}: wrong signs \
          would drive the arm into its stops. Use that board's port, or the qube.toml of this one"
     )]
-    OtherBoard {
+    WrongBoard {
         /// Name of the port.
         port: String,
         /// Serial number in the file.
@@ -197,11 +197,11 @@ impl RigError {
             | Self::Travel { .. }
             | Self::NotBegun { .. }
             | Self::LinkLost { .. }
-            | Self::AnotherBoard { .. }
-            | Self::OtherBoard { .. }
+            | Self::BoardChanged { .. }
+            | Self::WrongBoard { .. }
             | Self::InDoubt(_)
             | Self::Ended { .. }
-            | Self::Unfit { .. } => true,
+            | Self::CheckFailed { .. } => true,
             Self::VirtualPort { .. }
             | Self::Emulator(_)
             | Self::Thread(_)

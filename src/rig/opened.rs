@@ -83,7 +83,7 @@ impl Rig {
         if doubt.is_some() || (is_hardware && !settings.skip_check) {
             let mut results = rig.examine(false)?.results;
             if results.iter().any(CheckResult::failed) {
-                return Err(RigError::Unfit { results });
+                return Err(RigError::CheckFailed { results });
             }
             rig.home()?;
             results.push(homed(&rig.measured.calibration));
@@ -116,7 +116,7 @@ impl Rig {
         control.set_motor(MotorHeat::cold(&settings.plant, settings.limits.motor()))?;
         let identity = control.hello()?;
         if let Some(expected) = settings.board.as_ref().filter(|board| **board != identity.serial) {
-            return Err(RigError::OtherBoard {
+            return Err(RigError::WrongBoard {
                 port: identity.port,
                 expected: expected.clone(),
                 found: identity.serial,
@@ -273,7 +273,7 @@ impl Rig {
             Err(error) => return Err(error.into()),
         };
         if (&identity.serial, &identity.kind) != (&self.identity.serial, &self.identity.kind) {
-            return Err(RigError::AnotherBoard {
+            return Err(RigError::BoardChanged {
                 port: identity.port,
                 expected: self.identity.serial.clone(),
                 found: identity.serial,

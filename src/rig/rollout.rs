@@ -52,13 +52,13 @@ fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> Safety
 }
 
 /// A controller that stores the last voltage that it returned.
-struct Noted {
+struct RecordingController {
     controller: Box<dyn Controller>,
     /// Bits of the last voltage, V; NaN before the first.
     last_v: Arc<AtomicU64>,
 }
 
-impl Controller for Noted {
+impl Controller for RecordingController {
     fn start(&mut self) {
         self.controller.start();
     }
@@ -115,7 +115,7 @@ impl Rig {
     ) -> Result<Recorded, RigError> {
         let file = Policy::External(External::new(name)).to_bytes();
         let last_v = Arc::new(AtomicU64::new(f64::NAN.to_bits()));
-        let noted = Noted { controller, last_v: Arc::clone(&last_v) };
+        let noted = RecordingController { controller, last_v: Arc::clone(&last_v) };
         self.recorded(disk, path, header, &file, Box::new(noted), Some(&last_v))
     }
 

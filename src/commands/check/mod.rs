@@ -30,7 +30,7 @@ const WRITER: &str = "qube-hil check --write";
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
 ///
 /// The arm is pushed a little (0.1 s, with 0.25 V, and more only while nothing moves) and then homed.
-/// `session` and `run` do the same before the first motion of a real Qube. Exit code 0 when every check
+/// Every command that drives a real Qube does the same before its first motion. Exit code 0 when every check
 /// passed, 1 when one failed, 2 when there is no Qube at that port.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \

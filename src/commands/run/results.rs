@@ -133,7 +133,7 @@ impl Results {
     }
 
     /// Checks that the last rollout is valid or was ended by a fault, which `fault` names.
-    pub fn gaps(&self) -> Result<(), Failure> {
+    pub fn check_not_void(&self) -> Result<(), Failure> {
         match &self.void {
             Some(reason) => Err(Failure::fault(format!("the last rollout is void: {reason}"))),
             None => Ok(()),

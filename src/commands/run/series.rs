@@ -86,7 +86,7 @@ impl Series<'_> {
         }
         match results.fault {
             Some(fault) => Err(Failure::fault(told(fault)).caused_by(Some(fault))),
-            None => results.gaps(),
+            None => results.check_not_void(),
         }
     }
 

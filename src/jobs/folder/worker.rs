@@ -102,9 +102,9 @@ struct Alive {
 }
 
 /// Ends the heartbeat thread when the work ends, also when it panics.
-struct EndOfHeart<'a>(&'a Mutex<Option<Alive>>);
+struct HeartbeatEnd<'a>(&'a Mutex<Option<Alive>>);
 
-impl Drop for EndOfHeart<'_> {
+impl Drop for HeartbeatEnd<'_> {
     fn drop(&mut self) {
         lock(self.0).take();
     }
@@ -144,7 +144,7 @@ impl Worker {
         let halt = AtomicBool::new(stop.load(Ordering::Relaxed));
         std::thread::scope(|scope| {
             let heart = scope.spawn(|| self.beat(&alive, stop, &halt));
-            let _end = EndOfHeart(&alive);
+            let _end = HeartbeatEnd(&alive);
             let outcome = self.work(&alive, &halt, tell);
             let ended = lock(&alive).take();
             if let Some(Alive { worker, .. }) = ended {
@@ -306,7 +306,7 @@ impl Worker {
         }
         tell(WorkerEvent::Began { job, number });
         let started = Instant::now();
-        let outcome = carried_out(read, halt);
+        let outcome = train_on_one_thread(read, halt);
         let written = match &outcome {
             Err(TrainError::Stopped) => Ok(()),
             Ok(trained) => self.store(job, Ok(trained)),
@@ -349,7 +349,7 @@ impl Worker {
 }
 
 /// Trains a job's policy in one thread.
-fn carried_out(job: TrainingJob, halt: &AtomicBool) -> Result<Trained, TrainError> {
+fn train_on_one_thread(job: TrainingJob, halt: &AtomicBool) -> Result<Trained, TrainError> {
     let TrainingJob { distribution, mut settings, seed } = job;
     settings.threads = 1;
     train(&distribution, &settings, seed, None, halt, |_| ())
