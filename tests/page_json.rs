@@ -160,6 +160,14 @@ fn commands_print_the_fields_of_the_page() {
     succeeds("`session`", &[&pair[..], &shared].concat());
     let experiment = ["experiment", "--recipe", "tiny.toml", "--policies", "1", "--rollouts", "1"];
     succeeds("`experiment`", &[&experiment[..], &["--out", "experiment"]].concat());
+    let searched = format!(
+        "{recipe}[settings.extent]\ninitial_candidates = 1\niterations = 1\nrollouts = 1\n"
+    );
+    let searched = searched.replace("\"nominal\"", "\"opt-nominal\"");
+    std::fs::write(directory.path().join("searched.toml"), searched).unwrap();
+    let strategies = ["experiment", "--recipe", "searched.toml", "--strategies", "random"];
+    let one = ["--repetitions", "1", "--policies", "1", "--rollouts", "1", "--out", "strategies"];
+    succeeds("`experiment --strategies`", &[&strategies[..], &one].concat());
     let jobs =
         JobFolder::create(Arc::new(MachineDisk), &directory.path().join("jobs"), Terms::default());
     drop(jobs.unwrap());
