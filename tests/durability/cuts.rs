@@ -66,7 +66,7 @@ fn a_recovery_that_a_write_ends_leaves_nothing_and_can_be_repeated() {
         let disk = SimulatedDisk::default();
         disk.create_folder(path.parent().unwrap()).unwrap();
         disk.put(&path, &bytes[..bytes.len() / 2]);
-        disk.plan([(disk.operations() + operation, DiskFault::WriteFails)]);
+        disk.plan([(operation, DiskFault::WriteFails)]);
         // A sync, or after the end.
         let Err(error) = recover(&disk, &path, &saved) else { continue };
         assert!(disk.bytes(&saved).is_none(), "operation {operation}: a part is left: {error}");
