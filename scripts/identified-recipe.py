@@ -68,7 +68,7 @@ def compare(folder, name, seed, policies, threads):
         "--out", out, "--recipe", recipe, "--preset", "robust", "--guard", "foresight", "--profile", truth, "--device",
         "emulated", "--qube", qube, "--policies", policies, "--rollouts", 5, "--seed", seed]
     run("experiment", *where, "--threads", threads)
-    told = subprocess.run([PROGRAM, "experiment", "--resume", str(out), "--table", "--csv", str(folder / "policies.csv"), "--force"],
+    told = subprocess.run([PROGRAM, "experiment", "--resume", str(out), "--table", "--csv", str(folder / "policies.csv")],
                           check=True, capture_output=True, text=True)
     return told.stdout
 

@@ -69,8 +69,7 @@ fn begin(directory: &Path, arguments: &[&str], threads: &str) -> Child {
 }
 
 fn table(directory: &Path) -> String {
-    let arguments = ["--resume", "one", "--csv", "one.csv", "--force"];
-    let output = experiment(directory, &arguments).output().unwrap();
+    let output = experiment(directory, &["--resume", "one", "--csv", "one.csv"]).output().unwrap();
     succeeds(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
 }
 
@@ -95,12 +94,18 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let recordings = expected_files.keys().filter(|name| name.ends_with(".mcap")).count();
     assert_eq!(recordings, 2 * 3 * 2 * 2 + 4);
 
-    // The file of --csv is never replaced unasked.
-    let output =
-        experiment(whole.path(), &["--resume", "one", "--csv", "one.csv"]).output().unwrap();
+    // A file that is none of its own is replaced on demand only.
+    let foreign = whole.path().join("foreign.csv");
+    std::fs::write(&foreign, "mine").unwrap();
+    let arguments = ["--resume", "one", "--table", "--csv", "foreign.csv"];
+    let output = experiment(whole.path(), &arguments).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(told.contains("--csv one.csv exists already"), "{told}");
+    assert!(told.contains("--csv foreign.csv exists already"), "{told}");
+    assert_eq!(std::fs::read_to_string(&foreign).unwrap(), "mine");
+    let arguments = [&arguments[..], &["--force"]].concat();
+    succeeds(&experiment(whole.path(), &arguments).output().unwrap());
+    assert!(expected.ends_with(&std::fs::read_to_string(&foreign).unwrap()));
 
     // --table shows finished work without running anything; a resumed experiment makes missing files again.
     let lost = "one/policies/tiny-nominal/002/lab/rollout-1-attempt-0.mcap";

@@ -134,11 +134,11 @@ pub struct Arguments {
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 
-    /// Also write a CSV file with a line for each policy, or recommendation
+    /// Also write a CSV file with a line for each policy, or recommendation; unasked it replaces such a file only
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 
-    /// Replace the file of --csv if it exists
+    /// Let --csv replace any file
     #[arg(long, requires = "csv")]
     force: bool,
 
@@ -218,7 +218,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let csv = arguments
         .csv
         .as_deref()
-        .map(|path| OutputFile::of_option("--csv", path, arguments.force))
+        .map(|path| {
+            // The same command brings the file up to date.
+            let replace = arguments.force || ExperimentReport::is_csv(path);
+            OutputFile::of_option("--csv", path, replace)
+        })
         .transpose()?;
     let (folder, mut settings) = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,

@@ -1,3 +1,5 @@
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use serde_json::Value;
@@ -61,6 +63,14 @@ impl ExperimentReport {
             Self::Recipes(results) => experiment_table::csv(results),
             Self::Strategies(results) => strategy_table::csv(results),
         }
+    }
+
+    /// Whether a file is such a CSV file, of this experiment or another.
+    pub fn is_csv(path: &Path) -> bool {
+        let mut begins = String::new();
+        let read = File::open(path).and_then(|file| file.take(64).read_to_string(&mut begins));
+        let known = [experiment_table::CSV_BEGINS, strategy_table::CSV_BEGINS];
+        read.is_ok() && known.iter().any(|columns| begins.starts_with(columns))
     }
 
     /// The page for a browser, with the commands that repeat the experiment.

@@ -136,9 +136,12 @@ fn model(recipe: &RecipeResult) -> Value {
     })
 }
 
+/// First columns of the CSV file, by which it is recognised.
+pub const CSV_BEGINS: &str = "recipe,plant,policy,";
+
 /// The results as CSV, with a line for each policy on each plant.
 pub fn csv(results: &Results) -> String {
-    let mut text = String::from("recipe,plant,policy,simulated_return,mean_return,succeeds");
+    let mut text = format!("{CSV_BEGINS}simulated_return,mean_return,succeeds");
     for behaviour in Behaviour::ALL {
         let _ = write!(text, ",{}", behaviour.name());
     }

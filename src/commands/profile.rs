@@ -55,7 +55,12 @@ pub fn check_plant(name: &str, profile: &Profile, plant: &PlantModel) -> Result<
 /// Reads a profile file of a specimen of any plant.
 fn read(path: &Path) -> Result<Profile, Failure> {
     let text = read_text(path, SETTINGS_BYTES)
-        .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
+        .map_err(|error| {
+            let shown = path.display();
+            Failure::usage(format!(
+                "{shown}: {error}: give a file that identify wrote (--profile also takes {IDEAL} and lab)"
+            ))
+        })?;
     Profile::parse(&text).map_err(|error| Failure::usage(format!("{}: {error}", path.display())))
 }
 

@@ -81,11 +81,12 @@ pub fn value(results: &StrategyResults) -> Value {
     })
 }
 
+/// First columns of the CSV file, by which it is recognised.
+pub const CSV_BEGINS: &str = "strategy,repetition,budget,";
+
 /// The results as CSV, with a line for each recommendation.
 pub fn csv(results: &StrategyResults) -> String {
-    let mut text = String::from(
-        "strategy,repetition,budget,real_rollouts,judges_stood,judges_ran,succeeds,refused\n",
-    );
+    let mut text = format!("{CSV_BEGINS}real_rollouts,judges_stood,judges_ran,succeeds,refused\n");
     for strategy in &results.strategies {
         for repetition in &strategy.repetitions {
             for recommendation in &repetition.recommendations {
